@@ -1,21 +1,21 @@
-"""Spread items over the workers of several machines: results in order, whoever dies, however slow a machine is.
+"""Spread items over the workers of several machines: results in order, whoever dies.
 
-The rules are here, and nothing of Ray: :class:`Cluster` is all that they need of one.
+The rules are here, and nothing of Ray. What they need of a cluster stands in :class:`prbench.engine.on_ray.RayCluster`:
+``nodes()``, ``packed(what)``, ``start(node)`` and ``submit(worker, function, item)``, which return tickets of what will
+have happened, ``stop(worker)``, ``finished(tickets, seconds)`` and ``result(ticket)``.
 
 - Every worker has one item at a time. A worker that dies is replaced, and its item goes on elsewhere.
 - An item for which the memory did not suffice, or with which several workers died, is tried once more, alone.
-- An item that takes much longer than the others is tried on another machine as well; the first answer counts.
 - Items and results that wait are bounded in number and in bytes, so memory stays flat and little is spilled to disk.
 """
 
 from __future__ import annotations
 
-import statistics
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
 
 from prbench.engine.pool import KILLED, Full, item_name, settled
 from prbench.errors import ClusterError
@@ -43,16 +43,10 @@ class Node:
 
 @dataclass(frozen=True)
 class Answered:
-    """The result of an item."""
+    """The result of an item, or the exception that it raised."""
 
-    value: Any
-
-
-@dataclass(frozen=True)
-class Raised:
-    """The exception that an item raised."""
-
-    error: Exception
+    value: Any = None
+    error: Exception | None = None
 
 
 class WorkerLostError(Exception):
@@ -69,42 +63,6 @@ class WorkerLostError(Exception):
         self.reason, self.memory, self.machine = reason, memory, machine
 
 
-class Cluster(Protocol):
-    """What the rules need of a cluster; a ticket stands for something that will have happened."""
-
-    def nodes(self) -> list[Node]:
-        """The machines that are alive and fit for the work."""
-        ...
-
-    def packed(self, what: object) -> bytes:
-        """A function or an item in the form that travels."""
-        ...
-
-    def start(self, node: Node) -> tuple[Any, Hashable]:
-        """Start a worker on a machine: the worker, and the ticket of its being ready."""
-        ...
-
-    def submit(self, worker: Any, function: bytes, item: bytes) -> Hashable:
-        """Give an item to a worker."""
-        ...
-
-    def stop(self, worker: Any) -> None:
-        """End a worker at once, whatever it does."""
-        ...
-
-    def finished(self, tickets: Collection[Hashable], seconds: float) -> Collection[Hashable]:
-        """The tickets that have come due; waits so long for a first one."""
-        ...
-
-    def result(self, ticket: Hashable) -> Any:
-        """What a due ticket stands for: ``Answered``, ``Full`` or ``Raised``; anything for a worker that is ready.
-
-        Raises:
-            WorkerLostError: if the worker ended before.
-        """
-        ...
-
-
 @dataclass(frozen=True)
 class Rules:
     """The bounds within which items are handed out."""
@@ -113,14 +71,10 @@ class Rules:
     """Workers at a time; None for as many as the cluster has processors for."""
     most_waiting_bytes: float = 4e9
     """Bytes of packed items that may be under way at a time; one item is always allowed."""
-    slow_factor: float = 3.0
-    """An item is slow from so many times the median of the others on …"""
-    slow_seconds: float = 10.0
-    """… and from so many seconds on."""
     tries: int = 3
     """Workers that may die with an item before it is tried alone."""
     strikes: int = 3
-    """Failed starts and overtaken items after which a machine is left out."""
+    """Failed starts after which a machine is left out."""
     patience: float = 60.0
     """Seconds to wait for a machine where there is none."""
 
@@ -131,12 +85,11 @@ class _Work:
 
     item: Any
     packed: bytes
-    at_work: list[_Worker] = field(default_factory=list)
     deaths: int = 0
     suspected: bool = False
     """The memory did not suffice, or workers died with it; it is tried alone."""
     alone: bool = False
-    outcome: Answered | Full | Raised | None = None
+    outcome: Answered | Full | None = None
 
 
 @dataclass(eq=False)
@@ -147,7 +100,6 @@ class _Worker:
     node: Node
     ticket: Hashable | None
     """Of its being ready, then of its item; None while it has nothing to do."""
-    since: float
     ready: bool = False
     work: _Work | None = None
 
@@ -163,7 +115,7 @@ class Staff:
     """
 
     def __init__(
-        self, cluster: Cluster, rules: Rules, tell: Callable[[str], None], clock: Callable[[], float] = time.monotonic
+        self, cluster: Any, rules: Rules, tell: Callable[[str], None], clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.cluster = cluster
         self.rules = rules
@@ -177,8 +129,8 @@ class Staff:
         self._ending: set[Hashable] = set()
         self._why = ""
 
-    def nodes(self) -> list[Node]:
-        """The machines that are not left out, looked up now and then."""
+    def nodes(self) -> dict[str, Node]:
+        """The machines that are not left out by their ids, looked up now and then."""
         now = self.clock()
         if now - self._looked >= _NODES_EVERY_S:
             self._looked = now
@@ -186,7 +138,7 @@ class Staff:
             for lost in self._nodes.keys() - found.keys():
                 self.tell(f"node {self._nodes[lost].name} is gone; its items go on elsewhere.")
             self._nodes = found
-        left = [node for node in self._nodes.values() if self._strikes.get(node.id, 0) < self.rules.strikes]
+        left = {name: each for name, each in self._nodes.items() if self._strikes.get(name, 0) < self.rules.strikes}
         if left:
             self._last_seen = now
         return left
@@ -194,13 +146,13 @@ class Staff:
     def places(self) -> dict[str, int]:
         """How many workers each machine is to have: all that it has room for, or its share of ``most_workers``."""
         nodes = self.nodes()
-        most = self.rules.most_workers
-        if most is None:
-            return {node.id: node.slots for node in nodes}
-        share = dict.fromkeys((node.id for node in nodes), 0)
-        while sum(share.values()) < min(most, sum(node.slots for node in nodes)):
-            free = [node for node in nodes if share[node.id] < node.slots]
-            share[min(free, key=lambda node: share[node.id]).id] += 1
+        slots = {name: node.slots for name, node in nodes.items()}
+        if self.rules.most_workers is None:
+            return slots
+        share = dict.fromkeys(nodes, 0)
+        while sum(share.values()) < min(self.rules.most_workers, sum(slots.values())):
+            free = [name for name in nodes if share[name] < slots[name]]
+            share[min(free, key=lambda name: share[name])] += 1
         return share
 
     def capacity(self) -> int:
@@ -209,52 +161,45 @@ class Staff:
 
     def idle(self) -> list[_Worker]:
         """Workers with nothing to do, on machines that are not left out."""
-        left = {node.id for node in self.nodes()}
+        left = self.nodes()
         return [worker for worker in self.workers if worker.ready and worker.work is None and worker.node.id in left]
 
     def busy(self) -> list[_Worker]:
         """Workers with an item."""
         return [worker for worker in self.workers if worker.work is not None]
 
-    def hire(self, wanted: int, *, not_on: str = "") -> None:
+    def hire(self, wanted: int) -> None:
         """Start workers until so many are starting, as far as the machines have room."""
-        places = self.places()
-        nodes = {node.id: node for node in self.nodes()}
-        free = {name: count for name, count in places.items() if name != not_on}
+        free = self.places()
         for worker in self.workers:
             if worker.node.id in free:
                 free[worker.node.id] -= 1
-        starting = sum(not worker.ready and worker.node.id != not_on for worker in self.workers)
-        for _ in range(wanted - starting):
+        for _ in range(wanted - sum(not worker.ready for worker in self.workers)):
             roomy = max(free, key=lambda name: free[name], default=None)
             if roomy is None or free[roomy] < 1:
                 return
             free[roomy] -= 1
-            self._start(nodes[roomy])
+            self._start(self.nodes()[roomy])
 
     def hire_for_one(self) -> None:
         """Start one worker where the memory is largest, unless there is one."""
         nodes = self.nodes()
         if not self.workers and nodes:
-            self._start(max(nodes, key=lambda node: node.memory))
+            self._start(max(nodes.values(), key=lambda node: node.memory))
 
     def _start(self, node: Node) -> None:
         handle, ticket = self.cluster.start(node)
-        self.workers.append(_Worker(handle, node, ticket, self.clock()))
+        self.workers.append(_Worker(handle, node, ticket))
 
     def give(self, worker: _Worker, work: _Work, function: bytes) -> None:
         """Let an idle worker work on an item."""
         worker.work = work
-        worker.since = self.clock()
         worker.ticket = self.cluster.submit(worker.handle, function, work.packed)
-        work.at_work.append(worker)
 
     def dismiss(self, workers: Iterable[_Worker]) -> None:
         """End workers at once."""
         for worker in list(workers):
             self.workers.remove(worker)
-            if worker.work is not None:
-                worker.work.at_work.remove(worker)
             if worker.ticket is not None:
                 self._ending.add(worker.ticket)
             self.cluster.stop(worker.handle)
@@ -267,14 +212,14 @@ class Staff:
         self._ending.clear()
 
     def strike(self, node: Node, why: str) -> None:
-        """Note that a machine failed, and leave it out when it did so too often."""
+        """Note that no worker started on a machine, and leave it out when that happened too often."""
         strikes = self._strikes[node.id] = self._strikes.get(node.id, 0) + 1
         self._why = f"node {node.name}: {why}"
         if strikes == self.rules.strikes:
             self.tell(f"node {node.name} is left out from here on: {why}.")
             self.dismiss(worker for worker in self.workers if worker.node.id == node.id and worker.work is None)
 
-    def finished(self, seconds: float) -> list[tuple[_Worker, Answered | Full | Raised | WorkerLostError | None]]:
+    def finished(self, seconds: float) -> list[tuple[_Worker, Answered | Full | WorkerLostError | None]]:
         """Workers that have become ready (None), have answered, or are lost; lost ones are taken off the list.
 
         Raises:
@@ -282,7 +227,12 @@ class Staff:
         """
         waiting = {worker.ticket: worker for worker in self.workers if worker.ticket is not None}
         if not waiting:
-            self._require_nodes()
+            if not self.nodes() and self.clock() - self._last_seen > self.rules.patience:
+                reason = f" The last one left out: {self._why}." if self._why else ""
+                raise ClusterError(
+                    f"no node of the cluster is left to work on; waited {self.rules.patience:.0f} s for one.{reason}"
+                    " What is finished is kept: see to the cluster (`ray status`) and run the same command again."
+                )
             time.sleep(min(seconds, 0.1))
             return []
         found = []
@@ -300,14 +250,6 @@ class Staff:
             found.append((worker, result if worker.ready else None))
             worker.ready = True
         return found
-
-    def _require_nodes(self) -> None:
-        if not self.nodes() and self.clock() - self._last_seen > self.rules.patience:
-            reason = f" The last one left out: {self._why}." if self._why else ""
-            raise ClusterError(
-                f"no node of the cluster is left to work on; waited {self.rules.patience:.0f} s for one.{reason}"
-                " What is finished is kept: see to the cluster (`ray status`) and run the same command again."
-            )
 
 
 class Spread:
@@ -330,8 +272,6 @@ class Spread:
         self._to_do: deque[_Work] = deque()
         """Those of them that nobody works on."""
         self._all_taken = False
-        self._seconds: deque[float] = deque(maxlen=200)
-        """What the last items took."""
 
     def results(self) -> Iterator[Any]:
         """The results in order; whatever is still at work when this ends is ended."""
@@ -347,16 +287,14 @@ class Spread:
                     continue
                 self._hand_out()  # before the caller is busy with the result
                 self._line.popleft()
-                yield self._value(head)
+                found = head.outcome
+                if isinstance(found, Answered) and found.error is not None:
+                    raise found.error
+                found = found.value if isinstance(found, Answered) else found
+                yield settled(found, head.item, self._if_full)
         finally:
             self._staff.dismiss(self._staff.busy())
             self._staff.await_dismissed(10.0)
-
-    def _value(self, work: _Work) -> Any:
-        if isinstance(work.outcome, Raised):
-            raise work.outcome.error
-        found = work.outcome.value if isinstance(work.outcome, Answered) else work.outcome
-        return settled(found, work.item, self._if_full)
 
     def _take_up(self) -> None:
         most = _WINDOW * max(self._staff.capacity(), 1)
@@ -375,55 +313,26 @@ class Spread:
             self._to_do.append(work)
 
     def _hand_out(self) -> None:
-        head = self._line[0]
-        if head.suspected and head.outcome is None:
-            self._try_alone(head)
-            return
-        idle = self._staff.idle()
-        while idle and self._to_do:
-            self._staff.give(idle.pop(), self._to_do.popleft(), self._function)
-        if self._to_do:
-            self._staff.hire(len(self._to_do))
-        else:
-            self._try_slow_ones_elsewhere(idle)
-
-    def _try_alone(self, work: _Work) -> None:
-        """Let the others come to their end, free the memory of all workers, and start one for this item."""
         staff = self._staff
-        if any(worker.work is not work for worker in staff.busy()):
-            return
-        if not work.alone:
-            work.alone = True
-            staff.dismiss(staff.workers)
+        head = self._line[0]
         idle = staff.idle()
-        if idle and not work.at_work:
-            staff.give(idle[0], work, self._function)
+        if not head.suspected or head.outcome is not None:
+            while idle and self._to_do:
+                staff.give(idle.pop(), self._to_do.popleft(), self._function)
+            if self._to_do:
+                staff.hire(len(self._to_do))
+            return
+        # Let the others come to their end, free the memory of all workers, and start one for this item.
+        if staff.busy():
+            return
+        if not head.alone:
+            head.alone = True
+            staff.dismiss(staff.workers)
+            idle = []
+        if idle:
+            staff.give(idle[0], head, self._function)
         else:
             staff.hire_for_one()
-
-    def _try_slow_ones_elsewhere(self, idle: list[_Worker]) -> None:
-        rules = self._staff.rules
-        if len(self._seconds) < 2:
-            return
-        usual = statistics.median(self._seconds)
-        now = self._staff.clock()
-        for work in self._line:
-            if work.outcome is not None or len(work.at_work) != 1:
-                continue
-            first = work.at_work[0]
-            taken = now - first.since
-            if taken < max(rules.slow_seconds, rules.slow_factor * usual):
-                continue
-            elsewhere = [worker for worker in idle if worker.node.id != first.node.id]
-            if not elsewhere:
-                self._staff.hire(1, not_on=first.node.id)
-                continue
-            idle.remove(elsewhere[0])
-            self._staff.give(elsewhere[0], work, self._function)
-            self._staff.tell(
-                f"{item_name(work.item)} takes {taken:.0f} s on node {first.node.name}, where others take"
-                f" {usual:.0f} s: tried on {elsewhere[0].node.name} as well."
-            )
 
     def _gather(self, seconds: float) -> None:
         for worker, found in self._staff.finished(seconds):
@@ -432,37 +341,18 @@ class Spread:
             if work is None:
                 if isinstance(found, WorkerLostError) and not found.machine:
                     self._staff.strike(worker.node, f"a worker could not be started there ({found.reason})")
-                continue
-            if worker in work.at_work:
-                work.at_work.remove(worker)
-            if work.outcome is not None:
-                continue  # another one was faster
-            if isinstance(found, WorkerLostError):
+            elif isinstance(found, WorkerLostError):
                 self._lost(work, worker, found)
-            elif found is not None:
-                self._answered(work, worker, found)
-
-    def _answered(self, work: _Work, worker: _Worker, found: Answered | Full | Raised) -> None:
-        slower = list(work.at_work)
-        # Both are given the same item, so their files would have the same bytes; only one of them may go on writing.
-        self._staff.dismiss(slower)
-        if isinstance(found, Full) and not work.alone:
-            work.suspected = True
-            return
-        work.outcome = found
-        self._seconds.append(self._staff.clock() - worker.since)
-        for each in slower:
-            if each.since < worker.since:
-                self._staff.strike(each.node, "items that were tried on another node were done there first")
+            elif isinstance(found, Full) and not work.alone:
+                work.suspected = True
+            else:
+                work.outcome = found
 
     def _lost(self, work: _Work, worker: _Worker, lost: WorkerLostError) -> None:
-        if work.at_work:
-            return  # it is being done elsewhere, too
         work.deaths += 1
         if work.alone:
-            if lost.machine and work.deaths <= 2 * self._staff.rules.tries:
-                return
-            work.outcome = Full(f"{KILLED} (node {worker.node.name}: {lost.reason})")
+            if not lost.machine or work.deaths > 2 * self._staff.rules.tries:
+                work.outcome = Full(f"{KILLED} (node {worker.node.name}: {lost.reason})")
             return
         if lost.memory or work.deaths >= self._staff.rules.tries:
             work.suspected = True

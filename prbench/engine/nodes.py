@@ -89,42 +89,32 @@ def problems(facts: Mapping[str, Any], asked: Question, answered: float) -> list
         asked: What it was asked.
         answered: When the answer was there, by this machine's clock.
     """
-    return [
-        *_other_code(facts, asked.here),
-        *_other_packages(facts, asked.here),
-        *_other_files(facts, asked),
-        *_little_room(facts),
-        *_wrong_clock(facts["time"], asked.asked, answered),
-    ]
-
-
-def _other_code(facts: Mapping[str, Any], here: Mapping[str, Any]) -> Iterator[str]:
+    found: list[str] = []
+    here = asked.here
     if not facts["prbench"]:
-        yield f"prbench is not installed there. Install version {here['prbench']} there, into the Python that runs Ray."
+        found.append(
+            f"prbench is not installed there. Install version {here['prbench']} there, into the Python that runs Ray."
+        )
     elif facts["prbench"] != here["prbench"]:
-        yield (
+        found.append(
             f"prbench {_said(facts['prbench'])} is installed there, and {here['prbench']} here."
             " Install the same version on both."
         )
     elif facts["code"] != here["code"]:
-        yield (
+        found.append(
             f"prbench {here['prbench']} is installed there with other source files than here."
             " Install the same commit on both, best into a folder that all nodes share."
         )
     if facts["python"].split(".")[:2] != here["python"].split(".")[:2]:
-        yield f"Python {_said(facts['python'])} runs there, and {here['python']} here. Use the same on both."
-
-
-def _other_packages(facts: Mapping[str, Any], here: Mapping[str, Any]) -> Iterator[str]:
+        found.append(f"Python {_said(facts['python'])} runs there, and {here['python']} here. Use the same on both.")
     for name, version in here["packages"].items():
         there = facts["packages"].get(name, "")
-        if there == version or not version:
-            continue
-        if there:
-            found = f"{name} {_said(there)} is installed there, and {version} here."
-        else:
-            found = f"{name} is not installed there."
-        yield f"{found} Run there: pip install {name}=={version}"
+        if version and there != version:
+            told = f"{name} is not installed there."
+            if there:
+                told = f"{name} {_said(there)} is installed there, and {version} here."
+            found.append(f"{told} Run there: pip install {name}=={version}")
+    return [*found, *_other_files(facts, asked), *_resources(facts, asked.asked, answered)]
 
 
 def _other_files(facts: Mapping[str, Any], asked: Question) -> Iterator[str]:
@@ -149,16 +139,14 @@ def _other_files(facts: Mapping[str, Any], asked: Question) -> Iterator[str]:
             )
 
 
-def _little_room(facts: Mapping[str, Any]) -> Iterator[str]:
+def _resources(facts: Mapping[str, Any], asked: float, answered: float) -> Iterator[str]:
     for path, free in facts["room"].items():
         if free is not None and free < LEAST_FREE:
             yield (
                 f"{path} has {free / 1e9:.1f} GB of free disk there; at least {LEAST_FREE / 1e9:.0f} GB are needed."
                 " Free some space."
             )
-
-
-def _wrong_clock(there: float, asked: float, answered: float) -> Iterator[str]:
+    there = facts["time"]
     off = max(asked - there, there - answered)  # it was read at some moment between the two
     if off > CLOCK_TOLERANCE_S:
         direction = "behind" if there < asked else "ahead"

@@ -157,18 +157,16 @@ class RayCluster:
             lines = [f"node {_name(node)}: {text}" for node in alive for text in unfit.get(node["NodeID"], ())]
             raise ClusterError("\n".join(["the cluster is not fit for this work, so nothing was started.", *lines]))
         if not any(self._slots(node) for node in alive):
-            raise ClusterError(self._no_room(alive))
-
-    def _no_room(self, alive: list[dict[str, Any]]) -> str:
-        rooms = [
-            f"{_name(node)} {node['Resources'].get('CPU', 0):g} processors and {node['Resources'].get('GPU', 0):g} GPUs"
-            for node in alive
-        ]
-        return (
-            f"expected a node with {self._cpus} processors and {self._gpus:g} GPUs for a worker, found"
-            f" {', '.join(rooms) or 'no node'}. Ask for less (--threads, --gpus-per-worker), or add a node by"
-            " `ray start`."
-        )
+            rooms = [
+                f"{_name(node)} {node['Resources'].get('CPU', 0):g} processors and"
+                f" {node['Resources'].get('GPU', 0):g} GPUs"
+                for node in alive
+            ]
+            raise ClusterError(
+                f"expected a node with {self._cpus} processors and {self._gpus:g} GPUs for a worker, found"
+                f" {', '.join(rooms) or 'no node'}. Ask for less (--threads, --gpus-per-worker), or add a node by"
+                " `ray start`."
+            )
 
     def nodes(self) -> list[Node]:
         """See :meth:`Cluster.nodes`; a node that joins later is checked, and named and left out where it is unfit."""
@@ -283,11 +281,9 @@ class RayCluster:
             raise WorkStopped(
                 "asked to stop by SIGTERM; finished parts are kept, the same command goes on where it resumes."
             )
-        waiting = list(tickets)
-        due, rest = self._ray.wait(waiting, num_returns=1, timeout=seconds)
+        due, rest = self._ray.wait(list(tickets), num_returns=1, timeout=seconds)
         if due and rest:
-            more, _ = self._ray.wait(rest, num_returns=len(rest), timeout=0)
-            due += more
+            due += self._ray.wait(rest, num_returns=len(rest), timeout=0)[0]
         return due
 
     def result(self, ticket: Hashable) -> Any:
@@ -302,20 +298,17 @@ class RayCluster:
         except self._full as error:
             raise _store_full(error) from error
         except self._ray.exceptions.RayError as error:
-            raise self._lost(error) from error
+            # Ray's message on any death lists a full memory among common causes, so only the exact words tell.
+            name, said = type(error).__name__, str(error)
+            memory = name == "OutOfMemoryError" or "running low on memory" in said
+            machine = name == "NodeDiedError" or "its node has died" in said
+            raise WorkerLostError(_first_line(error), memory=memory, machine=machine) from error
         return self._ray.cloudpickle.loads(found) if isinstance(found, bytes) else found
 
     @property
     def _full(self) -> tuple[type[Exception], ...]:
         exceptions = self._ray.exceptions
         return exceptions.OutOfDiskError, exceptions.ObjectStoreFullError
-
-    def _lost(self, error: Exception) -> WorkerLostError:
-        # Ray's message on any death lists a full memory among common causes, so only the exact words tell.
-        said = str(error)
-        memory = type(error).__name__ == "OutOfMemoryError" or "running low on memory" in said
-        machine = type(error).__name__ == "NodeDiedError" or "its node has died" in said
-        return WorkerLostError(_first_line(error), memory=memory, machine=machine)
 
 
 def _import_ray(address: str | None) -> ModuleType:

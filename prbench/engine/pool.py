@@ -102,36 +102,30 @@ def item_name(item: object) -> str:
     return "one item of the work"
 
 
-class _CtrlC:
-    """Handles Ctrl-C in a worker: ends the item under way, and all that follow at once, without a traceback."""
-
-    def __init__(self) -> None:
-        self.working = self.pressed = False
-
-    def __call__(self, *_: object) -> None:
-        """Handle the signal."""
-        self.pressed = True
-        if self.working:
-            raise KeyboardInterrupt
+_ctrl_c = {"working": False, "pressed": False}
 
 
-_ctrl_c = _CtrlC()
+def _on_ctrl_c(*_: object) -> None:
+    """Handle Ctrl-C in a worker: end the item under way, and all that follow at once, without a traceback."""
+    _ctrl_c["pressed"] = True
+    if _ctrl_c["working"]:
+        raise KeyboardInterrupt
 
 
 def call(function: Callable[[Item], Result], item: Item) -> Result | Full:
     """:func:`answer` in a worker, where Ctrl-C ends the item under way."""
-    if _ctrl_c.pressed:
+    if _ctrl_c["pressed"]:
         raise KeyboardInterrupt
-    _ctrl_c.working = True
+    _ctrl_c["working"] = True
     try:
         return answer(function, item)
     finally:
-        _ctrl_c.working = False
+        _ctrl_c["working"] = False
 
 
 def _start_worker(threads: int) -> None:
     """Set up a worker process, before the numerical libraries load."""
-    signal.signal(signal.SIGINT, _ctrl_c)
+    signal.signal(signal.SIGINT, _on_ctrl_c)
     # Numerical libraries read these when they load, which in a spawned worker is after this.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = str(threads)
@@ -140,14 +134,14 @@ def _start_worker(threads: int) -> None:
 
 def end_with_parent() -> None:
     """End this child as soon as its parent was killed and cannot tell it to: it would wait, or work, for ever."""
-    threading.Thread(target=_wait_for_parent, daemon=True).start()
 
+    def wait() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
 
-def _wait_for_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    threading.Thread(target=wait, daemon=True).start()
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from typing import Any, cast
 
-from prbench.engine.cluster import Answered, Raised
+from prbench.engine.cluster import Answered
 from prbench.engine.pool import Full, answer
 from prbench.errors import PrbenchError
 from prbench.shown import quoted
@@ -32,17 +32,17 @@ class RayWorker:
         """Work on an item; packed here, so that Ray neither wraps errors nor keeps views of its store."""
         cloudpickle = importlib.import_module("ray.cloudpickle")
 
-        outcome: Answered | Full | Raised
+        outcome: Answered | Full
         try:
             if self._function is None or self._packed != function:
                 self._packed, self._function = function, cloudpickle.loads(function)
             found = answer(cast(Callable, self._function), cloudpickle.loads(item))
             outcome = found if isinstance(found, Full) else Answered(found)
         except Exception as error:
-            outcome = Raised(error)
+            outcome = Answered(error=error)
         try:
             return cloudpickle.dumps(outcome)
         except Exception as error:
-            what = outcome.error if isinstance(outcome, Raised) else error
+            what = (outcome.error if isinstance(outcome, Answered) else None) or error
             problem = PrbenchError(f"a result cannot leave its process: {type(what).__name__}: {quoted(what)}")
-            return cloudpickle.dumps(Raised(problem))
+            return cloudpickle.dumps(Answered(error=problem))

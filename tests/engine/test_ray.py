@@ -18,14 +18,13 @@ import pytest
 import prbench
 from prbench.cli.main import main
 from prbench.curation import build_from_sources
-from prbench.engine.cluster import Rules
 from prbench.engine.nodes import Needs
 from prbench.engine.on_ray import RayEngine
 from prbench.errors import ClusterError, InputFileError, MemoryFullError
 from tests.curation.sources import folder_bytes, some_sources
 from tests.engine.local_cluster import ROOT
 from tests.engine.ray_kills import workers
-from tests.engine.work import Hanging, Short, fail_on_three, first_and_last, where
+from tests.engine.work import Short, fail_on_three, first_and_last, where
 from tests.fakes import fake_dataset
 
 pytest.importorskip("ray", reason="Ray is not installed (pip install -c constraints.txt -e '.[ray]')")
@@ -43,7 +42,7 @@ def told():
 
 @pytest.fixture(scope="session")
 def engine(connected, told):
-    made = RayEngine(connected.address, rules=Rules(slow_seconds=5.0), tell=told.append)
+    made = RayEngine(connected.address, tell=told.append)
     yield made
     made.close()
 
@@ -102,13 +101,6 @@ def test_more_gpus_than_there_are_are_refused(connected):
     engine = RayEngine(connected.address, gpus_per_worker=1.5)
     with pytest.raises(ClusterError, match=r"1 processors and 1\.5 GPUs for a worker, found 127\.0\.0\.1"):
         list(engine.map(fail_on_three, range(2)))
-
-
-def test_an_item_on_a_slow_node_is_tried_on_the_other_one(engine, told, tmp_path):
-    began = time.monotonic()
-    assert list(engine.map(Hanging(tmp_path), range(8))) == list(range(8))
-    assert time.monotonic() - began < 300
-    assert "tried on 127.0.0.1" in " ".join(told)
 
 
 def test_a_build_during_which_a_node_is_killed_has_the_bytes_of_one_in_one_process(connected, engine, told, tmp_path):
