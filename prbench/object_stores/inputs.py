@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import fnmatch
 import os
+import re
 import shutil
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -177,7 +177,7 @@ def fetched_native(text: str, dataset: str | None, *, tell: Tell = lambda _: Non
             continue  # a package's reader that cannot be used; the search for recordings says so
         for file in (*manifest.required_files, *manifest.optional_files):
             parts = [part.replace("P0X", "P*") for part in file.split("/") if part != ".."]
-            found.add(tuple(_without_names(part) for part in parts))
+            found.add(tuple(re.sub("<[^>]*>", "*", part) for part in parts))  # such as <video>_log.json
     patterns = sorted(found)
     above = tuple(part for part in store.url.text.partition("://")[2].split("/") if part)
     listed = store.listing()
@@ -209,7 +209,10 @@ def fetched_native(text: str, dataset: str | None, *, tell: Tell = lambda _: Non
 def _mirror(store: Store, wanted: Sequence[StoredObject], root: Path, tell: Tell) -> None:
     """Make a folder equal to some objects; versions are kept beside it, as no digest of them is known."""
     kept = root.parent / "versions.json"
-    before = _versions(kept)
+    try:
+        before = msgspec.json.decode(kept.read_bytes(), type=dict[str, str])
+    except (OSError, msgspec.DecodeError):
+        before = {}
     versions = {each.name: f"{each.size} {each.version}" for each in wanted}
     changed = [
         each
@@ -231,36 +234,22 @@ def _mirror(store: Store, wanted: Sequence[StoredObject], root: Path, tell: Tell
     write_bytes(kept, msgspec.json.encode(versions))
 
 
-def _versions(kept: Path) -> dict[str, str]:
-    try:
-        return msgspec.json.decode(kept.read_bytes(), type=dict[str, str])
-    except (OSError, msgspec.DecodeError):
-        return {}
-
-
-def _without_names(part: str) -> str:
-    """Turn ``<video>_log.json`` into ``*_log.json``."""
-    while "<" in part and ">" in part:
-        part = f"{part[: part.index('<')]}*{part[part.index('>') + 1 :]}"
-    return part
-
-
 def _is_wanted(path: Sequence[str], patterns: Iterable[Sequence[str]]) -> bool:
-    return any(_ends_like(path, pattern) or _in_unpacked(path, pattern) for pattern in patterns)
+    for pattern in patterns:
+        if _ends_like(path, pattern):
+            return True
+        # Text files below the folder that a user has unpacked an archive into.
+        if pattern[-1].endswith(".zip") and path[-1].endswith(_UNPACKED):
+            folder = (*pattern[:-1], pattern[-1].removesuffix(".zip"))
+            if any(_ends_like(path[:end], folder) for end in range(len(folder), len(path))):
+                return True
+    return False
 
 
 def _ends_like(path: Sequence[str], pattern: Sequence[str]) -> bool:
     if len(path) < len(pattern):
         return False
     return all(fnmatch.fnmatchcase(part, each) for part, each in zip(path[-len(pattern) :], pattern, strict=True))
-
-
-def _in_unpacked(path: Sequence[str], pattern: Sequence[str]) -> bool:
-    """Return True for a text file below the folder that a user has unpacked an archive into."""
-    if not pattern[-1].endswith(".zip") or not path[-1].endswith(_UNPACKED):
-        return False
-    folder = (*pattern[:-1], pattern[-1].removesuffix(".zip"))
-    return any(_ends_like(path[:end], folder) for end in range(len(folder), len(path)))
 
 
 def _has_size(path: Path, size: int) -> bool:
@@ -289,16 +278,9 @@ def _download_all(store: Store, downloads: Sequence[Download], sizes: Sequence[i
     tell(f"{store.url}: fetching {len(downloads)} files, {total / 1e6:,.1f} MB.")
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         under_way = [pool.submit(download) for download in downloads]
-        with _cancelling(pool):
+        try:
             for each in under_way:
                 each.result()
-
-
-@contextlib.contextmanager
-def _cancelling(pool: ThreadPoolExecutor):
-    """Start no further download once one has failed, or somebody has pressed Ctrl-C."""
-    try:
-        yield
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
+        except BaseException:  # start no further download once one has failed, or somebody has pressed Ctrl-C
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise

@@ -7,7 +7,7 @@ import os
 import re
 import secrets
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -107,9 +107,9 @@ def written_file(text: str, *, tell: Tell = lambda _: None) -> Iterator[Path]:
         found = store.describe()
         if found is not None:
             store.download("", path, size=found.size)
-        before = _local_files(folder, lambda path: path.name)
+        before = _local_files(folder)
         yield path
-        for name, status in _local_files(folder, lambda path: path.relative_to(folder).as_posix()).items():
+        for name, status in _local_files(folder).items():
             if before.get(name) != status:
                 try:
                     beside.upload(folder / name, name)
@@ -145,8 +145,8 @@ class _OutputCopy:
     """The finished folder that stood there at the beginning."""
     known: FolderManifest | None = None
     """What this command, or the one that it goes on from, has uploaded of unfinished work."""
-    stray: set[str] = field(default_factory=set)
-    """Objects that belong to nothing any more."""
+    left_over: set[str] = field(default_factory=set)
+    """Objects of an unfinished manifest that belongs to an earlier state of the folder."""
     digests: dict[str, tuple[_Status, str]] = field(default_factory=dict)
     failed: bool = False
     """The last upload failed, and that was told."""
@@ -161,8 +161,8 @@ class _OutputCopy:
         return self.folder.parent / f".{self.folder.name}.work"
 
     @property
-    def _state_file(self) -> Path:
-        return self.store.url.cache / "out.json"
+    def _begun_from(self) -> str:
+        return "" if self.before is None else self.before.digest
 
     def begin(self) -> None:
         """Make the local copy equal to what lies there, unless it is newer."""
@@ -174,29 +174,30 @@ class _OutputCopy:
                 f"{store.url}: is not empty and holds no {FINISHED}, so it is nothing that may be replaced. Choose an"
                 " empty or new folder for --out."
             )
-        if self.known is not None and self.known.begun_from != self._digest_before():
+        if self.known is not None and self.known.begun_from != self._begun_from:
             # A command was killed after the manifest and before it had cleared away, or another one has finished since.
-            self.stray |= self.known.objects.keys() | set(self.known.coming)
+            self.left_over = {UNFINISHED, *self.known.objects}
             self.known = None
         if not self._local_is_newest():
             remove_folder(self.work)
             remove_folder(self.folder)
-            self._fetch()
+            manifest = self.known or self.before
+            if manifest is not None:
+                fetch_files(store, manifest, self._local, self.tell)
+            if self.known is not None:
+                self.tell(f"{store.url}: going on with what an interrupted command has uploaded.")
         self._remember()
 
     def _unfinished(self) -> FolderManifest | None:
         content = self.store.read(UNFINISHED, largest=LARGEST_MANIFEST)
         return None if content is None else decode_manifest(content, f"{self.store.url}/{UNFINISHED}")
 
-    def _digest_before(self) -> str:
-        return "" if self.before is None else self.before.digest
-
     def _local_is_newest(self) -> bool:
         try:
-            state = msgspec.json.decode(self._state_file.read_bytes(), type=_State)
+            state = msgspec.json.decode((self.store.url.cache / "out.json").read_bytes(), type=_State)
         except (OSError, msgspec.DecodeError):
             return False
-        if state.begun_from != self._digest_before():
+        if state.begun_from != self._begun_from:
             return False
         if self.known is None:
             return not state.uploaded  # else somebody has emptied the folder
@@ -204,16 +205,8 @@ class _OutputCopy:
 
     def _remember(self) -> None:
         writer = (self.known.writer if self.known else None) or self.writer
-        state = _State(begun_from=self._digest_before(), writer=writer, uploaded=self.known is not None)
-        write_bytes(self._state_file, msgspec.json.encode(state))
-
-    def _fetch(self) -> None:
-        manifest = self.known or self.before
-        if manifest is None:
-            return
-        fetch_files(self.store, manifest, self._local, self.tell)
-        if self.known is not None:
-            self.tell(f"{self.store.url}: going on with what an interrupted command has uploaded.")
+        state = _State(begun_from=self._begun_from, writer=writer, uploaded=self.known is not None)
+        write_bytes(self.store.url.cache / "out.json", msgspec.json.encode(state))
 
     def _local(self, name: str) -> Path:
         """Path of a file of the manifest: in the folder, or in that of intermediate parts."""
@@ -227,16 +220,15 @@ class _OutputCopy:
         stop = threading.Event()
         given = os.environ.get(SECONDS_VARIABLE, "")
         try:
-            seconds = float(given or _SECONDS)
+            pause = float(given or _SECONDS)
         except ValueError:
-            seconds = 0.0
-        if not 0 < seconds < 86_400:
+            pause = 0.0
+        if not 0 < pause < 86_400:
             raise UsageError(f"{SECONDS_VARIABLE}: expected seconds above 0, found '{given}'.")
-        pause = seconds
 
         def work() -> None:
             while not stop.wait(pause):
-                self._try_to_keep()
+                self.keep()
 
         thread = threading.Thread(target=work, name="upload", daemon=True)
         thread.start()
@@ -248,9 +240,6 @@ class _OutputCopy:
 
     def keep(self) -> None:
         """Upload what is finished of unfinished work; if that fails, say so and what is kept here."""
-        self._try_to_keep()
-
-    def _try_to_keep(self) -> None:
         try:
             self._upload_unfinished()
             self.failed = False
@@ -269,33 +258,29 @@ class _OutputCopy:
         taken = dict(self.known.objects if self.known else {})
         taken |= self.before.objects if self.before else {}
         files = _placed(found, taken)
-        missing = {name: file for name, file in files.items() if taken.get(file.object or name) != file.sha256}
         self._require_no_other()
-        coming = sorted(file.object or name for name, file in missing.items())
-        uploaded = self.known.files if self.known else {}
-        self._announce(uploaded, coming)
-        for name in missing:
-            self._upload(name, missing[name])
-        self._announce(files, [])
+        # The folder has to be known for an unfinished one before the first object lies in it.
+        self._announce(self.known.files if self.known else {})
+        self._upload(files, taken)
+        self._announce(files)
 
-    def _announce(self, files: Mapping[str, StoredFile], coming: list[str]) -> None:
-        """Write the manifest of unfinished work."""
-        earlier = self.known.objects.keys() | set(self.known.coming) if self.known else set()
+    def _announce(self, files: Mapping[str, StoredFile]) -> None:
+        """Write the manifest of unfinished work; what it no longer names goes with the next manifest."""
         manifest = FolderManifest.of(files)
-        self.stray |= earlier - manifest.objects.keys()
-        listed = self.stray | set(coming)
-        listed -= manifest.objects.keys()
-        self.known = msgspec.structs.replace(
-            manifest, writer=self.writer, begun_from=self._digest_before(), coming=tuple(sorted(listed))
-        )
+        self.left_over |= (self.known.objects.keys() if self.known else set()) - manifest.objects.keys()
+        self.known = msgspec.structs.replace(manifest, writer=self.writer, begun_from=self._begun_from)
         self.store.write(UNFINISHED, self.known.encoded())
         self._remember()
 
-    def _upload(self, name: str, file: StoredFile) -> None:
-        path = self._local(name)
-        self.store.upload(path, file.object or name)
-        if self._described(name, path) != (file.size, file.sha256):
-            raise FileNotFoundError(f"{name} was written meanwhile")
+    def _upload(self, files: Mapping[str, StoredFile], there: Mapping[str, str]) -> None:
+        """Upload the files whose objects are not there yet."""
+        for name, file in files.items():
+            target = file.object or name
+            if there.get(target) == file.sha256:
+                continue
+            self.store.upload(self._local(name), target)
+            if self._described(name, self._local(name)) != (file.size, file.sha256):
+                raise FileNotFoundError(f"{name} was written meanwhile")
 
     def _require_no_other(self) -> None:
         """Refuse to go on where another command has begun to write since.
@@ -306,13 +291,12 @@ class _OutputCopy:
         now = finished_manifest(self.store)
         unfinished = self._unfinished()
         mine = self.known.writer if self.known else None
-        finished_since = (now.digest if now else "") != self._digest_before()
         begun_since = (
             unfinished is not None
             and unfinished.writer not in (mine, self.writer)
-            and unfinished.begun_from == self._digest_before()  # else it is a leftover
+            and unfinished.begun_from == self._begun_from  # else it is a leftover
         )
-        if finished_since or begun_since:
+        if (now.digest if now else "") != self._begun_from or begun_since:
             raise StorageError(
                 f"{self.store.url}: another command writes there too, or has written there since this one began."
                 f" Nothing of it was replaced; what this command has made lies in {self.folder}. Let one of the two"
@@ -340,40 +324,38 @@ class _OutputCopy:
 
     def _publish(self) -> None:
         files = self._scanned(with_work=False)
-        before = self.before.objects if self.before else {}
-        known = self.known.objects if self.known else {}
         if not files:
             return
+        before = self.before.objects if self.before else {}
+        known = self.known.objects if self.known else {}
         placed = _placed(files, before)
         manifest = FolderManifest.of(placed)
-        if self.before is None or _contents(manifest.files) != _contents(self.before.files):
+        if self.before is not None and _contents(manifest.files) == _contents(self.before.files):
+            manifest = self.before
+        else:
             self._require_no_other()
             there = known | before
-            missing = {name: file for name, file in placed.items() if there.get(file.object or name) != file.sha256}
-            if missing:
-                self._announce_before_publishing(missing)
-            for name, file in missing.items():
-                self._upload(name, file)
+            overwritten = {file.object or name for name, file in placed.items()}
+            overwritten -= {name for name in overwritten if there.get(name) == manifest.objects[name]}
+            # A file that was uploaded in an earlier state is overwritten under its own name: the manifest shall not
+            # depend on when files were uploaded. Until it stands, that file counts as not uploaded.
+            kept = self.known.files if self.known else {}
+            if overwritten:
+                self._announce({name: file for name, file in kept.items() if (file.object or name) not in overwritten})
+            self._upload(placed, there)
             self.store.write(FINISHED, manifest.encoded())
             size = sum(file.size for file in files.values())
             self.tell(f"{self.store.url}: {len(files)} files, {size / 1e6:,.1f} MB; the local copy is {self.folder}.")
-        else:
-            manifest = self.before
-        old = set(before) | set(known) | self.stray | set(self.known.coming if self.known else ())
-        if self.known is not None or self.stray:
+        if self.known is not None or self.left_over:
+            # Last of all: while it stands, the next command clears away what this one does not come to.
+            own = Store(StoreUrl(f"{self.store.url.text}/{OWN_PREFIX.rstrip('/')}"))
+            self.left_over |= {f"{OWN_PREFIX}{each.name}" for each in own.listing()}
+        old = set(before) | set(known) | self.left_over
+        self.store.remove(sorted(old - manifest.objects.keys() - {UNFINISHED}))
+        if self.known is not None or self.left_over:
             self.store.remove([UNFINISHED])
-        self.store.remove(sorted(old - manifest.objects.keys()))
-        self.before, self.known, self.stray = manifest, None, set()
+        self.before, self.known, self.left_over = manifest, None, set()
         self._remember()
-
-    def _announce_before_publishing(self, missing: Mapping[str, StoredFile]) -> None:
-        """List what is about to be uploaded, so that it is cleared away if this is as far as it comes."""
-        overwritten = {file.object or name for name, file in missing.items()}
-        # A file that was uploaded in an earlier state is overwritten under its own name: the manifest shall not depend
-        # on when files were uploaded. Until it stands, that file counts as not uploaded.
-        kept = self.known.files if self.known else {}
-        kept = {name: file for name, file in kept.items() if (file.object or name) not in overwritten}
-        self._announce(kept, sorted(overwritten))
 
     def _scanned(self, *, with_work: bool) -> dict[str, StoredFile]:
         """Describe every finished file.
@@ -382,12 +364,10 @@ class _OutputCopy:
             FileNotFoundError: if one vanishes meanwhile.
             StorageError: for a name that no manifest may hold.
         """
-        places = [("", self.folder)]
-        if with_work:
-            places.append((WORK_PREFIX, self.work))
+        places = {"": self.folder} | ({WORK_PREFIX: self.work} if with_work else {})
         found = {}
-        for prefix, place in places:
-            for name in sorted(_local_files(place, lambda path, top=place: path.relative_to(top).as_posix())):
+        for prefix, place in places.items():
+            for name in sorted(_local_files(place)):
                 if not stays_inside(name) or (not prefix and name.startswith((OWN_PREFIX, FINISHED, UNFINISHED))):
                     raise StorageError(f"{place / name}: has a name that cannot be stored at {self.store.url}.")
                 size, sha256 = self._described(prefix + name, place / name)
@@ -416,22 +396,18 @@ def _placed(files: Mapping[str, StoredFile], taken: Mapping[str, str]) -> dict[s
     placed = {}
     for name, file in files.items():
         beside = f"{OWN_PREFIX}{file.sha256[:16]}/{name}"
-        if taken.get(beside) == file.sha256 or taken.get(name, file.sha256) != file.sha256:
-            placed[name] = msgspec.structs.replace(file, object=beside)
-        else:
-            placed[name] = file
+        moves = taken.get(beside) == file.sha256 or taken.get(name, file.sha256) != file.sha256
+        placed[name] = msgspec.structs.replace(file, object=beside) if moves else file
     return placed
 
 
-def _local_files(folder: Path, name: Callable[[Path], str]) -> dict[str, _Status]:
-    """Sizes and times of all files below a folder but for those that are being written."""
+def _local_files(folder: Path) -> dict[str, _Status]:
+    """Sizes and times of all files below a folder by relative path, but for those that are being written."""
     found = {}
     for place, folders, files in os.walk(folder):
         folders[:] = [each for each in folders if not _PASSING.match(each)]
-        for file in files:
-            path = Path(place, file)
-            if not _PASSING.match(file):
-                found[name(path)] = _status(path)
+        paths = [Path(place, file) for file in files if not _PASSING.match(file)]
+        found |= {path.relative_to(folder).as_posix(): _status(path) for path in paths}
     return found
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import msgspec
 
-from prbench.errors import ErrorOfParts, InputFileError, MissingExtraError, PrbenchError, StorageError, UsageError
+from prbench.errors import InputFileError, MissingExtraError, PrbenchError, StorageError, UsageError
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import (
     atomic_path,
@@ -164,21 +164,6 @@ class ObjectStoreError(StorageError):
     """An object store cannot be reached, refuses access, or lost the connection."""
 
 
-class ProtocolPackageError(ErrorOfParts):
-    """The package that knows a URL's protocol is not installed.
-
-    Args:
-        url: The URL.
-        reason: What fsspec says, which names the package.
-    """
-
-    exit_code = MissingExtraError.exit_code
-
-    def __init__(self, url: str, reason: str) -> None:
-        self.url, self.reason = url, reason
-        super().__init__(f"{url}: its protocol needs a package that is not installed: {reason}")
-
-
 @dataclass(frozen=True)
 class StoredObject:
     """One object below a URL."""
@@ -210,7 +195,7 @@ class Store:
         except ImportError as error:
             if self.url.protocol in ("s3", "s3a"):
                 raise MissingExtraError("s3fs", "remote", str(self.url)) from error
-            raise ProtocolPackageError(str(self.url), quoted(error)) from error
+            raise MissingExtraError(f"of its protocol ({quoted(error)})", "remote", str(self.url)) from error
         except ValueError as error:
             raise UsageError(f"{self.url}: expected a protocol that fsspec knows, such as s3://: {error}.") from error
 
@@ -230,26 +215,22 @@ class Store:
         """
         try:
             with self._errors(f"read {name}"):
-                content = self._beginning(name, largest + 1)
+                content = self._read(name, largest + 1)
         except FileNotFoundError:
             return None
         if len(content) > largest:
             raise InputFileError(f"{self.url}/{name}", "", expected=f"at most {largest:,} bytes", found="more")
         return content
 
-    def _beginning(self, name: str, length: int) -> bytes:
+    def _read(self, name: str, length: int, tries: int = _TRIES) -> bytes:
         """Read the first bytes of an object, again where a writer has replaced it between opening and reading."""
-        for _ in range(_TRIES - 1):
-            try:
-                return self._opened_and_read(name, length)
-            except OSError as error:
-                if error.errno != errno.EBUSY:  # s3fs means by it that the object is another one now
-                    raise
-        return self._opened_and_read(name, length)
-
-    def _opened_and_read(self, name: str, length: int) -> bytes:
-        with self._system.open(self._path(name), "rb", block_size=_BLOCK) as file:
-            return file.read(length)
+        try:
+            with self._system.open(self._path(name), "rb", block_size=_BLOCK) as file:
+                return file.read(length)
+        except OSError as error:
+            if error.errno != errno.EBUSY or tries == 1:  # s3fs means by it that the object is another one now
+                raise
+        return self._read(name, length, tries - 1)
 
     def write(self, name: str, content: bytes) -> None:
         """Write a small object, whole or not at all.
@@ -368,34 +349,24 @@ class Store:
             yield
         except PrbenchError:
             raise
-        except (
-            FileNotFoundError,
-            NotADirectoryError,
-            FileExistsError,
-        ) as error:  # a file where a folder was looked for
+        except (FileNotFoundError, NotADirectoryError, FileExistsError) as error:  # or a file in place of a folder
             if not absent:
                 raise FileNotFoundError(*error.args) from error
             raise ObjectStoreError(f"{self.url}: cannot {doing}: {absent}. Make it, or correct the URL.") from error
-        except OSError as error:
-            if error.errno in _OF_THIS_DISK:  # whoever writes the local file tells that
-                raise
-            raise self._told(doing.strip(), error) from error
         except Exception as error:  # each protocol has a library with errors of its own, most of them no OSError
-            raise self._told(doing.strip(), error) from error
-
-    def _told(self, doing: str, error: Exception) -> ObjectStoreError:
-        reason = _QUERY.sub("", str(error) or type(error).__name__)
-        denied = isinstance(error, PermissionError) or _DENIED.search(f"{type(error).__name__} {reason}")
-        reason = quoted(reason)
-        if denied:
-            return ObjectStoreError(
-                f"{self.url}: cannot {doing}: access is denied ({reason}). Check the credentials of the protocol's"
-                " library and the rights of their account (docs/object-stores.md#credentials)."
-            )
-        return ObjectStoreError(
-            f"{self.url}: cannot {doing}: the store cannot be reached, or the connection was lost ({reason}). Is the"
-            " endpoint right (AWS_ENDPOINT_URL for s3), and the store running? Then run the same command again."
-        )
+            if isinstance(error, OSError) and error.errno in _OF_THIS_DISK:
+                raise  # whoever writes the local file tells that
+            reason = _QUERY.sub("", str(error) or type(error).__name__)
+            if isinstance(error, PermissionError) or _DENIED.search(f"{type(error).__name__} {reason}"):
+                raise ObjectStoreError(
+                    f"{self.url}: cannot {doing}: access is denied ({quoted(reason)}). Check the credentials of the"
+                    " protocol's library and the rights of their account (docs/object-stores.md#credentials)."
+                ) from error
+            raise ObjectStoreError(
+                f"{self.url}: cannot {doing}: the store cannot be reached, or the connection was lost"
+                f" ({quoted(reason)}). Is the endpoint right (AWS_ENDPOINT_URL for s3), and the store running? Then run"
+                " the same command again."
+            ) from error
 
 
 def _described(name: str, found: dict[str, Any]) -> StoredObject:
@@ -438,8 +409,6 @@ class FolderManifest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     """Drawn by each command that writes; tells two at once apart. None in a finished folder."""
     begun_from: str | None = None
     """Digest of the finished manifest that stood there when the command began; empty for none."""
-    coming: tuple[str, ...] = ()
-    """Objects that are being uploaded, and belong to nothing yet."""
 
     @classmethod
     def of(cls, files: Mapping[str, StoredFile]) -> FolderManifest:

@@ -108,8 +108,8 @@ def test_a_build_during_which_a_node_is_killed_has_the_bytes_of_one_in_one_proce
     killed = []
     told.clear()
 
-    def kill_a_node(step):
-        if step.done == 3:
+    def kill_a_node(done, *_):
+        if done == 3:
             killed.append(threading.Thread(target=connected.kill_node))
             killed[0].start()
 

@@ -46,19 +46,6 @@ def first_and_last(block: bytes) -> tuple[int, int]:
     return block[0], block[-1]
 
 
-@dataclass(frozen=True)
-class Hanging:
-    """The first worker that is given item 5 hangs."""
-
-    folder: Path
-
-    def __call__(self, value: int) -> int:
-        if value == 5 and not (self.folder / "hanging").exists():
-            (self.folder / "hanging").touch()
-            time.sleep(600)
-        return value
-
-
 def visible_gpus(value: int) -> tuple[int, str]:
     """Return the value, and the GPUs that this worker may use."""
     return value, os.environ.get("CUDA_VISIBLE_DEVICES", "")
