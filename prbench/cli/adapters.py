@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from prbench.cli import options as opt
-from prbench.cli.commands import Answer, Group, command, note, progress
+from prbench.cli.commands import Answer, Group, command, progress
 from prbench.cli.terminal import print_columns
 from prbench.entry_points import InstalledEntry
 from prbench.protocol.manifests import default_benchmark
@@ -159,8 +159,6 @@ def new(*, benchmark: str | None, **given: Any) -> Answer:
 
     request = ScaffoldRequest(benchmark=benchmark or default_benchmark().name, **given)
     made = new_adapter(request)
-    for warning in made.warnings:
-        note(f"prbench: {warning}")
 
     def show() -> None:
         print(f"{made.folder}: {len(made.files)} files. Next:")

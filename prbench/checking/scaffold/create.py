@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import builtins
 import os
 import re
 import shlex
 import sys
 import textwrap
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
@@ -20,23 +19,24 @@ from prbench.contract import GIVEN, Condition
 from prbench.errors import StorageError, UsageError
 from prbench.files.storage import atomic_folder, sole_writer
 from prbench.harness.benchmark import load_benchmark
-from prbench.harness.methods.installed import list_adapters, name_problem
+from prbench.harness.methods.installed import name_problem
 from prbench.protocol.manifests import benchmarks, default_benchmark, find_benchmark
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _LONGEST = 40
-_OURS = frozenset({"adapters", "benchmarks", "data-manifests"})  # prbench_NAME is a package of prbench itself
-_MODULES = frozenset({"numpy", "pyarrow", "prbench_converters"})  # beside a program, or imported by it
-_WORDS = frozenset({"cmd", "test", "tests"})
-_WINDOWS = frozenset({"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))})
-_IN_TEMPLATES = frozenset(
+_RESERVED = frozenset(
     {
-        *("Adapter", "Condition", "ConditionBatch", "Futures", "Joint", "Mapping", "Motions", "ObservedBatch", "Path"),
-        *("SequenceTable", "TrainingRun", "TrainingWindows"),
+        *("adapters", "benchmarks", "data-manifests"),  # prbench_NAME is a package of prbench itself
+        *("cmd", "test", "tests"),
+        *("con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))),  # Windows
     }
 )
+_MODULES = frozenset({"numpy", "pyarrow", "prbench_converters"})  # beside a program, or imported by it
 _PACKAGE = "prbench.checking.scaffold.templates"
 _MARK = re.compile(r"<<(\w+)>>")
+_PREDICTION = "motion-prediction"
+_USUAL = {default_benchmark().name: Condition.GOAL_LOCATION.value, _PREDICTION: "pose"}
+"""The condition of a new method of which nothing is said, by benchmark."""
 _ROW_FIELDS = {
     "text": 'text=("The person walks to the table and picks the cup.",),',
     "initial_joints": "initial_joints=POSE,",
@@ -45,6 +45,10 @@ _ROW_FIELDS = {
     "goal_location": "goal_location=np.array([[0.5, 1.0, 3.0]]),",
 }
 _LEARNS = "It learns one number, how fast people walk: a run fits it to the training split by itself."
+_PREDICTOR_LEARNS = (
+    "It learns one number, how much of their speed people keep: a run fits it to the training windows by itself."
+)
+_LEARNS_NOTHING = "It has learnt nothing and has no weights."
 _NEVER = "Never unpickle: safetensors, or `numpy.load(path, allow_pickle=False)`."
 _OWN_WEIGHTS = (
     "The template's weights are one number in `speed.json`, which `fit` writes; `--weights speed.json` uses it again,"
@@ -76,11 +80,8 @@ class MethodNames:
 
     @property
     def class_name(self) -> str:
-        """Name of the adapter's class."""
-        name = "".join(part.capitalize() for part in self.method.split("-"))
-        # A method called `map` or `path` would otherwise hide what the template itself uses.
-        taken = hasattr(builtins, name) or name in _IN_TEMPLATES
-        return f"{name}Method" if taken else name
+        """Name of the adapter's class; its last word keeps a method called `map` from hiding what its file needs."""
+        return "".join(part.capitalize() for part in self.method.split("-")) + "Method"
 
     @property
     def program(self) -> str:
@@ -108,7 +109,7 @@ def method_names(name: str) -> MethodNames:
         )
     if len(name) > _LONGEST:
         raise UsageError(f"{name!r}: expected at most {_LONGEST} characters, found {len(name)}.")
-    if name in _OURS | _WORDS | _WINDOWS:
+    if name in _RESERVED:
         raise UsageError(f"{name!r} is a reserved name. Choose another.")
     own = {method for about in benchmarks().values() for method in about.methods}
     if problem := name_problem(name, own=own):
@@ -136,7 +137,8 @@ def filled(template: str, values: Mapping[str, str], flags: Collection[str]) -> 
     for line in template.splitlines():
         word, _, condition = line.partition(" ")
         if word == "%if":
-            keep = all(_holds(term.split(), flags) for term in condition.split(" and "))
+            terms = [term.split() for term in condition.split(" and ")]
+            keep = all((term[-1] in flags) != (term[0] == "not") for term in terms)
         elif word == "%else":
             keep = not keep
         elif word == "%end":
@@ -146,146 +148,6 @@ def filled(template: str, values: Mapping[str, str], flags: Collection[str]) -> 
             # A line that held a value only, and the value is empty, goes; an empty line of the template stays.
             kept += [text] if text or not line else []
     return "\n".join(kept) + "\n"
-
-
-def _holds(term: list[str], flags: Collection[str]) -> bool:
-    return (term[-1] in flags) != (term[0] == "not")
-
-
-def template_flags(conditions: Sequence[str], *, trainable: bool) -> frozenset[str]:
-    """Return the names of the templates' optional parts that are kept.
-
-    ``goal`` and ``free`` tell whether the method takes conditions with a first pose and a goal, and without.
-    """
-    chosen = [Condition(name) for name in conditions]
-    given = frozenset[str]().union(*(GIVEN[condition] for condition in chosen))
-    flags = {"trainable"} if trainable else set()
-    flags |= given & {"text", "goal_location"}
-    flags |= {"goal_pose"} if "goal_joints" in given else set()
-    flags |= {"goal"} if "initial_joints" in given else set()
-    flags |= {"free"} if any("initial_joints" not in GIVEN[condition] for condition in chosen) else set()
-    return frozenset(flags)
-
-
-def common_values(names: MethodNames, conditions: Sequence[StrEnum], does: str) -> dict[str, str]:
-    """The text for the places that templates of all benchmarks have."""
-    return {
-        "name": names.method,
-        "distribution": names.distribution,
-        "module": names.module,
-        "class": names.class_name,
-        "program": names.program,
-        "prbench_version": prbench.__version__.partition("+")[0],
-        "condition": conditions[0].value,
-        "conditions": ", ".join(f"Condition.{condition.name}" for condition in conditions),
-        "condition_words": ", ".join(f'"{condition.value}"' for condition in conditions),
-        "what": f"{does[0].upper()}{does[1:]}.",
-        "does": does,
-    }
-
-
-def template_values(
-    names: MethodNames, conditions: Sequence[str], *, trainable: bool, program: bool = False
-) -> dict[str, str]:
-    """The text for every place in the templates."""
-    chosen = list(dict.fromkeys(Condition(name) for name in conditions))
-    does = _does("goal" in template_flags(conditions, trainable=trainable))
-    return common_values(names, chosen, does) | {
-        "described": f"The motion generator '{names.method}' for the prime-and-reach benchmark prbench.",
-        "entry_points": default_benchmark().entry_points,
-        "run": f"prbench run --method {names.program}.toml --condition {chosen[0].value}",
-        "learns": _LEARNS if trainable else "It has learnt nothing and has no weights.",
-        "weights": textwrap.fill(f"**Weights.** {_OWN_WEIGHTS if trainable else _NO_WEIGHTS} {_NEVER}", 120),
-        "commands": aligned(command_lines(names, chosen[0].value, program=program)),
-        "row_fields": "\n".join(f"        {_ROW_FIELDS[name]}" for name in _ROW_FIELDS if name in GIVEN[chosen[0]]),
-        "standing": _standing_rows(),
-    }
-
-
-def command_lines(names: MethodNames, condition: str, *, program: bool) -> list[tuple[str, str]]:
-    """The commands to try in the new folder, in order, each with what it is for."""
-    method = f"{names.program}.toml" if program else names.method
-    return [
-        *first_commands(program=program),
-        (f"prbench adapters check {method}", "the contract, with a report to read"),
-        (f"prbench run --method {method} --condition {condition}", "scores, on embedded synthetic data"),
-    ]
-
-
-def first_commands(*, program: bool) -> list[tuple[str, str]]:
-    """The commands before prbench is asked anything."""
-    if program:
-        return [("pip install numpy pyarrow", "for the `python` that runs the program")]
-    return [
-        ('pip install -e ".[test]"', "install; prbench finds it by its entry point"),
-        ("python -m pytest", "the contract, and what this method promises itself"),
-    ]
-
-
-def aligned(lines: Sequence[tuple[str, str]]) -> str:
-    """Return commands as text, what each is for one below the other."""
-    width = max(len(command) for command, _ in lines)
-    return "\n".join(f"{command:<{width}}  # {comment}" for command, comment in lines)
-
-
-def _does(goal: bool) -> str:
-    if goal:
-        return "glides the first pose towards the goal, in a straight line"
-    return "glides a standing pose two metres ahead"
-
-
-def _standing_rows() -> str:
-    """The rows of the standing pose, as the package's own file has them."""
-    return "\n".join(line for line in read_template("standing.py").splitlines() if line.startswith("        ["))
-
-
-_PREDICTION = "motion-prediction"
-_PREDICTOR_DOES = "lets the last pose go on, at a speed that differs from sample to sample"
-_PREDICTOR_LEARNS = (
-    "It learns one number, how much of their speed people keep: a run fits it to the training windows by itself."
-)
-
-
-def _predictor_flags(conditions: Sequence[str], *, trainable: bool) -> frozenset[str]:
-    """Return the names of the optional parts that are kept."""
-    given = {"gaze"} if set(conditions) - {"pose"} else set()
-    return frozenset(given | ({"trainable"} if trainable else set()))
-
-
-def _predictor_values(
-    names: MethodNames, conditions: Sequence[str], *, trainable: bool, program: bool
-) -> dict[str, str]:
-    """Return the text for every place in the templates."""
-    chosen = list(dict.fromkeys(load_benchmark("motion-prediction").condition(name) for name in conditions))
-    lines = _predictor_commands(names, chosen[0].value, program=program)
-    return common_values(names, chosen, _PREDICTOR_DOES) | {
-        "described": f"The predictor '{names.method}' for the motion prediction benchmark of prbench.",
-        "entry_points": find_benchmark(_PREDICTION).entry_points,
-        "run": f"{_run(names, chosen[0].value, program=True)} --data WINDOWS",
-        "learns": _PREDICTOR_LEARNS if trainable else "It has learnt nothing and has no weights.",
-        "commands": aligned(lines),
-    }
-
-
-def _predictor_commands(names: MethodNames, condition: str, *, program: bool) -> list[tuple[str, str]]:
-    """Return the commands to try in the new folder, in order, each with what it is for."""
-    method = f"{names.program}.toml" if program else names.method
-    return [
-        *first_commands(program=program),
-        (f"prbench adapters check {method} --benchmark {_PREDICTION}", "the contract, with a report to read"),
-        ("prbench synthesize adt --table --out adt", "synthetic people, if you have no recordings"),
-        ("prbench build-windows --data adt --out windows", "windows up to their primes and events"),
-        (f"{_run(names, condition, program=program)} --data windows", "scores"),
-    ]
-
-
-def _run(names: MethodNames, condition: str, *, program: bool) -> str:
-    method = f"{names.program}.toml" if program else names.method
-    return f"prbench run --benchmark {_PREDICTION} --method {method} --condition {condition}"
-
-
-_USUAL = {default_benchmark().name: Condition.GOAL_LOCATION.value, _PREDICTION: "pose"}
-"""The condition of a new method of which nothing is said, by benchmark."""
 
 
 @dataclass(frozen=True)
@@ -306,17 +168,26 @@ class ScaffoldRequest:
 
     def __post_init__(self) -> None:
         if self.benchmark not in _USUAL:
-            raise UsageError(
-                f"--benchmark {self.benchmark}: expected one with templates, which are {', '.join(_USUAL)}."
-            )
-        known = find_benchmark(self.benchmark).conditions
-        unknown = [name for name in self.conditions if name not in known]
+            known = ", ".join(_USUAL)
+            raise UsageError(f"--benchmark {self.benchmark}: expected one with templates, which are {known}.")
+        conditions = find_benchmark(self.benchmark).conditions
+        unknown = [name for name in self.conditions if name not in conditions]
         if unknown:
+            known = ", ".join(conditions)
+            raise UsageError(f"--condition {unknown[0]}: expected one of the benchmark {self.benchmark}: {known}.")
+        if self.program and self.trainable:
             raise UsageError(
-                f"--condition {unknown[0]}: expected one of the benchmark {self.benchmark}: {', '.join(known)}."
+                "--trainable --program: a program is not fitted by a run. Train it yourself and give it the result with"
+                " --weights, or write a package."
             )
         if not self.conditions:
             object.__setattr__(self, "conditions", (_USUAL[self.benchmark],))
+
+    @property
+    def chosen(self) -> list[StrEnum]:
+        """Its conditions, each once and in the given order."""
+        own = Condition if self.benchmark != _PREDICTION else load_benchmark(_PREDICTION).condition
+        return list(dict.fromkeys(own(name) for name in self.conditions))
 
 
 @dataclass(frozen=True)
@@ -329,8 +200,6 @@ class ScaffoldReport:
     """Relative to the folder, sorted."""
     next_steps: tuple[str, ...]
     """Commands to try, in order."""
-    warnings: tuple[str, ...]
-    """What may keep the method from being used."""
 
 
 def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:
@@ -354,37 +223,100 @@ def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:
                 target = temporary / path
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_text(text, encoding="utf-8", newline="\n")
-    warnings = [
-        f"the installed package {adapter.package} {adapter.version} offers a method '{names.method}' already; uninstall"
-        " it before you install yours, or neither can be used."
-        for adapter in list_adapters(find_benchmark(request.benchmark).entry_points)
-        if adapter.name == names.method and not request.program
-    ]
-    lines = _predictor_commands if request.benchmark == _PREDICTION else command_lines
-    commands = [command for command, _ in lines(names, request.conditions[0], program=request.program)]
-    return ScaffoldReport(
-        folder,
-        files=tuple(sorted(map(Path, contents))),
-        next_steps=(f"cd {shlex.quote(str(folder))}", *commands),
-        warnings=tuple(warnings[:1]),
-    )
+    steps = (f"cd {shlex.quote(str(folder))}", *command_lines(names, request))
+    return ScaffoldReport(folder, files=tuple(sorted(map(Path, contents))), next_steps=steps)
+
+
+def command_lines(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
+    """The commands to try in the new folder, in order, each with what it is for."""
+    method = f"{names.program}.toml" if request.program else names.method
+    condition = request.chosen[0].value
+    lines = {
+        'pip install -e ".[test]"': "install; prbench finds it by its entry point",
+        "python -m pytest": "the contract, and what this method promises itself",
+    }
+    if request.program:
+        lines = {"pip install numpy pyarrow": "for the `python` that runs the program"}
+    if request.benchmark != _PREDICTION:
+        return lines | {
+            f"prbench adapters check {method}": "the contract, with a report to read",
+            f"prbench run --method {method} --condition {condition}": "scores, on embedded synthetic data",
+        }
+    return lines | {
+        f"prbench adapters check {method} --benchmark {_PREDICTION}": "the contract, with a report to read",
+        "prbench synthesize adt --table --out adt": "synthetic people, if you have no recordings",
+        "prbench build-windows --data adt --out windows": "windows up to their primes and events",
+        f"prbench run --benchmark {_PREDICTION} --method {method} --condition {condition} --data windows": "scores",
+    }
+
+
+def template_flags(request: ScaffoldRequest) -> frozenset[str]:
+    """Return the names of the templates' optional parts that are kept.
+
+    ``goal`` and ``free`` tell whether the method takes conditions with a first pose and a goal, and without; ``gaze``
+    whether a predictor takes gaze.
+    """
+    flags = {"trainable"} if request.trainable else set()
+    if request.benchmark == _PREDICTION:
+        return frozenset(flags | ({"gaze"} if set(request.conditions) - {"pose"} else set()))
+    givens = [GIVEN[Condition(name)] for name in request.conditions]
+    given = frozenset[str]().union(*givens)
+    flags |= given & {"text", "goal_location"}
+    flags |= {"goal_pose"} if "goal_joints" in given else set()
+    flags |= {"goal"} if "initial_joints" in given else set()
+    flags |= {"free"} if any("initial_joints" not in each for each in givens) else set()
+    return frozenset(flags)
+
+
+def template_values(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
+    """The text for every place in the templates."""
+    chosen = request.chosen
+    first = chosen[0].value
+    lines = command_lines(names, request)
+    width = max(map(len, lines))
+    commands = "\n".join(f"{command:<{width}}  # {comment}" for command, comment in lines.items())
+    run = f"prbench run --method {names.program}.toml --condition {first}"
+    described = f"The motion generator '{names.method}' for the prime-and-reach benchmark prbench."
+    learns = _LEARNS
+    does = "glides a standing pose two metres ahead"
+    if "goal" in template_flags(request):
+        does = "glides the first pose towards the goal, in a straight line"
+    if request.benchmark == _PREDICTION:
+        run = f"prbench run --benchmark {_PREDICTION} --method {names.program}.toml --condition {first} --data WINDOWS"
+        described = f"The predictor '{names.method}' for the motion prediction benchmark of prbench."
+        learns = _PREDICTOR_LEARNS
+        does = "lets the last pose go on, at a speed that differs from sample to sample"
+    weights = f"**Weights.** {_OWN_WEIGHTS if request.trainable else _NO_WEIGHTS} {_NEVER}"
+    given = GIVEN.get(chosen[0], ())
+    return {
+        "name": names.method,
+        "distribution": names.distribution,
+        "module": names.module,
+        "class": names.class_name,
+        "program": names.program,
+        "prbench_version": prbench.__version__.partition("+")[0],
+        "condition": first,
+        "conditions": ", ".join(f"Condition.{condition.name}" for condition in chosen),
+        "condition_words": ", ".join(f'"{condition.value}"' for condition in chosen),
+        "what": f"{does[0].upper()}{does[1:]}.",
+        "does": does,
+        "described": described,
+        "entry_points": find_benchmark(request.benchmark).entry_points,
+        "run": run,
+        "learns": learns if request.trainable else _LEARNS_NOTHING,
+        "weights": textwrap.fill(weights, 120),
+        "commands": commands,
+        "row_fields": "\n".join(f"        {line}" for name, line in _ROW_FIELDS.items() if name in given),
+        # The rows of the standing pose, as the package's own file has them.
+        "standing": "\n".join(line for line in read_template("standing.py").splitlines() if line[:9] == "        ["),
+    }
 
 
 def _contents(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
-    """Return path and text of every file of an installable package, or of a program of its own.
-
-    Raises:
-        UsageError: if a program should also be trainable.
-    """
-    chosen = {"trainable": request.trainable}
-    if request.benchmark == _PREDICTION:
-        own, method = "predictor_", "predictor.py"
-        values = _predictor_values(names, request.conditions, **chosen, program=request.program)
-        flags = _predictor_flags(request.conditions, **chosen)
-    else:
-        own, method = "", "adapter.py"
-        values = template_values(names, request.conditions, **chosen, program=request.program)
-        flags = template_flags(request.conditions, **chosen)
+    """Return path and text of every file of an installable package, or of a program of its own."""
+    own = "predictor_" if request.benchmark == _PREDICTION else ""
+    method = "predictor.py" if own else "adapter.py"
+    flags = template_flags(request)
     source = f"src/{names.module}"
     more = {f"{source}/py.typed": ""}
     templates = {
@@ -398,11 +330,6 @@ def _contents(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
         "tests/test_method.py": f"{own}test_method.py",
     }
     if request.program:
-        if request.trainable:
-            raise UsageError(
-                "--trainable --program: a program is not fitted by a run. Train it yourself and give it the result with"
-                " --weights, or write a package."
-            )
         more = {} if own else {ONE_FILE: converters_file()}
         templates = {
             "README.md": f"{own}program_README.md",
@@ -411,4 +338,5 @@ def _contents(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
         }
     elif "free" in flags:
         templates[f"{source}/standing.py"] = "standing.py"
+    values = template_values(names, request)
     return {path: filled(read_template(name), values, flags) for path, name in templates.items()} | more

@@ -8,17 +8,15 @@ import re
 
 import pytest
 
-from prbench.checking.scaffold import create
-from prbench.checking.scaffold.create import filled, method_names, template_flags, template_values
+from prbench.checking.scaffold.create import ScaffoldRequest, filled, method_names, template_flags, template_values
 from prbench.contract import Condition
-from prbench.entry_points import InstalledEntry
 from prbench.errors import UsageError
 
 
 def test_every_other_name_follows_from_the_methods():
     names = method_names("goal-diffusion-2")
     assert (names.distribution, names.module) == ("prbench-goal-diffusion-2", "prbench_goal_diffusion_2")
-    assert (names.class_name, names.program) == ("GoalDiffusion2", "goal_diffusion_2")
+    assert (names.class_name, names.program) == ("GoalDiffusion2Method", "goal_diffusion_2")
 
 
 @pytest.mark.parametrize(
@@ -70,14 +68,6 @@ def test_a_program_never_hides_a_module_that_it_imports(name, program):
     assert method_names(name).program == program
 
 
-def test_a_name_that_another_package_offers_is_warned_about(monkeypatch, tmp_path):
-    other = InstalledEntry("glide", "other-package", "2.1", "other:load")
-    monkeypatch.setattr(create, "list_adapters", lambda _group: [other])
-    (warning,) = create.new_adapter(create.ScaffoldRequest("glide", out=tmp_path / "glide")).warnings
-    assert "the installed package other-package 2.1 offers a method 'glide' already" in warning
-    assert create.new_adapter(create.ScaffoldRequest("slide", out=tmp_path / "slide")).warnings == ()
-
-
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [
@@ -102,20 +92,24 @@ def test_a_mark_without_a_value_is_a_mistake():
         filled("<<unheard>>", {}, ())
 
 
+def asked(*conditions: str, trainable: bool = False) -> ScaffoldRequest:
+    return ScaffoldRequest("x", conditions=conditions, trainable=trainable)
+
+
 def test_flags_say_which_kinds_of_condition_a_method_takes():
-    assert template_flags(["none"], trainable=False) == {"free"}
-    assert template_flags(["text"], trainable=True) == {"free", "text", "trainable"}
-    assert template_flags(["goal-loc"], trainable=False) == {"goal", "goal_location", "text"}
-    assert template_flags(["goal-pose", "none"], trainable=False) == {"goal", "goal_pose", "free", "text"}
+    assert template_flags(asked("none")) == {"free"}
+    assert template_flags(asked("text", trainable=True)) == {"free", "text", "trainable"}
+    assert template_flags(asked("goal-loc")) == {"goal", "goal_location", "text"}
+    assert template_flags(asked("goal-pose", "none")) == {"goal", "goal_pose", "free", "text"}
 
 
 def test_conditions_are_named_once_and_in_the_given_order():
-    values = template_values(method_names("x"), ["text", "none", "text"], trainable=False)
+    values = template_values(method_names("x"), asked("text", "none", "text"))
     assert values["conditions"] == "Condition.TEXT, Condition.NONE"
     assert values["condition"] == "text"
 
 
 def test_values_are_plain_text():
     for chosen in itertools.combinations([condition.value for condition in Condition], 2):
-        for value in template_values(method_names("x"), chosen, trainable=True).values():
+        for value in template_values(method_names("x"), asked(*chosen, trainable=True)).values():
             assert not re.search(r"<<|^%", value, re.MULTILINE)
