@@ -37,9 +37,7 @@ _NEEDS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("foot_skating", "slow_slides", "largest_jerk", "largest_speed", "plausible"), ("fps",)),
     **dict.fromkeys(("contact_share", "bone_length_change", "first_step", "floating", "penetration"), ()),
 }
-"""Arguments beside the predicted motion that a metric needs."""
-_EVERYTHING = ("recorded", _GOAL, "prime_time", "head_tilt_deg", "fps")
-"""What a metric is assumed to need that is not listed: one that somebody has added."""
+"""Arguments beside the predicted motion that a metric needs; one that is not listed here is assumed to need all."""
 _SIDES = {"left": 0, "right": 1, None: UNKNOWN_HAND}
 
 
@@ -183,14 +181,18 @@ def measure(
                     f" {len(other)}. Give every motion the length of the recorded one."
                 )
         reference = MotionBatch.from_motions(others)
-    goal = _goal(goal_location, goal_box, size)
+    if goal_location is not None and goal_box is not None:
+        raise UsageError("goal_location and goal_box: give one of them; of a box the centre counts.")
+    goal = _one_each("goal_location", goal_location, size, (3,))
+    if goal_box is not None:
+        corners = _array("goal_box", goal_box)
+        if corners.shape not in ((2, 3), (8, 3), (size, 2, 3), (size, 8, 3)):
+            found = f"found the shape {corners.shape}"
+            raise UsageError(f"goal_box: expected (2, 3) or (8, 3), or one for each of {size} motions, {found}.")
+        goal = np.broadcast_to(corners.mean(axis=-2), (size, 3)).copy()
     rates = _one_each("fps", fps, size)
     primes = _one_each("prime_time", prime_time, size)
     tilts = _one_each("head_tilt_deg", head_tilt_deg, size)
-    given = {"recorded": recorded, _GOAL: goal, "prime_time": primes, "head_tilt_deg": tilts, "fps": rates}
-    wanted = _wanted(metrics)
-    left_out = {metric: why for metric in wanted if (why := _lacks(metric, given))}
-    possible = [metric for metric in wanted if metric not in left_out]
     if rates is not None and primes is not None:
         lasts = (batch.n_frames - 1) / rates
         outside = np.flatnonzero((primes < -_TIME_TOLERANCE) | (primes > lasts + _TIME_TOLERANCE))
@@ -200,14 +202,30 @@ def measure(
                 f"prime_time: expected seconds after the first frame, from 0 to {lasts[row]:g} for motion {row}, found"
                 f" {primes[row]:g}. Of a recording's clock, subtract the first frame's time (sequence.prime_after)."
             )
+    # Metric ids in printed order: the six, or those that were asked for.
+    known = [info.id for info in METRICS_OF_MOTIONS]
+    wanted = [info.id for info in STUDY_METRICS]
+    if metrics is not None:
+        asked = [metrics] if isinstance(metrics, str) else list(metrics)
+        for name in asked:
+            if name not in known:
+                raise UsageError(f"unknown metric '{name}'; there are: {', '.join(known)}.{did_you_mean(name, known)}")
+        wanted = [name for name in known if name in asked]
+    given = {"recorded": recorded, _GOAL: goal, "prime_time": primes, "head_tilt_deg": tilts, "fps": rates}
+    left_out = {}
+    for metric in wanted:
+        missing = [name for name in _NEEDS.get(metric, tuple(given)) if given[name] is None]
+        if missing:
+            left_out[metric] = f"needs {', '.join(missing)}"
+    words = [hand] * size if hand is None or isinstance(hand, str) else list(hand)
+    if len(words) != size:
+        raise UsageError(f"hand: expected {size} of them, one a motion, found {len(words)}.")
+    for word in words:
+        if word not in _SIDES:
+            raise UsageError(f"hand: expected left, right or None, found '{word}'.")
+    possible = [metric for metric in wanted if metric not in left_out]
     try:
         # What is not given is filled with numbers that no possible metric reads.
-        words = [hand] * size if hand is None or isinstance(hand, str) else list(hand)
-        if len(words) != size:
-            raise UsageError(f"hand: expected {size} of them, one a motion, found {len(words)}.")
-        for word in words:
-            if word not in _SIDES:
-                raise UsageError(f"hand: expected left, right or None, found '{word}'.")
         targets = ScoringTargets(
             goal_location=np.zeros((size, 3)) if goal is None else goal,
             prime_time=np.zeros(size) if primes is None else primes,
@@ -215,35 +233,12 @@ def measure(
             head_tilt_deg=np.zeros(size) if tilts is None else tilts,
             fps=np.ones(size) if rates is None else rates,
         )
-        values = {}
-        if possible:
-            values = score_metrics(batch, reference, targets, load_protocol().metrics, metrics=possible)
+        constants = load_protocol().metrics
+        values = score_metrics(batch, reference, targets, constants, metrics=possible) if possible else {}
     except ValueError as error:
         raise UsageError(f"measure: {error}.") from error
     flags = {metric: found.flag for metric, found in values.items() if any(found.flag)}
     return Measures({metric: frozen(found.value) for metric, found in values.items()}, left_out, flags, one)
-
-
-def _wanted(metrics: Collection[str] | None) -> list[str]:
-    """Return metric ids in printed order: the six, or those that were asked for.
-
-    Raises:
-        UsageError: for an unknown id.
-    """
-    known = [info.id for info in METRICS_OF_MOTIONS]
-    if metrics is None:
-        return [info.id for info in STUDY_METRICS]
-    asked = [metrics] if isinstance(metrics, str) else list(metrics)
-    for name in asked:
-        if name not in known:
-            raise UsageError(f"unknown metric '{name}'; there are: {', '.join(known)}.{did_you_mean(name, known)}")
-    return [name for name in known if name in asked]
-
-
-def _lacks(metric: str, given: Mapping[str, object]) -> str:
-    """Return which arguments a metric needs and has not been given; empty if none."""
-    missing = [name for name in _NEEDS.get(metric, _EVERYTHING) if given[name] is None]
-    return f"needs {', '.join(missing)}" if missing else ""
 
 
 def _motions(name: str, value: Any, n_frames: Any) -> tuple[list[Float[np.ndarray, "_ 22 3"]], bool]:
@@ -288,24 +283,6 @@ def _array(name: str, value: Any) -> np.ndarray:
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise UsageError(f"{name}: expected numbers, found {type(value).__name__} ({error}).") from error
-
-
-def _goal(location: Any, box: Any, size: int) -> Float[np.ndarray, "batch 3"] | None:
-    """Return the place of each motion's goal, or None if none is given.
-
-    Raises:
-        UsageError: if both are given, or a shape is wrong.
-    """
-    if location is not None and box is not None:
-        raise UsageError("goal_location and goal_box: give one of them; of a box the centre counts.")
-    if box is None:
-        return _one_each("goal_location", location, size, (3,))
-    corners = _array("goal_box", box)
-    if corners.shape not in ((2, 3), (8, 3), (size, 2, 3), (size, 8, 3)):
-        raise UsageError(
-            f"goal_box: expected (2, 3) or (8, 3), or one for each of {size} motions, found the shape {corners.shape}."
-        )
-    return np.broadcast_to(corners.mean(axis=-2), (size, 3)).copy()
 
 
 def _one_each(name: str, value: Any, size: int, shape: tuple[int, ...] = ()) -> np.ndarray | None:

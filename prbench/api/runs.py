@@ -1,9 +1,4 @@
-"""The common part of runs and scored motions: long-form scores, means with intervals, and how both are shown.
-
-Finished runs: their scores, motions and pictures.
-
-A method over tables, scored: the command ``prbench run``.
-"""
+"""A method over tables, scored, as ``prbench run`` does it; finished runs: their scores, motions and pictures."""
 
 from __future__ import annotations
 
@@ -33,7 +28,7 @@ from prbench.api.tables import Table, embedded_tables, table_folders
 from prbench.engine.choice import Cluster
 from prbench.errors import RunError, UsageError
 from prbench.harness.run_folder import DatasetSummary, Predictions, RunCost, RunFolder, RunRecord, read_scores
-from prbench.metrics import METRICS, printed_scale, printed_unit
+from prbench.metrics import METRICS
 from prbench.protocol.manifests import PROTOCOL_NAME, find_benchmark
 from prbench.shown import html
 
@@ -43,86 +38,38 @@ if TYPE_CHECKING:
     from prbench.viewing.replay.scene import Scene
 
 
-_METRIC = (
-    "metric", "title", "unit", "mean", "low", "high", "level", "interval", "sequences", "recordings",
-)  # fmt: skip
-_SUMMARY = ("dataset", "method", "condition", *_METRIC, "marks")
-_SHOWN = ("metric", "mean", "95 % interval", "remark")
-_ON_SYNTHETIC_DATA = "These are scores on synthetic data: never compare them with published ones."
+_METRIC = ("metric", "title", "unit", "mean", "low", "high", "level", "interval", "sequences", "recordings")
 
 
-def summary_frame(summaries: Sequence[DatasetSummary], irrelevant: frozenset[str]) -> pd.DataFrame:
+def summary_frame(summaries: Sequence[DatasetSummary], *, motionless: bool) -> pd.DataFrame:
     """Return one row a dataset and metric: the mean over sequences with its interval.
 
     Args:
         summaries: One a dataset.
-        irrelevant: Ids of metrics that say nothing of this method; they are left out.
+        motionless: The method declares to stand still; metrics that say nothing of it are left out.
     """
+    irrelevant = {info.id for info in METRICS if motionless and info.irrelevant_if_motionless}
     rows = []
     for summary in summaries:
         about = (summary.dataset, summary.method, summary.condition)
         for metric in summary.metrics:
             if metric.metric not in irrelevant:
-                values = (getattr(metric, name) for name in _METRIC)
-                rows.append((*about, *values, ";".join(metric.marks)))
-    return frame_from_rows(rows, _SUMMARY)
+                rows.append((*about, *(getattr(metric, name) for name in _METRIC), ";".join(metric.marks)))
+    return frame_from_rows(rows, ("dataset", "method", "condition", *_METRIC, "marks"))
 
 
-def scores_frame(tables: Sequence[pa.Table]) -> pd.DataFrame:
-    """Return scores in long form as one frame.
-
-    Args:
-        tables: Long forms, one a dataset.
-    """
-    return frame_of(pa.concat_tables(tables).combine_chunks())
-
-
-def irrelevant_metrics(*, motionless: bool) -> frozenset[str]:
-    """Return ids of the metrics that say nothing of a method that declares to stand still.
-
-    Args:
-        motionless: The method declares so.
-    """
-    return frozenset(info.id for info in METRICS if motionless and info.irrelevant_if_motionless)
-
-
-def scores_for_notebook(summaries: Sequence[DatasetSummary], irrelevant: frozenset[str], *, origin: str) -> str:
-    """Return the means with their intervals as a notebook shows them, in the units that the study prints.
+def scores_for_notebook(summaries: Sequence[DatasetSummary], *, motionless: bool) -> str:
+    """Return the means with their intervals as a notebook shows them.
 
     Args:
         summaries: One a dataset.
-        irrelevant: See :func:`summary_frame`.
-        origin: Where the method comes from, in words.
+        motionless: See :func:`summary_frame`.
     """
-    parts = []
-    for summary in summaries:
-        title = (
-            f"{summary.title}: {summary.method} ({origin}), condition {summary.condition};"
-            f" {summary.sequences} sequences of {summary.recordings} recordings, split {summary.split}"
-        )
-        rows = []
-        for metric in summary.metrics:
-            if metric.metric in irrelevant:
-                continue
-            scale = printed_scale(metric.unit)
-            interval = "–"
-            if metric.low is not None and metric.high is not None:
-                interval = f"[{metric.low * scale:.2f}, {metric.high * scale:.2f}]"
-            remarks = [mark.replace("_", " ") for mark in metric.marks]
-            remarks += [f"{count} × {name.replace('_', ' ')}" for name, count in sorted(metric.flags.items())]
-            mean = f"{metric.mean * scale:.2f}{printed_unit(metric.unit)}"
-            rows.append((metric.title, mean, interval, "; ".join(remarks)))
-        below = []
-        if summary.unsupported:
-            below.append(
-                f"{summary.unsupported} sequences are longer than the method can generate and were not scored."
-            )
-        if summary.mark:
-            below.append(f"{summary.mark}.")
-        if summary.synthetic:
-            below.append(_ON_SYNTHETIC_DATA)
-        parts.append(notebook_table(title, frame_from_rows(rows, _SHOWN), below))
-    return "".join(parts)
+    remarks = [f"{each.dataset}: {each.mark}." for each in summaries if each.mark]
+    if any(each.synthetic for each in summaries):
+        remarks.append("These are scores on synthetic data: never compare them with published ones.")
+    columns = ["dataset", "title", "unit", "mean", "low", "high", "marks"]
+    return notebook_table(described(summaries), summary_frame(summaries, motionless=motionless)[columns], remarks)
 
 
 def described(summaries: Sequence[DatasetSummary]) -> str:
@@ -191,7 +138,7 @@ class Run:
         Raises:
             RunError: if the run is not finished.
         """
-        return summary_frame(self.summaries, self._irrelevant)
+        return summary_frame(self.summaries, motionless=self.record.method.motionless)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -224,7 +171,8 @@ class Run:
         Raises:
             RunError: if the run is not finished, or its scores cannot be read.
         """
-        return scores_frame([read_scores(self._folder.dataset(name).scores) for name in self.datasets])
+        tables = [read_scores(self._folder.dataset(name).scores) for name in self.datasets]
+        return frame_of(pa.concat_tables(tables).combine_chunks())
 
     def motion(self, sequence_id: str, *, sample: int = 0) -> Float[np.ndarray, "n 22 3"]:
         """Return the motion that the method made for one sequence.
@@ -345,17 +293,13 @@ class Run:
                 " scores can."
             )
 
-    @property
-    def _irrelevant(self) -> frozenset[str]:
-        return irrelevant_metrics(motionless=self.record.method.motionless)
-
     def __repr__(self) -> str:
         if not all(self._folder.dataset(name).finished for name in self.datasets):
             return f"<Run of {self.method}, not finished, {self.folder}>"
         return f"<Run of {described(self.summaries)}, {self.folder}>"
 
     def _repr_html_(self) -> str:
-        shown = scores_for_notebook(self.summaries, self._irrelevant, origin=self.record.method.origin)
+        shown = scores_for_notebook(self.summaries, motionless=self.record.method.motionless)
         lines = [*self.notes, f"run folder: {self.folder}"]
         return shown + "".join(f"<p>{html(line)}</p>" for line in lines)
 
@@ -373,9 +317,6 @@ def open_run(path: args.PathLike) -> Run:
         RunError: if the folder holds no run, or a damaged one.
     """
     return Run(RunFolder.open(args.as_path(path), any_benchmark=True))
-
-
-_EVERYTHING = "all"
 
 
 def run(
@@ -452,15 +393,14 @@ def run(
     from prbench.harness.request import RunRequest
     from prbench.harness.run import run_method
 
-    if _EVERYTHING in (method, condition):
+    if "all" in (method, condition):
         raise UsageError(
             "'all' stands for many runs: name one method and one condition, or run `prbench run --method all` for the"
             " rows of the study's Table 2."
         )
     if (split == "participants") != (fold is not None):
         raise UsageError("split 'participants' and fold 'K/N' belong together.")
-    args.require_positive(limit=limit, threads=threads, samples=samples)
-    args.require_positive(batch_size=batch_size)
+    args.require_positive(limit=limit, threads=threads, samples=samples, batch_size=batch_size)
     sequences = args.as_texts(sequence)
     folders = table_folders(data)
     about = find_benchmark(benchmark)

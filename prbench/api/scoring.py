@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import pyarrow as pa
 
 from prbench.api import arguments as args
-from prbench.api.pictures import frame_from_rows, notebook_table, progress
-from prbench.api.runs import Run, described, irrelevant_metrics, scores_for_notebook, scores_frame, summary_frame
+from prbench.api.pictures import frame_from_rows, frame_of, notebook_table, progress
+from prbench.api.runs import Run, described, scores_for_notebook, summary_frame
 from prbench.api.tables import Table, table_folders
 from prbench.errors import PredictionsError, UsageError
 from prbench.files.storage import bytes_digest, text_digest
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import ArrayLike
 
-    from prbench.board.comparison import ComparedMetric, RunComparison
+    from prbench.board.comparison import RunComparison
     from prbench.harness.score_request import GivenMotions, ScoreReport
 
 
@@ -57,7 +58,7 @@ class Scores:
 
         Rates lie between 0 and 1, lengths are in metres (column ``unit``).
         """
-        return summary_frame(self.summaries, self._irrelevant)
+        return summary_frame(self.summaries, motionless=self._motionless)
 
     def to_pandas(self) -> pd.DataFrame:
         """Return one row a sequence, sample and metric.
@@ -65,18 +66,18 @@ class Scores:
         Returns:
             Columns ``sequence_id, dataset, sample, metric, value, flag``; rates are 0 or 1, lengths are in metres.
         """
-        return scores_frame([report.scores for report in self._reports])
+        return frame_of(pa.concat_tables(report.scores for report in self._reports).combine_chunks())
 
     @property
-    def _irrelevant(self) -> frozenset[str]:
-        return irrelevant_metrics(motionless=any(report.motionless for report in self._reports))
+    def _motionless(self) -> bool:
+        return any(report.motionless for report in self._reports)
 
     def __repr__(self) -> str:
         return f"<Scores of {described(self.summaries)}>"
 
     def _repr_html_(self) -> str:
         where = "" if self.folder is None else f"<p>scores: {self.folder}</p>"
-        return scores_for_notebook(self.summaries, self._irrelevant, origin=self._reports[0].origin) + where
+        return scores_for_notebook(self.summaries, motionless=self._motionless) + where
 
 
 def score(
@@ -224,11 +225,6 @@ def _samples_of(name: object, value: Any) -> list[np.ndarray]:
     return motions
 
 
-_COLUMNS = (
-    "dataset", "metric", "title", "unit", "difference", "low", "high", "p_value", "adjusted_p_value", "conclusion",
-)  # fmt: skip
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """The differences of two runs, sequence by sequence, and the support that the data give them."""
@@ -240,11 +236,6 @@ class Comparison:
     _found: RunComparison
 
     @property
-    def folder(self) -> tuple[Path, Path]:
-        """Folders of the two runs."""
-        return self.first, self.second
-
-    @property
     def unverified(self) -> tuple[str, ...]:
         """A line for each run and dataset whose scores could not be held against the motions, with the reason."""
         return self._found.unverified
@@ -252,9 +243,16 @@ class Comparison:
     @property
     def summary(self) -> str:
         """One line a dataset and metric: the mean difference, first minus second, and what may be concluded."""
-        return "\n".join(
-            f"{row.dataset}, {row.info.title}: {_change(row)} ({self._said(row)})" for row in self._found.metrics
-        )
+        from prbench.metrics import printed_unit
+
+        lines = []
+        for row in self._found.metrics:
+            unit = " points" if row.info.unit == "rate" else printed_unit(row.info.unit)
+            change = f"{row.comparison.difference.mean * row.info.scale:+.2f}{unit}"
+            said = row.comparison.conclusion
+            said = said if said.startswith("not") else f"{self.first.name} is {said}"
+            lines.append(f"{row.dataset}, {row.info.title}: {change} ({said})")
+        return "\n".join(lines)
 
     def to_pandas(self) -> pd.DataFrame:
         """Return one row a dataset and metric.
@@ -271,38 +269,17 @@ class Comparison:
             about = (row.dataset, row.info.id, row.info.title, row.info.unit)
             found = (row.comparison.p_value, row.comparison.adjusted_p_value, row.comparison.conclusion)
             rows.append((*about, difference.mean, difference.low, difference.high, *found))
-        return frame_from_rows(rows, _COLUMNS)
-
-    def _said(self, row: ComparedMetric) -> str:
-        conclusion = row.comparison.conclusion
-        return conclusion if conclusion.startswith("not") else f"{self.first.name} is {conclusion}"
+        columns = ("dataset", "metric", "title", "unit", "difference", "low", "high", "p_value", "adjusted_p_value")
+        return frame_from_rows(rows, (*columns, "conclusion"))
 
     def __repr__(self) -> str:
         return f"<Comparison of {self.first.name} with {self.second.name}>"
 
     def _repr_html_(self) -> str:
-        columns = ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "")
-        rows = []
-        for row in self._found.metrics:
-            difference = row.comparison.difference
-            p_value = row.comparison.adjusted_p_value
-            interval = "–"
-            if "all_equal" in difference.marks:
-                interval = "all equal"  # a bootstrap of equal differences would claim certainty
-            elif difference.low is not None and difference.high is not None:
-                interval = f"[{difference.low * row.info.scale:+.2f}, {difference.high * row.info.scale:+.2f}]"
-            shown_p = "–" if p_value is None else f"{p_value:.4f}"
-            rows.append((row.dataset, row.info.title, _change(row), interval, shown_p, self._said(row)))
+        columns = ["dataset", "title", "unit", "difference", "low", "high", "adjusted_p_value", "conclusion"]
         title = f"{self.first.name} against {self.second.name}, sequence by sequence"
         remarks = [f"unverified: {reason}" for reason in self.unverified]
-        return notebook_table(title, frame_from_rows(rows, columns), remarks)
-
-
-def _change(row: ComparedMetric) -> str:
-    from prbench.metrics import printed_unit
-
-    unit = " points" if row.info.unit == "rate" else printed_unit(row.info.unit)
-    return f"{row.comparison.difference.mean * row.info.scale:+.2f}{unit}"
+        return notebook_table(title, self.to_pandas()[columns], remarks)
 
 
 def compare(

@@ -1,23 +1,18 @@
-"""One sequence of a table: its numbers and arrays by name, as a frame, as a picture, as a replay.
+"""Tables of prime-and-reach sequences: opened, iterated, looked up, drawn, turned into pandas frames.
 
 Columns and units: docs/table.md; frames: docs/specification/sequence-table.md#encoding.
-
-Events and recordings of a table, accepted or not, and the story of one event.
-
-Tables of prime-and-reach sequences: opened, iterated, looked up, turned into pandas frames.
 """
 
 from __future__ import annotations
 
 import base64
 import itertools
-import weakref
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, overload
+from typing import TYPE_CHECKING, TypeVar, overload
 
 import numpy as np
 import pyarrow as pa
@@ -40,7 +35,7 @@ from prbench.errors import UsageError
 from prbench.geometry.skeleton import Joint, invert_rigid, transform_points
 from prbench.sequences import DatasetInfo, Event, Recording, SequenceChunk, SequenceTable
 from prbench.sequences.schema import is_bulky
-from prbench.sequences.sequence import KEY_VALUES, SEQUENCES, event_of, recording_of, row_values
+from prbench.sequences.sequence import EVENTS, KEY_VALUES, SEQUENCES, recording_of, row_values
 from prbench.sequences.table import SPLITS, by_share, why_no_sequences
 from prbench.shown import html
 
@@ -49,10 +44,6 @@ if TYPE_CHECKING:
 
     from prbench.viewing.explain import EventStory
     from prbench.viewing.replay.scene import Scene
-
-
-_COLUMNS = dict.fromkeys(SEQUENCES.names)
-"""Names of the columns, in their order; a dictionary finds one at once."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,37 +102,13 @@ class Head:
 class Sequence(sequences.Sequence):
     """One prime-and-reach sequence: from 2 s before the first look at the goal until the object is picked or put.
 
-    Every column of the table (docs/table.md#sequences) is an attribute of that name, read when it is first asked for;
-    ``goal``, ``gaze`` and ``head`` hold the columns that belong together. Positions are in the sequence's own canonical
-    frame unless a name says ``world``: metres, Y up, the pelvis of the first frame over the origin facing +Z, the
-    lowest joint of the sequence at Y = 0. All arrays are read-only.
+    Every column of the table (docs/table.md#sequences) is an attribute of that name; ``goal``, ``gaze`` and ``head``
+    hold the columns that belong together. Positions are in the sequence's own canonical frame unless a name says
+    ``world``: metres, Y up, the pelvis of the first frame over the origin facing +Z, the lowest joint of the sequence
+    at Y = 0. All arrays are read-only.
     """
 
-    _table: SequenceTable | None = field(default=None, init=False)
-
-    def __getattr__(self, name: str) -> Any:
-        """Take a value from the rows that the sequence was read with; it is asked for the first time."""
-        source = self.__dict__.get("_source")
-        if source is None or name not in _COLUMNS:
-            raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
-        columns, row = source
-        value = columns[name][row]
-        self.__dict__[name] = value  # frozen for everybody else
-        return value
-
-    def __getstate__(self) -> dict[str, Any]:
-        self._take_everything()
-        return self.__dict__
-
-    def _take_everything(self) -> None:
-        """Take copies of all values, so that the rows that were read together can be forgotten."""
-        if "_source" not in self.__dict__:
-            return
-        values = {name: getattr(self, name) for name in _COLUMNS}
-        own = {name: frozen(each.copy()) if isinstance(each, np.ndarray) else each for name, each in values.items()}
-        for made_of_views in ("_source", "goal", "gaze", "head"):
-            self.__dict__.pop(made_of_views, None)
-        self.__dict__.update(own)
+    _table: SequenceTable | None = None
 
     @cached_property
     def goal(self) -> Goal:
@@ -234,95 +201,35 @@ class Sequence(sequences.Sequence):
             ("hand", self.hand or "unknown"),
             ("frames", f"{self.n_frames} at {self.fps:g} Hz ({self.n_frames / self.fps:.2f} s)"),
             ("first look at the goal", f"{self.prime_after:.2f} s after the first frame ({self.prime_kind})"),
-            ("joints", f"{self.joints.shape}, canonical frame, metres"),
             ("gaze", f"valid in {int(self.gaze.valid.sum())} of {self.n_frames} frames"),
-            ("head", "unknown" if self.head is None else "position and rotation in every frame"),
         ]
         frame = frame_from_rows(rows, ["", "value"])
         return notebook_table(f"{self.action} of {self.object_name} ({self.dataset})", frame)
 
 
 def sequences_of(chunks: Iterable[SequenceChunk], table: SequenceTable) -> Iterator[Sequence]:
-    """Yield rows as sequences; none that is kept keeps the chunk that it was read with.
-
-    A sequence takes a value when it is first asked for it, because most callers look at a few of 35, and its arrays are
-    views of the chunk. Sequences that are still there when the next chunk has been begun, or when the caller stops,
-    take copies of everything.
+    """Yield rows as sequences with arrays of their own, so that none keeps the chunk that it was read with.
 
     Args:
         chunks: Rows with all columns.
         table: The table that they come from.
     """
-    given: list[weakref.ref[Sequence]] = []
-    before: list[weakref.ref[Sequence]] = []
-    try:
-        for chunk in chunks:
-            # The last sequence of a chunk is the caller's until it has been given the next one.
-            before = given
-            given = []
-            columns = _Columns(chunk.batch)
-            for row in range(len(chunk)):
-                sequence = object.__new__(Sequence)
-                sequence.__dict__["_source"] = (columns, row)
-                sequence.__dict__["_table"] = table
-                given.append(weakref.ref(sequence))
-                yield sequence
-                del sequence
-                if before:
-                    _detach(before)
-                    before = []
-    finally:
-        _detach([*before, *given])
+    for chunk in chunks:
+        columns = [row_values(chunk.batch.column(name)) for name in SEQUENCES.names]
+        for row in zip(*columns, strict=True):
+            values = (frozen(each.copy()) if isinstance(each, np.ndarray) else each for each in row)
+            yield Sequence(*values, table)
 
 
-def _detach(references: Iterable[weakref.ref[Sequence]]) -> None:
-    """Give the sequences that are still there values of their own."""
-    for reference in references:
-        kept = reference()
-        if kept is not None:
-            kept._take_everything()
+_Record = TypeVar("_Record")
 
 
-class _Columns(dict[str, list[Any]]):
-    """The values of a chunk's columns by name, each made for all rows when it is first asked for."""
+class _Records(list[_Record]):
+    """Rows of a table as records, in table order."""
 
-    def __init__(self, batch: pa.RecordBatch) -> None:
-        super().__init__()
-        self._batch = batch
-
-    def __missing__(self, name: str) -> list[Any]:
-        self[name] = row_values(self._batch.column(name))
-        return self[name]
-
-
-Record = TypeVar("Record")
-_SHOWN_COLUMNS = ("object_name", "action", "hand", "event_time", "prime_time", "outcome", "stage", "event_id")
-
-
-class _Records(Generic[Record]):
-    """Rows of a table that are read one by one, in table order."""
-
-    _read: ClassVar[Callable[[pa.Table, int], Any]]
-
-    def __init__(self, rows: pa.Table) -> None:
+    def __init__(self, rows: pa.Table, records: Iterable[_Record]) -> None:
+        super().__init__(records)
         self._rows = rows
-
-    def __len__(self) -> int:
-        return self._rows.num_rows
-
-    def __iter__(self) -> Iterator[Record]:
-        return (self[number] for number in range(len(self)))
-
-    @overload
-    def __getitem__(self, number: int) -> Record: ...
-    @overload
-    def __getitem__(self, number: slice) -> list[Record]: ...
-    def __getitem__(self, number: int | slice) -> Record | list[Record]:
-        if isinstance(number, slice):
-            return [self[row] for row in range(len(self))[number]]
-        if not -len(self) <= number < len(self):
-            raise IndexError(f"expected a number below {len(self)}, found {number}")
-        return type(self)._read(self._rows, number % len(self))
 
     def to_pandas(self) -> pd.DataFrame:
         """Return one row a record, with the columns of docs/table.md.
@@ -333,19 +240,14 @@ class _Records(Generic[Record]):
 
 
 class Events(_Records[Event]):
-    """All candidate events of a table, accepted or not, in table order.
-
-    ``len(events)``, ``events[0]`` and ``for event in events`` work as with a list.
-    """
-
-    _read = staticmethod(event_of)
+    """A list of all candidate events of a table, accepted or not, in table order."""
 
     def __repr__(self) -> str:
         return f"<{len(self)} events: {self._counted()}>"
 
     def _repr_html_(self) -> str:
-        shown = frame_of(self._rows.select(list(_SHOWN_COLUMNS)))
-        return notebook_table(f"{len(self)} candidate events: {self._counted()}", shown)
+        shown = ["object_name", "action", "hand", "event_time", "prime_time", "outcome", "stage", "event_id"]
+        return notebook_table(f"{len(self)} candidate events: {self._counted()}", frame_of(self._rows.select(shown)))
 
     def _counted(self) -> str:
         """Return how many events have each outcome, the most frequent first."""
@@ -355,12 +257,7 @@ class Events(_Records[Event]):
 
 
 class Recordings(_Records[Recording]):
-    """All recordings that a build found, in table order.
-
-    ``len(recordings)``, ``recordings[0]`` and ``for recording in recordings`` work as with a list.
-    """
-
-    _read = staticmethod(recording_of)
+    """A list of all recordings that a build found, in table order."""
 
     def __repr__(self) -> str:
         statuses = self._rows["status"].to_pylist()
@@ -429,7 +326,7 @@ class Story:
         return f"<pre>{lines}</pre>{picture}"
 
 
-_SHOWN_COLUMNS_tables = ("action", "object_name", "hand", "n_frames", "prime_gap", "split", "sequence_id")
+_SHOWN_COLUMNS = ("action", "object_name", "hand", "n_frames", "prime_gap", "split", "sequence_id")
 _SHOWN_ROWS = 10
 
 
@@ -483,10 +380,7 @@ class Table:
         return tuple(name for name in ids if name in chosen)
 
     def sequences(self, *, split: str | None = None, limit: int | None = None) -> Iterator[Sequence]:
-        """Read sequences in table order; only two groups of 256 rows are held in memory at a time.
-
-        Arrays are views of such a group. A sequence that you keep soon gets arrays of its own; where you keep an array
-        without its sequence, keep ``array.copy()``, or the same arrays of the whole group stay in memory.
+        """Read sequences in table order; a group of 256 rows is held in memory at a time.
 
         Args:
             split: See :meth:`sequence_ids`.
@@ -519,12 +413,15 @@ class Table:
     @property
     def events(self) -> Events:
         """All candidate events, those that became sequences and those that did not."""
-        return Events(self._table.events())
+        rows = self._table.events()
+        columns = [row_values(rows[name].combine_chunks()) for name in EVENTS.names]
+        return Events(rows, (Event(*values) for values in zip(*columns, strict=True)))
 
     @property
     def recordings(self) -> Recordings:
         """All recordings that the build found."""
-        return Recordings(self._table.recordings())
+        rows = self._table.recordings()
+        return Recordings(rows, (recording_of(rows, place) for place in range(len(rows))))
 
     def explain(self, event: str, *, permission: str | Iterable[str] = ()) -> Story:
         """Tell what became of one event and why, as ``prbench explain`` does.
@@ -585,14 +482,6 @@ class Table:
                 frame[name] = pd.Series([row[place] for row in rows], dtype=object, index=frame.index)
         return frame
 
-    def events_to_pandas(self) -> pd.DataFrame:
-        """Return ``table.events.to_pandas()``: one row a candidate event."""
-        return self.events.to_pandas()
-
-    def recordings_to_pandas(self) -> pd.DataFrame:
-        """Return ``table.recordings.to_pandas()``: one row a recording."""
-        return self.recordings.to_pandas()
-
     def __len__(self) -> int:
         return self._table.n_sequences
 
@@ -600,9 +489,7 @@ class Table:
         return self.sequences()
 
     def __contains__(self, sequence_id: object) -> bool:
-        if not isinstance(sequence_id, str):
-            return False
-        return any(self._table.chunks(columns=["sequence_id"], ids=frozenset({sequence_id})))
+        return sequence_id in self.sequence_ids()
 
     @overload
     def __getitem__(self, key: int | str) -> Sequence: ...
@@ -630,7 +517,7 @@ class Table:
         remarks = [f"licence: {self.info.licence}", f"folder: {self.folder}"]
         if not len(self):
             remarks.insert(0, why_no_sequences(self.info))
-        scalars = self._table.scalars(columns=_SHOWN_COLUMNS_tables)
+        scalars = self._table.scalars(columns=_SHOWN_COLUMNS)
         if scalars.num_rows > _SHOWN_ROWS:
             remarks.insert(0, f"the first {_SHOWN_ROWS} of {scalars.num_rows} rows; .to_pandas() gives all")
         return notebook_table(title, frame_of(scalars.slice(0, _SHOWN_ROWS)), remarks)

@@ -221,7 +221,7 @@ def test_motions_that_cannot_be_scored_are_named(table, motions, make, message):
 def test_scores_that_follow_are_compared(table, runs, motions, tmp_path):
     scores = prbench.score(motions, table, limit=6, name="mine", out=tmp_path / "mine")
     found = prbench.compare(runs[0], scores)
-    assert found.folder == (runs[0].folder, tmp_path / "mine")
+    assert (found.first, found.second) == (runs[0].folder, tmp_path / "mine")
     frame = found.to_pandas()
     assert set(frame.metric) <= {
         "prime_success",

@@ -46,22 +46,6 @@ def test_iteration_holds_a_few_rows_at_a_time(table, monkeypatch):
     assert first.joints.base is None, "a kept sequence must not keep the rows that were read with it"
 
 
-def test_kept_sequences_have_arrays_of_their_own_and_the_values_that_they_had(table, monkeypatch):
-    chunks = SequenceTable.chunks
-    monkeypatch.setattr(SequenceTable, "chunks", lambda self, **options: chunks(self, **options, rows=7))
-    kept = []
-    seen = []
-    for sequence in table:
-        seen.append((sequence.joints, sequence.goal.box_corners, sequence.gaze.valid, sequence.previous_joints))
-        kept.append(sequence)
-    for sequence, arrays in zip(kept, seen, strict=True):
-        own = (sequence.joints, sequence.goal.box_corners, sequence.gaze.valid, sequence.previous_joints)
-        for array, earlier in zip(own, arrays, strict=True):
-            assert not np.shares_memory(array, earlier)
-            assert not array.flags.writeable
-            np.testing.assert_array_equal(array, earlier)
-
-
 def test_a_sequence_of_an_iteration_that_was_given_up_has_all_its_values(table):
     iterator = iter(table)
     first = next(iterator)
@@ -171,8 +155,8 @@ def test_frames_have_the_columns_of_the_tables(table, empty):
     for each in (table, empty):
         assert set(each.to_pandas()) == set(SEQUENCES.names) - large - {"extra"}
         assert set(each.to_pandas(arrays=True)) == set(SEQUENCES.names) - {"extra"}
-        assert list(each.events.to_pandas()) == list(each.events_to_pandas()) == EVENTS.names
-        assert list(each.recordings.to_pandas()) == list(each.recordings_to_pandas()) == RECORDINGS.names
+        assert list(each.events.to_pandas()) == EVENTS.names
+        assert list(each.recordings.to_pandas()) == RECORDINGS.names
     frame = table.to_pandas(arrays=True)
     assert isinstance(frame, pd.DataFrame)
     for row, sequence in zip(frame.itertuples(), table, strict=True):
@@ -204,7 +188,7 @@ def test_events_and_recordings_behave_as_lists(synthetic):
     located = next(event for event in events if event.location is not None)
     assert located.location.shape == (3,)
     assert not located.location.flags.writeable
-    with pytest.raises(IndexError, match="expected a number below"):
+    with pytest.raises(IndexError):
         events[len(events)]
     recordings = synthetic.recordings
     assert [recording.recording_id for recording in recordings] == recordings.to_pandas().recording_id.tolist()
