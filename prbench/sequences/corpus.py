@@ -19,7 +19,7 @@ from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
 from prbench.sequences.schema import SEQUENCES, check_columns, open_parquet
 from prbench.sequences.sequence import FrameSource, Pose, Poses, Texts, Transform, row_batch, schema_of
 from prbench.sequences.table import BuiltTable
-from prbench.sequences.write import Holdings, require_no_loss, write_tables
+from prbench.sequences.write import require_no_loss, write_tables
 
 CORPUS_SCHEMA_VERSION = 1
 _VERSION_KEY = "prbench_corpus_schema_version"
@@ -249,7 +249,7 @@ def write_corpus(
     require_replaceable(folder, CORPUS_FILE, kind="corpus")
     recordings = list(tables["recordings"])
     if not replace:
-        require_no_loss(folder, CORPUS_FILE, Holdings.of(recordings, "clip"), outcome="clip", what="clips")
+        require_no_loss(folder, CORPUS_FILE, recordings, outcome="clip", what="clips")
     with atomic_folder(folder) as temporary:
         info = write_tables(
             temporary, info, {**tables, "recordings": recordings}, CORPUS_TABLES, CorpusTable.identity_columns

@@ -16,6 +16,7 @@ import hashlib
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -108,7 +109,6 @@ def check_columns(schema: pa.Schema, expected: Iterable[pa.Field], *, source: st
 
 
 _ROUNDING = 1e-5  # metres, seconds and unit vectors alike: 10 micrometres
-_SHOWN = 12  # characters of a digest
 
 
 def identity_of_rows(rows: pa.Table, *, protocol_version: int) -> str:
@@ -245,17 +245,16 @@ def require_unchanged(
     Raises:
         TableError: naming the first file that was edited.
     """
-    if digests_of_files(folder, [main]) != _of_table(expected, main):
+    if digests_of_files(folder, [main]) != {path: each for path, each in expected.items() if table_of(path) == main}:
         require_same_values()
-    for name in others:
-        for path, found in digests_of_files(folder, [name]).items():
-            if found != expected.get(path):
-                described = f"SHA-256 {expected[path][:_SHOWN]}…" if path in expected else "no such file"
-                raise TableError(
-                    f"{folder / path}: expected the file that {described_in.name} describes ({described}), found"
-                    f" another one ({found[:_SHOWN]}…). It was changed after the build: copy the folder again, or build"
-                    " it again."
-                )
+    for path, found in digests_of_files(folder, others).items():
+        if found != expected.get(path):
+            described = f"SHA-256 {expected[path][:12]}…" if path in expected else "no such file"
+            raise TableError(
+                f"{folder / path}: expected the file that {described_in.name} describes ({described}), found"
+                f" another one ({found[:12]}…). It was changed after the build: copy the folder again, or build"
+                " it again."
+            )
 
 
 def files_of_table(folder: Path, table: str) -> list[Path]:
@@ -264,8 +263,9 @@ def files_of_table(folder: Path, table: str) -> list[Path]:
     return [single] if single.is_file() else sorted((folder / table).glob("part-*.parquet"))
 
 
-def _of_table(digests: Mapping[str, str], table: str) -> dict[str, str]:
-    return {path: digest for path, digest in digests.items() if path.split("/")[0].removesuffix(".parquet") == table}
+def table_of(path: str) -> str:
+    """Return the name of the table that a file, named relative to its folder, belongs to."""
+    return path.split("/")[0].removesuffix(".parquet")
 
 
 def table_parts(folder: Path, name: str) -> list[Path]:
@@ -334,20 +334,19 @@ def groups_that_may_hold(metadata: pq.FileMetaData, wanted: Mapping[str, Sequenc
     # Not from `metadata.schema`: pyarrow then never frees the footer (a cycle that no collector sees).
     paths = [first.column(place).path_in_schema for place in range(metadata.num_columns)]
     places = {paths.index(name): values for name, values in wanted.items() if name in paths}
-    return [
-        number
-        for number in range(metadata.num_row_groups)
-        if all(_may_hold(metadata.row_group(number).column(place), values) for place, values in places.items())
-    ]
-
-
-def _may_hold(column: pq.ColumnChunkMetaData, values: SequenceOf[str]) -> bool:
-    """Return False where no value lies between the smallest and the largest text; a file may lack these."""
-    statistics = column.statistics
-    if statistics is None or not statistics.has_min_max or not isinstance(statistics.min, str):
-        return True
-    place = bisect_left(values, statistics.min)
-    return place < len(values) and values[place] <= statistics.max
+    chosen = []
+    for number in range(metadata.num_row_groups):
+        group = metadata.row_group(number)
+        for place, values in places.items():
+            statistics = group.column(place).statistics
+            # A file may lack the smallest and the largest text.
+            if statistics is not None and statistics.has_min_max and isinstance(statistics.min, str):
+                nearest = bisect_left(values, statistics.min)
+                if nearest == len(values) or values[nearest] > statistics.max:
+                    break
+        else:
+            chosen.append(number)
+    return chosen
 
 
 @contextlib.contextmanager
@@ -406,18 +405,15 @@ def require_distinct_rows(paths: SequenceOf[Path], column: str, where: Path | st
         TableError: naming the first repeated id, or the file that is missing or damaged.
     """
     last = ""
-    for name in _texts(paths, column):
-        if name <= last:  # not sorted, so that any two rows have to be compared
-            require_distinct(list(_texts(paths, column)), where)
-            return
-        last = name
-
-
-def _texts(paths: SequenceOf[Path], column: str) -> Iterator[str]:
     for path in paths:
         with naming(path):
             for batch in open_parquet(path).iter_batches(batch_size=1024, columns=[column]):
-                yield from batch.column(0).to_pylist()
+                names = [last, *batch.column(0).to_pylist()]
+                if any(name <= before for before, name in pairwise(names)):  # any two rows have to be compared
+                    tables = [read_parquet(each, [column]) for each in paths]
+                    return require_distinct(pa.concat_tables(tables)[column].to_pylist(), where)
+                last = names[-1]
+    return None
 
 
 def _kept(batch: pa.RecordBatch, wanted: pa.BooleanArray) -> pa.RecordBatch:

@@ -1,6 +1,4 @@
-"""Open a built dataset, stream its tables, and compute the study's statistics of it.
-
-The study's statistics of a built dataset: Table 1, Table S2 and what Figure S2 draws.
+"""Open a built dataset, stream its tables, and compute the study's statistics: Table 1, Table S2, Figure S2.
 
 The goal's distance, elevation and azimuth are those of its location as seen from the pelvis of the first frame, in the
 canonical frame: azimuth 0 straight ahead and positive to the left, elevation 0 at the height of the pelvis. The page
@@ -9,10 +7,8 @@ names the three and defines none of them.
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 import hashlib
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
@@ -47,6 +43,7 @@ from prbench.sequences.schema import (
     require_distinct_rows,
     require_unchanged,
     stream_chunks,
+    table_of,
     table_parts,
 )
 from prbench.sequences.sequence import SequenceChunk
@@ -60,21 +57,21 @@ Info = TypeVar("Info", bound=Provenance)
 
 @dataclass(frozen=True)
 class BuiltTable(Generic[Info]):
-    """The common part of the tables of a dataset and of a corpus: a folder, its provenance, and rows on demand."""
+    """The common part of the tables of a dataset and of a corpus: a folder, its provenance, and rows on demand.
+
+    A subclass names the table that holds the motions (``main``), the columns of every table of the folder, the main one
+    first (``schemas``), those of tables that not every folder has (``optional``), the columns of the main table that
+    make its identity (:func:`prbench.sequences.schema.identity_of_rows`), and what refuses a file with other columns,
+    or of an unknown version (``check``).
+    """
 
     folder: Path
     info: Info
-
     main: ClassVar[str]
-    """Name of the table that holds the motions."""
     schemas: ClassVar[Mapping[str, pa.Schema]]
-    """Columns of every table of the folder, the main one first."""
     optional: ClassVar[Mapping[str, pa.Schema]] = {}
-    """Columns of the tables that not every folder has."""
     identity_columns: ClassVar[tuple[str, ...]]
-    """Columns of the main table that make its identity (:func:`prbench.sequences.schema.identity_of_rows`)."""
     check: ClassVar[Callable[..., None]]
-    """Refuses a file with other columns, or of an unknown version."""
 
     def require_unchanged(self) -> None:
         """Hold the files against the description beside them.
@@ -274,7 +271,7 @@ class SequenceTable(BuiltTable[DatasetInfo]):
     @property
     def has_scenes(self) -> bool:
         """Whether the boxes of what stands around the people are known (docs/specification/scene.md)."""
-        return any(path.partition("/")[0].removesuffix(".parquet") == "scenes" for path in self.info.file_digests)
+        return any(table_of(path) == "scenes" for path in self.info.file_digests)
 
     def scenes(self) -> pa.Table:
         """The ``scenes`` table: one row a box of each recording, world frame; without rows where none is known.
@@ -379,13 +376,18 @@ _SCALARS = (
 
 @dataclass(frozen=True)
 class TableStatistics:
-    """Numbers of one built dataset."""
+    """Numbers of one built dataset.
+
+    ``participants_in_two_splits`` counts people of whom there are both training and test sequences: the study splits by
+    recording, not by person. ``gaze_shift_times`` are left edges of bins, in seconds from the prime time;
+    ``gaze_shift_deg`` holds the quartiles over all sequences of the angle between gaze and goal in each bin, NaN where
+    nothing was measured.
+    """
 
     dataset: str
     sequences: int
     by_split: dict[str, int]
     participants_in_two_splits: int
-    """People of whom there are both training and test sequences: the study splits by recording, not by person."""
     pose_sources: tuple[str, ...]
     duration: Float[np.ndarray, " n"]
     prime_gap: Float[np.ndarray, " n"]
@@ -395,9 +397,7 @@ class TableStatistics:
     goal_elevation_deg: Float[np.ndarray, " n"]
     goal_azimuth_deg: Float[np.ndarray, " n"]
     gaze_shift_times: Float[np.ndarray, " k"]
-    """Seconds from the prime time: left edges of bins."""
     gaze_shift_deg: Float[np.ndarray, "k 3"]
-    """Quartiles over all sequences of the angle between gaze and goal in each bin; NaN where nothing was measured."""
 
     def spread(self, quantity: str) -> Spread:
         """Mean and standard deviation of one of the four quantities of Table 1; NaN without sequences."""
@@ -406,10 +406,6 @@ class TableStatistics:
             return Spread(float("nan"), float("nan"))
         return Spread(float(values.mean()), float(values.std()))
 
-    def deviation(self, quantity: str, published: Spread) -> float:
-        """(our mean - the published one) in published standard deviations."""
-        return (self.spread(quantity).mean - published.mean) / published.sd
-
 
 def table_statistics(table: SequenceTable) -> TableStatistics:
     """Compute the statistics of a built dataset; rows are streamed.
@@ -417,75 +413,48 @@ def table_statistics(table: SequenceTable) -> TableStatistics:
     A sequence lasts from its first frame to the event: up to one frame less than from 2 s before the prime.
     """
     scalars = table.scalars(columns=_SCALARS)
-    splits = scalars["split"].to_pylist()
+    splits = np.array(scalars["split"].to_pylist(), dtype=object)
+    people = np.array(scalars["participant_id"].to_pylist(), dtype=object)
     goals = [np.zeros((0, 3))]  # a dataset may hold events alone
-    with _Angles() as angles:
-        for chunk in table.chunks(columns=_COLUMNS):
-            goals.append(chunk.vectors("goal_location") - chunk.joints[chunk.offsets[:-1], Joint.PELVIS])
-            # Time from the prime, and angle between gaze and goal in degrees, of every frame with valid gaze.
-            row = np.repeat(np.arange(len(chunk)), chunk.n_frames)
-            frame = np.arange(len(row)) - chunk.offsets[row]
-            time = frame / chunk.numbers("fps")[row] - chunk.numbers("preroll")[row]
-            towards = chunk.vectors("goal_location")[row] - chunk.frames("gaze_origin")
-            length = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
-            cosine = np.einsum("nk,nk->n", towards, chunk.frames("gaze_direction")) / length
-            angle = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
-            # Invalid samples hold a filler direction that must not enter the quartiles.
-            angles.add(np.column_stack([time, angle])[chunk.frames("gaze_valid")])
-        quartiles = angles.quartiles()
+    samples = [np.zeros((0, 2))]
+    for chunk in table.chunks(columns=_COLUMNS):
+        goals.append(chunk.vectors("goal_location") - chunk.joints[chunk.offsets[:-1], Joint.PELVIS])
+        # Time from the prime, and angle between gaze and goal in degrees, of every frame with valid gaze.
+        row = np.repeat(np.arange(len(chunk)), chunk.n_frames)
+        frame = np.arange(len(row)) - chunk.offsets[row]
+        time = frame / chunk.numbers("fps")[row] - chunk.numbers("preroll")[row]
+        towards = chunk.vectors("goal_location")[row] - chunk.frames("gaze_origin")
+        length = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
+        cosine = np.einsum("nk,nk->n", towards, chunk.frames("gaze_direction")) / length
+        angle = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        # Invalid samples hold a filler direction that must not enter the quartiles.
+        samples.append(np.column_stack([time, angle])[chunk.frames("gaze_valid")])
+    # 1e-6 of a bin: frame times such as 0.30000000000000004 s stay in the bin that they begin.
+    first, last = _GAZE_SHIFT_SPAN
+    edges = np.round(np.arange(first, last, _GAZE_SHIFT_STEP), 6)
+    times, angles = np.concatenate(samples).T
+    bins = np.floor((times - first) / _GAZE_SHIFT_STEP + 1e-6).astype(int)
+    quartiles = np.full((len(edges), 3), np.nan)
+    for number in range(len(edges)):
+        inside = angles[bins == number]
+        if len(inside):
+            quartiles[number] = np.quantile(inside, (0.25, 0.5, 0.75))
     goal = np.concatenate(goals)
     horizontal = np.hypot(goal[:, 0], goal[:, 2])
     return TableStatistics(
         dataset=table.info.dataset,
         sequences=len(splits),
-        by_split={split: splits.count(split) for split in ("train", "validation", "test")},
-        participants_in_two_splits=len(_people(scalars, "train") & _people(scalars, "test")),
+        by_split={split: int((splits == split).sum()) for split in SPLITS},
+        participants_in_two_splits=len(set(people[splits == "train"]) & set(people[splits == "test"])),
         pose_sources=tuple(sorted(set(scalars["pose_source"].to_pylist()))),
         duration=(scalars["event_time"].to_numpy() - scalars["start_time"].to_numpy()),
         **{name: scalars[name].to_numpy() for name in QUANTITIES if name != "duration"},
         goal_distance=np.linalg.norm(goal, axis=1),
         goal_elevation_deg=np.rad2deg(np.arctan2(goal[:, 1], horizontal)),
         goal_azimuth_deg=np.rad2deg(np.arctan2(goal[:, 0], goal[:, 2])),
-        gaze_shift_times=_bin_times(),
+        gaze_shift_times=edges,
         gaze_shift_deg=quartiles,
     )
-
-
-def _people(scalars: pa.Table, split: str) -> set[str]:
-    return set(scalars.filter(pc.field("split") == split)["participant_id"].to_pylist())
-
-
-def _bin_times() -> Float[np.ndarray, " bins"]:
-    first, last = _GAZE_SHIFT_SPAN
-    return np.round(np.arange(first, last, _GAZE_SHIFT_STEP), 6)
-
-
-class _Angles(contextlib.ExitStack):
-    """Angles of all frames, kept in a temporary file for each bin of time: a table may hold millions of frames."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._files = [self.enter_context(tempfile.TemporaryFile()) for _ in _bin_times()]  # noqa: SIM115 - closed at exit
-
-    def add(self, samples: Float[np.ndarray, "m 2"]) -> None:
-        """Take up times from the prime and angles."""
-        # 1e-6 of a bin: frame times such as 0.30000000000000004 s stay in the bin that they begin.
-        bins = np.floor((samples[:, 0] - _GAZE_SHIFT_SPAN[0]) / _GAZE_SHIFT_STEP + 1e-6).astype(int)
-        order = np.argsort(bins, kind="stable")
-        edges = np.searchsorted(bins[order], np.arange(len(self._files) + 1))
-        angles = samples[order, 1]
-        for index, file in enumerate(self._files):
-            angles[edges[index] : edges[index + 1]].tofile(file)
-
-    def quartiles(self) -> Float[np.ndarray, "bins 3"]:
-        """Return the quartiles of each bin; NaN where nothing was measured."""
-        found = np.full((len(self._files), 3), np.nan)
-        for index, file in enumerate(self._files):
-            file.seek(0)
-            inside = np.fromfile(file)
-            if len(inside):
-                found[index] = np.quantile(inside, (0.25, 0.5, 0.75))
-        return found
 
 
 def body_movement(joints: np.ndarray) -> float:

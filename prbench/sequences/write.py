@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterable, Mapping
 from collections.abc import Sequence as SequenceOf
-from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -55,7 +54,45 @@ def write_croissant(
         tables: Columns of each table by its name.
         descriptions: What a row of each table is.
     """
-    document: dict[str, Any] = {
+    distribution: list[dict[str, Any]] = []
+    record_sets = []
+    for name, schema in tables.items():
+        entries = []
+        for path in files_of_table(folder, name):
+            place = path.relative_to(folder).as_posix()
+            entry = {
+                "@type": "cr:FileObject",
+                "@id": place,
+                "name": place,
+                "contentUrl": place,
+                "contentSize": f"{path.stat().st_size} B",
+                "encodingFormat": _PARQUET,
+                "sha256": file_digest(path),
+            }
+            entries.append(entry)
+        distribution += entries
+        source: dict[str, Any] = {"fileObject": {"@id": f"{name}.parquet"}}
+        if not (folder / f"{name}.parquet").is_file():  # the table's own name is its record set's
+            source = {"fileSet": {"@id": f"{name}-parts"}}
+            part_set = {
+                "@type": "cr:FileSet",
+                "@id": f"{name}-parts",
+                "name": f"{name}-parts",
+                "encodingFormat": _PARQUET,
+                "includes": f"{name}/part-*.parquet",
+                "containedIn": [{"@id": entry["@id"]} for entry in entries],
+            }
+            distribution.append(part_set)
+        record_set = {
+            "@type": "cr:RecordSet",
+            "@id": name,
+            "name": name,
+            "description": descriptions[name],
+            "key": {"@id": f"{name}/{schema.names[0]}"},
+            "field": [_field(name, column, source | {"extract": {"column": column.name}}) for column in schema],
+        }
+        record_sets.append(record_set)
+    document = {
         "@context": json.loads(files("prbench.sequences").joinpath("croissant_context.json").read_text("utf-8")),
         "@type": "sc:Dataset",
         "conformsTo": "http://mlcommons.org/croissant/1.1",
@@ -68,60 +105,11 @@ def write_croissant(
         "license": info.licence,
         "conditionsOfAccess": f"redistribution: {info.redistribution}",
         "isLiveDataset": False,
-        "distribution": [entry for name in tables for entry in _files(folder, name)],
-        "recordSet": [_record_set(folder, name, schema, descriptions[name]) for name, schema in tables.items()],
+        "distribution": distribution,
+        "recordSet": record_sets,
     }
-    if info.homepage:
-        document["url"] = info.homepage
-    if info.citation:
-        document["citeAs"] = info.citation
-    write_json(folder / _CROISSANT, document)
-
-
-def _files(folder: Path, table: str) -> list[dict[str, Any]]:
-    """Return the file of a table, or its parts and the set that they form."""
-    entries: list[dict[str, Any]] = []
-    for path in files_of_table(folder, table):
-        name = path.relative_to(folder).as_posix()
-        entry = {
-            "@type": "cr:FileObject",
-            "@id": name,
-            "name": name,
-            "contentUrl": name,
-            "contentSize": f"{path.stat().st_size} B",
-            "encodingFormat": _PARQUET,
-            "sha256": file_digest(path),
-        }
-        entries.append(entry)
-    if not (folder / f"{table}.parquet").is_file():
-        part_set = {
-            "@type": "cr:FileSet",
-            "@id": _part_set(table),
-            "name": _part_set(table),
-            "encodingFormat": _PARQUET,
-            "includes": f"{table}/part-*.parquet",
-            "containedIn": [{"@id": entry["@id"]} for entry in entries],
-        }
-        entries.append(part_set)
-    return entries
-
-
-def _part_set(table: str) -> str:
-    """Return the id of the set that a table's parts form; the table's own name is its record set's."""
-    return f"{table}-parts"
-
-
-def _record_set(folder: Path, name: str, schema: pa.Schema, description: str) -> dict[str, Any]:
-    single = folder / f"{name}.parquet"
-    source = {"fileObject": {"@id": single.name}} if single.is_file() else {"fileSet": {"@id": _part_set(name)}}
-    return {
-        "@type": "cr:RecordSet",
-        "@id": name,
-        "name": name,
-        "description": description,
-        "key": {"@id": f"{name}/{schema.names[0]}"},
-        "field": [_field(name, field, source | {"extract": {"column": field.name}}) for field in schema],
-    }
+    told = {"url": info.homepage, "citeAs": info.citation}
+    write_json(folder / _CROISSANT, document | {key: text for key, text in told.items() if text})
 
 
 def _field(table: str, column: pa.Field, source: dict[str, Any]) -> dict[str, Any]:
@@ -152,9 +140,7 @@ def _field(table: str, column: pa.Field, source: dict[str, Any]) -> dict[str, An
     named = {pa.types.is_floating: "sc:Float", pa.types.is_boolean: "sc:Boolean", pa.types.is_integer: "sc:Integer"}
     described["dataType"] = next((name for is_kind, name in named.items() if is_kind(kind)), "sc:Text")
     described["source"] = source
-    if shape:
-        described |= {"isArray": True, "arrayShape": ",".join(shape)}
-    return described
+    return described | ({"isArray": True, "arrayShape": ",".join(shape)} if shape else {})
 
 
 _SHOWN = 3
@@ -163,30 +149,27 @@ _LONGEST_REASON = 160
 """Characters of the reason of one."""
 
 
-@dataclass(frozen=True)
-class Holdings:
-    """The contents of a table by recording."""
-
-    yields: dict[str, int]
-    """Sequences (of a corpus: clips) of every recording that was read."""
-    reasons: dict[str, str] = field(default_factory=dict)
-    """Maps each of the other recordings to the reason why it was left out."""
-
-    @classmethod
-    def of(cls, recordings: Iterable[pa.RecordBatch], outcome: str) -> Holdings:
-        """Count from the rows of ``recordings``, whose column ``outcome`` counts what became a sequence or clip."""
-        found = cls({})
-        for batch in recordings:
-            for row in batch.select(["recording_id", "status", "message", outcome]).to_pylist():
-                if row["status"] == "read":
-                    found.yields[row["recording_id"]] = row[outcome]
-                else:
-                    found.reasons[row["recording_id"]] = f"{row['status']}: {row['message']}"
-        return found
+def _held(recordings: Iterable[pa.RecordBatch], outcome: str) -> tuple[dict[str, int], dict[str, str]]:
+    """Return the sequences (of a corpus: clips) of every recording that was read, and why others were left out."""
+    yields: dict[str, int] = {}
+    reasons: dict[str, str] = {}
+    for batch in recordings:
+        for row in batch.select(["recording_id", "status", "message", outcome]).to_pylist():
+            if row["status"] == "read":
+                yields[row["recording_id"]] = row[outcome]
+            else:
+                reasons[row["recording_id"]] = f"{row['status']}: {row['message']}"
+    return yields, reasons
 
 
 def require_no_loss(
-    folder: Path, marker: str, new: Holdings, *, outcome: str, what: str, incomplete: Collection[str] = ()
+    folder: Path,
+    marker: str,
+    recordings: Iterable[pa.RecordBatch],
+    *,
+    outcome: str,
+    what: str,
+    incomplete: Collection[str] = (),
 ) -> None:
     """Refuse to replace what stands in a folder by something that holds less.
 
@@ -197,7 +180,7 @@ def require_no_loss(
     Args:
         folder: Where the new one would stand.
         marker: Name of the file that describes what stands there.
-        new: What the new one holds.
+        recordings: Rows of ``recordings`` of the new one.
         outcome: Column of ``recordings`` that counts its sequences or clips.
         what: What these are called.
         incomplete: Recordings of the new one of which a part could not be read, or a file ends early.
@@ -207,42 +190,40 @@ def require_no_loss(
     """
     if not (folder / marker).is_file():
         return
-    after = sum(new.yields.values())
-    holds = f"{len(new.yields)} with {after}"
+    new, reasons = _held(recordings, outcome)
+    holds = f"{len(new)} with {sum(new.values())}"
     try:
         columns = ["recording_id", "status", "message", outcome]
         tables = [read_parquet(path, columns) for path in table_parts(folder, "recordings")]
     except TableError:
         # What cannot be listed cannot be compared. A complete build mends it, as long as that does not go wrong itself.
         before = counts_stated(folder / marker).get("recordings_read", 0)
-        failed = any(reason.startswith("failed") for reason in new.reasons.values())
-        if new.yields and not failed and len(new.yields) >= before:
+        failed = any(reason.startswith("failed") for reason in reasons.values())
+        if new and not failed and len(new) >= before:
             return
+        lost = reasons
         counts = (
             f"its recordings cannot be listed (by {marker} {before or 'an unknown number of'} were read), and the new"
             f" one holds {holds} {what}"
         )
-        raise RecordingsWouldBeLost(_message(folder, counts, new.reasons)) from None
-    old = Holdings.of(pa.concat_tables(tables).to_batches(), outcome).yields
-    lost = {name: new.reasons.get(name, "not found") for name in old if name not in new.yields}
-    for name in sorted(set(incomplete) & old.keys() & new.yields.keys()):
-        if new.yields[name] < old[name]:
-            lost[name] = f"{new.yields[name]} of {old[name]} {what}: a part of it is missing or ends early"
-    before = sum(old.values())
-    if lost or (before and not after):
+    else:
+        old, _ = _held(pa.concat_tables(tables).to_batches(), outcome)
+        lost = {name: reasons.get(name, "not found") for name in old if name not in new}
+        for name in sorted(set(incomplete) & old.keys() & new.keys()):
+            if new[name] < old[name]:
+                lost[name] = f"{new[name]} of {old[name]} {what}: a part of it is missing or ends early"
+        before = sum(old.values())
+        if not lost and (not before or any(new.values())):
+            return
         counts = f"it holds {len(old)} recordings with {before} {what}, the new one {holds}"
-        raise RecordingsWouldBeLost(_message(folder, counts, lost))
-
-
-def _message(folder: Path, counts: str, lost: dict[str, str]) -> str:
-    names = "; ".join(f"{clean(name)} ({quoted(lost[name], longest=_LONGEST_REASON)})" for name in list(lost)[:_SHOWN])
-    more = f"; and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
-    told = f" Would be lost: {names}{more}." if names else ""
-    return (
+    named = [f"{clean(name)} ({quoted(lost[name], longest=_LONGEST_REASON)})" for name in list(lost)[:_SHOWN]]
+    more = [f"and {len(lost) - _SHOWN} more"] if len(lost) > _SHOWN else []
+    told = f" Would be lost: {'; '.join(named + more)}." if named else ""
+    raise RecordingsWouldBeLost(
         f"{folder}: not replaced: {counts}.{told} What stands there is untouched, and finished parts are kept."
         " Is all of the data there (`prbench inspect`)? Then run the same command again; with `--replace` to replace"
         " it all the same, or with another --out to have both."
-    )
+    ) from None
 
 
 _ROW_GROUP_ROWS = 256
@@ -261,9 +242,12 @@ def write_table(path: Path, batches: Iterable[pa.RecordBatch], schema: pa.Schema
     Returns:
         The number of rows.
     """
+    rows = 0
     with atomic_path(path) as temporary:
-        writer = _PartWriter(temporary, with_metadata(schema, protocol_version=protocol_version))
-        rows = sum(writer.append(batch) for batch in batches)
+        writer = _PartWriter(temporary, with_metadata(schema, protocol_version=protocol_version), _ROW_GROUP_ROWS)
+        for batch in batches:
+            rows += batch.num_rows
+            writer.append(batch)
         writer.close()
     return rows
 
@@ -297,7 +281,8 @@ def write_table_in_parts(
                 writer.close()
                 writer = _PartWriter(temporary / f"part-{count:05d}.parquet", schema, row_group_rows)
                 count += 1
-            rows += writer.append(batch)
+            rows += batch.num_rows
+            writer.append(batch)
         writer.close()
     if count == 1:
         (parts / "part-00000.parquet").replace(single)
@@ -310,20 +295,23 @@ def write_table_in_parts(
 class _PartWriter:
     """One Parquet file, filled in row groups of a fixed number of rows whatever the size of the batches."""
 
-    def __init__(self, path: Path, schema: pa.Schema, row_group_rows: int = _ROW_GROUP_ROWS) -> None:
+    def __init__(self, path: Path, schema: pa.Schema, row_group_rows: int) -> None:
         self._schema = schema
         self._row_group_rows = row_group_rows
         self._pending: list[pa.RecordBatch] = []
         self._pending_rows = 0
         self._file = open(path, "wb")  # noqa: SIM115 - closed in close()
+        leaves = [leaf for field in schema for leaf in _leaf_paths(field.name, field.type)]
+        others = [leaf for leaf, kind in leaves if not pa.types.is_floating(kind)]
+        floats = [leaf for leaf, kind in leaves if pa.types.is_floating(kind)]
         self._writer = pq.ParquetWriter(
             self._file,
             schema,
             compression="zstd",
             compression_level=1,
-            use_dictionary=_leaves(schema, floating=False),  # type: ignore[arg-type] - the stub knows bool only
-            column_encoding=dict.fromkeys(_leaves(schema, floating=True), "BYTE_STREAM_SPLIT"),
-            write_statistics=_leaves(schema, floating=False),  # type: ignore[arg-type]
+            use_dictionary=others,  # type: ignore[arg-type] - the stub knows bool only
+            column_encoding=dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
+            write_statistics=others,  # type: ignore[arg-type]
             write_page_checksum=True,
         )
 
@@ -332,13 +320,12 @@ class _PartWriter:
         """Bytes in the file so far, whole row groups only."""
         return self._file.tell()
 
-    def append(self, batch: pa.RecordBatch) -> int:
-        """Take up rows; complete row groups go to the file. Return the number of rows."""
+    def append(self, batch: pa.RecordBatch) -> None:
+        """Take up rows; complete row groups go to the file."""
         self._pending.append(batch)
         self._pending_rows += batch.num_rows
         if self._pending_rows >= self._row_group_rows:
             self._flush(everything=False)
-        return batch.num_rows
 
     def close(self) -> None:
         """Write what is pending and the footer."""
@@ -356,13 +343,8 @@ class _PartWriter:
         self._pending_rows = table.num_rows - rows
 
 
-def _leaves(schema: pa.Schema, *, floating: bool) -> list[str]:
-    """Parquet names of the leaf columns that hold floats, or of all the others."""
-    leaves = [leaf for field in schema for leaf in _leaf_paths(field.name, field.type)]
-    return [path for path, kind in leaves if pa.types.is_floating(kind) is floating]
-
-
 def _leaf_paths(path: str, kind: pa.DataType) -> list[tuple[str, pa.DataType]]:
+    """Return the Parquet names of the leaf columns of a column, and their types."""
     if pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
         return _leaf_paths(f"{path}.list.element", kind.value_type)
     if pa.types.is_struct(kind):
@@ -405,8 +387,8 @@ def write_dataset(
     require_replaceable(folder, FILE_NAME, kind="dataset")
     recordings = list(recordings)
     if not replace:
-        new = Holdings.of(recordings, "sequence")
-        require_no_loss(folder, FILE_NAME, new, outcome="sequence", what="sequences", incomplete=incomplete)
+        lost = {"outcome": "sequence", "what": "sequences", "incomplete": incomplete}
+        require_no_loss(folder, FILE_NAME, recordings, **lost)
     tables = {"sequences": sequences, "events": events, "recordings": recordings}
     schemas = dict(DATASET_TABLES)
     boxes = [batch for batch in scenes if batch.num_rows]

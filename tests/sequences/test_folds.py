@@ -91,8 +91,8 @@ def test_merged_folds_are_the_scores_of_all_sequences(table, folds, tmp_path, ca
     merged = merge_folds(paths[::-1]).summary
     assert merged.sequences == table.scalars().num_rows
     assert merged.split == "3 folds"
-    report = reported(["merge", *map(str, paths), "--out", str(tmp_path / "merged")], capsys)
-    assert (report.kind, report.folds.sequences) == ("folds", merged.sequences)
+    (run,) = reported(["merge", *map(str, paths), "--out", str(tmp_path / "merged")], capsys, kind="of runs").runs
+    assert run.datasets[0].sequences == merged.sequences
     with pytest.raises(RunError, match="fold 1/3 is that of"):
         merge_folds([paths[0], paths[0]])
     with pytest.raises(RunError, match="each of the 3 folds, found none of 2"):
@@ -113,9 +113,10 @@ def test_merged_folds_are_the_scores_of_all_sequences(table, folds, tmp_path, ca
 
 def test_the_command_says_who_is_tested_on(table, tmp_path, capsys):
     words = ["split-dataset", str(table.folder), "--fold", "2/3", "--out", str(tmp_path / "two")]
-    report = reported(words, capsys)
-    assert report.tested == sorted(_tested(SequenceTable.open(tmp_path / "two"), "participant_id"))
-    assert sum(report.sequences.values()) == table.scalars().num_rows
+    assert reported(words, capsys).options["participant_fold"] == "2/3"
+    assert main(words) == 0
+    tested = sorted(_tested(SequenceTable.open(tmp_path / "two"), "participant_id"))
+    assert f"tested on: {', '.join(tested)}" in capsys.readouterr().out
     refused([*words[:3], "half", *words[4:]], capsys, code=UsageError.exit_code, message="expected K/N")
 
 
@@ -173,7 +174,7 @@ def test_an_experiment_may_be_of_a_fold(table, fold_runs, tmp_path):
 def test_merged_scores_stand_beside_others_and_are_held_against_their_runs(table, fold_runs, tmp_path, capsys):
     out = tmp_path / "merged"
     merge = ["merge", *map(str, fold_runs), "--out", str(out)]
-    assert reported(merge, capsys).kind == "folds"
+    assert len(reported(merge, capsys, kind="of runs").runs) == 1
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     assert main(merge) == 0, "the same again changes nothing"
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from prbench.errors import RecordingsWouldBeLost
@@ -14,34 +15,28 @@ from prbench.sequences.corpus import CorpusRecord, corpus_recording_batch, write
 from prbench.sequences.dataset_info import CORPUS_FILE, FILE_NAME
 from prbench.sequences.parts import plain
 from prbench.sequences.sequence import recording_batch
-from prbench.sequences.write import Holdings, require_no_loss
+from prbench.sequences.write import require_no_loss
 from tests.adapters.training.tables import corpus_table
 from tests.curation.sources import folder_bytes
 from tests.fakes import fake_dataset
 
 
-def holdings(**yields: int) -> Holdings:
+def holdings(**yields: int) -> list[pa.RecordBatch]:
     records = [
         Recording(name, "P0", "train", name, 60.0, {"sequence": number}, "read", "") for name, number in yields.items()
     ]
     failed = Recording("never", "P0", "train", "never", 0.0, {}, "failed", "b.csv: cut off")
-    return Holdings.of([recording_batch(records), recording_batch([failed])], "sequence")
+    return [recording_batch(records), recording_batch([failed])]
 
 
-def refused(folder: Path, new: Holdings, *incomplete: str) -> str:
+def refused(folder: Path, new: list[pa.RecordBatch], *incomplete: str) -> str:
     with pytest.raises(RecordingsWouldBeLost) as error:
         require_no_loss(folder, FILE_NAME, new, outcome="sequence", what="sequences", incomplete=incomplete)
     return str(error.value)
 
 
-def allow(folder: Path, new: Holdings, *incomplete: str) -> None:
+def allow(folder: Path, new: list[pa.RecordBatch], *incomplete: str) -> None:
     require_no_loss(folder, FILE_NAME, new, outcome="sequence", what="sequences", incomplete=incomplete)
-
-
-def test_rows_of_recordings_tell_what_a_table_holds() -> None:
-    held = holdings(a=3, b=0)
-    assert held.yields == {"a": 3, "b": 0}
-    assert held.reasons == {"never": "failed: b.csv: cut off"}
 
 
 def test_fewer_sequences_of_whole_recordings_are_a_choice_of_options_and_no_loss(tmp_path) -> None:

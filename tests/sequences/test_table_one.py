@@ -78,8 +78,3 @@ def test_gaze_on_the_goal_has_no_shift_and_invalid_gaze_does_not_count(tmp_path)
     first_bin = int(np.floor((-row.preroll + 2.0) / 0.1 + 1e-6))
     assert np.isnan(median[first_bin])
     assert np.isfinite(median[first_bin + 3])
-
-
-def test_a_deviation_is_counted_in_published_standard_deviations(tmp_path) -> None:
-    statistics = table_statistics(fake_dataset(tmp_path / "t", n=3))
-    assert statistics.deviation("body_movement", load_table_one()["adt"].body_movement) == pytest.approx(-0.23 / 1.28)
