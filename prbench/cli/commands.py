@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import shlex
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -35,23 +35,29 @@ Report = type | str | list | Mapping[str, Any] | None
 
 @dataclass
 class Session:
-    """One call of the command line: how much it says, and what it has said beside its report."""
+    """One call of the command line: how much it says, and what it has said beside its report.
+
+    Attributes:
+        quiet: Neither notes nor progress are shown.
+        verbose: Every finished item is a line, a user's error has its traceback, and the end tells time and memory.
+        as_json: The report is printed as JSON.
+        from_shell: The command line was not called as a function, so that nobody but the shell sees how it ends.
+        resumes: The chosen command takes up what an interruption has left.
+        command: Name of the chosen command, such as ``leaderboard export``.
+        report_file: The report is also written to this file.
+        notes: What was said beside the report.
+        shown_place: Shows URLs in place of their local copies.
+    """
 
     quiet: bool = False
-    """Neither notes nor progress are shown."""
     verbose: bool = False
-    """Every finished item is a line, a user's error has its traceback, and the end tells time and memory."""
     as_json: bool = False
     from_shell: bool = False
-    """The command line was not called as a function, so that nobody but the shell sees how it ends."""
     resumes: bool = False
-    """The chosen command takes up what an interruption has left."""
     command: str = ""
-    """Name of the chosen command, such as ``leaderboard export``."""
     report_file: Path | Remote | None = None
     notes: list[str] = field(default_factory=list)
     shown_place: Callable[[str], str] = str
-    """Shows URLs in place of their local copies."""
 
 
 @dataclass(frozen=True)
@@ -116,10 +122,13 @@ class Command(click.Command):
         self.resumes = resumes
         self.report = report
         if report is not None:
-            self.params.append(_json_option())
+            as_json = "Print the report as JSON (docs/json.md describes it); notes stay on standard error."
+            self.params.append(_shared_option(["--json", "as_json"], as_json, is_flag=True, is_eager=True))
         if writes_report:
-            self.params.append(_report_file_option())
-        self.params += [_quiet_option(), _verbose_option()]
+            to_file = "Write the report as JSON to this file, too."
+            place = PlaceType("file", dir_okay=False)
+            self.params.append(_shared_option(["--out", "report_file"], to_file, type=place, metavar="FILE"))
+        self.params += _telling_options()
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the words; one option may be followed by several values, as in ``--data A B``."""
@@ -135,10 +144,9 @@ class Command(click.Command):
         now = session()
         now.command = " ".join(ctx.command_path.split()[1:])
         now.resumes = self.resumes
-        return self._invoke_on_copies(ctx, now) if has_urls(ctx.params) else super().invoke(ctx)
-
-    def _invoke_on_copies(self, ctx: click.Context, now: Session) -> Any:
-        """Run the command on local copies of what lies at URLs."""
+        if not has_urls(ctx.params):
+            return super().invoke(ctx)
+        # Run on local copies of what lies at URLs.
         with local_places(ctx.params, note) as places:
             ctx.params = places.values
             now.shown_place = places.renamed
@@ -187,6 +195,7 @@ class Group(click.Group):
         section: As that of :class:`Command`.
         renamed: Former command lines, without ``prbench``, and what to write in their place.
         plugins: Entry-point group whose commands stand beside those of ``sections``; empty for none.
+        closing: Text at the end of its help.
         settings: Of :class:`click.Group`.
     """
 
@@ -199,6 +208,7 @@ class Group(click.Group):
         section: str = "",
         renamed: Mapping[str, str] | None = None,
         plugins: str = "",
+        closing: str = "",
         **settings: Any,
     ) -> None:
         super().__init__(name, **settings)
@@ -207,7 +217,8 @@ class Group(click.Group):
         self.section = section
         self.renamed = renamed or {}
         self.plugins = plugins
-        self.params += [_quiet_option(), _verbose_option()]
+        self.closing = closing
+        self.params += _telling_options()
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands, section by section, those that cannot be loaded left out."""
@@ -299,6 +310,8 @@ class Group(click.Group):
         """Write the example, folded as a shell reads it."""
         if self.example:
             _write_example(self.example, formatter)
+        if self.closing:
+            formatter.write(f"\n{self.closing}")
 
     def walk(self, ctx: click.Context) -> Iterator[tuple[str, click.Command]]:
         """Yield every command of the group and of the groups in it, with its name, such as ``leaderboard export``."""
@@ -315,59 +328,23 @@ def summary(command: click.Command | None) -> str:
     return (command.help or "").partition("\n\n")[0].replace("\n", " ").rstrip(".") if command else ""
 
 
-def command(
-    name: str,
-    *,
-    example: str,
-    resumes: bool = False,
-    report: Report = None,
-    writes_report: bool = False,
-    section: str = "",
-    first: Collection[str] = (),
-) -> Callable[[Callable[..., Any]], Command]:
-    """Turn a function into a :class:`Command`; its docstring becomes the help, its parameters are the options."""
-    return click.command(
-        name,
-        cls=Command,
-        example=example,
-        resumes=resumes,
-        report=report,
-        writes_report=writes_report,
-        section=section,
-        first=first,
-        context_settings={"max_content_width": _WIDEST_HELP},
-    )
+def command(name: str, *, example: str, **settings: Any) -> Callable[[Callable[..., Any]], Command]:
+    """Turn a function into a :class:`Command`; its docstring becomes the help, its parameters are the options.
 
-
-def folded_command(line: str, width: int) -> list[str]:
-    """Fold a command line into lines of at most ``width`` columns, each but the last ending in a backslash.
-
-    An option stays beside its value.
+    Args:
+        name: What it is called by.
+        example: A command line of it.
+        settings: Of :class:`Command`.
     """
-    lines: list[str] = []
-    current = " "
-    for part in _options_with_values(shlex.split(line, posix=False)):
-        if len(f"{current} {part} \\") > width and current.strip():
-            lines.append(f"{current} \\")
-            current = "     "
-        current += f" {part}"
-    return [*lines, current]
-
-
-def _options_with_values(words: Sequence[str]) -> list[str]:
-    """Join each option to the word behind it, unless that is an option itself."""
-    parts: list[str] = []
-    for word in words:
-        if parts and parts[-1].startswith("-") and " " not in parts[-1] and not word.startswith("-"):
-            parts[-1] += f" {word}"
-        else:
-            parts.append(word)
-    return parts
+    widest = {"max_content_width": _WIDEST_HELP}
+    return click.command(name, cls=Command, example=example, context_settings=widest, **settings)
 
 
 def _write_example(example: str, formatter: click.HelpFormatter) -> None:
-    formatter.write("\nexample:\n")
-    formatter.write("".join(f"{line}\n" for line in folded_command(example, formatter.width)))
+    """Write a command line, folded as a shell reads it."""
+    settings = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": "      "}
+    lines = textwrap.wrap(example, formatter.width - 2, initial_indent="  ", **settings)
+    formatter.write("\nexample:\n" + " \\\n".join(lines) + "\n")
 
 
 def _one_value_an_option(words: Sequence[str], several: set[str]) -> list[str]:
@@ -389,56 +366,23 @@ def _one_value_an_option(words: Sequence[str], several: set[str]) -> list[str]:
     return result
 
 
-def _set(attribute: str) -> Callable[[click.Context, click.Parameter, Any], None]:
-    """Make a callback that stores an option's value in the session, if the option is given."""
+def _shared_option(words: list[str], help: str, **settings: Any) -> click.Option:
+    """Make an option of all commands, whose value goes to the session."""
 
-    def store(ctx: click.Context, _: click.Parameter, value: Any) -> None:
+    def store(ctx: click.Context, parameter: click.Parameter, value: Any) -> None:
         if value:
-            setattr(ctx.ensure_object(Session), attribute, value)
+            setattr(ctx.ensure_object(Session), str(parameter.name), value)
 
-    return store
-
-
-def _quiet_option() -> click.Option:
-    return click.Option(
-        ["-q", "--quiet"],
-        is_flag=True,
-        expose_value=False,
-        callback=_set("quiet"),
-        help="Show neither notes nor progress, only the result and errors.",
-    )
+    return click.Option(words, help=help, expose_value=False, callback=store, **settings)
 
 
-def _verbose_option() -> click.Option:
-    return click.Option(
-        ["-v", "--verbose"],
-        is_flag=True,
-        expose_value=False,
-        callback=_set("verbose"),
-        help="Show every finished item, the traceback of an error, and time and memory at the end.",
-    )
-
-
-def _json_option() -> click.Option:
-    return click.Option(
-        ["--json", "as_json"],
-        is_flag=True,
-        expose_value=False,
-        is_eager=True,
-        callback=_set("as_json"),
-        help="Print the report as JSON (docs/json.md describes it); notes stay on standard error.",
-    )
-
-
-def _report_file_option() -> click.Option:
-    return click.Option(
-        ["--out", "report_file"],
-        type=PlaceType("file", dir_okay=False),
-        metavar="FILE",
-        expose_value=False,
-        callback=_set("report_file"),
-        help="Write the report as JSON to this file, too.",
-    )
+def _telling_options() -> list[click.Option]:
+    quiet = "Show neither notes nor progress, only the result and errors."
+    verbose = "Show every finished item, the traceback of an error, and time and memory at the end."
+    return [
+        _shared_option(["-q", "--quiet"], quiet, is_flag=True),
+        _shared_option(["-v", "--verbose"], verbose, is_flag=True),
+    ]
 
 
 _SECONDS_BETWEEN_LINES = 5.0
@@ -448,27 +392,21 @@ _SECONDS_BETWEEN_LINES = 5.0
 def progress(description: str) -> Iterator[ProgressCallback]:
     """Show the progress of one piece of work while the block runs: each item as a line with ``--verbose``."""
     now = session()
+    last_line = 0.0
+
+    def line(done: int, total: int, last: str) -> None:
+        nonlocal last_line
+        time_now = time.monotonic()
+        if now.verbose or done == total or time_now - last_line >= _SECONDS_BETWEEN_LINES:
+            last_line = time_now
+            print(f"{description}: {done}/{total} {clean(last)}".rstrip(), file=sys.stderr, flush=True)
+
     if now.quiet:
         yield lambda *_: None
-    elif now.verbose:
-        yield _lines(description, seconds_between=0.0)
-    elif sys.stderr.isatty():
+    elif now.verbose or not sys.stderr.isatty():
+        yield line
+    else:
         from prbench.cli.terminal import console
 
         with progress_bar(description, console(stderr=True)) as callback:
             yield callback
-    else:
-        yield _lines(description, seconds_between=_SECONDS_BETWEEN_LINES)
-
-
-def _lines(description: str, *, seconds_between: float) -> ProgressCallback:
-    last_line = 0.0
-
-    def callback(done: int, total: int, last: str) -> None:
-        nonlocal last_line
-        now = time.monotonic()
-        if done == total or now - last_line >= seconds_between:
-            last_line = now
-            print(f"{description}: {done}/{total} {clean(last)}".rstrip(), file=sys.stderr, flush=True)
-
-    return callback

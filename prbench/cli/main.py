@@ -89,18 +89,12 @@ _RENAMED = {
 """Commands of earlier versions, and how to write them now."""
 
 
-class _Program(Group):
-    """The whole command line."""
-
-    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        formatter.write(f"\n{_EXAMPLES}")
-
-
-program = _Program(
+program = Group(
     "prbench",
     sections=_COMMANDS,
     renamed=_RENAMED,
     plugins=COMMANDS,
+    closing=_EXAMPLES,
     help="Prime-and-reach motion benchmark: curate sequences, run motion generators, score them.",
     context_settings={"max_content_width": 100},
 )
@@ -194,18 +188,6 @@ def _tell_cost(seconds: float) -> None:
     )
 
 
-class Failure(msgspec.Struct, frozen=True, kw_only=True):
-    """Why a command gave no report.
-
-    Attributes:
-        kind: Class of the error, such as ``TableError``.
-        message: What was expected and found, and what to do.
-    """
-
-    kind: str
-    message: str
-
-
 class Document(msgspec.Struct, frozen=True, kw_only=True):
     """The envelope around every report.
 
@@ -215,7 +197,8 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
         exit_code: What the command ended with.
         notes: What the command said beside its report, on standard error.
         report: The command's report; its shape is described below, command by command; null if there is an error.
-        error: Why there is no report; null if there is one.
+        error: Why there is no report: ``kind``, the class of the error such as ``TableError``, and ``message``: what
+            was expected and found, and what to do; null if there is a report.
     """
 
     prbench: str
@@ -223,7 +206,7 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     exit_code: int
     notes: list[str]
     report: Any
-    error: Failure | None
+    error: dict[str, str] | None
 
 
 def document_of(result: Answer | PrbenchError, now: Session) -> Document:
@@ -235,7 +218,7 @@ def document_of(result: Answer | PrbenchError, now: Session) -> Document:
         exit_code=result.exit_code,
         notes=now.notes,
         report=None if failed else result.report,
-        error=Failure(kind=type(result).__name__, message=str(result)) if failed else None,
+        error={"kind": type(result).__name__, "message": str(result)} if failed else None,
     )
 
 

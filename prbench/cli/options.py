@@ -1,21 +1,15 @@
 """Options that several commands share: the same name has the same meaning in every command.
 
-What the commands that work in shards share: ``--shard K/N``, and the report of one shard.
-
-The engine that a command's user has chosen, closed when the command ends.
-
-What commands share that read finished runs: the tables that they are held against, and what was left out.
-
-The embedded synthetic datasets, which commands take that are given no other.
+Beside them stand what commands do with these options: the report of a shard, the engine that is closed when the command
+ends, tables that finished runs are held against, and the embedded synthetic datasets.
 """
 
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
@@ -34,60 +28,23 @@ if TYPE_CHECKING:
     from prbench.engine.shards import Shard
     from prbench.harness.verification import RunChecker
 
-
 CONDITIONS = tuple(default_benchmark().conditions)
 """Conditions that a method of the default benchmark can be given."""
 ALL_CONDITIONS = tuple(name for about in benchmarks().values() for name in about.conditions)
-"""Conditions of all benchmarks."""
 FIRST_RUN_SEQUENCES = 10
-"""Limit of a run on the embedded datasets, of each (``prbench.harness.first_run``); spelt out for the same reason."""
+"""Limit of a run on the embedded datasets, of each (``prbench.harness.first_run``); spelt out for quick help."""
 SPLITS = ("train", "validation", "test")
+PARTICIPANTS = "participants"
+"""Value of ``--split`` that goes with ``--fold``."""
 PUBLISHED = "published"
 """Value of ``--split`` that means the test split of a published evaluation, where windows have one."""
-PATH = PlaceType("input")
-"""Of a file or folder that is read."""
-LOCAL_PATH = PlaceType("local")
-"""Of one that has to lie on this machine."""
-NATIVE = PlaceType("native")
-"""Of a folder with a dataset's own files."""
-_OUT_FOLDER = PlaceType("folder")
+PATH = PlaceType("input")  # of a file or folder that is read
+LOCAL_PATH = PlaceType("local")  # of one that has to lie on this machine
+NATIVE = PlaceType("native")  # of a folder with a dataset's own files
 OUT_FILE = PlaceType("file")
-"""Of a file that is written."""
-
-_Function = TypeVar("_Function", bound=Callable[..., Any])
-_Decorator = Callable[[_Function], _Function]
-
-
-class _Above(click.ParamType):
-    """A number that has to be large enough.
-
-    Args:
-        name: Shown in help.
-        kind: ``int`` or ``float``.
-        least: Smallest value, or for floats the value that it must exceed.
-        expected: What is expected, for messages.
-    """
-
-    def __init__(self, name: str, kind: type, least: int, expected: str) -> None:
-        self.name = name
-        self._kind = kind
-        self._least = least
-        self._expected = expected
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int | float:
-        """Parse the number."""
-        try:
-            number = self._kind(value)
-        except ValueError:
-            number = math.nan
-        fits = number >= self._least if self._kind is int else self._least < number < math.inf
-        if not fits:
-            self.fail(f"expected {self._expected}, found '{value}'.", param, ctx)
-        return number
-
-
-POSITIVE = _Above("number", int, 1, "a whole number of at least 1")
-SECONDS = _Above("seconds", float, 0, "seconds above 0")
+_OUT_FOLDER = PlaceType("folder")
+POSITIVE = click.IntRange(min=1)
+SECONDS = click.FloatRange(min=0, min_open=True)
 """A time limit."""
 
 
@@ -105,16 +62,6 @@ class KeyValue(click.ParamType):
             self.fail(f"expected key=value, found '{value}'.", param, ctx)
         return key, text
 
-    def __repr__(self) -> str:
-        return "KEY=VALUE"
-
-
-benchmark_option = click.option(
-    "--benchmark",
-    type=click.Choice(list(benchmarks())),
-    help=f"What is asked of the method (default {default_benchmark().name}).",
-)
-
 
 def usual_number(of: str) -> str:
     """Return the usual number of answers or cases a batch, of each benchmark that has another than the default one."""
@@ -128,222 +75,21 @@ def conditions_by_benchmark() -> str:
     return "; ".join(f"{', '.join(about.conditions)} with {about.name}" for about in benchmarks().values())
 
 
-def data_option(*, required: bool, help: str = "Built dataset folder(s).") -> _Decorator:
-    """Add ``--data DIR…``, repeatable."""
-    return click.option("--data", cls=SeveralValues, type=PATH, metavar="DIR...", required=required, help=help)
-
-
+benchmark_option = click.option(
+    "--benchmark",
+    type=click.Choice(list(benchmarks())),
+    help=f"What is asked of the method (default {default_benchmark().name}).",
+)
 data_arguments = click.argument("data", type=PATH, nargs=-1, required=True, metavar="DIR...")
 """One built dataset folder or more."""
-
-
-def out_folder_option(help: str, *, required: bool = False) -> _Decorator:
-    """Add ``--out DIR``, the folder that the command writes."""
-    return click.option("--out", type=_OUT_FOLDER, metavar="DIR", required=required, help=help)
-
-
-def out_file_option(help: str, *, required: bool = False, metavar: str = "FILE") -> _Decorator:
-    """Add ``--out FILE``, the file that the command writes."""
-    return click.option("--out", type=OUT_FILE, metavar=metavar, required=required, help=help)
-
-
-def workers_option(default: int | None = 1, *, help: str = "") -> _Decorator:
-    """Add ``--workers N``; results do not depend on it."""
-    return click.option(
-        "--workers",
-        type=POSITIVE,
-        default=default,
-        metavar="N",
-        help=help or f"Processes to use (default {default}); changes no result.",
-    )
-
-
-def engine_options(usual: int = 1, *, help: str = "", of: str = "") -> _Decorator:
-    """Add where work runs: ``--workers``, ``--engine``, ``--address`` …; the command gets one value, ``engine``.
-
-    Args:
-        usual: Workers on this machine where ``--workers`` is not given.
-        help: What ``--workers`` says in place of the default.
-        of: What the workers do, where a command does more than that.
-    """
-
-    def add(function: _Function) -> _Function:
-        @functools.wraps(function)
-        def with_choice(**given: Any) -> Any:
-            chosen = {name: given.pop(name) for name in ("workers", "address", "gpus_per_worker", "spill_limit")}
-            if given.pop("engine") == RAY:
-                return function(**given, engine=Cluster(**chosen))
-            if chosen["address"] is not None or chosen["gpus_per_worker"]:
-                raise UsageError("--address and --gpus-per-worker belong to --engine ray; add it, or leave them out.")
-            return function(**given, engine=chosen["workers"])
-
-        said = help or f"Processes to use{of} (default {usual}; with --engine ray all processors); changes no result."
-        for option in (
-            click.option(
-                "--spill-limit",
-                type=click.FloatRange(min=0, min_open=True),
-                default=DEFAULT_SPILL_LIMIT_GB,
-                metavar="GB",
-                help="With ray: work that may wait in Ray's memory, and be spilled to its disk, at a time"
-                f" (default {DEFAULT_SPILL_LIMIT_GB:g}).",
-            ),
-            click.option(
-                "--gpus-per-worker",
-                type=click.FloatRange(min=0),
-                default=0.0,
-                metavar="N",
-                help="With ray: GPUs that a worker occupies, for example 0.5 (default 0).",
-            ),
-            click.option(
-                "--address",
-                metavar="HOST:PORT",
-                help="With ray: the cluster's head, or auto (default: RAY_ADDRESS, else a Ray on this machine alone).",
-            ),
-            click.option(
-                "--engine",
-                type=click.Choice([LOCAL, RAY]),
-                default=LOCAL,
-                help="Where to work: here (default), or on a Ray cluster, such as --engine ray --address 10.0.0.1:6379"
-                " (docs/ray.md); changes no result.",
-            ),
-            workers_option(None, help=said),
-        ):
-            with_choice = option(with_choice)
-        return cast("_Function", with_choice)
-
-    return add
-
-
-def split_option(default: str | None = "test", *, help: str = "") -> _Decorator:
-    """Add ``--split``; the test split unless another is named."""
-    return click.option(
-        "--split", type=click.Choice(SPLITS), default=default, help=help or f"Split of the table (default {default})."
-    )
-
-
-PARTICIPANTS = "participants"
-"""Value of ``--split`` that goes with ``--fold``."""
-
-
-def fold_options(split: str | None = "test", *, more_splits: tuple[str, ...] = ()) -> _Decorator:
-    """Add ``--split``, which also takes ``participants``, and ``--fold K/N``.
-
-    Args:
-        split: Default of ``--split``; None for a command that takes ``participants`` alone.
-        more_splits: Further values.
-    """
-    choices = [PARTICIPANTS] if split is None else [*SPLITS, PARTICIPANTS, *more_splits]
-    default = "" if split is None else f"Split of the table (default {split}); "
-    if PUBLISHED in more_splits:
-        default += "published: the published test windows of motion-prediction; "
-
-    def add(function: _Function) -> _Function:
-        folded = click.option(
-            "--fold",
-            metavar="K/N",
-            help="With --split participants: the fold to test on, such as 2/6 (`prbench split-dataset`).",
-        )(function)
-        return click.option(
-            "--split",
-            type=click.Choice(choices),
-            default=split,
-            help=f"{default}participants: the people of --fold are tested on, all others learnt from.",
-        )(folded)
-
-    return add
-
-
-def limit_option(default: str = "all") -> _Decorator:
-    """Add ``--limit N`` sequences of each dataset; equal limits mean the same sequences in every command."""
-    return click.option(
-        "--limit",
-        type=POSITIVE,
-        metavar="N",
-        help="At most N sequences of each dataset, of every recording its share, for every command the same"
-        f" (default: {default}).",
-    )
-
-
-def root_option(
-    help: str = "Your copy of the dataset.", *, required: bool = True, type: PlaceType = NATIVE
-) -> _Decorator:
-    """Add ``--root DIR``, a folder with a dataset's own files."""
-    return click.option("--root", type=type, metavar="DIR", required=required, help=help)
-
-
-def count_option(help: str) -> _Decorator:
-    """Add ``--count N``, how many synthetic recordings to make; ``--recordings`` chooses among recordings there are."""
-    return click.option("--count", type=POSITIVE, metavar="N", help=help)
-
-
-def recordings_options(function: _Function) -> _Function:
-    """Add ``--recordings GLOB`` and ``--max-recordings N``, which choose recordings of a copy of a dataset."""
-    by_name = click.option(
-        "--recordings", default="*", metavar="GLOB", help="Only recordings whose name matches (default: all)."
-    )
-    by_number = click.option(
-        "--max-recordings", type=POSITIVE, metavar="N", help="At most N recordings: the first by name."
-    )
-    return by_name(by_number(function))
-
-
-def sequence_option(help: str) -> _Decorator:
-    """Add ``--sequence ID``, repeatable."""
-    return click.option(
-        "--sequence",
-        "sequences",
-        multiple=True,
-        metavar="ID",
-        help=f"{help}; the id, or a beginning, end or part that fits one only; repeatable.",
-    )
-
-
-def option_option(whose: str = "method's", *, metavar: str = "KEY=VALUE", remark: str = "") -> _Decorator:
-    """Add ``--option KEY=VALUE``, repeatable, for a method or a reader."""
-    return click.option(
-        "--option",
-        "options",
-        type=KeyValue(),
-        multiple=True,
-        metavar=metavar,
-        help=f"An option of the {whose}; repeatable{f' ({remark})' if remark else ''}.",
-    )
-
-
-def reader_options(whose: str = "dataset's", *, remark: str = "a wrong name lists them") -> _Decorator:
-    """Add ``--option NAME=VALUE`` for a reader."""
-    return option_option(f"{whose} reader", metavar="NAME=VALUE", remark=remark)
-
-
-def method_settings(function: _Function) -> _Function:
-    """Add what a method is loaded with: ``--weights``, ``--option``, ``--device`` and ``--threads``."""
-    for add in (threads_option, device_option, option_option("method"), weights_option):
-        function = add(function)
-    return function
-
-
 weights_option = click.option(
     "--weights",
     type=PATH,
     metavar="NAME|FILE",
     help="The method's weights: bundled ones by name, a file or a folder.",
 )
-
 device_option = click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1 ….")
-
 threads_option = click.option("--threads", type=POSITIVE, default=1, metavar="N", help="Threads a process (default 1).")
-
-
-def seed_option(of: str, *, default: int | None = 0) -> _Decorator:
-    """Add ``--seed N``."""
-    return click.option("--seed", type=int, default=default, metavar="N", help=f"Seed {of} (default 0).")
-
-
-def control_option(help: str) -> _Decorator:
-    """Add ``--control shuffled-goal``."""
-    return click.option("--control", type=click.Choice(["shuffled-goal"]), help=help)
-
-
 permission_option = click.option(
     "--permission",
     multiple=True,
@@ -354,28 +100,193 @@ permission_option = click.option(
 """The user's word for data whose licence keeps recorded motion."""
 
 
-def protocol_option(help: str) -> _Decorator:
+def data_option(*, required: bool, help: str = "Built dataset folder(s).") -> Callable:
+    """Add ``--data DIR…``, repeatable."""
+    return click.option("--data", cls=SeveralValues, type=PATH, metavar="DIR...", required=required, help=help)
+
+
+tables_option = data_option(
+    required=False,
+    help="The tables of the runs: scores are held against the motions on them, and called unverified without; the"
+    " embedded tables need not be named.",
+)
+
+
+def out_folder_option(help: str, *, required: bool = False) -> Callable:
+    """Add ``--out DIR``, the folder that the command writes."""
+    return click.option("--out", type=_OUT_FOLDER, metavar="DIR", required=required, help=help)
+
+
+def out_file_option(help: str, *, required: bool = False, metavar: str = "FILE") -> Callable:
+    """Add ``--out FILE``, the file that the command writes."""
+    return click.option("--out", type=OUT_FILE, metavar=metavar, required=required, help=help)
+
+
+def workers_option(default: int | None = 1, *, help: str = "") -> Callable:
+    """Add ``--workers N``; results do not depend on it."""
+    help = help or f"Processes to use (default {default}); changes no result."
+    return click.option("--workers", type=POSITIVE, default=default, metavar="N", help=help)
+
+
+_RAY_OPTIONS = (
+    click.option(
+        "--spill-limit",
+        type=SECONDS,
+        default=DEFAULT_SPILL_LIMIT_GB,
+        metavar="GB",
+        help="With ray: work that may wait in Ray's memory, and be spilled to its disk, at a time"
+        f" (default {DEFAULT_SPILL_LIMIT_GB:g}).",
+    ),
+    click.option(
+        "--gpus-per-worker",
+        type=click.FloatRange(min=0),
+        default=0.0,
+        metavar="N",
+        help="With ray: GPUs that a worker occupies, for example 0.5 (default 0).",
+    ),
+    click.option(
+        "--address",
+        metavar="HOST:PORT",
+        help="With ray: the cluster's head, or auto (default: RAY_ADDRESS, else a Ray on this machine alone).",
+    ),
+    click.option(
+        "--engine",
+        type=click.Choice([LOCAL, RAY]),
+        default=LOCAL,
+        help="Where to work: here (default), or on a Ray cluster, such as --engine ray --address 10.0.0.1:6379"
+        " (docs/ray.md); changes no result.",
+    ),
+)
+
+
+def engine_options(usual: int = 1, *, help: str = "", of: str = "") -> Callable:
+    """Add where work runs: ``--workers``, ``--engine``, ``--address`` …; the command gets one value, ``engine``.
+
+    Args:
+        usual: Workers on this machine where ``--workers`` is not given.
+        help: What ``--workers`` says in place of the default.
+        of: What the workers do, where a command does more than that.
+    """
+
+    def add(function: Callable) -> Callable:
+        @functools.wraps(function)
+        def with_choice(**given: Any) -> Any:
+            chosen = {name: given.pop(name) for name in ("workers", "address", "gpus_per_worker", "spill_limit")}
+            if given.pop("engine") == RAY:
+                return function(**given, engine=Cluster(**chosen))
+            if chosen["address"] is not None or chosen["gpus_per_worker"]:
+                raise UsageError("--address and --gpus-per-worker belong to --engine ray; add it, or leave them out.")
+            return function(**given, engine=chosen["workers"])
+
+        said = help or f"Processes to use{of} (default {usual}; with --engine ray all processors); changes no result."
+        for option in (*_RAY_OPTIONS, workers_option(None, help=said)):
+            with_choice = option(with_choice)
+        return with_choice
+
+    return add
+
+
+def split_option(default: str | None = "test", *, help: str = "") -> Callable:
+    """Add ``--split``; the test split unless another is named."""
+    help = help or f"Split of the table (default {default})."
+    return click.option("--split", type=click.Choice(SPLITS), default=default, help=help)
+
+
+def fold_options(split: str | None = "test", *, more_splits: tuple[str, ...] = ()) -> Callable:
+    """Add ``--split``, which also takes ``participants``, and ``--fold K/N``.
+
+    Args:
+        split: Default of ``--split``; None for a command that takes ``participants`` alone.
+        more_splits: Further values.
+    """
+    choices = [PARTICIPANTS] if split is None else [*SPLITS, PARTICIPANTS, *more_splits]
+    said = "" if split is None else f"Split of the table (default {split}); "
+    if PUBLISHED in more_splits:
+        said += "published: the published test windows of motion-prediction; "
+    said += "participants: the people of --fold are tested on, all others learnt from."
+    fold = "With --split participants: the fold to test on, such as 2/6 (`prbench split-dataset`)."
+
+    def add(function: Callable) -> Callable:
+        folded = click.option("--fold", metavar="K/N", help=fold)(function)
+        return click.option("--split", type=click.Choice(choices), default=split, help=said)(folded)
+
+    return add
+
+
+def limit_option(default: str = "all") -> Callable:
+    """Add ``--limit N`` sequences of each dataset; equal limits mean the same sequences in every command."""
+    share = "of every recording its share, for every command the same"
+    help = f"At most N sequences of each dataset, {share} (default: {default})."
+    return click.option("--limit", type=POSITIVE, metavar="N", help=help)
+
+
+def root_option(
+    help: str = "Your copy of the dataset.", *, required: bool = True, type: PlaceType = NATIVE
+) -> Callable:
+    """Add ``--root DIR``, a folder with a dataset's own files."""
+    return click.option("--root", type=type, metavar="DIR", required=required, help=help)
+
+
+def count_option(help: str) -> Callable:
+    """Add ``--count N``, how many synthetic recordings to make; ``--recordings`` chooses among recordings there are."""
+    return click.option("--count", type=POSITIVE, metavar="N", help=help)
+
+
+def recordings_options(function: Callable) -> Callable:
+    """Add ``--recordings GLOB`` and ``--max-recordings N``, which choose recordings of a copy of a dataset."""
+    glob = "Only recordings whose name matches (default: all)."
+    most = "At most N recordings: the first by name."
+    limited = click.option("--max-recordings", type=POSITIVE, metavar="N", help=most)(function)
+    return click.option("--recordings", default="*", metavar="GLOB", help=glob)(limited)
+
+
+def sequence_option(help: str) -> Callable:
+    """Add ``--sequence ID``, repeatable."""
+    help = f"{help}; the id, or a beginning, end or part that fits one only; repeatable."
+    return click.option("--sequence", "sequences", multiple=True, metavar="ID", help=help)
+
+
+def option_option(whose: str = "method's", *, metavar: str = "KEY=VALUE", remark: str = "") -> Callable:
+    """Add ``--option KEY=VALUE``, repeatable, for a method or a reader."""
+    help = f"An option of the {whose}; repeatable{f' ({remark})' if remark else ''}."
+    return click.option("--option", "options", type=KeyValue(), multiple=True, metavar=metavar, help=help)
+
+
+def reader_options(whose: str = "dataset's", *, remark: str = "a wrong name lists them") -> Callable:
+    """Add ``--option NAME=VALUE`` for a reader."""
+    return option_option(f"{whose} reader", metavar="NAME=VALUE", remark=remark)
+
+
+def method_settings(function: Callable) -> Callable:
+    """Add what a method is loaded with: ``--weights``, ``--option``, ``--device`` and ``--threads``."""
+    return weights_option(option_option("method")(device_option(threads_option(function))))
+
+
+def seed_option(of: str, *, default: int | None = 0) -> Callable:
+    """Add ``--seed N``."""
+    return click.option("--seed", type=int, default=default, metavar="N", help=f"Seed {of} (default 0).")
+
+
+def control_option(help: str) -> Callable:
+    """Add ``--control shuffled-goal``."""
+    return click.option("--control", type=click.Choice(["shuffled-goal"]), help=help)
+
+
+def protocol_option(help: str) -> Callable:
     """Add ``--protocol FILE``, a protocol of the user's own."""
     return click.option("--protocol", type=PATH, metavar="FILE", help=f"Your own protocol.toml: {help}")
 
 
-def on_error_option(*, what: str = "a recording", them: str = "it") -> _Decorator:
+def on_error_option(*, what: str = "a recording", them: str = "it") -> Callable:
     """Add ``--on-error skip|fail``."""
-    return click.option(
-        "--on-error",
-        type=click.Choice(["skip", "fail"]),
-        default="skip",
-        help=f"Go on without {what} that cannot be read and name {them} (default), or fail at once.",
-    )
+    help = f"Go on without {what} that cannot be read and name {them} (default), or fail at once."
+    return click.option("--on-error", type=click.Choice(["skip", "fail"]), default="skip", help=help)
 
 
-def replace_option(what: str = "table") -> _Decorator:
+def replace_option(what: str = "table") -> Callable:
     """Add ``--replace``, which loses what an earlier result holds."""
-    return click.option(
-        "--replace",
-        is_flag=True,
-        help=f"Replace an earlier {what} even where the new one lacks recordings that it holds (refused by default).",
-    )
+    help = f"Replace an earlier {what} even where the new one lacks recordings that it holds (refused by default)."
+    return click.option("--replace", is_flag=True, help=help)
 
 
 def complete_method(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:  # noqa: ARG001
@@ -387,13 +298,6 @@ def complete_method(ctx: click.Context, param: click.Parameter, incomplete: str)
     names = {adapter.name for adapter in list_adapters(about.entry_points) if not adapter.problem}
     controls = METHOD_CONTROLS if about.default else ()
     return sorted(name for name in {*names, *controls} if name.startswith(incomplete))
-
-
-def complete_dataset(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:  # noqa: ARG001
-    """Return the datasets that begin with what was typed, for the shell's completion."""
-    from prbench.datasets import readable_datasets
-
-    return sorted(name for name in readable_datasets() if name.startswith(incomplete))
 
 
 class MadeShard(msgspec.Struct, frozen=True, kw_only=True):
@@ -414,7 +318,7 @@ class MadeShard(msgspec.Struct, frozen=True, kw_only=True):
     taken_over: int
 
 
-def shard_option(of: str) -> Callable[[_Function], _Function]:
+def shard_option(of: str) -> Callable:
     """Add ``--shard K/N``.
 
     Args:
@@ -441,7 +345,6 @@ def chosen_shard(text: str | None, **refused: object) -> Shard | None:
     if text is None:
         return None
     from prbench.engine.shards import Shard
-    from prbench.errors import UsageError
 
     shard = Shard.parse(text)
     for name, value in refused.items():
@@ -485,21 +388,12 @@ def opened(choice: EngineChoice, **needs: Any) -> Engine:
     """Open an engine for the rest of the command.
 
     Args:
-        choice: What ``prbench.cli.options.engine_options`` gave the command.
+        choice: What :func:`engine_options` gave the command.
         needs: See :func:`prbench.engine.choice.open_engine`.
     """
     engine = open_engine(choice, **needs, tell=note)
     click.get_current_context().call_on_close(lambda: close_engine(engine))
     return engine
-
-
-def tables_option(function: Callable) -> Callable:
-    """Add ``--data DIR…``: the tables that runs were made on."""
-    return data_option(
-        required=False,
-        help="The tables of the runs: scores are held against the motions on them, and called unverified without; the"
-        " embedded tables need not be named.",
-    )(function)
 
 
 def run_checker(data: Sequence[Path], workers: int) -> RunChecker:
@@ -538,9 +432,9 @@ def embedded_tables(engine: Engine) -> tuple[Path, ...]:
     from prbench.harness.first_run import LAYOUTS, default_folder, default_tables, default_tables_are_built
 
     folder = default_folder()
+    what = f"building {len(LAYOUTS)} small synthetic datasets in {folder} (once)"
     if default_tables_are_built():
-        note(f"no --data given: using the {len(LAYOUTS)} embedded synthetic datasets in {folder}")
-    else:
-        note(f"no --data given: building {len(LAYOUTS)} small synthetic datasets in {folder} (once)")
+        what = f"using the {len(LAYOUTS)} embedded synthetic datasets in {folder}"
+    note(f"no --data given: {what}")
     with progress("building synthetic data") as show:
         return tuple(table.folder for table in default_tables(engine, show, tell=note))

@@ -59,7 +59,7 @@ class PlaceType(click.Path):
         return Remote(url.text, self.use)
 
 
-class Stopped(KeyboardInterrupt):
+class _Stopped(KeyboardInterrupt):
     """SIGTERM, which ends the work as Ctrl-C does, so that finished parts can still be uploaded."""
 
 
@@ -71,14 +71,17 @@ class CommandStopped(PrbenchError):
 
 @dataclass
 class Places:
-    """The paths of a command, and how its URLs are shown in place of them."""
+    """The paths of a command, and how its URLs are shown in place of them.
+
+    Attributes:
+        values: Values of the options, without URLs.
+        shown: Maps the path of each local copy to its URL.
+        finished: Set to False where the command has ended without being done.
+    """
 
     values: dict[str, Any]
-    """Values of the options, without URLs."""
     shown: dict[str, str]
-    """Maps the path of each local copy to its URL."""
     finished: bool = True
-    """Set to False where the command has ended without being done."""
 
     def renamed(self, text: str) -> str:
         """Show URLs in place of their local copies."""
@@ -99,20 +102,35 @@ def local_places(values: Mapping[str, Any], tell: Tell) -> Iterator[Places]:
         CommandStopped: after SIGTERM, where something is written at a URL.
         PrbenchError: whatever fetching and uploading raise, and errors of the block with URLs in place of paths.
     """
+    from prbench.object_stores.inputs import fetched, fetched_native
+    from prbench.object_stores.outputs import written_file, written_folder
+
     places = Places(dict(values), {})
-    writes = any(remote.use in ("folder", "file") for value in values.values() for remote in _remotes(value))
+    outcomes: list[Any] = []
     with contextlib.ExitStack() as held:
-        outcomes: list[Any] = []
-        if writes:
+        if any(remote.use in ("folder", "file") for value in values.values() for remote in _remotes(value)):
             held.enter_context(_stopped_by_sigterm())
+
+        def local(remote: Any) -> Any:
+            """Give the local copy of a URL, or what was given in place of one."""
+            if not isinstance(remote, Remote):
+                return remote
+            if remote.use == "folder":
+                path, outcome = held.enter_context(written_folder(remote.url, tell=tell))
+                outcomes.append(outcome)
+            elif remote.use == "file":
+                path = held.enter_context(written_file(remote.url, tell=tell))
+            elif remote.use == "native":
+                dataset = values.get("dataset")
+                path = fetched_native(remote.url, None if dataset in (None, "all") else str(dataset), tell=tell)
+            else:
+                path = fetched(remote.url, tell=tell)
+            places.shown[str(path)] = remote.url
+            return path
+
         for name, value in values.items():
-            if isinstance(value, Remote):
-                places.values[name] = _local(value, values, held, outcomes, places.shown, tell)
-            elif any(_remotes(value)):
-                places.values[name] = tuple(
-                    _local(each, values, held, outcomes, places.shown, tell) if isinstance(each, Remote) else each
-                    for each in value
-                )
+            if _remotes(value):
+                places.values[name] = local(value) if isinstance(value, Remote) else tuple(map(local, value))
         try:
             yield places
         except PrbenchError as error:
@@ -124,39 +142,12 @@ def local_places(values: Mapping[str, Any], tell: Tell) -> Iterator[Places]:
 
 def has_urls(values: Mapping[str, Any]) -> bool:
     """Return True if a URL was given for any option."""
-    return any(_remotes(value) for value in values.values())
+    return any(map(_remotes, values.values()))
 
 
 def _remotes(value: Any) -> list[Remote]:
-    if isinstance(value, Remote):
-        return [value]
-    return [each for each in value if isinstance(each, Remote)] if isinstance(value, tuple | list) else []
-
-
-def _local(
-    remote: Remote,
-    values: Mapping[str, Any],
-    held: contextlib.ExitStack,
-    outcomes: list[Any],
-    shown: dict[str, str],
-    tell: Tell,
-) -> Path:
-    """Give the local copy of one URL."""
-    from prbench.object_stores.inputs import fetched, fetched_native
-    from prbench.object_stores.outputs import written_file, written_folder
-
-    if remote.use == "folder":
-        path, outcome = held.enter_context(written_folder(remote.url, tell=tell))
-        outcomes.append(outcome)
-    elif remote.use == "file":
-        path = held.enter_context(written_file(remote.url, tell=tell))
-    elif remote.use == "native":
-        dataset = values.get("dataset")
-        path = fetched_native(remote.url, None if dataset in (None, "all") else str(dataset), tell=tell)
-    else:
-        path = fetched(remote.url, tell=tell)
-    shown[str(path)] = remote.url
-    return path
+    several = value if isinstance(value, tuple | list) else [value]
+    return [each for each in several if isinstance(each, Remote)]
 
 
 @contextlib.contextmanager
@@ -168,12 +159,12 @@ def _stopped_by_sigterm() -> Iterator[None]:
 
     def stop(number: int, _: FrameType | None) -> None:
         signal.signal(number, signal.SIG_DFL)
-        raise Stopped
+        raise _Stopped
 
     before = signal.signal(signal.SIGTERM, stop)
     try:
         yield
-    except Stopped:
+    except _Stopped:
         raise CommandStopped(
             "stopped by SIGTERM; what was finished is kept at the URL of --out, and the same command goes on there."
         ) from None

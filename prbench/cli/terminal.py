@@ -25,11 +25,13 @@ class _CleanStream:
     it is cleared away itself.)
 
     Args:
-        raw: The stream behind it.
+        behind: The stream behind it.
+        renamed: Replaces some texts by others.
     """
 
-    def __init__(self, raw: Any) -> None:
-        self.raw = raw
+    def __init__(self, behind: Any, renamed: Callable[[str], str] = str) -> None:
+        self.raw = behind.raw if isinstance(behind, _CleanStream) else behind
+        self._renamed = renamed
 
     def write(self, text: str) -> int:
         """Write a text, cleaned; return how many of its characters were taken, which is all of them.
@@ -39,7 +41,7 @@ class _CleanStream:
         """
         if not isinstance(text, str):
             raise TypeError(f"expected text, found {type(text).__name__}")
-        self.raw.write(clean(text, keep="\n\t"))
+        self.raw.write(clean(self._renamed(text), keep="\n\t"))
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
@@ -55,38 +57,18 @@ class _CleanStream:
 @contextlib.contextmanager
 def clean_output() -> Iterator[None]:
     """Clean everything that is printed to standard output and error while the block runs."""
-    with contextlib.redirect_stdout(_cleaned(sys.stdout)), contextlib.redirect_stderr(_cleaned(sys.stderr)):
+    out: Any = _CleanStream(sys.stdout)
+    err: Any = _CleanStream(sys.stderr)
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         yield
-
-
-class _RenamedStream(_CleanStream):
-    """Standard output in which some texts are replaced by others.
-
-    Args:
-        behind: The stream behind it.
-        renamed: Replaces them.
-    """
-
-    def __init__(self, behind: Any, renamed: Callable[[str], str]) -> None:
-        super().__init__(behind.raw if isinstance(behind, _CleanStream) else behind)
-        self._renamed = renamed
-
-    def write(self, text: str) -> int:
-        """Write a text."""
-        super().write(self._renamed(text))
-        return len(text)
 
 
 @contextlib.contextmanager
 def renamed_output(renamed: Callable[[str], str]) -> Iterator[None]:
     """Change all texts that the block prints to standard output, but for tables."""
-    stream: Any = _RenamedStream(sys.stdout, renamed)
+    stream: Any = _CleanStream(sys.stdout, renamed)
     with contextlib.redirect_stdout(stream):
         yield
-
-
-def _cleaned(stream: Any) -> Any:
-    return stream if isinstance(stream, _CleanStream) else _CleanStream(stream)
 
 
 def console(*, stderr: bool = False, **settings: Any) -> Console:

@@ -67,7 +67,7 @@ def refused(words: Sequence[str], capsys: pytest.CaptureFixture, *, code: int, m
     document = printed_document(words, capsys, code=code)
     assert document.report is None
     assert document.error is not None
-    assert message in document.error.message
+    assert message in document.error["message"]
 
 
 def printed_document(words: Sequence[str], capsys: pytest.CaptureFixture, *, code: int) -> Document:

@@ -72,7 +72,7 @@ def test_nothing_asked_shows_the_commands_in_sections_and_fails(capsys):
         (["run", "--method"], "requires an argument"),
         (["inspect"], "Missing argument 'DIR...'"),
         (["run", "--option", "steps"], "expected key=value, found 'steps'"),
-        (["run", "--method", "static", "--limit", "0"], "expected a whole number of at least 1, found '0'"),
+        (["run", "--method", "static", "--limit", "0"], "0 is not in the range x>=1"),
     ],
 )
 def test_a_misspelt_word_is_answered_with_the_nearest_one(words, message, capsys):
