@@ -39,12 +39,12 @@ class TableTwoAnswer(msgspec.Struct, frozen=True, kw_only=True):
     tables: list[Table]
 
 
-def run_table_two(given: Mapping[str, Any], *, minutes: int | None, choice: EngineChoice) -> Answer:
+def run_table_two(given: Mapping[str, Any], *, choice: EngineChoice) -> Answer:
     """Run what is missing of the table; the exit code is 1 if a row failed."""
     from prbench.contract import Condition
     from prbench.harness.preparation import DEFAULT_PARENT
-    from prbench_benchmarks.prime_and_reach.table_two.request import DEFAULT_MINUTES, TableRequest
-    from prbench_benchmarks.prime_and_reach.table_two.run import JSON, MARKDOWN, Say, run_table
+    from prbench_benchmarks.prime_and_reach.table_two.request import TableRequest
+    from prbench_benchmarks.prime_and_reach.table_two.run import JSON, MARKDOWN, run_table
 
     engine = opened(
         choice,
@@ -59,25 +59,19 @@ def run_table_two(given: Mapping[str, Any], *, minutes: int | None, choice: Engi
             raise UsageError(f"--{option}: belongs to a run of one method under one condition; leave it out.")
     if given["split"] == PARTICIPANTS:
         raise UsageError("--split participants: run --method all on a table of each fold (`prbench split-dataset`).")
-    same = ("weights", "split", "limit", "seed", "batch_size", "device", "threads", "protocol", "out")
+    same = ("weights", "split", "seed", "device", "threads", "protocol", "out")
+    numbers = {name: given[name] for name in ("limit", "samples", "batch_size") if given[name] is not None}
     request = TableRequest(
         data=data,
         method=None if given["method"] == _ALL else given["method"],
         condition=None if given["condition"] in (_ALL, None) else Condition(given["condition"]),
         options=dict(given["options"]),
-        minutes=minutes or DEFAULT_MINUTES,
-        samples=given["samples"] or 1,
         shuffled_goal=given["control"] is not None,
         more_controls=given["with_controls"],
         **{name: given[name] for name in same},
+        **numbers,
     )
-    say = Say(
-        notice=note,
-        timing=lambda: progress("timing a first batch"),
-        generating=lambda: progress("generating, row"),
-        row=_row_progress,
-    )
-    report = run_table(request, engine=engine, say=say)
+    report = run_table(request, engine=engine, notice=note, progress=_row_progress)
     for name in report.failed:
         note(f"failed: {name}; the same command tries it again")
 

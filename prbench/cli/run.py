@@ -78,13 +78,7 @@ _FIRST_RUN_WORKERS = 2
 @opt.data_option(required=False, help="Built dataset folder(s); without it small synthetic ones are built and used.")
 @opt.out_folder_option("Run folder (default: one under ./runs); resumes. Several runs: the folder of their folders.")
 @opt.fold_options(more_splits=(opt.PUBLISHED,))
-@opt.limit_option(f"all; {opt.FIRST_RUN_SEQUENCES} without --data; with all: what fits into --minutes")
-@click.option(
-    "--minutes",
-    type=opt.POSITIVE,
-    metavar="N",
-    help="With all: run as many sequences of each dataset as fit into this time (default 30), unless --limit says.",
-)
+@opt.limit_option(f"all; {opt.FIRST_RUN_SEQUENCES} without --data; with all: 5 of each dataset")
 @opt.sequence_option("Run this one only")
 @click.option("--view", type=opt.OUT_FILE, metavar="FILE", help="Show the motions as .png, .mp4 or .html.")
 @click.option("--with-controls", is_flag=True, help="With all: the cheats of docs/audit.md and nearest-neighbour, too.")
@@ -105,8 +99,7 @@ _FIRST_RUN_WORKERS = 2
     "--batch-size",
     type=opt.POSITIVE,
     metavar="N",
-    help=f"Cases a batch (default {opt.usual_number('batch_size')}; with all: up to 16, so that two"
-    " workers have as many).",
+    help=f"Cases a batch (default {opt.usual_number('batch_size')}).",
 )
 @click.option(
     "--isolate",
@@ -131,7 +124,6 @@ def run(
     view: Path | None,
     permission: tuple[str, ...],
     engine: EngineChoice,
-    minutes: int | None,
     shard: str | None,
     **given: Any,
 ) -> Answer | int:
@@ -144,13 +136,13 @@ def run(
     _require_fits_benchmark(given, of_table_two, by_file=config is not None)
     part = opt.chosen_shard(shard, view=view, table_two=of_table_two)
     alone = {"config": config, "show-config": show_config, "view": view, "permission": permission}
-    of_all = {"minutes": minutes, "with-controls": given["with_controls"]}
+    of_all = {"with-controls": given["with_controls"]}
     for option, value in (alone if of_table_two else of_all).items():
         if value:
             needed = "a run of one method under one condition" if of_table_two else "--method all or --condition all"
             raise UsageError(f"--{option}: belongs to {needed}; leave it out.")
     if of_table_two:
-        made = load_built_in(STUDY_ITEMS, "table-2-rows")(given, minutes=minutes, choice=engine)
+        made = load_built_in(STUDY_ITEMS, "table-2-rows")(given, choice=engine)
         return replace(made, report=RunAnswer(table_two=msgspec.to_builtins(made.report, enc_hook=str)))
     if config is None and given["method"] is None:
         raise UsageError("--method NAME is needed, or --config FILE. `prbench adapters list` shows the methods.")
@@ -372,7 +364,7 @@ def _group(experiment: Experiment) -> str:
     return find_benchmark(experiment.benchmark).entry_points
 
 
-_OF_AN_EXPERIMENT = ("benchmark", "method", "condition", "options", "control", "sequences", "minutes")
+_OF_AN_EXPERIMENT = ("benchmark", "method", "condition", "options", "control", "sequences")
 """Options whose place is in the file, where there is one."""
 
 _SHARED = (

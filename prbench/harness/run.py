@@ -189,25 +189,6 @@ def scored_parts(parts: Sequence[RunPart]) -> tuple[DatasetSummary, ...]:
     return tuple(part.scored() for part in parts)
 
 
-def missing_batches(request: RunRequest, *, engine: Engine) -> Iterator[BatchTask]:
-    """Work that a run still has to do, for whoever makes the batches of several runs at once.
-
-    :func:`run_method` finds them where :func:`~prbench.harness.run.run_batch` puts them, and scores them.
-    The caller holds the run folder until the batches are made.
-
-    Args:
-        request: See :func:`run_method`, whose errors these are.
-        engine: Where the batches will be made.
-    """
-    prepared = prepare_run(request)
-    folder = prepared_folder(prepared)
-    if not isinstance(engine, InProcess):
-        unload_method()  # every worker loads its own
-    for dataset in prepared.datasets:
-        part = RunPart(prepared, dataset, folder.dataset(dataset.name), engine, silent)
-        yield from part.tasks(frozenset(part.missing()))
-
-
 def prepared_folder(prepared: PreparedRun) -> RunFolder:
     """Make the run folder, with a copy of the protocol where it is the user's own."""
     return RunFolder.prepare(prepared.out, prepared.record, prepared.benchmark.copied_rules(prepared.rules))

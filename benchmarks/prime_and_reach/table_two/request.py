@@ -21,14 +21,15 @@ from prbench.harness.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIP
 from prbench.harness.methods.installed import NEAREST_NEIGHBOUR, list_adapters
 from prbench.harness.methods.loading import load_adapter
 from prbench.harness.preparation import DEFAULT_PARENT
-from prbench.harness.request import RunRequest
+from prbench.harness.request import DEFAULT_BATCH_SIZE, RunRequest
 from prbench.harness.scripted import CHEATS
 from prbench.protocol.manifests import read_toml
 from prbench.protocol.own_protocol import read_protocol
 from prbench.protocol.published import DATASETS
 from prbench.sequences import SequenceTable
 
-DEFAULT_MINUTES = 30
+LIMIT = 5
+"""Sequences of each dataset where nothing is said: all rows on five datasets take half an hour on two cores."""
 CONTROLS = (GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED)
 """Controls that always stand beside the rows."""
 MORE_CONTROLS = (*CHEATS, NEAREST_NEIGHBOUR)
@@ -136,13 +137,12 @@ class TableRequest:
     options: Mapping[str, str] = field(default_factory=dict)
     """Maps ``method.key`` to a value; a table of one method takes plain keys too."""
     split: str = "test"
-    limit: int | None = None
-    """Sequences of each dataset; None for as many as fit in ``minutes``."""
-    minutes: int = DEFAULT_MINUTES
+    limit: int = LIMIT
+    """Sequences of each dataset."""
     seed: int = 0
     samples: int = 1
-    batch_size: int | None = None
-    """Sequences of a batch; None for a number that follows from the number of sequences."""
+    batch_size: int = DEFAULT_BATCH_SIZE
+    """Sequences of a batch."""
     device: str = "cpu"
     threads: int = 1
     protocol: Path | None = None
@@ -232,11 +232,10 @@ class TableRequest:
             "--condition": self.condition.value if self.condition is not None else "all",
             "--option": " ".join(f"{key}={value}" for key, value in sorted(self.options.items())),
             "--split": self.split,
-            "--limit": "" if self.limit is None else str(self.limit),
-            "--minutes": str(self.minutes) if self.limit is None else "",
+            "--limit": str(self.limit),
             "--seed": str(self.seed),
             "--samples": str(self.samples),
-            "--batch-size": "" if self.batch_size is None else str(self.batch_size),
+            "--batch-size": str(self.batch_size),
             "--device": self.device,
             "--threads": str(self.threads),
             "--control": SHUFFLED_GOAL if self.shuffled_goal else "",
@@ -263,9 +262,6 @@ class PlannedRow:
     label: str
     """Label as printed."""
     run: RunRequest
-    """The run without limit and size of batches, which follow later."""
-    is_control: bool = False
-    """Made by the harness."""
     skipped: str | None = None
     """The reason why it is not run; None for a row that is."""
 
@@ -295,6 +291,8 @@ def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> li
         condition=request.condition or Condition.GOAL_LOCATION,
         data=data,
         split=request.split,
+        limit=request.limit,
+        batch_size=request.batch_size,
         seed=request.seed,
         samples=request.samples,
         device=request.device,
@@ -319,10 +317,7 @@ def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> li
             reason = None if own is not None else _why_no_weights(row, run)
         planned.append(PlannedRow(row.name, row.label, run, skipped=reason))
     names = (*CONTROLS, *MORE_CONTROLS) if request.more_controls else CONTROLS
-    controls = [
-        PlannedRow(name, name, replace(base, method=name, out=folder / "rows" / name), is_control=True)
-        for name in names
-    ]
+    controls = [PlannedRow(name, name, replace(base, method=name, out=folder / "rows" / name)) for name in names]
     shuffled = []
     for row in planned:
         if request.shuffled_goal and row.condition in GOALS:

@@ -1,15 +1,13 @@
 """Work through the rows of Table 2, unattended.
 
-``plan.json`` is written first and holds the number of sequences; every row is a run folder of its own, which resumes.
-The batches of all rows are generated side by side, those of the most expensive rows first; then each row is scored. A
-row that cannot be run is skipped with a reason, one that fails ends nothing but itself and is tried again by the next
-call.
+``plan.json`` says what was asked for; every row is a run folder of its own, which resumes. A row that cannot be run is
+skipped with a reason, one that fails ends nothing but itself and is tried again by the next call.
 Whatever moment the table was killed at, the same request goes on and ends with the same numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,8 +17,10 @@ import msgspec
 from prbench.board import collect_runs, make_leaderboard
 from prbench.board.tables import Leaderboard, of_all_methods
 from prbench.engine import Engine, InProcess
-from prbench.errors import StorageError
-from prbench.files.storage import remove_leftovers, sole_writer
+from prbench.errors import PrbenchError, RunError, StorageError
+from prbench.files.bounded import foreign_input, read_whole
+from prbench.files.storage import remove_leftovers, sole_writer, write_json
+from prbench.harness.planning import select
 from prbench.harness.request import ProgressCallback, silent
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder
@@ -28,41 +28,11 @@ from prbench.harness.run_folder.record import TableRecord
 from prbench.harness.verification import CheckedSummary, RunChecker
 from prbench.tables import Table, write_tables
 from prbench_benchmarks.prime_and_reach.study.methods import methods_table
-from prbench_benchmarks.prime_and_reach.table_two.budget import (
-    even_batch_size,
-    kind,
-    open_plan,
-    split_lengths,
-    with_limit,
-)
 from prbench_benchmarks.prime_and_reach.table_two.request import PlannedRow, TableRequest, plan_rows
-from prbench_benchmarks.prime_and_reach.table_two.side_by_side import Counting, generate_side_by_side, why
 
+PLAN = "plan.json"
 MARKDOWN = "table_2.md"
 JSON = "table_2.json"
-
-
-def _uncounted(done: int, total: int, name: str) -> None:
-    """Say nothing."""
-
-
-def _as_just_scored(run: RunFolder, table: TableRecord) -> CheckedSummary:
-    """Take scores that this very call has made or held against the motions."""
-    return replace(RunChecker().check(run, table), unverified="")
-
-
-@dataclass(frozen=True)
-class Say:
-    """Progress messages of a table; silent by default."""
-
-    notice: Callable[[str], None] = lambda _: None
-    """One line that stays: what is skipped, what has failed, how many sequences there will be."""
-    timing: Callable[[], AbstractContextManager[Counting]] = lambda: nullcontext(_uncounted)
-    """Shows which rows have had a first batch timed."""
-    generating: Callable[[], AbstractContextManager[Counting]] = lambda: nullcontext(_uncounted)
-    """Shows which rows have been generated."""
-    row: Callable[[PlannedRow], AbstractContextManager[ProgressCallback]] = lambda _: nullcontext(silent)
-    """Shows the progress of one row."""
 
 
 @dataclass(frozen=True)
@@ -76,13 +46,20 @@ class TableReport:
     """Maps rows that were to be run and have no numbers to the reason."""
 
 
-def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say | None = None) -> TableReport:
+def run_table(
+    request: TableRequest,
+    *,
+    engine: Engine | None = None,
+    notice: Callable[[str], None] = lambda _: None,
+    progress: Callable[[PlannedRow], AbstractContextManager[ProgressCallback]] = lambda _: nullcontext(silent),
+) -> TableReport:
     """Run what is missing of a table and lay it out; also written as ``table_2.md`` and ``table_2.json``.
 
     Args:
         request: What to run on what.
         engine: Where batches are generated and scored; in this process by default.
-        say: Where to say how far it has got.
+        notice: Called with each line that stays: what is skipped, what has failed, how many sequences there are.
+        progress: Shows the progress of one row.
 
     Raises:
         AdapterError: if a method refuses its options.
@@ -91,65 +68,33 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
         TableError: if a table is missing, empty, changed or of an unknown version.
         UsageError: if the request does not fit together.
     """
-    engine = engine or InProcess()
-    say = say or Say()
     tables = request.tables()
     folder = request.folder()
-    lengths = [split_lengths(table, request.split) for table in tables]
+    whole = {table.info.dataset: len(select(table, split=request.split, limit=None)) for table in tables}
     planned = plan_rows(request, tuple(table.folder for table in tables), folder)
     notes = []
+    finished = []
+    failed = {}
     with sole_writer(folder):
-        # Under the lock and before the first row: what the plan decides must not change when the table resumes.
-        plan = open_plan(folder, request.deciding(tables), limit=request.limit, minutes=request.minutes)
+        _require_same(folder, request.deciding(tables))
+        counts = (f"{name} n = {min(request.limit, count)} of {count}" for name, count in whole.items())
+        notice(f"{', '.join(counts)} (--limit {request.limit})")
         for row in planned:
-            if row.skipped is not None:
-                notes.append(f"{row.label} ({row.condition.value}): skipped, {row.skipped}")
-                say.notice(notes[-1])
-        if plan.limit is None:
-            with say.timing() as counting:
-                plan = with_limit(plan, request, tables, planned, engine=engine, counting=counting, folder=folder)
-        limit = plan.limit
-        assert limit is not None
-        counts = ", ".join(
-            f"{table.info.dataset} n = {min(limit, len(own))} of {len(own)}"
-            for table, own in zip(tables, lengths, strict=True)
-        )
-        expected = f"about {max(1.0, (plan.expected_seconds or 0.0) / 60):.0f} min"
-        if plan.minutes is None:
-            say.notice(f"{counts} (--limit {limit})")
-        elif plan.fits:
-            within = f"what fits into {plan.minutes} min here, {expected} expected"
-            say.notice(f"{counts}: {within} (--minutes; --limit N says n outright)")
-            notes.insert(0, f"n is what fitted into {plan.minutes} min on the machine that it was run on.")
-        else:
-            asked = f"{expected}, more than the {plan.minutes} min asked for (--minutes)"
-            say.notice(f"{counts}: the fewest there can be; {asked}")
-
-        # Generate all rows, the most expensive first: a short batch at the end leaves workers idle for less long.
-        runnable = [row for row in planned if row.skipped is None]
-        batch_size = request.batch_size or even_batch_size(limit, lengths)
-        seconds = {name: cost.seconds_per_frame for name, cost in plan.costs.items()}
-        ordered = sorted(runnable, key=lambda row: -seconds.get(kind(row), 0.0))
-        runs = {row.name: replace(row.run, limit=limit, batch_size=batch_size) for row in ordered}
-        with say.generating() as counting:
-            failed, broken = generate_side_by_side(runs, engine, counting=counting)
-        if broken is not None:
-            say.notice(f"{broken} Going on row by row.")
-        # Score each row, and generate what is still missing; only if nothing can be written all of the table ends.
-        finished = []
-        for row in runnable:
-            if row.name not in failed:
+            about = f"{row.label} ({row.condition.value})"
+            reason = row.skipped
+            if reason is None:
                 try:
-                    with say.row(row) as progress:
-                        finished.append(run_method(runs[row.name], engine=engine, progress=progress).folder.path)
+                    with progress(row) as show:
+                        report = run_method(row.run, engine=engine or InProcess(), progress=show)
+                    finished.append(report.folder.path)
                     continue
-                except StorageError:
+                except StorageError:  # if nothing can be written all of the table ends
                     raise
                 except Exception as error:  # a defect of a method, which must not cost the other rows
-                    failed[row.name] = why(error)
-            notes.append(f"{row.label} ({row.condition.value}): failed, {failed[row.name]}")
-            say.notice(notes[-1])
-
+                    reason = str(error) if isinstance(error, PrbenchError) else f"{type(error).__name__}: {error}"
+                failed[row.name] = reason
+            notes.append(f"{about}: {'failed' if row.skipped is None else 'skipped'}, {reason}")
+            notice(notes[-1])
         parts = [Table(number="2", title="nothing could be run", notes=tuple(notes))]
         if finished:
             board = make_leaderboard(collect_runs(finished, check=_as_just_scored))
@@ -161,3 +106,53 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
             remove_leftovers(folder / name)  # of a process that was killed while it wrote them
             write_tables(parts, folder / name)  # last, after all rows: a table on disk is a finished one
     return TableReport(folder, parts, failed)
+
+
+def _as_just_scored(run: RunFolder, table: TableRecord) -> CheckedSummary:
+    """Take scores that this very call has made or held against the motions."""
+    return replace(RunChecker().check(run, table), unverified="")
+
+
+@foreign_input()
+def _require_same(folder: Path, asked: Mapping[str, str]) -> None:
+    """Write what is asked for into a new folder; refuse a folder of another request.
+
+    Raises:
+        RunError: if the folder belongs to another request, or the file is damaged.
+        StorageError: if the folder holds something else.
+    """
+    path = folder / PLAN
+    if folder.is_file():
+        raise StorageError(f"{folder}: is a file. Choose an empty or new folder for --out.")
+    # A process that was killed while it wrote the plan has left a temporary file, which must not make the folder look
+    # used.
+    remove_leftovers(path)
+    if not path.is_file():
+        if folder.is_dir() and any(folder.iterdir()):
+            raise StorageError(
+                f"{folder}: is not empty and holds no {PLAN}, so it is no folder of a table."
+                " Choose an empty or new folder for --out."
+            )
+        write_json(path, dict(asked))
+        return
+    try:
+        found = msgspec.json.decode(read_whole(path), type=dict[str, str])
+    except msgspec.DecodeError as error:
+        raise RunError(f"{path}: not a valid {PLAN}: {error}. Choose another folder for --out.") from error
+    differences = []
+    for key in dict.fromkeys([*asked, *found]):
+        was = found.get(key)
+        now = asked.get(key)
+        if was == now:
+            continue
+        if not key.startswith("table "):
+            differences.append(f"{key} was {was or 'not given'}, now is {now or 'not given'}")
+        elif was is not None and now is not None:
+            differences.append(f"{key} has other contents now")
+        else:
+            differences.append(f"{key} is {'new' if was is None else 'missing'}")
+    if differences:
+        raise RunError(
+            f"{path}: the folder holds another table: {'; '.join(differences)}. Choose another folder for --out, or"
+            " delete this one."
+        )

@@ -45,7 +45,6 @@ def test_a_table_is_printed_in_the_studys_layout(table, tmp_path, capsys):
         (["--method", "all", "--option", "steps=3"], "expected METHOD.steps="),
         (["--method", "all", "--weights", "mdm-small"], "expected a folder of weights for a table, found no folder"),
         (["--method", "scripted", "--condition", "all"], "Table 2 has no rows of 'scripted'"),
-        (["--method", "static", "--minutes", "3"], "--minutes: belongs to --method all"),
         (["--method", "static", "--with-controls"], "--with-controls: belongs to --method all"),
         (["--method", "all", "--fold", "1/2"], "--fold: belongs to a run of one method"),
         (["--method", "all", "--split", "participants"], "run --method all on a table of each fold"),
@@ -67,7 +66,6 @@ def test_what_suits_a_table_reaches_its_rows(table, tmp_path, capsys):
     printed = capsys.readouterr()
     assert "Static" in printed.out
     assert "MDM" not in printed.out
-    assert "generating, row: 4/4" in printed.err
     assert "\x1b" not in printed.out + printed.err  # no colours in a file
 
 

@@ -13,15 +13,14 @@ import pytest
 
 from prbench.board.tables import FEWEST_RANKED
 from prbench.contract import Condition
-from prbench.errors import AdapterError, PrbenchError, RunError, StorageError, UsageError
+from prbench.errors import AdapterError, RunError, StorageError, UsageError
 from prbench.files.storage import sole_writer
 from prbench.harness.run_folder import read_scores
 from prbench.tables import Cell, Row
-from prbench_benchmarks.prime_and_reach.table_two import budget, run
 from prbench_benchmarks.prime_and_reach.table_two import request as requests
-from prbench_benchmarks.prime_and_reach.table_two.budget import RowCost, TablePlan
+from prbench_benchmarks.prime_and_reach.table_two import run
 from prbench_benchmarks.prime_and_reach.table_two.request import CONTROLS, MORE_CONTROLS, TableRequest
-from prbench_benchmarks.prime_and_reach.table_two.run import Say, run_table
+from prbench_benchmarks.prime_and_reach.table_two.run import run_table
 from tests.fakes import fake_dataset
 
 
@@ -38,10 +37,6 @@ def cell(row: Row, metric: str) -> Cell:
     return next(each for each in row.cells if each.metric == metric)
 
 
-def limit_of(folder: Path) -> int:
-    return json.loads((folder / "plan.json").read_text())["limit"]
-
-
 def results(folder: Path) -> dict[str, bytes]:
     """All that must not depend on interruptions."""
     found = (path for path in sorted((folder / "rows").rglob("*")) if path.is_file() and path.name != "cost.json")
@@ -51,9 +46,7 @@ def results(folder: Path) -> dict[str, bytes]:
 def test_rows_end_well_break_or_are_skipped_and_the_table_goes_on(small_tables, made_up, tmp_path, monkeypatch):
     monkeypatch.setattr(requests, "CONTROLS", CONTROLS)
     said = []
-    report = run_table(
-        request(small_tables[0], out=tmp_path / "t", weights=made_up.weights), say=Say(notice=said.append)
-    )
+    report = run_table(request(small_tables[0], out=tmp_path / "t", weights=made_up.weights), notice=said.append)
     assert list(rows(report)) == ["Static", "Reacher", "ground-truth", "ground-truth-resampled", "scripted"]
     text = "\n".join(said)
     assert "Breaker (text): failed, " in text
@@ -103,31 +96,6 @@ def test_a_defect_costs_one_row_and_a_full_disk_all(small_tables, tmp_path, monk
     error = StorageError("no space left on the device")
     with pytest.raises(StorageError, match="no space left"):
         run_table(request(small_tables[0], out=tmp_path / "t", method="reacher"))
-
-
-class DiesOnce:
-    """An engine whose first worker is killed after its first batch."""
-
-    def __init__(self) -> None:
-        self.dies = True
-
-    def map(self, function, items, *, if_full=None):
-        for item in items:
-            yield function(item)
-            if self.dies:
-                self.dies = False
-                raise PrbenchError("a worker process ended without an answer.")
-
-
-def test_a_killed_worker_costs_no_row(small_tables, made_up, tmp_path):
-    said = []
-    asked = request(small_tables[0], out=tmp_path / "t", condition=Condition.GOAL_LOCATION, batch_size=1)
-    report = run_table(asked, engine=DiesOnce(), say=Say(notice=said.append))
-    assert "a worker process ended without an answer. Going on row by row." in said
-    assert not report.failed
-    assert made_up.calls() == ["reacher goal-loc 1"] * 3  # none twice
-    run_table(replace(asked, out=tmp_path / "u"))
-    assert results(tmp_path / "t") == results(tmp_path / "u")
 
 
 def test_a_row_that_fails_leaves_nothing_behind_and_is_tried_again(small_tables, made_up, tmp_path):
@@ -251,86 +219,13 @@ def test_shuffled_goals_stand_among_the_controls(small_tables, tmp_path):
     assert cell(rows(report)[shuffled], "reach_success").value < 50.0
 
 
-def test_the_subset_follows_from_a_measured_batch_and_is_kept(small_tables, made_up, tmp_path):
-    said = []
-    asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher", batch_size=2)
-    run_table(asked, say=Say(notice=said.append))
-    assert limit_of(tmp_path / "t") == 5  # all: made-up motions cost nothing
-    assert "synthetic-adt n = 5 of 5: what fits into 10 min here, about 1 min expected" in said[-1]
-    assert "n is what fitted into 10 min " in (tmp_path / "t/table_2.md").read_text()
-    batches = [f"reacher goal-loc {size}" for size in (5, 2, 2, 1)]
-    assert made_up.calls() == batches  # the one that is timed, in one piece, and those that count
-    written = json.loads((tmp_path / "t/plan.json").read_text())
-    assert written["limit"] == 5
-    assert set(written["costs"]) == {"reacher, goal, bundled"}  # controls generate nothing
-    assert written["costs"]["reacher, goal, bundled"]["overhead"] > 0
-    assert not (tmp_path / "t/.timing").exists()
-    run_table(asked)
-    assert made_up.calls() == []
-
-
-def timed(asked: TableRequest, **costs: RowCost) -> None:
-    """Let it have been timed by an earlier call."""
-    plan = TablePlan(asked=asked.deciding(asked.tables()), limit=None, minutes=asked.minutes, costs=costs)
-    plan.write(asked.folder())
-
-
-def test_a_slow_row_makes_the_subset_smaller(small_tables, made_up, tmp_path):
-    asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher", batch_size=5)
-    slow = RowCost(seconds_per_frame=1.6, overhead=1.0)  # about 160 s a sequence in a batch with a longer one
-    timed(asked, **{"reacher, goal, bundled": slow})
-    run_table(asked)
-    assert limit_of(tmp_path / "t") == 3
-    assert made_up.calls() == ["reacher goal-loc 3"]  # nothing was timed again
-
-
-def test_rows_that_there_was_no_time_to_time_count_as_the_slowest(small_tables, made_up, tmp_path, monkeypatch):
-    monkeypatch.setattr(budget, "TIMING_SHARE", -1.0)
-    asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher")
-    slow = RowCost(seconds_per_frame=4.0, overhead=1.0)  # a row of about 340 s a sequence in nine minutes
-    timed(asked, **{"static, none, bundled": slow})
-    run_table(asked)
-    assert limit_of(tmp_path / "t") == 1
-    assert made_up.calls() == ["reacher goal-loc 1"]
-
-
-def test_rows_of_one_kind_are_timed_once(small_tables, made_up, tmp_path):
-    for name in ("reacher-pretrained", "reacher-finetuned"):
-        (made_up.weights / name).write_text("w")
-    asked = request(small_tables[0], out=tmp_path / "t", limit=None, weights=made_up.weights, method="reacher")
-    run_table(asked)
-    assert made_up.calls() == [f"reacher goal-loc {size}" for size in (5, 3, 2, 3, 2)]
-    (made_up.weights / "reacher-finetuned").write_text("of another size")
-    run_table(replace(asked, out=tmp_path / "u"))
-    assert made_up.calls().count("reacher goal-loc 5") == 2
-
-
-def test_where_not_even_one_sequence_fits_it_says_so(small_tables, tmp_path):
-    said = []
-    asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=1, method="reacher")
-    timed(asked, **{"reacher, goal, bundled": RowCost(seconds_per_frame=2.0, overhead=1.0)})
-    run_table(asked, say=Say(notice=said.append))
-    assert limit_of(tmp_path / "t") == 1
-    assert re.search(r"n = 1 of 5: the fewest there can be; about \d min, more than the 1 min asked for", said[-1])
-    assert "n is what fitted" not in (tmp_path / "t/table_2.md").read_text()
-
-
-def test_the_subset_is_the_one_of_its_limit(small_tables, made_up, tmp_path):
-    chosen = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher")
-    timed(chosen, **{"reacher, goal, bundled": RowCost(seconds_per_frame=2.0, overhead=1.0)})
-    run_table(chosen)
-    limit = limit_of(tmp_path / "t")
-    run_table(request(small_tables[0], out=tmp_path / "u", limit=limit, method="reacher"))
-    assert results(tmp_path / "t") == results(tmp_path / "u")
-
-
 def test_another_request_is_refused_in_the_same_folder(small_tables, tmp_path):
     first = request(small_tables[0], out=tmp_path / "t", method="reacher")
     run_table(first)
     with pytest.raises(RunError, match=r"another table: --seed was 0, now is 1\. Choose"):
         run_table(replace(first, seed=1))
-    with pytest.raises(RunError, match="--limit was 3, now is not given; --minutes was not given, now is 30"):
-        run_table(replace(first, limit=None))
+    with pytest.raises(RunError, match="--limit was 3, now is 2"):
+        run_table(replace(first, limit=2))
     with pytest.raises(RunError, match="table synthetic-hd-epic is new"):
         run_table(replace(first, data=tuple(table.folder for table in small_tables)))
     (tmp_path / "full").mkdir()
