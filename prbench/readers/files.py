@@ -27,6 +27,7 @@ from prbench.files.bounded import (
     open_regular,
     read_end,
     read_whole,
+    require,
     require_rows,
     require_size,
     require_unpackable,
@@ -147,7 +148,7 @@ def read_all(source: Source, *, largest: int = LARGEST_FILE) -> bytes:
     return bytes(content)
 
 
-class RememberingTail(io.RawIOBase):
+class _RememberingTail(io.RawIOBase):
     """A stream that passes on what another one reads and remembers the end of it."""
 
     LENGTH = 80
@@ -191,7 +192,7 @@ def require_whole_last_line(
     Raises:
         InputFileError: saying what to do.
     """
-    tail = read_end(path, RememberingTail.LENGTH) if tail is None else tail
+    tail = read_end(path, _RememberingTail.LENGTH) if tail is None else tail
     if tail.endswith((b"\n", b"\r")):
         return
     last = tail.splitlines()[-1] if tail else b""
@@ -218,6 +219,7 @@ _QUATERNION_TOLERANCE = 1e-3
 _WATCHED_SIZE = 2**28
 """Bytes of a plain text file from which on it is read in pieces, which is slower; of a shorter one no more can come
 than a few times as much."""
+_BLOCK = 2**21  # bytes
 _COPY_AGAIN = "The file may be truncated; copy or download it again."
 _SORT = "The clock runs backwards or a row is repeated; sort the rows by time and remove repeated ones."
 
@@ -235,31 +237,54 @@ def read_columns(path: Source, columns: Mapping[str, Column]) -> pa.Table:
     """
     header = read_header(path)
     require_column_names(path, header, columns)
-    types = arrow_types(columns)
-    try:
-        table, tail = _parse(path, types, use_threads=True)
-    except pa.ArrowInvalid:
-        # One thread is slower, and knows the row of an error.
+    if isinstance(path, Path) and path.stat().st_size < _WATCHED_SIZE:
+        require_size(path, largest=LARGEST_FILE)
+        with contextlib.suppress(pa.ArrowInvalid):  # reading by blocks names the row
+            table = pyarrow.csv.read_csv(path, convert_options=_conversion(columns))
+            require_whole_last_line(path, columns, header)
+            require_integers(path, table, columns)
+            return table
+    # The table of a long file is refused as soon as it is larger than any: cells may be longer than their text.
+    kept = [pa.schema([(name, _ARROW_TYPES[kind]) for name, kind in columns.items()]).empty_table()]
+    size = 0
+    for block in read_blocks(path, columns):
+        kept.append(block)
+        size += block.nbytes
+        found = f"more in the first {sum(map(len, kept)):,} rows"
+        require(shown(path), (size <= LARGEST_TABLE, "", f"columns of at most {LARGEST_TABLE:,} bytes", found, ""))
+    return pa.concat_tables(kept).combine_chunks()
+
+
+def read_blocks(path: Source, columns: Mapping[str, Column]) -> Iterator[pa.Table]:
+    """Read the named columns as :func:`read_columns` does, block by block, so that a long file needs little memory."""
+    header = read_header(path)
+    require_column_names(path, header, columns)
+    options = pyarrow.csv.ReadOptions(block_size=_BLOCK, use_threads=False)
+    row = 2
+    with opened(path) as file:
+        stream = _RememberingTail(file)
         try:
-            table, tail = _parse(path, types, use_threads=False)
+            for batch in pyarrow.csv.open_csv(stream, read_options=options, convert_options=_conversion(columns)):
+                table = pa.Table.from_batches([batch])
+                require_integers(path, table, columns, first=row)
+                row += len(table)
+                yield table
         except pa.ArrowInvalid as error:
             found = str(error).splitlines()[0]
-            row = re.search(r"Row #(\d+)", found)
+            named = re.search(r"Row #(\d+)", found)
             raise InputFileError(
                 shown(path),
-                f"line {row[1]}" if row else "",
+                f"line {named[1]}" if named else "",
                 expected="complete lines of comma-separated values of the right kind",
                 found=f"'{found[:160]}'",
                 remedy=_COPY_AGAIN,
             ) from error
-    require_whole_last_line(shown(path), columns, header, tail=tail)
-    require_integers(path, table, columns)
-    return table
+    require_whole_last_line(shown(path), columns, header, tail=stream.tail)
 
 
-def arrow_types(columns: Mapping[str, Column]) -> dict[str, pa.DataType]:
-    """Map the columns' types to those of Arrow."""
-    return {name: _ARROW_TYPES[kind] for name, kind in columns.items()}
+def _conversion(columns: Mapping[str, Column]) -> pyarrow.csv.ConvertOptions:
+    types = {name: _ARROW_TYPES[kind] for name, kind in columns.items()}
+    return pyarrow.csv.ConvertOptions(column_types=types, include_columns=list(columns))
 
 
 def require_column_names(path: Source, header: list[str], columns: Iterable[str]) -> None:
@@ -279,8 +304,8 @@ def require_column_names(path: Source, header: list[str], columns: Iterable[str]
         )
 
 
-def require_integers(path: Source, table: pa.Table, columns: Mapping[str, Column]) -> None:
-    """Refuse empty cells where integers are needed.
+def require_integers(path: Source, table: pa.Table, columns: Mapping[str, Column], *, first: int = 2) -> None:
+    """Refuse empty cells where integers are needed; ``first`` is the line of the first row.
 
     Raises:
         InputFileError: naming the first line.
@@ -288,7 +313,7 @@ def require_integers(path: Source, table: pa.Table, columns: Mapping[str, Column
     for name, kind in columns.items():
         if kind is int:
             empty = table[name].is_null().to_numpy()
-            require_rows(shown(path), empty, f"an integer '{name}'", "nothing")
+            require_rows(shown(path), empty, f"an integer '{name}'", "nothing", first=first)
 
 
 def column_vectors(table: pa.Table, names: tuple[str, ...]) -> Float[np.ndarray, "n k"]:
@@ -452,33 +477,6 @@ def header_names(line: bytes) -> list[str]:
         UnicodeDecodeError: if it is no text.
     """
     return [name.strip().strip('"') for name in line.decode("utf-8-sig").rstrip("\r\n").split(",")]
-
-
-def _parse(path: Source, types: Mapping[str, pa.DataType], *, use_threads: bool) -> tuple[pa.Table, bytes | None]:
-    """The table, and the last bytes of a file in an archive."""
-    read = pyarrow.csv.ReadOptions(use_threads=use_threads)
-    convert = pyarrow.csv.ConvertOptions(column_types=types, include_columns=list(types))
-    if isinstance(path, Path):
-        require_size(path, largest=LARGEST_FILE)
-        if path.stat().st_size < _WATCHED_SIZE:
-            return pyarrow.csv.read_csv(path, read_options=read, convert_options=convert), None
-    with opened(path) as file:
-        stream = RememberingTail(file)
-        batches = pyarrow.csv.open_csv(stream, read_options=read, convert_options=convert)
-        # The table of a long file, refused as soon as it is larger than any table: cells may be longer than their text.
-        kept = []
-        size = 0
-        for batch in batches:
-            kept.append(batch)
-            size += batch.nbytes
-            if size > LARGEST_TABLE:
-                raise InputFileError(
-                    shown(path),
-                    "",
-                    expected=f"columns of at most {LARGEST_TABLE:,} bytes",
-                    found=f"more in the first {sum(map(len, kept)):,} rows",
-                )
-        return pa.Table.from_batches(kept, batches.schema), stream.tail
 
 
 Poses = tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]]

@@ -5,12 +5,9 @@ Source: docs/specification/aria-mps.md#closed-loop-trajectory.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.csv
 from jaxtyping import Int
 
 from prbench.errors import InputFileError
@@ -18,25 +15,18 @@ from prbench.files.bounded import foreign_input
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.files import (
     Column,
-    RememberingTail,
     Source,
-    arrow_types,
     column_vectors,
-    opened,
+    read_blocks,
     read_columns,
-    read_header,
-    require_column_names,
     require_increasing,
-    require_integers,
     require_poses,
-    require_whole_last_line,
     shown,
 )
 
 _NUMBERS = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
 COLUMNS: dict[str, Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(_NUMBERS, float)}
 """Columns that are read; the velocities are unreliable and stay unread."""
-_BLOCK = 2**21  # bytes
 
 
 def read_trajectory(source: Source) -> mps.AriaTrajectory:
@@ -73,7 +63,9 @@ def read_near(source: Source, gaze_us: Int[np.ndarray, " n"], rate: float = mps.
     kept: list[pa.Table] = []
     last = first_us = None
     rows = 0
-    for table in _blocks(source):
+    for table in read_blocks(source, COLUMNS):
+        if not len(table):
+            continue
         # The last row of the block before joins in: it may lie before a wanted time of this block.
         known = table if last is None else pa.concat_tables([last, table])
         time_us = known[mps.TIME_COLUMN].to_numpy()
@@ -88,31 +80,11 @@ def read_near(source: Source, gaze_us: Int[np.ndarray, " n"], rate: float = mps.
         last = known.slice(len(known) - 1)
         rows += len(table)
     if last is None:
-        return _trajectory_of(source, pa.table({name: pa.array([], arrow_types(COLUMNS)[name]) for name in COLUMNS}))
+        return read_trajectory(source)
     # The grid reaches beyond the last row, which therefore counts; a row that two blocks have stands twice.
     table = pa.concat_tables([*kept, last])
     time_us = table[mps.TIME_COLUMN].to_numpy()
     return _trajectory_of(source, table.filter(pa.array(np.diff(time_us, prepend=time_us[0] - 1) > 0)))
-
-
-def _blocks(source: Source) -> Iterator[pa.Table]:
-    """The rows of a file block by block, so that hours at 1 kHz need little memory."""
-    header = read_header(source)
-    require_column_names(source, header, COLUMNS)
-    convert = pyarrow.csv.ConvertOptions(column_types=arrow_types(COLUMNS), include_columns=list(COLUMNS))
-    read = pyarrow.csv.ReadOptions(block_size=_BLOCK, use_threads=False)
-    with opened(source) as file:
-        stream = RememberingTail(file)
-        try:
-            for batch in pyarrow.csv.open_csv(stream, read_options=read, convert_options=convert):
-                if len(batch):
-                    table = pa.Table.from_batches([batch])
-                    require_integers(source, table, COLUMNS)
-                    yield table
-        except pa.ArrowInvalid:
-            read_columns(source, COLUMNS)  # names the line
-            raise
-    require_whole_last_line(shown(source), COLUMNS, header, tail=stream.tail)
 
 
 def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:

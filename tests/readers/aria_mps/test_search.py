@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from prbench.errors import InputFileError
+from prbench.readers import files
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps import trajectory
 from prbench.readers.aria_mps.trajectory import read_near, read_trajectory
 from prbench.readers.files import Source
 from tests.readers.mps_files import OTHER_WORLD, WORLD, trajectory_lines, write_lines, zipped
@@ -60,14 +60,14 @@ def test_the_same_rows_as_reading_all_of_them(folder, steps, wanted, exactly, bl
         np.append(START + np.array(wanted, dtype=np.int64), times[np.array(exactly, dtype=int) % len(times)])
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trajectory, "_BLOCK", block)
+        patch.setattr(files, "_BLOCK", block)
         found = read_near(zipped(path) if archived else path, gaze_us)
     require_same(found, chosen(path, gaze_us))
 
 
 @pytest.mark.parametrize("archived", [False, True], ids=["plain", "zipped"])
 def test_uneven_steps_gaps_and_lengths_in_a_longer_file(folder, archived, monkeypatch) -> None:
-    monkeypatch.setattr(trajectory, "_BLOCK", 2**14)
+    monkeypatch.setattr(files, "_BLOCK", 2**14)
     rng = np.random.default_rng(4)
     steps = np.where(rng.random(20_000) < 0.001, 400_000, rng.integers(1, 1180, 20_000))
     path = write_lines(folder / "long.csv", trajectory_lines(START + np.cumsum(steps)))
@@ -115,7 +115,7 @@ def test_a_repeated_row_is_refused_with_its_line(folder) -> None:
 def test_a_damaged_row_is_refused_with_its_line_wherever_it_stands(
     folder, block, column, value, message, monkeypatch
 ) -> None:
-    monkeypatch.setattr(trajectory, "_BLOCK", block)
+    monkeypatch.setattr(files, "_BLOCK", block)
     lines = trajectory_lines(steady())
     cells = lines[2000].split(",")
     cells[lines[0].split(",").index(column)] = value
