@@ -126,13 +126,14 @@ def score(
         if conditions is None:
             raise UsageError("--conditions FILE: futures are scored with the file of windows that they were made from.")
         with progress("scoring") as show:
-            offline = load_benchmark(about.name).offline
-            futures = offline.score_futures(
-                offline.FuturesRequest(futures=predictions, one_design=one_design, **shared),
+            summary, origin = load_benchmark(about.name).offline.score_futures(
+                predictions,
+                one_design=one_design,
+                **shared,
                 engine=opt.opened(engine, reads=(predictions, conditions, *data)),
                 progress=lambda step: show(step.done, step.total, step.dataset),
             )
-        made = [ScoredMotions(origin=futures.origin, motionless=False, scores=futures.summary, agreement=None)]
+        made = [ScoredMotions(origin=origin, motionless=False, scores=summary, agreement=None)]
     return Answer(made, lambda: _print(made, out))
 
 
@@ -196,7 +197,7 @@ def export_conditions(
     """
     from prbench.contract import Condition
     from prbench.harness.benchmark import load_benchmark
-    from prbench.harness.offline import ExportReport, ExportRequest
+    from prbench.harness.offline import ExportRequest
     from prbench.harness.offline import export_conditions as export
     from prbench.protocol.manifests import find_benchmark
 
@@ -215,15 +216,7 @@ def export_conditions(
             if value is not None:
                 option = name.replace("_", "-")
                 raise UsageError(f"--{option}: the benchmark {about.name} does not have it; leave it out.")
-        offline = load_benchmark(about.name).offline
-        exported = offline.export_windows(offline.WindowsRequest(condition=condition, **given))
-        report = ExportReport(
-            out=exported.out,
-            rows=exported.windows * given["samples"],
-            sequences={exported.dataset: exported.windows},
-            left_out={},
-            notices=exported.notices,
-        )
+        report = load_benchmark(about.name).offline.export_windows(condition=condition, **given)
     answers = "PREDICTIONS" if about.default else "FUTURES.npz"
     note(f"then: prbench score {answers} --conditions {shlex.quote(str(report.out))} --data …")
     return Answer(report, lambda: _print_export_conditions(report, "sequences" if about.default else "windows"))

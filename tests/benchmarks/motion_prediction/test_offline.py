@@ -11,13 +11,7 @@ from prbench.cli import main
 from prbench.errors import InputFileError, PredictionsError, RedistributionError, UsageError
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
-from prbench_benchmarks.motion_prediction.offline import (
-    FuturesRequest,
-    WindowsRequest,
-    export_windows,
-    read_windows,
-    score_futures,
-)
+from prbench_benchmarks.motion_prediction.offline import export_windows, read_windows, score_futures
 from prbench_benchmarks.motion_prediction.predictors import ConstantVelocity
 from tests.benchmarks.motion_prediction.windows import walking, write
 
@@ -32,7 +26,7 @@ def table(tmp_path_factory):
 @pytest.fixture(scope="module")
 def exported(table, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "windows.npz"
-    export_windows(WindowsRequest(data=(table,), condition="pose+gaze", out=out, samples=K))
+    export_windows(data=(table,), condition="pose+gaze", out=out, samples=K)
     return out
 
 
@@ -43,7 +37,7 @@ def answer(exported, tmp_path):
     def write_futures(change=None, name: str = "mine.npz"):
         with np.load(exported) as given:  # as a stranger reads it, with NumPy alone
             ids = given["opaque_id"]
-        batch = read_windows(exported).batch
+        _, batch = read_windows(exported)
         joints = ConstantVelocity().predict(batch, n_samples=K, seed=0).joints
         arrays = {"opaque_id": ids[::-1].copy(), "joints": joints[::-1].copy()}
         if change is not None:
@@ -55,7 +49,7 @@ def answer(exported, tmp_path):
 
 
 def score(futures, exported, table, **changes):
-    return score_futures(FuturesRequest(futures=futures, conditions=exported, data=(table,), **changes))
+    return score_futures(futures, exported, (table,), **changes)
 
 
 def test_futures_of_a_file_score_as_in_a_run(table, exported, answer, tmp_path):
@@ -69,8 +63,8 @@ def test_futures_of_a_file_score_as_in_a_run(table, exported, answer, tmp_path):
         out=tmp_path / "run",
     )
     expected = {each.metric: (each.mean, each.low) for each in run_method(asked).summaries[0].metrics}
-    report = score(answer(), exported, table, out=tmp_path / "scores")
-    assert {each.metric: (each.mean, each.low) for each in report.summary.metrics} == expected
+    summary, _ = score(answer(), exported, table, out=tmp_path / "scores")
+    assert {each.metric: (each.mean, each.low) for each in summary.metrics} == expected
     stored = [next((tmp_path / name).rglob("scores.parquet")).read_bytes() for name in ("run", "scores")]
     assert stored[0] == stored[1]
     record = json.loads((tmp_path / "scores" / "run.json").read_text())
@@ -119,9 +113,9 @@ def test_names_and_formats_are_refused(table, exported, answer, tmp_path):
     with pytest.raises(UsageError, match="method of prbench itself"):
         score(answer(name="humanmac.npz"), exported, table)
     with pytest.raises(UsageError, match=r"ends in \.npz"):
-        WindowsRequest(data=(table,), condition="pose", out=tmp_path / "w.parquet")
+        export_windows(data=(table,), condition="pose", out=tmp_path / "w.parquet")
     with pytest.raises(UsageError, match="found 2"):
-        WindowsRequest(data=(table, table), condition="pose", out=tmp_path / "w.npz")
+        export_windows(data=(table, table), condition="pose", out=tmp_path / "w.npz")
 
 
 def test_the_commands_go_round(table, answer, tmp_path, capsys):
@@ -142,4 +136,4 @@ def test_the_commands_go_round(table, answer, tmp_path, capsys):
 def test_terms_that_keep_recordings_are_kept(monkeypatch, table, tmp_path):
     monkeypatch.setattr("prbench.sequences.dataset_info._known", lambda _terms: "none")
     with pytest.raises(RedistributionError):
-        export_windows(WindowsRequest(data=(table,), condition="pose", out=tmp_path / "w.npz"))
+        export_windows(data=(table,), condition="pose", out=tmp_path / "w.npz")
