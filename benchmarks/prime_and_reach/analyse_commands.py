@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
@@ -14,7 +14,9 @@ from prbench.cli.options import OUT_FILE, PATH, data_option, permission_option, 
 from prbench.cli.places import PlaceType, Remote
 from prbench.cli.terminal import print_tables
 from prbench.errors import UsageError
-from prbench.tables import Table
+
+if TYPE_CHECKING:  # help is quick: tables load NumPy
+    from prbench.tables import Table
 
 
 class AnalysisReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 import msgspec
@@ -30,7 +30,9 @@ from prbench.cli.places import PlaceType, Remote
 from prbench.cli.terminal import print_tables
 from prbench.entry_points import STUDY_ITEMS, load_built_in
 from prbench.errors import RunError, TableError, UsageError
-from prbench.tables import Table, require_format, write_tables
+
+if TYPE_CHECKING:  # help is quick: tables load NumPy
+    from prbench.tables import Table
 
 
 class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -67,6 +69,8 @@ def _answer(
     **more: Any,
 ) -> Answer:
     """Write the tables, and answer with their numbers, further lines, and the written files."""
+    from prbench.tables import write_tables
+
     for path in files:
         write_tables(tables, path)
     written = [*([] if drawn is None else [drawn]), *files]
@@ -444,6 +448,7 @@ def study(ctx: click.Context, item: str, inputs: tuple[Path, ...], train: bool, 
     if not inputs:
         raise UsageError(f"{name}: name {row.inputs}..., which it is made from.")
     # Refuse files of unknown formats before anything is done.
+    from prbench.tables import require_format
     from prbench.viewing.figures import require_drawable
 
     is_figure = name.startswith("study figure")

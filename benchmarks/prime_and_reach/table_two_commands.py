@@ -13,11 +13,11 @@ from prbench.cli.commands import Answer, note, progress
 from prbench.cli.options import PARTICIPANTS, embedded_tables, opened
 from prbench.cli.terminal import print_tables
 from prbench.errors import UsageError
-from prbench.tables import Table
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
     from prbench.harness.request import ProgressCallback
+    from prbench.tables import Table
     from prbench_benchmarks.prime_and_reach.table_two.request import PlannedRow
 
 _ALL = "all"

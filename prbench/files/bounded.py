@@ -15,10 +15,7 @@ import stat
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import BinaryIO
-
-import numpy as np
-from jaxtyping import Bool
+from typing import Any, BinaryIO
 
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
 from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LARGEST_FILE, LARGEST_UNPACKED, LONGEST_LINE
@@ -27,7 +24,7 @@ _TOO_LARGE = "This is another file, or a damaged one."
 _WELL_KNOWN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
-def require(path: Path | str, *checks: tuple[bool | np.bool_, str, str, object, str]) -> None:
+def require(path: Path | str, *checks: tuple[Any, str, str, object, str]) -> None:
     """Refuse a file at the first of some checks that fails.
 
     Args:
@@ -44,7 +41,7 @@ def require(path: Path | str, *checks: tuple[bool | np.bool_, str, str, object, 
 
 def require_rows(
     path: Path | str,
-    bad: Bool[np.ndarray, " n"],
+    bad: Any,  # a NumPy array: every command's help would have to import NumPy for the type
     expected: str | Callable[[int], str],
     found: str | Callable[[int], str],
     *,
@@ -57,7 +54,7 @@ def require_rows(
 
     Args:
         path: The file, for the message.
-        bad: One value a row.
+        bad: Array of truth values, one a row.
         expected: What the row should hold; a function of the row's index (from 0) where it depends on the row.
         found: What it holds instead.
         place: What a row is called in the message.
@@ -69,7 +66,7 @@ def require_rows(
         InputFileError: naming the first bad row.
     """
     if bad.any():
-        row = int(np.argmax(bad))
+        row = int(bad.argmax())
         said = [text if isinstance(text, str) else text(row) for text in (expected, found)]
         where = f"{place} {row + first}" + (f", column '{column}'" if column else "")
         raise InputFileError(path, where, expected=said[0], found=said[1], remedy=remedy)
