@@ -141,37 +141,18 @@ def require_overlap(ranges: Mapping[str, tuple[float, float]], *, recording: str
         return start, end
     late = max(ranges, key=lambda name: ranges[name][0])
     early = min(ranges, key=lambda name: ranges[name][1])
-    message = (
-        f"{recording}: streams do not overlap: {early} {_span(ranges[early])}, {late} {_span(ranges[late])}."
-        f" {_unit_hint(ranges, early, late)}"
-    )
-    raise StreamsDoNotOverlap(message)
-
-
-_FACTORS = {1_000: "milliseconds", 1_000_000: "microseconds", 1_000_000_000: "nanoseconds"}
-
-
-def _span(span: tuple[float, float]) -> str:
-    return f"{span[0]:,.3f} … {span[1]:,.3f} s"
-
-
-def _unit_hint(ranges: Mapping[str, tuple[float, float]], early: str, late: str) -> str:
-    """Name the stream whose unit to look at: the one that the others do not agree with, else the later one."""
-    for factor, unit in _FACTORS.items():
-        enlarged = (ranges[early][0] * factor, ranges[early][1] * factor)
-        if not _overlap(enlarged, ranges[late]):
-            continue
-        if _companions(ranges, late) > _companions(ranges, early):
-            return (
-                f"{early} would overlap if its times were {factor:,} times as large, the step from seconds to {unit};"
-                " check the unit of its time column."
-            )
-        return f"{late} would overlap if its times were {unit}; check the unit of its time column."
-    return "No change of unit makes them overlap; check that the files belong to one recording and one clock."
-
-
-def _companions(ranges: Mapping[str, tuple[float, float]], name: str) -> int:
-    return sum(_overlap(ranges[name], span) for span in ranges.values())
+    told = [f"{name} {ranges[name][0]:,.3f} … {ranges[name][1]:,.3f} s" for name in (early, late)]
+    hint = "No change of unit makes them overlap; check that the files belong to one recording and one clock."
+    for factor, unit in ((1_000, "milliseconds"), (1_000_000, "microseconds"), (1_000_000_000, "nanoseconds")):
+        if _overlap((ranges[early][0] * factor, ranges[early][1] * factor), ranges[late]):
+            hint = f"{late} would overlap if its times were {unit}; check the unit of its time column."
+            # The stream to look at is the one that the others do not agree with.
+            agreeing = [sum(_overlap(ranges[name], span) for span in ranges.values()) for name in (late, early)]
+            if agreeing[0] > agreeing[1]:
+                hint = f"{early} would overlap if its times were {factor:,} times as large, the step from seconds to"
+                hint += f" {unit}; check the unit of its time column."
+            break
+    raise StreamsDoNotOverlap(f"{recording}: streams do not overlap: {', '.join(told)}. {hint}")
 
 
 def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:

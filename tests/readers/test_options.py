@@ -17,9 +17,9 @@ def test_defaults_describe_themselves_without_places_of_this_machine(dataset) ->
 
 
 def test_texts_become_values_of_their_kind() -> None:
-    options = reader_for("gimo", {"meshes": "true", "target": "cube"}).options
+    options = reader_for("gimo", {"meshes": "true", "body": "bvh"}).options
     assert described_options(options)["meshes"] == "true"
-    assert described_options(options)["target"] == "cube"
+    assert described_options(options)["body"] == "bvh"
 
 
 def test_a_misspelt_name_is_answered_with_the_nearest_one() -> None:
@@ -28,8 +28,8 @@ def test_a_misspelt_name_is_answered_with_the_nearest_one() -> None:
 
 
 def test_a_wrong_value_is_answered_with_the_allowed_ones() -> None:
-    with pytest.raises(UsageError, match="target is one of: point, cube"):
-        reader_for("gimo", {"target": "sphere"})
+    with pytest.raises(UsageError, match="body is one of: auto, smplx, bvh"):
+        reader_for("gimo", {"body": "sphere"})
 
 
 def test_a_file_is_described_by_its_content_and_not_by_its_place(tmp_path) -> None:

@@ -60,13 +60,7 @@ class GimoReader:
         manifest = load_manifest("gimo")
         found.require_usable(manifest.why_bad(found.recording_id))
         readings = read_readings(found, self.options)
-        recording = recording_from_gimo(
-            readings,
-            manifest,
-            dataset=found.dataset,
-            target=self.options.target,
-        )
-        return readings, recording
+        return readings, recording_from_gimo(readings, manifest, dataset=found.dataset)
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""

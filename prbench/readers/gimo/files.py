@@ -46,7 +46,6 @@ from prbench.readers.gimo.table import (
     read_segments,
     require_one_split,
 )
-from prbench.readers.gimo.to_recording import Target
 from prbench.recording import Occluder, Recording
 
 
@@ -65,8 +64,6 @@ class GimoOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_onl
     """Snapshot of VPoser v1 (``TR00_E096.pt``), for body smplx."""
     smplx_model: Path | None = None
     """``SMPLX_NEUTRAL.npz``, for body smplx."""
-    target: Target = "point"
-    """Box of an event: the wrist alone, or a cube of 10 cm around it."""
     meshes: bool = False
     """Load the scanned room, for priming that walls can hide."""
 

@@ -8,7 +8,6 @@ The world is the canonical room: Y up, floor near y = 0, metres of the body
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -31,13 +30,10 @@ from prbench.recording.streams import (
     hold_neighbours,
 )
 
-Target = Literal["point", "cube"]
 _SHORTEST_LOOK = 0.01  # metres; nearer to the eyes a point gives no direction
 
 
-def recording_from_gimo(
-    readings: gimo.GimoReadings, manifest: Manifest, *, dataset: str, target: Target = "point"
-) -> Recording:
+def recording_from_gimo(readings: gimo.GimoReadings, manifest: Manifest, *, dataset: str) -> Recording:
     """Streams in the canonical room from native readings.
 
     The pose of the glasses is unknown. Gaze rays begin at the head joint and end at the points on the scan.
@@ -46,7 +42,6 @@ def recording_from_gimo(
         readings: Content of the native files.
         manifest: Pose source, head tilt and thresholds.
         dataset: Name that the recording carries: the manifest's, or ``synthetic-`` before it.
-        target: Box of an event: the wrist itself, or a cube around it.
 
     Raises:
         InputFileError: if the suit's skeleton does not fit the pelvis track.
@@ -54,7 +49,7 @@ def recording_from_gimo(
     body, body_remarks = _body(readings, manifest)
     source = manifest.body if isinstance(readings.body, gimo.LocalJoints) else manifest.other_bodies["bvh"]
     room_from_scan = readings.transform.room_from_scan()
-    events, event_remarks = _events(readings, body, manifest, target)
+    events, event_remarks = _events(readings, body, manifest)
     # Gaze points in the room on every frame; short gaps between points are interpolated.
     measured = len(readings.gaze.frames)
     points = np.zeros((len(body.times), 3))
@@ -143,13 +138,12 @@ def filled(
 
 
 def _events(
-    readings: gimo.GimoReadings, body: BodyStream, manifest: Manifest, target: Target
+    readings: gimo.GimoReadings, body: BodyStream, manifest: Manifest
 ) -> tuple[tuple[AnnotatedEvent, ...], list[str]]:
     """Picks with the wrist as their place: the dataset knows no objects.
 
     Source: docs/specification/gimo.md#objects-and-events.
     """
-    half = manifest.thresholds["cube_side"] / 2 if target == "cube" else 0.0
     remarks: list[str] = []
     events = []
     for event in readings.events:
@@ -175,8 +169,8 @@ def _events(
                 object_name=readings.segment.activity or gimo.OBJECT_ID,
                 event_time=event.frame / gimo.FRAME_RATE,
                 location=place,
-                box_min=None if place is None else place - half,
-                box_max=None if place is None else place + half,
+                box_min=place,
+                box_max=place,
                 hand=hand,
                 hand_source="annotated" if event.hand is not None else "movement",
             )

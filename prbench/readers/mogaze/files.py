@@ -154,8 +154,7 @@ def read_scene(path: Path) -> dict[int, tuple[str, Path | None]]:
         name = entry.get("name", "").strip()
         is_named = key.isdecimal() and len(key) <= _MOST_DIGITS and name != ""
         found = f"id '{key}' and name '{name}'"
-        remedy = "Copy or download the file again; without it the bodies get their names by their order."
-        require(path, (is_named, f"body {number}", "an integer id and a name", found, remedy))
+        require(path, (is_named, f"body {number}", "an integer id and a name", found, _COPY_AGAIN))
         mesh = entry.find("meshfile")
         source = "" if mesh is None else mesh.get("src", "")
         bodies[int(key)] = (name, find_mesh(path.parent, source) if source else None)
@@ -340,19 +339,14 @@ def read_readings(found: RecordingFiles, manifest: Manifest, *, meshes: bool = F
     require(gaze, (is_turn, mogaze.CALIBRATION_ATTRIBUTE, "a quaternion of length 1", shown, _COPY_AGAIN))
 
     poses = _read_poses(objects)
-    scene_file = found.path(SCENE)
-    scene = {} if scene_file is None else read_scene(scene_file)
-    # Bodies by id: the scene's, else by their order, else without a name of their own.
-    bodies: dict[int, tuple[str, Path | None]] = {key: (f"body_{key}", None) for key in poses}
-    if not scene and len(poses) == len(mogaze.BODIES_WITHOUT_SCENE):
-        bodies = {key: (name, None) for key, name in zip(poses, mogaze.BODIES_WITHOUT_SCENE, strict=True)}
-    bodies |= {key: body for key, body in scene.items() if key in poses}
+    scene = read_scene(found.require(SCENE, mogaze.SCENE_FILE))
+    bodies = {key: scene.get(key, (f"body_{key}", None)) for key in poses}
     has_goggles = any(name == mogaze.GOGGLES for name, _ in bodies.values())
     expected = f"a body that {mogaze.SCENE_FILE} calls '{mogaze.GOGGLES}'"
     named = ", ".join(f"{key} ({name})" for key, (name, _) in bodies.items()) or "no body"
     remedy = f"Gaze starts at the goggles. Put {mogaze.SCENE_FILE} of the dataset beside the file."
     require(objects, (has_goggles, mogaze.OBJECT_GROUP, expected, named, remedy))
-    messages = [] if scene else [f"no {mogaze.SCENE_FILE}: the bodies have their names by the order of their keys"]
+    messages = []
 
     # All streams share one frame index, and are cut to the shortest.
     lengths = {"human_data": len(state), "gaze_data": len(gaze_rows)}

@@ -35,11 +35,6 @@ LABEL_LENGTH = 32
 
 NULL_LABEL = "null"
 GOGGLES = "goggles"
-BODIES_WITHOUT_SCENE: tuple[str, ...] = (
-    "table", "cup_red", "laiva_shelf", "vesken_shelf", "plate_blue", "jug", "goggles", "plate_green",
-    "plate_red", "cup_green", "cup_blue", "red_chair", "cup_pink", "plate_pink", "bowl", "blue_chair",
-)  # fmt: skip
-"""Names of the 16 bodies in the order in which HDF5 lists their keys; for copies that lack ``scene.xml``."""
 FURNITURE = ("table", "shelf", "chair")
 """Kinds of bodies that are tracked, but neither picked up nor put down."""
 

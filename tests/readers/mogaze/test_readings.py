@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -19,7 +18,7 @@ from prbench.readers.mogaze.files import extents, find_mesh, read_mesh, read_sce
 from prbench.readers.mogaze.format import STATE_COLUMNS
 from prbench.readers.mogaze.synthetic import box_mesh, write
 from prbench.recording import Recording
-from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, N, body, still_life
+from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, N, still_life
 
 NAMES = {CUP: "cup_red", PLATE: "plate_red", GOGGLES: "goggles", TABLE: "table"}
 
@@ -136,21 +135,10 @@ def test_a_file_that_is_no_mesh_is_refused(root, content) -> None:
         _read(root)
 
 
-def test_without_a_scene_the_sixteen_bodies_are_named_in_the_order_of_their_keys(root) -> None:
+def test_without_a_scene_nobody_knows_which_body_is_what(root) -> None:
     (root / "scene.xml").unlink()
-    readings = still_life()
-    goggles = next(each for each in readings.bodies if each.body_id == GOGGLES)
-    ids = sorted(range(3, 19), key=str)  # 10 11 … 18 3 4 … 9: as HDF5 lists them
-    bodies = [body(key, "", np.full((N, 3), key / 10), (0.1, 0.1, 0.1)) for key in ids]
-    bodies[6] = replace(goggles, body_id=ids[6])
-    write(replace(readings, bodies=tuple(bodies)), root)
-    recording = _read(root)
-    names = {track.object_id: track.name for track in recording.objects}
-    assert names[str(ids[0])] == "table"
-    assert names[str(ids[1])] == "cup_red"
-    assert names[str(ids[15])] == "blue_chair"
-    assert recording.objects[-1].box_max is not None
-    assert any("order of their keys" in message for message in recording.messages)
+    with pytest.raises(InputFileError, match=r"scene\.xml: expected this file"):
+        _read(root)
 
 
 def test_a_body_without_a_name_keeps_its_number(root) -> None:
