@@ -6,8 +6,8 @@ The cost of a motion, as a leaderboard shows it beside the scores.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from prbench.board.merging import merge_folds
@@ -25,41 +25,25 @@ from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
 from prbench.harness.verification import CheckedSummary, RunChecker, ScoredSequences
 from prbench.protocol.manifests import benchmarks, find_benchmark
 
-_MEBIBYTE = 2**20
-_DASH = "–"
-
-
-@dataclass(frozen=True)
-class MotionCost:
-    """Seconds, network passes, memory and parameters; None where nothing was measured or declared."""
-
-    seconds: float | None
-    """Seconds a motion, batched as the run was, without warm-up."""
-    network_passes: float | None
-    """Passes a motion, as the method declares."""
-    memory_mebibytes: float | None
-    """Largest memory of the device, else of the process."""
-    parameters: int | None
-    """Parameters of the method's networks."""
-
-    @property
-    def cells(self) -> tuple[str, str, str, str]:
-        """The four as printed."""
-        return (
-            _DASH if self.seconds is None else f"{self.seconds:.3f}",
-            _DASH if self.network_passes is None else f"{self.network_passes:.0f}",
-            _DASH if self.memory_mebibytes is None else f"{self.memory_mebibytes:.0f}",
-            _DASH if self.parameters is None else f"{self.parameters:,}",
-        )
-
-
-COST_TITLES = ("s/motion", "Passes/motion", "Memory (MiB)", "Parameters")
-UNMEASURED = MotionCost(None, None, None, None)
+COSTS = {
+    "seconds": "s/motion",
+    "network_passes": "Passes/motion",
+    "memory_mebibytes": "Memory (MiB)",
+    "parameters": "Parameters",
+}
+"""Titles of the numbers of :func:`cost_of`."""
+UNMEASURED: dict[str, float | None] = dict.fromkeys(COSTS)
 """Of controls, whose motions the harness makes, and of motions that came as a file."""
 
 
-def cost_of(files: DatasetFolder) -> MotionCost:
-    """Read the cost of one dataset of a run; nothing where the file is missing or damaged, since scores need none."""
+def cost_of(files: DatasetFolder) -> dict[str, float | None]:
+    """Read the cost of one dataset of a run; nothing where the file is missing or damaged, since scores need none.
+
+    Returns:
+        Seconds a motion, batched as the run was, without warm-up; network passes a motion, as the method declares;
+        largest memory of the device, else of the process, MiB; parameters of the networks. None where nothing was
+        measured or declared.
+    """
     try:
         cost = RunCost.read(files.cost)
     except RunError:
@@ -69,15 +53,13 @@ def cost_of(files: DatasetFolder) -> MotionCost:
         return UNMEASURED
     # A run of a single batch has warm-up alone, which is dearer than what follows, and better than nothing.
     seconds = cost.seconds_per_motion
-    if seconds is None:
-        seconds = cost.warm_up_seconds / motions
     memory = cost.peak_device_bytes if cost.peak_device_bytes is not None else cost.peak_process_bytes
-    return MotionCost(
-        seconds=seconds,
-        network_passes=cost.network_passes_declared / motions if cost.network_passes_declared else None,
-        memory_mebibytes=memory / _MEBIBYTE if memory else None,
-        parameters=cost.parameters,
-    )
+    return {
+        "seconds": cost.warm_up_seconds / motions if seconds is None else seconds,
+        "network_passes": cost.network_passes_declared / motions if cost.network_passes_declared else None,
+        "memory_mebibytes": memory / 2**20 if memory else None,
+        "parameters": cost.parameters,
+    }
 
 
 @dataclass(frozen=True)
@@ -99,7 +81,8 @@ class LeaderboardRow:
     """Its ``scores.parquet``."""
     only: frozenset[str] | None = None
     """Ids of the sequences that its summary is of, and that it is compared on; None for all that were scored."""
-    cost: MotionCost = UNMEASURED
+    cost: Mapping[str, float | None] = field(default_factory=lambda: UNMEASURED)
+    """Of a motion; see :func:`cost_of`."""
 
     @property
     def method(self) -> str:
@@ -170,7 +153,9 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_bench
     """
     folders: dict[Path, None] = {}
     for path in paths:
-        found = [path] if (path / run_record.FILE_NAME).is_file() else _runs_below(path)
+        found = [path]
+        if not (path / run_record.FILE_NAME).is_file():
+            found = sorted(file.parent for file in path.rglob(run_record.FILE_NAME)) if path.is_dir() else []
         if not found:
             raise RunError(
                 f"{path}: expected a run folder (with {run_record.FILE_NAME}) or a folder of runs, found none."
@@ -186,8 +171,11 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_bench
         if run.record.benchmark not in benchmarks():
             left_out.append(f"{folder.name}: of a benchmark that this version of prbench does not have")
             continue
-        # A foreign method under the name of ours would stand in the study's own row.
-        if problem := _false_name(run.record):
+        # A foreign method under the name of ours would stand in the study's own row; prbench 0.5 checked no names.
+        method = run.record.method
+        foreign = method.kind in (run_record.PACKAGE, run_record.PROGRAM, run_record.FILE)
+        problem = name_problem(method.name, own=find_benchmark(run.record.benchmark).methods) if foreign else None
+        if problem:
             left_out.append(f"{folder.name}: {problem}; run or score it again under another name")
             continue
         unfinished = [table.dataset for table in run.record.tables if not run.dataset(table.dataset).finished]
@@ -252,15 +240,3 @@ def _why_unverified(merged: RunFolder, named: Sequence[tuple[LeaderboardRow, Run
         )
     reasons = [row.unverified for row, _ in found if row.unverified]
     return f"one of the runs that it was merged from is unverified: {reasons[0]}" if reasons else ""
-
-
-def _false_name(record: RunRecord) -> str | None:
-    """Return what is wrong with the name of a foreign method; prbench 0.5 checked no names."""
-    method = record.method
-    own = find_benchmark(record.benchmark).methods
-    foreign = (run_record.PACKAGE, run_record.PROGRAM, run_record.FILE)
-    return name_problem(method.name, own=own) if method.kind in foreign else None
-
-
-def _runs_below(path: Path) -> list[Path]:
-    return sorted(file.parent for file in path.rglob(run_record.FILE_NAME)) if path.is_dir() else []

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from prbench.board.collect import COST_TITLES, MotionCost
+from prbench.board.collect import COSTS
 from prbench.board.tables import (
     FEWEST_RANKED,
     DatasetTable,
@@ -137,10 +137,10 @@ def _csv_rows(leaderboard: Leaderboard) -> Iterator[dict[str, Any]]:
                 "table": str(number),
                 "verified": "unverified" if row.entry.unverified else "verified",
                 "kind": row.entry.origin,
-                "seconds_per_motion": cost.seconds,
-                "passes_per_motion": cost.network_passes,
-                "memory_mebibytes": cost.memory_mebibytes,
-                "parameters": cost.parameters,
+                "seconds_per_motion": cost["seconds"],
+                "passes_per_motion": cost["network_passes"],
+                "memory_mebibytes": cost["memory_mebibytes"],
+                "parameters": cost["parameters"],
             }
             yield from (_csv_row(cell, table.benchmark) | about for cell in measured_cells(row, table))
     for number, macro in enumerate(leaderboard.macro, start=1):
@@ -179,8 +179,9 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True):
     """The content of its ``run.json``: method, version, weights, condition, seed."""
     summary: DatasetSummary
     """Its scores, as in ``summary.json``; of the table's sequences alone."""
-    cost: MotionCost
-    """Cost of a motion, on the machine of the run."""
+    cost: dict[str, float | None]
+    """Cost of a motion, on the machine of the run: ``seconds``, ``network_passes``, ``memory_mebibytes``,
+    ``parameters``; null where nothing was measured or declared."""
     origin: str
     """Whose method it is, in words; a record that claims a method for prbench without right is not believed."""
     mark: str
@@ -298,14 +299,16 @@ def _as_markdown(leaderboard: Leaderboard) -> str:
                     "condition": "control" if row.entry.record.method.kind == CONTROL else row.entry.record.condition,
                     "method": _words(row.entry.method, row.entry.summary.symbols),
                     "variant": note_of(row.variant, "unverified" if row.entry.unverified else ""),
-                    **dict(zip(COST_TITLES, row.entry.cost.cells)),
                     "kind": row.entry.origin,
                 },
-                cells=measured_cells(row, table),
+                cells=(
+                    *measured_cells(row, table),
+                    *(Cell(metric=name, value=value) for name, value in row.entry.cost.items()),
+                ),
             )
             for row in table.rows
         ]
-        costs = [Column(key=name, title=name) for name in COST_TITLES]
+        costs = [Column(key=name, title=COSTS[name], digits=3 if name == "seconds" else 0) for name in COSTS]
         blocks = (Block(rows=tuple(rows)),)
         columns = _columns(table.benchmark, *costs)
         tables.append(Table(title=", ".join(about), columns=columns, blocks=blocks, notes=tuple(_legend(table))))

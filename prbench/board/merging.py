@@ -17,7 +17,7 @@ from prbench.files.storage import atomic_folder, sole_writer, text_digest
 from prbench.harness.results import summary_of
 from prbench.harness.run_folder.cost import RunCost, total_cost
 from prbench.harness.run_folder.folder import FOLDS_FILE, FoldRun, MergedFrom, RunFolder
-from prbench.harness.run_folder.record import BatchPlanRecord, MethodRecord, RunRecord, TableRecord
+from prbench.harness.run_folder.record import BatchPlanRecord, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import read_scores, write_scores
 from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.harness.verification import RunChecker
@@ -43,37 +43,30 @@ class MergedRun:
         """Write a run folder that ``prbench leaderboard export`` shows beside others, whole or not at all.
 
         Raises:
-            StorageError: if the folder holds something else, or cannot be written.
+            StorageError: if the folder holds anything but the very same merged run, or cannot be written.
         """
+        made_from = MergedFrom(folds=tuple(map(FoldRun.of, self.folds)))
         with sole_writer(out):
             if out.exists() and (not out.is_dir() or any(out.iterdir())):
-                self._require_same(out)
+                if not (out / FOLDS_FILE).is_file():
+                    raise StorageError(
+                        f"{out}: exists and holds no {FOLDS_FILE}, so it is no merged run. Choose a new folder for"
+                        " --out."
+                    )
+                if MergedFrom.read(out) != made_from:
+                    raise StorageError(f"{out}: holds the merged scores of other runs. Choose a new folder for --out.")
                 return
             with atomic_folder(out) as folder:
                 self.record.write(folder)
                 protocol = self.folds[0].protocol
                 if protocol is not None:
                     write_protocol(folder, protocol)
-                files = RunFolder(folder, self.record).dataset(self.summary.dataset)
+                dataset = self.summary.dataset
+                files = RunFolder(folder, self.record).dataset(dataset)
                 write_scores(files.scores, [self.scores])
-                total_cost([RunCost.read(run.dataset(self.summary.dataset).cost) for run in self.folds]).write(
-                    files.cost
-                )
-                MergedFrom(folds=tuple(map(FoldRun.of, self.folds))).write(folder)
+                total_cost([RunCost.read(run.dataset(dataset).cost) for run in self.folds]).write(files.cost)
+                made_from.write(folder)
                 self.summary.write(folder)
-
-    def _require_same(self, out: Path) -> None:
-        """Refuse a folder that holds anything but the very same merged run.
-
-        Raises:
-            StorageError: saying what it holds.
-        """
-        if not (out / FOLDS_FILE).is_file():
-            raise StorageError(
-                f"{out}: exists and holds no {FOLDS_FILE}, so it is no merged run. Choose a new folder for --out."
-            )
-        if MergedFrom.read(out).folds != tuple(map(FoldRun.of, self.folds)):
-            raise StorageError(f"{out}: holds the merged scores of other runs. Choose a new folder for --out.")
 
 
 def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> MergedRun:
@@ -92,11 +85,17 @@ def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> 
     runs = [RunFolder.open(path) for path in paths]
     if len(runs) < 2:
         raise RunError(f"expected a run of each fold, found {len(runs)}.")
+    expected = _design(runs[0].record)
     for run in runs:
-        _require_alike(runs[0], run)
+        if len(run.record.tables) != 1:
+            raise RunError(f"{run.path}: expected a run of one dataset, found {len(run.record.tables)}.")
+        for name, found in _design(run.record).items():
+            if found != expected[name]:
+                raise RunError(f"{run.path}: expected {name} {expected[name]} as in {runs[0].path}, found {found}.")
     runs = _in_order(runs)
     unverified = []
-    tables = []
+    scores = []
+    owner: dict[str, Path] = {}
     for run in runs:
         table = run.record.tables[0]
         files = run.dataset(table.dataset)
@@ -105,17 +104,34 @@ def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> 
         checked = (checker or RunChecker()).check(run, table)
         if checked.unverified:
             unverified.append(f"{run.path}: {checked.unverified}")
-        tables.append(read_scores(files.scores))
-    owner: dict[str, Path] = {}
-    for run, table in zip(runs, tables):
-        for name in set(table["sequence_id"].to_pylist()):
+        scores.append(read_scores(files.scores))
+        for name in set(scores[-1]["sequence_id"].to_pylist()):
             if name in owner:
                 raise RunError(f"{run.path}: sequence {name} is scored in {owner[name]}, too; folds share no sequence.")
             owner[name] = run.path
     record = _merged_record([run.record for run in runs], sorted(owner))
-    scores = pa.concat_tables(tables)
-    summary = summary_of(record, record.tables[0], scores, {name: recording_key(name) for name in owner})
-    return MergedRun(record, summary, scores, tuple(runs), tuple(unverified))
+    merged = pa.concat_tables(scores)
+    summary = summary_of(record, record.tables[0], merged, {name: recording_key(name) for name in owner})
+    return MergedRun(record, summary, merged, tuple(runs), tuple(unverified))
+
+
+def _design(record: RunRecord) -> dict[str, object]:
+    """Everything in which the runs on all folds have to agree."""
+    return {
+        "dataset": record.tables[0].dataset if record.tables else None,
+        "whole table": record.tables[0].whole_table if record.tables else None,
+        "protocol": record.protocol_digest,
+        "method": record.method.name,
+        "kind": record.method.kind,
+        "options": msgspec.json.encode(record.method.options).decode(),
+        "condition": record.condition,
+        "control": record.control,
+        "samples": record.samples,
+        "gaze": record.method.gaze,
+        "obstacles": record.method.wants_obstacles,
+        "split": record.split,
+        "limit": record.limit,
+    }
 
 
 def _in_order(runs: list[RunFolder]) -> list[RunFolder]:
@@ -154,10 +170,7 @@ def _merged_record(records: Sequence[RunRecord], sequence_ids: list[str]) -> Run
     tables = [record.tables[0] for record in records]
     plans = [table.batch_plan for table in tables]
     table = TableRecord(
-        dataset=tables[0].dataset,
-        title=tables[0].title,
-        synthetic=tables[0].synthetic,
-        redistribution=tables[0].redistribution,
+        **{name: getattr(tables[0], name) for name in ("dataset", "title", "synthetic", "redistribution")},
         identity_digest=text_digest(*(table.identity_digest for table in tables)),
         content_digest=text_digest(*(table.content_digest for table in tables)),
         sequences=sum(table.sequences for table in tables),
@@ -170,53 +183,9 @@ def _merged_record(records: Sequence[RunRecord], sequence_ids: list[str]) -> Run
         ),
         whole_table=tables[0].whole_table,
     )
-    return msgspec.structs.replace(
-        first,
-        split=f"{len(records)} folds",
-        method=_merged_method([record.method for record in records]),
-        tables=(table,),
-    )
-
-
-def _merged_method(methods: Sequence[MethodRecord]) -> MethodRecord:
-    """The method of all folds, whose weights differ: each was trained on the other folds."""
-    digests = [method.weights_digest for method in methods]
-    if len(set(digests)) == 1:
-        return methods[0]
-    return msgspec.structs.replace(
-        methods[0],
-        weights=f"{len(methods)} folds",
-        weights_digest=text_digest(*(digest or "" for digest in digests)),
-    )
-
-
-def _require_alike(first: RunFolder, other: RunFolder) -> None:
-    """Refuse two runs that are no folds of one design.
-
-    Raises:
-        RunError: naming what differs.
-    """
-    if len(other.record.tables) != 1:
-        raise RunError(f"{other.path}: expected a run of one dataset, found {len(other.record.tables)}.")
-    expected = _design(first.record)
-    for name, found in _design(other.record).items():
-        if found != expected[name]:
-            raise RunError(f"{other.path}: expected {name} {expected[name]} as in {first.path}, found {found}.")
-
-
-def _design(record: RunRecord) -> dict[str, object]:
-    return {
-        "dataset": record.tables[0].dataset,
-        "whole table": record.tables[0].whole_table,
-        "protocol": record.protocol_digest,
-        "method": record.method.name,
-        "kind": record.method.kind,
-        "options": msgspec.json.encode(record.method.options).decode(),
-        "condition": record.condition,
-        "control": record.control,
-        "samples": record.samples,
-        "gaze": record.method.gaze,
-        "obstacles": record.method.wants_obstacles,
-        "split": record.split,
-        "limit": record.limit,
-    }
+    method = first.method
+    digests = [record.method.weights_digest for record in records]
+    if len(set(digests)) > 1:  # each was trained on the other folds
+        together = text_digest(*(digest or "" for digest in digests))
+        method = msgspec.structs.replace(method, weights=f"{len(records)} folds", weights_digest=together)
+    return msgspec.structs.replace(first, split=f"{len(records)} folds", method=method, tables=(table,))

@@ -92,20 +92,12 @@ def _print_imported(report: ImportReleaseReport) -> None:
 )
 @opt.data_arguments
 @opt.out_folder_option("Folder of the release; each dataset gets a folder in it.", required=True)
-@click.option(
-    "--frame",
-    type=click.Choice(["canonical", "world"]),
-    default="canonical",
-    help="Each sequence's canonical frame (default; comes back without change), or its recording's world.",
-)
 @opt.permission_option
-def export_release(
-    *, data: tuple[Path, ...], out: Path, frame: Literal["canonical", "world"], permission: tuple[str, ...]
-) -> Answer:
+def export_release(*, data: tuple[Path, ...], out: Path, permission: tuple[str, ...]) -> Answer:
     """Write tables in the layout of the authors' release."""
     from prbench.release.exporting import export_release as export_tables
 
-    report = export_tables(data, out, permitted=permission, frame=frame)
+    report = export_tables(data, out, permitted=permission)
     return Answer(report, lambda: _print_exported(report))
 
 

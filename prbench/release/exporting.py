@@ -8,14 +8,13 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 import prbench
 from prbench.errors import UsageError
 from prbench.files.storage import atomic_folder, inside, require_replaceable, sole_writer, write_json
-from prbench.geometry.skeleton import transform_points
 from prbench.release.layout import (
     EXPORT_RECORD,
     FURTHER,
@@ -32,20 +31,18 @@ from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import NOTICE_FILE, notice, require_may_pass_on
 from prbench.sequences.sequence import sequences_in
 
-Frame = Literal["canonical", "world"]
-
 
 def export_release(
-    tables: Sequence[Path | str], out: Path | str, *, permitted: Collection[str] = (), frame: Frame = "canonical"
+    tables: Sequence[Path | str], out: Path | str, *, permitted: Collection[str] = ()
 ) -> ExportReleaseReport:
     """Write tables as a release: ``out/<DATASET>/motions``, ``gazes`` and ``target_information.json``.
+
+    Motions, goals and gazes are in the canonical frame of each sequence.
 
     Args:
         tables: Dataset folders, of different datasets.
         out: The release; a dataset's folder that an earlier export wrote is replaced, anything else is not touched.
         permitted: Datasets whose licence keeps recorded motion, but for which the user has permission.
-        frame: Frame of motions, goals and gazes: the canonical frame of each sequence, or the world of its recording
-            (whose float32 positions are coarser, about 1 µm at 10 m).
 
     Raises:
         RedistributionError: if a licence forbids it; nothing is written then.
@@ -64,30 +61,37 @@ def export_release(
         # All tables are checked before the first is written: a refusal leaves nothing behind.
         require_may_pass_on(table.info, "a release", permitted)
         require_replaceable(folder, EXPORT_RECORD, kind="export")
-    written = [_export(table, folder, permitted, frame) for table, folder in zip(opened, folders)]
+    written = []
+    for table, folder in zip(opened, folders):
+        info = table.info
+        said = notice(info, permitted)
+        with sole_writer(folder), atomic_folder(folder) as temporary:
+            for name in (MOTIONS, GAZES, FURTHER):
+                (temporary / name).mkdir()
+            count = 0
+            with open(temporary / TARGETS, "w", encoding="utf-8", newline="\n") as file:
+                for count, (key, entry) in enumerate(_written(table, temporary), 1):
+                    # One entry a line, written as it comes: the file of a large table never stands in memory.
+                    line = json.dumps(entry, ensure_ascii=False, allow_nan=False)
+                    file.write(f"{'{' if count == 1 else ','}\n{json.dumps(key)}: {line}")
+                file.write("\n}\n")
+            same = ("dataset", "title", "licence", "redistribution", "homepage", "citation", "identity_digest",
+                    "content_digest")  # fmt: skip
+            record = {
+                "written_by": f"prbench {prbench.__version__}",
+                **{name: getattr(info, name) for name in same},
+                "permission_stated": info.dataset in permitted,
+                "frame": "canonical",
+            }
+            write_json(temporary / EXPORT_RECORD, record)
+            if said:
+                text = f"{said}\n\nLicence: {info.licence}\n{info.homepage}\n\n{info.citation}\n"
+                (temporary / NOTICE_FILE).write_text(text, encoding="utf-8")
+        written.append(ExportedTable(dataset=info.dataset, folder=folder, sequences=count, notice=said))
     return ExportReleaseReport(datasets=written)
 
 
-def _export(table: SequenceTable, folder: Path, permitted: Collection[str], frame: Frame) -> ExportedTable:
-    said = notice(table.info, permitted)
-    with sole_writer(folder), atomic_folder(folder) as temporary:
-        for name in (MOTIONS, GAZES, FURTHER):
-            (temporary / name).mkdir()
-        count = 0
-        with open(temporary / TARGETS, "w", encoding="utf-8", newline="\n") as file:
-            for count, (key, entry) in enumerate(_written(table, temporary, frame), 1):
-                # One entry a line, written as it comes: the file of a large table never stands in memory.
-                line = json.dumps(entry, ensure_ascii=False, allow_nan=False)
-                file.write(f"{'{' if count == 1 else ','}\n{json.dumps(key)}: {line}")
-            file.write("\n}\n")
-        write_json(temporary / EXPORT_RECORD, _record(table, permitted, frame))
-        if said:
-            text = f"{said}\n\nLicence: {table.info.licence}\n{table.info.homepage}\n\n{table.info.citation}\n"
-            (temporary / NOTICE_FILE).write_text(text, encoding="utf-8")
-    return ExportedTable(dataset=table.info.dataset, folder=folder, sequences=count, notice=said)
-
-
-def _written(table: SequenceTable, folder: Path, frame: Frame) -> Iterator[tuple[str, dict[str, Any]]]:
+def _written(table: SequenceTable, folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """Write the arrays of every sequence and yield its key and entry."""
     events = table.events().select(["sequence_id", "event_id"])
     event_of = dict(zip(events["sequence_id"].to_pylist(), events["event_id"].to_pylist()))
@@ -95,29 +99,18 @@ def _written(table: SequenceTable, folder: Path, frame: Frame) -> Iterator[tuple
     rows = (sequence for chunk in table.chunks(rows=64) for sequence in sequences_in(chunk.batch))
     for index, sequence in enumerate(rows):
         key = f"{index:010d}"
-        # Write motions, gazes (NaN where invalid), and the further arrays (always canonical).
-        joints = sequence.joints
         # The layout has no column of validity, so NaN has to say it.
-        directions = np.where(sequence.gaze_valid[:, None], sequence.gaze_direction, np.float32(np.nan))
-        if frame == "world":
-            # Directions turn with the frame and do not move with it.
-            turn = sequence.world_from_canonical.copy()
-            turn[:3, 3] = 0.0
-            # In float64 and rounded once at the end: far from the origin float32 is coarse.
-            joints = transform_points(sequence.world_from_canonical, joints.astype(np.float64))
-            directions = transform_points(turn, directions.astype(np.float64))
-        for name, values in ((MOTIONS, joints), (GAZES, directions)):
+        gaze = np.where(sequence.gaze_valid[:, None], sequence.gaze_direction, np.float32(np.nan))
+        for name, values in ((MOTIONS, sequence.joints), (GAZES, gaze)):
             single = np.ascontiguousarray(values, dtype=np.float32)
             np.save(folder / name / f"{key}.npy", single, allow_pickle=False)
         further = {name: getattr(sequence, name) for name in FURTHER_ARRAYS}
         present = {name: values for name, values in further.items() if values is not None}
         (folder / FURTHER / f"{key}.npz").write_bytes(pack_arrays(present))
         event_id = event_of.get(sequence.sequence_id) or sequence.sequence_id.rsplit("/", 1)[0]
-        block = block_of(sequence, event_id=event_id, motion_frame=frame, goal_frame=goal_frame)
         # The layout's fields, and those beside them that other tools may read.
-        written_from_canonical = sequence.world_from_canonical if frame == "world" else np.eye(4)
         fields = {
-            "goal_location": transform_points(written_from_canonical, sequence.goal_location).tolist(),
+            "goal_location": sequence.goal_location.tolist(),
             "text_prompt": sequence.text,
             "subset": sequence.split,
             "primed_frame": sequence.prime_frame,
@@ -130,25 +123,4 @@ def _written(table: SequenceTable, folder: Path, frame: Frame) -> Iterator[tuple
         }
         if sequence.hand:
             fields["hand"] = sequence.hand
-        if frame == "world" or (sequence.world_from_canonical == np.eye(4)).all():
-            # World-aligned: in a frame that is turned it would be no box.
-            fields["object_box"] = [sequence.goal_box_world_min.tolist(), sequence.goal_box_world_max.tolist()]
-        yield key, fields | {"prbench": block}
-
-
-def _record(table: SequenceTable, permitted: Collection[str], frame: Frame) -> dict[str, Any]:
-    """Return the record of the exported table and its terms."""
-    info = table.info
-    return {
-        "written_by": f"prbench {prbench.__version__}",
-        "dataset": info.dataset,
-        "title": info.title,
-        "licence": info.licence,
-        "redistribution": info.redistribution,
-        "permission_stated": info.dataset in permitted,
-        "homepage": info.homepage,
-        "citation": info.citation,
-        "frame": frame,
-        "identity_digest": info.identity_digest,
-        "content_digest": info.content_digest,
-    }
+        yield key, fields | {"prbench": block_of(sequence, event_id=event_id, goal_frame=goal_frame)}

@@ -347,13 +347,12 @@ _Block = msgspec.defstruct(
 )
 
 
-def block_of(sequence: Sequence, *, event_id: str, motion_frame: str, goal_frame: str) -> dict[str, Any]:
+def block_of(sequence: Sequence, *, event_id: str, goal_frame: str) -> dict[str, Any]:
     """Return the block of a sequence, as JSON holds it.
 
     Args:
         sequence: One row of the table.
         event_id: Id of its event.
-        motion_frame: Frame of motion, goal and gaze as they are written: ``canonical`` or ``world``.
         goal_frame: ``unknown`` where the table itself came from a release whose goals could not be placed.
     """
     block: dict[str, Any] = {"sequence_id": sequence.sequence_id, "event_id": event_id}
@@ -362,7 +361,7 @@ def block_of(sequence: Sequence, *, event_id: str, motion_frame: str, goal_frame
         if isinstance(value, np.ndarray):
             value = value.ravel().tolist()
         block[column.name] = None if value != value else value  # NaN alone differs from itself
-    return block | {"motion_frame": motion_frame, "goal_frame": goal_frame, "extra": dict(sequence.extra)}
+    return block | {"motion_frame": "canonical", "goal_frame": goal_frame, "extra": dict(sequence.extra)}
 
 
 def convert_block(value: Any, *, fps: float, primed_frame: float, n_frames: int) -> dict[str, Any] | None:

@@ -48,21 +48,6 @@ def test_tables_of_all_datasets_come_back_without_change(tmp_path) -> None:
         assert back.events()["event_id"].equals(table.events()["event_id"])
 
 
-def test_in_world_coordinates_it_comes_back_to_ten_micrometres(tmp_path) -> None:
-    table = looking_table(tmp_path / "table")
-    export_release([table.folder], tmp_path / "release", frame="world")
-    import_release(tmp_path / "release", tmp_path / "back", dataset="synthetic-adt")
-    back = SequenceTable.open(tmp_path / "back")
-    assert back.identity == table.identity
-    assert whole(back)["extra"].equals(whole(table)["extra"])
-    for name in [name for name in SEQUENCES.names if name != "extra"]:
-        before, after = leaves(whole(table)[name]), leaves(whole(back)[name])
-        if before.dtype.kind == "f":
-            np.testing.assert_allclose(after, before, atol=1e-5, err_msg=name)
-        else:
-            assert list(after) == list(before), name
-
-
 def test_what_is_written_is_the_authors_layout(tmp_path) -> None:
     table = looking_table(tmp_path / "table", 6)
     export_release([table.folder], tmp_path / "release")
