@@ -1,16 +1,15 @@
 """Measure what the protocol's choices change on synthetic recordings: the numbers of ``docs/protocol-choices.md``.
 
-Run from the repository's root: ``python -m benchmarks.choices [--recordings 40]``. The synthetic recordings are acted
-out once, in memory; each variant curates them into a table of its own in a temporary folder, and the recorded motion of
-its test sequences is scored. Takes some minutes on one core and prints Markdown.
+Run from the repository's root: ``python -m benchmarks.choices [--recordings 40]``. Each variant
+acts out the synthetic recordings and curates them into a table of its own in a temporary folder, and the recorded
+motion of its test sequences is scored. Takes some minutes on one core and prints Markdown.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import msgspec
@@ -19,14 +18,12 @@ import numpy as np
 from prbench.checking.verify_synthetic import match_events, true_events
 from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.curation.curate import curate_recording
-from prbench.curation.options import DEFAULTS
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import read_scores
-from prbench.harness.synthetic_table import Staging, SyntheticSource, synthetic_source
-from prbench.protocol.manifests import BenchmarkProtocol, load_manifest, load_protocol
+from prbench.harness.synthetic_table import Staging, synthetic_source
+from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.protocol.own_protocol import FILE_NAME
-from prbench.recording import Recording
 from prbench.sequences import SequenceTable
 
 PRESET = "adt"
@@ -39,85 +36,29 @@ EARLY = 1.8
 _SAME = 1e-6  # seconds
 
 
-@dataclass(frozen=True)
-class CachedSource:
-    """A synthetic recording that is acted out once for all variants."""
-
-    source: SyntheticSource
-    acted: dict[str, Recording] = field(repr=False)
-    skip_reason: None = None
-
-    @property
-    def dataset(self) -> str:
-        """The preset's dataset."""
-        return self.source.dataset
-
-    @property
-    def recording_id(self) -> str:
-        """Name of the recording."""
-        return self.source.recording_id
-
-    @property
-    def split(self) -> str:
-        """Split of the recording."""
-        return self.source.split
-
-    def input_digest(self) -> str:
-        """Digest of everything that the recording is made from."""
-        return self.source.input_digest()
-
-    def read(self) -> Recording:
-        """Act it out the first time."""
-        if self.recording_id not in self.acted:
-            self.acted[self.recording_id] = self.source.read()
-        return self.acted[self.recording_id]
-
-    def without_places(self, message: str) -> str:
-        """Nothing of this machine is in the messages."""
-        return message
+def _protocol(*, fps: float | None = None, **curation: float) -> BuildOptions:
+    """Return the options of a build with a changed protocol, which has a name of its own."""
+    own = load_protocol()
+    changed = msgspec.structs.replace(own.curation, **curation)
+    return BuildOptions(protocol=msgspec.structs.replace(own, name="variant", fps=fps or own.fps, curation=changed))
 
 
-@dataclass(frozen=True)
-class Variant:
-    """One reading of the study."""
-
-    name: str
-    curation: CurationOptions = DEFAULTS
-    change: Callable[[BenchmarkProtocol], BenchmarkProtocol] | None = None
-
-    @property
-    def options(self) -> BuildOptions:
-        """Options of the build; a changed protocol has a name of its own."""
-        protocol = None
-        if self.change is not None:
-            protocol = msgspec.structs.replace(self.change(load_protocol()), name="variant")
-        return BuildOptions(curation=self.curation, protocol=protocol)
-
-
-def _at_rate(fps: float) -> Callable[[BenchmarkProtocol], BenchmarkProtocol]:
-    return lambda protocol: msgspec.structs.replace(protocol, fps=fps)
-
-
-def _with_curation(**values: float) -> Callable[[BenchmarkProtocol], BenchmarkProtocol]:
-    return lambda protocol: msgspec.structs.replace(
-        protocol, curation=msgspec.structs.replace(protocol.curation, **values)
-    )
-
-
-VARIANTS = (
-    Variant("version 2"),
-    Variant("rays from the camera", CurationOptions(ray_origin="camera")),
-    Variant("wrist in hand", CurationOptions(in_hand="wrist")),
-    Variant("30 frames a second", change=_at_rate(30.0)),
-    Variant("no near misses", change=_with_curation(near_miss_distance=0.0)),
-    Variant("near misses up to 10 cm", change=_with_curation(near_miss_distance=0.10)),
-    Variant("look of 0.1 s", change=_with_curation(minimum_prime=0.1)),
-    Variant("look of 0.2 s", change=_with_curation(minimum_prime=0.2)),
-    Variant("movement of the pelvis", CurationOptions(minimum_movement="pelvis_displacement")),
-    Variant("movement of the object", CurationOptions(minimum_movement="object_displacement")),
-    Variant("no minimum movement", change=_with_curation(minimum_movement=0.0)),
-    Variant("lead of 3 s", change=_with_curation(lead=3.0)),
-)
+def _variants() -> dict[str, BuildOptions]:
+    """Return the readings of the study by name."""
+    return {
+        "version 2": BuildOptions(),
+        "rays from the camera": BuildOptions(curation=CurationOptions(ray_origin="camera")),
+        "wrist in hand": BuildOptions(curation=CurationOptions(in_hand="wrist")),
+        "30 frames a second": _protocol(fps=30.0),
+        "no near misses": _protocol(near_miss_distance=0.0),
+        "near misses up to 10 cm": _protocol(near_miss_distance=0.10),
+        "look of 0.1 s": _protocol(minimum_prime=0.1),
+        "look of 0.2 s": _protocol(minimum_prime=0.2),
+        "movement of the pelvis": BuildOptions(curation=CurationOptions(minimum_movement="pelvis_displacement")),
+        "movement of the object": BuildOptions(curation=CurationOptions(minimum_movement="object_displacement")),
+        "no minimum movement": _protocol(minimum_movement=0.0),
+        "lead of 3 s": _protocol(lead=3.0),
+    }
 
 
 def main() -> None:
@@ -126,15 +67,12 @@ def main() -> None:
     parser.add_argument("--recordings", type=int, default=RECORDINGS, help=f"how many (default: {RECORDINGS})")
     count = parser.parse_args().recordings
     staging = Staging(PRESET, SEED)
-    acted: dict[str, Recording] = {}
-    sources = [CachedSource(synthetic_source(staging, index), acted) for index in range(count)]
+    sources = [synthetic_source(staging, index) for index in range(count)]
     # Map the id of each sequence of version 2 to the time at which its person means to look at the goal.
     planned = {}
     for index in range(count):
         performance = staging.perform(index)
-        recording = staging.sense(performance)
-        acted[recording.recording_id] = recording
-        curated = curate_recording(recording, load_manifest(staging.preset), load_protocol())
+        curated = curate_recording(staging.sense(performance), load_manifest(staging.preset), load_protocol())
         for match in match_events(true_events(staging.preset, performance), curated.events):
             if match.true is None or match.found is None or match.true.prime_planned is None:
                 continue
@@ -144,14 +82,14 @@ def main() -> None:
     print(_line(*["---"] * (1 + len(ABOUT) + len(SHOWN))))
     first: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as folder:
-        for number, variant in enumerate(VARIANTS):
+        for number, (name, options) in enumerate(_variants().items()):
             at = Path(folder) / str(number)
-            build_from_sources(sources, at / "table", options=variant.options)
+            build_from_sources(sources, at / "table", options=options)
             table = SequenceTable.open(at / "table")
             first = first or _primes(table)
             _run(table, "ground-truth", at / "ground-truth")
             scores = _means(at / "ground-truth")
-            print(_line(variant.name, *_about(table, planned, first), *scores), flush=True)
+            print(_line(name, *_about(table, planned, first), *scores), flush=True)
         print()
         _print_length(SequenceTable.open(Path(folder) / "0" / "table"), Path(folder) / "0")
 
