@@ -190,11 +190,6 @@ class PredictorSubject(MethodSubject):
         """Number of windows."""
         return len(self.cases.table.chosen(split="test"))
 
-    @property
-    def limits(self) -> str:
-        """Say whether its samples are one design."""
-        return "its samples are one design" if self.declared.one_design else "fewer samples are a prefix of more"
-
     def is_misshapen(self, answer: Answer) -> bool:
         """See :meth:`MethodSubject.is_misshapen`."""
         if answer.motions is not None:

@@ -264,11 +264,6 @@ class MethodSubject(ABC):
     def n_cases(self) -> int:
         """Number of cases that it can be asked about."""
 
-    @property
-    @abstractmethod
-    def limits(self) -> str:
-        """Say what it declares besides its conditions."""
-
     @abstractmethod
     def learns(self, loaded: LoadedMethod) -> bool:
         """Return True for a method that learns from a table."""
@@ -469,14 +464,6 @@ class Subject(MethodSubject):
     def n_cases(self) -> int:
         """See :attr:`MethodSubject.n_cases`."""
         return len(self.source.n_frames)
-
-    @property
-    def limits(self) -> str:
-        """Longest motion and rate."""
-        declared = self.declared
-        limit = "any length" if declared.max_frames is None else f"up to {declared.max_frames} frames"
-        rate = "the table's rate" if declared.native_fps is None else f"{declared.native_fps:g} frames a second"
-        return f"{limit}; {rate}"
 
     @property
     def conditions(self) -> tuple[Condition, ...]:

@@ -87,7 +87,7 @@ def load(subject: MethodSubject) -> Iterator[Finding]:
             "Use one name in both places, so that messages and tables speak of the same method.",
         )
     taken = ", ".join(condition.value for condition in conditions)
-    yield passed(f"takes {taken}; {subject.limits}; ready after {seconds:.2f} s.", load_s=seconds)
+    yield passed(f"takes {taken}; ready after {seconds:.2f} s.", load_s=seconds)
 
 
 @check("settings", "unknown options and weights are refused", needs=("load",))
