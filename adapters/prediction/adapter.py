@@ -186,7 +186,7 @@ def load_predictor(name: str, weights: Path | None, *, options: Mapping[str, str
     for path in paths:
         file = read_weights(path, kind=name)
         record = file.configuration(RECORDS[name])
-        if isinstance(record, DiffusionRecord):  # the number of sampling steps and guidance change no tensor
+        if is_diffusion:  # the number of sampling steps and guidance change no tensor
             network = record.network
             steps = whole_number(options, "steps", most=network.diffusion_steps) or network.sampling_steps
             guidance = number(options, "guidance", network.guidance)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, Generic, TypeVar
+
 import msgspec
 import torch
 from torch import nn
@@ -22,6 +24,7 @@ from prbench_benchmarks.motion_prediction.batch import Condition
 from prbench_benchmarks.motion_prediction.joint_sets import JointSet, joint_set
 from prbench_benchmarks.motion_prediction.protocol import FrameName
 
+Sizes = TypeVar("Sizes", bound=msgspec.Struct)
 PredictorNetwork = CoefficientDiffusion | CVAE | DLow | BeLFusion
 
 
@@ -68,26 +71,25 @@ class SeenWindows(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return self.n_joints + self.direction
 
 
-class DiffusionRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """GazeMoDiff or HumanMAC."""
+class Autoencoders(nn.Module):
+    """Both autoencoders of BeLFusion side by side; neither sees the other."""
+
+    def __init__(self, configuration: BehaviourConfiguration) -> None:
+        super().__init__()
+        self.configuration = configuration
+        self.past = PastAutoencoder(configuration)
+        self.behaviour = BehaviourAutoencoder(configuration)
+
+
+class NetworkRecord(msgspec.Struct, Generic[Sizes], frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """GazeMoDiff, HumanMAC, CVAE, or the two autoencoders of BeLFusion, its first stage."""
 
     windows: SeenWindows
-    network: DiffusionConfiguration
+    network: Sizes
 
-    def build(self) -> CoefficientDiffusion:
+    def build(self) -> Any:
         """Make the network."""
-        return CoefficientDiffusion(self.network)
-
-
-class CVAERecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """CVAE."""
-
-    windows: SeenWindows
-    network: CVAEConfiguration
-
-    def build(self) -> CVAE:
-        """Make the network."""
-        return CVAE(self.network)
+        return _NETWORKS[type(self.network)](self.network)
 
 
 class DLowRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -100,17 +102,6 @@ class DLowRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     def build(self) -> DLow:
         """Make the network."""
         return DLow(self.network, CVAE(self.cvae))
-
-
-class AutoencodersRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The two autoencoders of BeLFusion, its first stage."""
-
-    windows: SeenWindows
-    network: BehaviourConfiguration
-
-    def build(self) -> Autoencoders:
-        """Make the networks."""
-        return Autoencoders(self.network)
 
 
 class BeLFusionRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -126,21 +117,17 @@ class BeLFusionRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         return BeLFusion(self.behaviour, self.network, decoded_weight=self.decoded_weight)
 
 
-class Autoencoders(nn.Module):
-    """Both autoencoders of BeLFusion side by side; neither sees the other."""
-
-    def __init__(self, configuration: BehaviourConfiguration) -> None:
-        super().__init__()
-        self.configuration = configuration
-        self.past = PastAutoencoder(configuration)
-        self.behaviour = BehaviourAutoencoder(configuration)
-
-
-Record = DiffusionRecord | CVAERecord | DLowRecord | AutoencodersRecord | BeLFusionRecord
-PredictorRecord = DiffusionRecord | CVAERecord | DLowRecord | BeLFusionRecord
-
+Record = NetworkRecord | DLowRecord | BeLFusionRecord
+DiffusionRecord = NetworkRecord[DiffusionConfiguration]
+CVAERecord = NetworkRecord[CVAEConfiguration]
+AutoencodersRecord = NetworkRecord[BehaviourConfiguration]
+_NETWORKS: dict[type, type[nn.Module]] = {
+    DiffusionConfiguration: CoefficientDiffusion,
+    CVAEConfiguration: CVAE,
+    BehaviourConfiguration: Autoencoders,
+}
 AUTOENCODERS = "belfusion-autoencoders"
-RECORDS: dict[str, type[PredictorRecord]] = {
+RECORDS: dict[str, Any] = {
     "gazemodiff": DiffusionRecord,
     "humanmac": DiffusionRecord,
     "cvae": CVAERecord,
@@ -156,7 +143,7 @@ def contents(kind: str, record: Record, network: nn.Module) -> tuple[dict[str, t
     return {f"network.{name}": tensor for name, tensor in network.state_dict().items()}, header
 
 
-def network_of(weights: Weights, record: PredictorRecord) -> PredictorNetwork:
+def network_of(weights: Weights, record: Record) -> PredictorNetwork:
     """The network that a file holds, in evaluation mode.
 
     Raises:

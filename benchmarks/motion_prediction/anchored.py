@@ -6,11 +6,9 @@ Source: docs/specification/motion-prediction.md#the-anchored-track.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from prbench.errors import UsageError
 from prbench.files.storage import sole_writer
@@ -59,11 +57,10 @@ def build_anchored_windows(data: Path | str, out: Path | str, *, only: Collectio
     def cut() -> Iterator[CutRun]:
         for chunk in table.chunks(columns=[*_TEXT, *_NUMBERS, *_ARRAYS]):
             for row in range(len(chunk)):
-                sequence = _Sequence.of(chunk.take([row]))
-                windows = sequence.windows(rules, protocol.anchored)
-                windows = tuple(each for each in windows if not only or each.anchor in only)
+                found = _cut(chunk.take([row]), rules, protocol.anchored)
+                windows = tuple(each for each in found.windows if not only or each.anchor in only)
                 if windows:
-                    yield CutRun(sequence.run, windows)
+                    yield CutRun(found.run, windows)
 
     source = {name: getattr(table.info, name) for name in Provenance.__struct_fields__}
     changed = {
@@ -91,68 +88,50 @@ def build_anchored_windows(data: Path | str, out: Path | str, *, only: Collectio
         return write_windows(out, info, cut())
 
 
-@dataclass(frozen=True)
-class _Sequence:
-    """One sequence in the room."""
+def _cut(chunk: SequenceChunk, rules: WindowRules, anchored: AnchoredRules) -> CutRun:
+    """The only sequence of a chunk in the room, with its windows: up to the prime, and to each lead before the event.
 
-    run: Run
-    prime_frame: int
-    goal: Float[np.ndarray, "3"]
-
-    @classmethod
-    def of(cls, chunk: SequenceChunk) -> _Sequence:
-        """The only row of a chunk."""
-        room_from_canonical = chunk.vectors("world_from_canonical").reshape(4, 4)
-        text = {name: chunk.strings(name)[0] for name in _TEXT}
-        number = {name: float(chunk.numbers(name)[0]) for name in _NUMBERS}
-        # The canonical frame knows the lowest joint of the whole sequence, the room knows nothing of it.
-        joints = transform_points(room_from_canonical, chunk.joints.astype(np.float64))
-        directions = chunk.frames("gaze_direction").astype(np.float64) @ room_from_canonical[:3, :3].T
-        delay = round(load_prediction_protocol().anchored.gaze_delay * number["fps"])
-        gaze, valid = _delayed(directions, chunk.frames("gaze_valid").astype(bool), delay)
-        run = Run(
-            run_id=text["sequence_id"],
-            recording_id=text["recording_id"],
-            participant_id=text["participant_id"],
-            split=text["split"],
-            published_split="",
-            segment=text["action"],
-            pose_source=text["pose_source"],
-            fps=number["fps"],
-            start_time=number["start_time"],
-            joints=joints,
-            joints_valid=np.ones(len(joints), dtype=bool),
-            gaze=gaze,
-            gaze_valid=valid,
-            head_direction=head_forward(joints, number["head_tilt_deg"])[0],
+    Only windows both of whose halves are there.
+    """
+    room_from_canonical = chunk.vectors("world_from_canonical").reshape(4, 4)
+    text = {name: chunk.strings(name)[0] for name in _TEXT}
+    number = {name: float(chunk.numbers(name)[0]) for name in _NUMBERS}
+    # The canonical frame knows the lowest joint of the whole sequence, the room knows nothing of it.
+    joints = transform_points(room_from_canonical, chunk.joints.astype(np.float64))
+    # The gaze of some frames before, held where it is not valid; +Z before the first valid one.
+    directions = chunk.frames("gaze_direction").astype(np.float64) @ room_from_canonical[:3, :3].T
+    valid = chunk.frames("gaze_valid").astype(bool)
+    earlier = np.arange(len(valid)) - round(anchored.gaze_delay * number["fps"])
+    shown = (earlier >= 0) & valid[np.maximum(earlier, 0)]
+    last = np.maximum.accumulate(np.where(shown, earlier, -1))
+    run = Run(
+        run_id=text["sequence_id"],
+        recording_id=text["recording_id"],
+        participant_id=text["participant_id"],
+        split=text["split"],
+        published_split="",
+        segment=text["action"],
+        pose_source=text["pose_source"],
+        fps=number["fps"],
+        start_time=number["start_time"],
+        joints=joints,
+        joints_valid=np.ones(len(joints), dtype=bool),
+        gaze=np.where((last >= 0)[:, None], directions[np.maximum(last, 0)], [0.0, 0.0, 1.0]),
+        gaze_valid=shown,
+        head_direction=head_forward(joints, number["head_tilt_deg"])[0],
+    )
+    goal = transform_points(room_from_canonical, chunk.vectors("goal_location")[0])
+    event = len(run) - 1
+    last_observed = {"prime": int(number["prime_frame"])}
+    last_observed |= {f"event-{lead:g}": event - round(lead * rules.fps) for lead in anchored.leads}
+    windows = []
+    for anchor, border in last_observed.items():
+        start = border + 1 - rules.observed_frames
+        n_scored = min(rules.future_frames, event - border)
+        if start < 0 or n_scored < round(anchored.shortest_future * rules.fps):
+            continue
+        looking = int(shown[start : border + 1].sum())
+        windows.append(
+            Window(start, looking, n_scored, anchor=anchor, goal=goal if border + n_scored == event else None)
         )
-        goal = transform_points(room_from_canonical, chunk.vectors("goal_location")[0])
-        return cls(run, int(number["prime_frame"]), goal)
-
-    def windows(self, rules: WindowRules, anchored: AnchoredRules) -> tuple[Window, ...]:
-        """Up to the prime, and up to each lead before the event, where both halves are there."""
-        event = len(self.run) - 1
-        last_observed = {"prime": self.prime_frame}
-        last_observed |= {f"event-{lead:g}": event - round(lead * rules.fps) for lead in anchored.leads}
-        shortest = round(anchored.shortest_future * rules.fps)
-        windows = []
-        for anchor, last in last_observed.items():
-            start = last + 1 - rules.observed_frames
-            n_scored = min(rules.future_frames, event - last)
-            if start < 0 or n_scored < shortest:
-                continue
-            looking = int(self.run.gaze_valid[start : last + 1].sum())
-            goal = self.goal if last + n_scored == event else None
-            windows.append(Window(start, looking, n_scored, anchor=anchor, goal=goal))
-        return tuple(windows)
-
-
-def _delayed(
-    directions: Float[np.ndarray, "n 3"], valid: Bool[np.ndarray, " n"], delay: int
-) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """The gaze of some frames before, held where it is not valid; +Z before the first valid one."""
-    frames = np.arange(len(valid)) - delay
-    shown = (frames >= 0) & valid[np.maximum(frames, 0)]
-    last = np.maximum.accumulate(np.where(shown, frames, -1))
-    held = np.where((last >= 0)[:, None], directions[np.maximum(last, 0)], [0.0, 0.0, 1.0])
-    return held, shown
+    return CutRun(run, tuple(windows))

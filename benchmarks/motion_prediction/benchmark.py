@@ -18,8 +18,8 @@ from prbench.harness.run_folder.record import MethodRecord
 from prbench.metrics import MetricInfo
 from prbench_benchmarks.motion_prediction.batch import Condition, Predictor
 from prbench_benchmarks.motion_prediction.cases import WindowCases, open_windows, single_windows
-from prbench_benchmarks.motion_prediction.installed import TrainingWindows
 from prbench_benchmarks.motion_prediction.metric_infos import prediction_metrics
+from prbench_benchmarks.motion_prediction.predictors import TrainingWindows
 from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol, load_prediction_protocol
 from prbench_benchmarks.motion_prediction.remote import RemotePredictor, serve_futures
 from prbench_benchmarks.motion_prediction.table import FILE_NAME, WindowsTable

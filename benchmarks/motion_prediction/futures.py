@@ -148,8 +148,8 @@ def view_futures(request: ViewRequest) -> FuturesReport:
         StorageError: if the file cannot be written.
     """
     require_drawable(request.out)
-    if len(request.data) != 1 or request.sample or request.scene is not None:
-        raise UsageError("runs of motion prediction: name their windows with one --data DIR; no --sample, no --scene.")
+    if len(request.data) != 1 or request.sample:
+        raise UsageError("runs of motion prediction: name their windows with one --data DIR; no --sample.")
     table = WindowsTable.open(request.data[0])
     # What was observed stands in every view.
     require_may_pass_on(table.info, "the view", request.permitted)

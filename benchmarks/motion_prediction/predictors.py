@@ -5,22 +5,25 @@ Source: docs/specification/motion-prediction.md#predictors-without-learning.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.distance import cdist
 
 from prbench.errors import UsageError
-from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch
+from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, Predictor
 from prbench_benchmarks.motion_prediction.joint_sets import (
     JOINT_SETS,
     invert_each,
     rotations_alone,
     transform_each,
 )
-from prbench_benchmarks.motion_prediction.table import Truth
+from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
+from prbench_benchmarks.motion_prediction.table import Truth, WindowsTable
 
 _ALL = frozenset(Condition)
 
@@ -142,3 +145,74 @@ def _own_frame(batch: ObservedBatch) -> tuple[Float[np.ndarray, "batch 4 4"], Fl
         turned = transform_each(rotations_alone(own_from_batch), batch.gaze)
         features.append(turned.reshape(len(batch), -1))
     return frames, np.concatenate(features, axis=1)
+
+
+@dataclass(frozen=True)
+class TrainingWindows:
+    """The windows of a table that a predictor may learn from."""
+
+    folder: Path
+
+    def batches(self, condition: Condition, *, size: int = 64) -> Iterator[tuple[ObservedBatch, Truth]]:
+        """Yield the windows of the training split with what happened, as a run shows those of another split.
+
+        Args:
+            condition: What is known of the observed frames.
+            size: Windows of a batch.
+
+        Raises:
+            UsageError: if there is none.
+        """
+        table = WindowsTable.open(self.folder)
+        frame = load_prediction_protocol().evaluation.frame
+        return table.batches(condition, table.chosen(split="train"), frame=frame, size=size)
+
+
+@dataclass
+class NearestPastOfTable:
+    """:class:`NearestPast` of the training windows of the table that it is run on, under whatever condition."""
+
+    name: str = "nearest-past"
+    conditions: frozenset[Condition] = frozenset(Condition)
+    train: TrainingWindows | None = None
+    _remembered: dict[Condition, NearestPast] = field(default_factory=dict)
+
+    def fit(self, train: TrainingWindows) -> None:
+        """Remember which windows may be learnt from; they are read when the condition is known."""
+        self.train = train
+
+    def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:
+        """See :class:`prbench_benchmarks.motion_prediction.batch.Predictor`.
+
+        Raises:
+            UsageError: if it was not fitted, or remembers fewer windows than samples are asked for.
+        """
+        if self.train is None:
+            raise UsageError(f"{self.name}: expected to be fitted to a table of windows first; `prbench run` does so.")
+        if batch.condition not in self._remembered:
+            self._remembered[batch.condition] = NearestPast.fit(self.train.batches(batch.condition))
+        return self._remembered[batch.condition].predict(batch, n_samples=n_samples, seed=seed)
+
+
+def _loaded(
+    kind: type[ZeroVelocity] | type[ConstantVelocity] | type[NearestPastOfTable],
+    weights: Path | None,
+    *,
+    options: Mapping[str, str],
+    device: str,  # noqa: ARG001 - they run anywhere
+) -> Predictor:
+    """Entry point of the group ``prbench.predictors``: return a predictor that has neither weights nor options.
+
+    One that learns from a table has ``fit(train)`` as well, which a run calls where the user gave no weights; it is
+    shown the training split alone.
+    """
+    if weights is not None:
+        raise ValueError(f"{kind.name} has no weights.")
+    if options:
+        raise ValueError(f"unknown option '{next(iter(options))}'; {kind.name} has none.")
+    return kind()
+
+
+zero_velocity = partial(_loaded, ZeroVelocity)
+constant_velocity = partial(_loaded, ConstantVelocity)
+nearest_past = partial(_loaded, NearestPastOfTable)
