@@ -1,7 +1,7 @@
 """A benchmark as a value: all that runs, resuming, intervals, comparisons and boards know of one.
 
 What is written once (runs, run folders and boards) asks these objects and
-nothing else. What a case is say :class:`Cases`, what a method may know and what it answers :class:`Question` and
+nothing else. What a case is say :class:`Cases`, what a method may know :meth:`CaseWork.questions`, what it answers
 :class:`Answer`, who judges :meth:`CaseWork.scores` and :attr:`Benchmark.metrics`. docs/architecture.md, "Adding a
 benchmark", shows how one is added.
 """
@@ -23,7 +23,7 @@ from jaxtyping import Int
 
 from prbench.engine import Engine
 from prbench.errors import UsageError, did_you_mean
-from prbench.harness.methods.loading import LoadedMethod, MethodSpec
+from prbench.harness.methods.loading import MethodSpec
 from prbench.harness.methods.remote import MethodGroup
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
@@ -33,21 +33,6 @@ from prbench.harness.run_folder.scores import CodedScores
 from prbench.metrics import MetricInfo
 from prbench.protocol.manifests import AboutBenchmark, BenchmarkProtocol, find_benchmark
 from prbench.sequences.dataset_info import Provenance
-
-
-@runtime_checkable
-class Rules(Protocol):
-    """The rules that a run follows: a benchmark's protocol."""
-
-    @property
-    def version(self) -> int:
-        """Return the version of the protocol."""
-        ...
-
-    @property
-    def digest(self) -> str:
-        """Return the digest of its values."""
-        ...
 
 
 @runtime_checkable
@@ -123,24 +108,6 @@ class Answer:
     """As the method declares them; None where it declares none."""
 
 
-@runtime_checkable
-class Question(Protocol):
-    """The cases of one batch as a method may see them. Goes to a worker as it is, and holds nothing else."""
-
-    def ask(self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...]) -> Answer:
-        """Ask the method, and check what it answers.
-
-        Args:
-            method: The method; None for a control, whose answer the question holds.
-            seed: Seed of the run.
-            sequence_ids: Ids of the cases, for messages alone.
-
-        Raises:
-            AdapterError: if the answer breaks the contract.
-        """
-        ...
-
-
 class CaseWork(ABC):
     """The work of a run on the cases of one table."""
 
@@ -155,8 +122,14 @@ class CaseWork(ABC):
         return False
 
     @abstractmethod
-    def questions(self, wanted: frozenset[int]) -> Iterator[tuple[int, Question]]:
-        """Yield some batches with their numbers, in the order of the plan."""
+    def questions(self, wanted: frozenset[int]) -> Iterator[tuple[int, Any]]:
+        """Yield some batches with their numbers, in the order of the plan.
+
+        A question holds the cases of one batch as a method may see them, and nothing else, since it goes to a worker as
+        it is. ``ask(method, *, seed, sequence_ids)`` asks the method (None for a control, whose answer the question
+        holds), checks what it answers, and returns an :class:`Answer`. ``seed`` is that of the run, and the ids are for
+        messages alone.
+        """
 
     @abstractmethod
     def scores(self, files: DatasetFolder, engine: Engine) -> Iterator[pa.Table]:
@@ -202,10 +175,10 @@ class Benchmark(ABC, Generic[Table, Chosen]):
 
     @property
     @abstractmethod
-    def present_rules(self) -> Rules:
-        """Return the protocol of this version of prbench."""
+    def present_rules(self) -> Any:
+        """Return the protocol of this version of prbench, which has a ``version`` and a ``digest``."""
 
-    def rules_of(self, run: RunFolder) -> Rules | None:
+    def rules_of(self, run: RunFolder) -> Any:
         """Return the rules that a finished run followed; None for those of another version, which are not known."""
         present = self.present_rules
         return present if present.digest == run.record.protocol_digest else None
@@ -275,7 +248,7 @@ class Benchmark(ABC, Generic[Table, Chosen]):
         """
 
     @abstractmethod
-    def rules(self, request: RunRequest, tables: Sequence[Table]) -> Rules:
+    def rules(self, request: RunRequest, tables: Sequence[Table]) -> Any:
         """Return the rules of a run on some tables.
 
         Raises:

@@ -22,8 +22,6 @@ PerSet = np.ndarray | np.floating
 """One number for each data set: an array with the leading axes, or a single number where there are none."""
 CONFIDENCE = 0.95
 SIGNIFICANCE = 0.05
-_MOST_IN_A_MATRIX = 1000
-"""Recordings above which the degrees of freedom come from sums; the matrix of 20,000 recordings takes gigabytes."""
 FEWEST_FOR_MEAN = 3
 """Recordings: with two, the spread rests on a single difference."""
 FEWEST_FOR_TEST = 6
@@ -90,8 +88,6 @@ def degrees_of_freedom(sizes: Int[np.ndarray, " recordings"]) -> float:
     They depend on how alike sequences of one recording are, which is unknown. The smaller number of the two extremes,
     independent sequences and equal ones, is returned.
     """
-    if len(sizes) > _MOST_IN_A_MATRIX:
-        return _degrees_from_sums(sizes.astype(np.float64))
     n = sizes.sum()
     share = sizes / n
     weight = 1 / np.sqrt(1 - share)
@@ -103,24 +99,6 @@ def degrees_of_freedom(sizes: Int[np.ndarray, " recordings"]) -> float:
         weighted = weight[:, None] * weight[None, :] * covariance
         found.append(float(np.trace(weighted) ** 2 / (weighted**2).sum()))
     return min(found)
-
-
-def _degrees_from_sums(sizes: Float[np.ndarray, " recordings"]) -> float:
-    """Return :func:`degrees_of_freedom` without a matrix of recordings by recordings; the same but for rounding."""
-    n = sizes.sum()
-    share = sizes / n
-    weight = 1 / (1 - share)  # the square of the weight of a row
-    own = sizes - sizes**2 / n
-    pulled = weight * sizes**2
-    squares = (weight**2 * (own**2 - (sizes**2 / n) ** 2)).sum() + (pulled.sum() / n) ** 2
-    independent = (weight * own).sum() ** 2 / squares
-    total = (share**2).sum()
-    alike = 1 - 2 * share + total
-    zeroth, first, second = ((pulled * share**power).sum() for power in range(3))
-    squares = total**2 * zeroth**2 - 4 * total * zeroth * first + 2 * zeroth * second + 2 * first**2
-    squares = squares + (pulled**2 * (alike**2 - (total - 2 * share) ** 2)).sum()
-    equal = (pulled * alike).sum() ** 2 / squares
-    return float(min(independent, equal))
 
 
 def mean_bounds(spread: Spread) -> tuple[PerSet, PerSet]:

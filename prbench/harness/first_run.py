@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import prbench
 from prbench.contract import Condition
 from prbench.engine import Engine
-from prbench.errors import RunError, TableError, UsageError
+from prbench.errors import RunError, UsageError
 from prbench.files.storage import cache_folder, in_turn, text_digest
 from prbench.harness.benchmark import CaseTable, load_benchmark
 from prbench.harness.controls import GROUND_TRUTH, SCRIPTED
@@ -65,7 +65,7 @@ def default_tables(
 
 def default_tables_are_built() -> bool:
     """Return True if every embedded dataset is there."""
-    return all(map(_is_built, default_table_folders()))
+    return all((folder / FILE_NAME).is_file() for folder in default_table_folders())
 
 
 def default_table_folders() -> tuple[Path, ...]:
@@ -90,10 +90,6 @@ def default_folder() -> Path:
     return cache_folder() / "tables" / f"synthetic-{key[:12]}"
 
 
-def _is_built(folder: Path) -> bool:
-    return (folder / FILE_NAME).is_file()
-
-
 def _build(engine: Engine, progress: Progress, tell: Callable[[str], None]) -> None:
     # Every later run goes without it.
     from prbench.harness.synthetic_table import build_synthetic_table, recordings_of_people
@@ -104,7 +100,7 @@ def _build(engine: Engine, progress: Progress, tell: Callable[[str], None]) -> N
         missing = {
             layout: recordings_of_people(layout, SEED, PEOPLE)
             for layout, folder in zip(LAYOUTS, default_table_folders(), strict=True)
-            if not _is_built(folder)
+            if not (folder / FILE_NAME).is_file()
         }
         total = sum(map(len, missing.values()))
         done = 0
@@ -153,46 +149,34 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
         data: Dataset folders; where none is given, the tables in prbench's own cache are tried by digest.
 
     Raises:
-        TableError: if no table was named and none in the cache is the one.
-        RunError: if a named table is another one than a run's; names both digests.
+        RunError: if the very table of a run is neither named nor in the cache.
         UsageError: if the runs have no dataset in common.
     """
     shared = set.intersection(*({table.dataset for table in run.record.tables} for run in runs))
-    common = [record for record in runs[0].record.tables if record.dataset in shared]
-    if not common:
+    if not shared:
         raise UsageError("these runs have no dataset in common, so that nothing can stand beside one another.")
-    named = [SequenceTable.open(folder).with_sequences() for folder in data]
-    if not named:
-        tables = [_from_cache(runs[0], record) for record in common]
-    else:
-        tables = [table for table in named if table.info.dataset in shared]
-        if not tables:
-            raise RunError(
-                f"{runs[0].path}: the run is of {', '.join(record.dataset for record in common)}; --data names"
-                f" {', '.join(table.info.dataset for table in named)}. Name the table that it was made on."
-            )
-    for run in runs:
-        for table in tables:
-            record = next(record for record in run.record.tables if record.dataset == table.info.dataset)
-            if not _is_table_of(record, table):
+    find = table_finder(data)
+    named = {table.info.dataset: table for table in (SequenceTable.open(folder) for folder in data)}
+    if data and not shared & set(named):
+        raise RunError(
+            f"{runs[0].path}: the run is of {', '.join(sorted(shared))}; --data names {', '.join(named)}. Name the"
+            " table that it was made on."
+        )
+    tables = []
+    for first in runs[0].record.tables:
+        if first.dataset not in (shared & set(named) if data else shared):
+            continue
+        for run in runs:
+            record = next(record for record in run.record.tables if record.dataset == first.dataset)
+            table = find(record)
+            if table is None or record.content_digest != first.content_digest:
                 raise RunError(
-                    f"{table.folder}: expected the table that {run.path} was made on (content digest"
-                    f" {record.content_digest[:_SHOWN]}…), found another one ({table.info.content_digest[:_SHOWN]}…)."
-                    " Name that table with --data DIR, or run the method again on this one."
+                    f"{run.path}: was made on a table of {record.dataset} with content digest"
+                    f" {record.content_digest[:_SHOWN]}…, which is neither named nor among the embedded ones. Name its"
+                    " folder with --data DIR, or run the method again on this one."
                 )
+        tables.append(table.with_sequences())
     return tables
-
-
-def _from_cache(run: RunFolder, record: TableRecord) -> SequenceTable:
-    """An embedded table, or another one that an earlier version left beside it."""
-    for folder in _embedded():
-        table = SequenceTable.open(folder)
-        if table.info.dataset == record.dataset and _is_table_of(record, table):
-            return table
-    raise TableError(
-        f"{run.path}: was made on a table of {record.dataset} with content digest {record.content_digest[:_SHOWN]}…,"
-        " which is not among the embedded ones. Name its folder with --data DIR."
-    )
 
 
 def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], Any]:
@@ -232,11 +216,10 @@ def open_any_table(folder: Path) -> CaseTable:
 def _embedded() -> Iterator[Path]:
     """Folders of the embedded default tables, and of other ones that an earlier version left beside them."""
     tables = cache_folder() / "tables"
-    # Up to version 0.8.0 there was a single table, not a folder of tables.
-    earlier = sorted(path.parent for pattern in ("*", "*/*") for path in tables.glob(f"{pattern}/{FILE_NAME}"))
+    earlier = sorted(path.parent for path in tables.glob(f"*/*/{FILE_NAME}"))
     # The tables of the present version first: nearly every run was made on them.
     for folder in dict.fromkeys([*default_table_folders(), *earlier]):
-        if _is_built(folder):
+        if (folder / FILE_NAME).is_file():
             yield folder
 
 

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
 
 import prbench
-from prbench.harness.benchmark import Benchmark, Cases, CaseWork, Rules, load_benchmark
+from prbench.harness.benchmark import Benchmark, Cases, CaseWork, load_benchmark
 from prbench.harness.methods.loading import (
-    LoadedMethod,
     MethodSpec,
     chosen_condition,
     find_adapter,
@@ -81,11 +81,16 @@ class PreparedRun:
     record: RunRecord
     datasets: tuple[PreparedDataset, ...]
     out: Path
-    rules: Rules
+    rules: Any
 
 
-def prepare_run(request: RunRequest) -> PreparedRun:
+def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> PreparedRun:
     """Load the method, choose and plan the sequences, and put down what decides the result.
+
+    Args:
+        request: The run.
+        earlier: What is recorded about motions that are there: method and condition are taken over, the method is not
+            loaded, and nothing of it is needed.
 
     Raises:
         AdapterError: if the method is unknown, cannot be loaded, does not take the condition, or can generate none of
@@ -94,48 +99,53 @@ def prepare_run(request: RunRequest) -> PreparedRun:
         UsageError: if datasets repeat, a path or split does not exist, or a table follows another protocol.
         InputFileError: if the user's own protocol lacks a key or has one too many.
     """
-    # A method that an earlier run of this process has loaded may hold its state.
-    forget_loaded_methods()
     benchmark = load_benchmark(request.benchmark)
+    spec = None
+    if earlier is None:
+        # A method that an earlier run of this process has loaded may hold its state.
+        forget_loaded_methods()
     request = benchmark.settled(request)
     tables = benchmark.open_tables(request)
     rules = benchmark.rules(request, tables)
-    spec = None if request.is_control else _spec(request, benchmark)
-    condition = _condition(request, benchmark, spec)
-    method = _control(request) if spec is None else _method(request, spec, condition)
-    datasets = tuple(
-        _dataset(benchmark, request, chosen, spec, method, condition, rules)
-        for chosen in benchmark.choose(request, tables)
-    )
-    record = run_record(request, condition, method, datasets, rules)
+    if earlier is not None:
+        condition = benchmark.condition(earlier.condition)
+        method = earlier.method
+    elif request.is_control:
+        asked = request.condition
+        condition = next(iter(benchmark.conditions)) if asked is None else benchmark.condition(asked)
+        method = MethodRecord(
+            name=request.method,
+            kind=CONTROL,
+            package="prbench",
+            version=prbench.__version__,
+            weights=None,
+            weights_digest=None,
+            options={},
+            max_frames=None,
+            native_fps=None,
+            motionless=False,
+        )
+    else:
+        spec = _spec(request, benchmark)
+        asked = request.condition
+        loaded = spec.load()
+        condition = chosen_condition(
+            loaded.name,
+            loaded.adapter,
+            None if asked is None else benchmark.condition(asked),
+            group=benchmark.methods,
+        )
+        method = _method(request, spec, condition)
+    datasets = []
+    for chosen in benchmark.choose(request, tables):
+        cases = benchmark.answerable(request, chosen, method)
+        fitted = None if spec is None else benchmark.fitted(spec, cases.table, condition)
+        work = benchmark.work(request, cases, method=method, condition=condition, rules=rules)
+        datasets.append(PreparedDataset(chosen, cases, fitted, work))
+    record = run_record(request, condition, method, tuple(datasets), rules)
     if request.repeats is not None:
         record.require_same_inputs(request.repeats)
-    return PreparedRun(request, benchmark, record, datasets, request.out or _default_folder(record), rules)
-
-
-def prepare_recorded(request: RunRequest, earlier: RunRecord, out: Path) -> PreparedRun:
-    """:func:`prepare_run` for motions that are there: the method is not loaded, and nothing of it is needed.
-
-    Args:
-        request: The run.
-        earlier: What is recorded about it, of which method and condition are taken over.
-        out: The run folder.
-
-    Raises:
-        TableError: see :func:`prepare_run`.
-        UsageError: see :func:`prepare_run`.
-    """
-    benchmark = load_benchmark(request.benchmark)
-    request = benchmark.settled(request)
-    tables = benchmark.open_tables(request)
-    rules = benchmark.rules(request, tables)
-    condition = benchmark.condition(earlier.condition)
-    datasets = tuple(
-        _dataset(benchmark, request, chosen, None, earlier.method, condition, rules)
-        for chosen in benchmark.choose(request, tables)
-    )
-    record = run_record(request, condition, earlier.method, datasets, rules)
-    return PreparedRun(request, benchmark, record, datasets, out, rules)
+    return PreparedRun(request, benchmark, record, tuple(datasets), request.out or _default_folder(record), rules)
 
 
 def _spec(request: RunRequest, benchmark: Benchmark) -> MethodSpec:
@@ -153,35 +163,34 @@ def _spec(request: RunRequest, benchmark: Benchmark) -> MethodSpec:
     )
 
 
-def _condition(request: RunRequest, benchmark: Benchmark, spec: MethodSpec | None) -> StrEnum:
-    """Return the condition that is asked for, or the only one that the method takes; of a control the first."""
-    asked = None if request.condition is None else benchmark.condition(request.condition)
-    if spec is None:
-        return asked or next(iter(benchmark.conditions))
-    method = spec.load()
-    return chosen_condition(method.name, method.adapter, asked, group=benchmark.methods)
-
-
-def _control(request: RunRequest) -> MethodRecord:
-    own = {"package": "prbench", "version": prbench.__version__, "weights": None, "weights_digest": None}
-    limits = {"options": {}, "max_frames": None, "native_fps": None, "motionless": False}
-    return MethodRecord(name=request.method, kind=CONTROL, **own, **limits)
-
-
 def _method(request: RunRequest, spec: MethodSpec, condition: StrEnum) -> MethodRecord:
-    """Load an adapter or a program, and return what is recorded about it."""
+    """Return what is recorded about an adapter or a program."""
     method = spec.load()
     origin = f"adapter '{method.name}'"
     declared = Declared.by(method.adapter, origin=origin, conditions=spec.group.conditions)
-    weights, digest = _weights(request.weights, method, condition, origin)
-    kind, package, version = _source(spec, method)
+    remote = method.adapter if isinstance(method.adapter, RemoteMethod) else None
+    given = request.weights
+    # Weights that the method declares come before those that the user gave.
+    weights: tuple[str | None, str | None] = (None, None)
+    if remote is not None and condition in remote.weights:
+        weights = remote.weights[condition]
+    elif remote is not None:
+        weights = (given.name, weights_digest(given) if given.exists() else None) if given else weights
+    elif used := used_weights(method.adapter, condition, given, origin=origin):
+        weights = (used.name, weights_digest(used))
+    if remote is not None and spec.package is not None:
+        kind, package, version = PROGRAM, spec.package, remote.version
+    else:
+        installed = find_adapter(spec.name, entry_points=spec.group.entry_points)
+        kind = BUILT_IN if installed.built_in else PACKAGE
+        package, version = installed.package, installed.version
     return MethodRecord(
         name=method.name,
         kind=kind,
         package=package,
         version=version,
-        weights=weights,
-        weights_digest=digest,
+        weights=weights[0],
+        weights_digest=weights[1],
         options=dict(spec.options),
         max_frames=declared.max_frames,
         native_fps=declared.native_fps,
@@ -192,49 +201,12 @@ def _method(request: RunRequest, spec: MethodSpec, condition: StrEnum) -> Method
     )
 
 
-def _source(spec: MethodSpec, method: LoadedMethod) -> tuple[str, str, str]:
-    """Kind of a method, where it comes from, and its version: of the installed package, or as the program says."""
-    if spec.package is not None and isinstance(method.adapter, RemoteMethod):
-        return PROGRAM, spec.package, method.adapter.version
-    installed = find_adapter(spec.name, entry_points=spec.group.entry_points)
-    return (BUILT_IN if installed.built_in else PACKAGE), installed.package, installed.version
-
-
-def _weights(
-    given: Path | None, method: LoadedMethod, condition: StrEnum, origin: str
-) -> tuple[str | None, str | None]:
-    """Name and digest of the weights in use: those that the method declares, else those that the user gave."""
-    if isinstance(method.adapter, RemoteMethod):
-        declared = method.adapter.weights.get(condition)
-        if declared is not None:
-            return declared
-        return (given.name, weights_digest(given) if given.exists() else None) if given else (None, None)
-    used = used_weights(method.adapter, condition, given, origin=origin)
-    return (used.name, weights_digest(used)) if used else (None, None)
-
-
-def _dataset(
-    benchmark: Benchmark,
-    request: RunRequest,
-    chosen: Cases,
-    spec: MethodSpec | None,
-    method: MethodRecord,
-    condition: StrEnum,
-    rules: Rules,
-) -> PreparedDataset:
-    cases = benchmark.answerable(request, chosen, method)
-    if spec is not None:
-        spec = benchmark.fitted(spec, cases.table, condition)
-    work = benchmark.work(request, cases, method=method, condition=condition, rules=rules)
-    return PreparedDataset(chosen, cases, spec, work)
-
-
 def run_record(
     request: RunRequest,
     condition: StrEnum,
     method: MethodRecord,
     datasets: tuple[PreparedDataset, ...],
-    rules: Rules,
+    rules: Any,
 ) -> RunRecord:
     """Put down what decides the result of a run.
 
@@ -264,17 +236,18 @@ def run_record(
         threads=request.threads,
         packages=package_versions(_RECORDED_PACKAGES),
         tables=tuple(
-            table_record(dataset.chosen, dataset.cases, _plan_record(dataset, request)) for dataset in datasets
+            table_record(
+                one.chosen,
+                one.cases,
+                BatchPlanRecord(
+                    batch_size=request.batch_size,
+                    batches=len(one.work.plan),
+                    digest=plan_digest(one.cases.sequence_ids, one.work.plan),
+                ),
+            )
+            for one in datasets
         ),
         benchmark=request.benchmark,
-    )
-
-
-def _plan_record(dataset: PreparedDataset, request: RunRequest) -> BatchPlanRecord:
-    return BatchPlanRecord(
-        batch_size=request.batch_size,
-        batches=len(dataset.work.plan),
-        digest=plan_digest(dataset.cases.sequence_ids, dataset.work.plan),
     )
 
 

@@ -26,7 +26,6 @@ from jaxtyping import Int
 from prbench.engine import Engine, InProcess
 from prbench.errors import AdapterError, MemoryFullError
 from prbench.files.storage import remove_half_written, sole_writer, write_text
-from prbench.harness.benchmark import Question
 from prbench.harness.methods.loading import MethodSpec, count_parameters, forget_loaded_methods, unload_method
 from prbench.harness.methods.process import computing_threads
 from prbench.harness.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
@@ -47,7 +46,8 @@ class BatchTask:
 
     index: int
     sequence_ids: tuple[str, ...]
-    question: Question
+    question: Any
+    """See :meth:`prbench.harness.benchmark.CaseWork.questions`."""
     method: MethodSpec | None
     """None for a control."""
     seed: int

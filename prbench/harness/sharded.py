@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,11 +18,11 @@ from prbench.engine.shards import FILE_NAME, Shard, ShardRecord, begin_shard, re
 from prbench.errors import ShardError
 from prbench.files.storage import atomic_path, remove_half_written, remove_leftovers, require_replaceable, sole_writer
 from prbench.harness.methods.loading import forget_loaded_methods
-from prbench.harness.preparation import DEFAULT_PARENT, PreparedRun, prepare_recorded, prepare_run
+from prbench.harness.preparation import DEFAULT_PARENT, PreparedRun, prepare_run
 from prbench.harness.request import ProgressCallback, RunRequest, silent
 from prbench.harness.results import request_of
 from prbench.harness.run import RunPart, RunReport, generate_all, prepared_folder, remove_empty, scored_parts
-from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
+from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import RunRecord
 from prbench.object_stores.inputs import fetched
 from prbench.object_stores.store import is_url
@@ -68,9 +68,22 @@ def run_shard(
     with contextlib.ExitStack() as held:
         try:
             prepared = prepare_run(request)
-            out = _folder(prepared, shard)
+            out = prepared.out
+            if request.out is None:  # beside the folder of the whole run
+                out = out.with_name(f"{out.name}-shard-{shard.number}-of-{shard.count}")
             held.enter_context(sole_writer(out))
-            record = _shard_record(request, prepared, shard, tables_at)
+            record = ShardRecord(
+                kind="run",
+                number=shard.number,
+                count=shard.count,
+                settings=prepared.record.written,
+                plan=tuple(_named_batches(prepared)),
+                # The whole tables of a fold, which the merge makes again: the fold itself lies in this machine's cache.
+                places={
+                    "data": list(tables_at) or [str(folder.absolute()) for folder in request.data],
+                    "fold": request.fold,
+                },
+            )
             # Make the folder of the shard, or go on in it.
             remove_leftovers(out / FILE_NAME)
             require_replaceable(out, FILE_NAME, kind="shard")
@@ -81,8 +94,16 @@ def run_shard(
                 write_protocol(out, protocol)
             folder = RunFolder(out, prepared.record)
             mine = {record.plan[place] for place in shard.places(len(record.plan))}
+            named = _named_batches(prepared)
             parts = [
-                RunPart(prepared, one, folder.dataset(one.name), engine, progress, _chosen(one.name, mine))
+                RunPart(
+                    prepared,
+                    one,
+                    folder.dataset(one.name),
+                    engine,
+                    progress,
+                    frozenset(index for name, (of, index) in named.items() if of == one.name and name in mine),
+                )
                 for one in prepared.datasets
             ]
             try:
@@ -136,14 +157,23 @@ def merge_run_shards(
     record = msgspec.convert(shard.settings, RunRecord)
     data = tuple(data) or tuple(fetched(at) if is_url(at) else Path(at) for at in shard.places.get("data", ()))
     request = request_of(record, data, folder=folder, fold=shard.places.get("fold"), out=out)
-    prepared = prepare_recorded(request, record, out)
+    prepared = prepare_run(request, earlier=record)
     require_settings(
         folder,
         shard,
         prepared.record.written,
         remedy="Name the tables of the shards with --data, and merge in the environment that made them.",
     )
-    sources = _sources(shards, prepared)
+    # Every batch is found in its shard before the first is copied.
+    found = {batch: place for place in shards for batch in _batches_of(place[1])}
+    for name, (dataset, index) in _named_batches(prepared).items():
+        folder, shard = found[name]
+        part = RunFolder(folder, prepared.record).dataset(dataset).part(index)
+        if not part.is_file():
+            raise ShardError(
+                f"{folder}: shard {shard.shard} is not finished: expected {part.name} of {dataset}, found no file."
+                f" Run its command (--shard {shard.shard}) again."
+            )
     with sole_writer(prepared.out):
         merged = prepared_folder(prepared)
         parts = [
@@ -152,83 +182,33 @@ def merge_run_shards(
         ]
         missing = [(part, index) for part in parts for index in part.missing()]
         for part, index in missing:
-            _copy_batch(part, index, sources[_name(part.dataset.name, index)])
+            _copy_batch(part, index, found[f"{part.dataset.name} batch {index}"])
         summaries = scored_parts(parts)
-    return RunReport(merged, summaries, batches_made=len(missing), batches_found=len(sources) - len(missing))
+    return RunReport(merged, summaries, batches_made=len(missing), batches_found=len(found) - len(missing))
 
 
-def _shard_record(request: RunRequest, prepared: PreparedRun, shard: Shard, tables_at: Sequence[str]) -> ShardRecord:
-    return ShardRecord(
-        kind="run",
-        number=shard.number,
-        count=shard.count,
-        settings=prepared.record.written,
-        plan=tuple(_names(prepared)),
-        # The whole tables of a fold, which the merge makes again: the fold itself lies in the cache of this machine.
-        places={
-            "data": list(tables_at) or [str(folder.absolute()) for folder in request.data],
-            "fold": request.fold,
-        },
-    )
+def _named_batches(prepared: PreparedRun) -> dict[str, tuple[str, int]]:
+    """Name the batches of all datasets, in order: dataset and number of each."""
+    return {
+        f"{dataset.name} batch {index}": (dataset.name, index)
+        for dataset in prepared.datasets
+        for index in range(len(dataset.work.plan))
+    }
 
 
-def _names(prepared: PreparedRun) -> Iterator[str]:
-    """Name the batches of all datasets, in order."""
-    for dataset in prepared.datasets:
-        for index in range(len(dataset.work.plan)):
-            yield _name(dataset.name, index)
-
-
-def _name(dataset: str, index: int) -> str:
-    return f"{dataset} batch {index}"
-
-
-def _chosen(dataset: str, names: set[str]) -> frozenset[int]:
-    """Return the numbers of a dataset's batches among some names."""
-    return frozenset(int(name.rpartition(" ")[2]) for name in names if name.rpartition(" batch ")[0] == dataset)
-
-
-def _folder(prepared: PreparedRun, shard: Shard) -> Path:
-    """Return the folder of the shard: the user's, or one beside the whole run's."""
-    if prepared.request.out is not None:
-        return prepared.out
-    return prepared.out.with_name(f"{prepared.out.name}-shard-{shard.number}-of-{shard.count}")
-
-
-def _sources(shards: Sequence[tuple[Path, ShardRecord]], prepared: PreparedRun) -> dict[str, tuple[Path, ShardRecord]]:
-    """Find every batch of the run in its shard, before the first is copied.
-
-    Raises:
-        ShardError: naming the first shard that lacks one.
-    """
-    found: dict[str, tuple[Path, ShardRecord]] = {}
-    for folder, record in shards:
-        for place in record.shard.places(len(record.plan)):
-            found[record.plan[place]] = (folder, record)
-    for dataset in prepared.datasets:
-        for index in range(len(dataset.work.plan)):
-            folder, record = found[_name(dataset.name, index)]
-            part = _files(folder, prepared, dataset.name).part(index)
-            if not part.is_file():
-                raise ShardError(
-                    f"{folder}: shard {record.shard} is not finished: expected {part.name} of {dataset.name}, found no"
-                    f" file. {_again(record)}"
-                )
-    return found
-
-
-def _files(folder: Path, prepared: PreparedRun, dataset: str) -> DatasetFolder:
-    return RunFolder(folder, prepared.record).dataset(dataset)
+def _batches_of(record: ShardRecord) -> list[str]:
+    return [record.plan[place] for place in record.shard.places(len(record.plan))]
 
 
 def _copy_batch(part: RunPart, index: int, source: tuple[Path, ShardRecord]) -> None:
     """Copy one batch with its measurement."""
     folder, record = source
-    files = _files(folder, part.prepared, part.dataset.name)
+    files = RunFolder(folder, part.prepared.record).dataset(part.dataset.name)
     if not part.has(index, files):
         raise ShardError(
             f"{files.part(index)}: expected a whole batch of shard {record.shard}, found a damaged file or other"
-            f" sequences. Copy the shard again, or delete the file; then: {_again(record)}"
+            f" sequences. Copy the shard again, or delete the file; then: Run its command (--shard {record.shard})"
+            " again."
         )
     # The measurement first, so that a batch is never without it.
     for copied, target in (
@@ -238,7 +218,3 @@ def _copy_batch(part: RunPart, index: int, source: tuple[Path, ShardRecord]) -> 
         if copied.is_file():
             with atomic_path(target) as temporary:
                 shutil.copyfile(copied, temporary)
-
-
-def _again(record: ShardRecord) -> str:
-    return f"Run its command (--shard {record.shard}) again."

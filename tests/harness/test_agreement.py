@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from prbench.errors import RunError
-from prbench.harness.agreement import _phi_without_each, goal_places, phi_coefficient, phi_interval, rarest_pair
+from prbench.harness.agreement import goal_places, phi_coefficient, phi_interval, rarest_pair
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder, read_scores
 from prbench.harness.run_folder.agreement import DatasetAgreement
@@ -37,19 +37,6 @@ def test_phi_is_that_of_the_two_by_two_table():
     method, people = outcomes(11, 5, 7, 20)
     table = stats.contingency.crosstab(method, people).count
     assert phi_coefficient(method, people) == pytest.approx(stats.contingency.association(table, "cramer"))
-
-
-def test_phi_without_each_recording_from_sums_is_that_of_the_other_recordings():
-    generator = np.random.default_rng(0)
-    method = generator.integers(0, 3, 60) / 2  # means over two samples
-    people = generator.integers(0, 2, 60).astype(float)
-    recordings = np.repeat(np.arange(6), 10)
-    people[recordings > 0] = 1.0  # without the first recording people always succeed
-    expected = [phi_coefficient(method[recordings != name], people[recordings != name]) for name in range(6)]
-    found = list(_phi_without_each(method, people, recordings))
-    assert found[0] is None
-    assert expected[0] is None
-    assert found[1:] == pytest.approx(expected[1:], abs=1e-12)
 
 
 def test_equal_opposite_unrelated_and_single_outcomes():

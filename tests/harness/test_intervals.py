@@ -9,7 +9,6 @@ import pytest
 from scipy import stats
 
 from prbench.harness.clusters import (
-    _degrees_from_sums,
     degrees_of_freedom,
     effective_number,
     measure_spread,
@@ -92,12 +91,6 @@ def test_events_of_one_recording_say_nothing_about_correlation() -> None:
     spread = effective(np.tile(values(1, *[0] * 59), 8), *[60] * 8)
     assert alone == pytest.approx(480 / (1 + 59 * 0.3) * (stats.t.ppf(0.975, 479) / stats.t.ppf(0.975, 7)) ** 2)
     assert spread > 200
-
-
-def test_degrees_of_freedom_of_many_recordings_come_from_sums() -> None:
-    sizes = np.random.default_rng(0).integers(1, 40, 300)
-    assert _degrees_from_sums(sizes.astype(float)) == pytest.approx(degrees_of_freedom(sizes), rel=1e-10)
-    assert degrees_of_freedom(np.full(20_000, 4)) == pytest.approx(19_999)
 
 
 def test_degrees_of_freedom_of_equal_recordings_are_one_less() -> None:

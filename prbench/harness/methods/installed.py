@@ -1,4 +1,4 @@
-"""Methods that are found by name: in package metadata, in a Python file or a module; and who may use which name.
+"""Methods that are found by name: in package metadata or in a Python file; and who may use which name.
 
 The one rule for names: prbench's own belong to prbench, and all others have a form that can be shown. A package, a
 program, a file of motions and a run folder in a leaderboard are asked the same question by :func:`name_problem`. Names
@@ -8,14 +8,13 @@ are compared without case and punctuation, so that ``Ground_Truth`` passes for n
 from __future__ import annotations
 
 import ast
-import importlib
+import contextlib
 import importlib.util
 import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import replace
 from importlib.metadata import EntryPoint
-from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -99,17 +98,23 @@ _OWNERS = {
 }
 
 
-_UNKNOWN = "unknown"
-_PROGRAM_SUFFIXES = (".py", ".js", ".mjs", ".sh", ".exe", ".jl", ".rb", ".r", ".m")
-
-
 def list_adapters(entry_points: str = ADAPTERS) -> list[InstalledEntry]:
     """Return all installed methods by name, without importing any; those that cannot be used say why.
 
     Args:
         entry_points: Entry-point group, which is that of one benchmark.
     """
-    return sorted(set(_adapters(entry_points)))
+    own = benchmark_of_group(entry_points).methods
+    found = set()
+    for entry in installed_entries(entry_points):
+        name = entry.name or "unknown"
+        if entry.built_in and name in own:
+            found.add(entry)
+            continue
+        problem = entry.problem or name_problem(name, own=own) or ""
+        # A name that cannot be shown safely is quoted, so that a list stays readable.
+        found.add(replace(entry, name=name if has_form(name) else quoted(name), problem=problem, built_in=False))
+    return sorted(found)
 
 
 def offered_twice(adapters: Iterable[InstalledEntry]) -> frozenset[str]:
@@ -137,50 +142,27 @@ def entry_points_of(group: str) -> Iterator[EntryPoint]:
 
 
 def no_such_method(name: str, known: Iterable[str]) -> AdapterError:
-    """Return the error for an unknown method: it names the nearest known one, or how a program or a file is given."""
-    hint = did_you_mean(name, known) or _as_program(name)
+    """Return the error for an unknown method: it names the nearest known one, or how a program is given."""
+    hint = did_you_mean(name, known) or " A program is given as 'cmd:COMMAND', or as a .toml file that holds it."
     return AdapterError(f"adapter '{name}' is not installed.{hint} `prbench adapters list` shows all of them.")
-
-
-def _as_program(name: str) -> str:
-    """Return a hint for what looks like a program, a file of its results, or a command."""
-    words = name.split()
-    if name.lower().endswith(".toml"):
-        return " It looks like the TOML file of a method, but there is no such file."
-    if name.lower().endswith((".parquet", ".npz", ".npy")):
-        return f" Finished motions are scored with `prbench score {name}`."
-    if len(words) > 1 or (words and words[0].lower().endswith(_PROGRAM_SUFFIXES)):
-        command = name if len(words) > 1 or not name.lower().endswith(".py") else f"python {name}"
-        return f" It looks like a program: give its command as 'cmd:{command}', or a .toml file that holds it."
-    if "/" in name or "\\" in name:
-        return " It looks like a path: a program is given as 'cmd:COMMAND', a method's own environment as a .toml file."
-    return ""
-
-
-def _adapters(entry_points: str) -> Iterator[InstalledEntry]:
-    own = benchmark_of_group(entry_points).methods
-    for entry in installed_entries(entry_points):
-        name = entry.name or _UNKNOWN
-        if entry.built_in and name in own:
-            yield entry
-            continue
-        problem = entry.problem or name_problem(name, own=own) or ""
-        # A name that cannot be shown safely is quoted, so that a list stays readable.
-        yield replace(entry, name=name if has_form(name) else quoted(name), problem=problem, built_in=False)
 
 
 _LOAD = "load"
 _FILE = re.compile(r"(?P<path>.+\.py)(?::(?P<name>[A-Za-z_]\w*))?", re.IGNORECASE)
-_MODULE = re.compile(r"(?P<module>[A-Za-z_]\w*(\.[A-Za-z_]\w*)*):(?P<name>[A-Za-z_]\w*)")
 _SHOWN_DIGEST = 12
 
 
 def is_python_method(method: str) -> bool:
-    """Return True for an existing Python file, with or without ``:NAME``, and for ``module:NAME``."""
+    """Return True for an existing Python file, with or without ``:NAME``."""
     found = _FILE.fullmatch(method)
-    if found is not None:
-        return Path(found["path"]).expanduser().is_file()
-    return _MODULE.fullmatch(method) is not None
+    return found is not None and Path(found["path"]).expanduser().is_file()
+
+
+def _source(method: str) -> tuple[Path, str]:
+    """File and name of the function."""
+    found = _FILE.fullmatch(method)
+    assert found is not None
+    return Path(found["path"]).expanduser().absolute(), found["name"] or _LOAD
 
 
 def find_python_method(method: str) -> InstalledEntry:
@@ -190,10 +172,22 @@ def find_python_method(method: str) -> InstalledEntry:
         method: As given by ``--method``.
 
     Raises:
-        AdapterError: if the file has no such function, or no such module is found.
+        AdapterError: if the file is no Python, or has no such function.
     """
     path, name = _source(method)
-    if name not in _top_level_names(path):
+    try:
+        body = ast.parse(path.read_bytes()).body
+    except (SyntaxError, ValueError) as error:
+        raise AdapterError(f"{path}: expected Python, found: {error}.") from error
+    names = set()
+    for statement in body:
+        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
+            names.add(statement.name)
+        elif isinstance(statement, ast.Assign):
+            names |= {target.id for target in statement.targets if isinstance(target, ast.Name)}
+        elif isinstance(statement, ast.Import | ast.ImportFrom):
+            names |= {alias.asname or alias.name for alias in statement.names}
+    if name not in names:
         raise AdapterError(
             f"{path}: expected a function '{name}(weights, *, options, device)' that makes the method, found none in"
             f" this file. A program is given by its command, as 'cmd:python {path.name}'."
@@ -207,9 +201,6 @@ def import_python_method(method: str) -> ModuleType:
     Args:
         method: As given by ``--method``.
     """
-    by_name = _MODULE.fullmatch(method)
-    if by_name is not None:
-        return importlib.import_module(by_name["module"])
     path, _ = _source(method)
     name = f"prbench_method_{path.stem}_{file_digest(path)[:_SHOWN_DIGEST]}"
     if name in sys.modules:
@@ -232,52 +223,7 @@ def import_python_method(method: str) -> ModuleType:
 
 def python_loader(method: str) -> Callable[..., Any]:
     """Import such a method, and return the function that makes it."""
-    _, name = _source(method)
-    return getattr(import_python_method(method), name)
-
-
-def _source(method: str) -> tuple[Path, str]:
-    """File and name of the function.
-
-    Raises:
-        AdapterError: if no such module is found.
-    """
-    found = _FILE.fullmatch(method)
-    if found is not None:
-        return Path(found["path"]).expanduser().absolute(), found["name"] or _LOAD
-    by_name = _MODULE.fullmatch(method)
-    assert by_name is not None
-    try:
-        spec = importlib.util.find_spec(by_name["module"])
-    except ModuleNotFoundError:
-        spec = None
-    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
-        raise AdapterError(
-            f"method '{method}': expected a module '{by_name['module']}' that Python can import, found none."
-            " Install it, put its folder on PYTHONPATH, or give the path of its file."
-        )
-    return Path(spec.origin), by_name["name"]
-
-
-def _top_level_names(path: Path) -> set[str]:
-    """Names that a file makes; it is read and not run.
-
-    Raises:
-        AdapterError: if it is no Python.
-    """
-    try:
-        body = ast.parse(path.read_bytes()).body
-    except (SyntaxError, ValueError) as error:
-        raise AdapterError(f"{path}: expected Python, found: {error}.") from error
-    names = set()
-    for statement in body:
-        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
-            names.add(statement.name)
-        elif isinstance(statement, ast.Assign):
-            names |= {target.id for target in statement.targets if isinstance(target, ast.Name)}
-        elif isinstance(statement, ast.Import | ast.ImportFrom):
-            names |= {alias.asname or alias.name for alias in statement.names}
-    return names
+    return getattr(import_python_method(method), _source(method)[1])
 
 
 ENTRY_POINT_GROUP = "prbench.training_tasks"
@@ -287,11 +233,24 @@ _BESIDE_THE_METHOD = "training_task"
 _DEFINITION = re.compile(rf"^def {_BESIDE_THE_METHOD}\b", re.MULTILINE)
 
 
+def _tasks() -> list[EntryPoint]:
+    """Entry points of all tasks; a task that stands beside a method has one as if it were declared."""
+    found = list(entry_points_of(ENTRY_POINT_GROUP))
+    named = {point.name for point in found}
+    for method in (*entry_points_of(ADAPTERS), *entry_points_of(PREDICTORS)):
+        module = method.value.partition(":")[0].strip()
+        # The source is read, because a module may be broken; no such module, no source, no text: no task.
+        with contextlib.suppress(ImportError, ValueError, OSError):
+            spec = importlib.util.find_spec(module)
+            source = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin else ""
+            if method.name not in named and _DEFINITION.search(source):
+                found.append(EntryPoint(method.name, f"{module}:{_BESIDE_THE_METHOD}", ENTRY_POINT_GROUP))
+    return found
+
+
 def list_tasks() -> tuple[str, ...]:
     """Names of all installed tasks, without importing any of them."""
-    named = {point.name for point in entry_points_of(ENTRY_POINT_GROUP)}
-    beside = {point.name for point in _methods() if _defines_a_task(point)}
-    return tuple(sorted(named | beside))
+    return tuple(sorted({point.name for point in _tasks()}))
 
 
 def load_task(name: str) -> Any:
@@ -301,9 +260,7 @@ def load_task(name: str) -> Any:
         AdapterError: if there is none of this name (with those that there are), two packages offer it, or it cannot be
             imported.
     """
-    found = [point for point in entry_points_of(ENTRY_POINT_GROUP) if point.name == name]
-    if not found:
-        found = [_beside(point) for point in _methods() if point.name == name and _defines_a_task(point)]
+    found = [point for point in _tasks() if point.name == name]
     if len({point.value for point in found}) > 1:
         offers = ", ".join(point.value for point in found)
         raise AdapterError(f"training task '{name}' is offered more than once: {offers}. Uninstall all but one.")
@@ -328,28 +285,3 @@ def load_task(name: str) -> Any:
     if missing:
         raise AdapterError(f"{origin}: expected name, configurations and build(), found no {', '.join(missing)}.")
     return task
-
-
-def _methods() -> Iterator[EntryPoint]:
-    """The entry points of all methods, of whichever benchmark."""
-    yield from entry_points_of(ADAPTERS)
-    yield from entry_points_of(PREDICTORS)
-
-
-def _beside(method: EntryPoint) -> EntryPoint:
-    """The task that stands beside a method, as if it had an entry point."""
-    return EntryPoint(method.name, f"{_module(method)}:{_BESIDE_THE_METHOD}", ENTRY_POINT_GROUP)
-
-
-def _defines_a_task(method: EntryPoint) -> bool:
-    """Return True where a method's module defines the callable; its source is read, because a module may be broken."""
-    try:
-        spec = find_spec(_module(method))
-        source = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin else ""
-    except (ImportError, ValueError, OSError):  # no such module, no source, no text: no task
-        return False
-    return _DEFINITION.search(source) is not None
-
-
-def _module(point: EntryPoint) -> str:
-    return point.value.partition(":")[0].strip()

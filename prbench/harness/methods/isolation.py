@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +18,6 @@ from prbench.errors import UsageError
 from prbench.harness.methods.process import Program, users_environment
 from prbench.text.pretrained import CLIP_VARIABLE, DISTILBERT_VARIABLE
 
-_PROCESS = "process"
 BUBBLEWRAP = "bubblewrap"
 HOME = "/tmp/home"  # inside the fence, where /tmp is empty and its own
 _WORK = "/tmp/work"
@@ -41,49 +41,65 @@ class Shown:
 
 @dataclass(frozen=True)
 class Mount:
-    """``source`` appears at ``place``."""
+    """``source`` appears at ``place``; without a source nothing is to be seen there."""
 
-    source: Path
+    source: Path | None
     place: Path
     writable: bool = False
-
-
-@dataclass(frozen=True)
-class Mask:
-    """Nothing is to be seen at ``place``."""
-
-    place: Path
     file: bool = False
+    """A file is to be hidden."""
 
 
-def arrange(shown: Sequence[Shown], hidden: Sequence[Path]) -> list[Mount | Mask]:
+def arrange(shown: Sequence[Shown], hidden: Sequence[Path]) -> list[Mount]:
     """Return mounts and masks in the order in which they have to be made: outer ones before inner ones.
 
     Links are followed once, here: what a shown path leads to appears under its own name too, and a hidden folder is
     covered wherever it would appear. Hidden folders that do not exist yet are made where they have to be covered.
     """
     secrets = [path.resolve() for path in dict.fromkeys(hidden)]
-    mounts = _without_nested(list(_mounts(shown, secrets)), secrets)
-    masks = list(dict.fromkeys(_masks([*mounts, *_of_system()], secrets)))
+    system = [Mount(folder.resolve(), folder) for folder in _SYSTEM_FOLDERS if folder.is_dir()]
+    wanted = []
+    for item in shown:
+        source = item.path.resolve()
+        if source.exists() and (item.essential or not _inside_any(source, secrets)):
+            wanted += [Mount(source, place, item.writable) for place in dict.fromkeys((source, item.path))]
+    # What an outer mount shows already is left out; not what lies in a place that is going to be covered.
+    kept = list(system)
+    for mount in sorted(dict.fromkeys(wanted), key=lambda one: (len(one.place.parts), not one.writable)):
+        repeated = any(mount.place.is_relative_to(outer.place) for outer in kept)
+        if not repeated or mount.writable or _inside_any(mount.source or mount.place, secrets):
+            kept.append(mount)
+    mounts = [mount for mount in kept if mount.place not in _SYSTEM_FOLDERS]
+    masks = []
+    for mount in [*mounts, *system]:
+        assert mount.source is not None
+        for secret in secrets:
+            if mount.source.is_dir() and secret.is_relative_to(mount.source):
+                with contextlib.suppress(OSError):  # one that cannot be made now will not appear later either
+                    if not secret.exists():
+                        secret.mkdir(parents=True)
+                    masks.append(Mount(None, mount.place / secret.relative_to(mount.source), file=secret.is_file()))
     # A mask comes after the mount of the same depth, or the mount would uncover it.
-    return sorted([*mounts, *masks], key=lambda step: (len(step.place.parts), isinstance(step, Mask)))
+    return sorted([*mounts, *dict.fromkeys(masks)], key=lambda step: (len(step.place.parts), step.source is None))
+
+
+def _inside_any(path: Path, folders: Sequence[Path]) -> bool:
+    return any(path.is_relative_to(folder) for folder in folders)
 
 
 @dataclass(frozen=True)
 class Fence:
-    """The kind of isolation that works on this machine."""
+    """The isolation that works on this machine."""
 
-    kind: str
-    """``bubblewrap``, or ``process`` where the file system cannot be withheld."""
     program: str | None
-    """Path of bubblewrap."""
-    reason: str
-    """Reason why the file system cannot be withheld; empty if it can."""
+    """Path of bubblewrap; None where the file system cannot be withheld."""
+    reason: str = ""
+    """Reason why it cannot."""
 
     @property
     def notice(self) -> str:
         """Message that the user gets before a run."""
-        if self.kind == BUBBLEWRAP:
+        if self.program is not None:
             return "isolated by bubblewrap: paths, objects, environment, network and the file system are withheld."
         return (
             "isolated in a process of its own: paths, objects and environment are withheld."
@@ -96,16 +112,16 @@ def available_fence() -> Fence:
     """Return the best fence that works here; tried once a process."""
     program = shutil.which("bwrap")
     if program is None:
-        return Fence(_PROCESS, None, "bubblewrap is not installed")
+        return Fence(None, "bubblewrap is not installed")
     trial = [program, *_NAMESPACES, "--ro-bind", "/", "/", "--proc", "/proc", "--dev", "/dev", "true"]
     try:
         done = subprocess.run(trial, stdin=subprocess.DEVNULL, capture_output=True, timeout=_PROBE_TIMEOUT, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
-        return Fence(_PROCESS, None, f"bubblewrap does not work here: {error}")
+        return Fence(None, f"bubblewrap does not work here: {error}")
     if done.returncode != 0:
         told = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
-        return Fence(_PROCESS, None, f"bubblewrap does not work here: {told[0]}")
-    return Fence(BUBBLEWRAP, program, "")
+        return Fence(None, f"bubblewrap does not work here: {told[0]}")
+    return Fence(program)
 
 
 def bubblewrap_words(
@@ -131,59 +147,11 @@ def bubblewrap_words(
         words += ["--dev-bind-try", str(device), str(device)]
     words += ["--dir", HOME, "--dir", _WORK]
     for step in arrange(shown, hidden):
-        words += _step_words(step)
+        if step.source is not None:
+            words += ["--bind" if step.writable else "--ro-bind", str(step.source), str(step.place)]
+        else:
+            words += ["--ro-bind", "/dev/null", str(step.place)] if step.file else ["--tmpfs", str(step.place)]
     return (*words, "--chdir", str(directory or _WORK), "--")
-
-
-def _mounts(shown: Sequence[Shown], secrets: Sequence[Path]) -> Iterator[Mount]:
-    for item in shown:
-        source = item.path.resolve()
-        if not source.exists() or (not item.essential and _inside_any(source, secrets)):
-            continue
-        yield Mount(source, source, item.writable)
-        if item.path != source:
-            yield Mount(source, item.path, item.writable)
-
-
-def _without_nested(mounts: list[Mount], secrets: Sequence[Path]) -> list[Mount]:
-    """Leave out what an outer mount shows already; not what lies in a place that is going to be covered."""
-    kept = _of_system()
-    for mount in sorted(dict.fromkeys(mounts), key=lambda one: (len(one.place.parts), not one.writable)):
-        repeated = any(mount.place.is_relative_to(outer.place) for outer in kept)
-        if not repeated or mount.writable or _inside_any(mount.source, secrets):
-            kept.append(mount)
-    return [mount for mount in kept if mount.place not in _SYSTEM_FOLDERS]
-
-
-def _masks(mounts: Sequence[Mount], secrets: Sequence[Path]) -> Iterator[Mask]:
-    for mount in mounts:
-        for secret in secrets:
-            if mount.source.is_dir() and secret.is_relative_to(mount.source) and _made(secret):
-                yield Mask(mount.place / secret.relative_to(mount.source), secret.is_file())
-
-
-def _made(folder: Path) -> bool:
-    """Make a folder that is to be covered; one that cannot be made now will not appear later either."""
-    try:
-        if not folder.exists():
-            folder.mkdir(parents=True)
-    except OSError:
-        return False
-    return True
-
-
-def _of_system() -> list[Mount]:
-    return [Mount(folder.resolve(), folder) for folder in _SYSTEM_FOLDERS if folder.is_dir()]
-
-
-def _inside_any(path: Path, folders: Sequence[Path]) -> bool:
-    return any(path.is_relative_to(folder) for folder in folders)
-
-
-def _step_words(step: Mount | Mask) -> list[str]:
-    if isinstance(step, Mask):
-        return ["--ro-bind", "/dev/null", str(step.place)] if step.file else ["--tmpfs", str(step.place)]
-    return ["--bind" if step.writable else "--ro-bind", str(step.source), str(step.place)]
 
 
 _ALLOWED = frozenset(
@@ -248,71 +216,45 @@ def python_folders(target: str) -> tuple[Path, ...]:
         target: ``module:callable`` of an entry point; nothing of it is imported.
     """
     prefixes = (sys.prefix, sys.base_prefix, sys.exec_prefix, sys.base_exec_prefix)
-    packages = (prbench.__name__, "prbench_data_manifests", "prbench_benchmarks", target.partition(":")[0])
     found = [Path(text) for text in (*prefixes, *import_path())]
-    found += [folder for name in packages for folder in _package_folders(name.partition(".")[0])]
-    return tuple(dict.fromkeys([*found, *_editable_folders(), *executable_folders(Path(sys.executable))]))
+    for name in (prbench.__name__, "prbench_data_manifests", "prbench_benchmarks", target.partition(":")[0]):
+        # Whichever import hook finds the package.
+        with contextlib.suppress(ImportError, ValueError):
+            spec = importlib.util.find_spec(name.partition(".")[0])
+            if spec is not None:
+                found += [Path(folder) for folder in spec.submodule_search_locations or ()]
+                if spec.origin and not spec.submodule_search_locations and Path(spec.origin).is_file():
+                    found.append(Path(spec.origin))
+    # Of packages that setuptools installed in place: their finders map names to folders.
+    for finder in sys.meta_path:
+        mapping = getattr(sys.modules.get(getattr(finder, "__module__", "")), "MAPPING", None)
+        if isinstance(mapping, dict):
+            found += [Path(folder) for folder in mapping.values() if Path(folder).exists()]
+    return tuple(dict.fromkeys([*found, *executable_folders(Path(sys.executable))]))
 
 
 def executable_folders(program: Path) -> tuple[Path, ...]:
     """Return a program's files outside the system's folders: itself, and the installation that it is part of."""
     actual = program.resolve()
+    folders = [program.parent, actual.parent]
+    # The folder of the interpreter that a virtual environment was made with.
+    settings = program.parent.parent / "pyvenv.cfg"
+    for line in settings.read_text(encoding="utf-8").splitlines() if settings.is_file() else ():
+        key, _, value = line.partition("=")
+        if key.strip() == "home":
+            folders.append(Path(value.strip()))
+    home = Path.home()
     found = [program, actual]
-    for folder in (program.parent, actual.parent, *_virtual_environment_home(program)):
-        if folder.name in ("bin", "condabin", "Scripts", "shims") and not _is_personal(folder.parent):
+    for folder in folders:
+        # The user's home, its .local and what lies above are too broad to show.
+        is_personal = folder.parent == home / ".local" or home.is_relative_to(folder.parent)
+        if folder.name in ("bin", "condabin", "Scripts", "shims") and not is_personal:
             found.append(folder.parent)
     return tuple(dict.fromkeys(found))
 
 
-def _virtual_environment_home(program: Path) -> Iterator[Path]:
-    """Yield the folder of the interpreter that a virtual environment was made with."""
-    settings = program.parent.parent / "pyvenv.cfg"
-    if settings.is_file():
-        for line in settings.read_text(encoding="utf-8").splitlines():
-            key, _, value = line.partition("=")
-            if key.strip() == "home":
-                yield Path(value.strip())
-
-
-def _is_personal(folder: Path) -> bool:
-    """Return True for a folder too broad to show: the user's home, its ``.local``, or above."""
-    home = Path.home()
-    return folder == home / ".local" or home.is_relative_to(folder)
-
-
-def _package_folders(name: str) -> Iterator[Path]:
-    """Yield the folders of a top-level package, whichever import hook finds it."""
-    try:
-        spec = importlib.util.find_spec(name)
-    except (ImportError, ValueError):
-        return
-    if spec is None:
-        return
-    yield from (Path(folder) for folder in spec.submodule_search_locations or ())
-    if spec.origin and not spec.submodule_search_locations and Path(spec.origin).is_file():
-        yield Path(spec.origin)
-
-
-def _editable_folders() -> Iterator[Path]:
-    """Yield folders of packages that setuptools installed in place: their finders map names to folders."""
-    for finder in sys.meta_path:
-        module = sys.modules.get(getattr(finder, "__module__", ""))
-        mapping = getattr(module, "MAPPING", None)
-        if isinstance(mapping, dict):
-            yield from (Path(folder) for folder in mapping.values() if Path(folder).exists())
-
-
 _FIT_TIMEOUT = 7 * 24 * 3600.0  # seconds: fitting takes as long as it takes, as it does in this process
 _WORKER = "prbench.harness.methods.worker"
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Folders of a fit: training rows, and the result."""
-
-    train: Path
-    """Folder of a copy of the training rows."""
-    folder: Path
 
 
 def worker_program(
@@ -322,7 +264,7 @@ def worker_program(
     weights: Path | None,
     options: Iterable[tuple[str, str]],
     hidden: tuple[Path, ...],
-    fit: Fit | None = None,
+    fit: tuple[Path, Path] | None = None,
     timeout: float | None = None,
     benchmark: str,
 ) -> Program:
@@ -334,7 +276,7 @@ def worker_program(
         weights: A file or folder, or a name that the method knows.
         options: For the method; files that their values name by absolute paths are shown to it.
         hidden: Folders to withhold where that is possible.
-        fit: For a method that is fitted by the run.
+        fit: For a method that is fitted by the run: the folders of a copy of the training rows, and of the result.
         timeout: Seconds for a batch.
         benchmark: Name of its benchmark.
     """
@@ -350,14 +292,15 @@ def worker_program(
     if timeout is not None:
         program = replace(program, batch_timeout=timeout)
     if fit is not None:
-        fit.folder.mkdir(parents=True, exist_ok=True)
-        words += ["--train", str(fit.train), "--fit", str(fit.folder)]
-        shown += [Shown(fit.train, essential=True), Shown(fit.folder, writable=True, essential=True)]
+        train, folder = fit
+        folder.mkdir(parents=True, exist_ok=True)
+        words += ["--train", str(train), "--fit", str(folder)]
+        shown += [Shown(train, essential=True), Shown(folder, writable=True, essential=True)]
         program = replace(program, start_timeout=_FIT_TIMEOUT)
     return _behind_fence(replace(program, words=tuple(words)), shown, hidden)
 
 
-def fenced(program: Program, *, readable: Iterable[Path], weights: Path | None, hidden: tuple[Path, ...]) -> Program:
+def fenced(program: Program, *, weights: Path | None, hidden: tuple[Path, ...]) -> Program:
     """Put a user's program behind the best fence that works here, its own folder read-only.
 
     Raises:
@@ -367,7 +310,7 @@ def fenced(program: Program, *, readable: Iterable[Path], weights: Path | None, 
     directory = program.directory
     if directory is not None and any(directory.resolve().is_relative_to(folder.resolve()) for folder in hidden):
         raise UsageError(f"--isolate: the program starts in {directory}, which is withheld. Start it elsewhere.")
-    paths = [*readable, *executable_folders(Path(program.words[0])), *readable_folders(environment)]
+    paths = [*program.readable, *executable_folders(Path(program.words[0])), *readable_folders(environment)]
     shown = [Shown(path) for path in dict.fromkeys(paths)]
     if weights is not None:
         shown.append(Shown(weights.absolute(), essential=True))
@@ -377,7 +320,7 @@ def fenced(program: Program, *, readable: Iterable[Path], weights: Path | None, 
 def _behind_fence(program: Program, shown: Iterable[Shown], hidden: tuple[Path, ...]) -> Program:
     fence = available_fence()
     if fence.program is None:
-        return replace(program, fence=fence.kind)
+        return replace(program, fence="process")
     before = bubblewrap_words(fence.program, shown=list(shown), hidden=hidden, directory=program.directory)
     # Add the variables behind bubblewrap: an empty home, an empty temporary folder, no network to ask for models.
     environment = {**dict(program.environment), "HOME": HOME, "TMPDIR": "/tmp", "HF_HUB_OFFLINE": "1"}

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import FunctionType, ModuleType
 from typing import Any
 
 import psutil
@@ -28,10 +30,10 @@ from prbench.harness.methods.installed import (
     no_such_method,
     python_loader,
 )
-from prbench.harness.methods.isolation import Fit, fenced, isolated_environment, worker_program
+from prbench.harness.methods.isolation import fenced, isolated_environment, worker_program
 from prbench.harness.methods.motions import Declared
 from prbench.harness.methods.process import Program, users_environment
-from prbench.harness.methods.programs import MethodProgram, is_program, own_environment, program_of, short_name
+from prbench.harness.methods.programs import is_program, own_environment, program_of, short_name
 from prbench.harness.methods.remote import MOTIONS, MethodGroup, RemoteMethod
 from prbench.harness.methods.training_split import FIT_SEED, TrainingSplit, temporary_training_copy
 from prbench.protocol.manifests import benchmark_of_group, benchmarks
@@ -198,18 +200,22 @@ class MethodSpec:
     """The dataset that it is fitted to."""
     program: Program | None = None
     """Program that runs the method in a process of its own; None to call it in this one."""
-    package: str | None = None
-    """The command of a program that the user named; None for an installed method."""
-    expected_name: str | None = None
-    """Name that such a program must introduce itself by."""
-    isolation: str | None = None
-    """``process`` or ``bubblewrap``, or ``container``, if the user asked for isolation."""
     timeout: float | None = None
     hidden: tuple[Path, ...] = ()
     group: MethodGroup = MOTIONS
     """The methods of the run's benchmark."""
     fit: Callable[[Any, MethodSpec], None] | None = None
     """Fits the method, once it is made in this process, to ``table_folder``; importable, since it goes to workers."""
+
+    @property
+    def package(self) -> str | None:
+        """The command of a program that the user named; None for an installed method."""
+        return None if self.program is None else self.program.package
+
+    @property
+    def isolation(self) -> str | None:
+        """``process``, ``bubblewrap`` or ``container``, if the user asked for isolation."""
+        return None if self.program is None else self.program.fence
 
     def load(self) -> LoadedMethod:
         """Return the method, ready to generate; it is made once a process."""
@@ -234,7 +240,11 @@ class LoadedMethod:
         """Return the memory of the method's program and of all that it has started, in bytes; 0 in process."""
         if not isinstance(self.adapter, RemoteMethod):
             return 0
-        return sum(_resident_bytes(process) for process in psutil.Process().children(recursive=True))
+        found = 0
+        for process in psutil.Process().children(recursive=True):
+            with contextlib.suppress(psutil.Error):  # it has just ended
+                found += process.memory_info().rss
+        return found
 
     @property
     def restarts(self) -> int:
@@ -320,37 +330,27 @@ def _loaded_program(spec: MethodSpec, program: Program) -> LoadedMethod:
         device=spec.device,
         threads=spec.threads,
     )
-    if spec.package is None:
+    if program.package is None:
         return LoadedMethod(spec.name, adapter)
     try:
-        _require_name(adapter.name, spec)
+        # Leaderboards show the name, so it has to be the program's own.
+        if program.expected_name not in (None, adapter.name):
+            raise AdapterError(
+                f"method '{program.expected_name}': expected the program to introduce itself by this name, found"
+                f" '{adapter.name}'. Correct method.name in the TOML file, or start the right program."
+            )
+        remedy = "Let it introduce itself by another name in its hello."
+        _require_own_name(adapter.name, spec, f"program '{spec.name}'", remedy)
     except AdapterError:
         adapter.close()
         raise
     return LoadedMethod(adapter.name, adapter)
 
 
-def _require_name(name: str, spec: MethodSpec) -> None:
-    """Refuse a name that is not the program's own: leaderboards show it."""
-    if spec.expected_name is not None and name != spec.expected_name:
-        raise AdapterError(
-            f"method '{spec.expected_name}': expected the program to introduce itself by this name, found '{name}'."
-            " Correct method.name in the TOML file, or start the right program."
-        )
-    _require_own_name(name, spec, f"program '{spec.name}'", "Let it introduce itself by another name in its hello.")
-
-
 def _require_own_name(name: str, spec: MethodSpec, origin: str, remedy: str) -> None:
     """Refuse a name that belongs to prbench, or that cannot be shown."""
     if problem := name_problem(name, own=benchmark_of_group(spec.group.entry_points).methods):
         raise AdapterError(f"{origin}: {problem}. {remedy}")
-
-
-def _resident_bytes(process: psutil.Process) -> int:
-    try:
-        return process.memory_info().rss
-    except psutil.Error:
-        return 0  # it has just ended
 
 
 _DEEPEST = 6  # attributes of attributes; the built-in methods hold their networks at most three deep
@@ -365,38 +365,23 @@ def count_parameters(method: object) -> int | None:
     torch = sys.modules.get("torch")
     if torch is None:
         return None
-    parameters = {
-        id(parameter): parameter.numel()
-        for module in _modules(method, torch.nn.Module, set(), _DEEPEST)
-        for parameter in module.parameters()
-    }
-    return sum(parameters.values()) if parameters else None
-
-
-def _modules(held: Any, kind: type, seen: set[int], depth: int) -> Iterator[Any]:
-    if id(held) in seen or depth < 0:
-        return
-    seen.add(id(held))
-    if isinstance(held, kind):
-        yield held
-        return
-    if isinstance(held, Mapping):
-        inner = list(held.values())
-    elif isinstance(held, (list, tuple)):
-        inner = list(held)
-    else:
-        inner = [*getattr(held, "__dict__", {}).values()]
-        slots = getattr(type(held), "__slots__", ())
-        inner += [getattr(held, name) for name in slots if isinstance(name, str) and hasattr(held, name)]
-    for each in inner:
+    parameters: dict[int, int] = {}
+    seen: set[int] = set()
+    waiting: list[tuple[Any, int]] = [(method, 0)]
+    while waiting:
+        held, depth = waiting.pop(0)
         # Neither classes nor code hold the networks of this method alone.
-        if not isinstance(each, (type, str, bytes, int, float)) and not _is_code(each):
-            yield from _modules(each, kind, seen, depth - 1)
-
-
-def _is_code(held: object) -> bool:
-    """Return True for functions and modules of Python, which hold the whole program."""
-    return type(held).__name__ in ("function", "module", "builtin_function_or_method")
+        if id(held) in seen or depth > _DEEPEST or isinstance(held, type | ModuleType | FunctionType):
+            continue
+        seen.add(id(held))
+        if isinstance(held, torch.nn.Module):
+            parameters |= {id(parameter): parameter.numel() for parameter in held.parameters()}
+            continue
+        inner = held if isinstance(held, list | tuple) else getattr(held, "__dict__", {}).values()
+        slots = [name for name in getattr(type(held), "__slots__", ()) if hasattr(held, name)]
+        inner = held.values() if isinstance(held, Mapping) else [*inner, *(getattr(held, name) for name in slots)]
+        waiting += [(each, depth + 1) for each in inner]
+    return sum(parameters.values()) if parameters else None
 
 
 def method_spec(
@@ -445,21 +430,12 @@ def method_spec(
     if is_program(method):
         users = users_environment()
         environment = isolated_environment(users) if isolate else own_environment(users)
-        found = program_of(
-            spec.name, environment=environment, weights=spec.weights, timeout=spec.timeout, hidden=spec.hidden
-        )
-        program = found.program
-        isolation = None
-        if isolate:
-            program, isolation = _isolated_program(found, spec)
-        return replace(
-            spec,
-            name=program.name,
-            program=program,
-            package=found.package,
-            expected_name=found.expected_name,
-            isolation=isolation,
-        )
+        program = program_of(method, environment=environment, weights=weights, timeout=timeout, hidden=hidden)
+        if isolate and program.in_container:  # it shows no more than its mounts, and has no network
+            program = replace(program, fence="container")
+        elif isolate:
+            program = fenced(program, weights=weights, hidden=hidden)
+        return replace(spec, name=program.name, program=program)
     known = METHOD_CONTROLS if group is MOTIONS else ()
     installed = find_adapter(method, also_known=known, entry_points=group.entry_points)
     if isolate and is_python_method(method):
@@ -468,8 +444,7 @@ def method_spec(
             " (`prbench adapters new`), or write it as a program."
         )
     if isolate:
-        program = _worker(spec, installed, None)
-        return replace(spec, program=program, isolation=program.fence)
+        return replace(spec, program=_worker(spec, installed, None))
     if timeout is not None:
         raise UsageError(
             f"--timeout: '{method}' runs in this process, which cannot be stopped in mid-batch. Add --isolate."
@@ -499,7 +474,7 @@ def fitted_to(spec: MethodSpec, table: SequenceTable) -> MethodSpec:
         return replace(spec, fit_folder=folder, table_folder=table.folder, fit=fit_to_training_rows)
     # Behind the fence the table itself is hidden, as it holds the test rows.
     copy = HELD.training_copy(table)
-    program = _worker(spec, installed, Fit(copy, folder.absolute()))
+    program = _worker(spec, installed, (copy, folder.absolute()))
     return replace(spec, fit_folder=folder, table_folder=copy, program=program)
 
 
@@ -510,7 +485,7 @@ def fit_to_training_rows(adapter: object, spec: MethodSpec) -> None:
         adapter.fit(TrainingSplit.open(spec.table_folder), validation=None, run=run)
 
 
-def _worker(spec: MethodSpec, installed: InstalledEntry, fit: Fit | None) -> Program:
+def _worker(spec: MethodSpec, installed: InstalledEntry, fit: tuple[Path, Path] | None) -> Program:
     """Return the worker process that keeps an installed method at a distance."""
     return worker_program(
         spec.name,
@@ -522,10 +497,3 @@ def _worker(spec: MethodSpec, installed: InstalledEntry, fit: Fit | None) -> Pro
         timeout=spec.timeout,
         benchmark=benchmark_of_group(spec.group.entry_points).name,
     )
-
-
-def _isolated_program(found: MethodProgram, spec: MethodSpec) -> tuple[Program, str | None]:
-    if found.in_container:
-        return found.program, "container"  # which shows no more than its mounts, and has no network
-    program = fenced(found.program, readable=found.readable, weights=spec.weights, hidden=spec.hidden)
-    return program, program.fence

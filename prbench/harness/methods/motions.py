@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import gc
-import math
 import re
 import sys
 import traceback
-import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from numbers import Integral, Real
@@ -70,41 +66,45 @@ class Declared:
         Raises:
             AdapterError: see :meth:`by`.
         """
+        conditions = stated["conditions"]
+        names = [condition.value for condition in known]
+        # A one-shot iterator may be all that a method gives.
+        asked = list(conditions) if isinstance(conditions, Iterable) and not isinstance(conditions, str) else []
+        max_frames = stated.get("max_frames")
+        native_fps = stated.get("native_fps")
+        checks = (
+            (
+                "conditions",
+                bool(asked) and all(item in names for item in asked),
+                f"to be some of {', '.join(sorted(names))}",
+            ),
+            (
+                "max_frames",
+                max_frames is None or (_is_number(max_frames, Integral) and max_frames >= 1),
+                "to be a whole number of 1 or more, or None",
+            ),
+            (
+                "native_fps",
+                native_fps is None or (_is_number(native_fps, Real) and 0 < native_fps < _FASTEST),
+                "to be frames per second above 0, or None",
+            ),
+        )
+        for name, holds, expected in checks:
+            if not holds:
+                raise AdapterError(f"{origin}: expected '{name}' {expected}, found {stated.get(name)!r}.")
         return cls(
-            _conditions(stated["conditions"], origin, known),
-            _max_frames(stated.get("max_frames"), origin),
-            _native_fps(stated.get("native_fps"), origin),
+            frozenset(known(item) for item in asked),
+            None if max_frames is None else int(max_frames),
+            None if native_fps is None else float(native_fps),
             **{name: bool(stated.get(name, False)) for name in ("motionless", "gaze", "one_design")},
         )
 
 
-def _conditions(value: object, origin: str, kind: type[StrEnum]) -> frozenset[Any]:
-    known = [condition.value for condition in kind]
-    if isinstance(value, Iterable) and not isinstance(value, str):
-        # A one-shot iterator may be all that a method gives.
-        found = list(value)
-        if found and all(item in known for item in found):
-            return frozenset(kind(item) for item in found)
-    raise AdapterError(f"{origin}: expected 'conditions' to be some of {', '.join(sorted(known))}, found {value!r}.")
+def _is_number(value: object, kind: type) -> bool:
+    return isinstance(value, kind) and not isinstance(value, bool)
 
 
-def _max_frames(value: object, origin: str) -> int | None:
-    if value is None:
-        return None
-    if isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 1:
-        return int(value)
-    raise AdapterError(f"{origin}: expected 'max_frames' to be a whole number of 1 or more, or None, found {value!r}.")
-
-
-def _native_fps(value: object, origin: str) -> float | None:
-    if value is None:
-        return None
-    with contextlib.suppress(OverflowError):  # a whole number beyond what a float holds
-        if isinstance(value, Real) and not isinstance(value, bool) and 0 < float(value) < math.inf:
-            return float(value)
-    raise AdapterError(f"{origin}: expected 'native_fps' to be frames per second above 0, or None, found {value!r}.")
-
-
+_FASTEST = 1e300  # frames per second: a whole number beyond what a float holds is refused
 _SMALLEST = 0.65  # metres between the two joints of a human pose that lie farthest apart
 _TYPICAL = 1.5
 _LARGEST = 2.35
@@ -186,7 +186,12 @@ def coordinate_problem(motion: Float[np.ndarray, "frames 22 3"], farthest: float
     else:
         expected = f"coordinates within {farthest:g} m of the origin"
     name = Joint(joint).name.lower().replace("_", " ")
-    return f"frame {frame}: expected {expected}, found [{found}] at joint {joint} ({name}).{_unit(motion)}"
+    problem = f"frame {frame}: expected {expected}, found [{found}] at joint {joint} ({name})."
+    # Which unit the size of the body looks like.
+    unit = wrong_unit(spread_poses(motion.astype(np.float64))) if np.isfinite(motion).all() else None
+    if unit is None:
+        return problem
+    return f"{problem} {unit.evidence[0].upper()}{unit.evidence[1:]}: {unit.cause}. {unit.remedy}"
 
 
 def gaze_problem(
@@ -228,16 +233,6 @@ def _possible(values: np.ndarray, farthest: float) -> np.ndarray:
     return np.isfinite(values) & (np.abs(values) <= farthest)
 
 
-def _unit(motion: np.ndarray) -> str:
-    """Say which unit the size of the body looks like; nothing where it is human or holds values that are not finite."""
-    if not np.isfinite(motion).all():
-        return ""
-    found = wrong_unit(spread_poses(motion.astype(np.float64)))
-    if found is None:
-        return ""
-    return f" {found.evidence[0].upper()}{found.evidence[1:]}: {found.cause}. {found.remedy}"
-
-
 _OPPOSITE = 1e-6  # length of the mean of two unit vectors that point against each other
 
 
@@ -271,7 +266,13 @@ def generate_checked(
     native_fps = declared.native_fps
     asked = batch if native_fps is None else at_native_rate(batch, native_fps)
     motions, halvings = _generate(adapter, asked, seed, method, sequence_ids, farthest)
-    _require_declared_gaze(motions, declared, method)
+    # A run is marked before it begins, so gaze must be announced.
+    if declared.gaze is not (motions.gaze is not None):
+        expected, found = ("gaze with its motions", "none") if declared.gaze else ("motions without gaze", "some")
+        raise AdapterError(
+            f"method '{method}': expected {expected}, as it declares, found {found}. Return Motions(…,"
+            " gaze=Gaze(origin, direction)) and set gaze = True on the adapter, or leave both out."
+        )
     if native_fps is not None:
         motions = at_table_rate(motions, batch, native_fps=native_fps)
     return motions, halvings
@@ -344,8 +345,7 @@ def _generate(
     adapter: Adapter, batch: ConditionBatch, seed: int, method: str, ids: Sequence[str], farthest: float
 ) -> tuple[Motions, int]:
     try:
-        with _named_warnings(batch, ids):
-            motions = adapter.generate(own_copy(batch), seed=seed)
+        motions = adapter.generate(own_copy(batch), seed=seed)
     except AdapterError as error:
         raise AdapterError(_with_names(str(error), batch, ids)) from error
     except InputFileError as error:  # of a converter, as a rule, which knows neither method nor sequences
@@ -393,27 +393,30 @@ def well_formed(
     """
     ids = sequence_ids
     origin = f"method '{method}'"
-    if not isinstance(motions, Motions):
-        raise AdapterError(
-            f"{origin}: expected prbench.contract.Motions, found {type(motions).__name__}.{asked_for(ids)}"
-        )
-    joints = motions.joints
-    n_frames = _as_array(motions.n_frames)
-    if not isinstance(joints, np.ndarray):
-        remedy = " Give joints.detach().cpu().numpy()." if type(joints).__name__ == "Tensor" else ""
-        found = f"{type(joints).__module__}.{type(joints).__name__}".removeprefix("builtins.")
-        raise AdapterError(f"{origin}: expected joints as a NumPy array, found {found}.{remedy}{asked_for(ids)}")
-    if motions.cost is not None and not isinstance(motions.cost, Cost):
-        raise AdapterError(
-            f"{origin}: expected cost as prbench.contract.Cost or None, found {motions.cost!r}.{asked_for(ids)}"
-        )
     longest = int(batch.n_frames.max())
+
+    def require(holds: bool, expected: str, found: str, remedy: str = "") -> None:
+        if not holds:
+            raise AdapterError(f"{origin}: expected {expected}, found {found}.{remedy}{asked_for(ids)}")
+
+    require(isinstance(motions, Motions), "prbench.contract.Motions", type(motions).__name__)
+    assert isinstance(motions, Motions)
+    joints = motions.joints
+    remedy = " Give joints.detach().cpu().numpy()." if type(joints).__name__ == "Tensor" else ""
+    kind = f"{type(joints).__module__}.{type(joints).__name__}".removeprefix("builtins.")
+    require(isinstance(joints, np.ndarray), "joints as a NumPy array", kind, remedy)
+    is_cost = motions.cost is None or isinstance(motions.cost, Cost)
+    require(is_cost, "cost as prbench.contract.Cost or None", f"{motions.cost!r}")
     fits = joints.ndim == 4 and joints.shape[0] == len(batch) and joints.shape[2:] == (N_JOINTS, 3)
-    if not fits or not np.issubdtype(joints.dtype, np.floating):
-        raise AdapterError(
-            f"{origin}: expected joints of shape ({len(batch)}, {longest} or more, {N_JOINTS}, 3) with decimals,"
-            f" found {joints.shape} of {joints.dtype}.{asked_for(ids)}"
-        )
+    require(
+        fits and np.issubdtype(joints.dtype, np.floating),
+        f"joints of shape ({len(batch)}, {longest} or more, {N_JOINTS}, 3) with decimals",
+        f"{joints.shape} of {joints.dtype}",
+    )
+    try:
+        n_frames = np.asarray(motions.n_frames)
+    except (TypeError, ValueError, RuntimeError):  # such as a tensor on another device, or a ragged list
+        n_frames = np.empty(0)
     if n_frames.shape != batch.n_frames.shape or (n_frames != batch.n_frames).any():
         row = 0 if n_frames.shape != batch.n_frames.shape else int(np.flatnonzero(n_frames != batch.n_frames)[0])
         found = n_frames[row] if n_frames.shape == batch.n_frames.shape else f"n_frames of shape {n_frames.shape}"
@@ -432,55 +435,25 @@ def well_formed(
         row = int(rows[0])
         problem = coordinate_problem(joints[row, : batch.n_frames[row]], farthest)
         raise AdapterError(f"method '{method}', sequence {ids[row]}, {problem}")
-    gaze = None if motions.gaze is None else _well_formed_gaze(motions.gaze, joints, batch, method, ids)
-    return Motions(joints, batch.n_frames, motions.cost, gaze)
-
-
-def _require_declared_gaze(motions: Motions, declared: Declared, method: str) -> None:
-    """Refuse gaze that was not announced, and motions without the gaze that was: a run is marked before it begins."""
-    if declared.gaze and motions.gaze is None:
-        raise AdapterError(
-            f"method '{method}': expected gaze with its motions, as it declares, found none. Return"
-            " Motions(…, gaze=Gaze(origin, direction)), or do not declare gaze."
-        )
-    if motions.gaze is not None and not declared.gaze:
-        raise AdapterError(
-            f"method '{method}': expected motions without gaze, which it does not declare, found some. Set gaze = True"
-            " on the adapter, or leave it out."
-        )
-
-
-def _well_formed_gaze(gaze: object, joints: np.ndarray, batch: ConditionBatch, method: str, ids: Sequence[str]) -> Gaze:
-    """Return gaze as float32 if it is one ray a frame, from the head of each frame."""
-    origin = f"method '{method}'"
-    if not isinstance(gaze, Gaze):
-        raise AdapterError(f"{origin}: expected prbench.contract.Gaze or None, found {type(gaze).__name__}.")
-    longest = joints.shape[1]
+    if motions.gaze is None:
+        return Motions(joints, batch.n_frames, motions.cost)
+    require(isinstance(motions.gaze, Gaze), "prbench.contract.Gaze or None", type(motions.gaze).__name__)
     rays = []
     for name in ("origin", "direction"):
-        values = getattr(gaze, name)
+        values = getattr(motions.gaze, name)
         fits = isinstance(values, np.ndarray) and values.ndim == 3 and values.shape[::2] == (len(batch), 3)
-        if not fits or values.shape[1] < longest or not np.issubdtype(values.dtype, np.floating):
-            found = f"{values.shape} of {values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
-            raise AdapterError(
-                f"{origin}: expected gaze.{name} as a NumPy array of shape ({len(batch)}, {longest} or more, 3) with"
-                f" decimals, found {found}.{asked_for(ids)}"
-            )
+        require(
+            fits and values.shape[1] >= longest and np.issubdtype(values.dtype, np.floating),
+            f"gaze.{name} as a NumPy array of shape ({len(batch)}, {longest} or more, 3) with decimals",
+            f"{values.shape} of {values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__,
+        )
         with np.errstate(over="ignore"):
             rays.append(values[:, :longest].astype(np.float32))
-    for row, n_frames in enumerate(batch.n_frames):
-        problem = gaze_problem(joints[row, :n_frames], rays[0][row, :n_frames], rays[1][row, :n_frames])
+    for row, frames in enumerate(batch.n_frames):
+        problem = gaze_problem(joints[row, :frames], rays[0][row, :frames], rays[1][row, :frames])
         if problem:
             raise AdapterError(f"{origin}, sequence {ids[row]}, gaze, {problem}")
-    return Gaze(*rays)
-
-
-def _as_array(n_frames: object) -> np.ndarray:
-    """Return frame counts as NumPy reads them; of any shape, wrong ones too."""
-    try:
-        return np.asarray(n_frames)
-    except (TypeError, ValueError, RuntimeError):  # such as a tensor on another device, or a ragged list
-        return np.empty(0)
+    return Motions(joints, batch.n_frames, motions.cost, Gaze(*rays))
 
 
 def own_copy(batch: ConditionBatch) -> ConditionBatch:
@@ -490,22 +463,6 @@ def own_copy(batch: ConditionBatch) -> ConditionBatch:
         batch,
         **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)},
     )
-
-
-@contextmanager
-def _named_warnings(batch: ConditionBatch, ids: Sequence[str]) -> Iterator[None]:
-    """Give warnings of a method, which knows opaque ids alone, the names that a user knows."""
-    show = warnings.showwarning
-
-    def show_with_names(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-        text = _with_names(str(message), batch, ids)
-        show(message if text == str(message) else category(text), category, *place, **more)
-
-    warnings.showwarning = show_with_names
-    try:
-        yield
-    finally:
-        warnings.showwarning = show
 
 
 def _with_names(message: str, batch: ConditionBatch, ids: Sequence[str]) -> str:
@@ -521,21 +478,24 @@ def told(error: BaseException) -> str:
     return f"{type(error).__name__}: {error} ({raised_at.filename}, line {raised_at.lineno})".replace(":  (", " (")
 
 
-def _joined(first: Motions, second: Motions) -> Motions:
-    longest = max(first.joints.shape[1], second.joints.shape[1])
+def _joined(*parts: Motions) -> Motions:
+    longest = max(part.joints.shape[1] for part in parts)
 
-    def stacked(*parts: np.ndarray) -> np.ndarray:
-        widths = [[(0, 0), (0, longest - part.shape[1]), *[(0, 0)] * (part.ndim - 2)] for part in parts]
-        return np.concatenate([np.pad(part, width) for part, width in zip(parts, widths, strict=True)])
+    def stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
+        widths = [[(0, 0), (0, longest - each.shape[1]), *[(0, 0)] * (each.ndim - 2)] for each in arrays]
+        return np.concatenate([np.pad(each, width) for each, width in zip(arrays, widths, strict=True)])
 
-    declared = [part.cost.network_passes for part in (first, second) if part.cost is not None]
-    cost = Cost(sum(declared)) if declared else None
+    passes = [part.cost.network_passes for part in parts if part.cost is not None]
+    rays = [part.gaze for part in parts if part.gaze is not None]
     gaze = None
-    if first.gaze is not None and second.gaze is not None:
-        origin = stacked(first.gaze.origin, second.gaze.origin)
-        gaze = Gaze(origin, stacked(first.gaze.direction, second.gaze.direction))
-    n_frames = np.concatenate([first.n_frames, second.n_frames])
-    return Motions(stacked(first.joints, second.joints), n_frames, cost, gaze)
+    if len(rays) == len(parts):
+        gaze = Gaze(stacked([each.origin for each in rays]), stacked([each.direction for each in rays]))
+    return Motions(
+        stacked([part.joints for part in parts]),
+        np.concatenate([part.n_frames for part in parts]),
+        Cost(sum(passes)) if passes else None,
+        gaze,
+    )
 
 
 def release_memory() -> None:

@@ -149,7 +149,14 @@ class Program:
     batch_timeout: float = 600.0
     """Seconds until a batch is answered."""
     fence: str | None = None
-    """None for the user's own program; ``process`` or ``bubblewrap`` for an installed method kept at a distance."""
+    """``process``, ``bubblewrap`` or ``container`` for what is kept at a distance; None for what is not."""
+    package: str | None = None
+    """Command and environment of the user's own program, for the record: without the folders of this machine."""
+    expected_name: str | None = None
+    """Name that it must introduce itself by; any name if None."""
+    readable: tuple[Path, ...] = ()
+    """Files and folders that it needs beside the system's."""
+    in_container: bool = False
 
 
 class ProgramProcess:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-import re
 import shlex
 import shutil
 import textwrap
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Annotated, Literal
 
@@ -21,7 +19,6 @@ from prbench.harness.methods.installed import name_problem
 from prbench.harness.methods.process import Program
 from prbench.limits import HARMLESS_SIZE
 
-_WINDOWS_TOKEN = re.compile(r'(?P<slashes>\\*)(?P<quote>"{1,2})|(?P<space>[ \t]+)|(?P<other>\\+|[^\\" \t]+)')
 PREFIX = "cmd:"
 _SUFFIX = ".toml"
 _PYTHON = ".py"
@@ -34,13 +31,18 @@ def split_command(text: str, *, where: str, windows: bool = os.name == "nt") -> 
     Args:
         text: As the user wrote it.
         where: What to call its source in messages.
-        windows: By the rules of Windows (backslashes are separators of paths) instead of a POSIX shell's.
+        windows: Backslashes are separators of paths, as on Windows, instead of a POSIX shell's escapes.
 
     Raises:
         UsageError: if it is empty or a quotation is not closed.
     """
+    lexer = shlex.shlex(text, posix=True)
+    lexer.whitespace_split = True
+    lexer.commenters = ""
+    if windows:
+        lexer.escape = ""
     try:
-        words = _split_on_windows(text) if windows else shlex.split(text)
+        words = list(lexer)
     except ValueError as error:
         raise UsageError(f"{where}: expected every quotation to be closed, found: {text.strip()} ({error}).") from error
     if not words or not words[0]:
@@ -88,38 +90,6 @@ def short_name(method: str) -> str:
     if name.isidentifier() and file.lower().endswith(_PYTHON):
         method = file
     return Path(method).stem if is_description(method) or method.lower().endswith(_PYTHON) else method
-
-
-def _split_on_windows(text: str) -> list[str]:
-    """Split as programs on Windows do: quotes group, a backslash escapes only before a quote."""
-    words: list[str] = []
-    word = ""
-    quoted = False
-    begun = False
-    for token in _WINDOWS_TOKEN.finditer(text):
-        if token["space"] and not quoted:
-            words += [word] if begun else []
-            word = ""
-            begun = False
-            continue
-        begun = True
-        if not token["quote"]:
-            word += token[0]
-            continue
-        # An odd number of backslashes escapes the quote; pairs of them stand for one each.
-        escaped = len(token["slashes"]) % 2 == 1
-        word += "\\" * (len(token["slashes"]) // 2)
-        quotes = len(token["quote"])
-        if escaped:
-            word = word + '"'
-            quotes = quotes - 1
-        if quotes == 2 and quoted:
-            word += '"'  # a doubled quote inside a quotation stands for itself
-        elif quotes == 1:
-            quoted = not quoted
-    if quoted:
-        raise ValueError("No closing quotation")
-    return words + ([word] if begun else [])
 
 
 _Seconds = Annotated[float, msgspec.Meta(gt=0)]
@@ -176,11 +146,6 @@ class MethodDescription(msgspec.Struct, frozen=True, kw_only=True):
     environment: EnvironmentTable = EnvironmentTable()
     limits: _LimitsTable = _LimitsTable()
 
-    @classmethod
-    def of(cls, words: tuple[str, ...]) -> MethodDescription:
-        """Describe a bare command."""
-        return cls(method=_MethodTable(command=words))
-
 
 _TABLES: dict[str, type[msgspec.Struct]] = {
     "method": _MethodTable,
@@ -220,35 +185,33 @@ def read_description(path: Path) -> MethodDescription:
         raise InputFileError(
             path, where, expected="what docs/environments.md describes", found=reason[:1].lower() + reason[1:]
         ) from error
-    environment = description.environment
-    named = [name.replace("_", "-") for name in _PLACES if getattr(environment, name) is not None]
-    if len(named) > 1:
-        raise InputFileError(
-            path, f"environment.{named[1]}", expected="one kind of environment", found=f"{named[0]} and {named[1]}"
-        )
-    stray = [name for name in _OF_CONTAINERS if getattr(environment, name)]
-    if stray and environment.container is None:
-        raise InputFileError(
-            path, f"environment.{stray[0]}", expected="it beside 'container' only", found="no container"
-        )
-    own = [name for name in environment.variables if name.upper().startswith("PRBENCH_")]
-    if own:
-        raise InputFileError(
-            path,
-            f"environment.variables.{own[0]}",
-            expected="no variable of the harness",
-            found=own[0],
-            remedy="Programs never get variables that begin with PRBENCH_.",
-        )
-    _require_own_name(path, description.method.name)
+    _require_fitting(path, description)
     return description
 
 
-def _require_own_name(path: Path, name: str | None) -> None:
-    if name is not None and (problem := name_problem(name)):
-        raise InputFileError(
-            path, "method.name", expected="a name of the method's own", found=name, remedy=f"{problem}."
-        )
+def _require_fitting(path: Path, description: MethodDescription) -> None:
+    """Refuse keys that do not fit the others."""
+    environment = description.environment
+    name = description.method.name
+    named = [place.replace("_", "-") for place in _PLACES if getattr(environment, place) is not None]
+    stray = [key for key in _OF_CONTAINERS if getattr(environment, key) and environment.container is None]
+    own = [variable for variable in environment.variables if variable.upper().startswith("PRBENCH_")]
+    problem = None if name is None else name_problem(name)
+    wrong: list[tuple[bool, str, str, str, str]] = [
+        (len(named) > 1, f"environment.{''.join(named[1:2])}", "one kind of environment", " and ".join(named[:2]), ""),
+        (bool(stray), f"environment.{''.join(stray[:1])}", "it beside 'container' only", "no container", ""),
+        (
+            bool(own),
+            f"environment.variables.{''.join(own[:1])}",
+            "no variable of the harness",
+            "".join(own[:1]),
+            "Programs never get variables that begin with PRBENCH_.",
+        ),
+        (bool(problem), "method.name", "a name of the method's own", str(name), f"{problem}."),
+    ]
+    for is_wrong, where, expected, found, remedy in wrong:
+        if is_wrong:
+            raise InputFileError(path, where, expected=expected, found=found, remedy=remedy)
 
 
 def _refuse_unknown(path: Path, prefix: str, found: dict[str, object], known: list[str], *, kind: str) -> None:
@@ -280,12 +243,23 @@ def find_executable(word: str, *, directory: Path, path: str, where: str) -> str
     Raises:
         UsageError: if there is no such program, with what may have been meant.
     """
+    interpreter = _INTERPRETERS.get(Path(word).suffix.lower(), "")
+    started = f'cmd:"{interpreter} {word}"'
     if "/" in word or (os.name == "nt" and "\\" in word) or word.startswith("~"):
         file = directory / Path(word).expanduser()
-        return str(_require_executable(file, word, where))
+        if not file.is_file():
+            names = [path.name for path in file.parent.iterdir()] if file.parent.is_dir() else []
+            raise UsageError(f"{where}: expected a program at {file}, found none.{did_you_mean(file.name, names)}")
+        if not os.access(file, os.X_OK):
+            remedy = f" Start it with its interpreter: {started}." if interpreter else ""
+            raise UsageError(f"{where}: {file} is a file, but not one that can be executed.{remedy}")
+        return os.path.normpath(file.absolute())
     found = shutil.which(word, path=path)
     if found is None:
-        raise UsageError(f"{where}: the program '{word}' was not found.{_hint(word, directory, path)}")
+        remedy = " It is looked up in the folders of PATH."
+        if (directory / word).is_file():
+            remedy = f" Did you mean {started if interpreter else f'./{word}'}?"
+        raise UsageError(f"{where}: the program '{word}' was not found.{remedy}")
     return str(Path(found).absolute())
 
 
@@ -305,230 +279,9 @@ def require_script(words: tuple[str, ...], *, directory: Path, where: str) -> No
         )
 
 
-@dataclass(frozen=True)
-class Surroundings:
-    """A command, and where and in which environment it starts."""
-
-    words: tuple[str, ...]
-    directory: Path
-    environment: dict[str, str]
-    where: str
-    """What to call the command's source in messages."""
-    readable: tuple[Path, ...] = ()
-    """Paths that it needs beside its directory and its executable."""
-    place: str = ""
-    """Kind and name of the environment, for the record."""
-
-    def found(self) -> Surroundings:
-        """Return the same with the program's absolute path; words that begin with ``~/`` lead to the user's home.
-
-        Raises:
-            UsageError: if the program, or the script that it is to run, does not exist.
-        """
-        path = self.environment.get("PATH", os.defpath)
-        program = find_executable(self.words[0], directory=self.directory, path=path, where=self.where)
-        require_script(self.words, directory=self.directory, where=self.where)
-        arguments = (str(Path(word).expanduser()) if word.startswith("~/") else word for word in self.words[1:])
-        return replace(self, words=(program, *arguments))
-
-
-def inside_environment(
-    start: Surroundings, table: EnvironmentTable, *, file: Path, weights: Path | None, hidden: tuple[Path, ...]
-) -> Surroundings:
-    """Return the command inside the environment that a description asks for.
-
-    Args:
-        start: The command as it would run in the user's own environment.
-        table: What is asked for.
-        file: The description; paths in it are relative to its folder.
-        weights: A file or folder that the user gave, which a container has to be shown.
-        hidden: Folders that a container must not see, even inside what it is shown.
-
-    Raises:
-        InputFileError: if an environment or its tool is missing.
-        UsageError: if the program is.
-    """
-    start = replace(start, environment={**start.environment, **table.variables})
-    if table.virtual_environment is not None:
-        folder = below(file, table.virtual_environment)
-        programs = folder / _BIN
-        if shutil.which("python", path=str(programs)) is None:
-            raise InputFileError(
-                file,
-                "environment.virtual-environment",
-                expected=f"a virtual environment at {folder}",
-                found=f"no python in {programs}",
-                remedy=f"Make it: python -m venv {folder}",
-            )
-        path = os.pathsep.join([str(programs), start.environment.get("PATH", os.defpath)])
-        environment = {**start.environment, "PATH": path, "VIRTUAL_ENV": str(folder)}
-        # It would send the environment's own interpreter to another library.
-        environment.pop("PYTHONHOME", None)
-        found = replace(start, environment=environment, readable=(*start.readable, folder)).found()
-        return replace(found, place=f"virtual environment {folder.name}")
-    if table.conda is not None:
-        return _in_conda(start, table.conda, file)
-    if table.container is not None:
-        engine, program = _engine(start.environment, table.engine, file)
-        mounts = [(start.directory, _METHOD_FOLDER), *(_volume(text, file) for text in table.volumes)]
-        if weights is not None and weights.exists():
-            mounts.append((weights.absolute(), str(weights.absolute())))
-        words = [program, "run", "--rm", "--init", "-i", "--network", "none", "--workdir", _METHOD_FOLDER]
-        for source, target in mounts:
-            words += ["--volume", f"{source}:{target}:ro"]
-        for masked in _masked(mounts, hidden):
-            words += ["--tmpfs", masked]
-        # Nobody's program needs to be root; podman without root maps the user by itself.
-        asked = table.user
-        if asked is None and engine == "docker" and hasattr(os, "getuid"):
-            asked = f"{os.getuid()}:{os.getgid()}"
-        words += [] if asked is None else ["--user", asked]
-        if table.gpus:
-            words += ["--gpus", "all"] if engine == "docker" else ["--device", "nvidia.com/gpu=all"]
-        for name, value in sorted(table.variables.items()):
-            words += ["--env", f"{name}={value}"]
-        return replace(start, words=(*words, str(table.container), *start.words), place=f"{engine} {table.container}")
-    return start.found()
-
-
 def below(file: Path, path: str) -> Path:
     """Resolve a path of a description: absolute, in the user's home, or relative to the file's folder."""
     return Path(os.path.normpath(file.absolute().parent / Path(path).expanduser()))
-
-
-def _require_executable(file: Path, word: str, where: str) -> Path:
-    if not file.is_file():
-        names = [path.name for path in file.parent.iterdir()] if file.parent.is_dir() else []
-        raise UsageError(f"{where}: expected a program at {file}, found none.{did_you_mean(file.name, names)}")
-    if not os.access(file, os.X_OK):
-        started = f' Start it with its interpreter: cmd:"{_interpreter(word)} {word}".' if _interpreter(word) else ""
-        raise UsageError(f"{where}: {file} is a file, but not one that can be executed.{started}")
-    return Path(os.path.normpath(file.absolute()))
-
-
-def _hint(word: str, directory: Path, path: str) -> str:
-    if (directory / word).is_file():
-        interpreter = _interpreter(word)
-        return f' Did you mean cmd:"{interpreter} {word}"?' if interpreter else f" Did you mean ./{word}?"
-    return did_you_mean(word, _names_in(path)) or " It is looked up in the folders of PATH."
-
-
-def _interpreter(word: str) -> str:
-    return _INTERPRETERS.get(Path(word).suffix.lower(), "")
-
-
-def _names_in(path: str) -> Iterator[str]:
-    for folder in dict.fromkeys(path.split(os.pathsep)):
-        if folder and Path(folder).is_dir():
-            yield from (file.name for file in Path(folder).iterdir())
-
-
-def _in_conda(start: Surroundings, named: str, file: Path) -> Surroundings:
-    conda = shutil.which("conda", path=start.environment.get("PATH", os.defpath)) or start.environment.get("CONDA_EXE")
-    if conda is None:
-        raise InputFileError(
-            file,
-            "environment.conda",
-            expected="the program 'conda'",
-            found="none in PATH",
-            remedy="Install conda, or start prbench from a shell in which it works.",
-        )
-    is_folder = "/" in named or "\\" in named or named.startswith(("~", "."))
-    folder = below(file, named)
-    if is_folder and not (folder / "conda-meta").is_dir():
-        raise InputFileError(
-            file,
-            "environment.conda",
-            expected=f"a conda environment at {folder}",
-            found="no conda-meta in it" if folder.is_dir() else "no such folder",
-        )
-    chosen = ("-p", str(folder)) if is_folder else ("-n", named)
-    require_script(start.words, directory=start.directory, where=start.where)
-    return replace(
-        start,
-        words=(conda, "run", "--no-capture-output", *chosen, *start.words),
-        readable=(*start.readable, *([folder] if is_folder else [])),
-        place=f"conda {folder.name if is_folder else named}",
-    )
-
-
-def _engine(environment: Mapping[str, str], asked: str | None, file: Path) -> tuple[str, str]:
-    """Return name and path of the program that runs containers."""
-    names = (asked,) if asked else ("podman", "docker")
-    for name in names:
-        program = shutil.which(name, path=environment.get("PATH", os.defpath))
-        if program is not None:
-            return name, program
-    raise InputFileError(
-        file,
-        "environment.engine" if asked else "environment.container",
-        expected=f"the program {' or '.join(names)}",
-        found="none in PATH",
-        remedy="Install it, or name the other one with engine.",
-    )
-
-
-def _volume(text: str, file: Path) -> tuple[Path, str]:
-    """Return a folder of this machine and its place in the container; ``C:`` of Windows is no separator."""
-    drive = 2 if text[1:2] == ":" and text[:1].isalpha() else 0
-    source, _, target = text[drive:].partition(":")
-    folder = below(file, text[:drive] + source)
-    if not folder.exists():
-        raise InputFileError(
-            file, "environment.volumes", expected=f"the file or folder {folder}", found="nothing there"
-        )
-    return folder, target or str(folder)
-
-
-def _masked(mounts: list[tuple[Path, str]], hidden: tuple[Path, ...]) -> list[str]:
-    """Return the places in the container that would show a hidden folder."""
-    places = []
-    for source, target in mounts:
-        for folder in hidden:
-            if folder.resolve().is_relative_to(source.resolve()):
-                inner = folder.resolve().relative_to(source.resolve())
-                places.append((Path(target) / inner).as_posix())
-    return list(dict.fromkeys(places))
-
-
-@dataclass(frozen=True)
-class MethodProgram:
-    """A program that the user named, ready to be started."""
-
-    program: Program
-    package: str
-    """The command and its environment, for the record: without the folders of this machine."""
-    expected_name: str | None = None
-    """Name that it must introduce itself by; any name if None."""
-    readable: tuple[Path, ...] = ()
-    """Files and folders that it needs beside the system's."""
-    in_container: bool = False
-
-
-def program_of(
-    method: str,
-    *,
-    environment: Mapping[str, str],
-    weights: Path | None = None,
-    timeout: float | None = None,
-    hidden: tuple[Path, ...] = (),
-) -> MethodProgram:
-    """Make out what a ``cmd:`` or a TOML file asks for.
-
-    Args:
-        method: As given by ``--method``.
-        environment: Environment variables of the program.
-        weights: A file or folder that the user gave.
-        timeout: Seconds for a batch; by default the description's.
-        hidden: Folders that a container must not see.
-
-    Raises:
-        UsageError: if the command is empty or its program does not exist.
-        InputFileError: if the TOML file is not what it should be.
-    """
-    if is_command(method):
-        return _of_command(method, dict(environment), timeout)
-    return _of_description(Path(method).expanduser(), dict(environment), weights, timeout, hidden)
 
 
 def runs_in_container(method: str) -> bool:
@@ -545,59 +298,160 @@ def own_environment(environment: Mapping[str, str]) -> dict[str, str]:
     return {name: value for name, value in environment.items() if not name.upper().startswith("PRBENCH_")}
 
 
-def _of_command(method: str, environment: dict[str, str], timeout: float | None) -> MethodProgram:
-    where = f"--method {PREFIX}…"
-    words = split_command(method.removeprefix(PREFIX), where=where)
-    start = Surroundings(words, Path.cwd(), environment, where).found()
-    return _method_program(method, words, start, MethodDescription.of(words), timeout)
-
-
-def _of_description(
-    file: Path, environment: dict[str, str], weights: Path | None, timeout: float | None, hidden: tuple[Path, ...]
-) -> MethodProgram:
-    description = read_description(file)
-    command = description.method.command
-    where = f"{file}, method.command"
-    words = split_command(command, where=where) if isinstance(command, str) else command
-    directory = below(file, description.method.directory)
-    if not directory.is_dir():
-        raise InputFileError(file, "method.directory", expected=f"a folder at {directory}", found="none")
-    start = inside_environment(
-        Surroundings(words, directory, environment, where),
-        description.environment,
-        file=file,
-        weights=weights,
-        hidden=hidden,
-    )
-    return _method_program(str(file), words, start, description, timeout)
-
-
-def _method_program(
+def program_of(
     method: str,
-    words: tuple[str, ...],
-    start: Surroundings,
-    description: MethodDescription,
-    timeout: float | None,
-) -> MethodProgram:
+    *,
+    environment: Mapping[str, str],
+    weights: Path | None = None,
+    timeout: float | None = None,
+    hidden: tuple[Path, ...] = (),
+) -> Program:
+    """Make out what a ``cmd:`` or a TOML file asks for.
+
+    Args:
+        method: As given by ``--method``.
+        environment: Environment variables of the program.
+        weights: A file or folder that the user gave, which a container has to be shown.
+        timeout: Seconds for a batch; by default the description's.
+        hidden: Folders that a container must not see, even inside what it is shown.
+
+    Raises:
+        UsageError: if the command is empty, or its program or script does not exist.
+        InputFileError: if the TOML file is not what it should be, or an environment or its tool is missing.
+    """
+    file = Path(method).expanduser()
+    if is_command(method):
+        where = f"--method {PREFIX}…"
+        words = split_command(method.removeprefix(PREFIX), where=where)
+        description = MethodDescription(method=_MethodTable(command=words))
+        directory = Path.cwd()
+    else:
+        description = read_description(file)
+        where = f"{file}, method.command"
+        command = description.method.command
+        words = split_command(command, where=where) if isinstance(command, str) else command
+        directory = below(file, description.method.directory)
+        if not directory.is_dir():
+            raise InputFileError(file, "method.directory", expected=f"a folder at {directory}", found="none")
+    table = description.environment
+    variables = {**environment, **table.variables}
+    readable = [directory]
+    place = ""
+    if table.virtual_environment is not None:
+        folder = below(file, table.virtual_environment)
+        programs = folder / _BIN
+        if shutil.which("python", path=str(programs)) is None:
+            raise InputFileError(
+                file,
+                "environment.virtual-environment",
+                expected=f"a virtual environment at {folder}",
+                found=f"no python in {programs}",
+                remedy=f"Make it: python -m venv {folder}",
+            )
+        variables["PATH"] = os.pathsep.join([str(programs), variables.get("PATH", os.defpath)])
+        variables["VIRTUAL_ENV"] = str(folder)
+        # It would send the environment's own interpreter to another library.
+        variables.pop("PYTHONHOME", None)
+        readable.append(folder)
+        place = f"virtual environment {folder.name}: "
+    if table.conda is not None:
+        require_script(words, directory=directory, where=where)
+        before, place, folders = _conda(table.conda, file, variables)
+        started = (*before, *words)
+        readable += folders
+    elif table.container is not None:
+        before, place = _container(table, file, variables, directory, weights, hidden)
+        started = (*before, *words)
+    else:
+        path = variables.get("PATH", os.defpath)
+        program = find_executable(words[0], directory=directory, path=path, where=where)
+        require_script(words, directory=directory, where=where)
+        # As in a shell, words that begin with ~/ lead to the user's home.
+        started = (program, *(str(Path(word).expanduser()) if word.startswith("~/") else word for word in words[1:]))
+    # The files and folders that the command names: its program, and what lies outside its directory.
+    named = (directory / Path(word).expanduser() for word in started)
+    readable += [Path(os.path.normpath(path)) for path in named if path.exists()]
     limits = description.limits
-    program = Program(
-        name=description.method.name or short_name(method),
-        words=start.words,
-        directory=start.directory,
-        environment=tuple(sorted(start.environment.items())),
+    return Program(
+        name=description.method.name or short_name(method if is_command(method) else str(file)),
+        words=tuple(started),
+        directory=directory,
+        environment=tuple(sorted(variables.items())),
         start_timeout=limits.start_s,
         batch_timeout=limits.batch_s if timeout is None else timeout,
-    )
-    return MethodProgram(
-        program,
-        package=f"{start.place}: {shown_command(words)}" if start.place else shown_command(words),
+        package=place + shown_command(words),
         expected_name=description.method.name,
-        readable=(start.directory, *start.readable, *_named_files(start)),
-        in_container=description.environment.container is not None,
+        readable=tuple(readable),
+        in_container=table.container is not None,
     )
 
 
-def _named_files(start: Surroundings) -> tuple[Path, ...]:
-    """Return the existing paths that the command names: its program, and files or folders outside its directory."""
-    paths = (start.directory / Path(word).expanduser() for word in start.words)
-    return tuple(Path(os.path.normpath(path)) for path in paths if path.exists())
+def _conda(named: str, file: Path, variables: Mapping[str, str]) -> tuple[list[str], str, list[Path]]:
+    """Return the words before the command, the name of the environment, and the folders that it needs."""
+    conda = shutil.which("conda", path=variables.get("PATH", os.defpath)) or variables.get("CONDA_EXE")
+    is_folder = "/" in named or "\\" in named or named.startswith(("~", "."))
+    folder = below(file, named)
+    expected, found, remedy = "", "", ""
+    if conda is None:
+        expected, found = "the program 'conda'", "none in PATH"
+        remedy = "Install conda, or start prbench from a shell in which it works."
+    elif is_folder and not (folder / "conda-meta").is_dir():
+        expected = f"a conda environment at {folder}"
+        found = "no conda-meta in it" if folder.is_dir() else "no such folder"
+    if conda is None or expected:
+        raise InputFileError(file, "environment.conda", expected=expected, found=found, remedy=remedy)
+    chosen = ["-p", str(folder)] if is_folder else ["-n", named]
+    before = [conda, "run", "--no-capture-output", *chosen]
+    return before, f"conda {folder.name if is_folder else named}: ", [folder] if is_folder else []
+
+
+def _container(
+    table: EnvironmentTable,
+    file: Path,
+    variables: Mapping[str, str],
+    directory: Path,
+    weights: Path | None,
+    hidden: tuple[Path, ...],
+) -> tuple[list[str], str]:
+    """Return the words before the command, and the name of the container."""
+    engines = (table.engine,) if table.engine else ("podman", "docker")
+    path = variables.get("PATH", os.defpath)
+    engine, program = next(((name, at) for name in engines if (at := shutil.which(name, path=path))), ("", ""))
+    if not program:
+        raise InputFileError(
+            file,
+            "environment.engine" if table.engine else "environment.container",
+            expected=f"the program {' or '.join(engines)}",
+            found="none in PATH",
+            remedy="Install it, or name the other one with engine.",
+        )
+    mounts = [(directory, _METHOD_FOLDER)]
+    for text in table.volumes:
+        drive = 2 if text[1:2] == ":" and text[:1].isalpha() else 0  # C: of Windows is no separator
+        source, _, target = text[drive:].partition(":")
+        folder = below(file, text[:drive] + source)
+        if not folder.exists():
+            expected = f"the file or folder {folder}"
+            raise InputFileError(file, "environment.volumes", expected=expected, found="nothing there")
+        mounts.append((folder, target or str(folder)))
+    if weights is not None and weights.exists():
+        mounts.append((weights.absolute(), str(weights.absolute())))
+    words = [program, "run", "--rm", "--init", "-i", "--network", "none", "--workdir", _METHOD_FOLDER]
+    masked: list[str] = []
+    for source, target in mounts:
+        words += ["--volume", f"{source}:{target}:ro"]
+        for folder in hidden:
+            if folder.resolve().is_relative_to(source.resolve()):
+                masked.append((Path(target) / folder.resolve().relative_to(source.resolve())).as_posix())
+    for shown in dict.fromkeys(masked):
+        words += ["--tmpfs", shown]
+    # Nobody's program needs to be root; podman without root maps the user by itself.
+    user = table.user
+    if user is None and engine == "docker" and hasattr(os, "getuid"):
+        user = f"{os.getuid()}:{os.getgid()}"
+    words += [] if user is None else ["--user", user]
+    if table.gpus:
+        words += ["--gpus", "all"] if engine == "docker" else ["--device", "nvidia.com/gpu=all"]
+    for name, value in sorted(table.variables.items()):
+        words += ["--env", f"{name}={value}"]
+    return [*words, str(table.container)], f"{engine} {table.container}: "

@@ -54,7 +54,7 @@ def test_an_unknown_name_is_answered_with_the_nearest():
     )
     with pytest.raises(AdapterError, match=r"Did you mean 'ground-truth'"):
         find_adapter("groundtruth", also_known=["ground-truth"])
-    with pytest.raises(AdapterError, match=r"is not installed. `prbench"):
+    with pytest.raises(AdapterError, match=r"is not installed. A program is given as"):
         find_adapter("zzzzzz")
 
 

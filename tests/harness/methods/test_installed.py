@@ -119,13 +119,7 @@ def test_other_groups_are_read_as_robustly(package):
     ("name", "hint"),
     [
         ("sttic", " Did you mean 'static'?"),
-        ("glide.py", " It looks like a program: give its command as 'cmd:python glide.py', or a .toml file"),
-        ("python glide.py", " give its command as 'cmd:python glide.py'"),
-        ("node glide.mjs", " give its command as 'cmd:node glide.mjs'"),
-        ("methods/glide", " It looks like a path: a program is given as 'cmd:COMMAND'"),
-        ("glide.toml", " It looks like the TOML file of a method, but there is no such file."),
-        ("motions.parquet", " Finished motions are scored with `prbench score motions.parquet`."),
-        ("zzzzzz", "'zzzzzz' is not installed. `prbench adapters list` shows all of them."),
+        ("glide.toml", " A program is given as 'cmd:COMMAND', or as a .toml file that holds it."),
     ],
 )
 def test_an_unknown_name_is_answered_with_what_may_have_been_meant(name, hint):

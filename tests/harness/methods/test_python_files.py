@@ -44,23 +44,6 @@ def test_a_file_is_a_method_by_the_name_that_it_gives_itself(file, suffix):
     assert short_name(method) == "still_one"
 
 
-def test_a_function_of_a_module_is_a_method(file, monkeypatch):
-    monkeypatch.syspath_prepend(str(file().parent))
-    assert method_spec("still_one:make", group=GROUP).load().name == "mine"
-
-
-@pytest.mark.parametrize(
-    ("method", "message"),
-    [
-        ("no_such_module_at_all:load", "expected a module 'no_such_module_at_all' that Python can import"),
-        ("prbench_benchmarks.motion_prediction.batch:nothing", "expected a function 'nothing"),
-    ],
-)
-def test_a_module_without_the_function_is_refused(method, message):
-    with pytest.raises(AdapterError, match=message):
-        method_spec(method, group=GROUP)
-
-
 def test_a_file_without_the_function_is_not_run(tmp_path):
     program = tmp_path / "reads.py"
     program.write_text("import sys\nsys.exit('it ran')\n")

@@ -15,7 +15,7 @@ from prbench.harness.methods.isolation import available_fence
 def bubblewrap() -> None:
     """Skips where bubblewrap does not work."""
     fence = available_fence()
-    if fence.kind != "bubblewrap":
+    if fence.program is None:
         pytest.skip(fence.reason)
 
 

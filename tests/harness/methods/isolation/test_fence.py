@@ -126,7 +126,7 @@ def test_without_bubblewrap_paths_and_environment_are_withheld_and_the_notice_sa
 
 
 def test_a_bubblewrap_that_does_not_work_or_is_not_there_is_told_with_the_reason(no_bubblewrap, tmp_path, monkeypatch):
-    assert available_fence().kind == "process"
+    assert available_fence().program is None
     assert "(bubblewrap does not work here: setting up uid map: Permission denied)" in available_fence().notice
     available_fence.cache_clear()
     monkeypatch.setenv("PATH", str(tmp_path))

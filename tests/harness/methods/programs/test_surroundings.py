@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from prbench.errors import InputFileError, UsageError
-from prbench.harness.methods.programs import MethodProgram, find_executable, own_environment, program_of, require_script
+from prbench.harness.methods.process import Program
+from prbench.harness.methods.programs import find_executable, own_environment, program_of, require_script
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="makes programs as POSIX systems have them")
 
@@ -39,8 +40,7 @@ def started(folder: Path, environment: str, *, tools: tuple[str, ...] = ("conda"
     return program_of(str(file), environment={"PATH": path, "PYTHONHOME": "/nowhere"}, **given)
 
 
-def output(method: MethodProgram) -> str:
-    program = method.program
+def output(program: Program) -> str:
     done = subprocess.run(
         program.words, cwd=program.directory, env=dict(program.environment), capture_output=True, text=True, check=True
     )
@@ -51,9 +51,9 @@ def test_python_becomes_that_of_the_virtual_environment_and_its_variables_are_se
     venv.create(folder / "envs/glide", with_pip=False)
     method = started(folder, 'virtual-environment = "../envs/glide"\nvariables = { A = "1" }')
     own = folder / "envs/glide"
-    environment = dict(method.program.environment)
-    assert method.program.words == (str(own / "bin/python"), "glide.py", "-x")
-    assert method.program.directory == folder / "m"
+    environment = dict(method.environment)
+    assert method.words == (str(own / "bin/python"), "glide.py", "-x")
+    assert method.directory == folder / "m"
     assert environment["PATH"].split(os.pathsep)[0] == str(own / "bin")
     assert environment["VIRTUAL_ENV"] == str(own)
     assert "PYTHONHOME" not in environment
@@ -72,7 +72,7 @@ def test_a_virtual_environment_that_is_not_there_is_answered_with_how_to_make_it
 def test_conda_runs_the_command_in_a_named_environment_and_passes_streams_through(folder):
     method = started(folder, 'conda = "glide"')
     expected = ("run", "--no-capture-output", "-n", "glide", "python", "glide.py", "-x")
-    assert method.program.words == (str(folder / "tools/conda"), *expected)
+    assert method.words == (str(folder / "tools/conda"), *expected)
     assert method.package == "conda glide: python glide.py -x"
     assert "'-x'" in output(started(folder, 'conda = "glide"\nvariables = { PYTHONHOME = "" }'))
 
@@ -80,7 +80,7 @@ def test_conda_runs_the_command_in_a_named_environment_and_passes_streams_throug
 def test_conda_finds_an_environment_by_its_folder(folder):
     (folder / "m/env/conda-meta").mkdir(parents=True)
     method = started(folder, 'conda = "./env"')
-    assert method.program.words[1:5] == ("run", "--no-capture-output", "-p", str(folder / "m/env"))
+    assert method.words[1:5] == ("run", "--no-capture-output", "-p", str(folder / "m/env"))
     with pytest.raises(InputFileError, match=r"environment\.conda: expected a conda environment at .*no such folder"):
         started(folder, 'conda = "./other"')
 
@@ -94,7 +94,7 @@ def test_a_container_sees_the_method_read_only_and_no_network(folder):
     method = started(folder, 'container = "glide@sha256:12"')
     expected = ("run", "--rm", "--init", "-i", "--network", "none", "--workdir", "/method")
     mounted = ("--volume", f"{folder / 'm'}:/method:ro")
-    assert method.program.words == (
+    assert method.words == (
         str(folder / "tools/podman"), *expected, *mounted, "glide@sha256:12", "python", "glide.py", "-x",
     )  # fmt: skip
     assert method.package == "podman glide@sha256:12: python glide.py -x"
@@ -110,7 +110,7 @@ def test_docker_runs_as_the_user_with_gpus_volumes_weights_and_variables(folder)
         'variables = { B = "2", A = "1" }',
         weights=folder / "w.npz",
     )
-    words = method.program.words
+    words = method.words
     bodies = folder / "bodies"
     assert words[0] == str(folder / "tools/docker")
     assert words[words.index("--volume") + 2 : words.index("i")] == (
@@ -121,7 +121,7 @@ def test_docker_runs_as_the_user_with_gpus_volumes_weights_and_variables(folder)
 
 
 def test_podman_takes_gpus_by_their_device_and_a_user_if_one_is_named(folder):
-    words = started(folder, 'container = "i"\ngpus = true\nuser = "7:8"').program.words
+    words = started(folder, 'container = "i"\ngpus = true\nuser = "7:8"').words
     assert words[-9:-4] + words[-4:] == (
         f"{folder / 'm'}:/method:ro", "--user", "7:8", "--device", "nvidia.com/gpu=all",
         "i", "python", "glide.py", "-x",
@@ -131,13 +131,13 @@ def test_podman_takes_gpus_by_their_device_and_a_user_if_one_is_named(folder):
 def test_a_container_that_must_not_see_a_table_gets_an_empty_folder_in_its_place(folder):
     (folder / "m/data/table").mkdir(parents=True)
     hidden = (folder / "m/data/table", folder / "elsewhere")
-    words = started(folder, 'container = "i"\nvolumes = ["data:/d"]', hidden=hidden).program.words
+    words = started(folder, 'container = "i"\nvolumes = ["data:/d"]', hidden=hidden).words
     masked = [words[place + 1] for place, word in enumerate(words) if word == "--tmpfs"]
     assert masked == ["/method/data/table", "/d/table"]
 
 
 def test_the_other_engine_is_taken_where_one_is_missing_and_none_is_named(folder):
-    assert started(folder, 'container = "i"', tools=("docker",)).program.words[0] == str(folder / "tools/docker")
+    assert started(folder, 'container = "i"', tools=("docker",)).words[0] == str(folder / "tools/docker")
     with pytest.raises(InputFileError, match=r"environment\.container: expected the program podman or docker"):
         started(folder, 'container = "i"', tools=())
 
@@ -155,15 +155,15 @@ def test_python_of_a_command_is_that_of_the_users_shell_not_the_harness(folder, 
     (folder / "tools/python").chmod(0o755)
     monkeypatch.chdir(folder / "m")
     method = program_of("cmd:python glide.py", environment={"PATH": str(folder / "tools")})
-    assert method.program.words == (str(folder / "tools/python"), "glide.py")
-    assert method.program.directory == folder / "m"
+    assert method.words == (str(folder / "tools/python"), "glide.py")
+    assert method.directory == folder / "m"
     assert method.package == "python glide.py"
 
 
 def test_words_may_begin_at_home_as_in_a_shell(folder, monkeypatch):
     monkeypatch.setenv("HOME", str(folder))
     method = program_of("cmd:sh ~/m/glide.py --n ~ a~/b", environment={"PATH": "/bin"})
-    assert method.program.words[1:] == (str(folder / "m/glide.py"), "--n", "~", "a~/b")
+    assert method.words[1:] == (str(folder / "m/glide.py"), "--n", "~", "a~/b")
     assert method.package == "sh glide.py --n '~' 'a~/b'"
 
 
@@ -173,9 +173,9 @@ def test_limits_come_from_the_file_and_the_users_timeout_comes_before_them(folde
     with pytest.raises(UsageError, match=r"glide\.toml, method\.command: .* can be executed"):
         program_of(str(file), environment={})
     (folder / "m/glide.py").chmod(0o755)
-    program = program_of(str(file), environment={}).program
+    program = program_of(str(file), environment={})
     assert (program.start_timeout, program.batch_timeout, program.name) == (3, 4, "glide")
-    assert program_of(str(file), environment={}, timeout=9.0).program.batch_timeout == 9
+    assert program_of(str(file), environment={}, timeout=9.0).batch_timeout == 9
 
 
 def test_a_program_gets_the_users_environment_without_the_harness_variables():
@@ -210,7 +210,7 @@ def test_a_path_may_begin_at_home(programs, monkeypatch):
 @pytest.mark.parametrize(
     ("word", "answer"),
     [
-        ("glid", "the program 'glid' was not found. Did you mean 'glide'?"),
+        ("glid", "the program 'glid' was not found. It is looked up in the folders of PATH."),
         ("bin/wallk", "found none. Did you mean 'walk'?"),
         ("glide.py", 'not found. Did you mean cmd:"python glide.py"?'),
         ("./glide.py", 'not one that can be executed. Start it with its interpreter: cmd:"python ./glide.py".'),

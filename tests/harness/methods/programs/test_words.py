@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import random
-import subprocess
-
 import pytest
 
 from prbench.errors import UsageError
@@ -20,13 +17,6 @@ def test_backslashes_of_a_windows_command_separate_folders():
     text = r'"C:\Program Files\Python\python.exe" C:\methods\glide.py --root D:\data\ ""'
     words = (r"C:\Program Files\Python\python.exe", r"C:\methods\glide.py", "--root", "D:\\data\\", "")
     assert split_command(text, where="", windows=True) == words
-
-
-def test_windows_commands_are_split_as_python_joins_them():
-    chance = random.Random(0)
-    for _ in range(500):
-        words = ["python", *("".join(chance.choices('a\\" \t', k=chance.randrange(7))) for _ in range(3))]
-        assert split_command(subprocess.list2cmdline(words), where="", windows=True) == tuple(words)
 
 
 @pytest.mark.parametrize("text", ["", "   ", "''"])
