@@ -18,7 +18,7 @@ from prbench.harness.methods.installed import METHOD_CONTROLS, name_problem
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder.cost import RunCost
 from prbench.harness.run_folder.folder import FOLDS_FILE as MERGED
-from prbench.harness.run_folder.folder import DatasetFolder, FoldRun, MergedFrom, RunFolder
+from prbench.harness.run_folder.folder import DatasetFolder, FoldRun, RunFolder, read_folds
 from prbench.harness.run_folder.record import RunRecord, TableRecord
 from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
@@ -206,7 +206,7 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_bench
                 rows.append(row)
     within: set[tuple[str, str]] = set()
     for row, run in merged:
-        keys = [fold.key for fold in MergedFrom.read(run.path).folds]
+        keys = [fold.key for fold in read_folds(run.path)]
         rows.append(replace(row, unverified=_why_unverified(run, [of_folds.get(key) for key in keys])))
         within.update(keys)
     # The scores of a fold's run are among the merged ones; beside them it would count its sequences twice.

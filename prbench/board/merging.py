@@ -16,7 +16,7 @@ from prbench.errors import RunError, StorageError
 from prbench.files.storage import atomic_folder, sole_writer, text_digest
 from prbench.harness.results import summary_of
 from prbench.harness.run_folder.cost import RunCost, total_cost
-from prbench.harness.run_folder.folder import FOLDS_FILE, FoldRun, MergedFrom, RunFolder
+from prbench.harness.run_folder.folder import FOLDS_FILE, FoldRun, RunFolder, read_folds, write_folds
 from prbench.harness.run_folder.record import BatchPlanRecord, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import read_scores, write_scores
 from prbench.harness.run_folder.summary import DatasetSummary
@@ -45,7 +45,7 @@ class MergedRun:
         Raises:
             StorageError: if the folder holds anything but the very same merged run, or cannot be written.
         """
-        made_from = MergedFrom(folds=tuple(map(FoldRun.of, self.folds)))
+        made_from = tuple(map(FoldRun.of, self.folds))
         with sole_writer(out):
             if out.exists() and (not out.is_dir() or any(out.iterdir())):
                 if not (out / FOLDS_FILE).is_file():
@@ -53,7 +53,7 @@ class MergedRun:
                         f"{out}: exists and holds no {FOLDS_FILE}, so it is no merged run. Choose a new folder for"
                         " --out."
                     )
-                if MergedFrom.read(out) != made_from:
+                if read_folds(out) != made_from:
                     raise StorageError(f"{out}: holds the merged scores of other runs. Choose a new folder for --out.")
                 return
             with atomic_folder(out) as folder:
@@ -65,7 +65,7 @@ class MergedRun:
                 files = RunFolder(folder, self.record).dataset(dataset)
                 write_scores(files.scores, [self.scores])
                 total_cost([RunCost.read(run.dataset(dataset).cost) for run in self.folds]).write(files.cost)
-                made_from.write(folder)
+                write_folds(folder, made_from)
                 self.summary.write(folder)
 
 

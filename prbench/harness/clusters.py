@@ -146,11 +146,8 @@ def detectable_difference(spread: Spread, *, comparisons: int, power: float) -> 
         comparisons: Number of comparisons made together.
         power: Such as 0.8.
     """
-    if spread.recordings < FEWEST_FOR_TEST or spread.degrees < _FEWEST_DEGREES:
-        return np.full(np.shape(spread.mean), np.nan)
     degrees = test_degrees(spread)
-    tail = SIGNIFICANCE / 2 / comparisons * _tail_share_of_test(spread.recordings)
-    return (special.stdtrit(degrees, 1 - tail) + special.stdtrit(degrees, power)) * spread.error
+    return (_critical(spread, comparisons) + special.stdtrit(degrees, power)) * spread.error
 
 
 def power_of(spread: Spread, difference: float, *, comparisons: int) -> PerSet:
@@ -161,12 +158,16 @@ def power_of(spread: Spread, difference: float, *, comparisons: int) -> PerSet:
         difference: The true one.
         comparisons: Number of comparisons made together.
     """
+    reached = np.clip(abs(difference) / np.maximum(spread.error, _TINY), 0, _CERTAIN)
+    return special.stdtr(test_degrees(spread), reached - _critical(spread, comparisons))
+
+
+def _critical(spread: Spread, comparisons: int) -> PerSet:
+    """Studentised difference from which on Holm's first step finds one; NaN where nothing can be tested."""
     if spread.recordings < FEWEST_FOR_TEST or spread.degrees < _FEWEST_DEGREES:
         return np.full(np.shape(spread.mean), np.nan)
-    degrees = test_degrees(spread)
     tail = SIGNIFICANCE / 2 / comparisons * _tail_share_of_test(spread.recordings)
-    reached = np.clip(abs(difference) / np.maximum(spread.error, _TINY), 0, _CERTAIN)
-    return special.stdtr(degrees, reached - special.stdtrit(degrees, 1 - tail))
+    return special.stdtrit(test_degrees(spread), 1 - tail)
 
 
 def recordings_needed(detectable: float, wanted: float, *, recordings: int, comparisons: int, power: float) -> int:

@@ -44,7 +44,6 @@ from prbench.harness.scripted import CHEATS, ScriptedStart, cheating_motions, sc
 from prbench.harness.similar_tasks import at_length, laid_on_goal, read_motions
 from prbench.representation import decode, encode
 from prbench.sequences.sequence import SequenceChunk
-from prbench.sequences.table import SequenceTable
 
 _ROUND_TRIP_FPS = {GROUND_TRUTH_20_FPS: 20.0, GROUND_TRUTH_30_FPS: 30.0}
 RECORDED_MOTION = frozenset({GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, *_ROUND_TRIP_FPS})
@@ -161,15 +160,6 @@ def recorded_through_features(chunk: SequenceChunk) -> Float[np.ndarray, "total 
 _TRAINING = "train"
 
 
-@dataclass(frozen=True)
-class _Task:
-    """What is asked for: one row a sequence, canonical frame, metres."""
-
-    initial_joints: Float[np.ndarray, "n 22 3"]
-    goal_location: Float[np.ndarray, "n 3"]
-    recording_ids: tuple[str, ...]
-
-
 def retrieved_motions(
     selection: Selection, source: ConditionSource, plan: list[Int[np.ndarray, "_"]]
 ) -> Iterator[Motions]:
@@ -183,11 +173,27 @@ def retrieved_motions(
     Raises:
         TableError: if the table has no training sequences, or none of another recording.
     """
-    training = _training_rows(selection.table)
+    table = selection.table
+    if not table.scalars(split=_TRAINING, columns=["split"]).num_rows:
+        raise TableError(
+            f"{table.folder}: expected training sequences, which nearest-neighbour retrieves from, found none in split"
+            f" '{_TRAINING}'. Build more recordings, or leave this control out."
+        )
+    training = select(table, split=_TRAINING, limit=None)
     known = ConditionSource.read(training)
-    searched = _Task(known.initial_joints, known.goal_location, training.recording_ids)
-    wanted = _Task(source.initial_joints, source.goal_location, selection.recording_ids)
-    nearest = _nearest(wanted, searched, selection.table)
+    # Row of the most similar task of another recording.
+    recordings = np.array(training.recording_ids, dtype=object)
+    nearest = np.zeros(len(selection), dtype=np.int64)
+    for row, recording in enumerate(selection.recording_ids):
+        poses = np.linalg.norm(known.initial_joints - source.initial_joints[row], axis=-1).mean(axis=-1)
+        goals = np.linalg.norm(known.goal_location - source.goal_location[row], axis=-1)
+        distance = np.where(recordings == recording, np.inf, poses + goals)
+        nearest[row] = distance.argmin()
+        if not np.isfinite(distance[nearest[row]]):
+            raise TableError(
+                f"{table.folder}: expected training sequences of another recording than {recording}, found none."
+                " Build more recordings, or leave nearest-neighbour out."
+            )
     place = -1
     motions: dict[str, np.ndarray] = {}
     for rows in plan:
@@ -196,7 +202,7 @@ def retrieved_motions(
             place = int(rows[0]) // WINDOW
             window = nearest[place * WINDOW : (place + 1) * WINDOW]
             ids = frozenset(training.sequence_ids[row] for row in window)
-            motions = read_motions(selection.table, ids, split=_TRAINING)
+            motions = read_motions(table, ids, split=_TRAINING)
         n_frames = source.n_frames[rows]
         joints = np.zeros((len(rows), int(n_frames.max()), N_JOINTS, 3), dtype=np.float32)
         for i, row in enumerate(rows):
@@ -204,29 +210,3 @@ def retrieved_motions(
             motion = at_length(motions[training.sequence_ids[found]], int(n_frames[i]))
             joints[i, : n_frames[i]] = laid_on_goal(motion, known.goal_location[found], source.goal_location[row])
         yield Motions(joints, n_frames)
-
-
-def _training_rows(table: SequenceTable) -> Selection:
-    if not table.scalars(split=_TRAINING, columns=["split"]).num_rows:
-        raise TableError(
-            f"{table.folder}: expected training sequences, which nearest-neighbour retrieves from, found none in split"
-            f" '{_TRAINING}'. Build more recordings, or leave this control out."
-        )
-    return select(table, split=_TRAINING, limit=None)
-
-
-def _nearest(wanted: _Task, searched: _Task, table: SequenceTable) -> Int[np.ndarray, " n"]:
-    """Row of the most similar task of another recording, for each wanted one."""
-    recordings = np.array(searched.recording_ids, dtype=object)
-    nearest = np.zeros(len(wanted.recording_ids), dtype=np.int64)
-    for row, recording in enumerate(wanted.recording_ids):
-        poses = np.linalg.norm(searched.initial_joints - wanted.initial_joints[row], axis=-1).mean(axis=-1)
-        goals = np.linalg.norm(searched.goal_location - wanted.goal_location[row], axis=-1)
-        distance = np.where(recordings == recording, np.inf, poses + goals)
-        nearest[row] = distance.argmin()
-        if not np.isfinite(distance[nearest[row]]):
-            raise TableError(
-                f"{table.folder}: expected training sequences of another recording than {recording}, found none."
-                " Build more recordings, or leave nearest-neighbour out."
-            )
-    return nearest

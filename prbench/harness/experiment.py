@@ -99,25 +99,28 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             raise UsageError("--split participants and --fold K/N belong together.")
         if self.fold is not None:
             parse_fold(self.fold)
-        single = sum(max(1, len(method.conditions)) for method in self.methods) * len(self.seeds) == 1
+        runs = [
+            (method, condition, seed)
+            for method in self.methods
+            for condition in method.conditions or (None,)
+            for seed in self.seeds
+        ]
         taken: set[str] = set()
-        for method in self.methods:
-            for condition in method.conditions or (None,):
-                for seed in self.seeds:
-                    request = self._request(method, condition, seed)
-                    if not single:
-                        parts = [request.method_label, request.control, request.condition]
-                        if len(self.seeds) > 1:
-                            parts.append(f"seed{request.seed}")
-                        name = "-".join(str(part) for part in parts if part).replace(" ", "_")
-                        if name in taken:
-                            raise UsageError(
-                                f"two runs of the experiment are called '{name}': run methods that differ only in"
-                                " weights or options from files of their own."
-                            )
-                        taken.add(name)
-                        request = replace(request, out=Path(self.out or DEFAULT_PARENT) / name)
-                    yield request
+        for method, condition, seed in runs:
+            request = self._request(method, condition, seed)
+            if len(runs) > 1:
+                parts = [request.method_label, request.control, request.condition]
+                if len(self.seeds) > 1:
+                    parts.append(f"seed{request.seed}")
+                name = "-".join(str(part) for part in parts if part).replace(" ", "_")
+                if name in taken:
+                    raise UsageError(
+                        f"two runs of the experiment are called '{name}': run methods that differ only in weights or"
+                        " options from files of their own."
+                    )
+                taken.add(name)
+                request = replace(request, out=Path(self.out or DEFAULT_PARENT) / name)
+            yield request
 
     def _request(self, method: ExperimentMethod, condition: str | None, seed: int) -> RunRequest:
         about = find_benchmark(self.benchmark)
@@ -164,28 +167,21 @@ def read_experiment(path: Path) -> Experiment:
             found=str(error),
             remedy="`prbench run --method static --show-config` prints an example.",
         ) from error
-    if not experiment.methods or not experiment.seeds:
-        key = "seeds" if experiment.methods else "methods"
-        raise InputFileError(path, key, expected="one entry or more", found="none")
-    for key, places in (("data", experiment.data), ("out", (experiment.out,))):
-        if any(is_url(place) for place in places):
-            raise InputFileError(
-                path,
-                key,
-                expected="paths on this machine",
-                found="a URL",
-                remedy=f"Give it by --{key} in place of this.",
-            )
-    if experiment.benchmark not in benchmarks():
-        raise InputFileError(path, "benchmark", expected=" or ".join(benchmarks()), found=experiment.benchmark)
-    known = find_benchmark(experiment.benchmark).conditions
-    for method in experiment.methods:
-        for condition in method.conditions:
-            if condition not in known:
-                remedy = did_you_mean(condition, known).strip()
-                raise InputFileError(
-                    path, "conditions", expected=f"some of {', '.join(known)}", found=condition, remedy=remedy
-                )
+    known = find_benchmark(experiment.benchmark).conditions if experiment.benchmark in benchmarks() else ()
+    named = [condition for method in experiment.methods for condition in method.conditions]
+    strange = next((condition for condition in named if condition not in known), "")
+    urls = [key for key, place in (("data", experiment.data), ("out", (experiment.out,))) if any(map(is_url, place))]
+    key = "".join(urls[:1])
+    wrong: list[tuple[bool, str, str, str, str]] = [
+        (not experiment.methods, "methods", "one entry or more", "none", ""),
+        (not experiment.seeds, "seeds", "one entry or more", "none", ""),
+        (bool(urls), key, "paths on this machine", "a URL", f"Give it by --{key} in place of this."),
+        (not known, "benchmark", " or ".join(benchmarks()), experiment.benchmark, ""),
+        (bool(strange), "conditions", f"some of {', '.join(known)}", strange, did_you_mean(strange, known).strip()),
+    ]
+    for is_wrong, where, expected, found, remedy in wrong:
+        if is_wrong:
+            raise InputFileError(path, where, expected=expected, found=found, remedy=remedy)
     return experiment
 
 

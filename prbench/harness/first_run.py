@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import prbench
 from prbench.contract import Condition
 from prbench.engine import Engine
-from prbench.errors import RunError, UsageError
+from prbench.errors import RunError, TableError, UsageError
 from prbench.files.storage import cache_folder, in_turn, text_digest
 from prbench.harness.benchmark import CaseTable, load_benchmark
 from prbench.harness.controls import GROUND_TRUTH, SCRIPTED
@@ -170,10 +170,17 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
             record = next(record for record in run.record.tables if record.dataset == first.dataset)
             table = find(record)
             if table is None or record.content_digest != first.content_digest:
+                digest = f"{record.content_digest[:_SHOWN]}…"
+                if first.dataset not in named:
+                    raise TableError(
+                        f"{run.path}: was made on a table of {record.dataset} with content digest {digest}, which is not"
+                        " among the embedded ones. Name its folder with --data DIR."
+                    )
+                other = named[first.dataset]
                 raise RunError(
-                    f"{run.path}: was made on a table of {record.dataset} with content digest"
-                    f" {record.content_digest[:_SHOWN]}…, which is neither named nor among the embedded ones. Name its"
-                    " folder with --data DIR, or run the method again on this one."
+                    f"{other.folder}: expected the table that {run.path} was made on (content digest {digest}), found"
+                    f" another one ({other.info.content_digest[:_SHOWN]}…). Name that table with --data DIR, or run the"
+                    " method again on this one."
                 )
         tables.append(table.with_sequences())
     return tables

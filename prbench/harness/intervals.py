@@ -184,7 +184,8 @@ def rate_interval(values: Float[np.ndarray, " rows"], recording_ids: Ids, sequen
     data = clustered(values, recording_ids, sequence_ids)
     # All values are equal: their spread says nothing about how alike sequences of one recording are.
     if min(data.mean, 1 - data.mean) <= EQUAL_WITHIN:
-        low, high = _clopper_pearson_of_recordings(float(round(data.mean)), len(data.sequences))
+        bound = ((1 - CONFIDENCE) / 2) ** (1 / len(data.sequences))
+        low, high = (0.0, 1 - bound) if round(data.mean) == 0 else (bound, 1.0)
         return data.estimate(low, high, EQUAL_RATES_INTERVAL)
     low, high = rate_bounds(data.totals, data.sequences)
     return data.estimate(float(low), float(high), RATE_INTERVAL)
@@ -206,11 +207,11 @@ def mean_interval(
         nonnegative: The quantity cannot fall below 0, so its interval is cut there.
     """
     data = clustered(values, recording_ids, sequence_ids)
-    bounds = _mean_bounds(data)
-    if bounds is None:
+    # Equal values do not show their spread.
+    low, high = (np.nan, np.nan) if _ALL_EQUAL in data.marks else mean_bounds(data.spread)
+    if np.isnan(low):
         return data.estimate(None, None, NO_INTERVAL)
-    low, high = bounds
-    return data.estimate(max(low, 0.0) if nonnegative else low, high, MEAN_INTERVAL)
+    return data.estimate(max(float(low), 0.0) if nonnegative else float(low), float(high), MEAN_INTERVAL)
 
 
 def difference_interval(
@@ -237,10 +238,15 @@ def difference_interval(
     # Gains and losses exclude one another, so they are correlated below 0, which widens their difference.
     odds = gains.mean / max(1 - gains.mean, EQUAL_WITHIN) * losses.mean / max(1 - losses.mean, EQUAL_WITHIN)
     correlation = min(np.sqrt(odds), 1.0)
+    # A rate always has an interval.
     fewer_gains, more_gains = _reaches(gains)
     fewer_losses, more_losses = _reaches(losses)
-    low = plain.mean - _joined(fewer_gains, more_losses, correlation)
-    high = plain.mean + _joined(more_gains, fewer_losses, correlation)
+
+    def joined(first: float, second: float) -> float:
+        return float(np.sqrt(first**2 + second**2 + 2 * correlation * first * second))
+
+    low = plain.mean - joined(fewer_gains, more_losses)
+    high = plain.mean + joined(more_gains, fewer_losses)
     if plain.low is not None and plain.high is not None:
         low = min(low, plain.low)
         high = max(high, plain.high)
@@ -284,28 +290,11 @@ def uncertainty_sources(
     return dict(zip(("recordings", "sequences", "samples"), shares.tolist(), strict=True))
 
 
-def _mean_bounds(data: ClusteredValues) -> tuple[float, float] | None:
-    """The bounds, or None where none can be given; equal values do not show their spread."""
-    if _ALL_EQUAL in data.marks:
-        return None
-    low, high = mean_bounds(data.spread)
-    return None if np.isnan(low) else (float(low), float(high))
-
-
 def _reaches(rate: Estimate) -> tuple[float, float]:
-    """How far an interval reaches down and up from the mean; that of a rate always exists."""
+    """How far an interval reaches down and up from the mean."""
     assert rate.low is not None
     assert rate.high is not None
     return rate.mean - rate.low, rate.high - rate.mean
-
-
-def _joined(first: float, second: float, correlation: float) -> float:
-    return float(np.sqrt(first**2 + second**2 + 2 * correlation * first * second))
-
-
-def _clopper_pearson_of_recordings(rate: float, count: int) -> tuple[float, float]:
-    bound = ((1 - CONFIDENCE) / 2) ** (1 / count)
-    return (0.0, 1 - bound) if rate == 0 else (bound, 1.0)
 
 
 def _starts(counts: np.ndarray) -> np.ndarray:
@@ -374,39 +363,36 @@ def compare(pairs: Mapping[str, PairedValues]) -> dict[str, Comparison]:
     family = max(sum(p is not None for p in unadjusted), 1)
     found = {}
     for name, pair, p_value, adjusted_p_value in zip(pairs, values, unadjusted, adjusted, strict=True):
+        data = clustered(pair.first - pair.second, pair.recording_ids)
+        power: tuple[float, ...] = ()
+        if pair.rate and _ALL_EQUAL not in data.marks:
+            power = tuple(float(power_of(data.spread, points / 100, comparisons=family)) for points in POINTS)
         found[name] = Comparison(
             difference=difference_interval(pair.first, pair.second, pair.recording_ids, rate=pair.rate),
             p_value=p_value,
             adjusted_p_value=adjusted_p_value,
             detectable=smallest_detectable(pair.first - pair.second, pair.recording_ids, comparisons=family),
-            power=_power_at_points(pair, comparisons=family) if pair.rate else (),
+            power=() if np.isnan(power).any() else power,
         )
     return found
 
 
-def _power_at_points(pair: PairedValues, *, comparisons: int) -> tuple[float, ...]:
-    data = clustered(pair.first - pair.second, pair.recording_ids)
-    if "all_equal" in data.marks:
-        return ()
-    found = [float(power_of(data.spread, points / 100, comparisons=comparisons)) for points in POINTS]
-    return () if np.isnan(found).any() else tuple(found)
-
-
 def smallest_detectable(
-    differences: Float[np.ndarray, " sequences"], recording_ids: Ids, *, comparisons: int
+    values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None, *, comparisons: int
 ) -> float | None:
     """Smallest difference that would be found with 80 % power at Holm's first step, from the recordings' spread.
 
     Args:
-        differences: Of two methods, one a sequence; only their spread counts.
-        recording_ids: One a sequence.
+        values: Differences of two methods; only their spread counts.
+        recording_ids: One a row.
+        sequence_ids: See :func:`clustered`.
         comparisons: Number of comparisons made together.
 
     Returns:
         In the unit of the differences; None where nothing can be tested or the values are equal.
     """
-    data = clustered(differences, recording_ids)
-    if "all_equal" in data.marks:
+    data = clustered(values, recording_ids, sequence_ids)
+    if _ALL_EQUAL in data.marks:
         return None
     found = float(detectable_difference(data.spread, comparisons=comparisons, power=POWER))
     return None if np.isnan(found) else found
@@ -415,19 +401,9 @@ def smallest_detectable(
 def smallest_detectable_unpaired(
     values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids, *, comparisons: int
 ) -> float | None:
-    """Like :func:`smallest_detectable`, for the difference to an unrelated method of the same spread as this one.
-
-    Args:
-        values: Of one method, one a row.
-        recording_ids: One a row.
-        sequence_ids: One a row; a sequence with several samples has several rows.
-        comparisons: Number of comparisons made together.
-    """
-    data = clustered(values, recording_ids, sequence_ids)
-    if "all_equal" in data.marks:
-        return None
-    found = np.sqrt(2) * float(detectable_difference(data.spread, comparisons=comparisons, power=POWER))
-    return None if np.isnan(found) else float(found)
+    """Like :func:`smallest_detectable`, for the difference to an unrelated method of the same spread as this one."""
+    found = smallest_detectable(values, recording_ids, sequence_ids, comparisons=comparisons)
+    return None if found is None else float(np.sqrt(2) * found)
 
 
 def paired_p_value(differences: Float[np.ndarray, " sequences"], recording_ids: Ids) -> float | None:

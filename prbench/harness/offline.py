@@ -23,6 +23,7 @@ from prbench.harness.conditions import ConditionSource, ConditionStream, derange
 from prbench.harness.controls import SHUFFLED_GOAL
 from prbench.harness.methods.motions import at_native_rate
 from prbench.harness.planning import Selection, open_tables, rows_of, select, supported
+from prbench.harness.request import require_settings
 from prbench.protocol.manifests import load_protocol
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import may_pass_on, notice
@@ -224,15 +225,8 @@ class ExportRequest:
         _require_suffix(self.out)
         if not self.data:
             raise UsageError("conditions need one dataset folder or more (--data DIR).")
-        for name, value in (("--samples", self.samples), ("--max-frames", self.max_frames)):
-            if value is not None and value < 1:
-                raise UsageError(f"{name}: expected 1 or more, found {value}.")
-        if self.seed < 0:
-            raise UsageError(f"--seed: expected 0 or more, found {self.seed}.")
-        if self.native_fps is not None and not 0 < self.native_fps <= 1000:
-            raise UsageError(f"--native-fps: expected above 0 and at most 1000, found {self.native_fps:g}.")
-        if self.control not in (None, SHUFFLED_GOAL):
-            raise UsageError(f"unknown control '{self.control}'; beside a method there is: {SHUFFLED_GOAL}.")
+        counts = {"--samples": self.samples, "--max-frames": self.max_frames}
+        require_settings(counts, seed=self.seed, control=self.control, native_fps=self.native_fps)
         if self.control == SHUFFLED_GOAL and not GOALS & set(given_columns(self.condition)):
             raise UsageError(f"--control {SHUFFLED_GOAL}: condition '{self.condition.value}' gives no goal to shuffle.")
 

@@ -125,19 +125,6 @@ def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
         raise UsageError(f"--limit: expected 1 or more sequences, found {limit}.")
     if table.info.why_not_scored is not None:
         raise TableError(f"{table.folder}: cannot be scored: {table.info.why_not_scored}.")
-    everything = _of_split(table, split)
-    if limit is None:
-        return everything
-    kept = set(by_share(everything.sequence_ids, everything.recording_ids)[:limit])
-    return everything.chosen(np.array([name in kept for name in everything.sequence_ids]))
-
-
-def _of_split(table: SequenceTable, split: str) -> Selection:
-    """Choose all sequences of a split.
-
-    Raises:
-        TableError: see :func:`select`.
-    """
     ids: list[str] = []
     recordings: list[str] = []
     lengths: list[np.ndarray] = []
@@ -166,7 +153,11 @@ def _of_split(table: SequenceTable, split: str) -> Selection:
         )
     if len(rates) > 1:
         raise TableError(f"{table.folder}: expected one frame rate, found {sorted(rates)}. Build the dataset again.")
-    return Selection(table, split, tuple(ids), n_frames, tuple(recordings), rates.pop())
+    everything = Selection(table, split, tuple(ids), n_frames, tuple(recordings), rates.pop())
+    if limit is None:
+        return everything
+    kept = set(by_share(everything.sequence_ids, everything.recording_ids)[:limit])
+    return everything.chosen(np.array([name in kept for name in everything.sequence_ids]))
 
 
 def supported(selection: Selection, *, max_frames: int | None, native_fps: float | None) -> Selection:
@@ -197,23 +188,22 @@ def select_sequences(tables: SequenceOf[SequenceTable], wanted: SequenceOf[str],
         UsageError: if none or several fit (naming some), or the sequence is in another split.
         TableError: see :func:`select`.
     """
-    splits = {name: where for table in tables for name, where in _split_of_each(table)}
+    split_of: list[dict[str, str]] = []
+    for table in tables:
+        rows = table.scalars(columns=["sequence_id", "split"])
+        split_of.append(dict(zip(rows["sequence_id"].to_pylist(), rows["split"].to_pylist(), strict=True)))
+    splits = {name: where for own in split_of for name, where in own.items()}
     among = ", ".join(table.info.dataset for table in tables)
     ids = {find_sequence_id(name, list(splits), among=among) for name in wanted}
     for name in sorted(ids):
         if splits[name] != split:
             raise UsageError(f"{name} is in split '{splits[name]}', the run is of '{split}': --split {splits[name]}")
     chosen = []
-    for table in tables:
-        if ids & {name for name, _ in _split_of_each(table)}:
+    for table, own in zip(tables, split_of, strict=True):
+        if ids & set(own):
             selection = select(table, split=split, limit=None)
             chosen.append(selection.chosen(np.array([name in ids for name in selection.sequence_ids])))
     return chosen
-
-
-def _split_of_each(table: SequenceTable) -> list[tuple[str, str]]:
-    rows = table.scalars(columns=["sequence_id", "split"])
-    return list(zip(rows["sequence_id"].to_pylist(), rows["split"].to_pylist(), strict=True))
 
 
 def plan_batches(n_frames: Int[np.ndarray, " n"], batch_size: int) -> list[Int[np.ndarray, "_"]]:

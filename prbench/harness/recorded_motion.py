@@ -25,7 +25,6 @@ from prbench.geometry.skeleton import Joint
 from prbench.metrics import MotionBatch
 
 _USUAL_RATES = (10.0, 12.5, 15.0, 20.0, 24.0, 25.0, 30.0, 50.0, 60.0, 90.0, 100.0, 120.0)
-_FEWEST_FOR_RATE = 2  # one motion of another length says nothing about a rate
 
 
 def length_problem(
@@ -66,31 +65,14 @@ def likely_cause(expected: Int[np.ndarray, " n"], found: Int[np.ndarray, " n"], 
             "There is one frame too few: the first frame is the given initial one, and features of differences have a"
             " row less than there are frames."
         )
-    rate = _rate(expected, found, fps=fps)
-    if rate is not None:
-        return (
-            f"They look like motions at {rate:g} frames per second where {fps:g} are asked for: resample them, or"
-            f" export the conditions with --native-fps {rate:g} and generate anew."
-        )
-    longest = int(found.max())
-    if wrong.sum() > 1 and (found == np.minimum(expected, longest)).all():
-        return (
-            f"None has more than {longest} frames: if the method can make no more, export the conditions with"
-            f" --max-frames {longest}, so that longer sequences count as unsupported."
-        )
-    if wrong.sum() > 1 and (found == longest).all():
-        return f"All have {longest} frames, as padded motions do: cut each to the n_frames of its condition."
-    return ""
-
-
-def _rate(expected: np.ndarray, found: np.ndarray, *, fps: float) -> float | None:
-    """The usual frame rate at which all motions would have these lengths, up to a frame."""
-    if len(expected) < _FEWEST_FOR_RATE:
-        return None
-    for rate in _USUAL_RATES:
+    # One motion of another length says nothing about a rate.
+    for rate in _USUAL_RATES if len(expected) > 1 else ():
         if rate != fps and (np.abs(found - ((expected - 1) * rate / fps + 1)) <= 1).all():
-            return rate
-    return None
+            return (
+                f"They look like motions at {rate:g} frames per second where {fps:g} are asked for: resample them, or"
+                f" export the conditions with --native-fps {rate:g} and generate anew."
+            )
+    return ""
 
 
 _SHARE = 0.2

@@ -19,6 +19,35 @@ from prbench.protocol.manifests import PROTOCOL_NAME
 DEFAULT_BATCH_SIZE = 64
 
 
+def require_settings(
+    counts: Mapping[str, int | None],
+    *,
+    seed: int | None = None,
+    control: str | None = None,
+    native_fps: float | None = None,
+) -> None:
+    """Check settings that several commands share.
+
+    Args:
+        counts: Maps options to numbers of 1 or more; None for those that are not given.
+        seed: ``--seed``.
+        control: ``--control``.
+        native_fps: ``--native-fps``.
+
+    Raises:
+        UsageError: naming the option, what it expects and what was found.
+    """
+    for name, value in counts.items():
+        if value is not None and value < 1:
+            raise UsageError(f"{name}: expected 1 or more, found {value}.")
+    if seed is not None and seed < 0:
+        raise UsageError(f"--seed: expected 0 or more, found {seed}.")
+    if control not in (None, SHUFFLED_GOAL):
+        raise UsageError(f"unknown control '{control}'; beside a method there is: {SHUFFLED_GOAL}.")
+    if native_fps is not None and not 0 < native_fps <= 1000:
+        raise UsageError(f"--native-fps: expected above 0 and at most 1000, found {native_fps:g}.")
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunRequest:
     """One run of one method.
@@ -71,19 +100,13 @@ class RunRequest:
         turn_into_paths(self, "data", "weights", "protocol", "out")
         if not self.data:
             raise UsageError("a run needs one dataset folder or more (--data DIR).")
-        for name, value in (
-            ("--samples", self.samples),
-            ("--batch-size", self.batch_size),
-            ("--threads", self.threads),
-        ):
-            if value < 1:
-                raise UsageError(f"{name}: expected 1 or more, found {value}.")
         if self.sequences and self.limit is not None:
             raise UsageError("--sequence names the sequences already; leave --limit out.")
-        if self.seed < 0:
-            raise UsageError(f"--seed: expected 0 or more, found {self.seed}.")
-        if self.control not in (None, SHUFFLED_GOAL):
-            raise UsageError(f"unknown control '{self.control}'; beside a method there is: {SHUFFLED_GOAL}.")
+        require_settings(
+            {"--samples": self.samples, "--batch-size": self.batch_size, "--threads": self.threads},
+            seed=self.seed,
+            control=self.control,
+        )
         if self.is_control and (self.weights is not None or self.options):
             raise UsageError(f"--method {self.method} takes neither --weights nor --option.")
         if self.is_control and (self.isolate or self.timeout is not None):

@@ -149,22 +149,29 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
     """
     engine = engine or InProcess()
     with contextlib.ExitStack() as held:
-        try:
+        with tidied(request):
             prepared = prepare_run(request)
             held.enter_context(sole_writer(prepared.out))
             folder = prepared_folder(prepared)
             parts = [RunPart(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
             made = generate_all(parts, folder, engine)
-            remove_half_written(folder.path)  # by workers that were killed
-        except Exception:
-            if request.isolate:
-                remove_empty(request.out or DEFAULT_PARENT)  # made so that it could be withheld
-            raise
-        finally:
-            forget_loaded_methods()  # no program outlives the run, however it ends
         summaries = scored_parts(parts)
-    total = sum(len(dataset.work.plan) for dataset in prepared.datasets)
-    return RunReport(folder, summaries, batches_made=sum(made), batches_found=total - sum(made))
+    total = sum(len(part.plan) for part in parts)
+    return RunReport(folder, summaries, batches_made=made, batches_found=total - made)
+
+
+@contextlib.contextmanager
+def tidied(request: RunRequest) -> Iterator[None]:
+    """End programs once a run is generated, however it ends, and remove an empty folder that was made to be hidden."""
+    try:
+        yield
+    except Exception:
+        folder = request.out or DEFAULT_PARENT
+        if request.isolate and folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+        raise
+    finally:
+        forget_loaded_methods()
 
 
 def score_prepared(
@@ -194,7 +201,7 @@ def prepared_folder(prepared: PreparedRun) -> RunFolder:
     return RunFolder.prepare(prepared.out, prepared.record, prepared.benchmark.copied_rules(prepared.rules))
 
 
-def generate_all(parts: list[RunPart], folder: RunFolder, engine: Engine) -> list[int]:
+def generate_all(parts: list[RunPart], folder: RunFolder, engine: Engine) -> int:
     """Make what is missing of every dataset; a folder without a single batch is removed where that fails.
 
     Args:
@@ -203,21 +210,23 @@ def generate_all(parts: list[RunPart], folder: RunFolder, engine: Engine) -> lis
         engine: Where batches are made.
 
     Returns:
-        How many batches each took.
+        Number of batches that were made.
     """
     if not isinstance(engine, InProcess):
         unload_method()  # every worker loads its own
     try:
-        missing = [part.missing() for part in parts]
-        done = {part.dataset.name: len(part.batches) - len(own) for part, own in zip(parts, missing, strict=True)}
-        tasks = (part.tasks(frozenset(own)) for part, own in zip(parts, missing, strict=True) if own)
-        owners = [part for part, own in zip(parts, missing, strict=True) for _ in own]
+        missing = [(part, part.missing()) for part in parts]
+        owners = [part for part, own in missing for _ in own]
+        done = {part.dataset.name: len(part.batches) - len(own) for part, own in missing}
+        tasks = itertools.chain.from_iterable(part.tasks(frozenset(own)) for part, own in missing if own)
         if owners:
             owners[0].tell(done)
             # One stream of work for all datasets, so that every worker starts once and loads the method once.
-            for _, part in zip(engine.map(run_batch, itertools.chain.from_iterable(tasks)), owners, strict=True):
+            for _, part in zip(engine.map(run_batch, tasks), owners, strict=True):
                 done[part.dataset.name] += 1
                 part.tell(done)
+        remove_half_written(folder.path)  # by workers that were killed
+        return len(owners)
     except MemoryFullError as error:  # or a worker that ended without an answer
         folder.discard_if_empty()
         method = parts[0].prepared.record.method
@@ -230,13 +239,6 @@ def generate_all(parts: list[RunPart], folder: RunFolder, engine: Engine) -> lis
     except Exception:
         folder.discard_if_empty()
         raise
-    return [len(wanted) for wanted in missing]
-
-
-def remove_empty(folder: Path) -> None:
-    """Remove a folder that holds nothing."""
-    if folder.is_dir() and not any(folder.iterdir()):
-        folder.rmdir()
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from prbench.harness.conditions import opaque_ids, run_salt
 from prbench.harness.methods.installed import SHUFFLED_GOAL, name_problem
 from prbench.harness.offline import GOALS, ConditionsFile, ExportRequest, conditions_of, fingerprints, given_columns
 from prbench.harness.planning import Selection, select
+from prbench.harness.request import require_settings
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder.agreement import DatasetAgreement
 from prbench.harness.run_folder.predictions import Predictions
@@ -69,10 +70,7 @@ class ScoreRequest:
         turn_into_paths(self, "predictions", "data", "conditions", "protocol", "out")
         if not self.data:
             raise UsageError("scoring needs one dataset folder or more (--data DIR).")
-        if self.native_fps is not None and not 0 < self.native_fps <= 1000:
-            raise UsageError(f"--native-fps: expected above 0 and at most 1000, found {self.native_fps:g}.")
-        if self.control not in (None, SHUFFLED_GOAL):
-            raise UsageError(f"unknown control '{self.control}'; beside a method there is: {SHUFFLED_GOAL}.")
+        require_settings({}, control=self.control, native_fps=self.native_fps)
         if self.name is not None and (problem := name_problem(self.name)):
             raise UsageError(f"--name: {problem}.")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,17 +11,17 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 
-from prbench.contract import Condition, ConditionBatch, Gaze, Motions
+from prbench.contract import Gaze, Motions
 from prbench.engine import Engine, InProcess
 from prbench.errors import PredictionsError
 from prbench.geometry.shapes import Boxes
 from prbench.harness.conditions import SCENE_COLUMNS, boxes_around, opaque_ids, run_salt, solid_boxes
 from prbench.harness.methods.motions import (
-    at_table_rate,
     coordinate_problem,
     gaze_problem,
     impossible_frames,
     native_frames,
+    resampled,
 )
 from prbench.harness.planning import WINDOW, Selection
 from prbench.harness.recorded_motion import is_recorded_motion, length_problem
@@ -93,17 +93,6 @@ class _Part:
     rules: ScoringRules
     scene: Boxes | None
 
-    def some(self, start: int, stop: int) -> _Part:
-        """Return the work on some of the sequences, counted from 0."""
-        rows = np.arange(len(self.names))[start:stop]
-        return replace(
-            self,
-            recorded=self.recorded.slice(start, stop - start),
-            goals=self.goals[start:stop],
-            names=self.names[start:stop],
-            scene=None if self.scene is None else self.scene.of_rows(rows),
-        )
-
 
 def score_selection(
     selection: Selection,
@@ -135,7 +124,21 @@ def score_selection(
         engine = InProcess()
     # A worker gets a whole window, because batches of a run hold motions from all over one.
     size = _SCORED_TOGETHER if isinstance(engine, InProcess) else WINDOW
-    scored = engine.map(_score_part, _parts(selection, opened, tuple(samples), rules, size))
+    salt = run_salt(rules.id_seed, selection.table.identity)
+    scene = solid_boxes(selection.table)
+    columns = COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else []) + ([] if scene is None else SCENE_COLUMNS)
+
+    def parts() -> Iterator[_Part]:
+        for place, chunk in selection.windows(columns, rows=size):
+            ids = chunk.sequence_ids
+            names = tuple(ids if opened.id_column != "opaque_id" else opaque_ids(ids, salt))
+            goals = chunk.vectors("goal_location") if rules.other_goals is None else rules.other_goals[place]
+            boxes = None if scene is None else boxes_around(chunk, scene)
+            # Not the ids of all motions, which would be sent to a worker with every part.
+            asked = opened.only(names, samples)
+            yield _Part(selection.table.info.dataset, chunk.batch, goals, names, tuple(samples), asked, rules, boxes)
+
+    scored = engine.map(_score_part, parts())
     while tables := list(itertools.islice(scored, WINDOW // size)):
         yield pa.concat_tables(tables)
 
@@ -175,62 +178,48 @@ def score_recorded(
     return {name: np.concatenate([part[name] for part in parts]) for name in wanted}, np.concatenate(goals)
 
 
-def _namer(
-    selection: Selection, predictions: Predictions, rules: ScoringRules
-) -> Callable[[Sequence[str]], Sequence[str]]:
-    """Return what turns ids of sequences into those that the predictions have."""
-    if predictions.id_column != "opaque_id":
-        return lambda names: names
-    salt = run_salt(rules.id_seed, selection.table.identity)
-    return lambda names: opaque_ids(names, salt)
-
-
-def _parts(
-    selection: Selection, predictions: Predictions, samples: tuple[int, ...], rules: ScoringRules, size: int
-) -> Iterator[_Part]:
-    names_of = _namer(selection, predictions, rules)
-    scene = solid_boxes(selection.table)
-    columns = COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else []) + ([] if scene is None else SCENE_COLUMNS)
-    for place, chunk in selection.windows(columns, rows=size):
-        names = tuple(names_of(chunk.sequence_ids))
-        goals = chunk.vectors("goal_location") if rules.other_goals is None else rules.other_goals[place]
-        dataset = selection.table.info.dataset
-        boxes = boxes_around(chunk, scene) if scene is not None else None
-        # Not the ids of all motions, which would be sent to a worker with every part.
-        asked = predictions.only(names, samples)
-        yield _Part(dataset, chunk.batch, goals, names, samples, asked, rules, boxes)
-
-
 def _score_part(part: _Part) -> pa.Table:
-    starts = range(0, len(part.names), _SCORED_TOGETHER)
-    return pa.concat_tables([_score_together(part.some(start, start + _SCORED_TOGETHER)) for start in starts])
+    tables = []
+    for start in range(0, len(part.names), _SCORED_TOGETHER):
+        rows = np.arange(len(part.names))[start : start + _SCORED_TOGETHER]
+        some = replace(
+            part,
+            recorded=part.recorded.slice(start, len(rows)),
+            goals=part.goals[rows],
+            names=tuple(part.names[row] for row in rows),
+            scene=None if part.scene is None else part.scene.of_rows(rows),
+        )
+        tables.append(_score_together(some))
+    return pa.concat_tables(tables)
 
 
 def _score_together(part: _Part) -> pa.Table:
+    rules = part.rules
     chunk = SequenceChunk(part.recorded)
     recorded = MotionBatch(chunk.joints, chunk.offsets)
-    gaze = _recorded_gaze(chunk) if part.rules.recorded_motion else None
+    gaze = _recorded_gaze(chunk) if rules.recorded_motion else None
     targets = targets_of(chunk, part.goals, gaze, part.scene)
+    metrics = None
+    if rules.recorded_motion and rules.other_goals is not None:
+        metrics = frozenset(
+            info.id
+            for info in METRICS
+            if not info.compares_with_recorded and (part.scene is not None or info.id not in SCENE_METRICS)
+        )
     by_sample = []
     for sample in part.samples:
         rows = part.predictions.motions(part.names, sample)
+        _check(rows, recorded, chunk, sample, part)
+        if rules.native_fps is not None:
+            rows = _at_table_rate(rows, recorded, part, rules.native_fps)
         predicted = MotionBatch(rows.values, rows.offsets)
-        _check(predicted, recorded, chunk.sequence_ids, sample, part)
+        shown = targets
         if rows.gaze is not None:
-            _check_gaze(rows, chunk.sequence_ids, sample, part)
-        if part.rules.native_fps is not None:
-            rows = _at_table_rate(rows, recorded, part)
-            predicted = MotionBatch(rows.values, rows.offsets)
-        shown = targets if rows.gaze is None else replace(targets, gaze=_generated_gaze(rows.gaze))
-        rules = part.rules
-        metrics = None
-        if rules.recorded_motion and rules.other_goals is not None:
-            metrics = frozenset(
-                info.id
-                for info in METRICS
-                if not info.compares_with_recorded and (shown.scene is not None or info.id not in SCENE_METRICS)
-            )
-        values = score(
+            direction = rows.gaze[:, 1].astype(np.float64)
+            direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+            rays = GazeRays(rows.gaze[:, 0].astype(np.float64), direction, np.ones(len(direction), dtype=bool))
+            shown = replace(targets, gaze=rays)
+        scored = score(
             predicted,
             recorded,
             shown,
@@ -238,9 +227,16 @@ def _score_together(part: _Part) -> pa.Table:
             metrics=metrics,
             allow_length_mismatch=rules.allow_length_mismatch,
         )
-        values = list(values.values())
-        if not part.rules.recorded_motion:
-            values = [_with_copies_marked(value, predicted, recorded) for value in values]
+        values = list(scored.values())
+        if not rules.recorded_motion:
+            # Motions that are the recorded ones are marked in the metrics that carry the remark.
+            copies = is_recorded_motion(predicted, recorded)
+            values = [
+                replace(value, flags={**value.flags, RECORDED_MOTION: copies})
+                if copies.any() and value.metric in _CARRIES_COPY_REMARK
+                else value
+                for value in values
+            ]
         by_sample.append(values)
     return _long_form(part.dataset, chunk.sequence_ids, part.samples, by_sample)
 
@@ -251,12 +247,6 @@ def _recorded_gaze(chunk: SequenceChunk) -> GazeRays:
         chunk.frames("gaze_direction").astype(np.float64),
         chunk.frames("gaze_valid"),
     )
-
-
-def _generated_gaze(rays: Float[np.ndarray, "frames 2 3"]) -> GazeRays:
-    direction = rays[:, 1].astype(np.float64)
-    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    return GazeRays(rays[:, 0].astype(np.float64), direction, np.ones(len(rays), dtype=bool))
 
 
 def targets_of(
@@ -274,62 +264,47 @@ def targets_of(
     )
 
 
-def _with_copies_marked(values: MetricValues, predicted: MotionBatch, recorded: MotionBatch) -> MetricValues:
-    """Mark motions that are the recorded ones, in the metric that carries the remark; leave all others as they are."""
-    if values.metric not in _CARRIES_COPY_REMARK:
-        return values
-    copies = is_recorded_motion(predicted, recorded)
-    return replace(values, flags={**values.flags, RECORDED_MOTION: copies}) if copies.any() else values
-
-
-def _check(predicted: MotionBatch, recorded: MotionBatch, ids: list[str], sample: int, part: _Part) -> None:
-    """Name the sequence where a motion cannot be scored."""
+def _check(rows: PredictionRows, recorded: MotionBatch, chunk: SequenceChunk, sample: int, part: _Part) -> None:
+    """Name the sequence where a motion or its gaze cannot be scored."""
+    rules = part.rules
+    ids = chunk.sequence_ids
 
     def place(row: int) -> str:
-        return _place(row, ids, sample, part)
+        where = part.predictions.where(part.names[row], sample)
+        if rules.run_of is None:
+            return f"{where}, {ids[row]}"
+        return f"method '{rules.run_of}', sequence {ids[row]} in {where}"
 
-    remedy = SAME_LENGTH if part.rules.run_of is None else _NOT_AS_KEPT
+    predicted = MotionBatch(rows.values, rows.offsets)
     expected = recorded.n_frames
-    fps = _fps(part)
-    native_fps = part.rules.native_fps
-    if native_fps is not None:
-        expected = native_frames(expected, fps=fps, native_fps=native_fps)
-        fps = native_fps
-    if not part.rules.allow_length_mismatch:
-        wrong = length_problem(place, expected, predicted.n_frames, fps=fps)
-        if wrong is not None:
-            raise PredictionsError(f"{wrong} {remedy}")
+    fps = float(chunk.numbers("fps")[0])  # a selection has one rate
+    if rules.native_fps is not None:
+        expected = native_frames(expected, fps=fps, native_fps=rules.native_fps)
+        fps = rules.native_fps
+    wrong = None if rules.allow_length_mismatch else length_problem(place, expected, predicted.n_frames, fps=fps)
+    if wrong is not None:
+        raise PredictionsError(f"{wrong} {SAME_LENGTH if rules.run_of is None else _NOT_AS_KEPT}")
     short = np.flatnonzero(predicted.n_frames < 2)
     if short.size:
         raise PredictionsError(f"{place(int(short[0]))}: expected 2 frames or more, found 1.")
     # Checked before resampling: an interpolated NaN would name the wrong frame.
-    impossible = np.flatnonzero(impossible_frames(predicted.values, part.rules.farthest))
+    impossible = np.flatnonzero(impossible_frames(predicted.values, rules.farthest))
     if impossible.size:
         row = int(predicted.sequence_of_row[impossible[0]])
         motion = predicted.values[predicted.offsets[row] : predicted.offsets[row + 1]]
-        kept = "" if part.rules.run_of is None else f" {_NOT_AS_KEPT}"
-        raise PredictionsError(f"{place(row)}, {coordinate_problem(motion, part.rules.farthest)}{kept}")
-
-
-def _place(row: int, ids: list[str], sample: int, part: _Part) -> str:
-    where = part.predictions.where(part.names[row], sample)
-    method = part.rules.run_of
-    return f"{where}, {ids[row]}" if method is None else f"method '{method}', sequence {ids[row]} in {where}"
-
-
-def _check_gaze(rows: PredictionRows, ids: list[str], sample: int, part: _Part) -> None:
-    """Name the sequence whose gaze cannot be scored."""
-    assert rows.gaze is not None
+        kept = "" if rules.run_of is None else f" {_NOT_AS_KEPT}"
+        raise PredictionsError(f"{place(row)}, {coordinate_problem(motion, rules.farthest)}{kept}")
+    if rows.gaze is None:
+        return
     for row in range(len(ids)):
         frames = slice(rows.offsets[row], rows.offsets[row + 1])
         problem = gaze_problem(rows.values[frames], rows.gaze[frames, 0], rows.gaze[frames, 1])
         if problem:
-            raise PredictionsError(f"{_place(row, ids, sample, part)}, gaze, {problem}")
+            raise PredictionsError(f"{place(row)}, gaze, {problem}")
 
 
-def _at_table_rate(predicted: PredictionRows, recorded: MotionBatch, part: _Part) -> PredictionRows:
+def _at_table_rate(predicted: PredictionRows, recorded: MotionBatch, part: _Part, native_fps: float) -> PredictionRows:
     """Motions at their own rate as a run resamples them before it keeps them."""
-    assert part.rules.native_fps is not None
     n_frames = np.diff(predicted.offsets)
     valid = np.arange(int(n_frames.max())) < n_frames[:, None]
 
@@ -341,24 +316,10 @@ def _at_table_rate(predicted: PredictionRows, recorded: MotionBatch, part: _Part
     gaze = None
     if predicted.gaze is not None:
         gaze = Gaze(padded(predicted.gaze[:, 0]), padded(predicted.gaze[:, 1]))
-    asked = ConditionBatch(
-        condition=Condition.NONE,
-        n_frames=recorded.n_frames,
-        fps=_fps(part),
-        opaque_id=part.names,
-        noise_seed=(0,) * len(part.names),
-    )
-    motions = Motions(padded(predicted.values), n_frames, gaze=gaze)
-    resampled = at_table_rate(motions, asked, native_fps=part.rules.native_fps)
-    rays = None
-    if resampled.gaze is not None:
-        rays = np.stack((resampled.gaze.origin, resampled.gaze.direction), axis=2)
-    return PredictionRows.from_padded(resampled.joints, resampled.n_frames, gaze=rays)
-
-
-def _fps(part: _Part) -> float:
-    """Return the frame rate of the table; a selection has one rate."""
-    return float(SequenceChunk(part.recorded).numbers("fps")[0])
+    step = native_fps / float(SequenceChunk(part.recorded).numbers("fps")[0])
+    found = resampled(Motions(padded(predicted.values), n_frames, gaze=gaze), recorded.n_frames, step=step)
+    rays = None if found.gaze is None else np.stack((found.gaze.origin, found.gaze.direction), axis=2)
+    return PredictionRows.from_padded(found.joints, found.n_frames, gaze=rays)
 
 
 def _long_form(dataset: str, ids: list[str], samples: Sequence[int], by_sample: list[list[MetricValues]]) -> pa.Table:

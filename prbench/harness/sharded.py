@@ -17,11 +17,10 @@ from prbench.engine import Engine, InProcess
 from prbench.engine.shards import FILE_NAME, Shard, ShardRecord, begin_shard, require_settings
 from prbench.errors import ShardError
 from prbench.files.storage import atomic_path, remove_half_written, remove_leftovers, require_replaceable, sole_writer
-from prbench.harness.methods.loading import forget_loaded_methods
-from prbench.harness.preparation import DEFAULT_PARENT, PreparedRun, prepare_run
+from prbench.harness.preparation import PreparedRun, prepare_run
 from prbench.harness.request import ProgressCallback, RunRequest, silent
 from prbench.harness.results import request_of
-from prbench.harness.run import RunPart, RunReport, generate_all, prepared_folder, remove_empty, scored_parts
+from prbench.harness.run import RunPart, RunReport, generate_all, prepared_folder, scored_parts, tidied
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import RunRecord
 from prbench.object_stores.inputs import fetched
@@ -66,8 +65,9 @@ def run_shard(
     """
     engine = engine or InProcess()
     with contextlib.ExitStack() as held:
-        try:
+        with tidied(request):
             prepared = prepare_run(request)
+            named = _named_batches(prepared)
             out = prepared.out
             if request.out is None:  # beside the folder of the whole run
                 out = out.with_name(f"{out.name}-shard-{shard.number}-of-{shard.count}")
@@ -77,7 +77,7 @@ def run_shard(
                 number=shard.number,
                 count=shard.count,
                 settings=prepared.record.written,
-                plan=tuple(_named_batches(prepared)),
+                plan=tuple(named),
                 # The whole tables of a fold, which the merge makes again: the fold itself lies in this machine's cache.
                 places={
                     "data": list(tables_at) or [str(folder.absolute()) for folder in request.data],
@@ -93,22 +93,13 @@ def run_shard(
             if protocol is not None:
                 write_protocol(out, protocol)
             folder = RunFolder(out, prepared.record)
-            mine = {record.plan[place] for place in shard.places(len(record.plan))}
-            named = _named_batches(prepared)
-            parts = [
-                RunPart(
-                    prepared,
-                    one,
-                    folder.dataset(one.name),
-                    engine,
-                    progress,
-                    frozenset(index for name, (of, index) in named.items() if of == one.name and name in mine),
-                )
-                for one in prepared.datasets
-            ]
+            mine = [named[name] for name in _batches_of(record)]
+            parts = []
+            for one in prepared.datasets:
+                chosen = frozenset(index for dataset, index in mine if dataset == one.name)
+                parts.append(RunPart(prepared, one, folder.dataset(one.name), engine, progress, chosen))
             try:
-                made = sum(generate_all(parts, folder, engine))
-                remove_half_written(out)  # by workers that were killed
+                made = generate_all(parts, folder, engine)
             except Exception:
                 # Remove what is left of a shard whose first batch has failed.
                 left = {path.name for path in out.iterdir()} if out.is_dir() else {FILE_NAME, "more"}
@@ -116,16 +107,10 @@ def run_shard(
                     (out / FILE_NAME).unlink()
                     out.rmdir()
                 raise
-        except Exception:
-            if request.isolate:
-                remove_empty(request.out or DEFAULT_PARENT)  # made so that it could be withheld
-            raise
-        finally:
-            forget_loaded_methods()  # no program outlives the run, however it ends
         for part in parts:
             if part.chosen:
                 part.write_notice()
-    return RunShardReport(out, shard, prepared.record, len(record.plan), made, len(mine) - made)
+    return RunShardReport(out, shard, prepared.record, len(named), made, len(mine) - made)
 
 
 def merge_run_shards(

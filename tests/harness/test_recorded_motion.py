@@ -174,7 +174,7 @@ def test_a_method_that_makes_the_same_steps_two_centimetres_beside_is_not_taken_
 def test_one_motion_of_a_small_run_is_marked_and_does_not_keep_its_method_from_a_rank(found, motions, never_ranked):
     metric = replace(SUMMARY.metrics[0], flags={"recorded_motion": found})
     summary = replace(SUMMARY, sequences=motions, metrics=(metric,))
-    assert summary.recorded_motion_mark.startswith(f"†† equals the recorded motion in {found} of {motions} motions")
+    assert summary.mark.startswith(f"†† equals the recorded motion in {found} of {motions} motions")
     assert summary.hands_in_recordings == never_ranked
 
 
@@ -185,13 +185,13 @@ def test_a_file_of_recorded_motions_is_marked_and_the_control_is_not(table, tmp_
     (report,) = score_predictions(ScoreRequest(predictions=file, data=(table.folder,), out=tmp_path / "scores"))
     assert report.summary.recorded_motions == 15
     kept = DatasetSummary.read(tmp_path / "scores")
-    assert kept.recorded_motion_mark == "†† equals the recorded motion in 15 of 15 motions; never ranked"
+    assert kept.mark == "†† equals the recorded motion in 15 of 15 motions; never ranked"
     rows = read_scores(tmp_path / "scores/scores.parquet").to_pylist()
     flagged = {(row["metric"], row["flag"]) for row in rows if "recorded_motion" in (row["flag"] or "")}
     assert flagged == {("mpjpe", "recorded_motion")}
     for control in ("ground-truth", "ground-truth-resampled", "scripted", "static"):
         run = run_method(request(table, tmp_path / control, control))
-        assert run.summaries[0].recorded_motion_mark == ""
+        assert run.summaries[0].mark == ""
 
 
 @pytest.mark.parametrize(
@@ -244,11 +244,6 @@ def test_one_frame_more_or_less_is_explained():
     assert "previous_joints" in cause(EXPECTED + 1)
     assert "initial one" in cause(EXPECTED - 1)
     assert "one frame too many" in cause(EXPECTED + np.array([0, 1, 0, 0]))
-
-
-def test_padded_and_cut_motions_are_explained():
-    assert "All have 196 frames, as padded motions do" in cause([196] * 4)
-    assert "--max-frames 90" in cause([81, 60, 90, 90])
 
 
 def test_what_fits_no_cause_is_not_explained():

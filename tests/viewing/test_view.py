@@ -119,9 +119,8 @@ def test_an_embedded_table_is_found_by_its_digest(place, tmp_path, monkeypatch):
         scenes_of(_request(place, "scripted", data=()))
     for number, folder in enumerate(default_table_folders(), start=1):
         fake_dataset(folder, 2 * number)
-    # Until version 0.5 the default was a single table, now it is a folder of tables.
-    fake_dataset(default_folder().parent / "of-an-earlier-version" / "adt", 16)
-    fake_dataset(default_folder().parent / "of-a-much-earlier-version", 24)
+    fake_dataset(default_folder().parent / "of-a-much-earlier-version" / "adt", 16)
+    fake_dataset(default_folder().parent / "of-an-earlier-version" / "adt", 24)
     assert scenes_of(_request(place, "scripted", data=(), limit=1))
 
 

@@ -204,13 +204,6 @@ class ProgramProcess:
         self._has_answered = False
         self.over = False
         """It was closed or killed."""
-        self.exit_status: int | None = None
-        """Exit status once it is closed; None if it had to be ended."""
-
-    @property
-    def pid(self) -> int:
-        """Process id of what was started, which may be a fence or ``conda run``."""
-        return self._popen.pid
 
     def log_tail(self, lines: int = 10) -> list[str]:
         """Return the last lines of stderr, overlong ones cut, without what would move the cursor of a terminal."""
@@ -267,7 +260,7 @@ class ProgramProcess:
         self._discarding.set()
         try:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self.exit_status = self._popen.wait(EXIT_SECONDS)
+                self._popen.wait(EXIT_SECONDS)
         finally:  # Ctrl-C while waiting included
             self.kill()
 

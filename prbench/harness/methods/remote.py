@@ -315,11 +315,6 @@ class RemoteMethod:
                 raise AdapterError(self._told(f"{origin}{twice}", fault, asked_for(ids))) from fault
         raise AssertionError("a program is asked twice at most")
 
-    @property
-    def exit_status(self) -> int | None:
-        """Exit status of the program once it is closed; None if it had to be ended."""
-        return self._process.exit_status
-
     def close(self) -> None:
         """End the program. May be called again."""
         self._closed = True

@@ -7,12 +7,12 @@ stdin and answers on stdout (docs/wire-protocol.md). What the method or its libr
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from prbench.contract import Trainable, TrainingRun
 from prbench.engine import is_out_of_memory
@@ -51,19 +51,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if hello is None:
         return 0
     settings = hello[0]
+
+    def failed(error: BaseException) -> dict[str, Any]:
+        return {"message": "error", "text": str(error) if isinstance(error, PrbenchError) else told(error)}
+
     try:
         group = group_of(asked.benchmark)
-        weights = _path(settings["weights"])
+        weights = None if settings["weights"] is None else Path(settings["weights"])
         adapter = load_adapter(asked.name, weights, settings["options"], settings["device"], group=group)
         if asked.train is not None and isinstance(adapter, Trainable):
             run = TrainingRun(folder=asked.fit, seed=FIT_SEED, device=settings["device"])
             adapter.fit(TrainingCopy.open(asked.train), validation=None, run=run)
         introduction = _introduction(asked.name, adapter, weights, group)
     except (Exception, SystemExit) as error:
-        write_message(answers, {"message": "error", "text": _reason(error)})
+        write_message(answers, failed(error))
         return 1
     write_message(answers, introduction)
-    _serve(asked.name, adapter, settings["threads"], requests, answers, group)
+    while (message := read_message(requests)) is not None:
+        header, payload = message
+        assert payload is not None
+        sent = None
+        try:
+            with computing_threads(settings["threads"]):
+                answer, sent = group.serve(asked.name, adapter, header, payload)
+        except (Exception, SystemExit) as error:
+            answer = failed(error)
+            if is_out_of_memory(error):
+                answer = {"message": "error", "text": "out of memory", "out_of_memory": True}
+        if "out_of_memory" in answer:  # outside of the handler, whose traceback would hold the tensors
+            release_memory()
+        write_message(answers, {**answer, "batch": header["batch"]}, sent)
     return 0
 
 
@@ -71,8 +88,10 @@ def _introduction(name: str, adapter: Any, given: Path | None, group: MethodGrou
     declared = Declared.by(adapter, origin=f"adapter '{name}'", conditions=group.conditions)
     weights = {}
     for condition in sorted(declared.conditions):
-        used = _weights(name, adapter, condition, given)
-        if used is not None:
+        used = None
+        with contextlib.suppress(PrbenchError):  # the method has none for it
+            used = used_weights(adapter, condition, given, origin=f"adapter '{name}'")
+        if used is not None and used.exists():
             weights[condition.value] = {"name": used.name, "sha256": weights_digest(used)}
     return {
         "message": "hello",
@@ -88,44 +107,6 @@ def _introduction(name: str, adapter: Any, given: Path | None, group: MethodGrou
         "weights": weights,
         "trainable": hasattr(adapter, "fit"),
     }
-
-
-def _weights(name: str, adapter: Any, condition: StrEnum, given: Path | None) -> Path | None:
-    """Return the weights used under a condition; None where the method has none."""
-    try:
-        used = used_weights(adapter, condition, given, origin=f"adapter '{name}'")
-    except PrbenchError:
-        return None
-    return used if used is not None and used.exists() else None
-
-
-def _serve(name: str, adapter: Any, threads: int, requests: BinaryIO, answers: BinaryIO, group: MethodGroup) -> None:
-    while (message := read_message(requests)) is not None:
-        header, payload = message
-        assert payload is not None
-        answer, sent = _answered(name, adapter, threads, header, payload, group)
-        write_message(answers, {**answer, "batch": header["batch"]}, sent)
-
-
-def _answered(
-    name: str, adapter: Any, threads: int, header: Header, payload: bytes, group: MethodGroup
-) -> tuple[Header, bytes | None]:
-    try:
-        with computing_threads(threads):
-            return group.serve(name, adapter, header, payload)
-    except (Exception, SystemExit) as error:
-        if not is_out_of_memory(error):
-            return {"message": "error", "text": _reason(error)}, None
-        release_memory()
-        return {"message": "error", "text": "out of memory", "out_of_memory": True}, None
-
-
-def _reason(error: BaseException) -> str:
-    return str(error) if isinstance(error, PrbenchError) else told(error)
-
-
-def _path(text: str | None) -> Path | None:
-    return None if text is None else Path(text)
 
 
 if __name__ == "__main__":

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import pyarrow as pa
@@ -243,27 +244,22 @@ class FoldRun(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return self.record_sha256, self.scores_sha256
 
 
-class MergedFrom(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The whole of ``folds.json``."""
+def write_folds(folder: Path, folds: Sequence[FoldRun]) -> None:
+    """Write ``folds.json``, which names the runs that a merged one was made of."""
+    write_json(folder / FOLDS_FILE, {"folds": msgspec.to_builtins(folds)})
 
-    folds: tuple[FoldRun, ...]
 
-    def write(self, folder: Path) -> None:
-        """Write ``folds.json``."""
-        write_json(folder / FOLDS_FILE, msgspec.to_builtins(self))
+@foreign_input()
+def read_folds(folder: Path) -> tuple[FoldRun, ...]:
+    """Read ``folds.json``.
 
-    @classmethod
-    @foreign_input()
-    def read(cls, folder: Path) -> MergedFrom:
-        """Read ``folds.json``.
-
-        Raises:
-            RunError: if it is missing or damaged.
-        """
-        path = folder / FOLDS_FILE
-        return read_record(
-            path,
-            cls,
-            missing=f"{path}: expected the runs that were merged, found no file.",
-            remedy="Merge the runs of the folds again.",
-        )
+    Raises:
+        RunError: if it is missing or damaged.
+    """
+    path = folder / FOLDS_FILE
+    return read_record(
+        path,
+        dict[Literal["folds"], tuple[FoldRun, ...]],
+        missing=f"{path}: expected the runs that were merged, found no file.",
+        remedy="Merge the runs of the folds again.",
+    ).get("folds", ())

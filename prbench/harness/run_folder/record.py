@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -226,15 +227,12 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: naming the first key that differs, with both values.
         """
-        wanted = flat_leaves(other.written)
-        found = flat_leaves(self.written)
-        for key in wanted | found:
-            if key.startswith(_VERSIONS) or wanted.get(key) == found.get(key):
-                continue
-            raise RunError(
-                f"{key}: expected {_shown(wanted.get(key))} as in the run that is to be repeated, found"
-                f" {_shown(found.get(key))}. Name its tables with --data and its weights with --weights."
-            )
+        for key, wanted, found in _differences(other, self):
+            if not key.startswith(_VERSIONS):
+                raise RunError(
+                    f"{key}: expected {wanted} as in the run that is to be repeated, found {found}. Name its tables"
+                    " with --data and its weights with --weights."
+                )
 
     def require_same(self, other: RunRecord, folder: Path) -> None:
         """Refuse to go on in a folder that belongs to other inputs.
@@ -246,16 +244,20 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: naming the first key that differs, with both values.
         """
-        wanted = flat_leaves(self.written)
-        found = flat_leaves(other.written)
-        # In the order of the record, so that the first difference named is the most telling one.
-        for key in wanted | found:
-            if wanted.get(key) != found.get(key):
-                raise RunError(
-                    f"{folder / FILE_NAME}, {key}: expected {_shown(wanted.get(key))} for this run,"
-                    f" found {_shown(found.get(key))}. The folder belongs to another run; choose another folder for"
-                    " --out, or delete this one."
-                )
+        for key, wanted, found in _differences(self, other):
+            raise RunError(
+                f"{folder / FILE_NAME}, {key}: expected {wanted} for this run, found {found}. The folder belongs to"
+                " another run; choose another folder for --out, or delete this one."
+            )
+
+
+def _differences(expected: RunRecord, found: RunRecord) -> Iterator[tuple[str, str, str]]:
+    """Yield the keys that differ with both values, in the order of the record: the most telling one comes first."""
+    wanted = flat_leaves(expected.written)
+    there = flat_leaves(found.written)
+    for key in wanted | there:
+        if wanted.get(key) != there.get(key):
+            yield key, _shown(wanted.get(key)), _shown(there.get(key))
 
 
 def read_record(path: Path, kind: type[Record], *, missing: str, remedy: str) -> Record:

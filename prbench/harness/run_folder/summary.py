@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -121,45 +121,23 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         return self.recorded_motions > max(_BY_ACCIDENT, _RECORDED_SHARE * self._motions)
 
     @property
-    def recorded_motion_mark(self) -> str:
-        """Remark of tables on them; empty if there are none."""
-        if not self.recorded_motions:
-            return ""
-        rank = "; never ranked" if self.hands_in_recordings else ""
-        return f"{TWICE_DAGGER} equals the recorded motion in {self.recorded_motions} of {self._motions} motions{rank}"
-
-    @property
-    def gaze_mark(self) -> str:
-        """Remark of tables on motions that bring gaze; empty if they bring none."""
-        return f"{PILCROW} gaze generated with the head, beyond the study; never ranked" if self.gaze else ""
-
-    @property
-    def obstacles_mark(self) -> str:
-        """Remark of tables on a method that was given the scene's boxes; empty if it was not."""
-        if not self.obstacles:
-            return ""
-        return f"{LOZENGE} was given the scene's boxes, which other methods are not; never ranked"
-
-    @property
-    def run_marks(self) -> tuple[str, ...]:
-        """Remarks on how the motions were made, the same on every dataset of a run."""
-        marks = (self.gaze_mark, self.obstacles_mark)
-        return tuple(mark for mark in marks if mark)
-
-    @property
     def mark(self) -> str:
         """Return the remarks that readers must know about the motions; empty if there are none."""
-        return "; ".join(part for part in (self.recorded_motion_mark, *self.run_marks) if part)
+        marks = []
+        if self.recorded_motions:
+            rank = "; never ranked" if self.hands_in_recordings else ""
+            counts = f"{self.recorded_motions} of {self._motions} motions"
+            marks.append(f"{TWICE_DAGGER} equals the recorded motion in {counts}{rank}")
+        if self.gaze:
+            marks.append(f"{PILCROW} gaze generated with the head, beyond the study; never ranked")
+        if self.obstacles:
+            marks.append(f"{LOZENGE} was given the scene's boxes, which other methods are not; never ranked")
+        return "; ".join(marks)
 
     @property
     def symbols(self) -> str:
         """The signs of :attr:`mark`, for the name of the method."""
-        return _signs((self.recorded_motion_mark, *self.run_marks))
-
-    @property
-    def run_symbols(self) -> str:
-        """The signs of :attr:`run_marks`."""
-        return _signs(self.run_marks)
+        return " ".join(sign for sign in (TWICE_DAGGER, PILCROW, LOZENGE) if sign in self.mark)
 
     @property
     def edge_arrivals(self) -> str:
@@ -200,11 +178,6 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
                 f"{path}: expected schema version {RUN_SCHEMA_VERSION}, found {summary.schema_version}. Update prbench."
             )
         return summary
-
-
-def _signs(marks: tuple[str, ...]) -> str:
-    """The sign that each remark begins with."""
-    return " ".join(mark.split(" ", 1)[0] for mark in marks if mark)
 
 
 @dataclass(frozen=True)
@@ -258,13 +231,6 @@ def mean_over_datasets(metrics: Sequence[MetricSummary | None]) -> MeanOverDatas
         return MeanOverDatasets(float(values.mean()), None, None)
     low, high = bounds_of_mean(values, np.array(lows), np.array(highs))
     return MeanOverDatasets(float(values.mean()), float(low), float(high))
-
-
-def intervals_of_means(means: Mapping[str, MeanOverDatasets]) -> dict[str, list[float]]:
-    """Return the bounds of each mean that has an interval, as reports show them."""
-    return {
-        name: [mean.low, mean.high] for name, mean in means.items() if mean.low is not None and mean.high is not None
-    }
 
 
 def bounds_of_mean(
