@@ -173,8 +173,8 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
                 digest = f"{record.content_digest[:_SHOWN]}…"
                 if first.dataset not in named:
                     raise TableError(
-                        f"{run.path}: was made on a table of {record.dataset} with content digest {digest}, which is not"
-                        " among the embedded ones. Name its folder with --data DIR."
+                        f"{run.path}: was made on a table of {record.dataset} with content digest {digest}, which is"
+                        " not among the embedded ones. Name its folder with --data DIR."
                     )
                 other = named[first.dataset]
                 raise RunError(
