@@ -46,8 +46,7 @@ adapters = Group(
 @click.option(
     "--details",
     is_flag=True,
-    help="Import each in a process of its own and show its conditions, whether it trains, its limits and weights, or"
-    " its error.",
+    help="Import each and show its conditions, whether it trains, its limits and weights, or its error.",
 )
 @click.option(
     "--converters",

@@ -90,15 +90,10 @@ def print_summary(
         f" {summary.recordings} recording{'' if summary.recordings == 1 else 's'}, split {summary.split}"
     )
     print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
-    # What the data cannot decide, and what makes the first metric uncertain.
+    # What the data cannot decide.
     ranked = [info for info in metrics if info.main and info.ranked] or RANKED_METRICS
     for line in undecided(summary.dataset, summary.sequences, summary.recordings, [summary.metrics], ranked=ranked):
         print(line)
-    uncertain = next((metric for metric in summary.metrics if any(metric.uncertainty.values())), None)
-    if uncertain is not None:
-        source, share = max(uncertain.uncertainty.items(), key=lambda item: item[1])
-        part = f"{100 * share:.0f} % of the uncertainty comes from the choice of {source}"
-        print(f"{uncertain.title}: {part}; more {source} reduce it.")
     _print_marks([summary])
 
 

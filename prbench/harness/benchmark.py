@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
-from typing import Any, Generic, Protocol, Self, TypeVar, runtime_checkable
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -32,68 +32,17 @@ from prbench.harness.run_folder.record import MethodRecord
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.metrics import MetricInfo
 from prbench.protocol.manifests import AboutBenchmark, BenchmarkProtocol, find_benchmark
-from prbench.sequences.dataset_info import Provenance
 
-
-@runtime_checkable
-class CaseTable(Protocol):
-    """A table that cases are chosen from."""
-
-    @property
-    def folder(self) -> Path:
-        """Return the folder of the table."""
-        ...
-
-    @property
-    def info(self) -> Provenance:
-        """Return the provenance: what the table is and where it came from."""
-        ...
-
-    # Text in both; "Any" because a type checker takes a cached property for none of a protocol's.
-    @property
-    def identity(self) -> Any:
-        """Return the digest of which cases there are."""
-        ...
-
-    @property
-    def content(self) -> Any:
-        """Return the digest of all values."""
-        ...
-
-
-@runtime_checkable
-class Cases(Protocol):
-    """The chosen cases of one table, in the order of the table. Files call a case a sequence, whatever it is."""
-
-    @property
-    def table(self) -> CaseTable:
-        """Return the table that they are of."""
-        ...
-
-    @property
-    def sequence_ids(self) -> tuple[str, ...]:
-        """Return the id of each case."""
-        ...
-
-    @property
-    def recording_ids(self) -> tuple[str, ...]:
-        """Return the recording that each case comes from: recordings are independent, cases of one are not."""
-        ...
-
-    @property
-    def digest(self) -> str:
-        """Return the digest of the ids."""
-        ...
-
-    def chosen(self, keep: np.ndarray) -> Self:
-        """Return the cases where ``keep`` is true."""
-        ...
-
-    def __len__(self) -> int: ...
-
-
-Table = TypeVar("Table", bound=CaseTable)
-Chosen = TypeVar("Chosen", bound=Cases)
+CaseTable = Any
+"""A table that cases are chosen from: ``folder``, ``info`` (what it is and where it came from, a
+:class:`~prbench.sequences.dataset_info.Provenance`), and two digests, ``identity`` of which cases there are and
+``content`` of all values."""
+Cases = Any
+"""The chosen cases of one ``table``, in its order; files call a case a sequence, whatever it is. ``sequence_ids`` and
+``recording_ids`` hold one entry a case (recordings are independent, cases of one are not), ``digest`` is over the ids,
+``len()`` counts them, and ``chosen(keep)`` returns those where an array is true."""
+Table = TypeVar("Table")
+Chosen = TypeVar("Chosen")
 
 
 @dataclass(frozen=True)

@@ -253,43 +253,6 @@ def difference_interval(
     return replace(plain, low=max(float(low), -1.0), high=min(float(high), 1.0), method=DIFFERENCE_INTERVAL)
 
 
-def uncertainty_sources(
-    values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None
-) -> dict[str, float]:
-    """Divide the variance of the mean among recordings, sequences and samples; arguments as :func:`clustered`.
-
-    Variance components of the nested analysis of variance with unequal numbers (Searle, Casella and McCulloch 1992,
-    chapter 5); a component that comes out below 0 counts as 0.
-
-    Returns:
-        Shares that add up to 1, or are all 0 where nothing varies. With one sample a sequence, what samples add is
-        among the share of ``sequences``.
-    """
-    data = clustered(values, recording_ids, sequence_ids)
-    samples = data.samples.astype(np.float64)
-    sequences = data.sequences.astype(np.float64)
-    means = data.sequence_means
-    repeats = samples.sum() - len(samples)
-    inside = ((data.values - np.repeat(means, data.samples)) ** 2).sum()
-    of_samples = inside / repeats if repeats else 0.0
-    deviations = means - np.repeat(data.totals / sequences, data.sequences)
-    free = len(samples) - len(sequences)
-    # Sequence means vary by the samples, too; that part is taken off.
-    within = (deviations**2).sum() / free if free else 0.0
-    from_samples = of_samples * float((1 / samples).mean())
-    of_sequences = max(within - from_samples, 0.0)
-    n = float(sequences.sum())
-    of_recordings = 0.0
-    if len(sequences) > 1:
-        between = (sequences * (data.totals / sequences - data.mean) ** 2).sum() / (len(sequences) - 1)
-        usual_size = (n - (sequences**2).sum() / n) / (len(sequences) - 1)
-        of_recordings = max((between - of_sequences - from_samples) / usual_size, 0.0)
-    parts = np.array([of_recordings * (sequences**2).sum() / n**2, of_sequences / n, from_samples / n])
-    total = parts.sum()
-    shares = parts / total if total > EQUAL_WITHIN**2 else np.zeros(3)
-    return dict(zip(("recordings", "sequences", "samples"), shares.tolist(), strict=True))
-
-
 def _reaches(rate: Estimate) -> tuple[float, float]:
     """How far an interval reaches down and up from the mean."""
     assert rate.low is not None

@@ -15,7 +15,7 @@ from jaxtyping import Int
 
 from prbench.errors import RunError
 from prbench.harness.benchmark import CaseTable, CaseWork, load_benchmark
-from prbench.harness.intervals import CONFIDENCE, metric_interval, smallest_detectable_unpaired, uncertainty_sources
+from prbench.harness.intervals import CONFIDENCE, metric_interval, smallest_detectable_unpaired
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder import summary as run_summary
@@ -106,8 +106,7 @@ def work_of_run(run: RunFolder, request: RunRequest, cases: Any, table: CaseTabl
 
 
 _VALUES_WITHIN = 1e-6  # metres, or as little of another unit: what other processors may make of the same motion
-_SHARES_WITHIN = 1e-3  # of the variance, whose small shares are differences of large numbers
-_OF_RECORDINGS = frozenset({"recordings", "low", "high", "interval", "marks", "detectable", "uncertainty"})
+_OF_RECORDINGS = frozenset({"recordings", "low", "high", "interval", "marks", "detectable"})
 _KEYS = ("sequence_id", "sample", "metric", "flag")
 _AGAIN = "Delete it and run the same command again, which scores anew what was generated."
 
@@ -204,11 +203,7 @@ def metric_differences(made: MetricSummary, stored: MetricSummary) -> Iterator[t
     # The estimator first: bounds of another one differ, too, and say less about the cause.
     for name, value in sorted(msgspec.structs.asdict(made).items(), key=lambda item: item[0] != "interval"):
         other = found[name]
-        if name == "uncertainty":
-            same = value.keys() == other.keys() and all(
-                abs(share - other[source]) <= _SHARES_WITHIN for source, share in value.items()
-            )
-        elif name in ("mean", "low", "high", "detectable") and value is not None and other is not None:
+        if name in ("mean", "low", "high", "detectable") and value is not None and other is not None:
             same = abs(value - other) <= within
         else:
             same = value == other
@@ -242,7 +237,6 @@ def summary_of(
         recording_ids = recordings[coded.sequence[rows]]
         values = coded.value[rows]
         estimate = metric_interval(info, values, recording_ids, sequence_ids)
-        shares = uncertainty_sources(values, recording_ids, sequence_ids)
         flags: Counter[str] = Counter()
         for text, count in Counter(coded.flag[rows].tolist()).items():
             for name in coded.flags[text].split(";") if text >= 0 and coded.flags[text] else ():
@@ -262,7 +256,6 @@ def summary_of(
                 marks=estimate.marks,
                 flags=dict(sorted(flags.items())),
                 detectable=smallest_detectable_unpaired(values, recording_ids, sequence_ids, comparisons=ranked),
-                uncertainty={name: round(share, 4) for name, share in shares.items()},
             )
         )
     says_synthetic = not table.synthetic or "synthetic" in table.title.lower()

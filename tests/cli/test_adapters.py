@@ -64,7 +64,7 @@ def test_a_new_method_and_the_converters_are_reported(tmp_path, capsys):
 )
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("statik", "Did you mean 'static'?"), ("python glide.py", "'cmd:python glide.py'"), ("a/b", "looks like a path")],
+    [("statik", "Did you mean 'static'?"), ("python glide.py", "'cmd:COMMAND'"), ("a/b", "'cmd:COMMAND'")],
 )
 def test_an_unknown_method_is_answered_alike_wherever_it_is_named(arguments, name, message, capsys, tmp_path):
     data = str(fake_dataset(tmp_path / "table", 4).folder) if "--data" in arguments else ""

@@ -27,7 +27,6 @@ from prbench.harness.intervals import (
     paired_p_value,
     rate_interval,
     smallest_detectable,
-    uncertainty_sources,
 )
 from prbench.metrics import METRICS
 
@@ -176,31 +175,6 @@ def test_samples_count_once_a_sequence() -> None:
     rows, recordings, sequences = values(0.0, 0.4, 1.0), ["r0"] * 3, ["a", "a", "b"]
     found = mean_interval(rows, recordings, sequences)
     assert (found.mean, found.n_sequences, found.n_recordings) == (0.6, 2, 1)
-
-
-def test_the_largest_source_of_uncertainty_is_told() -> None:
-    rng = np.random.default_rng(3)
-    sequences = np.repeat([f"s{i:03d}" for i in range(120)], 5)
-    recordings = np.repeat(names(*[4] * 30), 5)
-    parts = {
-        "recordings": np.repeat(rng.normal(0, 1, 30), 20),
-        "sequences": np.repeat(rng.normal(0, 1, 120), 5),
-        "samples": rng.normal(0, 1, 600),
-    }
-    for name, size in (("recordings", 3.0), ("sequences", 6.0), ("samples", 12.0)):
-        rows = sum(part * (size if part is parts[name] else 0.3) for part in parts.values())
-        found = uncertainty_sources(rows, recordings, sequences)
-        assert max(found, key=lambda source: found[source]) == name
-        assert sum(found.values()) == pytest.approx(1)
-    # By hand: variances of the mean 3^2 / 30, 0.3^2 / 120, 0.3^2 / 600.
-    found = uncertainty_sources(3 * parts["recordings"] + 0.3 * (rows * 0 + parts["samples"]), recordings, sequences)
-    assert found["recordings"] > 0.98
-
-
-def test_with_one_sample_sequences_and_samples_are_one_source() -> None:
-    found = uncertainty_sources(np.tile(np.linspace(0, 1, 6), 10), names(*[6] * 10))
-    assert found["samples"] == 0
-    assert max(found, key=lambda source: found[source]) == "sequences"
 
 
 def test_equal_values_show_no_spread() -> None:

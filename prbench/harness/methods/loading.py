@@ -219,7 +219,12 @@ class MethodSpec:
 
     def load(self) -> LoadedMethod:
         """Return the method, ready to generate; it is made once a process."""
-        return HELD.method(self)
+        if _HELD.loaded is None or _HELD.spec != self:
+            # One method at a time: two networks may not fit in the memory of a GPU.
+            unload_method()
+            _HELD.loaded = _loaded_here(self) if self.program is None else _loaded_program(self, self.program)
+            _HELD.spec = self
+        return _HELD.loaded
 
 
 @dataclass
@@ -251,11 +256,6 @@ class LoadedMethod:
         """Number of times that the method's program was started again after a crash; 0 in process."""
         return self.adapter.restarts if isinstance(self.adapter, RemoteMethod) else 0
 
-    def close(self) -> None:
-        """End its program, if it has one."""
-        if isinstance(self.adapter, RemoteMethod):
-            self.adapter.close()
-
 
 @dataclass
 class _HeldMethods:
@@ -265,35 +265,8 @@ class _HeldMethods:
     loaded: LoadedMethod | None = None
     copies: list[tempfile.TemporaryDirectory[str]] = field(default_factory=list)
 
-    def method(self, spec: MethodSpec) -> LoadedMethod:
-        """Return the method, made anew unless it was the last one; an earlier one's program is ended."""
-        # One method at a time: two networks may not fit in the memory of a GPU.
-        if self.loaded is None or self.spec != spec:
-            self.unload()
-            self.loaded = _loaded_program(spec, spec.program) if spec.program is not None else _loaded_here(spec)
-            self.spec = spec
-        return self.loaded
 
-    def training_copy(self, table: SequenceTable) -> Path:
-        """Copy a table's training rows; the folder stays until :meth:`forget`."""
-        self.copies.append(temporary_training_copy(table))
-        return Path(self.copies[-1].name).resolve()
-
-    def forget(self) -> None:
-        """Let go of everything."""
-        self.unload()
-        for copy in self.copies:
-            copy.cleanup()
-        self.copies.clear()
-
-    def unload(self) -> None:
-        """Let go of the method, and end its program if it has one."""
-        if self.loaded is not None:
-            self.loaded.close()
-        self.spec = self.loaded = None
-
-
-HELD = _HeldMethods()
+_HELD = _HeldMethods()
 
 
 def forget_loaded_methods() -> None:
@@ -301,12 +274,17 @@ def forget_loaded_methods() -> None:
 
     A new run never meets the state that an earlier one left in a method.
     """
-    HELD.forget()
+    unload_method()
+    for copy in _HELD.copies:
+        copy.cleanup()
+    _HELD.copies.clear()
 
 
 def unload_method() -> None:
     """End the program of this process, if there is one; copies that were made for others are kept."""
-    HELD.unload()
+    if _HELD.loaded is not None and isinstance(_HELD.loaded.adapter, RemoteMethod):
+        _HELD.loaded.adapter.close()
+    _HELD.spec = _HELD.loaded = None
 
 
 def _loaded_here(spec: MethodSpec) -> LoadedMethod:
@@ -473,7 +451,8 @@ def fitted_to(spec: MethodSpec, table: SequenceTable) -> MethodSpec:
     if spec.program is None:
         return replace(spec, fit_folder=folder, table_folder=table.folder, fit=fit_to_training_rows)
     # Behind the fence the table itself is hidden, as it holds the test rows.
-    copy = HELD.training_copy(table)
+    _HELD.copies.append(temporary_training_copy(table))
+    copy = Path(_HELD.copies[-1].name).resolve()
     program = _worker(spec, installed, (copy, folder.absolute()))
     return replace(spec, fit_folder=folder, table_folder=copy, program=program)
 

@@ -226,7 +226,6 @@ def _refuse_unknown(path: Path, prefix: str, found: dict[str, object], known: li
             )
 
 
-_INTERPRETERS = {".py": "python", ".js": "node", ".mjs": "node", ".cjs": "node", ".jl": "julia", ".r": "Rscript"}
 _METHOD_FOLDER = "/method"  # where a container finds the program's folder
 _BIN = "Scripts" if os.name == "nt" else "bin"
 
@@ -243,40 +242,18 @@ def find_executable(word: str, *, directory: Path, path: str, where: str) -> str
     Raises:
         UsageError: if there is no such program, with what may have been meant.
     """
-    interpreter = _INTERPRETERS.get(Path(word).suffix.lower(), "")
-    started = f'cmd:"{interpreter} {word}"'
     if "/" in word or (os.name == "nt" and "\\" in word) or word.startswith("~"):
         file = directory / Path(word).expanduser()
-        if not file.is_file():
+        if not file.is_file() or not os.access(file, os.X_OK):
             names = [path.name for path in file.parent.iterdir()] if file.parent.is_dir() else []
-            raise UsageError(f"{where}: expected a program at {file}, found none.{did_you_mean(file.name, names)}")
-        if not os.access(file, os.X_OK):
-            remedy = f" Start it with its interpreter: {started}." if interpreter else ""
-            raise UsageError(f"{where}: {file} is a file, but not one that can be executed.{remedy}")
+            found = "a file that cannot be executed" if file.is_file() else "none"
+            remedy = " Start it with its interpreter." if file.is_file() else did_you_mean(file.name, names)
+            raise UsageError(f"{where}: expected a program at {file}, found {found}.{remedy}")
         return os.path.normpath(file.absolute())
     found = shutil.which(word, path=path)
     if found is None:
-        remedy = " It is looked up in the folders of PATH."
-        if (directory / word).is_file():
-            remedy = f" Did you mean {started if interpreter else f'./{word}'}?"
-        raise UsageError(f"{where}: the program '{word}' was not found.{remedy}")
+        raise UsageError(f"{where}: the program '{word}' was not found. It is looked up in the folders of PATH.")
     return str(Path(found).absolute())
-
-
-def require_script(words: tuple[str, ...], *, directory: Path, where: str) -> None:
-    """Refuse a script that is not there before its interpreter does so in its own words.
-
-    Raises:
-        UsageError: with the nearest file.
-    """
-    if len(words) < 2 or Path(words[1]).suffix.lower() not in _INTERPRETERS:
-        return
-    file = directory / Path(words[1]).expanduser()
-    if not file.is_file():
-        beside = [path.name for path in file.parent.iterdir()] if file.parent.is_dir() else []
-        raise UsageError(
-            f"{where}: expected the file {words[1]} in {directory}, found none.{did_you_mean(file.name, beside)}"
-        )
 
 
 def below(file: Path, path: str) -> Path:
@@ -355,7 +332,6 @@ def program_of(
         readable.append(folder)
         place = f"virtual environment {folder.name}: "
     if table.conda is not None:
-        require_script(words, directory=directory, where=where)
         before, place, folders = _conda(table.conda, file, variables)
         started = (*before, *words)
         readable += folders
@@ -365,7 +341,6 @@ def program_of(
     else:
         path = variables.get("PATH", os.defpath)
         program = find_executable(words[0], directory=directory, path=path, where=where)
-        require_script(words, directory=directory, where=where)
         # As in a shell, words that begin with ~/ lead to the user's home.
         started = (program, *(str(Path(word).expanduser()) if word.startswith("~/") else word for word in words[1:]))
     # The files and folders that the command names: its program, and what lies outside its directory.

@@ -63,8 +63,6 @@ class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
     detectable: float | None = None
     """Smallest difference to an unrelated method of the same spread that is found with 80 % power at Holm's first step
     among the metrics that are compared; None where nothing can be tested."""
-    uncertainty: dict[str, float] = msgspec.field(default_factory=dict)
-    """Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``."""
 
 
 class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import time
 from pathlib import Path
 
 import pytest
@@ -13,8 +10,6 @@ import pytest
 from prbench.cli import main
 from prbench.harness.methods.describe import Description, describe_adapters
 from tests.method_fixtures import adapter_source
-
-_LIMIT = 100.0  # seconds; these take well under one on an idle core
 
 ENDINGS = {
     "missing": (
@@ -26,12 +21,6 @@ ENDINGS = {
         "cannot be loaded: ModuleNotFoundError: No module named 'torch_gpu'",
     ),
     "quits": ("raise SystemExit('needs a GPU')", "cannot be imported: SystemExit: needs a GPU"),
-    "leaves": ("import os; os._exit(3)", "its process ended with exit status 3 while it was imported"),
-    "crashes": (
-        "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
-        "its process was ended by signal 11 (SIGSEGV) while it was imported",
-    ),
-    "interrupts": ("raise KeyboardInterrupt", "cannot be imported: KeyboardInterrupt"),
     "refuses": (
         "def load(weights, *, options, device): raise ValueError('give me --weights FILE')",
         "refused its settings: give me --weights FILE",
@@ -41,10 +30,6 @@ ENDINGS = {
         "line one line two",
     ),
     "long": (f"raise ValueError({'x' * 50 + ' '!r} * 1000)", "ValueError: xxxxx"),
-    "dies_loading": (
-        "import os\ndef load(weights, *, options, device): os.abort()",
-        "its process was ended by signal 6 (SIGABRT) in load()",
-    ),
 }
 
 
@@ -56,7 +41,7 @@ def described(tmp_path_factory) -> dict[str, Description]:
         _write_package(site, name, source, requires=['torch-gpu>=2; extra == "gpu"', "smpl-tools"])
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(site))
-        return {one.method.name: one for one in describe_adapters(ENDINGS, time_limit=_LIMIT)}
+        return {one.method.name: one for one in describe_adapters(ENDINGS)}
 
 
 def _write_package(site: Path, name: str, source: str, *, requires: list[str]) -> None:
@@ -89,7 +74,7 @@ def test_a_method_says_what_it_declares(install):
             return Path(f"/somewhere/{condition.value}.safetensors")
     """
     install("made", adapter_source(attributes=body.strip()) + "\n    import time; time.sleep(0.2)\n")
-    (made,) = describe_adapters(["made"], time_limit=_LIMIT)
+    (made,) = describe_adapters(["made"])
     assert made.error == ""
     assert made.conditions == ("goal-loc", "none")
     assert (made.max_frames, made.native_fps, made.motionless, made.fitted) == (196, 30.0, True, True)
@@ -97,7 +82,7 @@ def test_a_method_says_what_it_declares(install):
 
 
 def test_predictors_say_what_they_take_and_whether_they_learn_from_a_table():
-    found = describe_adapters(["nearest-past", "zero-velocity"], benchmark="motion-prediction", time_limit=_LIMIT)
+    found = describe_adapters(["nearest-past", "zero-velocity"], benchmark="motion-prediction")
     assert [(one.method.name, one.fitted, one.error) for one in found] == [
         ("nearest-past", True, ""),
         ("zero-velocity", False, ""),
@@ -105,9 +90,9 @@ def test_predictors_say_what_they_take_and_whether_they_learn_from_a_table():
     assert {one.conditions for one in found} == {("pose", "pose+gaze", "pose+head")}
 
 
-def test_what_a_package_prints_never_reaches_the_list_and_costs_no_memory(install, capfd):
-    install("loud", "import sys\nfor _ in range(300): print('x' * 99_999)\nprint('y', file=sys.stderr)\n" + PLAIN)
-    (loud,) = describe_adapters(["loud"], time_limit=_LIMIT)
+def test_what_a_package_prints_never_reaches_the_list(install, capfd):
+    install("loud", "import sys\nprint('x' * 99_999)\nprint('y', file=sys.stderr)\n" + PLAIN)
+    (loud,) = describe_adapters(["loud"])
     assert (loud.error, loud.conditions) == ("", ("none",))
     assert capfd.readouterr() == ("", "")
 
@@ -121,40 +106,10 @@ def load(weights, *, options, device): return Plain()
 """
 
 
-def test_an_endless_import_is_stopped_with_everything_it_started(install, tmp_path):
-    pid = tmp_path / "pid"
-    install(
-        "endless",
-        "import subprocess, sys, time, pathlib\n"
-        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
-        f"pathlib.Path({str(pid)!r}).write_text(str(child.pid))\n"
-        "while True: time.sleep(0.01)\n",
-    )
-    started = time.monotonic()
-    (endless,) = describe_adapters(["endless"], time_limit=4.0)
-    assert time.monotonic() - started < 10
-    assert endless.error.startswith("took longer than 4 s while it was imported and was stopped.")
-    assert _ends(int(pid.read_text()))
-
-
-def _ends(pid: int) -> bool:
-    """Whether a process is gone, or about to go, within two seconds."""
-    for _ in range(40):
-        try:
-            os.kill(pid, 0)
-            if Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z":
-                return True
-        except (ProcessLookupError, FileNotFoundError):
-            return True
-        time.sleep(0.05)
-    os.kill(pid, signal.SIGKILL)
-    return False
-
-
 def test_many_are_described_in_the_order_of_their_names(install):
     for name in ("b", "a", "c"):
         install(name, PLAIN)
-    found = describe_adapters(["c", "b", "a"], time_limit=_LIMIT, workers=3)
+    found = describe_adapters(["c", "b", "a"])
     assert [one.method.name for one in found] == ["a", "b", "c"]
     assert not any(one.error for one in found)
 
@@ -164,22 +119,22 @@ def test_a_name_that_two_packages_offer_is_not_imported_at_all(install, tmp_path
     for package in ("prbench_one", "prbench_two"):
         install("same", f"import pathlib; pathlib.Path({str(touched)!r}).touch()", package=package)
     found = describe_adapters(["same"])
-    assert [one.error for one in found] == ["another package offers the same name; uninstall one of them"] * 2
+    assert [one.error for one in found] == ["another package offers the same name"] * 2
     assert not touched.exists()
 
 
 def test_the_list_shows_good_and_bad_methods_and_controls(install, capsys):
     install("good", PLAIN)
-    install("bad", "import os; os._exit(1)")
+    install("bad", "1 / 0")
     assert main(["adapters", "list", "--details", "good", "bad"]) == 0
     text = capsys.readouterr().out
     assert "good  prbench_good 1.2  none" in text
-    assert "! bad (prbench_bad 1.2): its process ended with exit status 1 while it was imported" in text
+    assert "! bad (prbench_bad 1.2): cannot be imported: ZeroDivisionError: division by zero" in text
     assert "controls" not in text, "only what was asked for"
     assert main(["adapters", "list", "--details", "--json", "good", "bad"]) == 0
     bad, good = json.loads(capsys.readouterr().out)["report"]
     assert (good["conditions"], good["fitted"], good["error"]) == (["none"], False, "")
-    assert bad["error"].startswith("its process ended")
+    assert bad["error"].startswith("cannot be imported")
 
 
 def test_a_name_that_nobody_offers_is_answered_with_the_nearest(capsys):
