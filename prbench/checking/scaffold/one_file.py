@@ -2,15 +2,13 @@
 
 A program of another Python cannot import prbench, but needs the same conversions. Nothing is written twice: this
 module takes the functions that are asked for, all that they use, and writes them after one another, with their
-comments. A private name that two modules use for different things gets a suffix in the second one.
+comments. No two of these modules may use one name for different things.
 """
 
 from __future__ import annotations
 
 import ast
 import importlib.util
-import io
-import tokenize
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -46,13 +44,11 @@ work. Put the file beside your program, then: from prbench_converters import mot
 '''
 
 
-@dataclass
+@dataclass(eq=False)
 class _Statement:
     """One top-level statement, with the comments above and the text that documents it."""
 
-    first: int
-    last: int
-    """Lines, from 1 on."""
+    text: str
     defines: frozenset[str]
     uses: frozenset[str]
 
@@ -61,22 +57,11 @@ class _Statement:
 class _Module:
     """One module, taken apart."""
 
-    name: str
-    text: str
     statements: list[_Statement] = field(default_factory=list)
-    inside: dict[str, tuple[str, str]] = field(default_factory=dict)
-    """Imported from prbench: name here → module and name there."""
+    inside: dict[str, str] = field(default_factory=dict)
+    """Imported from prbench: maps a name to the module that it comes from."""
     outside: dict[str, str] = field(default_factory=dict)
-    """Imported from elsewhere: name here → the line that imports it."""
-
-    def defining(self, name: str) -> _Statement | None:
-        """The statement that makes a name."""
-        return next((one for one in self.statements if name in one.defines), None)
-
-    def effects(self, names: Iterable[str]) -> list[_Statement]:
-        """Statements that make no name and do something with these, such as ``ARRAY.setflags(…)``."""
-        wanted = set(names)
-        return [one for one in self.statements if not one.defines and one.uses & wanted]
+    """Imported from elsewhere: maps a name to the line that imports it."""
 
 
 def converters_file() -> str:
@@ -106,86 +91,63 @@ def one_file(roots: Mapping[str, Iterable[str]], header: str) -> str:
         roots: Names that are wanted, by the module that offers them.
         header: The file's docstring.
     """
-    found = [_origin(module, name) for module, names in roots.items() for name in names]
-    needed = _needed(found)
-    chosen = _names(needed, frozenset(found))
-    imports, for_types = _imports(needed)
-    parts = [header, "from __future__ import annotations\n\n" + "\n".join((*imports, "", *for_types)) + "\n"]
-    for name in _in_order(needed):
-        body = _body(_module(name), needed[name], chosen)
-        parts.append(f"# From {name.replace('.', '/')}.py\n\n\n{body}\n")
-    offered = sorted({chosen[where] for where in found})
-    parts.append("__all__ = [\n" + "".join(f'    "{name}",\n' for name in offered) + "]\n")
-    return "\n\n".join(parts)
-
-
-_Needed = dict[str, list[_Statement]]
-
-
-def _needed(found: Iterable[tuple[str, str]]) -> _Needed:
-    """Collect, by module, the statements behind some names and behind all that these use."""
-    needed: _Needed = {}
-    waiting = list(found)
+    # Collect, by module, the statements behind the names and behind all that these use.
+    needed: dict[str, list[_Statement]] = {}
+    waiting = [_origin(module, name) for module, names in roots.items() for name in names]
+    offered = sorted({name for _, name in waiting})
     while waiting:
         name, wanted = waiting.pop()
         module = _module(name)
-        statement = module.defining(wanted)
-        assert statement is not None, f"{name} does not define {wanted}"
         # Such as ARRAY.setflags(write=False): it makes no name, so nobody uses it, and still it must come along.
-        for one in (statement, *module.effects(statement.defines)):
-            if one in needed.setdefault(name, []):
-                continue
-            needed[name].append(one)
-            waiting += [_origin(name, used) for used in one.uses if module.defining(used) or used in module.inside]
-    return needed
-
-
-def _origin(module: str, name: str) -> tuple[str, str]:
-    """Module and name under which something is defined that a module defines or imports."""
-    while _module(module).defining(name) is None:
-        module, name = _module(module).inside[name]
-    return module, name
-
-
-def _names(needed: _Needed, first: frozenset[tuple[str, str]]) -> dict[tuple[str, str], str]:
-    """Name in the file of everything that is defined; what is offered keeps its own."""
-    defined = [(module, name) for module in sorted(needed) for one in needed[module] for name in sorted(one.defines)]
-    taken: dict[str, str] = {}
-    chosen: dict[tuple[str, str], str] = {}
-    for where in sorted(defined, key=lambda where: where not in first):
-        module, name = where
-        own = name if name not in taken else f"{name}_of_{module.rsplit('.', 1)[-1]}"
-        assert own not in taken, f"{own} is made by {taken[own]} and by {module}; rename one of them"
-        taken[own] = module
-        chosen[where] = own
-    return chosen
-
-
-def _imports(needed: _Needed) -> tuple[list[str], list[str]]:
-    """Lines that import what is used from elsewhere, and those for type checkers alone."""
-    lines = set()
-    for name, statements in needed.items():
-        module = _module(name)
-        lines |= {module.outside[used] for one in statements for used in one.uses if used in module.outside}
+        makes = [one for one in module.statements if wanted in one.defines or (not one.defines and wanted in one.uses)]
+        for one in makes:
+            if one not in needed.setdefault(name, []):
+                needed[name].append(one)
+                waiting += [place for used in one.uses if (place := _origin(name, used)) is not None]
+    made = [each for statements in needed.values() for one in statements for each in one.defines]
+    twice = sorted({each for each in made if made.count(each) > 1})
+    assert not twice, f"two modules make {', '.join(twice)}; rename one of each"
+    lines = {
+        _module(name).outside[used]
+        for name, statements in needed.items()
+        for one in statements
+        for used in one.uses
+        if used in _module(name).outside
+    }
     for_types = sorted(line for line in lines if line.startswith(f"from {_FOR_TYPES_ONLY} "))
     lines -= set(for_types)
     if for_types:
         lines.add("from typing import TYPE_CHECKING")
         for_types = ["if TYPE_CHECKING:", *(f"    {line}" for line in for_types)]
-    return sorted(lines, key=lambda line: (not line.startswith("import"), line)), for_types
+    imports = sorted(lines, key=lambda line: (not line.startswith("import"), line))
+    parts = [header, "from __future__ import annotations\n\n" + "\n".join((*imports, "", *for_types)) + "\n"]
+    for name in _in_order(needed):
+        body = "\n\n\n".join(one.text for one in _module(name).statements if one in needed[name])
+        parts.append(f"# From {name.replace('.', '/')}.py\n\n\n{body}\n")
+    parts.append("__all__ = [\n" + "".join(f'    "{name}",\n' for name in offered) + "]\n")
+    return "\n\n".join(parts)
 
 
-def _in_order(needed: _Needed) -> list[str]:
+def _origin(module: str, name: str) -> tuple[str, str] | None:
+    """Module that defines a name which a module defines or imports from prbench, and the name; else None."""
+    while all(name not in one.defines for one in _module(module).statements):
+        if name not in _module(module).inside:
+            return None
+        module = _module(module).inside[name]
+    return module, name
+
+
+def _in_order(needed: Mapping[str, list[_Statement]]) -> list[str]:
     """Modules, each behind those that it imports from."""
     order: list[str] = []
 
     def visit(name: str) -> None:
         if name in order:
             return
-        module = _module(name)
         used = {used for one in needed[name] for used in one.uses}
+        origins = {_origin(name, alias) for alias in used if alias in _module(name).inside}
         # Sorted, so that equal sources give equal bytes.
-        for place in sorted({_origin(name, alias)[0] for alias in used if alias in module.inside}):
+        for place in sorted(origin[0] for origin in origins if origin is not None):
             visit(place)
         order.append(name)
 
@@ -194,82 +156,39 @@ def _in_order(needed: _Needed) -> list[str]:
     return order
 
 
-def _body(module: _Module, statements: list[_Statement], chosen: Mapping[tuple[str, str], str]) -> str:
-    """The statements of one module, under the names of the file."""
-    renamed = {}
-    for name in {name for one in statements for name in (one.uses | one.defines)}:
-        if module.defining(name) or name in module.inside:
-            own = chosen[_origin(module.name, name)]
-            if own != name:
-                renamed[name] = own
-    lines = _renamed(module.text, renamed).splitlines()
-    body = ""
-    before = 0
-    for one in sorted(statements, key=lambda one: one.first):
-        gap = 1 if one.first == before + 1 else 3
-        body += "\n" * gap * bool(body) + "\n".join(lines[one.first - 1 : one.last])
-        before = one.last
-    return body
-
-
-def _renamed(text: str, names: Mapping[str, str]) -> str:
-    """A module's text with other names in place of some; attributes of the same names stay."""
-    if not names:
-        return text
-    lines = text.splitlines(keepends=True)
-    places = []
-    before = ""
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        # By tokens and not by text: a name inside a string or a comment, or an attribute of the same name, stays.
-        if token.type == tokenize.NAME and token.string in names and before != ".":
-            places.append(token.start)
-        before = token.string
-    # From the end, so that earlier places stay where they are.
-    for row, column in reversed(places):
-        line = lines[row - 1]
-        old = next(name for name in sorted(names, key=len, reverse=True) if line.startswith(name, column))
-        lines[row - 1] = line[:column] + names[old] + line[column + len(old) :]
-    return "".join(lines)
-
-
 @cache
 def _module(name: str) -> _Module:
     spec = importlib.util.find_spec(name)
     assert spec is not None
     assert spec.origin is not None
-    text = Path(spec.origin).read_text(encoding="utf-8")
-    module = _Module(name, text)
-    lines = text.splitlines()
-    for node in ast.parse(text).body:
+    lines = Path(spec.origin).read_text(encoding="utf-8").splitlines()
+    module = _Module()
+    for node in ast.parse("\n".join(lines)).body:
         if isinstance(node, ast.Import | ast.ImportFrom):
-            _take_import(module, node)
-        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            for alias in node.names:
+                as_name = "" if alias.asname is None else f" as {alias.asname}"
+                if isinstance(node, ast.Import):
+                    module.outside[alias.asname or alias.name] = f"import {alias.name}{as_name}"
+                elif node.module is not None and node.module.split(".")[0] in _PACKAGES:
+                    assert alias.asname is None, f"{name} imports {alias.name} under another name"
+                    module.inside[alias.name] = node.module
+                else:
+                    module.outside[alias.asname or alias.name] = f"from {node.module} import {alias.name}{as_name}"
+            continue
+        first = min([node.lineno, *(one.lineno for one in getattr(node, "decorator_list", []))])
+        while first > 1 and lines[first - 2].startswith("#"):
+            first -= 1
+        text = "\n".join(lines[first - 1 : node.end_lineno])
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
             if module.statements:  # the text below a constant belongs to it; the module's own is left away
-                module.statements[-1].last = node.end_lineno or node.lineno
-        else:
-            first = min([node.lineno, *(one.lineno for one in getattr(node, "decorator_list", []))])
-            while first > 1 and lines[first - 2].startswith("#"):
-                first -= 1
-            names = [one for one in ast.walk(node) if isinstance(one, ast.Name)]
-            if isinstance(node, ast.FunctionDef | ast.ClassDef):
-                defines = {node.name}
-            elif isinstance(node, ast.Assign | ast.AnnAssign):
-                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-                defines = {one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)}
-            else:
-                defines = set()
-            used = frozenset(one.id for one in names) - defines
-            module.statements.append(_Statement(first, node.end_lineno or node.lineno, frozenset(defines), used))
+                module.statements[-1].text += f"\n{text}"
+            continue
+        defines: set[str] = set()
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            defines = {node.name}
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            defines = {one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)}
+        used = frozenset(one.id for one in ast.walk(node) if isinstance(one, ast.Name)) - defines
+        module.statements.append(_Statement(text, frozenset(defines), used))
     return module
-
-
-def _take_import(module: _Module, node: ast.Import | ast.ImportFrom) -> None:
-    for alias in node.names:
-        name = alias.asname or alias.name
-        as_name = "" if alias.asname is None else f" as {alias.asname}"
-        if isinstance(node, ast.Import):
-            module.outside[name] = f"import {alias.name}{as_name}"
-        elif node.module is not None and node.module.split(".")[0] in _PACKAGES:
-            module.inside[name] = (node.module, alias.name)
-        else:
-            module.outside[name] = f"from {node.module} import {alias.name}{as_name}"

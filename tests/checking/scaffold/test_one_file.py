@@ -137,18 +137,21 @@ def test_it_is_written_anew_but_over_nothing_else(folder, tmp_path, capsys) -> N
     assert path.read_text() == "print('mine')\n"
 
 
-def test_two_modules_may_have_private_names_in_common(tmp_path, monkeypatch) -> None:
+def test_two_modules_with_a_name_in_common_are_told(tmp_path, monkeypatch) -> None:
     (tmp_path / "prbench_first.py").write_text("_SIZE = 2\n\n\ndef first():\n    return _SIZE\n")
     second = (
-        'from prbench_first import first as theirs\n\n# Why it is three.\n_SIZE = 3\n"""Of the second."""\n'
-        "UNUSED = 1\n\n\ndef second():\n    return theirs() * _SIZE\n"
+        'from prbench_first import first\n\n# Why it is three.\n_THREE = 3\n"""Of the second."""\n'
+        "UNUSED = 1\n\n\ndef second():\n    return first() * _THREE\n"
     )
     (tmp_path / "prbench_second.py").write_text(second)
+    (tmp_path / "prbench_third.py").write_text(second.replace("_THREE", "_SIZE"))
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(one_file, "_PACKAGES", ("prbench_first", "prbench_second"))
+    monkeypatch.setattr(one_file, "_PACKAGES", ("prbench_first",))
     text = one_file.one_file({"prbench_second": ("second",)}, '"""Both."""\n')
     names: dict = {}
     exec(compile(text, "both", "exec"), names)
     assert names["second"]() == 6
     assert "UNUSED" not in text
-    assert '# Why it is three.\n_SIZE_of_prbench_second = 3\n"""Of the second."""' in text
+    assert '# Why it is three.\n_THREE = 3\n"""Of the second."""' in text
+    with pytest.raises(AssertionError, match="two modules make _SIZE; rename one of each"):
+        one_file.one_file({"prbench_third": ("second",)}, "")
