@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -105,7 +104,6 @@ def _methods(
     with_published: bool,
     out: tuple[Path, ...],
     workers: int,
-    part: str | None = None,
 ) -> Answer:
     from prbench.board import make_leaderboard
     from prbench.sequences import SequenceTable
@@ -115,11 +113,6 @@ def _methods(
     if not collected.rows:
         raise RunError("no finished run was found.")
     board = make_leaderboard(collected)
-    if part is not None:
-        known = [table.dataset for table in board.tables]
-        if part not in known:
-            raise UsageError(f"--part: no run is of '{part}'; those named are of: {', '.join(dict.fromkeys(known))}.")
-        board = replace(board, tables=tuple(table for table in board.tables if table.dataset == part))
     if item != "table-s1":
         return _answer(methods_table(board, _number(item), with_published=with_published), out)
     # Where the bodies of a table come from is not in its runs: they name the table by the digest of its content.
@@ -229,7 +222,6 @@ def _drawn(
     out: tuple[Path, ...],
     workers: int,
     by: str = "",
-    variant: str = "",
 ) -> Answer:
     from prbench.engine import engine_for
     from prbench_benchmarks.prime_and_reach.study.breakdown import breakdown_table
@@ -243,8 +235,7 @@ def _drawn(
         table = breakdown_table(opened, by)
         draw_breakdown(table, out[0])
     else:
-        reading = "onset" if variant == "onset" else "equation"
-        sweeps = [sweep(run, variant=reading, engine=engine) for run in opened]
+        sweeps = [sweep(run, engine=engine) for run in opened]
         draw_sweep(sweeps, out[0])
         table = sweep_table(sweeps)
     return _answer([table], numbers, out[0])
@@ -311,10 +302,10 @@ _ABLATIONS = {
 }
 _ITEMS = {
     "table-1": _Item("how many sequences, how long, how far people move", "DIR", ("out",), _sizes),
-    "table-2": _Item("runs in the layout of the main table, a part a dataset", "RUN", (*_OF_RUNS, "part"), _methods),
+    "table-2": _Item("runs in the layout of the main table, a part a dataset", "RUN", _OF_RUNS, _methods),
     "table-s1": _Item("runs by poses of training and test (weights …-egoallo, …-mocap)", "RUN", _OF_RUNS, _methods),
     "table-s2": _Item("sequences and recordings of each split", "DIR", ("out",), _sizes),
-    "table-s3": _Item("models of one dataset each (weights pr-goal-loc-adt)", "RUN", (*_OF_RUNS, "part"), _methods),
+    "table-s3": _Item("models of one dataset each (weights pr-goal-loc-adt)", "RUN", _OF_RUNS, _methods),
     "table-s8": _Item("files of `prbench evaluate-text`", "FILE", ("with_published", "out"), _evaluations),
     **{name: _Item(title, "DIR", _OF_RUNS, _ablation, trains=True) for name, title in _ABLATIONS.items()},
     "prediction": _Item(
@@ -328,7 +319,7 @@ _ITEMS = {
     "figure-4": _Item("scores by what a sequence asks for (--by)", "RUN", (*_OF_SCORES, "by"), _drawn),
     "figure-5": _Item("poses at first frame, prime and reach", "RUN", (*_OF_MOTIONS, "data"), _motions),
     "figure-s2": _Item("where goals lie, how far people move, when they look", "DIR", ("out",), _distributions),
-    "figure-s3": _Item("Prime Success over its distance and window", "RUN", (*_OF_SCORES, "variant"), _drawn),
+    "figure-s3": _Item("Prime Success over its distance and window", "RUN", _OF_SCORES, _drawn),
 }
 _HELP = "\n".join(["\b", *(f"{name:<11}{item.inputs + '...':<8} {item.title}" for name, item in _ITEMS.items())])
 
@@ -353,7 +344,6 @@ class _OutType(PlaceType):
         "inputs",
         "--data",
         "--with-published",
-        "--part",
         "--out",
         "--numbers",
         "--by",
@@ -381,7 +371,6 @@ class _OutType(PlaceType):
     is_flag=True,
     help="Show the study's rows in a block of their own and, for runs on real recordings, the differences.",
 )
-@click.option("--part", metavar="DATASET", help="Only this dataset's part (default: a part for each).")
 @click.option(
     "--out",
     cls=SeveralValues,
@@ -399,16 +388,9 @@ class _OutType(PlaceType):
 )
 @click.option(
     "--by",
-    type=click.Choice(["action", "hand", "kind", "distance", "bearing", "height", "gap"]),
+    type=click.Choice(["action", "hand", "kind"]),
     default="action",
-    help="What sequences are grouped by (default action): pick or put, the reaching hand, the kind of prime, distance,"
-    " bearing and height of the goal at the first frame, or the time from prime to event.",
-)
-@click.option(
-    "--variant",
-    type=click.Choice(["equation", "onset"]),
-    default="equation",
-    help="Reading of the deceleration (default equation, as the protocol scores).",
+    help="What sequences are grouped by (default action): pick or put, the reaching hand, or the kind of prime.",
 )
 @sequence_option("Draw this sequence")
 @limit_option("2, 1 and 3 in Figures 1, 2 and 5; all with --train")

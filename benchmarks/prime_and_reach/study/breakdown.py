@@ -7,29 +7,22 @@ neither their means nor their intervals are a comparison of methods.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 import pyarrow.compute as pc
 
 from prbench.errors import UsageError
-from prbench.geometry.skeleton import Joint
 from prbench.harness.clusters import FEWEST_FOR_TEST
 from prbench.harness.intervals import metric_interval
 from prbench.harness.run_folder.scores import read_scores
 from prbench.metrics import MAIN_METRICS
-from prbench.sequences import SequenceTable
 from prbench.tables import Block, Cell, Column, Row, Table, metric_cell
-from prbench_benchmarks.prime_and_reach.study.genuine import GenuineRun, load_study_settings
+from prbench_benchmarks.prime_and_reach.study.genuine import GenuineRun
 from prbench_benchmarks.prime_and_reach.study.methods import METRIC_COLUMNS
 from prbench_benchmarks.prime_and_reach.study.sizes import SYNTHETIC_NOTE, origin_of
 
-_WORDS = {"action": "action", "hand": "hand", "kind": "prime_kind"}
-"""Columns of words that sequences are grouped by."""
-_UNITS = {"distance": "m", "bearing": "deg", "height": "m", "gap": "s"}
-"""Quantities that sequences are grouped by, and their units; the edges stand in ``study.toml``."""
-GROUPINGS = (*_WORDS, *_UNITS)
-"""What sequences can be grouped by."""
+GROUPINGS = {"action": "action", "hand": "hand", "kind": "prime_kind"}
+"""What sequences can be grouped by, and the column of the table that says it."""
 
 
 def breakdown_table(runs: Sequence[GenuineRun], by: str) -> Table:
@@ -78,10 +71,13 @@ def breakdown_table(runs: Sequence[GenuineRun], by: str) -> Table:
 
 
 def _scored_groups(run: GenuineRun, by: str) -> dict[str, list[Cell]]:
-    """Map each group of sequences that a run has, in printed order, to its metrics."""
-    group_of, names = groups_of(run.table, by)
+    """Map each group of sequences that a run has, by name, to its metrics."""
     rows = run.table.scalars()
-    recording_of = dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
+    ids = rows["sequence_id"].to_pylist()
+    words = [value or "unknown" for value in rows[GROUPINGS[by]].to_pylist()]
+    group_of = dict(zip(ids, words, strict=True))
+    names = sorted(set(words))
+    recording_of = dict(zip(ids, rows["recording_id"].to_pylist(), strict=True))
     scores = read_scores(run.run.dataset(run.record.dataset).scores)
     method = run.run.record.method
     found: dict[str, list[Cell]] = {name: [] for name in names}
@@ -115,36 +111,3 @@ def _scored_groups(run: GenuineRun, by: str) -> dict[str, list[Cell]]:
             )
             found[name].append(cell)
     return {name: cells for name, cells in found.items() if cells}
-
-
-def groups_of(table: SequenceTable, by: str) -> tuple[dict[str, str], list[str]]:
-    """Return the group of each sequence of a table, and all groups: numbers by size, words by name."""
-    rows = table.scalars()
-    ids = rows["sequence_id"].to_pylist()
-    if by in _WORDS:
-        words = [value or "unknown" for value in rows[_WORDS[by]].to_pylist()]
-        return dict(zip(ids, words, strict=True)), sorted(set(words))
-    if by == "gap":
-        values = rows["prime_gap"].to_numpy()
-    else:
-        ids = []
-        parts = []
-        for chunk in table.chunks(columns=["goal_location", "joints"]):
-            goal = chunk.vectors("goal_location")
-            ids += chunk.sequence_ids
-            x, _, z = (goal - chunk.joints[chunk.offsets[:-1], Joint.PELVIS]).T
-            if by == "distance":
-                parts.append(np.hypot(x, z))
-            elif by == "bearing":  # in the canonical frame the body faces +Z in its first frame
-                parts.append(np.abs(np.rad2deg(np.arctan2(x, z))))
-            else:
-                parts.append(goal[:, 1])
-        values = np.concatenate(parts)
-    unit = _UNITS[by]
-    edges = load_study_settings().figure_4[f"{by}_edges"]
-    names = [f"below {edges[0]:g} {unit}"]
-    names += [f"{low:g} to {high:g} {unit}" for low, high in pairwise(edges)]
-    names.append(f"{edges[-1]:g} {unit} and more")
-    # An edge belongs to the bin above it.
-    places = np.searchsorted(np.asarray(edges), values, side="right")
-    return dict(zip(ids, [names[place] for place in places], strict=True)), names

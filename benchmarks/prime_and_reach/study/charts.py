@@ -90,7 +90,7 @@ def draw_sweep(sweeps: Sequence[Sweep], path: Path) -> None:
     """Draw Figure S3: Prime Success over the distance, a panel for each run, a curve for each window.
 
     Args:
-        sweeps: All of one variant.
+        sweeps: One a run.
         path: ``.png`` or ``.svg``; replaced when it exists.
 
     Raises:
@@ -125,8 +125,7 @@ def draw_sweep(sweeps: Sequence[Sweep], path: Path) -> None:
     for place in axes[len(sweeps) :]:
         place.set_axis_off()
     axes[0].legend(fontsize=7, frameon=False, loc="lower right")
-    title = f"Prime Success ({sweeps[0].variant}) over distance δ and window σ"
-    figure.suptitle(figure_text(title), fontsize=10, x=0.01, ha="left")
+    figure.suptitle("Prime Success over distance δ and window σ", fontsize=10, x=0.01, ha="left")
     if any(one.run.record.synthetic for one in sweeps):
         note = "Synthetic people: says nothing about real ones."
         figure.supxlabel(figure_text(note), fontsize=_NOTE_SIZE, color="0.35")

@@ -24,7 +24,7 @@ from prbench.shown import clean
 
 
 class StudySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How the study's figures are drawn."""
+    """How Figure S3 is drawn."""
 
     windows: tuple[float, ...]
     """σ of Figure S3, seconds, one curve each."""
@@ -32,8 +32,6 @@ class StudySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """End of its axis, metres."""
     distance_step: float
     """Step of its axis, metres."""
-    figure_4: dict[str, tuple[float, ...]]
-    """Edges between the groups of Figure 4: metres, degrees, seconds."""
 
 
 @cache

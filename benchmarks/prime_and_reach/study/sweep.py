@@ -17,7 +17,7 @@ from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.record import CONTROL
 from prbench.harness.run_folder.scores import read_scores
 from prbench.metrics import MotionBatch
-from prbench.metrics.prime_success import Variant, primed
+from prbench.metrics.prime_success import primed
 from prbench.metrics.ray_track import candidate_frames, head_track
 from prbench.protocol.manifests import MetricConstants
 from prbench.tables import Block, Cell, Column, Row, Table
@@ -25,7 +25,7 @@ from prbench_benchmarks.prime_and_reach.study.genuine import GenuineRun, load_st
 from prbench_benchmarks.prime_and_reach.study.sizes import SYNTHETIC_NOTE, origin_of
 
 _COLUMNS = ["goal_location", "prime_time", "start_time", "head_tilt_deg", "fps", "joints"]
-_METRIC = {"equation": "prime_success", "onset": "prime_success_onset"}
+_METRIC = "prime_success"
 _PRINTED_DISTANCES = (0.1, 0.25, 0.5, 1.0)  # metres, columns of the printed table; the CSV has all
 
 
@@ -34,7 +34,6 @@ class Sweep:
     """Prime Success of one run over both limits."""
 
     run: GenuineRun
-    variant: Variant
     windows: tuple[float, ...]
     """σ, seconds."""
     distances: tuple[float, ...]
@@ -44,12 +43,11 @@ class Sweep:
     sequences: int
 
 
-def sweep(run: GenuineRun, *, variant: Variant, engine: Engine) -> Sweep:
+def sweep(run: GenuineRun, *, engine: Engine) -> Sweep:
     """Compute Prime Success for every pair of limits.
 
     Args:
         run: Whose scores were held against its motions.
-        variant: Reading of the deceleration (docs/specification/metrics.md#prime-success).
         engine: Where the windows of sequences are worked on.
 
     Raises:
@@ -71,7 +69,7 @@ def sweep(run: GenuineRun, *, variant: Variant, engine: Engine) -> Sweep:
     constants = run.protocol.metrics
     sums = np.zeros((len(windows), len(distances)))
     motions = 0
-    swept = partial(_swept, constants=constants, windows=windows, distances=distances, variant=variant)
+    swept = partial(_swept, constants=constants, windows=windows, distances=distances)
     for successes in engine.map(swept, list(_motions(run, selection))):
         sums += successes.sum(axis=-1)
         motions += successes.shape[-1]
@@ -79,14 +77,14 @@ def sweep(run: GenuineRun, *, variant: Variant, engine: Engine) -> Sweep:
     # Hold the sweep against the stored scores where both have the same limits.
     if constants.prime_window in windows and constants.prime_distance in distances:
         found = rates[windows.index(constants.prime_window), distances.index(constants.prime_distance)]
-        of_metric = np.array(scores["metric"].to_pylist()) == _METRIC[variant]
+        of_metric = np.array(scores["metric"].to_pylist()) == _METRIC
         stored = scores["value"].to_numpy()[of_metric].mean()
         if abs(stored - found) > 1e-9:
             raise RunError(
                 f"{run.run.path}: expected a Prime Success of {stored:.6f} at the protocol's limits, as its scores"
                 f" say, found {found:.6f}. One of its files was edited. Run the method again."
             )
-    return Sweep(run, variant, windows, distances, rates, len(selection))
+    return Sweep(run, windows, distances, rates, len(selection))
 
 
 def _motions(run: GenuineRun, selection: Selection) -> Iterator[tuple[MotionBatch, dict[str, np.ndarray]]]:
@@ -110,7 +108,6 @@ def _swept(
     constants: MetricConstants,
     windows: tuple[float, ...],
     distances: tuple[float, ...],
-    variant: Variant,
 ) -> Float[np.ndarray, "windows distances n"]:
     """Success of each motion for each pair of limits."""
     motion, judged_by = work
@@ -125,7 +122,7 @@ def _swept(
         track = head_track(motion, candidates, judged_by["goal"], judged_by["tilt"], fps, within)
         for j, distance in enumerate(distances):
             limits = msgspec.structs.replace(within, prime_distance=distance)
-            found[i, j] = primed(track, candidates, limits, variant)
+            found[i, j] = primed(track, candidates, limits, "equation")
     return found
 
 
@@ -147,7 +144,7 @@ def sweep_table(sweeps: Sequence[Sweep]) -> Table:
                         condition=record.condition,
                         method=record.method.name,
                         variant=f"sigma {window:g} s; delta {distance:g} m",
-                        metric=_METRIC[one.variant],
+                        metric=_METRIC,
                         value=float(100 * rate),
                         unit="%",
                         sequences=one.sequences,
@@ -160,7 +157,7 @@ def sweep_table(sweeps: Sequence[Sweep]) -> Table:
     columns = [Column(key=f"{distance:g}", title=f"δ = {distance:g} m") for distance in _PRINTED_DISTANCES]
     return Table(
         number="of Figure S3",
-        title=f"Prime Success in % ({sweeps[0].variant}) over δ (columns) and σ (rows)",
+        title="Prime Success in % over δ (columns) and σ (rows)",
         columns=(Column(key="window", title="σ", text=True), *columns),
         blocks=tuple(blocks),
         notes=(

@@ -73,24 +73,16 @@ def test_pick_and_put_are_the_table_s_own_words(opened, table):
     ]
 
 
-def test_bins_are_in_the_order_of_their_size(opened):
-    rows = breakdown_table(opened, "gap").blocks[0].rows
-    names = ["below 1 s", "1 to 3 s", "3 s and more"]
-    found = [row.text["group"] for row in rows]
-    assert found == [name for name in names if name in found]
-
-
 def test_an_unknown_grouping_is_refused(opened):
     with pytest.raises(UsageError, match="--by: unknown 'colour'"):
         breakdown_table(opened, "colour")
 
 
-@pytest.mark.parametrize("variant", ["equation", "onset"])
-def test_a_sweep_is_what_scoring_under_other_limits_gives(variant, opened, table):
+def test_a_sweep_is_what_scoring_under_other_limits_gives(opened, table):
     run = opened[0]
-    found = sweep(run, variant=variant, engine=InProcess())
+    found = sweep(run, engine=InProcess())
     assert (found.windows, len(found.distances)) == ((0.0, 0.25, 0.5, 0.75, 1.0, 1.25), 41)
-    metric = "prime_success" if variant == "equation" else "prime_success_onset"
+    metric = "prime_success"
     motions, targets = _motions(run, table)
     for i, j in ((1, 4), (4, 10), (5, 30)):
         limits = msgspec.structs.replace(
@@ -98,9 +90,8 @@ def test_a_sweep_is_what_scoring_under_other_limits_gives(variant, opened, table
         )
         expected = score(motions, motions, targets, limits, metrics=[metric])[metric].value.mean()
         assert found.rates[i, j] == pytest.approx(expected)
-    if variant == "equation":
-        assert (np.diff(found.rates, axis=1) >= 0).all()
-        assert (np.diff(found.rates[1:], axis=0) >= 0).all()
+    assert (np.diff(found.rates, axis=1) >= 0).all()
+    assert (np.diff(found.rates[1:], axis=0) >= 0).all()
 
 
 def _motions(run, table) -> tuple[MotionBatch, ScoringTargets]:
@@ -121,7 +112,7 @@ def _motions(run, table) -> tuple[MotionBatch, ScoringTargets]:
 
 
 def test_a_sweep_has_a_row_a_window_and_every_point_in_its_numbers(opened):
-    made = sweep_table([sweep(opened[0], variant="equation", engine=InProcess())])
+    made = sweep_table([sweep(opened[0], engine=InProcess())])
     assert [row.text["window"] for row in made.blocks[0].rows] == ["0 s", "0.25 s", "0.5 s", "0.75 s", "1 s", "1.25 s"]
     assert len(made.cells) == 6 * 41
     assert {value.origin for value in made.cells} == {"measured on synthetic data"}
@@ -207,7 +198,7 @@ def test_tables_are_made_by_their_commands(runs, table, tmp_path, capsys):
     for words in (
         ["table-1", data],
         ["table-s2", data],
-        ["table-2", folder, "--data", data, "--with-published", "--part", "synthetic-adt"],
+        ["table-2", folder, "--data", data, "--with-published"],
         ["table-s3", folder, "--data", data],
         ["table-s1", folder, "--data", data],
     ):
@@ -217,12 +208,6 @@ def test_tables_are_made_by_their_commands(runs, table, tmp_path, capsys):
         assert report["tables"][0]["blocks"][0]["rows"][0]["cells"]
         assert all(path.stat().st_size for path in files)
         require_whole_latex(files[1].read_text())
-
-
-def test_an_unknown_part_is_refused(runs, table, capsys):
-    words = ["study", "table-2", str(runs["scripted"]), "--data", str(table.folder), "--part", "adt"]
-    assert main(words) == UsageError.exit_code
-    assert "no run is of 'adt'; those named are of: synthetic-adt" in capsys.readouterr().err
 
 
 def test_a_synthetic_run_that_claims_real_recordings_is_refused(runs, table, tmp_path, capsys):
