@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import copy
-import weakref
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int
-from torch import nn
 
 from prbench.contract import ConditionBatch, Cost, Motions
 from prbench_adapters.diffusion.configuration import EncodedCondition
-from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser
 from prbench_adapters.diffusion.generation import (
     Guided,
     ModelBodies,
@@ -27,12 +21,11 @@ from prbench_adapters.diffusion.generation import (
 )
 from prbench_adapters.diffusion.model import MotionModel, led_to_goal
 from prbench_adapters.diffusion.noise_optimisation.optimise import (
-    History,
     Joints,
-    NoiseDecoder,
-    ObjectiveFromSettings,
+    Objective,
     OptimisedMotions,
     Targets,
+    Watch,
     optimise,
     prime_and_reach,
 )
@@ -40,27 +33,6 @@ from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationS
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim
 
 Noise = Float[torch.Tensor, "batch frames features"]
-Network = TypeVar("Network", bound=Denoiser | FrameDenoiser)
-_COMPILED: weakref.WeakKeyDictionary[nn.Module, Any] = weakref.WeakKeyDictionary()
-
-
-@runtime_checkable
-class FrozenModel(Protocol):
-    """The part of a ``MotionModel`` that the optimisation needs."""
-
-    @property
-    def denoiser(self) -> Denoiser | FrameDenoiser:
-        """The network, in evaluation mode, its weights without gradients."""
-        ...
-
-    def joints(self, normalised: Noise, condition: EncodedCondition, n_frames: Int[torch.Tensor, " batch"]) -> Joints:
-        """Joints of standardised features, canonical frame, metres."""
-        ...
-
-
-@dataclass
-class _Counter:
-    passes: int = 0
 
 
 class UnrolledChain:
@@ -70,33 +42,34 @@ class UnrolledChain:
     Activations of ``settings.checkpointing`` steps at a time are computed again in the backward pass.
 
     Args:
-        model: Frozen.
+        model: Frozen: its network and the joints of its features are taken from here.
         condition: B rows, on the device of the model.
         n_frames: Frames of each sequence, on the CPU.
         settings: Steps, guidance, precision and checkpointing are taken from here.
+        lengths: Of each sequence's bones, metres, if the motions are to keep them.
+        counter: Forward passes so far, one number.
     """
 
     def __init__(
         self,
-        model: FrozenModel,
+        model: Any,
         condition: EncodedCondition,
         n_frames: Int[torch.Tensor, " batch"],
         settings: OptimisationSettings,
         *,
-        counter: _Counter | None = None,
+        lengths: Float[torch.Tensor, "batch 21"] | None = None,
+        counter: list[int] | None = None,
     ) -> None:
         self._model, self._condition, self._n_frames = model, condition, n_frames
-        self._settings, self._counter = settings, counter or _Counter()
+        self._settings, self._lengths, self._counter = settings, lengths, counter or [0]
         self._schedule = CosineSchedule(model.denoiser.configuration.diffusion_steps)
-        denoiser = compiled(model.denoiser) if settings.compiled else model.denoiser
-        self._guided = Guided(
-            denoiser, condition, n_frames, settings.guidance, reuse=True, precision=settings.precision
-        )
+        guidance, precision = settings.guidance, settings.precision
+        self._guided = Guided(model.denoiser, condition, n_frames, guidance, reuse=True, precision=precision)
 
     @property
     def network_passes(self) -> int:
         """Forward passes so far, a sequence: two a step with guidance, and those that are computed again."""
-        return self._counter.passes
+        return self._counter[0]
 
     def __call__(self, noise: Noise) -> Joints:
         """Joints of every sequence, canonical frame, metres."""
@@ -109,7 +82,8 @@ class UnrolledChain:
             spacing=settings.spacing,
             checkpointing=settings.checkpointing,
         )
-        return self._model.joints(clean, self._condition, self._n_frames)
+        joints = self._model.joints(clean, self._condition, self._n_frames)
+        return joints if self._lengths is None else with_bone_lengths(joints, self._lengths)
 
     def rows(self, index: Int[torch.Tensor, " kept"]) -> UnrolledChain:
         """The chain of some of the sequences; passes are counted together."""
@@ -118,53 +92,17 @@ class UnrolledChain:
             self._condition.rows(index),
             self._n_frames[index.cpu()],
             self._settings,
+            lengths=None if self._lengths is None else self._lengths[index],
             counter=self._counter,
         )
 
     def _denoise(self, noisy: Noise, step: int) -> Noise:
-        self._counter.passes += 2 if self._guided.doubled else 1
+        self._counter[0] += 2 if self._guided.doubled else 1
         return self._guided(noisy, step)
 
 
-class OnOwnBones:
-    """A decoder whose motions keep bone lengths that are given (:mod:`prbench_adapters.diffusion.generation`).
-
-    Args:
-        decoder: Whose motions.
-        lengths: Of each sequence's bones, metres.
-    """
-
-    def __init__(self, decoder: NoiseDecoder, lengths: Float[torch.Tensor, "batch 21"]) -> None:
-        self._decoder, self._lengths = decoder, lengths
-
-    @property
-    def network_passes(self) -> int:
-        """Passes of the decoder."""
-        return self._decoder.network_passes
-
-    def __call__(self, noise: Noise) -> Joints:
-        """Joints of every sequence, canonical frame, metres."""
-        return with_bone_lengths(self._decoder(noise), self._lengths)
-
-    def rows(self, index: Int[torch.Tensor, " kept"]) -> OnOwnBones:
-        """The same for some of the sequences."""
-        return OnOwnBones(self._decoder.rows(index), self._lengths[index])
-
-
-def compiled(denoiser: Network) -> Network:
-    """Send the passes of a network through ``torch.compile``, for any batch and length; compiled at most once.
-
-    Weights are shared. The first pass takes a minute or more, and on a processor needs a C++ compiler.
-    """
-    if denoiser not in _COMPILED:
-        twin = copy.copy(denoiser)  # shares parameters and buffers
-        object.__setattr__(twin, "denoise", torch.compile(denoiser.denoise, dynamic=True))
-        _COMPILED[denoiser] = twin
-    return _COMPILED[denoiser]
-
-
 def optimise_noise(
-    model: FrozenModel,
+    model: Any,
     condition: EncodedCondition,
     targets: Targets,
     n_frames: Int[torch.Tensor, " batch"],
@@ -172,7 +110,8 @@ def optimise_noise(
     settings: OptimisationSettings,
     *,
     seeds: Sequence[int],
-    objective: ObjectiveFromSettings = prime_and_reach,
+    objective: Objective = prime_and_reach,
+    watch: Watch | None = None,
 ) -> OptimisedMotions:
     """Optimise the noise of B sequences, in parts of similar length.
 
@@ -185,39 +124,32 @@ def optimise_noise(
         settings: A preset of :mod:`~prbench_adapters.diffusion.noise_optimisation.settings`, changed or not.
         seeds: One per sequence, usually its ``noise_seed``.
         objective: What is minimised: the paper's losses, or DNO's ``keyframes``.
+        watch: Called in every iteration of each part.
     """
-    parts = []
+    batch, frames = noise.shape[:2]
+    found = OptimisedMotions(
+        noise.new_zeros((batch, frames, 22, 3)),
+        noise.clone(),
+        noise.new_zeros(batch),
+        noise.new_zeros(batch),
+        torch.zeros(batch, dtype=torch.int64),
+    )
     for rows in parts_of_similar_length(n_frames.numpy(), settings.batch_size):
-        lengths = n_frames[torch.as_tensor(rows)]
+        own = n_frames[torch.as_tensor(rows)]
         index = torch.as_tensor(rows, device=noise.device)
         wanted = targets.rows(index)
+        bones = bone_lengths(wanted.initial_joints) if settings.bones == "initial" else None
         # A chain for each part, because the condition is prepared for its rows once and for all iterations.
-        decoder: NoiseDecoder = UnrolledChain(model, condition.rows(index), lengths, settings)
-        if settings.bones == "initial":
-            decoder = OnOwnBones(decoder, bone_lengths(wanted.initial_joints))
-        part = optimise(
-            decoder,
-            objective(settings),
-            wanted,
-            noise[index, : int(lengths.max())],
-            lengths.to(noise.device),
-            [seeds[row] for row in rows],
-            settings,
-        )
-        parts.append((rows, part))
-    batch, frames = noise.shape[:2]
-    joints = noise.new_zeros((batch, frames, 22, 3))
-    found = noise.clone()
-    initial, goal, jerk = (noise.new_zeros(batch) for _ in range(3))
-    passes, iterations = (torch.zeros(batch, dtype=torch.int64) for _ in range(2))
-    history = History.empty(settings.iterations, batch)
-    for rows, part in parts:
-        own = part.joints.shape[1]
-        joints[rows, :own], found[rows, :own] = part.joints, part.noise
-        initial[rows], goal[rows], jerk[rows] = part.initial, part.goal, part.jerk
-        passes[rows], iterations[rows] = part.network_passes.cpu(), part.iterations.cpu()
-        history.put_rows(rows, part.history)
-    return OptimisedMotions(joints, found, n_frames, initial, goal, jerk, passes, iterations, history)
+        chain = UnrolledChain(model, condition.rows(index), own, settings, lengths=bones)
+        start = noise[index, : int(own.max())]
+        seeds_here = [seeds[row] for row in rows]
+        lengths = own.to(noise.device)
+        part = optimise(chain, objective, wanted, start, lengths, seeds_here, settings, watch=watch)
+        found.joints[rows, : start.shape[1]] = part.joints
+        found.noise[rows, : start.shape[1]] = part.noise
+        found.initial[rows], found.goal[rows] = part.initial, part.goal
+        found.network_passes[rows] = part.network_passes.cpu()
+    return found
 
 
 def generate_optimised(
@@ -225,7 +157,7 @@ def generate_optimised(
     batch: ConditionBatch,
     settings: OptimisationSettings,
     *,
-    objective: ObjectiveFromSettings = prime_and_reach,
+    objective: Objective = prime_and_reach,
     texts: tuple[str, ...] | None = None,
 ) -> Motions:
     """Sample one motion for each row and optimise its noise.
@@ -245,7 +177,7 @@ def generate_optimised(
     found = optimise_batch(model, bodies.batch, settings, objective=objective, texts=texts)
     joints = found.joints
     if settings.reach == "goal" and batch.goal_location is not None:
-        joints = led_to_goal(model, joints, model.encode(bodies.batch, texts=texts), found.n_frames)
+        joints = led_to_goal(model, joints, model.encode(bodies.batch, texts=texts), torch.as_tensor(batch.n_frames))
     cost = Cost(network_passes=int(found.network_passes.sum()))
     return Motions(bodies.own(joints.cpu().numpy()), batch.n_frames, cost)
 
@@ -255,7 +187,7 @@ def optimise_batch(
     batch: ConditionBatch,
     settings: OptimisationSettings,
     *,
-    objective: ObjectiveFromSettings = prime_and_reach,
+    objective: Objective = prime_and_reach,
     texts: tuple[str, ...] | None = None,
 ) -> OptimisedMotions:
     """:func:`generate_optimised` with all that the optimisation reports; the batch is on the model's skeleton."""
@@ -279,13 +211,9 @@ def targets_of(batch: ConditionBatch, device: torch.device) -> Targets:
     """
     if batch.initial_joints is None or batch.previous_joints is None:
         raise ValueError(f"noise optimisation cannot use the condition '{batch.condition.value}'")
-    return Targets(
-        initial_joints=_tensor(batch.initial_joints, device),
-        previous_joints=_tensor(batch.previous_joints, device),
-        goal_joints=None if batch.goal_joints is None else _tensor(batch.goal_joints, device),
-        goal_location=None if batch.goal_location is None else _tensor(batch.goal_location, device),
-    )
-
-
-def _tensor(values: np.ndarray, device: torch.device) -> torch.Tensor:
-    return torch.as_tensor(values, dtype=torch.float32, device=device)
+    names = ("initial_joints", "previous_joints", "goal_joints", "goal_location")
+    given = {name: getattr(batch, name) for name in names}
+    tensors = {
+        name: torch.as_tensor(v, dtype=torch.float32, device=device) for name, v in given.items() if v is not None
+    }
+    return Targets(**tensors)

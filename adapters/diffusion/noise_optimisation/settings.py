@@ -15,29 +15,14 @@ from prbench_adapters.diffusion.model import Reach
 from prbench_adapters.diffusion.sampling import Spacing
 
 Hand = Literal["right", "left", "nearest"]
-Keep = Literal["last", "best"]
 Bones = Literal["predicted", "initial"]
 
 _FAST_PASSES = 400
 _FAST_STEPS = 4
-_SHARED = (
-    "ddim-steps",
-    "spacing",
-    "iterations",
-    "learning-rate",
-    "decorrelation",
-    "hand",
-    "bones",
-    "keep",
-    "stop-below",
-    "checkpointing",
-    "precision",
-    "compile",
-)
-PRIME_AND_REACH_OPTIONS = (*_SHARED, "reach", "alpha", "initial-velocity-weight")
-"""Options that go with the objective ``prime_and_reach``."""
-KEYFRAME_OPTIONS = (*_SHARED, "initial-frames")
+KEYFRAME_OPTIONS = ("ddim-steps", "iterations", "learning-rate", "decorrelation", "hand", "bones", "precision")
 """Options that go with the objective ``keyframes``."""
+PRIME_AND_REACH_OPTIONS = (*KEYFRAME_OPTIONS, "reach", "alpha", "initial-velocity-weight")
+"""Options that go with the objective ``prime_and_reach``."""
 _MOST_ITERATIONS = 100_000
 
 
@@ -57,8 +42,6 @@ class OptimisationSettings:
     learning_rate: float = 0.05
     warmup: int = 50
     """Iterations over which the learning rate grows from 0."""
-    unit_gradient: bool = True
-    """Bring each sequence's gradient to length 1 before Adam."""
     jerk_weight: float = 0.5
     """The paper's alpha."""
     jerk_power: float | None = None
@@ -66,8 +49,6 @@ class OptimisationSettings:
     decorrelation_weight: float = 1000.0
     """DNO's; the paper does not mention this term, so 0 is its literal reading."""
     initial_velocity_weight: float = 0.0
-    initial_frames: int = 1
-    """First frames that the keyframe criterion of DNO asks for: 1, or 2 with the initial velocity."""
     hand: Hand = "right"
     """Wrist that a goal location is meant for; ``nearest`` leaves the choice to the motion."""
     bones: Bones = "predicted"
@@ -77,7 +58,7 @@ class OptimisationSettings:
     yet; goal-frame features alone."""
     guidance: float = 1.0
     """Scale of classifier-free guidance; anything but 1 doubles the network passes."""
-    keep: Keep = "last"
+    keep: Literal["last", "best"] = "last"
     """Iterate that is the result: the last, or the one with the lowest initial plus goal loss."""
     stop_below: float | None = None
     """Initial and goal loss, m², below which a sequence is finished; None runs all iterations."""
@@ -85,17 +66,14 @@ class OptimisationSettings:
     """Steps a block whose activations are computed again instead of kept; 0 keeps all."""
     precision: Precision = "float32"
     """Precision of the network; schedule, integration and losses are float32 always."""
-    compiled: bool = False
-    """Send the network through ``torch.compile``."""
     batch_size: int = 16
     """Most sequences that are optimised side by side; no result depends on it beyond rounding."""
 
     def __post_init__(self) -> None:
-        for name in ("ddim_steps", "iterations"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}': expected 1 or more, found {getattr(self, name)}.")
-        if self.initial_frames not in (1, 2):
-            raise ValueError(f"'initial_frames': expected 1 or 2, found {self.initial_frames}.")
+        if min(self.ddim_steps, self.iterations) < 1:
+            raise ValueError(
+                f"'ddim_steps', 'iterations': expected 1 or more, found {self.ddim_steps}, {self.iterations}."
+            )
 
 
 def paper(diffusion_steps: int) -> OptimisationSettings:
@@ -173,11 +151,9 @@ def optimisation_settings(
         ValueError: naming the option with a value that is not possible.
     """
     iterations = whole_number(options, "iterations", most=_MOST_ITERATIONS) or preset.iterations
-    blocks = whole_number(options, "checkpointing", most=diffusion_steps) if options.get("checkpointing") != "0" else 0
     return replace(
         preset,
         ddim_steps=whole_number(options, "ddim-steps", most=diffusion_steps) or preset.ddim_steps,
-        spacing=cast(Spacing, choice(options, "spacing", get_args(Spacing), preset.spacing)),
         iterations=iterations,
         # The warm-up keeps its share of the whole, or a short run would be nothing else.
         warmup=round(preset.warmup * iterations / preset.iterations),
@@ -185,13 +161,8 @@ def optimisation_settings(
         jerk_weight=number(options, "alpha", preset.jerk_weight),
         decorrelation_weight=number(options, "decorrelation", preset.decorrelation_weight),
         initial_velocity_weight=number(options, "initial-velocity-weight", preset.initial_velocity_weight),
-        initial_frames=whole_number(options, "initial-frames", most=2) or preset.initial_frames,
         hand=cast(Hand, choice(options, "hand", get_args(Hand), preset.hand)),
         bones=cast(Bones, choice(options, "bones", get_args(Bones), preset.bones)),
         reach=cast(Reach, choice(options, "reach", get_args(Reach), preset.reach)),
-        keep=cast(Keep, choice(options, "keep", get_args(Keep), preset.keep)),
-        stop_below=number(options, "stop-below", 0.0) if "stop-below" in options else preset.stop_below,
-        checkpointing=preset.checkpointing if blocks is None else blocks,
         precision=cast(Precision, choice(options, "precision", get_args(Precision), preset.precision)),
-        compiled=choice(options, "compile", ("false", "true"), str(preset.compiled).lower()) == "true",
     )

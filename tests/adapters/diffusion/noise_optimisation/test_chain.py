@@ -90,18 +90,3 @@ def test_bfloat16_stays_near_float32_and_leaves_joints_in_float32():
     assert joints.dtype == torch.float32
     torch.testing.assert_close(joints, _chain()(_noise()), rtol=0, atol=0.05)
     assert not torch.equal(joints, _chain()(_noise()))
-
-
-def test_a_compiled_network_is_used_for_every_pass_and_compiled_once(monkeypatch):
-    calls = []
-
-    def counting(function, **_):
-        calls.append("compiled")
-        return lambda *inputs: calls.append("pass") or function(*inputs)
-
-    monkeypatch.setattr(torch, "compile", counting)
-    model = tiny.model()
-    chain = _chain(replace(SETTINGS, compiled=True), model)
-    torch.testing.assert_close(chain(_noise()), _chain(model=model)(_noise()))
-    chain.rows(torch.tensor([0]))(_noise()[:1])
-    assert (calls.count("compiled"), calls.count("pass")) == (1, 8)

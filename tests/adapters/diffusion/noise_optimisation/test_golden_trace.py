@@ -44,13 +44,27 @@ def arrays(samples):
 @pytest.fixture(scope="module")
 def solved(arrays):
     """The whole run, 60 iterations."""
-    return _solve(arrays, PUBLISHED)
+    trace = Trace()
+    trace.found = _solve(arrays, PUBLISHED, trace)
+    return trace
 
 
-def _solve(arrays, settings, rows=slice(None)):
+class Trace:
+    """Noise, losses and other numbers of every iteration."""
+
+    def __init__(self):
+        self.noises, self.losses, self.numbers = [], [], []
+
+    def __call__(self, noise, losses, numbers):
+        self.noises.append(noise)
+        self.losses.append(losses)
+        self.numbers.append(numbers)
+
+
+def _solve(arrays, settings, watch):
     network = golden.denoiser(arrays, diffusion_steps=1000)
     model = GoldenModel(network, torch.from_numpy(arrays["mean"]), torch.from_numpy(arrays["std"]))
-    noise, target = golden.features(arrays["z0"])[rows], torch.from_numpy(arrays["target"])[rows]
+    noise, target = golden.features(arrays["z0"]), torch.from_numpy(arrays["target"])
     text = torch.from_numpy(arrays["text"]).expand(len(noise), 1, -1)
     condition = EncodedCondition(text, torch.zeros(text.shape[:2], dtype=torch.bool))
     return optimise_noise(
@@ -66,6 +80,7 @@ def _solve(arrays, settings, rows=slice(None)):
         settings,
         seeds=range(len(noise)),
         objective=keyframes,
+        watch=watch,
     )
 
 
@@ -76,37 +91,27 @@ def test_kept_steps_are_those_of_the_reference(arrays):
 
 
 def test_the_noise_after_five_steps(arrays, solved):
-    """An end after five iterations decodes what five steps have made, of the schedule of sixty."""
-    from prbench_adapters.diffusion.noise_optimisation import optimise
-
-    class FiveOfSixty(optimise._Search):
-        def iterate(self, active, iteration):
-            active = super().iterate(active, iteration)
-            if iteration == 4:
-                self.finish(active)
-                active = active.part(torch.zeros(0, dtype=torch.int64))
-            return active
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(optimise, "_Search", FiveOfSixty)
-        early = _solve(arrays, PUBLISHED)
-    torch.testing.assert_close(early.noise, golden.features(arrays["z_after_5"]), rtol=0, atol=1e-5)
+    assert solved.noises[5].shape == golden.features(arrays["z_after_5"]).shape
+    torch.testing.assert_close(solved.noises[5], golden.features(arrays["z_after_5"]), rtol=0, atol=1e-5)
 
 
 def test_losses_decorrelation_and_gradient_norms_of_all_iterations(arrays, solved):
-    history = solved.history
-    np.testing.assert_allclose(history.minimised.T, arrays["loss"], rtol=0, atol=2e-4)
-    np.testing.assert_allclose(history.decorrelation.T, arrays["decorrelation"], rtol=0, atol=2e-6)
-    np.testing.assert_allclose(history.gradient_norm.T[:, :20], arrays["grad_norm"][:, :20], rtol=1e-3)  # then chaotic
-    np.testing.assert_allclose(history.learning_rate, arrays["lr"], rtol=0, atol=1e-12)
+    minimised = torch.stack([losses.minimised.detach() for losses in solved.losses], dim=1)
+    np.testing.assert_allclose(minimised, arrays["loss"], rtol=0, atol=2e-4)
+    of_all = {name: [numbers[name] for numbers in solved.numbers] for name in solved.numbers[0]}
+    decorrelated = torch.stack(of_all["decorrelation"], dim=1).detach()
+    np.testing.assert_allclose(decorrelated, arrays["decorrelation"], rtol=0, atol=2e-6)
+    norms = torch.stack(of_all["gradient_norm"], dim=1)
+    np.testing.assert_allclose(norms[:, :20], arrays["grad_norm"][:, :20], rtol=1e-3)  # then chaotic
+    np.testing.assert_allclose(of_all["learning_rate"], arrays["lr"], rtol=0, atol=1e-12)
 
 
 def test_the_last_noise(arrays, solved):
-    torch.testing.assert_close(solved.noise, golden.features(arrays["z_final"]), rtol=0, atol=2e-2)
+    torch.testing.assert_close(solved.found.noise, golden.features(arrays["z_final"]), rtol=0, atol=2e-2)
 
 
 def test_guided_passes_are_counted_twice_and_the_last_decoding_too(solved):
-    assert solved.network_passes.tolist() == [61 * 10 * 2] * 2
+    assert solved.found.network_passes.tolist() == [61 * 10 * 2] * 2
 
 
 @pytest.mark.parametrize("size", [64, 128])

@@ -34,11 +34,10 @@ def test_the_fast_mode_spends_at_most_400_passes(trained):
 
 
 def test_options_change_a_preset_and_the_warmup_keeps_its_share():
-    given = {"iterations": "200", "hand": "nearest", "decorrelation": "0", "alpha": "0.1", "stop-below": "1e-6"}
+    given = {"iterations": "200", "hand": "nearest", "decorrelation": "0", "alpha": "0.1"}
     settings = optimisation_settings(given, paper(50), diffusion_steps=50)
     assert (settings.iterations, settings.warmup) == (200, 25)
     assert (settings.hand, settings.decorrelation_weight, settings.jerk_weight) == ("nearest", 0.0, 0.1)
-    assert settings.stop_below == 1e-6
     assert settings.learning_rate == 0.05
 
 
@@ -53,9 +52,7 @@ def test_without_options_a_preset_stays_as_it_is():
         ("ddim-steps", "51"),
         ("iterations", "0"),
         ("hand", "both"),
-        ("keep", "first"),
         ("alpha", "-1"),
-        ("initial-frames", "3"),
         ("precision", "float16"),
     ],
 )
@@ -64,16 +61,10 @@ def test_an_impossible_value_is_refused_by_name(key, value):
         optimisation_settings({key: value}, paper(50), diffusion_steps=50)
 
 
-def test_recomputation_can_be_switched_off():
-    assert optimisation_settings({"checkpointing": "0"}, paper(50), diffusion_steps=50).checkpointing == 0
-
-
 def test_every_option_changes_something():
     other = {
         "ddim-steps": "3", "iterations": "9", "learning-rate": "1", "alpha": "2", "decorrelation": "3",
-        "initial-velocity-weight": "4", "initial-frames": "2", "hand": "left", "bones": "initial", "keep": "best",
-        "stop-below": "1", "reach": "goal", "spacing": "trailing", "checkpointing": "2", "precision": "bfloat16",
-        "compile": "true",
+        "initial-velocity-weight": "4", "hand": "left", "bones": "initial", "reach": "goal", "precision": "bfloat16",
     }  # fmt: skip
     assert set(other) == {*KEYFRAME_OPTIONS, *PRIME_AND_REACH_OPTIONS}
     preset = OptimisationSettings()

@@ -3,11 +3,11 @@ from __future__ import annotations
 import pytest
 import torch
 
+from prbench.randomness import named_generator
 from prbench_adapters.diffusion.noise_optimisation.optimise import (
-    DecorrelationPadding,
     decorrelation,
     learning_rate_factor,
-    power_of_two_above,
+    padded_decorrelation,
 )
 from tests.adapters.diffusion.noise_optimisation.linear import noise
 
@@ -17,42 +17,34 @@ def test_two_cases_worked_by_hand(frames, expected):
     assert decorrelation(torch.tensor(frames).reshape(1, 4, 1)).item() == pytest.approx(expected)
 
 
+def _streams(*seeds):
+    return [named_generator("prbench-decorrelation", seed) for seed in seeds]
+
+
 def test_lengths_that_are_powers_of_two_are_not_padded():
     given = noise(2, 16)
-    padding = DecorrelationPadding([1, 2], torch.tensor([16, 16]))
-    torch.testing.assert_close(padding.loss(given), decorrelation(given))
+    found = padded_decorrelation(given, torch.tensor([16, 16]), _streams(1, 2))
+    torch.testing.assert_close(found, decorrelation(given))
 
 
 def test_each_sequence_is_padded_from_its_own_stream_whatever_the_batch():
     given, lengths = noise(3, 20), torch.tensor([20, 9, 16])
-    together = DecorrelationPadding([5, 6, 7], lengths)
-    first, second = together.loss(given), together.loss(given)
+    together = _streams(5, 6, 7)
+    first, second = (padded_decorrelation(given, lengths, together) for _ in range(2))
     for row in range(3):
-        alone = DecorrelationPadding([5 + row], lengths[row : row + 1])
-        torch.testing.assert_close(alone.loss(given[row : row + 1]), first[row : row + 1])
-        torch.testing.assert_close(alone.loss(given[row : row + 1]), second[row : row + 1])
+        alone = _streams(5 + row)
+        for expected in (first, second):
+            own = padded_decorrelation(given[row : row + 1], lengths[row : row + 1], alone)
+            torch.testing.assert_close(own, expected[row : row + 1])
     assert first[0] != second[0], "the padding is drawn anew each time"
     assert first[2] == second[2]
 
 
-def test_rows_that_stay_go_on_with_their_streams():
-    given, lengths = noise(2, 12), torch.tensor([12, 12])
-    whole, halved = DecorrelationPadding([1, 2], lengths), DecorrelationPadding([1, 2], lengths)
-    whole.loss(given)
-    halved.loss(given)
-    torch.testing.assert_close(halved.rows([1]).loss(given[1:]), whole.loss(given)[1:])
-
-
 def test_the_gradient_reaches_the_sequences_own_frames_only():
     given = noise(1, 12).requires_grad_()
-    (gradient,) = torch.autograd.grad(DecorrelationPadding([1], torch.tensor([9])).loss(given).sum(), given)
+    (gradient,) = torch.autograd.grad(padded_decorrelation(given, torch.tensor([9]), _streams(1)).sum(), given)
     assert gradient[0, 9:].abs().max() == 0.0
     assert (gradient[0, :9].abs() > 0).any(dim=-1).all()
-
-
-@pytest.mark.parametrize(("length", "padded"), [(1, 1), (2, 2), (3, 4), (150, 256), (256, 256), (257, 512)])
-def test_the_next_power_of_two(length, padded):
-    assert power_of_two_above(length) == padded
 
 
 @pytest.mark.parametrize(
