@@ -18,7 +18,6 @@ from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench_adapters.dart.model import OPTIONS, DartModel, DartSettings, dart_settings
 from prbench_adapters.dart.rollout import (
     GuidedDenoiser,
-    Primitive,
     SampleLatent,
     by_ddim,
     by_ddpm,
@@ -59,9 +58,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> Da
     """Entry point ``dart``.
 
     Options: ``optimise`` (on, or off for text alone), ``iterations`` (100), ``learning-rate`` (0.05), ``noise-scale``
-    (0.1), ``ddim-steps`` (all of the training's), ``guidance`` (5), ``gradient-norm`` (sequence, or batch as the
-    original), ``seeding`` (velocity or repeat), ``hand`` (right, nearest or left), ``jerk`` (0), ``floor`` (0),
-    ``checkpointing`` (off or on), ``text-path`` (files of the text encoder, if the weights need one that has some).
+    (0.1), ``ddim-steps`` (all of the training's), ``guidance`` (5), ``hand`` (right, nearest or left), ``text-path``
+    (files of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights; None for ``dart-small``.
@@ -100,10 +98,9 @@ def generate(model: DartModel, batch: ConditionBatch, settings: DartSettings) ->
     passes = 0
     primitives = _primitives(model, batch)
     for rows in parts_of_similar_cost(primitives, _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)):
-        part = _Part(model, _rows(bodies.batch, rows), settings)
-        own = part.motions()
+        own, spent = _sampled(model, _rows(bodies.batch, rows), settings)
         joints[rows, : own.shape[1]] = own
-        passes += part.passes
+        passes += spent
     return Motions(bodies.own(joints), batch.n_frames, Cost(passes))
 
 
@@ -126,77 +123,58 @@ def _primitives(model: DartModel, batch: ConditionBatch) -> Int[np.ndarray, " ba
     return np.array([model.configuration.primitives_for(int(n) + 1) for n in batch.n_frames])
 
 
-class _Part:
-    """Sequences that are generated side by side, the longest first."""
+def _sampled(
+    model: DartModel, batch: ConditionBatch, settings: DartSettings
+) -> tuple[Float[np.ndarray, "rows frames 22 3"], int]:
+    """Generate sequences side by side, the longest first.
 
-    def __init__(self, model: DartModel, batch: ConditionBatch, settings: DartSettings) -> None:
-        assert batch.text is not None
-        self.model, self.batch, self.settings = model, batch, settings
-        targets = targets_of(batch, model.device)
-        # A body at rest: the frame before the first is taken to be the first.
-        if settings.seeding == "repeat":
-            targets = replace(targets, previous_joints=targets.initial_joints)
-        self.targets = targets
-        self.n_frames = int(batch.n_frames.max())
-        primitives = _primitives(model, batch)
-        # Longest first, so that the sequences which have a primitive are always the first rows.
-        self.going_on = [int((primitives > number).sum()) for number in range(int(primitives.max()))]
-        previous, initial = (DART.from_y_up(each) for each in (targets.previous_joints, targets.initial_joints))
-        frames, self.placement = first_history(previous, initial)
-        self.history = model.scaling.standardised(frames)
-        self.denoiser = GuidedDenoiser(model.denoiser, model.text_vectors(batch.text), settings.guidance)
-        self.decoded = 0
-        self._noise = SequenceNoise(batch.noise_seed, np.ones(len(batch), dtype=np.int64), model.device)
+    Returns:
+        Joints, canonical frame, metres; passes of denoiser and decoder, summed over sequences, those for gradients
+        alone not counted.
+    """
+    assert batch.text is not None
+    targets = targets_of(batch, model.device)
+    n_frames = int(batch.n_frames.max())
+    primitives = _primitives(model, batch)
+    # Longest first, so that the sequences which have a primitive are always the first rows.
+    going_on = [int((primitives > number).sum()) for number in range(int(primitives.max()))]
+    previous, initial = (DART.from_y_up(each) for each in (targets.previous_joints, targets.initial_joints))
+    frames, placement = first_history(previous, initial)
+    history = model.scaling.standardised(frames)
+    denoiser = GuidedDenoiser(model.denoiser, model.text_vectors(batch.text), settings.guidance)
+    drawn = SequenceNoise(batch.noise_seed, np.ones(len(batch), dtype=np.int64), model.device)
+    decoded = 0
 
-    @property
-    def passes(self) -> int:
-        """Passes of denoiser and decoder, summed over sequences; those for gradients alone are not counted."""
-        return self.denoiser.passes + self.decoded
-
-    def motions(self) -> Float[np.ndarray, "rows frames 22 3"]:
-        """Generate the joints of the sequences, in the order of the batch that was given: canonical frame, metres."""
-        if not self.settings.optimised:
-            with torch.no_grad():
-                return self._joints(self._free()).cpu().numpy()
-        # Small noise: the start lies near the mean of what the model draws.
-        start = self.settings.noise_scale * torch.stack([self._draw() for _ in self.going_on])
-        lengths = torch.as_tensor(self.batch.n_frames, device=self.model.device)
-        found = optimise(self._from_noise, start, self.targets, lengths, self.settings)
-        return found.joints.cpu().numpy()
-
-    def _draw(self) -> Float[Tensor, "batch 1 latent"]:
+    def draw() -> Float[Tensor, "batch 1 latent"]:
         """The next noise of every sequence, drawn from its own seed: neither batch nor length changes a number."""
-        return self._noise.draw(self.model.configuration.latent)
+        return drawn.draw(model.configuration.latent)
 
-    def _free(self) -> list[Primitive]:
-        return self._roll_out(by_ddpm(self.denoiser, self.model.schedule, self._draw))
-
-    def _from_noise(self, noise: Float[Tensor, "primitives batch 1 latent"]) -> Float[Tensor, "batch frames 22 3"]:
-        sample = by_ddim(self.denoiser, self.model.schedule, noise, steps=self.settings.ddim_steps)
-        return self._joints(self._roll_out(sample))
-
-    def _roll_out(self, sample: SampleLatent) -> list[Primitive]:
-        self.decoded += sum(self.going_on)
-        return roll_out(
-            self.model,
-            self.history,
-            self.placement,
-            sample,
-            len(self.going_on),
-            going_on=self.going_on,
-            checkpointing=self.settings.checkpointing,
-        )
-
-    def _joints(self, primitives: list[Primitive]) -> Float[Tensor, "batch frames 22 3"]:
+    def rolled(sample: SampleLatent) -> Float[Tensor, "batch frames 22 3"]:
         """The initial pose and what follows it, cut to the longest sequence, zeros behind the others' end; canonical.
 
         The world that is rolled out in is the canonical frame with its axes exchanged, so nothing else has to be
         turned back.
         """
+        nonlocal decoded
+        decoded += sum(going_on)
+        done = roll_out(model, history, placement, sample, len(going_on), going_on=going_on)
         # Primitives of sequences that have ended have fewer rows; zeros keep the batch rectangular.
-        rows = [pad(each.joints, (0, 0) * 3 + (0, len(self.batch) - len(each.joints))) for each in primitives]
+        rows = [pad(each.joints, (0, 0) * 3 + (0, len(batch) - len(each.joints))) for each in done]
         future = DART.to_y_up(torch.cat(rows, dim=1))
-        return torch.cat((self.targets.initial_joints[:, None], future), dim=1)[:, : self.n_frames]
+        return torch.cat((targets.initial_joints[:, None], future), dim=1)[:, :n_frames]
+
+    def from_noise(noise: Float[Tensor, "primitives batch 1 latent"]) -> Float[Tensor, "batch frames 22 3"]:
+        return rolled(by_ddim(denoiser, model.schedule, noise, steps=settings.ddim_steps))
+
+    if settings.optimised:
+        # Small noise: the start lies near the mean of what the model draws.
+        start = settings.noise_scale * torch.stack([draw() for _ in going_on])
+        lengths = torch.as_tensor(batch.n_frames, device=model.device)
+        _, joints = optimise(from_noise, start, targets, lengths, settings)
+    else:
+        with torch.no_grad():
+            joints = rolled(by_ddpm(denoiser, model.schedule, draw))
+    return joints.cpu().numpy(), denoiser.passes + decoded
 
 
 def _rows(batch: ConditionBatch, rows: Int[np.ndarray, " rows"]) -> ConditionBatch:

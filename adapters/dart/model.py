@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal, cast
+from typing import cast
 
 import msgspec
 import torch
@@ -125,11 +125,12 @@ class Frames:
         """Some of the frames."""
         return Frames(*(getattr(self, field.name)[:, start:stop] for field in fields(self)))
 
-    def seen_from(self, placement: Placement) -> Frames:
-        """Express the frames in the frame of reference that ``placement`` places in the present one."""
+    def canonical(self) -> tuple[Frames, Placement]:
+        """The frames in the frame of reference of the first one, and where that stands."""
+        placement = canonical_placement(self.joints[:, 0])
         back = placement.rotation.mT
         origin = placement.origin
-        return Frames(
+        seen = Frames(
             translation=_turned(back, self.translation - _broadcast(origin, self.translation)),
             orientation=back[:, None] @ self.orientation,
             body=self.body,
@@ -139,11 +140,7 @@ class Frames:
             joints=_turned(back, self.joints - _broadcast(origin, self.joints)),
             joints_delta=_turned(back, self.joints_delta),
         )
-
-    def canonical(self) -> tuple[Frames, Placement]:
-        """The frames in the frame of reference of the first one, and where that stands."""
-        placement = canonical_placement(self.joints[:, 0])
-        return self.seen_from(placement), placement
+        return seen, placement
 
 
 def canonical_placement(joints: Float[Tensor, "batch 22 3"]) -> Placement:
@@ -174,13 +171,8 @@ _COUNTS = (
     "future_frames", "latent", "vae_width", "vae_heads", "vae_layers", "vae_feed_forward", "width",
     "heads", "layers", "feed_forward", "text_dimension", "diffusion_steps",
 )  # fmt: skip
-GradientNorm = Literal["sequence", "batch"]
-_Seeding = Literal["velocity", "repeat"]
-_OF_OPTIMISATION = (
-    "iterations", "learning-rate", "noise-scale", "ddim-steps", "gradient-norm", "hand", "jerk", "floor",
-    "checkpointing",
-)  # fmt: skip
-OPTIONS = ("optimise", *_OF_OPTIMISATION, "guidance", "seeding", "text-path")
+_OF_OPTIMISATION = ("iterations", "learning-rate", "noise-scale", "ddim-steps", "hand")
+OPTIONS = ("optimise", *_OF_OPTIMISATION, "guidance", "text-path")
 _MOST_ITERATIONS = 100_000
 
 
@@ -259,19 +251,8 @@ class DartSettings:
     ddim_steps: int | None = None
     """Steps of the chain from noise to latent; None for all of the training's, as in the original."""
     guidance: float = 5.0
-    gradient_norm: GradientNorm = "sequence"
-    """Gradient that is brought to length 1 in each primitive: each sequence's, or that of the whole batch, with which
-    the original lets the sequences of a batch slow each other down."""
-    seeding: _Seeding = "velocity"
-    """Take as history the frame before the first and the first, or twice the first: a body at rest."""
     hand: Hand = "right"
     """Wrist that a goal location is meant for; ``nearest`` leaves the choice to the motion."""
-    jerk_weight: float = 0.0
-    """Weight of the largest third difference, metres per frame³; 0 in the original's in-betweening."""
-    floor_weight: float = 0.0
-    """Weight of the mean depth of the feet below their height in the frame before the first, metres; likewise 0."""
-    checkpointing: bool = False
-    """Compute a primitive again in the backward pass instead of keeping it in memory."""
 
     def __post_init__(self) -> None:
         if self.iterations < 1:
@@ -301,12 +282,7 @@ def dart_settings(options: Mapping[str, str], *, diffusion_steps: int) -> DartSe
         noise_scale=number(options, "noise-scale", default.noise_scale),
         ddim_steps=whole_number(options, "ddim-steps", most=diffusion_steps),
         guidance=number(options, "guidance", default.guidance),
-        gradient_norm=cast(GradientNorm, choice(options, "gradient-norm", ("sequence", "batch"))),
-        seeding=cast(_Seeding, choice(options, "seeding", ("velocity", "repeat"))),
         hand=cast(Hand, choice(options, "hand", ("right", "nearest", "left"))),
-        jerk_weight=number(options, "jerk", default.jerk_weight),
-        floor_weight=number(options, "floor", default.floor_weight),
-        checkpointing=choice(options, "checkpointing", ("off", "on")) == "on",
     )
 
 
@@ -513,11 +489,17 @@ class DartModel:
         denoiser = LatentDenoiser(configuration)
         weights.load_into(vae, "vae")
         weights.load_into(denoiser, "denoiser")
+        latent_std = float(weights.require("latent.std", (1,)))
+        if not latent_std > 0:
+            remedy = "The training was stopped while it trained the VAE; go on with the same `prbench train` command."
+            raise InputFileError(
+                path, "latent.std", expected="a positive number", found=f"{latent_std:g}", remedy=remedy
+            )
         return cls(
             vae.to(where),
             denoiser.to(where),
             scaling=scaling_of(weights),
-            latent_std=_trained_latent_std(weights),
+            latent_std=latent_std,
             texts=TextVectors(text_encoder(configuration.text_encoder, text_path)),
         )
 
@@ -541,16 +523,3 @@ def scaling_of(weights: Weights) -> FeatureScaling:
     """
     shape = (N_FEATURES,)
     return FeatureScaling(weights.require("statistics.mean", shape), weights.require("statistics.std", shape))
-
-
-def _trained_latent_std(weights: Weights) -> float:
-    latent_std = float(weights.require("latent.std", (1,)))
-    if not latent_std > 0:
-        raise InputFileError(
-            weights.path,
-            "latent.std",
-            expected="a positive number",
-            found=f"{latent_std:g}",
-            remedy="The training was stopped while it trained the VAE; go on with the same `prbench train` command.",
-        )
-    return latent_std

@@ -13,21 +13,18 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
-from torch.utils.checkpoint import checkpoint
 
-from prbench.geometry.skeleton import Joint
 from prbench_adapters.dart.model import (
     HISTORY_FRAMES,
     DartModel,
     DartSettings,
     Frames,
-    GradientNorm,
     LatentDenoiser,
     Placement,
 )
 from prbench_adapters.diffusion.denoiser import TransformerLayer
 from prbench_adapters.diffusion.generation import Guidance
-from prbench_adapters.diffusion.noise_optimisation.optimise import Targets, chosen_wrist, largest_jerk, last_frame
+from prbench_adapters.diffusion.noise_optimisation.optimise import Targets, chosen_wrist, last_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim, sample_ddpm
 
 SampleLatent = Callable[[int, Float[Tensor, "batch history 276"]], Float[Tensor, "batch 1 latent"]]
@@ -73,7 +70,6 @@ def roll_out(
     primitives: int,
     *,
     going_on: Sequence[int] | None = None,
-    checkpointing: bool = False,
 ) -> list[Primitive]:
     """Generate primitives; differentiable from the latents' noise to the last joint.
 
@@ -85,7 +81,6 @@ def roll_out(
         primitives: How many.
         going_on: How many motions, the first ones, have each primitive; None if all have all. What motions are to be
             shorter come last, and cost nothing behind their end.
-        checkpointing: Keep nothing but histories for the backward pass and compute each primitive once more there.
     """
     done: list[Primitive] = []
     for number in range(primitives):
@@ -93,10 +88,8 @@ def roll_out(
             # Sequences that have ended cost nothing more.
             history = history[: going_on[number]]
             placement = placement.first(going_on[number])
-        if checkpointing and torch.is_grad_enabled():
-            latent, features = checkpoint(_generate, model, sample, number, history, use_reentrant=False)
-        else:
-            latent, features = _generate(model, sample, number, history)
+        latent = sample(number, history)
+        features = model.vae.decode(latent * model.latent_std, history)
         future = model.scaling.frames(features)
         done.append(Primitive(history, latent, features, placement, placement.points(future.joints)))
         # Each primitive starts in a frame of reference of its own, as the networks have learnt it.
@@ -113,13 +106,6 @@ def next_history(future: Frames) -> tuple[Frames, Placement]:
     """
     n = future.joints.shape[1]
     return future.part(n - HISTORY_FRAMES, n).canonical()
-
-
-def _generate(
-    model: DartModel, sample: SampleLatent, number: int, history: Tensor
-) -> tuple[Float[Tensor, "batch 1 latent"], Float[Tensor, "batch future 276"]]:
-    latent = sample(number, history)
-    return latent, model.vae.decode(latent * model.latent_std, history)
 
 
 _CONTEXT = slice(1, 2 + HISTORY_FRAMES)  # places of text and history among the tokens
@@ -241,18 +227,6 @@ Noise = Float[Tensor, "primitives batch 1 latent"]
 Joints = Float[Tensor, "batch frames 22 3"]
 
 _SHORTEST_GRADIENT = 1e-6
-_FEET = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, Joint.LEFT_FOOT, Joint.RIGHT_FOOT)
-
-
-@dataclass(frozen=True)
-class Optimised:
-    """Result of an optimisation."""
-
-    noise: Noise
-    joints: Joints
-    """Joints of the final noise."""
-    losses: Float[Tensor, "iterations batch"]
-    """Loss of each iterate before its step."""
 
 
 def optimise(
@@ -261,11 +235,11 @@ def optimise(
     targets: Targets,
     n_frames: Int[Tensor, " batch"],
     settings: DartSettings,
-) -> Optimised:
+) -> tuple[Noise, Joints]:
     """Lower the loss of every sequence by Adam on its noise.
 
     The gradient of each primitive has length 1, so that the learning rate says how far each moves; a primitive behind a
-    sequence's end has no gradient and stays. With ``gradient_norm="sequence"`` no sequence notices the others.
+    sequence's end has no gradient and stays. No sequence notices the others.
 
     Args:
         motion: A differentiable map from noise to joints, metres, canonical frame; first frame first.
@@ -273,10 +247,12 @@ def optimise(
         targets: Initial state and goal of each sequence, of which the goal is asked for.
         n_frames: Frames of each sequence; its last one is the goal's.
         settings: Iterations, learning rate and what else belongs to the loss.
+
+    Returns:
+        The last noise and its joints.
     """
     noise = start.clone().requires_grad_()
     optimiser = torch.optim.Adam([noise])
-    losses = []
     for iteration in range(settings.iterations):
         for group in optimiser.param_groups:
             # Linear to 0: the last steps settle, the first ones search.
@@ -285,11 +261,12 @@ def optimise(
             loss = goal_loss(motion(noise), n_frames, targets, settings)
             # Summed over sequences, none of which depends on another, so each gets its own gradient.
             (gradient,) = torch.autograd.grad(loss.sum(), noise)
-        noise.grad = unit_gradient(gradient, settings.gradient_norm)
+        # Length 1 over the latent of each primitive of each sequence.
+        lengths = torch.linalg.vector_norm(gradient, dim=(2, 3), keepdim=True)
+        noise.grad = gradient / lengths.clamp_min(_SHORTEST_GRADIENT)
         optimiser.step()
-        losses.append(loss.detach())
     with torch.no_grad():
-        return Optimised(noise.detach(), motion(noise), torch.stack(losses))
+        return noise.detach(), motion(noise)
 
 
 def goal_loss(
@@ -297,8 +274,7 @@ def goal_loss(
 ) -> Float[Tensor, " batch"]:
     """Huber loss (δ = 1 m) of the last frame, averaged over the coordinates that are asked for.
 
-    Asked for are all joints of a goal pose, or one wrist for a goal location. Jerk and floor join it if they weigh;
-    both look at the whole motion, the frame before the first included.
+    Asked for are all joints of a goal pose, or one wrist for a goal location.
     """
     last = last_frame(joints, n_frames)
     if targets.goal_joints is not None:
@@ -306,26 +282,4 @@ def goal_loss(
     else:
         assert targets.goal_location is not None
         error = (chosen_wrist(last, targets.goal_location, settings.hand) - targets.goal_location)[:, None]
-    loss = functional.huber_loss(error, torch.zeros_like(error), reduction="none").mean(dim=(1, 2))
-    if settings.jerk_weight or settings.floor_weight:
-        whole = torch.cat((targets.previous_joints[:, None], joints), dim=1)
-        loss = loss + settings.jerk_weight * largest_jerk(whole, n_frames + 1)
-        loss = loss + settings.floor_weight * _depth_below_floor(whole, n_frames + 1)
-    return loss
-
-
-def _depth_below_floor(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, " batch"]:
-    """Measure how far the lowest of ankles and toes is below that of frame 0, metres; mean over the frames."""
-    lowest = joints[:, :, _FEET, 1].amin(dim=2)
-    below = (lowest[:, :1] - lowest).clamp_min(0.0)
-    inside = torch.arange(joints.shape[1], device=joints.device) < n_frames[:, None]
-    return torch.where(inside, below, 0.0).sum(dim=1) / n_frames
-
-
-def unit_gradient(gradient: Noise, norm: GradientNorm) -> Noise:
-    """The gradient of each primitive at length 1: over its own latent in each sequence, or over all of the batch."""
-    dimensions = (2, 3) if norm == "sequence" else (1, 2, 3)
-    if norm == "batch":
-        gradient = gradient / gradient.shape[1]  # the original's loss is the batch's mean, which its clamp can tell
-    lengths = torch.linalg.vector_norm(gradient, dim=dimensions, keepdim=True)
-    return gradient / lengths.clamp_min(_SHORTEST_GRADIENT)
+    return functional.huber_loss(error, torch.zeros_like(error), reduction="none").mean(dim=(1, 2))

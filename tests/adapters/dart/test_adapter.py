@@ -87,17 +87,6 @@ def test_text_and_initial_velocity_matter(weights, change):
     assert not np.allclose(_generated(weights, BATCH).joints, _generated(weights, replace(BATCH, **change)).joints)
 
 
-def test_repeated_seeding_forgets_the_initial_velocity(weights):
-    still = replace(BATCH, previous_joints=BATCH.initial_joints)
-    moving, resting = (_generated(weights, batch, seeding="repeat").joints for batch in (BATCH, still))
-    assert np.array_equal(moving, resting)
-
-
-def test_memory_may_be_bought_with_time(weights):
-    kept, again = (_generated(weights, BATCH, checkpointing=value).joints for value in ("off", "on"))
-    np.testing.assert_allclose(kept, again, atol=1e-6)
-
-
 def test_fewer_steps_take_fewer_passes(weights):
     assert _generated(weights, BATCH, **{"ddim-steps": "1"}).cost.network_passes == 3 * (2 + 1) * (2 * 1 + 1)
 
@@ -140,7 +129,7 @@ def test_another_frame_rate_is_refused(weights):
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("optimise", "fast"), ("iterations", "0"), ("hand", "both"), ("iteration", "3"), ("gradient-norm", "none")],
+    [("optimise", "fast"), ("iterations", "0"), ("hand", "both"), ("iteration", "3")],
 )
 def test_unknown_options_and_values_are_refused(weights, key, value):
     with pytest.raises(ValueError, match=key):
