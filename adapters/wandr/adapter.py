@@ -27,29 +27,12 @@ from prbench_adapters.kinematics import rest_offsets
 from prbench_adapters.wandr.network import BodyState, WandrNetwork, clean_delta, intentions, load_network
 
 Hand = Literal["right", "nearest", "left"]
-_FirstChange = Literal["recorded", "random"]
 
 # Recorded wrists never need more than 0.9. Asked for the 1.5 of its training, a late body bends further than people
 # do (docs/methods/wandr.md#why-bodies-fall).
 _ASKED_SPEED = 1.0  # metres a second
 
 _MIRRORED = np.array([-1.0, 1.0, 1.0], dtype=np.float32)
-
-
-@dataclass(frozen=True)
-class Generation:
-    """Settings by which motions are made."""
-
-    hand: Hand = "right"
-    """Hand that reaches. The network knows right ones only: for left ones body and goal are mirrored, and the motion
-    back. ``nearest`` takes the one that is nearer to the goal in the first frame."""
-    first_change: _FirstChange = "recorded"
-    """Change that led to the first frame: the recorded one, or noise as in the original."""
-    deviation: float = 1.0
-    """Standard deviation of the latent of every step."""
-    most_speed: float | None = None
-    """Longest intention of the wrist, metres a second, infinity for no limit; None for 1 m/s, or for no limit if the
-    network was trained without one."""
 
 
 @dataclass(frozen=True)
@@ -74,14 +57,19 @@ class WANDR:
     Args:
         network: In evaluation mode.
         weights: The file that it came from.
-        generation: Settings.
+        hand: Hand that reaches. The network knows right ones only: for left ones body and goal are mirrored, and the
+            motion back. ``nearest`` takes the one that is nearer to the goal in the first frame.
+        most_speed: Longest intention of the wrist, metres a second, infinity for no limit; None for 1 m/s, or for no
+            limit if the network was trained without one.
     """
 
     name = "wandr"
     conditions = frozenset({Condition.GOAL_LOCATION})
 
-    def __init__(self, network: WandrNetwork, weights: Path, generation: Generation | None = None) -> None:
-        self.network, self.weights, self.generation = network, weights, generation or Generation()
+    def __init__(
+        self, network: WandrNetwork, weights: Path, *, hand: Hand = "right", most_speed: float | None = None
+    ) -> None:
+        self.network, self.weights, self.hand, self.most_speed = network, weights, hand, most_speed
         self.native_fps = network.configuration.fps
 
     def weights_for(self, condition: Condition) -> Path:  # noqa: ARG002 - one model
@@ -95,72 +83,54 @@ class WANDR:
             AdapterError: for a goal that no body can reach, or another frame rate than the network's.
             InputFileError: for poses that are no bodies.
         """
-        self._require_fit(batch)
-        assert batch.initial_joints is not None
-        left = self._left_handed(batch)
-        start, noise = self._start(_mirrored_where(left, batch))
-        joints = WORLD.to_y_up(roll_out(self.network, start, noise, self._most_speed())).float().cpu().numpy()
-        joints[left] = mirror(joints[left])
-        # Fitting rotations and mirroring round; the first frame is given, to the bit.
-        joints[:, 0] = batch.initial_joints
-        return Motions(joints, batch.n_frames, Cost(int((batch.n_frames - 1).sum())))
-
-    def _most_speed(self) -> float:
-        if self.generation.most_speed is not None:
-            return self.generation.most_speed
-        limit = self.network.configuration.speed_limit
-        return limit if math.isinf(limit) else min(limit, _ASKED_SPEED)
-
-    def _require_fit(self, batch: ConditionBatch) -> None:
         if batch.fps != self.native_fps:
             raise AdapterError(f"wandr: expected {self.native_fps:g} frames per second, found {batch.fps:g}.")
         for name in ("initial_joints", "previous_joints"):
             check_joints(getattr(batch, name), source=name, min_frames=0, upright=False)
         require_goals_within_reach(batch, adapter=self.name)
-
-    def _left_handed(self, batch: ConditionBatch) -> Bool[np.ndarray, " batch"]:
-        if self.generation.hand != "nearest":
-            return np.full(len(batch), self.generation.hand == "left")
-        assert batch.initial_joints is not None and batch.goal_location is not None  # noqa: PT018
-        wrists = batch.initial_joints[:, [Joint.LEFT_WRIST, Joint.RIGHT_WRIST]]
-        distance = np.linalg.norm(wrists - batch.goal_location[:, None], axis=-1)
-        return distance[:, 0] < distance[:, 1]
+        assert batch.initial_joints is not None
+        assert batch.goal_location is not None
+        left = np.full(len(batch), self.hand == "left")
+        if self.hand == "nearest":
+            wrists = batch.initial_joints[:, [Joint.LEFT_WRIST, Joint.RIGHT_WRIST]]
+            distance = np.linalg.norm(wrists - batch.goal_location[:, None], axis=-1)
+            left = distance[:, 0] < distance[:, 1]
+        most_speed = self.most_speed
+        if most_speed is None:
+            limit = self.network.configuration.speed_limit
+            most_speed = limit if math.isinf(limit) else min(limit, _ASKED_SPEED)
+        start, noise = self._start(_mirrored_where(left, batch))
+        joints = WORLD.to_y_up(roll_out(self.network, start, noise, most_speed)).float().cpu().numpy()
+        joints[left] = mirror(joints[left])
+        # Fitting rotations and mirroring round; the first frame is given, to the bit.
+        joints[:, 0] = batch.initial_joints
+        return Motions(joints, batch.n_frames, Cost(int((batch.n_frames - 1).sum())))
 
     def _start(self, batch: ConditionBatch) -> tuple[Start, Float[torch.Tensor, "batch steps latent"]]:
-        """Return the start of each row, and the noise of all its steps."""
+        """Return the start of each row, and the noise of all its steps.
+
+        Each row draws from its own seed: a row's length and the other rows leave no trace in it.
+        """
+        like = self.network.delta.mean
+
+        def tensor(values: np.ndarray | None) -> torch.Tensor:
+            return torch.as_tensor(values, dtype=like.dtype, device=like.device)
+
         initial, previous, goal = (
-            WORLD.from_y_up(self._tensor(points))
+            WORLD.from_y_up(tensor(points))
             for points in (batch.initial_joints, batch.previous_joints, batch.goal_location)
         )
-        state = BodyState.fitted(initial)
-        first_noise, latents = self._noise(batch)
-        delta = BodyState.fitted(previous).delta_to(state)
-        if self.generation.first_change == "random":
-            delta = self.network.delta.undone(first_noise)
-        n_frames = torch.as_tensor(batch.n_frames, device=goal.device)
-        return Start(state, delta, rest_offsets(initial), goal, n_frames), latents
-
-    def _noise(
-        self, batch: ConditionBatch
-    ) -> tuple[Float[torch.Tensor, "batch 135"], Float[torch.Tensor, "batch steps latent"]]:
-        """Draw the noise of the first change and of all latents, each row from its own seed.
-
-        A row's length and the other rows leave no trace in it.
-        """
         size = self.network.configuration.latent
-        steps = int(batch.n_frames.max()) - 1
-        first = np.zeros((len(batch), len(self.network.delta.mean)))
-        latents = np.zeros((len(batch), steps, size))
+        latents = np.zeros((len(batch), int(batch.n_frames.max()) - 1, size))
         for row, (seed, n) in enumerate(zip(batch.noise_seed, batch.n_frames, strict=True)):
             generator = sequence_generator(seed)
-            first[row] = generator.standard_normal(first.shape[1])
+            generator.standard_normal(len(like))  # the original's first change, in whose place the recorded one stands
             # As many as the row needs: the noise of one sequence must not depend on the longest of its batch.
             latents[row, : n - 1] = generator.standard_normal((n - 1, size))
-        return self._tensor(first), self.generation.deviation * self._tensor(latents)
-
-    def _tensor(self, values: np.ndarray | None) -> torch.Tensor:
-        mean = self.network.delta.mean
-        return torch.as_tensor(values, dtype=mean.dtype, device=mean.device)
+        state = BodyState.fitted(initial)
+        delta = BodyState.fitted(previous).delta_to(state)
+        n_frames = torch.as_tensor(batch.n_frames, device=goal.device)
+        return Start(state, delta, rest_offsets(initial), goal, n_frames), tensor(latents)
 
 
 def _mirrored_where(left: Bool[np.ndarray, " batch"], batch: ConditionBatch) -> ConditionBatch:
@@ -177,9 +147,8 @@ def _mirrored_where(left: Bool[np.ndarray, " batch"], batch: ConditionBatch) -> 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WANDR:
     """Entry point ``wandr``.
 
-    Options: ``hand`` (right, nearest, left), ``first-change`` (recorded, or random as in the original), ``deviation``
-    (1) of the latents, ``most-speed`` (1 for networks that were trained with a limit; 0 is none, as in the original)
-    of the wrist's intention, metres a second.
+    Options: ``hand`` (right, nearest, left), ``most-speed`` (1 for networks that were trained with a limit; 0 is none,
+    as in the original) of the wrist's intention, metres a second.
 
     Args:
         weights: File, folder or name of bundled weights; None for ``wandr-small``.
@@ -191,16 +160,11 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
         InputFileError: if the file is not one of WANDR.
         ValueError: for options that are unknown or have impossible values.
     """
-    require_known(options, ("hand", "first-change", "deviation", "most-speed"))
+    require_known(options, ("hand", "most-speed"))
     most_speed = number(options, "most-speed", 0.0) or math.inf if "most-speed" in options else None
-    generation = Generation(
-        hand=cast(Hand, choice(options, "hand", get_args(Hand))),
-        first_change=cast(_FirstChange, choice(options, "first-change", get_args(_FirstChange))),
-        deviation=number(options, "deviation", 1.0),
-        most_speed=most_speed,
-    )
+    hand = cast(Hand, choice(options, "hand", get_args(Hand)))
     path = own_weights(WANDR.name, weights)
-    return WANDR(load_network(path, device), path, generation)
+    return WANDR(load_network(path, device), path, hand=hand, most_speed=most_speed)
 
 
 @torch.no_grad()
@@ -223,52 +187,17 @@ def roll_out(
     joints = [state.joints(start.offsets)]
     for step in range(noise.shape[1]):
         left = (start.n_frames - 1 - step).clamp_min(1)  # padding goes on as in its last frame
-        delta = _next_delta(
-            network,
-            state,
-            delta,
-            joints[-1],
+        intention = intentions(
+            state.yaw,
+            wrist=joints[-1][:, Joint.RIGHT_WRIST],
+            pelvis=joints[-1][:, Joint.PELVIS],
             goal=start.goal,
-            frames_left=left[:, None],
-            latent=noise[:, step],
+            frames_left=left[:, None].to(start.goal),
+            fps=network.configuration.fps,
             most_speed=most_speed,
         )
+        decoded = network.decode(noise[:, step], network.condition(state.seen(), delta, intention))
+        delta = clean_delta(network.delta.undone(decoded))
         state = state.changed(delta)
         joints.append(state.joints(start.offsets))
     return torch.stack(joints, 1)
-
-
-def _next_delta(
-    network: WandrNetwork,
-    state: BodyState,
-    delta: Float[torch.Tensor, "batch 135"],
-    joints: Float[torch.Tensor, "batch 22 3"],
-    *,
-    goal: Float[torch.Tensor, "batch 3"],
-    frames_left: Int[torch.Tensor, "batch 1"],
-    latent: Float[torch.Tensor, "batch latent"],
-    most_speed: float,
-) -> Float[torch.Tensor, "batch 135"]:
-    """The change that follows a state.
-
-    Args:
-        network: The decoder's.
-        state: Before the change.
-        delta: The change that led to it.
-        joints: Of the state.
-        goal: Of the right wrist.
-        frames_left: Until the goal.
-        latent: What is drawn.
-        most_speed: Longest intention of the wrist, metres a second.
-    """
-    intention = intentions(
-        state.yaw,
-        wrist=joints[:, Joint.RIGHT_WRIST],
-        pelvis=joints[:, Joint.PELVIS],
-        goal=goal,
-        frames_left=frames_left.to(goal),
-        fps=network.configuration.fps,
-        most_speed=most_speed,
-    )
-    decoded = network.decode(latent, network.condition(state.seen(), delta, intention))
-    return clean_delta(network.delta.undone(decoded))

@@ -17,15 +17,15 @@ from prbench.geometry.skeleton import Joint, bone_lengths
 from prbench.harness.methods.loading import load_adapter
 from prbench.representation import mirror
 from prbench_adapters.diffusion import method
-from prbench_adapters.wandr.adapter import WANDR, Generation
+from prbench_adapters.wandr.adapter import WANDR
 from prbench_adapters.wandr.network import TRANSLATION
 from tests.adapters.wandr import tiny
 
 RIGHT, LEFT = Joint.RIGHT_WRIST, Joint.LEFT_WRIST
 
 
-def _method(generation: Generation | None = None, **changes) -> WANDR:
-    return WANDR(tiny.network(**changes).double(), Path("tiny"), generation)
+def _method(**settings) -> WANDR:
+    return WANDR(tiny.network().double(), Path("tiny"), **settings)
 
 
 class Follower(torch.nn.Module):
@@ -37,8 +37,8 @@ class Follower(torch.nn.Module):
         return delta
 
 
-def _follower(generation: Generation | None = None) -> WANDR:
-    method = _method(generation)
+def _follower(**settings) -> WANDR:
+    method = _method(**settings)
     method.network.decoder = torch.nn.Sequential(Follower())
     return method
 
@@ -67,7 +67,7 @@ def test_a_body_that_is_late_is_asked_for_no_more_than_the_most_speed():
     batch = tiny.batch(frames=(20,))
     distance = np.linalg.norm(batch.initial_joints[:, RIGHT] - batch.goal_location, axis=-1)
     half = float(distance[0]) / (19 / 30) / 2  # metres a second that bring the wrist half of the way
-    method = _follower(Generation(most_speed=half))
+    method = _follower(most_speed=half)
     steps = np.linalg.norm(np.diff(method.generate(batch, seed=0).joints[0, :, RIGHT], axis=0), axis=-1)
     assert steps == pytest.approx(half / 30, rel=1e-4)
 
@@ -81,16 +81,16 @@ def test_a_network_that_knows_a_limit_is_asked_for_no_more_and_for_at_most_one_m
     assert steps == pytest.approx(0.1 / 30, rel=1e-4)
     method.network.configuration = msgspec.structs.replace(method.network.configuration, most_speed=1.5)
     by_itself = method.generate(batch, seed=0).joints
-    method.generation = Generation(most_speed=1.0)
+    method.most_speed = 1.0
     assert np.array_equal(method.generate(batch, seed=0).joints, by_itself)
-    method.generation = Generation(most_speed=math.inf)
+    method.most_speed = math.inf
     assert np.array_equal(method.generate(batch, seed=0).joints, free)
 
 
 @pytest.mark.parametrize(("hand", "wrist"), [("right", RIGHT), ("left", LEFT)])
 def test_the_hand_that_is_asked_for_reaches(hand, wrist):
     batch = tiny.batch(frames=(20,))
-    motions = _follower(Generation(hand=hand)).generate(batch, seed=0)
+    motions = _follower(hand=hand).generate(batch, seed=0)
     assert np.allclose(motions.joints[:, -1, wrist], batch.goal_location, atol=1e-4)
 
 
@@ -98,7 +98,7 @@ def test_the_nearest_hand_is_chosen_for_each_row():
     batch = tiny.batch(2, frames=(20,))
     wrists = batch.initial_joints[0, [LEFT, RIGHT]]
     batch = replace(batch, goal_location=wrists + np.float32([0, 0, 0.3]))
-    motions = _follower(Generation(hand="nearest")).generate(batch, seed=0)
+    motions = _follower(hand="nearest").generate(batch, seed=0)
     assert np.allclose(motions.joints[0, -1, LEFT], batch.goal_location[0], atol=1e-4)
     assert np.allclose(motions.joints[1, -1, RIGHT], batch.goal_location[1], atol=1e-4)
 
@@ -111,7 +111,7 @@ def test_left_hands_are_right_hands_in_a_mirror():
         previous_joints=mirror(batch.previous_joints),
         goal_location=batch.goal_location * np.float32([-1, 1, 1]),
     )
-    left = _method(Generation(hand="left")).generate(batch, seed=0)
+    left = _method(hand="left").generate(batch, seed=0)
     right = _method().generate(seen, seed=0)
     assert np.allclose(left.joints, mirror(right.joints), atol=1e-6)
 
@@ -124,20 +124,17 @@ def test_batch_mates_and_order_leave_no_trace():
         assert np.array_equal(alone.joints[0, :n], together.joints[row, :n])
 
 
-def test_seeds_matter_and_no_deviation_makes_them_matter_no_more():
+def test_seeds_matter():
     batch = tiny.batch()
     other = replace(batch, noise_seed=(1, 2, 3))
     assert not np.allclose(_method().generate(batch, seed=0).joints, _method().generate(other, seed=0).joints)
-    still = _method(Generation(deviation=0.0))
-    assert np.array_equal(still.generate(batch, seed=0).joints, still.generate(other, seed=0).joints)
 
 
-def test_the_initial_velocity_is_part_of_the_condition_unless_the_original_jolt_is_asked_for():
+def test_the_initial_velocity_is_part_of_the_condition():
     batch = tiny.batch()
     faster = replace(batch, previous_joints=batch.previous_joints - np.float32(0.03))
-    ours, original = _method(), _method(Generation(first_change="random"))
-    assert not np.allclose(ours.generate(batch, seed=0).joints, ours.generate(faster, seed=0).joints, atol=1e-4)
-    assert np.array_equal(original.generate(batch, seed=0).joints, original.generate(faster, seed=0).joints)
+    slow, fast = (_method().generate(each, seed=0).joints for each in (batch, faster))
+    assert not np.allclose(slow, fast, atol=1e-4)
 
 
 def test_goals_steer():
@@ -174,12 +171,12 @@ def test_another_frame_rate_is_refused():
 def test_weights_are_found_and_declared(tmp_path):
     path = tiny.write(tmp_path / "mine.safetensors")
     for given in (path, tmp_path):
-        method = load_adapter("wandr", given, {"hand": "nearest", "deviation": "0.5"}, "cpu")
+        method = load_adapter("wandr", given, {"hand": "nearest"}, "cpu")
         assert method.weights_for(Condition.GOAL_LOCATION) == path
         assert method.native_fps == 30
-        assert method.generation == Generation(hand="nearest", deviation=0.5)
-    assert load_adapter("wandr", path, {"most-speed": "0"}, "cpu").generation == Generation(most_speed=math.inf)
-    assert load_adapter("wandr", path, {"most-speed": "1.5"}, "cpu").generation == Generation(most_speed=1.5)
+        assert (method.hand, method.most_speed) == ("nearest", None)
+    assert load_adapter("wandr", path, {"most-speed": "0"}, "cpu").most_speed == math.inf
+    assert load_adapter("wandr", path, {"most-speed": "1.5"}, "cpu").most_speed == 1.5
     assert load_adapter("wandr", path, {}, "cpu").generate(tiny.batch(), seed=0).joints.shape == (3, 30, 22, 3)
 
 
@@ -188,9 +185,7 @@ def test_weights_are_found_and_declared(tmp_path):
     [
         ({"hands": "left"}, "unknown option 'hands'. Did you mean 'hand'"),
         ({"hand": "both"}, "expected right or nearest or left, found 'both'"),
-        ({"deviation": "-1"}, "expected a number of 0 or more"),
         ({"most-speed": "fast"}, "option 'most-speed': expected a number of 0 or more"),
-        ({"first-change": "none"}, "option 'first-change'"),
     ],
 )
 def test_options_are_checked(options, message, tmp_path):
