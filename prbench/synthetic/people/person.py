@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
-from typing import Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 
@@ -74,11 +74,11 @@ class Preset:
     carry_pose: tuple[float, float, float]
     work_looks: float
     """Share of the fill fixations that go to the own hands or the work area."""
-    spot_spacing: float = 0.16
-    puts: bool = True
-    table_only: bool = False
+    spot_spacing: float
+    puts: bool
+    table_only: bool
     """One table, people shift along it instead of walking."""
-    seated_share: float = 0.0
+    seated_share: float
 
 
 _SMPL_SPINE = (0.0756, 0.0823, 0.033)
@@ -124,169 +124,64 @@ _ADT = tuple(
 
 _GIMO = tuple(ObjectKind(name, name, (0.05, 0.05, 0.05)) for name in ("cup", "book", "laptop", "pillow", "bottle"))
 
-_TABLE = SurfaceKind("table", 0.74, 0.70, 0.35)
+_SURFACES = {
+    "hd-epic": (("counter", 0.91, 0.6, 0.75), ("cupboard", 1.40, 0.3, 0.15), ("drawer", 0.68, 0.4, 0.10)),
+    # The high shelf is drawn more often than wanted: shorter people cannot reach it and draw again.
+    "mogaze": (
+        ("table", 0.72, 0.6, 0.23), ("shelf", 1.20, 0.24, 0.23),
+        ("low shelf", 0.42, 0.24, 0.14), ("high shelf", 1.55, 0.24, 0.40),
+    ),
+    "hot3d": (("table", 0.92, 0.70, 1.0),),
+    "adt": (
+        ("counter", 0.90, 0.6, 0.35), ("table", 0.74, 0.70, 0.35),
+        ("shelf", 1.35, 0.3, 0.15), ("low table", 0.45, 0.5, 0.15),
+    ),
+    "gimo": (("table", 0.74, 0.7, 0.50), ("shelf", 1.20, 0.3, 0.25), ("counter", 0.90, 0.6, 0.25)),
+}  # fmt: skip
+"""Name, height, depth and weight of each kind of furniture (:class:`SurfaceKind`)."""
 
-_ALL = (
-    Preset(
-        name="hd-epic",
-        room=(2.6, 2.2),
-        surfaces=(
-            SurfaceKind("counter", 0.91, 0.6, 0.75),
-            SurfaceKind("cupboard", 1.40, 0.3, 0.15),
-            SurfaceKind("drawer", 0.68, 0.4, 0.10),
-        ),
-        n_surfaces=5,
-        same_surface=0.80,
-        near=0.45,
-        spread=0.35,
-        edge=(0.20, 0.30),
-        objects=_KITCHEN,
-        gap=((0.60, 2.2, 0.70), (0.40, 7.0, 0.25)),
-        idle=(2.2, 0.8),
-        speed=0.85,
-        unprimed=0.12,
-        near_miss=0.08,
-        head_gain=1.0,
-        chest_gain=0.0,
-        prime_look=0.62,
-        spine_up=_SMPL_SPINE,
-        neck_offset=_SMPL_NECK,
-        neck_length=0.0593,
-        neck_tilt_deg=38.3,
-        grasp="wrapped",
-        work_pose=(-0.03, -0.20, 0.20),
-        carry_pose=_CARRY,
-        work_looks=0.35,
+_TABLE: dict[str, tuple[Any, ...]] = {
+    "name": ("hd-epic", "mogaze", "hot3d", "adt", "gimo"),
+    "room": ((2.6, 2.2), (2.15, 1.95), (2.4, 2.4), (4.2, 3.2), (4.7, 4.1)),
+    "n_surfaces": (5, 4, 1, 8, 8),
+    "same_surface": (0.80, 0.10, 1.0, 0.74, 0.0),
+    "near": (0.45, 0.10, 0.6, 0.45, 0.10),
+    "spread": (0.35, 0.35, 0.4, 0.35, 0.35),
+    "edge": ((0.20, 0.30), (0.34, 0.47), (0.14, 0.22), (0.20, 0.30), (0.26, 0.38)),
+    "objects": (_KITCHEN, _MOGAZE, _HOT3D, _ADT, _GIMO),
+    "gap": (
+        ((0.60, 2.2, 0.70), (0.40, 7.0, 0.25)), ((1.0, 1.54, 0.42),), ((1.0, 1.45, 0.50),),
+        ((0.36, 3.2, 0.50), (0.64, 8.0, 0.22)), (),
     ),
-    Preset(
-        name="mogaze",
-        room=(2.15, 1.95),
-        surfaces=(  # the high shelf is drawn more often than wanted: shorter people cannot reach it and draw again
-            SurfaceKind("table", 0.72, 0.6, 0.23),
-            SurfaceKind("shelf", 1.20, 0.24, 0.23),
-            SurfaceKind("low shelf", 0.42, 0.24, 0.14),
-            SurfaceKind("high shelf", 1.55, 0.24, 0.40),
-        ),
-        n_surfaces=4,
-        same_surface=0.10,
-        near=0.10,
-        spread=0.35,
-        edge=(0.34, 0.47),
-        objects=_MOGAZE,
-        gap=((1.0, 1.54, 0.42),),
-        idle=(0.7, 0.6),
-        speed=1.0,
-        unprimed=0.05,
-        near_miss=0.06,
-        head_gain=0.93,
-        chest_gain=-0.10,
-        prime_look=0.62,
-        spine_up=(0.0706, 0.0859, 0.0344),
-        neck_offset=_OPTICAL_NECK,
-        neck_length=0.080,
-        neck_tilt_deg=7.4,
-        grasp="wrapped",
-        work_pose=None,
-        carry_pose=(0.02, -0.275, 0.10),
-        work_looks=0.0,
-    ),
-    Preset(
-        name="hot3d",
-        room=(2.4, 2.4),
-        surfaces=(SurfaceKind("table", 0.92, 0.70, 1.0),),
-        n_surfaces=1,
-        same_surface=1.0,
-        near=0.6,
-        spread=0.4,
-        edge=(0.14, 0.22),
-        objects=_HOT3D,
-        gap=((1.0, 1.45, 0.50),),
-        idle=(1.4, 0.7),
-        speed=0.80,
-        unprimed=0.08,
-        near_miss=0.08,
-        head_gain=0.90,
-        chest_gain=-0.05,
-        prime_look=0.62,
-        spine_up=_SMPL_SPINE,
-        neck_offset=_SMPL_NECK,
-        neck_length=0.0593,
-        neck_tilt_deg=38.3,
-        grasp="wrapped",
-        work_pose=(-0.03, -0.24, 0.11),
-        carry_pose=_CARRY,
-        work_looks=0.35,
-        spot_spacing=0.13,
-        table_only=True,
-        seated_share=0.3,
-    ),
-    Preset(
-        name="adt",
-        room=(4.2, 3.2),
-        surfaces=(
-            SurfaceKind("counter", 0.90, 0.6, 0.35),
-            _TABLE,
-            SurfaceKind("shelf", 1.35, 0.3, 0.15),
-            SurfaceKind("low table", 0.45, 0.5, 0.15),
-        ),
-        n_surfaces=8,
-        same_surface=0.74,
-        near=0.45,
-        spread=0.35,
-        edge=(0.20, 0.30),
-        objects=_ADT,
-        gap=((0.36, 3.2, 0.50), (0.64, 8.0, 0.22)),
-        idle=(2.8, 0.7),
-        speed=0.90,
-        unprimed=0.15,
-        near_miss=0.08,
-        head_gain=1.0,
-        chest_gain=0.18,
-        prime_look=0.80,
-        spine_up=(0.0756, 0.0577, 0.0577),
-        neck_offset=_OPTICAL_NECK,
-        neck_length=0.080,
-        neck_tilt_deg=7.4,
-        grasp="fingertips",
-        work_pose=None,
-        carry_pose=_CARRY,
-        work_looks=0.0,
-    ),
-    Preset(
-        name="gimo",
-        room=(4.7, 4.1),
-        surfaces=(
-            SurfaceKind("table", 0.74, 0.7, 0.50),
-            SurfaceKind("shelf", 1.20, 0.3, 0.25),
-            SurfaceKind("counter", 0.90, 0.6, 0.25),
-        ),
-        n_surfaces=8,
-        same_surface=0.0,
-        near=0.10,
-        spread=0.35,
-        edge=(0.26, 0.38),
-        objects=_GIMO,
-        gap=(),
-        idle=(2.5, 0.6),
-        speed=0.66,
-        unprimed=0.10,
-        near_miss=0.06,
-        head_gain=1.06,
-        chest_gain=0.16,
-        prime_look=1.0,
-        spine_up=_SMPL_SPINE,
-        neck_offset=_SMPL_NECK,
-        neck_length=0.080,
-        neck_tilt_deg=7.4,
-        grasp="wrist",
-        work_pose=None,
-        carry_pose=_CARRY,
-        work_looks=0.0,
-        puts=False,
-    ),
-)
+    "idle": ((2.2, 0.8), (0.7, 0.6), (1.4, 0.7), (2.8, 0.7), (2.5, 0.6)),
+    "speed": (0.85, 1.0, 0.80, 0.90, 0.66),
+    "unprimed": (0.12, 0.05, 0.08, 0.15, 0.10),
+    "near_miss": (0.08, 0.06, 0.08, 0.08, 0.06),
+    "head_gain": (1.0, 0.93, 0.90, 1.0, 1.06),
+    "chest_gain": (0.0, -0.10, -0.05, 0.18, 0.16),
+    "prime_look": (0.62, 0.62, 0.62, 0.80, 1.0),
+    "spine_up": (_SMPL_SPINE, (0.0706, 0.0859, 0.0344), _SMPL_SPINE, (0.0756, 0.0577, 0.0577), _SMPL_SPINE),
+    "neck_offset": (_SMPL_NECK, _OPTICAL_NECK, _SMPL_NECK, _OPTICAL_NECK, _SMPL_NECK),
+    "neck_length": (0.0593, 0.080, 0.0593, 0.080, 0.080),
+    "neck_tilt_deg": (38.3, 7.4, 38.3, 7.4, 7.4),
+    "grasp": ("wrapped", "wrapped", "wrapped", "fingertips", "wrist"),
+    "work_pose": ((-0.03, -0.20, 0.20), None, (-0.03, -0.24, 0.11), None, None),
+    "carry_pose": (_CARRY, (0.02, -0.275, 0.10), _CARRY, _CARRY, _CARRY),
+    "work_looks": (0.35, 0.0, 0.35, 0.0, 0.0),
+    "spot_spacing": (0.16, 0.16, 0.13, 0.16, 0.16),
+    "puts": (True, True, True, True, False),
+    "table_only": (False, False, True, False, False),
+    "seated_share": (0.0, 0.0, 0.3, 0.0, 0.0),
+}  # fmt: skip
+"""The five presets side by side: a row for each field of :class:`Preset` but the furniture."""
 
-PRESETS: Mapping[str, Preset] = MappingProxyType({preset.name: preset for preset in _ALL})
+
+def _preset(column: int) -> Preset:
+    values = {field: row[column] for field, row in _TABLE.items()}
+    return Preset(**values, surfaces=tuple(SurfaceKind(*kind) for kind in _SURFACES[values["name"]]))
+
+
+PRESETS: Mapping[str, Preset] = MappingProxyType({name: _preset(column) for column, name in enumerate(_TABLE["name"])})
 """The five presets by name."""
 
 
@@ -369,7 +264,7 @@ class Person:
     def style(self) -> PersonStyle:
         """Return the public record of this person."""
         drawn = {name: float(value) for name, value in asdict(self.habits).items()}
-        lengths = {name: cast(float, getattr(self.body, name)) for name in ("thigh", "shin", "upper_arm", "forearm")}
+        lengths = {name: getattr(self.body, name) for name in ("thigh", "shin", "upper_arm", "forearm")}
         return PersonStyle(
             participant_id=self.participant_id,
             stature=self.body.stature,
@@ -413,27 +308,34 @@ def _draw_body(preset: Preset, stature: float, rng: np.random.Generator) -> Body
 
 
 def _draw_habits(stature: float, rng: np.random.Generator) -> Habits:
-    head_turner = rng.uniform(0.82, 1.0)
+    def between(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    def degrees(low: float, high: float) -> float:
+        return float(np.deg2rad(rng.uniform(low, high)))
+
+    # The order of the draws is part of every synthetic person.
+    goal_gain = between(0.82, 1.0)
     return Habits(
         walk_speed=float(np.clip(rng.normal(1.15, 0.12), 0.85, 1.45)),
         walk_ratio=float(rng.normal(0.0063, 0.0005)) * stature / 1.7,
-        half_stance=float(rng.uniform(0.07, 0.12)),
-        toe_out=float(np.deg2rad(rng.uniform(3.0, 11.0))),
-        arm_swing=float(np.deg2rad(rng.uniform(14.0, 28.0))),
-        stoop=float(np.deg2rad(rng.uniform(0.0, 6.0))),
-        elbow_flare=float(rng.uniform(0.25, 0.55)),
-        goal_gain=float(head_turner),
-        fill_gain=float(rng.uniform(0.50, 0.75)),
-        goal_gain_vertical=float(rng.uniform(0.80, 1.0)),
-        fill_gain_vertical=float(rng.uniform(0.35, 0.60)),
-        eye_only_range=float(np.deg2rad(rng.uniform(8.0, 18.0))),
-        head_lag=float(rng.uniform(-0.060, 0.030)),
-        neck_share=float(rng.uniform(0.85, 1.0)),
-        chest_share=float(rng.uniform(0.45, 0.65)),
-        pelvis_share=float(rng.uniform(0.10, 0.22)),
-        trunk_time=float(rng.uniform(0.10, 0.18)),
-        reach_time=float(rng.uniform(0.85, 1.15)),
-        turn_rate=float(np.deg2rad(rng.uniform(62.0, 90.0))),
+        half_stance=between(0.07, 0.12),
+        toe_out=degrees(3.0, 11.0),
+        arm_swing=degrees(14.0, 28.0),
+        stoop=degrees(0.0, 6.0),
+        elbow_flare=between(0.25, 0.55),
+        goal_gain=goal_gain,
+        fill_gain=between(0.50, 0.75),
+        goal_gain_vertical=between(0.80, 1.0),
+        fill_gain_vertical=between(0.35, 0.60),
+        eye_only_range=degrees(8.0, 18.0),
+        head_lag=between(-0.060, 0.030),
+        neck_share=between(0.85, 1.0),
+        chest_share=between(0.45, 0.65),
+        pelvis_share=between(0.10, 0.22),
+        trunk_time=between(0.10, 0.18),
+        reach_time=between(0.85, 1.15),
+        turn_rate=degrees(62.0, 90.0),
         right_handed=float(rng.random() < 0.9),
     )
 
@@ -454,11 +356,11 @@ class Trunk:
     """Positions in metres, world frame; yaw and pitch of the segments in radians."""
 
     pelvis: np.ndarray
-    hips: tuple[np.ndarray, np.ndarray]
-    spine: tuple[np.ndarray, np.ndarray, np.ndarray]
+    hips: tuple[np.ndarray, ...]
+    spine: tuple[np.ndarray, ...]
     neck: np.ndarray
-    collars: tuple[np.ndarray, np.ndarray]
-    shoulders: tuple[np.ndarray, np.ndarray]
+    collars: tuple[np.ndarray, ...]
+    shoulders: tuple[np.ndarray, ...]
     yaws: tuple[np.ndarray, ...]
     """Pelvis, spine1, spine2, spine3 (the chest)."""
     pitches: tuple[np.ndarray, ...]
@@ -490,22 +392,17 @@ def pose_trunk(
     joints = [pelvis]
     for yaw, pitch, offset in zip(yaws, pitches, body.spine, strict=True):
         joints.append(joints[-1] + turn(yaw, pitch, np.array(offset)))
-    _, spine1, spine2, spine3, neck = joints
-    collars = tuple(spine3 + turn(yaws[3], pitches[3], _mirrored(body.collar, side)) for side in (0, 1))
-    shoulders = tuple(
-        collar + turn(yaws[3], pitches[3], _mirrored(body.shoulder, side)) for side, collar in enumerate(collars)
-    )
-    hips = tuple(pelvis + turn(yaws[0], pitches[0], _mirrored(body.hip, side)) for side in (0, 1))
-    return Trunk(
-        pelvis,
-        (hips[0], hips[1]),
-        (spine1, spine2, spine3),
-        neck,
-        (collars[0], collars[1]),
-        (shoulders[0], shoulders[1]),
-        yaws,
-        pitches,
-    )
+    _, *spine, neck = joints
+
+    def both(segment: int, offset: tuple[float, float, float], *origins: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The left and the right joint of a pair, by the offset of the left one in its segment."""
+        offsets = (np.array(offset), np.array([-offset[0], offset[1], offset[2]]))
+        turned = [turn(yaws[segment], pitches[segment], one) for one in offsets]
+        return tuple(origin + way for origin, way in zip(origins, turned, strict=True))
+
+    collars = both(3, body.collar, spine[2], spine[2])
+    shoulders = both(3, body.shoulder, *collars)
+    return Trunk(pelvis, both(0, body.hip, pelvis, pelvis), tuple(spine), neck, collars, shoulders, yaws, pitches)
 
 
 def standing_pelvis_height(body: Body) -> float:
@@ -516,7 +413,3 @@ def standing_pelvis_height(body: Body) -> float:
 def seated_pelvis_height(body: Body) -> float:
     """Return the pelvis height of a person who sits."""
     return 0.34 * body.stature
-
-
-def _mirrored(offset: tuple[float, float, float], side: int) -> np.ndarray:
-    return np.array([offset[0] if side == 0 else -offset[0], offset[1], offset[2]])

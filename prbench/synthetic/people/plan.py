@@ -9,7 +9,7 @@ without further choices.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal, cast
 
 import numpy as np
@@ -176,115 +176,6 @@ _DWELL = {"pick": 0.18, "put": 0.18, "hover": np.inf, "pass_by": 0.02, "touch": 
 """Seconds that the hand stays after the event; a hovering hand stays until it picks."""
 _FROM_HOVER = 0.7  # of the usual time, for the short way from a hovering hand to the object
 _LONGEST_GAP = 9.7
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Properties that a pick and its put have in common."""
-
-    tag: str
-    tagged_event: str
-    """Which of the two a tag of single events means: pick or put."""
-
-
-@dataclass(frozen=True)
-class Movement:
-    """Which hand does what to which object, and from when on."""
-
-    number: int
-    action: Action
-    tag: str
-    item: int
-    hand: int
-    motor_start: float
-
-
-def tag_of(pair: Pair, action: Action) -> str:
-    """Return the tag that a movement itself carries."""
-    if action == "hover":
-        return "too_near"
-    if action in EXTRA:
-        return action
-    if pair.tag in _OF_PAIR:
-        return pair.tag
-    if pair.tag in ("too_near", "early"):
-        return pair.tag if action == "pick" else "plain"
-    return pair.tag if pair.tag in _OF_EVENT and action == pair.tagged_event else "plain"
-
-
-def make_reach(
-    preset: Preset,
-    person: Person,
-    movement: Movement,
-    goal: Goal,
-    stand: Stand,
-    rng: np.random.Generator,
-    provoker: np.random.Generator,
-) -> Reach:
-    """Draw the timing of a movement.
-
-    Args:
-        preset: Whether what is picked is carried away.
-        person: How fast they reach.
-        movement: What is done.
-        goal: To what.
-        stand: From where and how.
-        rng: Of the plan.
-        provoker: Of the provocations.
-    """
-    action = movement.action
-    tag = movement.tag
-    arrival = movement.motor_start if stand.segment is None else stand.segment.arrival
-    reach_start = max(movement.motor_start, arrival - float(rng.uniform(0.15, 0.45)))
-    length = (0.62 + 0.35 * rng.random()) * person.habits.reach_time + rng.uniform(0.03, 0.12)
-    from_hover = tag == "too_near" and action == "pick"
-    event = reach_start + float(length) * (_FROM_HOVER if from_hover else 1.0)
-    return Reach(
-        number=movement.number,
-        action=action,
-        tag=tag,
-        item=movement.item,
-        hand=movement.hand,
-        surface=goal.surface,
-        centre=goal.centre,
-        yaw=stand.yaw,
-        half_world=world_half_extents(goal.half_extents, stand.yaw),
-        base=stand.base,
-        grasp=stand.grasp,
-        posture=stand.posture,
-        motor_start=movement.motor_start,
-        reach_start=reach_start,
-        contact=event - 0.04,
-        event=event,
-        dwell=_DWELL[action],
-        carries=action == "pick" and preset.puts,
-        twist=_draw_twist(action, tag, goal, stand, event, provoker),
-    )
-
-
-def _draw_twist(
-    action: Action, tag: str, goal: Goal, stand: Stand, event: float, provoker: np.random.Generator
-) -> ReachChange:
-    draw = provoker.uniform
-    if action == "nudge":
-        away = goal.centre - stand.grasp.wrist
-        away[1] = 0.0
-        return ReachChange(slide=float(draw(0.008, 0.018)) * away / np.linalg.norm(away))
-    if action == "hinge":
-        return ReachChange(opening=float(draw(0.55, 0.8)))
-    if tag == "two_handed":
-        return ReachChange(second_hand=float(draw(0.10, 0.16)))
-    if tag == "too_near" and action == "pick":
-        return ReachChange(gap=float(draw(0.42, 0.55)))
-    if tag == "early":
-        return ReachChange(gap=min(event - float(draw(0.6, 1.7)), _LONGEST_GAP))
-    if tag == "lost":
-        before = float(draw(0.1, 0.5))
-        after = float(draw(0.2, 0.5))
-        return ReachChange(lost=(event - before, event + after))
-    return ReachChange()
-
-
 _TRIES = 14
 _TRIES_A_SURFACE = 5  # before another is drawn: else hard ones, very high or very low, would become rare
 _RESTING_GAP = 0.13  # metres between the centres of two objects at rest
@@ -295,24 +186,6 @@ _HANDING_OVER_AFTER = 1.0  # seconds after the pick
 _HANDING_OVER_TAKES = 1.5
 _HOVER_ABOVE = 0.03
 _PASSING = (0.031, 0.044)  # metres between finger base and box when a hand passes by
-
-
-@dataclass
-class _State:
-    """Progress of the plan."""
-
-    base: BasePose
-    surface: int
-    free_from: float = OPENING
-    spots: list[np.ndarray] = field(default_factory=list)
-    items: list[Item] = field(default_factory=list)
-    segments: list[Segment] = field(default_factory=list)
-    reaches: list[Reach] = field(default_factory=list)
-    holding: Reach | None = None
-    tag: str = "plain"
-    """Of the pair of events under way."""
-    tagged_event: str = ""
-    """Which of the two a tag of single events means: pick or put."""
 
 
 def plan_recording(
@@ -339,16 +212,15 @@ def plan_recording(
         provoker: Generator of the provocations.
     """
     planner = _Planner(preset, person, room, rng, is_seated, shares or {}, provoker or rng)
-    start, surface = planner.first_place()
-    state = _State(start, surface)
+    start = planner.base
     for _ in range(n_events):
-        planner.add_event(state)
-    items = (*state.items, *room.bystanders)
-    return Plan(preset, person, room, is_seated, start, items, tuple(state.segments), tuple(state.reaches))
+        planner.add_event()
+    items = (*planner.items, *room.bystanders)
+    return Plan(preset, person, room, is_seated, start, items, tuple(planner.segments), tuple(planner.reaches))
 
 
 class _Planner:
-    """The recording's fixed surroundings, and the draws that depend on them."""
+    """The recording's fixed surroundings, the progress of its plan, and the draws that depend on both."""
 
     def __init__(
         self,
@@ -364,110 +236,112 @@ class _Planner:
         self.person = person
         self.room = room
         self.rng = rng
-        self.is_seated = is_seated
         self.shares = shares
         self.provoker = provoker
-        self.weights = np.array([surface.weight for surface in room.surfaces])
         self.kinds = [preset.objects[i] for i in rng.permutation(len(preset.objects))]
         self.reachability = Reachability(preset, person, room, rng, is_seated)
+        # The person begins before a surface, anywhere along it.
+        self.surface = self._other_surface(None)
+        first = room.surfaces[self.surface]
+        edge = rng.uniform(*preset.edge)
+        lateral = 0.0 if is_seated else rng.uniform(-0.3, 0.3) * first.width
+        point = first.point(float(lateral), -float(edge))
+        self.base = BasePose(float(point[0]), float(point[2]), first.facing)
+        self.free_from = OPENING
+        self.spots: list[np.ndarray] = []
+        self.items: list[Item] = []
+        self.segments: list[Segment] = []
+        self.reaches: list[Reach] = []
+        self.holding: Reach | None = None
+        self.tag = "plain"  # of the pair of events under way
+        self.tagged_event = ""  # which of the two a tag of single events means: pick or put
 
-    def first_place(self) -> tuple[BasePose, int]:
-        """Draw a place before a surface, anywhere along it."""
-        number = self._other_surface(None)
-        surface = self.room.surfaces[number]
-        edge = self.rng.uniform(*self.preset.edge)
-        lateral = 0.0 if self.is_seated else self.rng.uniform(-0.3, 0.3) * surface.width
-        point = surface.point(float(lateral), -float(edge))
-        return BasePose(float(point[0]), float(point[2]), surface.facing), number
-
-    def add_event(self, state: _State) -> None:
-        """Plan the next pick or put; leaves the state as it is when no reachable goal is found."""
-        if state.holding is not None:
-            self._put(state, state.holding)
+    def add_event(self) -> None:
+        """Plan the next pick or put; leaves the plan as it is when no reachable goal is found."""
+        if self.holding is not None:
+            self._put(self.holding)
             return
         movements = 2 if self.preset.puts else 1
-        state.tag = draw_tag(self.shares, movements, not state.reaches, self.provoker) if self.shares else "plain"
-        state.tagged_event = "put" if self.preset.puts and self.provoker.random() < 0.5 else "pick"
-        if state.tag in EXTRA:
-            self._extra(state, state.tag)
-        self._pick(state)
+        self.tag = draw_tag(self.shares, movements, not self.reaches, self.provoker) if self.shares else "plain"
+        self.tagged_event = "put" if self.preset.puts and self.provoker.random() < 0.5 else "pick"
+        if self.tag in EXTRA:
+            self._extra(cast(Action, self.tag))
+        self._pick()
 
-    def _pick(self, state: _State) -> None:
-        kind = TRAY if state.tag == "contained" else self.kinds[len(state.items) % len(self.kinds)]
-        found = self._find_new(
-            state, kind, TRAY_HANDLE if kind is TRAY else None, near=state.tag in ("early", "too_near")
-        )
+    def _next_kind(self) -> ObjectKind:
+        return self.kinds[len(self.items) % len(self.kinds)]
+
+    def _pick(self) -> None:
+        is_tray = self.tag == "contained"
+        kind = TRAY if is_tray else self._next_kind()
+        found = self._find_new(kind, TRAY_HANDLE if is_tray else None, near=self.tag in ("early", "too_near"))
         if found is None:
             return
         goal, stand, hand, motor_start = found
-        state.items.append(Item(kind, goal.half_extents, goal.centre, goal.yaw))
-        index = len(state.items) - 1
-        if kind is TRAY:
-            self._load_tray(state, goal, index)
-        if state.tag == "too_near":
-            motor_start = self._hover(state, goal, stand, hand, index, motor_start)
+        self.items.append(Item(kind, goal.half_extents, goal.centre, goal.yaw))
+        index = len(self.items) - 1
+        if is_tray:
+            # Something stands on the tray and is carried with it.
+            load = self._next_kind()
+            half = np.array([0.03, 0.04, 0.03])
+            centre = goal.centre + turn(goal.yaw, 0.0, TRAY_LOAD) + (goal.half_extents[1] + half[1]) * UP
+            self.items.append(Item(load, half, centre, goal.yaw, rides_on=index))
+        if self.tag == "too_near":
+            # The hand comes near the goal without a look, long before the pick.
+            raised = replace(stand.grasp, wrist=stand.grasp.wrist + _HOVER_ABOVE * UP)
+            hover = self._reach("hover", goal, replace(stand, grasp=raised), hand, index, motor_start)
+            self._commit(hover, stand)
+            self.spots.pop()
+            motor_start = hover.event + float(self.provoker.uniform(3.4, 4.2))
             stand = replace(stand, segment=None)
-        reach = self._reach(state, "pick", goal, stand, hand, index, motor_start)
-        self._commit(state, reach, stand)
-        state.holding = reach if self.preset.puts else None
+        reach = self._reach("pick", goal, stand, hand, index, motor_start)
+        self._commit(reach, stand)
+        self.holding = reach if self.preset.puts else None
 
-    def _put(self, state: _State, pick: Reach) -> None:
+    def _put(self, pick: Reach) -> None:
         """Put down what was picked; keeps trying until a place is found."""
-        item = state.items[pick.item]
-        hand = 1 - pick.hand if state.tag == "hand_over" else pick.hand
-        held = None if state.tag == "hand_over" else Held(pick.centre, pick.yaw, pick.base.heading, pick.grasp)
-        handing = pick.event + _HANDING_OVER_AFTER if state.tag == "hand_over" else None
-        if handing is not None:
-            state.free_from = max(state.free_from, handing + _HANDING_OVER_TAKES)
-        found = self._find_place(state, item, pick, held, hand)
+        hand = pick.hand
+        held = Held(pick.centre, pick.yaw, pick.base.heading, pick.grasp)
+        handing = None
+        if self.tag == "hand_over":
+            hand, held = 1 - pick.hand, None
+            handing = pick.event + _HANDING_OVER_AFTER
+            self.free_from = max(self.free_from, handing + _HANDING_OVER_TAKES)
+        found = self._find_place(pick, held, hand)
         if found is None:
             return
         goal, stand, motor_start = found
-        reach = self._reach(state, "put", goal, stand, hand, pick.item, motor_start)
+        reach = self._reach("put", goal, stand, hand, pick.item, motor_start)
         twist = replace(reach.twist, handed_over=handing, second_hand=pick.twist.second_hand)
-        self._commit(state, replace(reach, twist=twist), stand)
-        state.holding, state.tag = None, "plain"
+        self._commit(replace(reach, twist=twist), stand)
+        self.holding, self.tag = None, "plain"
 
-    def _extra(self, state: _State, tag: str) -> None:
+    def _extra(self, action: Action) -> None:
         """Plan a movement that is no pick and no put, of an object that nobody carries."""
-        kind = DOOR if tag == "hinge" else self.kinds[len(state.items) % len(self.kinds)]
-        found = self._find_new(state, kind, DOOR_HANDLE if tag == "hinge" else None, near=True)
+        is_door = action == "hinge"
+        kind = DOOR if is_door else self._next_kind()
+        found = self._find_new(kind, DOOR_HANDLE if is_door else None, near=True)
         if found is None:
             return
         goal, stand, hand, motor_start = found
-        state.items.append(Item(kind, goal.half_extents, goal.centre, goal.yaw, hinged=tag == "hinge"))
-        reach = self._reach(state, cast(Action, tag), goal, stand, hand, len(state.items) - 1, motor_start)
-        if tag == "pass_by":
+        self.items.append(Item(kind, goal.half_extents, goal.centre, goal.yaw, hinged=is_door))
+        reach = self._reach(action, goal, stand, hand, len(self.items) - 1, motor_start)
+        if action == "pass_by":
             clearance = float(self.provoker.uniform(*_PASSING))
             grasp = kept_away(reach.grasp, self.person.body.hand, goal.centre, goal.half_extents, goal.yaw, clearance)
             reach = replace(reach, grasp=grasp)
-        self._commit(state, reach, stand)
+        self._commit(reach, stand)
 
-    def _hover(self, state: _State, goal: Goal, stand: Stand, hand: int, item: int, motor_start: float) -> float:
-        """Bring the hand near a goal without looking, long before the pick; returns when the pick may start."""
-        raised = replace(stand.grasp, wrist=stand.grasp.wrist + _HOVER_ABOVE * UP)
-        hover = self._reach(state, "hover", goal, replace(stand, grasp=raised), hand, item, motor_start)
-        self._commit(state, hover, stand)
-        state.spots.pop()
-        return hover.event + float(self.provoker.uniform(3.4, 4.2))
-
-    def _load_tray(self, state: _State, goal: Goal, tray: int) -> None:
-        kind = self.kinds[len(state.items) % len(self.kinds)]
-        half = np.array([0.03, 0.04, 0.03])
-        centre = goal.centre + turn(goal.yaw, 0.0, TRAY_LOAD) + (goal.half_extents[1] + half[1]) * UP
-        state.items.append(Item(kind, half, centre, goal.yaw, rides_on=tray))
-
-    def _motor_start(self, state: _State) -> float:
+    def _motor_start(self) -> float:
         median, spread = self.preset.idle
-        idle = float(np.clip(median * np.exp(spread * self.rng.standard_normal()), 0.25, 12.0))
-        return state.free_from + idle
+        return self.free_from + float(np.clip(median * np.exp(spread * self.rng.standard_normal()), 0.25, 12.0))
 
     def _find_new(
-        self, state: _State, kind: ObjectKind, handle: np.ndarray | None, *, near: bool
+        self, kind: ObjectKind, handle: np.ndarray | None, *, near: bool
     ) -> tuple[Goal, Stand, int, float] | None:
         """Draw a new object on a free, reachable spot."""
-        motor_start = self._motor_start(state)
-        surfaces = self._surface_drawer(state, near)
+        motor_start = self._motor_start()
+        surfaces = self._surface_drawer(near)
         for _ in range(_TRIES * (3 if self.preset.table_only else 1)):
             half_extents, yaw = draw_item_shape(kind, self.rng)
             surface, around = surfaces()
@@ -475,91 +349,135 @@ class _Planner:
             if handle is not None:
                 yaw = place.facing
             centre = draw_spot(place, half_extents, yaw, self.rng, around)
-            if not self._is_free(state, centre, None, _LARGE_GAP if handle is not None else _RESTING_GAP):
+            if not self._is_free(centre, None, _LARGE_GAP if handle is not None else _RESTING_GAP):
                 continue
             goal = Goal(surface, centre, half_extents, yaw, handle, None if handle is None else HANDLE_HALF)
-            hand = self.reachability.hand_for(state.base, centre)
-            stand = self.reachability.stand(state.base, state.surface, goal, hand, None, motor_start, stay=False)
+            hand = self.reachability.hand_for(self.base, centre)
+            stand = self.reachability.stand(self.base, self.surface, goal, hand, None, motor_start)
             if stand is not None:
                 return goal, stand, hand, motor_start
         return None
 
-    def _find_place(
-        self, state: _State, item: Item, pick: Reach, held: Held | None, hand: int
-    ) -> tuple[Goal, Stand, float] | None:
-        motor_start = self._motor_start(state)
-        surfaces = self._surface_drawer(state, False)
+    def _find_place(self, pick: Reach, held: Held | None, hand: int) -> tuple[Goal, Stand, float] | None:
+        item = self.items[pick.item]
+        motor_start = self._motor_start()
+        surfaces = self._surface_drawer(False)
         for attempt in range(4 * _TRIES):
             surface, around = surfaces()
             centre = draw_spot(self.room.surfaces[surface], item.half_extents, 0.0, self.rng, around)
-            back_again = state.tag == "same_place" and attempt < _TRIES
-            if back_again:
+            if self.tag == "same_place" and attempt < _TRIES:
                 surface = pick.surface
                 centre = pick.centre + np.array([1.0, 0.0, 1.0]) * self.rng.uniform(-0.018, 0.018, 3)
-            elif not self._is_free(state, centre, pick.centre, _LARGE_GAP if item.kind is TRAY else _RESTING_GAP):
+            elif not self._is_free(centre, pick.centre, _LARGE_GAP if item.kind is TRAY else _RESTING_GAP):
                 continue
             goal = Goal(surface, centre, item.half_extents, 0.0 if held is not None else pick.yaw)
-            stand = self.reachability.stand(state.base, state.surface, goal, hand, held, motor_start, stay=False)
+            stand = self.reachability.stand(self.base, self.surface, goal, hand, held, motor_start)
             if stand is not None:
                 return goal, stand, motor_start
         return None
 
-    def _surface_drawer(self, state: _State, near: bool) -> Callable[[], tuple[int, tuple[float, float] | None]]:
+    def _surface_drawer(self, near: bool) -> Callable[[], tuple[int, tuple[float, float] | None]]:
         """Draws surface and lateral spread again and again, deciding only once whether to stay near."""
         stays = self.preset.table_only or near or self.rng.random() < self.preset.same_surface
         is_near = self.rng.random() < self.preset.near
-
         tries = 0
-        chosen = state.surface
+        chosen = self.surface
 
         def draw() -> tuple[int, tuple[float, float] | None]:
             nonlocal tries, chosen
             if not stays and tries % _TRIES_A_SURFACE == 0:
-                chosen = self._other_surface(state.surface)
+                chosen = self._other_surface(self.surface)
             tries += 1
-            if not is_near or chosen != state.surface or not state.spots:
+            if not is_near or chosen != self.surface or not self.spots:
                 return chosen, None
             place = self.room.surfaces[chosen]
-            return chosen, (float((state.spots[-1] - place.edge_centre) @ place.left), self.preset.spread)
+            return chosen, (float((self.spots[-1] - place.edge_centre) @ place.left), self.preset.spread)
 
         return draw
 
     def _other_surface(self, current: int | None) -> int:
-        weights = self.weights.copy()
+        weights = np.array([surface.weight for surface in self.room.surfaces])
         if current is not None and len(weights) > 1:
             weights[current] = 0.0
         return int(self.rng.choice(len(weights), p=weights / weights.sum()))
 
-    def _is_free(self, state: _State, centre: np.ndarray, picked_from: np.ndarray | None, gap: float) -> bool:
+    def _is_free(self, centre: np.ndarray, picked_from: np.ndarray | None, gap: float) -> bool:
         """Return True where a spot is far enough from recent ones, its own pick, and everything that stands there."""
-        if any(np.linalg.norm(centre - spot) < self.preset.spot_spacing for spot in state.spots[-4:]):
+        if any(np.linalg.norm(centre - spot) < self.preset.spot_spacing for spot in self.spots[-4:]):
             return False
         if picked_from is not None and np.linalg.norm(centre - picked_from) < _PUT_FROM_PICK:
             return False
-        standing = [*state.spots, *(item.position for item in (*state.items, *self.room.bystanders))]
+        standing = [*self.spots, *(item.position for item in (*self.items, *self.room.bystanders))]
         if any(np.linalg.norm(centre - other) < gap for other in standing):
             return False
         return bool(centre[1] < _HIGHEST_GOAL * self.person.body.stature)
 
-    def _reach(
-        self,
-        state: _State,
-        action: Action,
-        goal: Goal,
-        stand: Stand,
-        hand: int,
-        item: int,
-        motor_start: float,
-    ) -> Reach:
-        pair = Pair(state.tag, state.tagged_event)
-        movement = Movement(len(state.reaches), action, tag_of(pair, action), item, hand, motor_start)
-        return make_reach(self.preset, self.person, movement, goal, stand, self.rng, self.provoker)
+    def _reach(self, action: Action, goal: Goal, stand: Stand, hand: int, item: int, motor_start: float) -> Reach:
+        """Draw the timing of a movement: which hand does what to which object from where, and from when on."""
+        tag = self._tag_of(action)
+        arrival = motor_start if stand.segment is None else stand.segment.arrival
+        reach_start = max(motor_start, arrival - float(self.rng.uniform(0.15, 0.45)))
+        length = (0.62 + 0.35 * self.rng.random()) * self.person.habits.reach_time + self.rng.uniform(0.03, 0.12)
+        from_hover = tag == "too_near" and action == "pick"
+        event = reach_start + float(length) * (_FROM_HOVER if from_hover else 1.0)
+        return Reach(
+            number=len(self.reaches),
+            action=action,
+            tag=tag,
+            item=item,
+            hand=hand,
+            surface=goal.surface,
+            centre=goal.centre,
+            yaw=stand.yaw,
+            half_world=world_half_extents(goal.half_extents, stand.yaw),
+            base=stand.base,
+            grasp=stand.grasp,
+            posture=stand.posture,
+            motor_start=motor_start,
+            reach_start=reach_start,
+            contact=event - 0.04,
+            event=event,
+            dwell=_DWELL[action],
+            carries=action == "pick" and self.preset.puts,
+            twist=self._draw_twist(action, tag, goal, stand, event),
+        )
 
-    def _commit(self, state: _State, reach: Reach, stand: Stand) -> None:
-        state.reaches.append(reach)
-        state.spots.append(reach.centre)
+    def _tag_of(self, action: Action) -> str:
+        """Return the tag that a movement itself carries."""
+        if action == "hover":
+            return "too_near"
+        if action in EXTRA:
+            return action
+        if self.tag in ("too_near", "early"):
+            return self.tag if action == "pick" else "plain"
+        is_tagged = self.tag in _OF_PAIR or (self.tag in _OF_EVENT and action == self.tagged_event)
+        return self.tag if is_tagged else "plain"
+
+    def _draw_twist(self, action: Action, tag: str, goal: Goal, stand: Stand, event: float) -> ReachChange:
+        draw = self.provoker.uniform
+        if action == "nudge":
+            away = goal.centre - stand.grasp.wrist
+            away[1] = 0.0
+            return ReachChange(slide=float(draw(0.008, 0.018)) * away / np.linalg.norm(away))
+        if action == "hinge":
+            return ReachChange(opening=float(draw(0.55, 0.8)))
+        if tag == "two_handed":
+            return ReachChange(second_hand=float(draw(0.10, 0.16)))
+        if tag == "too_near" and action == "pick":
+            return ReachChange(gap=float(draw(0.42, 0.55)))
+        if tag == "early":
+            return ReachChange(gap=min(event - float(draw(0.6, 1.7)), _LONGEST_GAP))
+        if tag == "lost":
+            before = float(draw(0.1, 0.5))
+            after = float(draw(0.2, 0.5))
+            return ReachChange(lost=(event - before, event + after))
+        return ReachChange()
+
+    def _commit(self, reach: Reach, stand: Stand) -> None:
+        self.reaches.append(reach)
+        self.spots.append(reach.centre)
         if stand.segment is not None:
-            state.segments.append(stand.segment)
-        state.base, state.surface = stand.base, reach.surface
+            self.segments.append(stand.segment)
+        self.base, self.surface = stand.base, reach.surface
         stays = 0.0 if np.isinf(reach.dwell) else max(reach.dwell - 0.18, 0.0)
-        state.free_from = reach.event + stays + float(self.rng.uniform(0.7, 1.0))
+        self.free_from = reach.event + stays + float(self.rng.uniform(0.7, 1.0))

@@ -36,13 +36,6 @@ class Grasp:
     hand: Float[np.ndarray, "3 3"]
     """World from hand; y from wrist to finger base."""
 
-    def moved(self, before: np.ndarray, after: np.ndarray, turned: float) -> Grasp:
-        """Return the same grasp on an object that moved from ``before`` to ``after`` and turned by ``turned``."""
-        return Grasp(
-            after + turn(turned, 0.0, self.wrist - before),
-            np.stack([turn(turned, 0.0, axis) for axis in self.hand.T], axis=-1),
-        )
-
 
 @dataclass(frozen=True)
 class Posture:
@@ -55,11 +48,6 @@ class Posture:
     """Chest against the heading, radians."""
     extension: float
     """Shoulder to wrist over arm length; above about .92 the goal is out of reach."""
-
-
-def draw_grasp_number(preset: Preset, rng: np.random.Generator) -> float:
-    """Return the one free number of a grasp: finger base to box surface, or wrist to box centre."""
-    return float(rng.uniform(0.010, 0.017) if preset.grasp == "fingertips" else rng.uniform(0.078, 0.112))
 
 
 def take_hold(
@@ -112,13 +100,11 @@ def shoulder_in_posture(
     hand: int,
     posture: Posture,
     pelvis_height: float | None = None,
-    offset: np.ndarray | None = None,
 ) -> Float[np.ndarray, "3"]:
     """Return where the reaching shoulder is in a posture at a standing place."""
-    heights = _shoulders(
-        person, base, hand, np.array([posture.lean]), np.array([posture.crouch]), posture.chest_turn, pelvis_height
-    )
-    return heights[0] + (0.0 if offset is None else offset)
+    lean = np.array([posture.lean])
+    crouch = np.array([posture.crouch])
+    return _shoulders(person, base, hand, lean, crouch, posture.chest_turn, pelvis_height)[0]
 
 
 def solve_posture(
@@ -246,7 +232,7 @@ class Reachability:
         return int((centre - base.point) @ base.left < 0.0)
 
     def stand(
-        self, base: BasePose, at_surface: int, goal: Goal, hand: int, held: Held | None, begin: float, *, stay: bool
+        self, base: BasePose, at_surface: int, goal: Goal, hand: int, held: Held | None, begin: float
     ) -> Stand | None:
         """Return a place from which a hand reaches a goal.
 
@@ -257,15 +243,15 @@ class Reachability:
             hand: 0 left, 1 right.
             held: Set for a put: its grasp is repeated.
             begin: When the person starts to move, seconds.
-            stay: Whether the feet must not move.
 
         Returns:
             None if the goal is out of reach from everywhere tried.
         """
-        number = draw_grasp_number(self.preset, self.rng)
-        places = [base] if stay else self._places(base, at_surface, goal, hand)
+        # The one free number of a grasp: finger base to box surface, or wrist to box centre.
+        span = (0.010, 0.017) if self.preset.grasp == "fingertips" else (0.078, 0.112)
+        number = float(self.rng.uniform(*span))
         bent_low = None
-        for place in places:
+        for place in self._places(base, at_surface, goal, hand):
             # Whoever works along one table keeps facing it.
             segment = plan_segment(
                 self.person.habits, self.preset.speed, base, place, begin, faces_on=self.preset.table_only
@@ -288,7 +274,9 @@ class Reachability:
         """Find grasp and posture, which depend on one another through the shoulder: two rounds settle them."""
         if held is not None:
             turned = base.heading - held.heading
-            grasp = held.grasp.moved(held.centre, goal.centre, turned)
+            # The same grasp on an object that has moved and turned.
+            wrist = goal.centre + turn(turned, 0.0, held.grasp.wrist - held.centre)
+            grasp = Grasp(wrist, np.stack([turn(turned, 0.0, axis) for axis in held.grasp.hand.T], axis=-1))
             return held.yaw + turned, grasp, solve_posture(self.person, base, hand, grasp.wrist, self.pelvis_height)
         centre = goal.centre
         half = goal.half_extents

@@ -163,39 +163,23 @@ def _draw_surfaces(preset: Preset, rng: np.random.Generator) -> tuple[Surface, .
     for number, kind in enumerate(kinds):
         height = kind.height + 0.04 * float(rng.standard_normal())
         weight = kind.weight / sum(other is kind for other in kinds)
-        on_same_wall = surfaces[number % 4 :: 4]
-        surfaces.append(_place_surface(preset, kind, number % 4, height, weight, on_same_wall, rng))
+        wall = number % 4
+        normal = np.array([(0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)][wall])
+        across, along = (preset.room[1], preset.room[0]) if wall % 2 == 0 else preset.room
+        middle = -normal * across / 2.0 + height * UP
+        width = 1.4 if preset.table_only else float(rng.uniform(0.7, 1.3))
+        surface = Surface(kind, middle, normal, width, weight)
+        # Shift it along its wall, narrower with each try, until it stands beside the others there.
+        for _ in range(0 if preset.table_only else 60):
+            shift = float(rng.uniform(-0.5, 0.5)) * (along - width)
+            surface = replace(surface, edge_centre=middle + shift * surface.left, width=width)
+            apart = [(abs(float((surface.edge_centre - other.edge_centre) @ surface.left)), other.width)
+                     for other in surfaces[wall::4]]  # fmt: skip
+            if all(distance >= (width + other) / 2.0 + 0.05 for distance, other in apart):
+                break
+            width = max(0.5, 0.97 * width)
+        surfaces.append(surface)
     return tuple(surfaces)
-
-
-def _place_surface(
-    preset: Preset,
-    kind: SurfaceKind,
-    wall: int,
-    height: float,
-    weight: float,
-    others: list[Surface],
-    rng: np.random.Generator,
-) -> Surface:
-    normal = np.array([(0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)][wall])
-    across, along = (preset.room[1], preset.room[0]) if wall % 2 == 0 else preset.room
-    middle = -normal * across / 2.0 + height * UP
-    if preset.table_only:
-        return Surface(kind, middle, normal, 1.4, weight)
-    width = float(rng.uniform(0.7, 1.3))
-    surface = Surface(kind, middle, normal, width, weight)
-    for _ in range(60):
-        shift = float(rng.uniform(-0.5, 0.5)) * (along - width)
-        surface = replace(surface, edge_centre=middle + shift * surface.left, width=width)
-        if not any(_overlap(surface, other) for other in others):
-            break
-        width = max(0.5, 0.97 * width)
-    return surface
-
-
-def _overlap(surface: Surface, other: Surface) -> bool:
-    apart = abs(float((surface.edge_centre - other.edge_centre) @ surface.left))
-    return apart < (surface.width + other.width) / 2.0 + 0.05
 
 
 _TEST_SHARE = 0.30
@@ -240,24 +224,19 @@ def assign(source: Source, index: int) -> Assignment:
         index: Of the recording.
     """
     rng = source.generator("recording", index, "split")
-    chance = rng.random()
-    people = _ranked(source, "person")
-    rooms = _ranked(source, "room")
+    is_test = rng.random() < _TEST_SHARE
+    # All people and rooms of the world in the order of a hash, of which the first are those of the test side.
+    people, rooms = (
+        [int(number) for number in source.generator(kind, 0, "rank").permutation(counts[source.world])]
+        for kind, counts in (("person", _PEOPLE), ("room", _ROOMS))
+    )
     n_test_people = round(_TEST_SHARE * len(people))
     n_test_rooms = round(_TEST_SHARE * len(rooms))
-    is_test = chance < _TEST_SHARE
     people_here = people[:n_test_people] if is_test else people[n_test_people:]
     rooms_here = rooms[:n_test_rooms] if is_test else rooms[n_test_rooms:]
     person = people_here[int(rng.integers(len(people_here)))]
     room = rooms_here[int(rng.integers(len(rooms_here)))]
-    for_validation = people[n_test_people : n_test_people + round(_VALIDATION_SHARE * len(people))]
     if is_test:
         return Assignment(room, person, "test")
-    split = "validation" if person in for_validation else "train"
-    return Assignment(room, person, split)
-
-
-def _ranked(source: Source, kind: str) -> list[int]:
-    """Return all people or rooms of the world in the order of a hash."""
-    count = (_PEOPLE if kind == "person" else _ROOMS)[source.world]
-    return [int(number) for number in source.generator(kind, 0, "rank").permutation(count)]
+    for_validation = people[n_test_people : n_test_people + round(_VALIDATION_SHARE * len(people))]
+    return Assignment(room, person, "validation" if person in for_validation else "train")
