@@ -31,7 +31,7 @@ from prbench.synthetic.people.gaze_plan import GazePlan, Look, plan_gaze, repair
 from prbench.synthetic.people.kinematics import frame_of_bone, quaternion, rotation_quaternion, turn
 from prbench.synthetic.people.person import PRESETS, Person, Preset, Trunk, draw_person
 from prbench.synthetic.people.plan import OPENING, Plan, plan_recording, shares_for
-from prbench.synthetic.people.reaching import Posture, shoulder_in_posture, solve_posture
+from prbench.synthetic.people.reaching import shoulder_in_posture, solve_posture
 from prbench.synthetic.people.truth import Scene, events_of_others, move_objects, true_events
 from prbench.synthetic.people.walking import BasePath, Feet, place_feet, plan_steps, pose_legs, sample_base
 from prbench.synthetic.people.world import Room, Source, World, assign, draw_room, seated
@@ -41,13 +41,8 @@ _WRIST_TOLERANCE = 0.008  # metres
 _CORRECTIONS = 2  # rounds; what is left decides whether the recording is planned anew
 
 
-@dataclass(frozen=True)
-class Generators:
-    """One stream for each kind of choice, so that a change in one leaves the others alone."""
-
-    sway: np.random.Generator
-    gaze: np.random.Generator
-    head: np.random.Generator
+Generators = tuple[np.random.Generator, np.random.Generator, np.random.Generator]
+"""One stream for each kind of choice (sway, gaze, head), so that a change in one leaves the others alone."""
 
 
 @dataclass(frozen=True)
@@ -77,61 +72,41 @@ def synthesise(plan: Plan, times: Float[np.ndarray, " n"], generators: Generator
         generators: Of small movements, looks and head tremor.
     """
     person = plan.person
+    for_sway, for_gaze, for_head = generators
     base = sample_base(plan.start, plan.segments, times)
     steps = plan_steps(person, plan.segments)
     feet = place_feet(person, base, steps, times, seated=plan.is_seated)
-    sway = draw_sway(plan, base, steps, times, generators.sway)
+    sway = draw_sway(plan, base, steps, times, for_sway)
     postures = [reach.posture for reach in plan.reaches]
 
     rough = move_trunk(plan, base, bend(plan, postures, times), sway, feet, steps, times, None)
     # The eye positions of a head that looks along the chest.
-    body = plan.person.body
+    body = person.body
     up = body.neck_length * np.cos(body.neck_tilt) + body.eye[1]
     ahead = body.neck_length * np.sin(body.neck_tilt) + body.eye[2]
     rough_eye = rough.neck + turn(rough.yaws[3], 0.0, np.array([0.0, up, ahead]))
-    gaze_plan = plan_gaze(plan, base, rough_eye, times, generators.gaze)
-    head = move_head(plan.preset, person.habits, gaze_plan, base.heading, rough_eye, times, generators.head)
+    gaze_plan = plan_gaze(plan, base, rough_eye, times, for_gaze)
+    head = move_head(plan.preset, person.habits, gaze_plan, base.heading, rough_eye, times, for_head)
 
-    def act(tried: list[Posture]) -> tuple[Trunk, Arms, tuple[float, ...]]:
-        trunk = move_trunk(plan, base, bend(plan, tried, times), sway, feet, steps, times, head)
-        arms = pose_arms(person.body, person.habits.elbow_flare, trunk, move_wrists(plan, trunk, sway, times))
-        return trunk, arms, _misses(plan, arms, times)
-
-    trunk, arms, misses = act(postures)
-    for _ in range(_CORRECTIONS):
-        if max(misses, default=0.0) <= _WRIST_TOLERANCE:
+    frames = np.searchsorted(times, [reach.event for reach in plan.reaches])
+    for left in reversed(range(_CORRECTIONS + 1)):
+        trunk = move_trunk(plan, base, bend(plan, postures, times), sway, feet, steps, times, head)
+        arms = pose_arms(body, person.habits.elbow_flare, trunk, move_wrists(plan, trunk, sway, times))
+        misses = tuple(
+            float(np.linalg.norm(arms.wrist[frame, reach.hand] - reach.grasp.wrist))
+            for frame, reach in zip(frames, plan.reaches, strict=True)
+        )
+        if not left or max(misses, default=0.0) <= _WRIST_TOLERANCE:
             break
-        postures = _corrected(plan, postures, misses, trunk, times)
-        trunk, arms, misses = act(postures)
+        # Solve the posture again where the wrist did not arrive, with the shoulder where it really was.
+        for number, reach in enumerate(plan.reaches):
+            if misses[number] > _WRIST_TOLERANCE:
+                place = (person, reach.base, reach.hand)
+                planned = shoulder_in_posture(*place, postures[number], plan.pelvis_height)
+                offset = trunk.shoulders[reach.hand][frames[number]] - planned
+                posture = solve_posture(*place, reach.grasp.wrist, plan.pelvis_height, offset)
+                postures[number] = replace(posture, chest_turn=reach.posture.chest_turn)
     return assemble(plan, base, feet, trunk, head, arms, times, gaze_plan, misses)
-
-
-def _misses(plan: Plan, arms: Arms, times: np.ndarray) -> tuple[float, ...]:
-    frames = np.searchsorted(times, [reach.event for reach in plan.reaches])
-    return tuple(
-        float(np.linalg.norm(arms.wrist[frame, reach.hand] - reach.grasp.wrist))
-        for frame, reach in zip(frames, plan.reaches, strict=True)
-    )
-
-
-def _corrected(
-    plan: Plan,
-    postures: list[Posture],
-    misses: tuple[float, ...],
-    trunk: Trunk,
-    times: np.ndarray,
-) -> list[Posture]:
-    """Solve the posture again where the wrist did not arrive, with the shoulder where it really was."""
-    frames = np.searchsorted(times, [reach.event for reach in plan.reaches])
-    postures = list(postures)
-    for number, reach in enumerate(plan.reaches):
-        if misses[number] <= _WRIST_TOLERANCE:
-            continue
-        planned = shoulder_in_posture(plan.person, reach.base, reach.hand, postures[number], plan.pelvis_height)
-        offset = trunk.shoulders[reach.hand][frames[number]] - planned
-        posture = solve_posture(plan.person, reach.base, reach.hand, reach.grasp.wrist, plan.pelvis_height, offset)
-        postures[number] = replace(posture, chest_turn=reach.posture.chest_turn)
-    return postures
 
 
 def assemble(
@@ -156,19 +131,24 @@ def assemble(
     eye = head_joint + turn(head.yaw, head.pitch, np.array(body.eye))
     hands = turn_hands(plan, arms, times)
     head_rotation = rotation_quaternion(head.yaw, head.pitch)
+    hips = np.stack(trunk.hips, axis=1)
+    shoulders = np.stack(trunk.shoulders, axis=1)
     joints = np.empty((len(head_joint), N_JOINTS, 3))
     joints[:, Joint.PELVIS] = trunk.pelvis
     joints[:, [Joint.SPINE1, Joint.SPINE2, Joint.SPINE3]] = np.stack(trunk.spine, axis=1)
     joints[:, Joint.NECK] = trunk.neck
     joints[:, Joint.HEAD] = head_joint
-    joints[:, [Joint.LEFT_HIP, Joint.RIGHT_HIP]] = np.stack(trunk.hips, axis=1)
-    joints[:, [Joint.LEFT_KNEE, Joint.RIGHT_KNEE]] = legs.knee
-    joints[:, [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE]] = legs.ankle
-    joints[:, [Joint.LEFT_FOOT, Joint.RIGHT_FOOT]] = legs.ball
-    joints[:, [Joint.LEFT_COLLAR, Joint.RIGHT_COLLAR]] = np.stack(trunk.collars, axis=1)
-    joints[:, [Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER]] = np.stack(trunk.shoulders, axis=1)
-    joints[:, [Joint.LEFT_ELBOW, Joint.RIGHT_ELBOW]] = arms.elbow
-    joints[:, [Joint.LEFT_WRIST, Joint.RIGHT_WRIST]] = arms.wrist
+    for left, pair in (
+        (Joint.LEFT_HIP, hips),
+        (Joint.LEFT_KNEE, legs.knee),
+        (Joint.LEFT_ANKLE, legs.ankle),
+        (Joint.LEFT_FOOT, legs.ball),
+        (Joint.LEFT_COLLAR, np.stack(trunk.collars, axis=1)),
+        (Joint.LEFT_SHOULDER, shoulders),
+        (Joint.LEFT_ELBOW, arms.elbow),
+        (Joint.LEFT_WRIST, arms.wrist),
+    ):
+        joints[:, left : left + 2] = pair  # the right joint of a pair follows the left one
     # World from segment at each joint: trunk and feet y up, limbs y along the bone, x the hinge.
     neck = rotation_quaternion(neck_yaw, neck_pitch)
     turned = np.empty((len(head_rotation), N_JOINTS, 4))
@@ -177,26 +157,20 @@ def assemble(
     ):
         turned[:, joint] = rotation_quaternion(yaw, pitch)
     turned[:, Joint.NECK], turned[:, Joint.HEAD] = neck, head_rotation
-    hips = np.stack(trunk.hips, axis=1)
-    shoulders = np.stack(trunk.shoulders, axis=1)
     knee_hinge = np.cross(legs.knee - hips, legs.ankle - legs.knee)
     foot = rotation_quaternion(feet.yaw, feet.pitch)
+    limbs = (
+        (Joint.LEFT_HIP, legs.knee - hips, knee_hinge),
+        (Joint.LEFT_KNEE, legs.ankle - legs.knee, knee_hinge),
+        (Joint.LEFT_SHOULDER, arms.elbow - shoulders, arms.hinge),
+        (Joint.LEFT_ELBOW, arms.wrist - arms.elbow, arms.hinge),
+    )
     for side in (0, 1):
         turned[:, Joint.LEFT_COLLAR + side] = turned[:, Joint.SPINE3]
-        turned[:, Joint.LEFT_HIP + side] = quaternion(
-            frame_of_bone(legs.knee[:, side] - hips[:, side], knee_hinge[:, side])
-        )
-        turned[:, Joint.LEFT_KNEE + side] = quaternion(
-            frame_of_bone(legs.ankle[:, side] - legs.knee[:, side], knee_hinge[:, side])
-        )
         turned[:, Joint.LEFT_ANKLE + side] = foot[:, side]
         turned[:, Joint.LEFT_FOOT + side] = foot[:, side]
-        turned[:, Joint.LEFT_SHOULDER + side] = quaternion(
-            frame_of_bone(arms.elbow[:, side] - shoulders[:, side], arms.hinge[:, side])
-        )
-        turned[:, Joint.LEFT_ELBOW + side] = quaternion(
-            frame_of_bone(arms.wrist[:, side] - arms.elbow[:, side], arms.hinge[:, side])
-        )
+        for left, bone, hinge in limbs:
+            turned[:, left + side] = quaternion(frame_of_bone(bone[:, side], hinge[:, side]))
         turned[:, Joint.LEFT_WRIST + side] = quaternion(hands[:, side])
     return Motion(
         joints=joints,
@@ -221,15 +195,6 @@ _WORST_WRIST = 0.020  # metres between wrist and target, beyond which a recordin
 _ATTEMPTS = 6
 _REPAIRS = 3  # rounds of moving fills that would prime a goal too early
 _OTHERS_OBJECTS = 4  # ids kept for what a bystander moves
-
-
-@dataclass(frozen=True)
-class _Bystander:
-    """The other person, what they planned, and the objects that they moved."""
-
-    person: OtherPerson
-    plan: Plan
-    objects: list[ObjectMotion]
 
 
 def perform(
@@ -299,9 +264,10 @@ def perform(
     if chance < shares.get("bystander", 0.0) * n_events:
         other = _bystander_acts(source, index, plan, motion, times, ids[-_OTHERS_OBJECTS:])
         if other is not None:
-            others = (other.person,)
-            events += events_of_others(other.plan, scene, other.objects, recording_id)
-            objects += other.objects
+            passer_by, their_plan, their_objects = other
+            others = (passer_by,)
+            events += events_of_others(their_plan, scene, their_objects, recording_id)
+            objects += their_objects
     return Performance(
         preset=preset,
         world=world,
@@ -338,8 +304,7 @@ def _acted(
     shares: Mapping[str, float],
 ) -> tuple[Plan, Motion, np.ndarray]:
     """Plan and motion; planned anew when a wrist stays more than 2 cm from its target."""
-
-    def act(attempt: int) -> tuple[Plan, Motion, np.ndarray]:
+    for attempt in range(_ATTEMPTS):
         rng = source.generator("recording", index, f"plan{attempt}")
         is_seated = bool(rng.random() < preset.seated_share)
         here = seated(room, source.generator("recording", index, "table")) if is_seated else room
@@ -348,15 +313,10 @@ def _acted(
             preset, person, here, n_events, rng, is_seated=is_seated, shares=shares, provoker=provoker
         )
         times = np.arange(round(_duration(plan) * rate) + 1) / rate
-        purposes = (source.generator("recording", index, f"{purpose}{attempt}") for purpose in ("sway", "gaze", "head"))
-        return plan, synthesise(plan, times, Generators(*purposes)), times
-
-    acted = act(0)
-    for attempt in range(1, _ATTEMPTS):
-        if max(acted[1].misses, default=0.0) <= _WORST_WRIST:
+        motion = synthesise(plan, times, _generators(source, index, f"{{}}{attempt}"))
+        if max(motion.misses, default=0.0) <= _WORST_WRIST:
             break
-        acted = act(attempt)
-    return acted
+    return plan, motion, times
 
 
 def name_of_recording(preset: str, seed: int, index: int) -> str:
@@ -368,7 +328,7 @@ def name_of_recording(preset: str, seed: int, index: int) -> str:
 
 def _bystander_acts(
     source: Source, index: int, wearer: Plan, motion: Motion, times: np.ndarray, object_ids: list[str]
-) -> _Bystander | None:
+) -> tuple[OtherPerson, Plan, list[ObjectMotion]] | None:
     """Let somebody else pick and put one object in the same room at the same time.
 
     Args:
@@ -380,7 +340,7 @@ def _bystander_acts(
         object_ids: Ids for the objects of the other person.
 
     Returns:
-        None if the recording is too short for it.
+        The other person, what they planned, and the objects that they moved; None if the recording is too short for it.
     """
     preset = wearer.preset
     participant = f"B{index:04d}"
@@ -401,18 +361,21 @@ def _bystander_acts(
             best = distance, plan
         if distance > _POLITE_DISTANCE:
             break
-    return None if best is None else _move_bystander(source, index, best[1], times, object_ids)
-
-
-def _move_bystander(source: Source, index: int, plan: Plan, times: np.ndarray, object_ids: list[str]) -> _Bystander:
-    purposes = (source.generator("recording", index, f"bystander-{name}") for name in ("sway", "gaze", "head"))
-    motion = synthesise(plan, times, Generators(*purposes))
+    if best is None:
+        return None
+    plan = best[1]
+    motion = synthesise(plan, times, _generators(source, index, "bystander-{}"))
     handled = 1 + max(reach.item for reach in plan.reaches)
     plan = replace(plan, items=plan.items[:handled])
     objects = move_objects(plan, motion.joints[:, 20:22], motion.hands, times, object_ids[:handled])
     held = [replace(item, held_by=np.where(item.held_by >= 0, 2, -1)) for item in objects]
     person = OtherPerson(plan.person.participant_id, motion.joints, motion.finger_bases)
-    return _Bystander(person, plan, held)
+    return person, plan, held
+
+
+def _generators(source: Source, index: int, purpose: str) -> Generators:
+    sway, gaze, head = (source.generator("recording", index, purpose.format(name)) for name in ("sway", "gaze", "head"))
+    return sway, gaze, head
 
 
 def _furniture(plan: Plan, source: Source, room_index: int) -> list[ObjectMotion]:

@@ -24,14 +24,8 @@ from prbench.synthetic.people.plan import Action, Plan, Reach
 from prbench.synthetic.people.world import Item
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
 
-
-@dataclass
-class _Track:
-    """Pose of one object over time, filled in movement by movement."""
-
-    position: Float[np.ndarray, "n 3"]
-    rotation: Float[np.ndarray, "n 4"]
-    held_by: Int[np.ndarray, " n"]
+_Track = tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"], Int[np.ndarray, " n"]]
+"""Positions and rotations of one object, and which hand holds it, over time; one row for an object at rest."""
 
 
 def move_objects(
@@ -55,83 +49,81 @@ def move_objects(
     """
     tracks: list[_Track] = []
     for index, item in enumerate(plan.items):
+        reaches = [
+            reach
+            for reach in plan.reaches
+            if reach.item == index
+            and (reach.action in ("nudge", "hinge") or (plan.preset.puts and reach.action in ("pick", "put")))
+        ]
         if item.rides_on is not None:
             tracks.append(_riding(item, plan.items[item.rides_on], tracks[item.rides_on]))
-            continue
-        reaches = [reach for reach in plan.reaches if reach.item == index and _moves_object(plan, reach)]
-        tracks.append(_moving(item, reaches, wrists, hands, times) if reaches else _resting(item))
+        elif reaches:
+            tracks.append(_moving(item, reaches, wrists, hands, times))
+        else:
+            tracks.append(_resting(item))
     return [
         ObjectMotion(
             object_id=object_id,
             name=item.kind.name,
             category=item.kind.category,
             half_extents=item.half_extents,
-            position=track.position,
-            rotation=track.rotation,
-            held_by=track.held_by,
+            position=position,
+            rotation=turned,
+            held_by=held_by,
             movable=True,
             hinged=item.hinged,
         )
-        for item, track, object_id in zip(plan.items, tracks, object_ids, strict=True)
+        for item, (position, turned, held_by), object_id in zip(plan.items, tracks, object_ids, strict=True)
     ]
 
 
-def _moves_object(plan: Plan, reach: Reach) -> bool:
-    return reach.action in ("nudge", "hinge") or (plan.preset.puts and reach.action in ("pick", "put"))
-
-
 def _resting(item: Item) -> _Track:
-    return _Track(item.position[None], quaternion(rotation(item.yaw, 0.0))[None], np.array([-1]))
+    return item.position[None], quaternion(rotation(item.yaw, 0.0))[None], np.array([-1])
 
 
 def _moving(item: Item, reaches: list[Reach], wrists: np.ndarray, hands: np.ndarray, times: np.ndarray) -> _Track:
     n = times.size
-    rest = _resting(item)
-    track = _Track(np.tile(rest.position, (n, 1)), np.tile(rest.rotation, (n, 1)), np.full(n, -1))
+    position, turned, held_by = (np.repeat(part, n, axis=0) for part in _resting(item))
     for reach, following in zip(reaches, (*reaches[1:], None), strict=False):
         first = int(np.searchsorted(times, reach.event))
         if reach.action == "pick":
             last = n if following is None else int(np.searchsorted(times, following.event))
             # Fix the object in the hand; what is left at the put is spread over the carry.
             span = slice(first, last)
-            position, turned = _rigid(wrists[span, reach.hand], hands[span, reach.hand], reach, at=0)
-            track.held_by[span] = reach.hand
+            places, frames = _rigid(wrists[span, reach.hand], hands[span, reach.hand], reach, at=0)
+            held_by[span] = reach.hand
             if following is not None and following.twist.handed_over is not None:
                 begin = following.twist.handed_over + MEETING_TIME
                 share = minimum_jerk((times[span] - begin) / HANDING_TIME)
-                position_after, turned_after = _rigid(
-                    wrists[span, following.hand], hands[span, following.hand], following, at=-1
-                )
-                position = position + share[:, None] * (position_after - position)
+                other = following.hand
+                places_after, frames_after = _rigid(wrists[span, other], hands[span, other], following, at=-1)
+                places = places + share[:, None] * (places_after - places)
                 # The rotations a growing share of the way from one to the other.
-                left = quaternion(turned_after @ np.swapaxes(turned, -1, -2))
-                turned = _scaled_rotation(left, share) @ turned
-                track.held_by[span] = np.where(share < 0.5, reach.hand, following.hand)
+                left = quaternion(frames_after @ np.swapaxes(frames, -1, -2))
+                frames = _scaled_rotation(left, share) @ frames
+                held_by[span] = np.where(share < 0.5, reach.hand, other)
             if following is not None:
-                progress = minimum_jerk(np.arange(len(position)) / (len(position) - 1))
-                position = position + progress[:, None] * (following.centre - position[-1])
-                turned = _part_of_rotation(rotation(following.yaw, 0.0) @ turned[-1].T, progress) @ turned
-            track.position[span] = position
-            track.rotation[span] = quaternion(turned)
+                progress = minimum_jerk(np.arange(len(places)) / (len(places) - 1))
+                places = places + progress[:, None] * (following.centre - places[-1])
+                left = quaternion(rotation(following.yaw, 0.0) @ frames[-1].T)
+                frames = _scaled_rotation(np.broadcast_to(left, (len(progress), 4)), progress) @ frames
+            position[span] = places
+            turned[span] = quaternion(frames)
         elif reach.action == "put":
-            track.position[first:] = reach.centre
-            track.rotation[first:] = quaternion(rotation(reach.yaw, 0.0))
+            position[first:] = reach.centre
+            turned[first:] = quaternion(rotation(reach.yaw, 0.0))
         else:
-            track.position[first:] = moved_along(reach, reach.centre, times[first:])
+            position[first:] = moved_along(reach, reach.centre, times[first:])
             if reach.action == "hinge":
-                track.rotation[first:] = quaternion(rotation(reach.yaw + opened(reach, times[first:]), 0.0))
-                track.held_by[first : int(np.searchsorted(times, reach.event + reach.dwell))] = reach.hand
-    return track
+                turned[first:] = quaternion(rotation(reach.yaw + opened(reach, times[first:]), 0.0))
+                held_by[first : int(np.searchsorted(times, reach.event + reach.dwell))] = reach.hand
+    return position, turned, held_by
 
 
 def _rigid(wrist: np.ndarray, hand: np.ndarray, reach: Reach, at: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the poses of an object that is fixed in a hand and lies as the reach has it in frame ``at``."""
     offset = hand[at].T @ (reach.centre - wrist[at])
     return wrist + hand @ offset, hand @ (hand[at].T @ rotation(reach.yaw, 0.0))
-
-
-def _part_of_rotation(whole: np.ndarray, share: np.ndarray) -> np.ndarray:
-    return _scaled_rotation(np.broadcast_to(quaternion(whole), (len(share), 4)), share)
 
 
 def _scaled_rotation(quaternions: Float[np.ndarray, "n 4"], share: Float[np.ndarray, " n"]) -> np.ndarray:
@@ -144,15 +136,15 @@ def _scaled_rotation(quaternions: Float[np.ndarray, "n 4"], share: Float[np.ndar
 
 def _riding(item: Item, carrier: Item, track: _Track) -> _Track:
     """Return the poses of an object that stands on another one."""
+    position, turned, _ = track
+    if len(position) == 1:
+        return _resting(item)
     at_rest = rotation(carrier.yaw, 0.0)
     offset = at_rest.T @ (item.position - carrier.position)
-    if len(track.position) == 1:
-        return _resting(item)
-    frames = matrix_of(track.rotation)
-    turned = frames @ (at_rest.T @ rotation(item.yaw, 0.0))
-    still = np.all(track.position == carrier.position, axis=1)[:, None]
-    position = np.where(still, item.position, track.position + frames @ offset)
-    return _Track(position, quaternion(turned), np.full(len(position), -1))
+    frames = matrix_of(turned)
+    still = np.all(position == carrier.position, axis=1)[:, None]
+    places = np.where(still, item.position, position + frames @ offset)
+    return places, quaternion(frames @ (at_rest.T @ rotation(item.yaw, 0.0))), np.full(len(places), -1)
 
 
 _LASTING = 0.050
@@ -177,26 +169,6 @@ class Sight:
     """``hit`` if the look's first tenth of a second is mostly on the box: an arriving saccade crosses its border."""
     marginal: bool
     """True where a gaze sample more or less, or 5 mm, would change whether or when the event is primed."""
-
-
-@dataclass(frozen=True)
-class _Samples:
-    """Gaze samples of the priming window, and the looks that they form."""
-
-    times: Float[np.ndarray, " n"]
-    hits: list[bool]
-    """True where the ray meets the box."""
-    distances: list[float]
-    """Metres between ray and box, infinite behind the eye."""
-    looks: list[tuple[int, int]]
-    """First sample of each unbroken look at the box, and the sample after its last."""
-    step: float
-    """Seconds between two samples."""
-
-    def is_borderline(self, row: int) -> bool:
-        """Return True where 5 mm decide whether the ray nearly misses the box."""
-        border = load_protocol().curation.near_miss_distance
-        return not self.hits[row] and abs(self.distances[row] - border) < _THIN_RAY
 
 
 def slab_interval(origin: _Vector, direction: _Vector, low: _Vector, high: _Vector) -> tuple[float, float]:
@@ -276,70 +248,46 @@ def first_sight(
         event_time: Seconds.
         gaze_period: Seconds between two gaze samples of the imitated dataset.
     """
-    samples = _samples(times, eye, gaze, low.tolist(), high.tolist(), event_time)
-    lasting = next((look for look in samples.looks if _lasts(look, samples.step, _LASTING)), None)
-    first = float(samples.times[samples.looks[0][0]]) if samples.looks else None
-    if lasting is None:
-        marginal = bool(samples.looks) or any(samples.is_borderline(row) for row in range(len(samples.times)))
-        return Sight(lasting=None, first=first, kind=None, marginal=marginal)
-    begin = lasting[0]
-    settling = samples.hits[begin : begin + int(np.ceil(_SETTLING / samples.step)) + 1]
-    return Sight(
-        lasting=float(samples.times[begin]),
-        first=first,
-        kind="hit" if 2 * sum(settling) >= len(settling) else "near_miss",
-        marginal=_is_marginal(samples, lasting, event_time, gaze_period),
-    )
-
-
-def _samples(
-    times: np.ndarray, eye: np.ndarray, gaze: np.ndarray, low: _Vector, high: _Vector, event_time: float
-) -> _Samples:
-    """Judge every gaze sample of the window, both ends included."""
     curation = load_protocol().curation
-    inside = (times >= event_time - curation.priming_window) & (times <= event_time)
-    hits: list[bool] = []
-    distances: list[float] = []
-    looks: list[tuple[int, int]] = []
-    begin: int | None = None
-    for row, (origin, direction) in enumerate(zip(eye[inside].tolist(), gaze[inside].tolist(), strict=True)):
-        hits.append(meets_box(origin, direction, low, high))
-        distances.append(passing_distance(origin, direction, low, high))
-        is_seen = hits[row] or distances[row] <= curation.near_miss_distance
-        if is_seen and begin is None:
-            begin = row
-        if not is_seen and begin is not None:
-            looks.append((begin, row))
-            begin = None
-    if begin is not None:
-        looks.append((begin, len(hits)))
-    return _Samples(times[inside], hits, distances, looks, step=float(times[1] - times[0]))
-
-
-def _lasts(look: tuple[int, int], step: float, seconds: float) -> bool:
-    """Return True where a look lasts at least so many seconds."""
-    begin, stop = look
-    return (stop - begin) * step >= seconds
-
-
-def _is_marginal(samples: _Samples, lasting: tuple[int, int], event_time: float, gaze_period: float) -> bool:
-    """Return True where a sample more or less, or 5 mm, would change when the event is primed."""
-    begin, _ = lasting
-    start = float(samples.times[begin])
-    window_start = event_time - load_protocol().curation.priming_window
-    if start < window_start + gaze_period or start + 2 * gaze_period > event_time:
-        return True
-    if not _lasts(lasting, samples.step, gaze_period):
-        return True
-    # A look shorter than two gaze periods may be sampled or not.
-    has_brief_look = any(not _lasts(look, samples.step, 2 * gaze_period) for look in samples.looks)
-    if has_brief_look and samples.looks[0][0] < begin:
-        return True
-    # The approach itself crosses the border in the last tenth of a second; only an earlier graze is another look.
-    if any(samples.is_borderline(row) for row in range(begin - int(0.1 / samples.step))):
-        return True
-    stop = min(begin + max(2, int(2 * gaze_period / samples.step)), len(samples.times))
-    return all(samples.is_borderline(row) for row in range(begin, stop))
+    lower = low.tolist()
+    upper = high.tolist()
+    step = float(times[1] - times[0])
+    window_start = event_time - curation.priming_window
+    # Judge every gaze sample of the window, both ends included.
+    inside = (times >= window_start) & (times <= event_time)
+    instants = times[inside]
+    rays = list(zip(eye[inside].tolist(), gaze[inside].tolist(), strict=True))
+    hits = [meets_box(origin, direction, lower, upper) for origin, direction in rays]
+    distances = [passing_distance(origin, direction, lower, upper) for origin, direction in rays]
+    seen = [hit or distance <= curation.near_miss_distance for hit, distance in zip(hits, distances, strict=True)]
+    # Where 5 mm decide whether the ray nearly misses the box.
+    borderline = [
+        not hit and abs(distance - curation.near_miss_distance) < _THIN_RAY
+        for hit, distance in zip(hits, distances, strict=True)
+    ]
+    # First sample of each unbroken look at the box, and the sample after its last.
+    borders = np.flatnonzero(np.diff([False, *seen, False]))
+    looks = [(int(begin), int(stop)) for begin, stop in zip(borders[::2], borders[1::2], strict=True)]
+    lasting = next((look for look in looks if (look[1] - look[0]) * step >= _LASTING), None)
+    first = float(instants[looks[0][0]]) if looks else None
+    if lasting is None:
+        return Sight(lasting=None, first=first, kind=None, marginal=bool(looks) or any(borderline))
+    begin, stop = lasting
+    start = float(instants[begin])
+    settling = hits[begin : begin + int(np.ceil(_SETTLING / step)) + 1]
+    # The approach itself crosses the border in the last tenth of a second; only an earlier graze is another look. And
+    # a look shorter than two gaze periods may be sampled or not.
+    sampled = min(begin + max(2, int(2 * gaze_period / step)), len(instants))
+    marginal = (
+        start < window_start + gaze_period
+        or start + 2 * gaze_period > event_time
+        or (stop - begin) * step < gaze_period
+        or (looks[0][0] < begin and any((last - place) * step < 2 * gaze_period for place, last in looks))
+        or any(borderline[: max(begin - int(0.1 / step), 0)])
+        or all(borderline[begin:sampled])
+    )
+    kind = "hit" if 2 * sum(settling) >= len(settling) else "near_miss"
+    return Sight(lasting=start, first=first, kind=kind, marginal=marginal)
 
 
 _MOVED = 0.001
@@ -390,7 +338,9 @@ def _true_event(
     low = reach.centre - reach.half_world
     high = reach.centre + reach.half_world
     sight = first_sight(scene.times, scene.eye, scene.gaze, low, high, event_time)
-    expected, margin = _expected(reach, sight, scene)
+    expected, margin = _outcome(sight, scene, reach.centre)
+    if reach.action not in ("pick", "put") or reach.tag == "hinge":
+        expected, margin = "excluded_category" if reach.tag == "hinge" else "not_an_event", np.inf
     return TrueEvent(
         event_id=f"{recording_id}/{reach.number:03d}{'b' if tag == 'hinge' and reach.action == 'put' else ''}",
         action="put" if reach.action == "put" else "pick",
@@ -459,15 +409,6 @@ def seen_again(
         expected=expected,
         thin=sight.marginal or margin < _THIN_MOVEMENT,
     )
-
-
-def _expected(reach: Reach, sight: Sight, scene: Scene) -> tuple[str, float]:
-    """Return the outcome that curation should reach, and the margin of the minimum-movement filter in metres."""
-    if reach.tag == "hinge":
-        return "excluded_category", np.inf
-    if reach.action not in ("pick", "put"):
-        return "not_an_event", np.inf
-    return _outcome(sight, scene, reach.centre)
 
 
 def _outcome(sight: Sight, scene: Scene, goal: np.ndarray) -> tuple[str, float]:

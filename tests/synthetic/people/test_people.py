@@ -23,7 +23,7 @@ from prbench.synthetic.people.kinematics import (
     two_bone,
     wobble,
 )
-from prbench.synthetic.people.perform import Generators, Motion, synthesise
+from prbench.synthetic.people.perform import Motion, synthesise
 from prbench.synthetic.people.person import Body, Person, draw_person
 from prbench.synthetic.people.plan import Plan, plan_recording
 from prbench.synthetic.people.reaching import kept_away, solve_posture, take_hold
@@ -156,7 +156,7 @@ def planned(number: int) -> Plan:
 
 def acted(plan: Plan) -> Motion:
     times = np.arange(0.0, plan.reaches[-1].event + 2.0, 1 / 60)
-    return synthesise(plan, times, Generators(rng("sway"), rng("gaze"), rng("head")))
+    return synthesise(plan, times, (rng("sway"), rng("gaze"), rng("head")))
 
 
 def test_wrists_arrive_within_two_centimetres() -> None:
