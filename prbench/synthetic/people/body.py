@@ -51,18 +51,6 @@ class Head:
     pitch: Float[np.ndarray, " n"]
 
 
-@dataclass
-class _Command:
-    """One head movement: towards a point until the fixation ends, then frozen relative to the heading."""
-
-    first: int
-    frozen: int
-    start: float
-    duration: float
-    target: Float[np.ndarray, "m 2"]
-    """Yaw relative to the heading, and pitch, for frames ``first`` to ``frozen``."""
-
-
 def move_head(
     preset: Preset,
     habits: Habits,
@@ -83,99 +71,74 @@ def move_head(
         times: Frame times, seconds.
         rng: For the tremor.
     """
+    frame_time = float(times[1] - times[0])
     rate = 1.0 / (times[1] - times[0])
+    # Each command is one head movement: towards a point until the fixation ends, then frozen relative to the heading.
+    # It holds its first frame, start and duration, and the target (yaw against the heading, pitch) of the frames until
+    # it is frozen.
+    commands: list[tuple[int, float, float, np.ndarray]] = []
+
+    def obey(channel: np.ndarray, first: int, start: float, duration: float, target: np.ndarray) -> None:
+        last = int(np.searchsorted(times, start + duration))
+        until = min(max(last, first + len(target)), times.size)
+        place = np.minimum(np.arange(until - first), len(target) - 1)
+        wanted = target[place]
+        progress = minimum_jerk((times[first:until] - start) / duration)[:, None]
+        moved = channel[first:until] * (1.0 - progress) + progress * wanted
+        channel[first:until] = np.where(progress < 1.0, moved, wanted)
+        channel[until:] = target[-1]
+
     channel = np.zeros((times.size, 2))
     turn_rate = np.abs(np.gradient(heading, times))
-    commands: list[_Command] = []
-    frame_time = float(times[1] - times[0])
+    goal_gains = preset.head_gain * np.array([habits.goal_gain, habits.goal_gain_vertical])
+    fill_gains = np.array([habits.fill_gain, habits.fill_gain_vertical])
     for look in gaze.looks:
         start = look.start + habits.head_lag
-        first, frozen = np.searchsorted(times, [start, look.end])
+        first, frozen = (int(place) for place in np.searchsorted(times, [start, look.end]))
         if first >= times.size:
             break
-        frozen = max(int(frozen), int(first) + 1)
-        relative = _relative_direction(
-            look.point, eye[first:frozen], heading[first:frozen], channel[first, 0], frame_time
-        )
+        frozen = max(frozen, first + 1)
         present = channel[first]
-        away = np.hypot(*(relative[0] - present))
+        # The direction against the heading; wrapped once, at the first frame, then continuous: the bearing of a point
+        # right below the eyes swings around with every step, and the head does not.
+        yaw, pitch = yaw_and_pitch(look.point - eye[first:frozen])
+        relative = np.unwrap(yaw) - heading[first:frozen]
+        relative += wrap(relative[0] - 0.3 * present[0]) + 0.3 * present[0] - relative[0]
+        step = _FASTEST_PURSUIT * frame_time
+        relative[1:] = relative[0] + np.cumsum(np.clip(np.diff(relative), -step, step))
+        wanted = np.stack([np.clip(relative, -_HEAD_YAW, _HEAD_YAW), np.clip(pitch, _HEAD_UP, _HEAD_DOWN)], axis=-1)
+        away = np.hypot(*(wanted[0] - present))
         length = look.end - look.start
         if not look.is_goal and (length < _SHORT_FILL or away < habits.eye_only_range + np.deg2rad(6.0)):
             continue
-        target = relative * _gains(preset, habits, look)
+        gains = fill_gains
+        if look.is_goal:
+            gains = goal_gains if length >= _SHORT_GOAL_LOOK else 0.5 * (goal_gains + fill_gains)
+        target = wanted * gains
         amplitude = float(np.hypot(*(target[0] - present)))
-        if commands and start - commands[-1].start < 0.7:
-            amplitude = max(amplitude, float(np.hypot(*(target[0] - commands[-1].target[0]))))
+        if commands and start - commands[-1][1] < 0.7:
+            amplitude = max(amplitude, float(np.hypot(*(target[0] - commands[-1][3][0]))))
         degrees = np.rad2deg(amplitude)
         # A head that turns together with the body takes longer, up to 1.6 times.
         slower = 1.0 + min(float(np.rad2deg(turn_rate[first])) / 250.0, 0.6)
-        duration = max(0.28 + 0.0048 * degrees, degrees / 117.0) * slower
-        commands.append(_Command(int(first), frozen, start, duration, target))
-        _obey(channel, commands[-1], times)
+        commands.append((first, start, max(0.28 + 0.0048 * degrees, degrees / 117.0) * slower, target))
+        obey(channel, *commands[-1])
     for _ in range(6):
         speed = np.abs(np.gradient(heading + channel[:, 0], times))
         fast = times[speed > _FASTEST_HEAD]
-        slowed = [
-            command
-            for command in commands
-            if _any_inside(fast, command.start - 0.02, command.start + command.duration + 0.02)
-        ]
-        if not slowed:
+        slowed = []
+        for first, start, duration, target in commands:
+            begin, end = np.searchsorted(fast, [start - 0.02, start + duration + 0.02])
+            slowed.append((first, start, duration * 1.35 if end > begin else duration, target))
+        if all(new[2] == old[2] for new, old in zip(slowed, commands, strict=True)):
             break
-        for command in slowed:
-            command.duration *= 1.35
-        channel = _follow(commands, times)
+        commands = slowed
+        channel = np.zeros((times.size, 2))
+        for command in commands:
+            obey(channel, *command)
     tremor = np.stack([wobble(times, np.deg2rad(0.5), 0.2, 1.5, rng) for _ in range(2)], axis=-1)
     steady = smooth(channel, 0.030, rate) + tremor
     return Head(heading + steady[:, 0], steady[:, 1])
-
-
-def _any_inside(sorted_times: np.ndarray, begin: float, end: float) -> bool:
-    first, last = np.searchsorted(sorted_times, [begin, end])
-    return bool(last > first)
-
-
-def _relative_direction(
-    point: np.ndarray, eye: np.ndarray, heading: np.ndarray, present: float, frame_time: float
-) -> np.ndarray:
-    """Return the direction of a point against the heading; wrapped once, at the first frame, then continuous.
-
-    The bearing of a point right below the eyes swings around with every step; the head does not.
-    """
-    yaw, pitch = yaw_and_pitch(point - eye)
-    relative = np.unwrap(yaw) - heading
-    relative += wrap(relative[0] - 0.3 * present) + 0.3 * present - relative[0]
-    step = _FASTEST_PURSUIT * frame_time
-    relative[1:] = relative[0] + np.cumsum(np.clip(np.diff(relative), -step, step))
-    return np.stack([np.clip(relative, -_HEAD_YAW, _HEAD_YAW), np.clip(pitch, _HEAD_UP, _HEAD_DOWN)], axis=-1)
-
-
-def _gains(preset: Preset, habits: Habits, look: Look) -> np.ndarray:
-    goal = preset.head_gain * np.array([habits.goal_gain, habits.goal_gain_vertical])
-    fill = np.array([habits.fill_gain, habits.fill_gain_vertical])
-    if not look.is_goal:
-        return fill
-    return goal if look.end - look.start >= _SHORT_GOAL_LOOK else 0.5 * (goal + fill)
-
-
-def _follow(commands: list[_Command], times: np.ndarray) -> np.ndarray:
-    channel = np.zeros((times.size, 2))
-    for command in commands:
-        _obey(channel, command, times)
-    return channel
-
-
-def _obey(channel: np.ndarray, command: _Command, times: np.ndarray) -> None:
-    first = command.first
-    last = int(np.searchsorted(times, command.start + command.duration))
-    until = min(max(last, command.frozen), times.size)
-    target = np.empty((until - first, 2))
-    count = min(len(command.target), until - first)
-    target[:count] = command.target[:count]
-    target[count:] = command.target[-1]
-    progress = minimum_jerk((times[first:until] - command.start) / command.duration)[:, None]
-    channel[first:until] = np.where(progress < 1.0, channel[first:until] * (1.0 - progress) + progress * target, target)
-    channel[until:] = command.target[-1]
 
 
 def move_eyes(
@@ -251,15 +214,10 @@ def draw_sway(plan: Plan, base: BasePath, steps: tuple[Step, ...], times: np.nda
             first, last = np.searchsorted(times, [step.lift, step.lift + step.period])
             swing[first:last] = -towards_stance * np.cos(np.pi * (times[first:last] - step.lift) / step.period)
     swing *= np.minimum(_FULL_SWING_SPEED, base.speed / _FULL_SWING_SPEED)
-    # Draw the tremble of hanging hands, or the movements of hands at work.
+    # Draw the movements of hands at work, or the tremble of hanging hands.
+    size, low, high = 0.03, 0.2, 1.0
     if plan.preset.work_pose is None:
-        size = float(rng.uniform(0.006, 0.010))
-        low = 0.05
-        high = 0.5
-    else:
-        size = 0.03
-        low = 0.2
-        high = 1.0
+        size, low, high = float(rng.uniform(0.006, 0.010)), 0.05, 0.5
     waves = [wobble(times, size / np.sqrt(3.0), low, high, rng) for _ in range(6)]
     hand_wobble = np.stack(waves, axis=-1).reshape(times.size, 2, 3)
     return Sway(
@@ -321,7 +279,13 @@ def move_trunk(
     chest_follow = np.zeros(times.size)
     pelvis_follow = np.zeros(times.size)
     if head is not None:
-        chest_follow, pelvis_follow = _follow_head(plan, head.yaw - base.heading, rate)
+        # Chest and pelvis turn by low-passed shares of the head's turn.
+        turned = head.yaw - base.heading
+        extra = plan.preset.chest_gain
+        chest = two_pole_low_pass((habits.chest_share + extra) * turned, habits.trunk_time, rate)
+        share = habits.pelvis_share + 0.3 * max(0.0, extra)
+        chest_follow = _soft_clip(chest, _CHEST_LIMIT)
+        pelvis_follow = _soft_clip(two_pole_low_pass(share * turned, 1.4 * habits.trunk_time, rate), _PELVIS_LIMIT)
     pelvis_yaw = base.heading + pelvis_follow + 0.3 * bending.chest_turn + _PELVIS_SWING * sway.arm_swing
     chest_yaw = base.heading + chest_follow + 0.5 * bending.chest_turn - _CHEST_SWING * sway.arm_swing
     lean = bending.lean + sway.lean
@@ -337,16 +301,6 @@ def move_trunk(
     upright = pose_trunk(body, habits.stoop, pelvis, pelvis_yaw, chest_yaw, lean)
     pelvis[:, 1] = lowered_pelvis(body, pelvis[:, 1], np.stack(upright.hips, axis=1), feet, steps, times, rate)
     return pose_trunk(body, habits.stoop, pelvis, pelvis_yaw, chest_yaw, lean)
-
-
-def _follow_head(plan: Plan, turned: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the turns of chest and pelvis against the heading: low-passed shares of the head's turn."""
-    habits = plan.person.habits
-    extra = plan.preset.chest_gain
-    chest = two_pole_low_pass((habits.chest_share + extra) * turned, habits.trunk_time, rate)
-    share = habits.pelvis_share + 0.3 * max(0.0, extra)
-    pelvis = two_pole_low_pass(share * turned, 1.4 * habits.trunk_time, rate)
-    return _soft_clip(chest, _CHEST_LIMIT), _soft_clip(pelvis, _PELVIS_LIMIT)
 
 
 def _soft_clip(values: np.ndarray, limit: float) -> np.ndarray:
@@ -394,12 +348,37 @@ def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Floa
     carry = [_offset_from_shoulder(plan, trunk, hand, plan.preset.carry_pose) for hand in (0, 1)]
     wrists = [waiting.copy() for waiting in rest]
     for reach in plan.reaches:
-        if reach.twist.handed_over is not None:
-            _hand_over(plan, wrists, rest, carry, reach, trunk, times)
-        _reach(wrists[reach.hand], reach, np.zeros(3), times)
-        _leave(wrists[reach.hand], reach, rest[reach.hand], carry[reach.hand], times)
-        if reach.twist.second_hand:
-            _second_hand(wrists[1 - reach.hand], reach, rest[1 - reach.hand], carry[reach.hand], trunk, times)
+        hand, other = reach.hand, 1 - reach.hand
+        twist = reach.twist
+        if twist.handed_over is not None:
+            # Both hands meet before the chest; one leaves, the other carries on.
+            middle = 0.5 * (trunk.shoulders[0] + trunk.shoulders[1])
+            stature = plan.person.body.stature
+            for side in (0, 1):
+                offset = np.array([0.08 if side == 0 else -0.08, -0.18 * stature, 0.21 * stature])
+                blend(wrists[side], times, twist.handed_over, MEETING_TIME, middle + turn(trunk.yaws[3], 0.0, offset))
+            handed = twist.handed_over + MEETING_TIME + HANDING_TIME
+            blend(wrists[other], times, handed, _BACK_WITHIN, rest[other])
+            blend(wrists[hand], times, handed, 0.5, carry[hand])
+        _reach(wrists[hand], reach, np.zeros(3), times)
+        if reach.carries:
+            blend(wrists[hand], times, reach.event, _CARRY_AFTER, carry[hand])
+        else:
+            # Stay a little, with what slides or turns, and go back.
+            if twist.slide is not None or twist.opening:
+                first = int(np.searchsorted(times, reach.event))
+                wrists[hand][first:] = moved_along(reach, reach.grasp.wrist, times[first:])
+            if np.isfinite(reach.dwell):
+                blend(wrists[hand], times, reach.event + reach.dwell, _BACK_WITHIN, rest[hand])
+        if twist.second_hand:
+            # The other hand joins after the lift, some way beside the first, and helps to put down.
+            beside = np.array([(1.0 if hand == 1 else -1.0) * twist.second_hand, 0.0, 0.0])
+            if reach.action == "pick":
+                joined = carry[hand] + turn(trunk.yaws[3], 0.0, beside)
+                blend(wrists[other], times, reach.event + 0.2, _CARRY_AFTER - 0.2, joined)
+            else:
+                _reach(wrists[other], reach, turn(reach.base.heading, 0.0, beside), times)
+                blend(wrists[other], times, reach.event + reach.dwell, _BACK_WITHIN, rest[other])
     return np.stack(wrists, axis=1)
 
 
@@ -408,18 +387,6 @@ def _reach(wrist: np.ndarray, reach: Reach, beside: np.ndarray, times: np.ndarra
     duration = reach.contact - reach.reach_start
     blend(wrist, times, reach.reach_start, duration, reach.grasp.wrist + beside, skew=_REACH_SKEW)
     add_bump(wrist, times, reach.reach_start, duration, _HUMP_UP * UP + _HUMP_FORWARD * reach.base.forward)
-
-
-def _leave(wrist: np.ndarray, reach: Reach, rest: np.ndarray, carry: np.ndarray, times: np.ndarray) -> None:
-    """Carry away what was picked; else stay a little, with what slides or turns, and go back."""
-    if reach.carries:
-        blend(wrist, times, reach.event, _CARRY_AFTER, carry)
-        return
-    if reach.twist.slide is not None or reach.twist.opening:
-        first = int(np.searchsorted(times, reach.event))
-        wrist[first:] = moved_along(reach, reach.grasp.wrist, times[first:])
-    if np.isfinite(reach.dwell):
-        blend(wrist, times, reach.event + reach.dwell, _BACK_WITHIN, rest)
 
 
 def moved_along(
@@ -435,42 +402,6 @@ def moved_along(
 def opened(reach: Reach, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Return the angle of a door that is pulled towards the person, radians."""
     return -reach.twist.opening * minimum_jerk((times - reach.event) / _OPENING_TIME)
-
-
-def _second_hand(
-    wrist: np.ndarray, reach: Reach, rest: np.ndarray, carry: np.ndarray, trunk: Trunk, times: np.ndarray
-) -> None:
-    """Let the other hand join after the lift, some way beside the first, and help to put down."""
-    towards_other = 1.0 if reach.hand == 1 else -1.0
-    beside = np.array([towards_other * reach.twist.second_hand, 0.0, 0.0])
-    if reach.action == "pick":
-        joined = carry + turn(trunk.yaws[3], 0.0, beside)
-        blend(wrist, times, reach.event + 0.2, _CARRY_AFTER - 0.2, joined)
-        return
-    _reach(wrist, reach, turn(reach.base.heading, 0.0, beside), times)
-    blend(wrist, times, reach.event + reach.dwell, _BACK_WITHIN, rest)
-
-
-def _hand_over(
-    plan: Plan,
-    wrists: list[np.ndarray],
-    rest: list[np.ndarray],
-    carry: list[np.ndarray],
-    put: Reach,
-    trunk: Trunk,
-    times: np.ndarray,
-) -> None:
-    """Let both hands meet before the chest; one leaves, the other carries on."""
-    begin = put.twist.handed_over
-    assert begin is not None  # the caller asks for it only then
-    middle = 0.5 * (trunk.shoulders[0] + trunk.shoulders[1])
-    stature = plan.person.body.stature
-    for hand in (0, 1):
-        offset = np.array([0.08 if hand == 0 else -0.08, -0.18 * stature, 0.21 * stature])
-        blend(wrists[hand], times, begin, MEETING_TIME, middle + turn(trunk.yaws[3], 0.0, offset))
-    handed = begin + MEETING_TIME + HANDING_TIME
-    blend(wrists[1 - put.hand], times, handed, _BACK_WITHIN, rest[1 - put.hand])
-    blend(wrists[put.hand], times, handed, 0.5, carry[put.hand])
 
 
 def _resting_wrist(plan: Plan, trunk: Trunk, sway: Sway, hand: int) -> np.ndarray:

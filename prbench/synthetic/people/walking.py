@@ -114,39 +114,32 @@ def plan_segment(
     # Short ways are walked more slowly: the speed nears the usual one over about three quarters of a metre.
     speed = habits.walk_speed * pace * (1.0 - np.exp(-(distance + 0.15) / 0.75))
     if distance > _WALK_FROM:
-        return _plan_walk(habits, speed, distance, start, goal, begin)
+        turn_in = float(wrap(np.arctan2(goal.x - start.x, goal.z - start.z) - start.heading))
+        course = start.heading + turn_in
+        turn_out = float(wrap(goal.heading - course))
+        first_turn = max(0.3, abs(turn_in) / habits.turn_rate - 0.15) + 0.25
+        last_turn = max(0.9, abs(turn_out) / habits.turn_rate)
+        moves_from = begin + 0.55 * first_turn
+        arrival = moves_from + distance / speed + 0.45
+        end = arrival + 0.15 * last_turn
+        goal = BasePose(goal.x, goal.z, course + turn_out)
+        return Segment("walk", start, goal, begin, end, arrival, speed, course, first_turn, last_turn, moves_from)
     turn = float(wrap(goal.heading - start.heading))
     if distance < _STAY_WITHIN and abs(turn) < _STAY_TURN:
         return None
     duration = max(0.55 + 0.8 * distance / max(speed, 0.25), 0.8 + 0.75 * distance, abs(turn) / habits.turn_rate + 0.3)
-    turn_into = 0.0 if faces_on else _turn_into(start, goal, distance, turn)
+    turn_into = 0.0
+    if not faces_on:
+        # How far the body turns towards a way that it shuffles.
+        way = float(wrap(np.arctan2(goal.x - start.x, goal.z - start.z) - start.heading - 0.5 * turn))
+        most = max(0.0, min(_LARGEST_TURN, _LARGEST_TURNS - abs(turn)))
+        excess = float(np.clip(abs(way) - _SIDEWAYS_LEFT, 0.0, most))
+        shortest, longest = _SIDESTEP
+        turn_into = float(np.sign(way)) * excess * float(minimum_jerk((distance - shortest) / (longest - shortest)))
     duration = max(duration, abs(turn_into) / (_TURNING * habits.turn_rate))
     end = begin + duration
     goal = BasePose(goal.x, goal.z, start.heading + turn)
     return Segment("shuffle", start, goal, begin, end, end, speed, start.heading, duration, 0.0, begin, turn_into)
-
-
-def _turn_into(start: BasePose, goal: BasePose, distance: float, turn: float) -> float:
-    """Return how far the body turns towards a way that it shuffles, radians."""
-    way = float(wrap(np.arctan2(goal.x - start.x, goal.z - start.z) - start.heading - 0.5 * turn))
-    most = max(0.0, min(_LARGEST_TURN, _LARGEST_TURNS - abs(turn)))
-    excess = float(np.clip(abs(way) - _SIDEWAYS_LEFT, 0.0, most))
-    shortest, longest = _SIDESTEP
-    return float(np.sign(way)) * excess * float(minimum_jerk((distance - shortest) / (longest - shortest)))
-
-
-def _plan_walk(habits: Habits, speed: float, distance: float, start: BasePose, goal: BasePose, begin: float) -> Segment:
-    bearing = np.arctan2(goal.x - start.x, goal.z - start.z)
-    turn_in = float(wrap(bearing - start.heading))
-    course = start.heading + turn_in
-    turn_out = float(wrap(goal.heading - course))
-    first_turn = max(0.3, abs(turn_in) / habits.turn_rate - 0.15) + 0.25
-    last_turn = max(0.9, abs(turn_out) / habits.turn_rate)
-    translation_begin = begin + 0.55 * first_turn
-    arrival = translation_begin + distance / speed + 0.45
-    end = arrival + 0.15 * last_turn
-    goal = BasePose(goal.x, goal.z, course + turn_out)
-    return Segment("walk", start, goal, begin, end, arrival, speed, course, first_turn, last_turn, translation_begin)
 
 
 @dataclass(frozen=True)
@@ -178,36 +171,26 @@ def sample_base(start: BasePose, segments: tuple[Segment, ...], times: Float[np.
             duration = segment.end - segment.begin
             blend(position, times, segment.begin, duration, np.array([segment.goal.x, segment.goal.z]))
             blend(heading, times, segment.begin, duration, segment.goal.heading)
-            _turn_there_and_back(heading, times, segment)
+            if segment.turn_into:
+                # Into the way and back, on top of the change of heading.
+                first, last = np.searchsorted(times, [segment.begin, segment.end])
+                progress = (times[first:last] - segment.begin) / duration
+                there = minimum_jerk(progress / _TURNING)
+                back = minimum_jerk((progress - (1.0 - _TURNING)) / _TURNING)
+                heading[first:last] += segment.turn_into * (there - back)
         else:
             blend(heading, times, segment.begin, segment.first_turn, segment.course)
             last_begin = segment.arrival - 0.85 * segment.last_turn
             blend(heading, times, last_begin, segment.end - last_begin, segment.goal.heading)
-            _translate(position, times, segment)
+            first = int(np.searchsorted(times, segment.translation_begin))
+            duration = segment.arrival - segment.translation_begin
+            elapsed = (times[first:] - segment.translation_begin) / duration
+            progress = eased_trapezoid(elapsed, min(0.5 / duration, 0.45), min(0.65 / duration, 0.5))
+            origin = np.array([segment.start.x, segment.start.z])
+            goal = np.array([segment.goal.x, segment.goal.z])
+            position[first:] = origin + progress[:, None] * (goal - origin)
     velocity = np.gradient(position, times, axis=0)
     return BasePath(position[:, 0], position[:, 1], heading, np.hypot(velocity[:, 0], velocity[:, 1]))
-
-
-def _turn_there_and_back(heading: np.ndarray, times: np.ndarray, segment: Segment) -> None:
-    """Turn into the way of a shuffle and back, on top of the change of heading."""
-    if segment.turn_into == 0.0:
-        return
-    first, last = np.searchsorted(times, [segment.begin, segment.end])
-    progress = (times[first:last] - segment.begin) / (segment.end - segment.begin)
-    there = minimum_jerk(progress / _TURNING)
-    back = minimum_jerk((progress - (1.0 - _TURNING)) / _TURNING)
-    heading[first:last] += segment.turn_into * (there - back)
-
-
-def _translate(position: np.ndarray, times: np.ndarray, segment: Segment) -> None:
-    first = int(np.searchsorted(times, segment.translation_begin))
-    duration = segment.arrival - segment.translation_begin
-    up = min(0.5 / duration, 0.45)
-    down = min(0.65 / duration, 0.5)
-    progress = eased_trapezoid((times[first:] - segment.translation_begin) / duration, up, down)
-    origin = np.array([segment.start.x, segment.start.z])
-    goal = np.array([segment.goal.x, segment.goal.z])
-    position[first:] = origin + progress[:, None] * (goal - origin)
 
 
 _ROLL_BEFORE_LIFT = 0.05  # the ball begins to rise before it moves, as a rolling foot does
@@ -247,33 +230,27 @@ class Feet:
 
 def plan_steps(person: Person, segments: tuple[Segment, ...]) -> tuple[Step, ...]:
     """Return the steps that carry a person along the segments of the base."""
-    return tuple(step for segment in segments for step in _steps_of(person, segment))
-
-
-def _steps_of(person: Person, segment: Segment) -> list[Step]:
-    duration = segment.end - segment.begin
-    walking = segment.kind == "walk"
-    # Speed is step length times cadence, and the walk ratio is step length over cadence: their quotient is cadence².
-    cadence = np.sqrt(60.0 * segment.speed / person.habits.walk_ratio)
-    cadence = np.clip(cadence, 78.0 + 32.0 * min(1.0, segment.total_turn / 1.2), 128.0)
-    n_steps = max(int(np.ceil(duration * cadence / 60.0)), 3 if segment.distance > 0.5 else 2)
-    if not walking:
-        n_steps = max(n_steps, int(np.ceil(segment.distance / 0.34)) + 1)
-    period = duration / (n_steps - 0.62)
-    first = _first_foot(segment)
-    swing = (0.76 if walking else 0.80) * period
-    return [
-        Step((first + number) % 2, segment.begin + number * period, period, swing, walking) for number in range(n_steps)
-    ]
-
-
-def _first_foot(segment: Segment) -> int:
-    """Return the foot on the side of the turn, or of the side step."""
-    if segment.kind == "walk":
-        return int(segment.course < segment.start.heading)
-    sideways = (segment.goal.point - segment.start.point) @ segment.start.left
-    turn = segment.goal.heading - segment.start.heading
-    return int(sideways + 0.3 * turn < 0.0)
+    steps = []
+    for segment in segments:
+        duration = segment.end - segment.begin
+        walking = segment.kind == "walk"
+        # Speed is step length times cadence, and the walk ratio is step length over cadence: their quotient is
+        # cadence².
+        cadence = np.sqrt(60.0 * segment.speed / person.habits.walk_ratio)
+        cadence = np.clip(cadence, 78.0 + 32.0 * min(1.0, segment.total_turn / 1.2), 128.0)
+        n_steps = max(int(np.ceil(duration * cadence / 60.0)), 3 if segment.distance > 0.5 else 2)
+        # The first foot is that on the side of the turn, or of the side step.
+        if walking:
+            first = int(segment.course < segment.start.heading)
+        else:
+            n_steps = max(n_steps, int(np.ceil(segment.distance / 0.34)) + 1)
+            sideways = (segment.goal.point - segment.start.point) @ segment.start.left
+            first = int(sideways + 0.3 * (segment.goal.heading - segment.start.heading) < 0.0)
+        period = duration / (n_steps - 0.62)
+        swing = (0.76 if walking else 0.80) * period
+        for number in range(n_steps):
+            steps.append(Step((first + number) % 2, segment.begin + number * period, period, swing, walking))
+    return tuple(steps)
 
 
 def place_feet(
@@ -298,14 +275,24 @@ def place_feet(
     for step in steps:
         middle = np.searchsorted(times, step.lift + 1.38 * step.period)
         index = int(min(middle, n - 1))
-        new_ball, new_yaw = _plant(person, base.pose(index), step.foot, float(base.speed[index]), None)
         old_ball, old_yaw = spots[step.foot]
-        spots[step.foot] = new_ball, new_yaw
+        spots[step.foot] = _plant(person, base.pose(index), step.foot, float(base.speed[index]), None)
+        new_ball, new_yaw = spots[step.foot]
         stride = float(np.linalg.norm(new_ball - old_ball))
-        _swing(ball[:, step.foot], yaw[:, step.foot], times, step, (old_ball, new_ball), (old_yaw, new_yaw))
-        _roll(pitch[:, step.foot], times, step, min(1.0, stride / 1.1))
         first, last = np.searchsorted(times, [step.lift - _ROLL_BEFORE_LIFT, step.landing])
         planted[first:last, step.foot] = False
+        # The swing: along the floor, up and down.
+        elapsed = times[first:last] - step.lift
+        height = (0.060 + 0.025 * min(stride, 1.2)) * min(1.0, stride / 0.12 + abs(new_yaw - old_yaw) / 0.5)
+        progress = eased_trapezoid((elapsed / step.swing - 0.10) / 0.82, 0.34, 0.34)
+        up = minimum_jerk((elapsed + _ROLL_BEFORE_LIFT) / 0.16)
+        down = minimum_jerk((elapsed / step.swing - 0.62) / 0.38)
+        ball[first:last, step.foot] = old_ball + progress[:, None] * (new_ball - old_ball)
+        ball[first:last, step.foot, 1] = BALL_HEIGHT + height * up * (1.0 - down)
+        ball[last:, step.foot] = new_ball
+        yaw[first:last, step.foot] = old_yaw + progress * (new_yaw - old_yaw)
+        yaw[last:, step.foot] = new_yaw
+        _roll(pitch[:, step.foot], times, step, min(1.0, stride / 1.1))
     return Feet(ball, yaw, pitch, planted)
 
 
@@ -320,39 +307,10 @@ def _plant(
     return ball, pose.heading + side * person.habits.toe_out
 
 
-def _swing(
-    ball: np.ndarray,
-    yaw: np.ndarray,
-    times: np.ndarray,
-    step: Step,
-    places: tuple[np.ndarray, np.ndarray],
-    yaws: tuple[float, float],
-) -> None:
-    first, last = np.searchsorted(times, [step.lift - _ROLL_BEFORE_LIFT, step.landing])
-    elapsed = times[first:last] - step.lift
-    stride = float(np.linalg.norm(places[1] - places[0]))
-    height = (0.060 + 0.025 * min(stride, 1.2)) * min(1.0, stride / 0.12 + abs(yaws[1] - yaws[0]) / 0.5)
-    progress = eased_trapezoid((elapsed / step.swing - 0.10) / 0.82, 0.34, 0.34)
-    up = minimum_jerk((elapsed + _ROLL_BEFORE_LIFT) / 0.16)
-    down = minimum_jerk((elapsed / step.swing - 0.62) / 0.38)
-    ball[first:last] = places[0] + progress[:, None] * (places[1] - places[0])
-    ball[first:last, 1] = BALL_HEIGHT + height * up * (1.0 - down)
-    ball[last:] = places[1]
-    yaw[first:last] = yaws[0] + progress * (yaws[1] - yaws[0])
-    yaw[last:] = yaws[1]
-
-
 def _roll(pitch: np.ndarray, times: np.ndarray, step: Step, factor: float) -> None:
     """Lift the heel before the foot, land with the toes up, and set the foot flat soon after."""
-    keys = np.array(
-        [
-            step.lift - 0.55 * step.period,
-            step.lift + 0.06,
-            step.lift + 0.65 * step.swing,
-            step.landing,
-            step.landing + 0.1,
-        ]
-    )
+    lifted = (step.lift - 0.55 * step.period, step.lift + 0.06, step.lift + 0.65 * step.swing)
+    keys = np.array([*lifted, step.landing, step.landing + 0.1])
     values = factor * np.array([0.0, _HEEL_UP, 0.0, _TOES_UP, 0.0])
     borders = np.searchsorted(times, keys)
     for part in range(len(keys) - 1):
@@ -416,22 +374,17 @@ def lowered_pelvis(
         upto = step.landing + 0.24 * step.period
         if following is not None and following.lift > step.landing:
             upto = min(upto, following.lift)
-        _add_dip(dip, missing, times, (step.landing, upto), 0.42 * step.period)
+        # A plateau as deep as the most that is missing, with smooth flanks.
+        begin, end = np.searchsorted(times, (step.landing, upto))
+        depth = missing[begin : end + 1].max(initial=0.0)
+        if depth > 0.0:
+            flank = 0.42 * step.period
+            first, last = np.searchsorted(times, [step.landing - flank, upto + flank])
+            near = times[first:last]
+            shape = minimum_jerk((near - step.landing) / flank + 1.0) * minimum_jerk((upto - near) / flank + 1.0)
+            dip[first:last] = np.maximum(dip[first:last], depth * shape)
     lowered = height - smooth(dip, 0.050, rate)
     return smooth(np.minimum(lowered, allowed), 0.025, rate)
-
-
-def _add_dip(
-    dip: np.ndarray, missing: np.ndarray, times: np.ndarray, plateau: tuple[float, float], flank: float
-) -> None:
-    begin, end = np.searchsorted(times, plateau)
-    depth = missing[begin : end + 1].max(initial=0.0)
-    if depth <= 0.0:
-        return
-    first, last = np.searchsorted(times, [plateau[0] - flank, plateau[1] + flank])
-    near = times[first:last]
-    shape = minimum_jerk((near - plateau[0]) / flank + 1.0) * minimum_jerk((plateau[1] - near) / flank + 1.0)
-    dip[first:last] = np.maximum(dip[first:last], depth * shape)
 
 
 def pose_legs(
