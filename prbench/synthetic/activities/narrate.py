@@ -49,8 +49,7 @@ PATTERNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "spins {amount} {sidewards}", "shifts the feet and turns {amount} {side}",
             "turns the whole body {amount} to the {side}", "pivots {amount} {sidewards} with small steps",
             "changes the facing direction {amount} to the {side}",
-            "swivels {amount} to the {side} without walking away",
-            "steps round {amount} until facing the {side}",
+            "swivels {amount} to the {side} without walking away", "steps round {amount} until facing the {side}",
         ),
         "stand": (
             "stands still", "stays in place with both arms down", "waits without moving", "remains standing upright",
@@ -66,27 +65,24 @@ PATTERNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "looks around, first {side}", "turns the head to the {side} and back again", "glances from side to side",
             "scans the room from {side} to {otherside}", "looks {side} and then {otherside}",
             "searches the surroundings with the eyes", "checks what is on both sides",
-            "gazes about, starting on the {side}",
-            "swings the head left and right", "inspects the room, beginning {side}",
+            "gazes about, starting on the {side}", "swings the head left and right",
+            "inspects the room, beginning {side}",
         ),
         "look at hands": (
             "looks at both hands", "lifts the hands and inspects them", "holds the hands up in front of the chest",
             "examines the palms", "raises both forearms and looks down at the fingers",
-            "studies something in the hands",
-            "brings the hands together before the body and looks", "lowers the head to see both hands",
-            "checks the hands in front of the chest",
+            "studies something in the hands", "brings the hands together before the body and looks",
+            "lowers the head to see both hands", "checks the hands in front of the chest",
         ),
         "sidestep": (
             "steps {sidewards}", "takes {distance} step to the {side}", "moves sideways to the {side}",
             "shuffles {sidewards} while facing forward", "shifts {distance} way to the {side}",
-            "makes room by stepping {sidewards}", "side-steps to the {side}",
-            "moves over {distance} bit to the {side}",
+            "makes room by stepping {sidewards}", "side-steps to the {side}", "moves over {distance} bit to the {side}",
         ),
         "step back": (
             "steps back", "takes {distance} step backwards", "moves away backwards", "backs off",
             "retreats {distance} bit without turning round", "goes backwards carefully",
-            "walks backwards a step or two",
-            "makes {distance} backward move",
+            "walks backwards a step or two", "makes {distance} backward move",
         ),
         "reach": (
             "reaches {height} with {hand}", "stretches {hand} out {height}", "extends {hand} {height} and pulls back",
@@ -101,16 +97,14 @@ PATTERNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "transports something with {hand} while walking", "goes ahead, {hand} holding something",
         ),
         "wipe": (
-            "wipes a surface with {hand}", "rubs the table in wide circles with {hand}",
-            "cleans something with {hand}",
+            "wipes a surface with {hand}", "rubs the table in wide circles with {hand}", "cleans something with {hand}",
             "moves {hand} in large circles before the body", "polishes a flat surface using {hand}",
             "sweeps {hand} round and round in front", "scrubs the worktop with {hand}",
             "wipes in circles, using {hand}",
         ),
         "stir": (
             "stirs something with {hand}", "mixes the food with {hand}", "makes quick small circles with {hand}",
-            "whisks something in front using {hand}", "stirs a pot with {hand}",
-            "swirls {hand} round before the belly",
+            "whisks something in front using {hand}", "stirs a pot with {hand}", "swirls {hand} round before the belly",
             "keeps stirring with {hand}", "blends something by moving {hand} in a circle",
         ),
         "crouch": (
@@ -126,16 +120,16 @@ PATTERNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "leans over to see something low",
         ),
         "wave": (
-            "waves with {hand}", "raises {hand} and waves",
-            "greets somebody with {hand}", "waves {hand} beside the head",
-            "lifts {hand} and swings it from side to side", "says hello by waving {hand}", "shakes {hand} in the air",
-            "gives a wave with {hand}", "beckons with {hand} raised",
+            "waves with {hand}", "raises {hand} and waves", "greets somebody with {hand}",
+            "waves {hand} beside the head", "lifts {hand} and swings it from side to side",
+            "says hello by waving {hand}", "shakes {hand} in the air", "gives a wave with {hand}",
+            "beckons with {hand} raised",
         ),
         "raise arms": (
             "raises both arms", "lifts both hands above the head", "stretches the arms up and lowers them",
             "puts both arms in the air", "reaches for the ceiling with both hands",
-            "throws the arms up and lets them fall",
-            "extends both arms overhead", "holds both arms high for a moment", "brings the arms up and down",
+            "throws the arms up and lets them fall", "extends both arms overhead", "holds both arms high for a moment",
+            "brings the arms up and down",
         ),
         "scratch head": (
             "scratches the head with {hand}", "rubs the {side} side of the head", "touches the hair with {hand}",
@@ -148,15 +142,14 @@ PATTERNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         ),
         "stand up": (
             "stands up", "gets up from the chair", "rises from the seat", "leaves the chair and stands",
-            "gets to the feet", "straightens the legs and stands",
-            "comes up from sitting", "leans forward and stands up",
+            "gets to the feet", "straightens the legs and stands", "comes up from sitting",
+            "leans forward and stands up",
         ),
         "pick": (
             "picks up {thing} from {place} with {hand}", "takes {thing} off {place}", "grabs {thing} with {hand}",
             "lifts {thing} from {place} {manner}", "fetches {thing} using {hand}",
-            "takes {thing} on the {side} {manner}",
-            "reaches for {thing} and picks it up", "gets {thing} from {place} {manner}",
-            "grasps {thing} with {hand} and lifts it",
+            "takes {thing} on the {side} {manner}", "reaches for {thing} and picks it up",
+            "gets {thing} from {place} {manner}", "grasps {thing} with {hand} and lifts it",
             "collects {thing} from {place} with {hand}", "removes {thing} from {place}", "picks {thing} up {manner}",
             "closes {hand} around {thing} and raises it",
         ),
@@ -164,10 +157,8 @@ PATTERNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "puts {thing} down on {place} with {hand}", "places {thing} on {place}", "sets {thing} down with {hand}",
             "returns {thing} to {place} {manner}", "drops {thing} off on {place}", "lays {thing} on {place} {manner}",
             "leaves {thing} on the {side} {manner}", "lowers {thing} onto {place} using {hand}",
-            "puts {thing} back {manner}",
-            "releases {thing} on {place} with {hand}", "positions {thing} on {place}",
-            "stands {thing} on {place} {manner}",
-            "lets go of {thing} with {hand}",
+            "puts {thing} back {manner}", "releases {thing} on {place} with {hand}", "positions {thing} on {place}",
+            "stands {thing} on {place} {manner}", "lets go of {thing} with {hand}",
         ),
     }
 )  # fmt: skip
@@ -200,65 +191,52 @@ _SUBJECTS = ("C", "The person")
 _OTHER_SUBJECT = 0.2
 
 
-@dataclass(frozen=True)
-class Facts:
-    """Measurements of one activity."""
-
-    name: str
-    slots: Mapping[str, str]
+Facts = tuple[str, Mapping[str, str]]
+"""Name of an activity, and the words that fill the slots of its patterns."""
 
 
-@dataclass(frozen=True)
-class Span:
-    """A stretch of a motion to be described: joints (n, 22, 3) and the steps taken in it."""
-
-    joints: Float[np.ndarray, "n 22 3"]
-    heading: Float[np.ndarray, " n"]
-    """Of the pelvis, unwrapped, radians; > 0 turns left."""
-    head_yaw: Float[np.ndarray, " n"]
-    """Of the head against the pelvis, radians; > 0 looks left."""
-    rate: float
-    steps: int
-
-
-def facts_of(name: str, hand: int | None, span: Span) -> Facts:
-    """Measure what an activity's words depend on.
-
-    Args:
-        name: Activity as planned; ``walk`` becomes ``walk straight`` or ``walk turning`` by what happened.
-        hand: 0 left, 1 right, 2 both; None where no hand matters.
-        span: The motion.
-    """
-    slots = {"hand": "" if hand is None else _HANDS[hand]}
-    turned = float(np.rad2deg(span.heading[-1] - span.heading[0]))
+def _facts_of(script: Script, motion: Motion, act: Act, rate: float) -> Facts:
+    """Measure what an activity's words depend on; ``walk`` becomes ``walk straight`` or ``walk turning`` so."""
+    first = round(act.begin * rate)
+    span = slice(first, min(round(act.end * rate), len(motion.joints) - 1) + 1)
+    joints = motion.joints[span]
+    heading = motion.base.heading[span]
+    name = act.name
+    slots = {"hand": "" if act.hand is None else _HANDS[act.hand]}
+    turned = float(np.rad2deg(heading[-1] - heading[0]))
+    moved = joints[-1, Joint.PELVIS] - joints[0, Joint.PELVIS]
     if name in ("walk", "curve"):
-        slots |= {"speed": speed_word(walking_speed(span)), "steps": _COUNTS[min(span.steps, len(_COUNTS) - 1)]}
-        slots["steps"] = "several" if span.steps >= len(_COUNTS) or span.steps < 2 else slots["steps"]
+        # The median speed of the pelvis over the frames in which it moves at more than half of its fastest, m/s.
+        tenth = max(1, round(rate / 10.0))
+        way = np.diff(joints[::tenth, Joint.PELVIS][:, [0, 2]], axis=0)
+        speed = np.linalg.norm(way, axis=1) * rate / tenth
+        slots["speed"] = speed_word(float(np.median(speed[speed > 0.5 * speed.max()])))
+        steps = sum(act.begin <= step.lift < act.end for step in plan_steps(script.person, script.segments))
+        slots["steps"] = _COUNTS[steps] if 2 <= steps < len(_COUNTS) else "several"
     if name == "walk":
         name = "walk straight" if abs(turned) < _CURVED else "walk turning"
     if name in ("walk turning", "curve", "turn"):
         slots |= _sides(turned > 0.0) | {"amount": amount_word(abs(turned))}
     elif name == "sidestep":
-        moved = span.joints[-1, Joint.PELVIS] - span.joints[0, Joint.PELVIS]
-        left = np.array([np.cos(span.heading[0]), 0.0, -np.sin(span.heading[0])])
+        left = np.array([np.cos(heading[0]), 0.0, -np.sin(heading[0])])
         slots |= _sides(bool(moved @ left > 0.0)) | {"distance": _distance_word(float(abs(moved @ left)))}
     elif name == "step back":
-        moved = span.joints[-1, Joint.PELVIS] - span.joints[0, Joint.PELVIS]
         slots["distance"] = _distance_word(float(np.hypot(moved[0], moved[2])))
     elif name == "look around":
-        wide = np.flatnonzero(np.abs(span.head_yaw) > np.deg2rad(20.0))
-        slots |= _sides(bool(span.head_yaw[wide[0]] > 0.0) if wide.size else True)
-    elif name == "reach" and hand is not None:
-        slots["height"] = _reach_height(span.joints, hand)
+        head = motion.head.yaw[span] - heading
+        wide = np.flatnonzero(np.abs(head) > np.deg2rad(20.0))
+        slots |= _sides(bool(head[wide[0]] > 0.0) if wide.size else True)
+    elif name == "reach" and act.hand is not None:
+        slots["height"] = _reach_height(joints, act.hand)
     elif name == "scratch head":
-        slots |= _sides(hand == 0)
-    return Facts(name, slots)
+        slots |= _sides(act.hand == 0)
+    return name, slots
 
 
 def clause(facts: Facts, rng: np.random.Generator) -> str:
     """Draw one of the patterns of an activity and fill its slots."""
-    patterns = PATTERNS[facts.name]
-    filled = patterns[int(rng.integers(len(patterns)))].format_map(facts.slots)
+    name, slots = facts
+    filled = PATTERNS[name][int(rng.integers(len(PATTERNS[name])))].format_map(slots)
     return re.sub(r"\s+([,.])", r"\1", re.sub(r"\s+", " ", filled)).strip()
 
 
@@ -266,14 +244,6 @@ def sentence(clauses: list[str], rng: np.random.Generator) -> str:
     """Put a subject before the clauses; two activities are joined by "then"."""
     subject = _SUBJECTS[int(rng.random() < _OTHER_SUBJECT)]
     return f"{subject} {', then '.join(clauses)}."
-
-
-def walking_speed(span: Span) -> float:
-    """Return the median speed of the pelvis over the frames in which it moves at more than half of its fastest, m/s."""
-    tenth = max(1, round(span.rate / 10.0))
-    way = np.diff(span.joints[::tenth, Joint.PELVIS][:, [0, 2]], axis=0)
-    speed = np.linalg.norm(way, axis=1) * span.rate / tenth
-    return float(np.median(speed[speed > 0.5 * speed.max()]))
 
 
 def speed_word(speed: float) -> str:
@@ -384,31 +354,23 @@ def narrate(script: Script, motion: Motion, rate: float, rng: np.random.Generato
         rate: Frames a second.
         rng: Of the choice of words.
     """
-    facts = [(act, facts_of(act.name, act.hand, _span(script, motion, act, rate))) for act in script.acts]
+    facts = [(act, _facts_of(script, motion, act, rate)) for act in script.acts]
     atomic = _atomic(facts, rng)
     about_body = [_about_body(act, fact) for act, fact in facts if act.end - act.begin >= 2.0]
     # What happened in stretches of 15 to 30 seconds.
     narrations: list[TrueNarration] = []
-    members: list[tuple[Act, Facts]] = []
-    for act, fact in facts:
-        members.append((act, fact))
-        if act.end - members[0][0].begin >= _SUMMARY:
-            names = list(dict.fromkeys(_DOING[each.name] for _, each in members))
+    begin: float | None = None
+    doing: list[str] = []
+    for act, (name, _) in facts:
+        begin = act.begin if begin is None else begin
+        doing.append(_DOING[name])
+        if act.end - begin >= _SUMMARY:
+            names = list(dict.fromkeys(doing))
             text = f"C {', '.join(names[:-1])} and {names[-1]}." if len(names) > 1 else f"C {names[0]}."
-            narrations.append(
-                TrueNarration("activity_summarization", members[0][0].begin, act.end, (text,), tuple(names))
-            )
-            members = []
+            narrations.append(TrueNarration("activity_summarization", begin, act.end, (text,), tuple(names)))
+            begin = None
+            doing = []
     return (*atomic, *about_body, *narrations)
-
-
-def _span(script: Script, motion: Motion, act: Act, rate: float) -> Span:
-    first = round(act.begin * rate)
-    last = min(round(act.end * rate), len(motion.joints) - 1)
-    joints = motion.joints[first : last + 1]
-    heading = motion.base.heading[first : last + 1]
-    steps = sum(act.begin <= step.lift < act.end for step in plan_steps(script.person, script.segments))
-    return Span(joints, heading, motion.head.yaw[first : last + 1] - heading, rate, int(steps))
 
 
 def _atomic(facts: list[tuple[Act, Facts]], rng: np.random.Generator) -> list[TrueNarration]:
@@ -427,24 +389,25 @@ def _atomic(facts: list[tuple[Act, Facts]], rng: np.random.Generator) -> list[Tr
         number += len(told)
         latest = facts[number][0].begin if number < len(facts) else end
         end = max(end, min(act.begin + _SHORTEST, latest))
-        names = tuple(each.name for each in told)
+        names = tuple(name for name, _ in told)
         text = sentence([clause(each, rng) for each in told], rng)
         narrations.append(TrueNarration("atomic_action", act.begin, min(end, act.begin + _LONGEST), (text,), names))
     return narrations
 
 
 def _about_body(act: Act, fact: Facts) -> TrueNarration:
-    hand = fact.slots.get("hand", "")
+    name, slots = fact
+    hand = slots.get("hand", "")
     arms = f"C moves {hand}." if hand else "C keeps both arms at rest."
-    if fact.name in ("raise arms", "look at hands"):
+    if name in ("raise arms", "look at hands"):
         arms = "C lifts both arms."
     texts = (
-        f"C {BODY_POSTURE.get(fact.name, 'stands upright')}.",
+        f"C {BODY_POSTURE.get(name, 'stands upright')}.",
         arms,
-        f"C {_LEGS.get(fact.name, 'keeps both feet in place')}.",
-        "C looks from side to side." if fact.name == "look around" else "C looks ahead.",
+        f"C {_LEGS.get(name, 'keeps both feet in place')}.",
+        "C looks from side to side." if name == "look around" else "C looks ahead.",
     )
-    return TrueNarration("motion_narration", act.begin, min(act.end, act.begin + _LONGEST), texts, (fact.name,))
+    return TrueNarration("motion_narration", act.begin, min(act.end, act.begin + _LONGEST), texts, (name,))
 
 
 _DOING = {
@@ -490,7 +453,7 @@ def _waiting(performance: Performance, rng: np.random.Generator) -> list[TrueNar
     knees = performance.joints[0, [Joint.LEFT_KNEE, Joint.RIGHT_KNEE], 1].mean()
     if performance.joints[0, Joint.PELVIS, 1] < 1.4 * knees:
         return []
-    text = sentence([clause(Facts("stand", {}), rng)], rng)
+    text = sentence([clause(("stand", {}), rng)], rng)
     return [TrueNarration("atomic_action", _FIRST_TEXT, end, (text,), ("stand",))]
 
 
@@ -515,14 +478,24 @@ def _goal_facts(performance: Performance, event: TrueEvent, since: float) -> Fac
         height = "low "
     elif bottom[1] > _HIGH:
         height = "high "
+    # Where the goal lies, seen from the body at the event.
+    pelvis = joints[-1, Joint.PELVIS]
+    bearing = np.arctan2(event.goal[0] - pelvis[0], event.goal[2] - pelvis[2]) - facing_yaw(joints[-1])
+    bearing = (bearing + np.pi) % (2.0 * np.pi) - np.pi
+    side = "left" if bearing > 0 else "right"
+    if abs(bearing) <= _BESIDE:
+        side = f"{event.hand} hand side"
+    manner = "slowly" if event.contact_time - event.reach_start > _SLOW_REACH else ""
+    if float(np.linalg.norm((joints[-1] - joints[0])[Joint.PELVIS, [0, 2]])) > _WALKED:
+        manner = "after walking over"
     slots = {
         "thing": f"the {spoken_name(event.object_name)}",
         "place": f"the {height}{name}",
         "hand": f"the {event.hand} hand",
-        "side": _side(joints, event),
-        "manner": _manner(joints, event),
+        "side": side,
+        "manner": manner,
     }
-    return Facts(event.action, slots)
+    return event.action, slots
 
 
 def spoken_name(name: str) -> str:
@@ -544,21 +517,3 @@ def _distance_to_top(item: ObjectMotion, point: np.ndarray) -> float:
     across = offset[0] * np.sin(yaw) + offset[2] * np.cos(yaw)
     beyond = np.maximum(np.abs([along, across]) - item.half_extents[[0, 2]], 0.0)
     return float(np.hypot(*beyond) + abs(offset[1] - item.half_extents[1]))
-
-
-def _side(joints: np.ndarray, event: TrueEvent) -> str:
-    """Return in words where the goal lies, seen from the body at the event."""
-    pelvis = joints[-1, Joint.PELVIS]
-    bearing = np.arctan2(event.goal[0] - pelvis[0], event.goal[2] - pelvis[2]) - facing_yaw(joints[-1])
-    bearing = (bearing + np.pi) % (2.0 * np.pi) - np.pi
-    if abs(bearing) <= _BESIDE:
-        return f"{event.hand} hand side"
-    return "left" if bearing > 0 else "right"
-
-
-def _manner(joints: np.ndarray, event: TrueEvent) -> str:
-    walked = float(np.linalg.norm((joints[-1] - joints[0])[Joint.PELVIS, [0, 2]]))
-    if walked > _WALKED:
-        return "after walking over"
-    reach = event.contact_time - event.reach_start
-    return "slowly" if reach > _SLOW_REACH else ""

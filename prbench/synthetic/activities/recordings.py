@@ -12,9 +12,12 @@ from prbench.randomness import named_generator
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities.narrate import NarratedMotion, narrate, narrate_events
 from prbench.synthetic.activities.script import (
+    ARC_START,
+    ARC_STOP,
     PAUSE,
     SHORT,
     SITTING,
+    SITTING_TIME,
     STANDING,
     Arc,
     Hand,
@@ -46,7 +49,7 @@ from prbench.synthetic.people.person import (
     standing_pelvis_height,
 )
 from prbench.synthetic.people.plan import Plan
-from prbench.synthetic.people.walking import BasePath, BasePose, Legs, place_feet, plan_steps, pose_legs, sample_base
+from prbench.synthetic.people.walking import BasePath, Legs, place_feet, plan_steps, pose_legs, sample_base
 from prbench.synthetic.people.world import Room, Source, assign
 
 _ALONG_THIGH = 0.62
@@ -54,8 +57,6 @@ _ABOVE_THIGH = 0.055
 _LOOP_EASE = 0.35  # s in which a loop begins and ends
 _SEAT_BACK = 0.22  # of the stature, behind the feet
 _SITTING_LEAN = np.deg2rad(35.0)
-_ARC_START = 0.5  # s
-_ARC_STOP = 0.65
 _NOWHERE = Room("", (0.0, 0.0), (), ())
 
 
@@ -80,11 +81,8 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
         first = int(np.searchsorted(times, move.begin))
         if isinstance(move, Arc):
             duration = move.end - move.begin
-            progress = eased_trapezoid(
-                (times[first:] - move.begin) / duration,
-                min(_ARC_START / duration, 0.45),
-                min(_ARC_STOP / duration, 0.5),
-            )
+            elapsed = (times[first:] - move.begin) / duration
+            progress = eased_trapezoid(elapsed, min(ARC_START / duration, 0.45), min(ARC_STOP / duration, 0.5))
             x[first:], z[first:], heading[first:] = move.at(progress)
         else:
             part = sample_base(move.start, (move,), times)
@@ -93,21 +91,23 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
     feet_base = BasePath(x, z, heading, np.hypot(velocity[:, 0], velocity[:, 1]))
     # 0 where the person stands to 1 where they sit.
     seated = np.zeros(times.size)
-    for sit in script.sits:
-        blend(seated, times, sit.begin, sit.duration, float(sit.down))
-    base = _sat_back(feet_base, seated, person.body.stature)
+    for begin, down in script.sits:
+        blend(seated, times, begin, SITTING_TIME, float(down))
+    # The pelvis moves back onto the seat; the feet stay.
+    back = _SEAT_BACK * person.body.stature * seated
+    base = replace(feet_base, x=x - back * np.sin(heading), z=z - back * np.cos(heading))
     steps = plan_steps(person, script.segments)
     feet = place_feet(person, feet_base, steps, times, seated=False)
     sway = draw_sway(plan, feet_base, steps, times, rng)
     # Lean and crouch of the bends, and what sitting adds.
     channels = np.zeros((times.size, 3))
-    for bend in sorted(script.bends, key=lambda bend: bend.begin):
-        blend(channels, times, bend.begin, bend.duration, np.array([bend.lean, bend.crouch, bend.chest_turn]))
+    for begin, duration, taken_up in sorted(script.bends, key=lambda bend: bend[0]):
+        blend(channels, times, begin, duration, np.array(taken_up))
     lean = channels[:, 0]
     crouch = channels[:, 1]
-    for sit in script.sits:
-        lean += _SITTING_LEAN * bump((times - sit.begin) / sit.duration)
-    body = script.person.body
+    for begin, _ in script.sits:
+        lean += _SITTING_LEAN * bump((times - begin) / SITTING_TIME)
+    body = person.body
     drop = (standing_pelvis_height(body) - seated_pelvis_height(body)) / body.leg
     bending = Bending(lean, crouch + drop * seated, channels[:, 2])
     # The looks of the activities, and looks ahead in between.
@@ -117,13 +117,19 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
     for planned in (*sorted(script.looks, key=lambda look: look.start), last):
         while planned.start - now > 1e-9:
             length = min(float(np.clip(0.7 * np.exp(0.4 * rng.standard_normal()), 0.3, 1.6)), planned.start - now)
-            looks.append(Look(now, now + length, _ahead(script, feet_base, seated, times, now, rng), False, None))
+            # A point some metres ahead of where the person will soon be and face.
+            index = min(int(np.searchsorted(times, now + 0.5)), times.size - 1)
+            pose = feet_base.pose(index)
+            height = body.stature * (0.93 - 0.22 * float(seated[index]))
+            yaw = pose.heading + rng.normal(0.0, 0.22)
+            pitch = rng.normal(0.16, 0.08)
+            ahead = np.array([0.0, height, 0.0]) + rng.uniform(2.0, 3.5) * direction(yaw, pitch)
+            looks.append(Look(now, now + length, pose.point + ahead, False, None))
             now += length
         if planned is not last:
             looks.append(planned)
             now = planned.end
-    looks = tuple(looks)
-    gaze = GazePlan(looks, (), ())
+    gaze = GazePlan(tuple(looks), (), ())
     rough = move_trunk(plan, base, bending, sway, feet, steps, times, None)
     eye = rough.neck + np.array([0.0, 0.06, 0.0]) * person.body.stature
     head = move_head(preset, person.habits, gaze, base.heading, eye, times, rng)
@@ -132,24 +138,6 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
     wrists, poles = _move_hands(plan, script, trunk, legs, sway, head, times)
     arms = pose_arms(person.body, person.habits.elbow_flare, trunk, wrists, poles)
     return assemble(plan, base, feet, trunk, head, arms, times, gaze, ())
-
-
-def _sat_back(base: BasePath, seated: np.ndarray, stature: float) -> BasePath:
-    """Move the pelvis back onto the seat; the feet stay."""
-    back = _SEAT_BACK * stature * seated
-    return replace(base, x=base.x - back * np.sin(base.heading), z=base.z - back * np.cos(base.heading))
-
-
-def _ahead(
-    script: Script, base: BasePath, seated: np.ndarray, times: np.ndarray, now: float, rng: np.random.Generator
-) -> np.ndarray:
-    """Return a point some metres ahead of where the person will soon be and face."""
-    index = min(int(np.searchsorted(times, now + 0.5)), times.size - 1)
-    pose: BasePose = base.pose(index)
-    height = script.person.body.stature * (0.93 - 0.22 * float(seated[index]))
-    yaw = pose.heading + rng.normal(0.0, 0.22)
-    pitch = rng.normal(0.16, 0.08)
-    return pose.point + np.array([0.0, height, 0.0]) + rng.uniform(2.0, 3.5) * direction(yaw, pitch)
 
 
 def _move_hands(
@@ -223,6 +211,7 @@ _WAITS = 0.5
 _SHORTEST_ALONE = 3.1
 """Share of short activities after which people wait, and until when after their beginning, so that a text fits."""
 _CLOSING = 0.8
+_OF_BODY = ("joints", "rotations", "head_rotation", "eye", "planted")
 
 
 @dataclass(frozen=True)
@@ -240,7 +229,9 @@ class Identity:
 def identity_of(seed: int, index: int) -> Identity:
     """Return who acts in recording ``index`` of the corpus of a seed."""
     preset = _GOAL_PRESETS[(index // _EVERY) % len(_GOAL_PRESETS)] if index % _EVERY == _EVERY - 1 else None
-    source = _source(seed, "activities") if preset is None else Source(_goal_seed(seed), preset, "default")
+    source = Source(seed, "activities", "default")
+    if preset is not None:
+        source = Source(_goal_seed(seed), preset, "default")
     assigned = assign(source, index)
     participant = f"invented_{'a' if preset is None else preset.replace('-', '')}{assigned.person:03d}"
     name = f"20000101_s0_{participant}_act{seed}_n{index:05d}"
@@ -250,10 +241,27 @@ def identity_of(seed: int, index: int) -> Identity:
 def narrated_recording(seed: int, index: int) -> NarratedMotion:
     """Act out recording ``index``; it depends on nothing but the two numbers."""
     identity = identity_of(seed, index)
+    known = {
+        "recording_id": identity.recording_id,
+        "participant_id": identity.participant_id,
+        "split": identity.split,
+        "rate": RATE,
+    }
     if identity.goal_preset is not None:
-        return _goal_recording(seed, index, identity, identity.goal_preset)
-    source = _source(seed, "activities")
-    person = draw_person(_preset(), identity.participant_id, source.generator("person", identity.person, "body"))
+        # Picks and puts, described.
+        performance = perform(
+            identity.goal_preset, seed=_goal_seed(seed), index=index, n_events=N_EVENTS, rate=RATE, provocations={}
+        )
+        words = Source(seed, "corpus", "default").generator("recording", index, "narration")
+        return NarratedMotion(
+            **known,
+            **{name: getattr(performance, name) for name in _OF_BODY},
+            neck_tilt_deg=performance.person.neck_tilt_deg,
+            narrations=narrate_events(performance, words),
+        )
+    source = Source(seed, "activities", "default")
+    preset = replace(PRESETS[_BASE_PRESET], name="activities", work_pose=None, speed=1.0)
+    person = draw_person(preset, identity.participant_id, source.generator("person", identity.person, "body"))
     # Draw one activity after the other; people stand up before they walk on.
     rng = source.generator("recording", index, "plan")
     writer = ScriptWriter(person, rng)
@@ -268,50 +276,17 @@ def narrated_recording(seed: int, index: int) -> NarratedMotion:
         list(choices)[int(rng.choice(len(weights), p=weights / weights.sum()))](writer)
     writer.script.end = writer.now + _CLOSING
     script = writer.script
-    motion = act_out(_preset(), script, RATE, source.generator("recording", index, "motion"))
+    motion = act_out(preset, script, RATE, source.generator("recording", index, "motion"))
     words = source.generator("recording", index, "narration")
     return NarratedMotion(
-        recording_id=identity.recording_id,
-        participant_id=identity.participant_id,
-        split=identity.split,
-        rate=RATE,
-        joints=motion.joints,
-        rotations=motion.rotations,
-        head_rotation=motion.head_rotation,
-        eye=motion.eye,
-        planted=motion.planted,
+        **known,
+        **{name: getattr(motion, name) for name in _OF_BODY},
         neck_tilt_deg=float(np.rad2deg(person.body.neck_tilt)),
         narrations=narrate(script, motion, RATE, words),
     )
-
-
-def _preset() -> Preset:
-    return replace(PRESETS[_BASE_PRESET], name="activities", work_pose=None, speed=1.0)
-
-
-def _source(seed: int, preset: str) -> Source:
-    return Source(seed, preset, "default")
 
 
 def _goal_seed(seed: int) -> int:
     """Return the seed of the prime-and-reach recordings, which nobody gives to a benchmark table."""
     drawn = named_generator("prbench-synth", GENERATOR_VERSION, seed, "corpus", "goals").integers(2**40, 2**60)
     return int(drawn)
-
-
-def _goal_recording(seed: int, index: int, identity: Identity, preset: str) -> NarratedMotion:
-    performance = perform(preset, seed=_goal_seed(seed), index=index, n_events=N_EVENTS, rate=RATE, provocations={})
-    words = Source(seed, "corpus", "default").generator("recording", index, "narration")
-    return NarratedMotion(
-        recording_id=identity.recording_id,
-        participant_id=identity.participant_id,
-        split=identity.split,
-        rate=RATE,
-        joints=performance.joints,
-        rotations=performance.rotations,
-        head_rotation=performance.head_rotation,
-        eye=performance.eye,
-        planted=performance.planted,
-        neck_tilt_deg=performance.person.neck_tilt_deg,
-        narrations=narrate_events(performance, words),
-    )

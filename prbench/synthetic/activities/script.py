@@ -33,12 +33,6 @@ class Arc:
     segment: Segment
     """The same for the planner of steps."""
 
-    @property
-    def goal(self) -> BasePose:
-        """Place where the activity ends."""
-        x, z, heading = self.at(np.array([1.0]))
-        return BasePose(float(x[0]), float(z[0]), float(heading[0]))
-
     def at(self, progress: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return x, z and heading after a share of the way."""
         radius = self.length / self.turn
@@ -47,29 +41,6 @@ class Arc:
         x = self.start.x + radius * (np.cos(first) - np.cos(heading))
         z = self.start.z + radius * (np.sin(heading) - np.sin(first))
         return x, z, heading
-
-
-Move = Segment | Arc
-
-
-@dataclass(frozen=True)
-class Bend:
-    """Lean and crouch (share of the leg) taken up within ``duration``."""
-
-    begin: float
-    duration: float
-    lean: float
-    crouch: float
-    chest_turn: float = 0.0
-
-
-@dataclass(frozen=True)
-class Sit:
-    """Sitting down, or standing up."""
-
-    begin: float
-    duration: float
-    down: bool
 
 
 @dataclass(frozen=True)
@@ -119,9 +90,11 @@ class Script:
 
     person: Person
     start: BasePose
-    moves: list[Move] = field(default_factory=list)
-    bends: list[Bend] = field(default_factory=list)
-    sits: list[Sit] = field(default_factory=list)
+    moves: list[Segment | Arc] = field(default_factory=list)
+    bends: list[tuple[float, float, tuple[float, float, float]]] = field(default_factory=list)
+    """Begin and duration of each, and the lean, crouch (share of the leg) and turn of the chest that are taken up."""
+    sits: list[tuple[float, bool]] = field(default_factory=list)
+    """Begin of each, and whether the person sits down or stands up."""
     hands: list[Hand] = field(default_factory=list)
     looks: list[Look] = field(default_factory=list)
     acts: list[Act] = field(default_factory=list)
@@ -136,8 +109,8 @@ class Script:
 SITTING_TIME = 1.6
 _EYE_HEIGHT = 0.93  # of the stature
 _SEATED_EYE_HEIGHT = 0.71
-_ARC_START = 0.5  # s
-_ARC_STOP = 0.65
+ARC_START = 0.5  # s
+ARC_STOP = 0.65
 
 
 class ScriptWriter:
@@ -196,24 +169,22 @@ class ScriptWriter:
     def curve(self, length: float, turn: float, pace: float) -> Arc:
         """Walk along an arc."""
         speed = self.person.habits.walk_speed * pace * (1.0 - np.exp(-(length + 0.15) / 0.75))
-        end = self.now + length / speed + 0.5 * (_ARC_START + _ARC_STOP)
+        end = self.now + length / speed + 0.5 * (ARC_START + ARC_STOP)
         start = self.base
-        heading = self.base.heading
-        plain = Segment("walk", start, start, self.now, end, end, float(speed), heading, 0.0, 0.0, self.now)
-        goal = Arc(start, self.now, end, length, turn, plain).goal
-        segment = Segment("walk", start, goal, self.now, end, end, float(speed), heading, 0.0, 0.0, self.now)
-        arc = Arc(start, self.now, end, length, turn, segment)
+        plain = Segment("walk", start, start, self.now, end, end, float(speed), start.heading, 0.0, 0.0, self.now)
+        x, z, heading = Arc(start, self.now, end, length, turn, plain).at(np.array([1.0]))
+        self.base = BasePose(float(x[0]), float(z[0]), float(heading[0]))
+        arc = Arc(start, self.now, end, length, turn, replace(plain, goal=self.base))
         self.script.moves.append(arc)
-        self.base = arc.goal
         return arc
 
     def bend(self, at: float, duration: float, lean: float, crouch: float, chest_turn: float = 0.0) -> None:
         """Lean and crouch."""
-        self.script.bends.append(Bend(at, duration, lean, crouch, chest_turn))
+        self.script.bends.append((at, duration, (lean, crouch, chest_turn)))
 
     def sit(self, *, down: bool) -> None:
         """Sit down or stand up, hands on the thighs or hanging again."""
-        self.script.sits.append(Sit(self.now, SITTING_TIME, down))
+        self.script.sits.append((self.now, down))
         self.is_seated = down
         for hand in (0, 1):
             self.rest(hand, self.now + (0.3 if down else 0.1), 1.2)
@@ -237,12 +208,7 @@ class ScriptWriter:
 
     def look(self, begin: float, end: float, yaw: float, pitch: float, distance: float = 2.5) -> None:
         """Look somewhere relative to the heading; yaw > 0 left, pitch > 0 down."""
-        if self.script.looks and begin < self.script.looks[-1].end:
-            begin = self.script.looks[-1].end
-        if end - begin < 0.15:
-            return
-        point = self.eye + distance * direction(self.base.heading + yaw, pitch)
-        self.script.looks.append(Look(begin, end, point, True, None))
+        self.look_at(begin, end, self.eye + distance * direction(self.base.heading + yaw, pitch))
 
     def look_at(self, begin: float, end: float, point: np.ndarray) -> None:
         """Look at a point of the world."""
@@ -406,10 +372,9 @@ def _rub(writer: ScriptWriter, name: str, size: tuple[float, float], frequency: 
     length = writer.draw(3.0, 4.2)
     half = writer.draw(*size) / 2.0
     ratio = writer.draw(0.5, 1.0)
-    loop = Loop(
-        begin + 0.7, begin + length - 0.7, np.array([half, 0.0, 0.0]), np.array([0.0, 0.0, half * ratio]),
-        writer.draw(*frequency),
-    )  # fmt: skip
+    aside = np.array([half, 0.0, 0.0])
+    ahead = np.array([0.0, 0.0, half * ratio])
+    loop = Loop(begin + 0.7, begin + length - 0.7, aside, ahead, writer.draw(*frequency))
     writer.script.hands.append(Hand(hand, begin, 0.8, "middle", (-0.02, -0.22, 0.21), loop))
     writer.rest(hand, begin + length - 0.75, 0.8)
     writer.look_at(begin + 0.1, begin + length - 0.5, writer.before_chest(-0.35, 0.24))
@@ -482,13 +447,9 @@ def _scratch_head(writer: ScriptWriter) -> None:
     begin = writer.now
     hand = writer.free_hand()
     length = writer.draw(2.8, 3.8)
-    loop = Loop(
-        begin + 0.8,
-        begin + length - 0.8,
-        np.array([0.0, 0.012, 0.0]),
-        np.array([0.0, 0.0, 0.014]),
-        writer.draw(2.0, 3.0),
-    )
+    up = np.array([0.0, 0.012, 0.0])
+    ahead = np.array([0.0, 0.0, 0.014])
+    loop = Loop(begin + 0.8, begin + length - 0.8, up, ahead, writer.draw(2.0, 3.0))
     writer.script.hands.append(Hand(hand, begin, 0.9, "head", (0.075, 0.045, 0.035), loop, (1.0, -0.3, 0.15), _BULGE))
     writer.rest(hand, begin + length - 0.85, 0.9, bulge=_BULGE)
     writer.did("scratch head", begin, begin + length, hand)
