@@ -184,16 +184,16 @@ class TrueClip:
 
 def true_clips(performance: Performance) -> list[TrueClip]:
     """Return all events of a performance that should become sequences."""
-    return [_clip(performance, event) for event in performance.events if event.expected == "sequence"]
-
-
-def _clip(performance: Performance, event: TrueEvent) -> TrueClip:
-    assert event.prime_time is not None  # expected to become a sequence
-    # Counted backwards from the event, which lies exactly on the last frame.
-    n_frames = int(np.floor((event.event_time - event.prime_time + PREROLL) * FPS + 1e-6)) + 1
-    times = event.event_time - np.arange(n_frames)[::-1] / FPS
-    times = np.clip(times, performance.times[0], performance.times[-1])
-    return TrueClip(event, float(times[0]), sample_joints(performance, times), performance.person.neck_tilt_deg)
+    clips = []
+    for event in performance.events:
+        if event.expected == "sequence" and event.prime_time is not None:
+            # Counted backwards from the event, which lies exactly on the last frame.
+            n_frames = int(np.floor((event.event_time - event.prime_time + PREROLL) * FPS + 1e-6)) + 1
+            times = event.event_time - np.arange(n_frames)[::-1] / FPS
+            times = np.clip(times, performance.times[0], performance.times[-1])
+            joints = sample_joints(performance, times)
+            clips.append(TrueClip(event, float(times[0]), joints, performance.person.neck_tilt_deg))
+    return clips
 
 
 def sample_joints(performance: Performance, times: Float[np.ndarray, " m"]) -> Float[np.ndarray, "m 22 3"]:

@@ -140,9 +140,8 @@ def objects_table(performance: Performance) -> pa.Table:
     layout = layout_for(performance.preset)
     for motion in performance.objects:
         # Rows at rest repeat the one before; without them the file of a long recording stays small.
-        changes = (np.diff(motion.position, axis=0) != 0).any(axis=1) | (np.diff(motion.rotation, axis=0) != 0).any(
-            axis=1
-        )
+        poses = np.concatenate([motion.position, motion.rotation], axis=1)
+        changes = (np.diff(poses, axis=0) != 0).any(axis=1)
         kept = np.zeros(len(motion.position), dtype=bool)
         kept[:-1] |= changes
         kept[1:] |= changes
@@ -216,20 +215,8 @@ SYNTHETIC_FILE = "synthetic.json"
 Size = Literal["tiny", "default", "large"]
 
 
-@dataclass(frozen=True)
-class _SizeOfTree:
-    """Numbers that belong to one size of a tree."""
-
-    recordings: int
-    events: int
-    truth_rate: float
-    """Frames a second of the joints in the truth record."""
-
-
-SIZES: dict[str, _SizeOfTree] = {
-    "tiny": _SizeOfTree(recordings=2, events=6, truth_rate=30.0),
-    "default": _SizeOfTree(recordings=24, events=10, truth_rate=120.0),
-}
+SIZES = {"tiny": (2, 6, 30.0), "default": (24, 10, 120.0)}
+"""Recordings, events of each, and frames a second of the joints in the truth record, by size of a tree."""
 
 
 @dataclass(frozen=True)
@@ -298,7 +285,7 @@ def synthesize_tree(
     if estimates and layout.write_estimates is None:
         raise UsageError(f"{preset} has no bodies of its own beside which EgoAllo's estimates could stand.")
     damages = [defect(preset, name) for name in defects]
-    amount = _amount(size)
+    _, events, truth_rate = _amount(size)
     require_free(out)
     count = planned_recordings(size, recordings)
     with sole_writer(out), atomic_folder(out) as root:
@@ -307,28 +294,28 @@ def synthesize_tree(
             root=root,
             preset=preset,
             seed=seed,
-            n_events=amount.events if n_events is None else n_events,
+            n_events=events if n_events is None else n_events,
             bystander_objects=bystander_objects,
             provocations=None if provocations is None else dict(provocations),
             noise=noise,
-            truth_rate=amount.truth_rate,
+            truth_rate=truth_rate,
             estimates=estimates,
         )
-        done: list[_Done] = []
+        done = []
         for result in engine_for(workers).map(write_one, range(count)):
             done.append(result)
             if on_written:
-                on_written(result.recording)
+                on_written(result[0])
+        written = tuple(recording for recording, _, _ in done)
         layout.finish(root)
         shutil.rmtree(root / SHARED_PARTS, ignore_errors=True)
         # Damages come after the shared files are written, because some of them change those.
         for damage in damages:
-            damage.apply(root, done[0].recording.recording_id)
+            damage.apply(root, written[0].recording_id)
         for name in ("recordings", "events", "fixations"):
-            write_truth(pa.concat_tables([getattr(result, name) for result in done]), root, name)
-        splits = {result.recording.recording_id: result.recording.split for result in done}
-        write_mark(root, preset, seed, done[0].world, splits)
-    return WrittenTree(out, tuple(result.recording for result in done))
+            write_truth(pa.concat_tables([tables[name] for _, _, tables in done]), root, name)
+        write_mark(root, preset, seed, done[0][1], {each.recording_id: each.split for each in written})
+    return WrittenTree(out, written)
 
 
 def planned_recordings(size: str, recordings: int | None) -> int:
@@ -337,19 +324,10 @@ def planned_recordings(size: str, recordings: int | None) -> int:
     Raises:
         UsageError: for less than one, or a size that is not written.
     """
-    count = _amount(size).recordings if recordings is None else recordings
+    count = _amount(size)[0] if recordings is None else recordings
     if count < 1:
         raise UsageError(f"a synthetic tree needs at least one recording, {count} were asked for.")
     return count
-
-
-@dataclass(frozen=True)
-class _Done:
-    recording: WrittenRecording
-    world: str
-    recordings: pa.Table
-    events: pa.Table
-    fixations: pa.Table
 
 
 def _write_recording(
@@ -364,7 +342,8 @@ def _write_recording(
     noise: float,
     truth_rate: float,
     estimates: bool,
-) -> _Done:
+) -> tuple[WrittenRecording, str, dict[str, pa.Table]]:
+    """Write one recording, and return it, its world, and its rows of the tables that recordings share."""
     performance = perform(
         preset,
         seed=seed,
@@ -384,13 +363,12 @@ def _write_recording(
     summary = WrittenRecording(
         name, performance.split, performance.duration, len(performance.events), len(performance.objects)
     )
-    return _Done(
-        summary,
-        performance.world,
-        recordings_table(performance, noise=noise),
-        events_table(performance),
-        fixations_table(performance),
-    )
+    tables = {
+        "recordings": recordings_table(performance, noise=noise),
+        "events": events_table(performance),
+        "fixations": fixations_table(performance),
+    }
+    return summary, performance.world, tables
 
 
 def write_mark(root: Path, preset: str, seed: int, world: str, split: Mapping[str, str]) -> None:
@@ -408,7 +386,7 @@ def write_mark(root: Path, preset: str, seed: int, world: str, split: Mapping[st
     )
 
 
-def _amount(size: str) -> _SizeOfTree:
+def _amount(size: str) -> tuple[int, int, float]:
     if size == "large":
         raise UsageError(
             "size 'large' (480 recordings a preset) is not written as native files: that would be about 30 GB of text"
