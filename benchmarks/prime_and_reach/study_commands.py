@@ -154,11 +154,17 @@ def _prediction(
     out: tuple[Path, ...],
 ) -> Answer:
     """Score the rows of the study of motion prediction on the first input, windows; the others are finished runs."""
+    from prbench.viewing.figures import FORMATS
+
+    pictures = [path for path in out if path.suffix.lower() in FORMATS]
+    files = [path for path in out if path not in pictures]
     with progress("scoring") as tell:
         made = load_built_in(STUDY_ITEMS, item)(
             inputs[0], inputs[1:], weights=weights, limit=limit, device=device, seed=seed, progress=tell
         )
-    return _answer(made, out, between="\n")
+    for path in pictures:
+        load_built_in(STUDY_ITEMS, "prediction-figure")(made, path)
+    return _answer(made, files, pictures[0] if pictures else None, between="\n")
 
 
 def _train(
@@ -377,7 +383,7 @@ class _OutType(PlaceType):
     type=_OutType("file"),
     metavar="FILE...",
     help="Write a table to these files: .csv (one number a row), .tex (LaTeX with booktabs) or .md. Of a figure, the"
-    " picture: .png or .svg. With --train: folder of trainings, runs and tables (default ablations).",
+    " picture: .png or .svg, also of prediction. With --train: folder of all that is made (default ablations).",
 )
 @click.option(
     "--numbers",
@@ -431,11 +437,12 @@ def study(ctx: click.Context, item: str, inputs: tuple[Path, ...], train: bool, 
         raise UsageError(f"{name}: name {row.inputs}..., which it is made from.")
     # Refuse files of unknown formats before anything is done.
     from prbench.tables import require_format
-    from prbench.viewing.figures import require_drawable
+    from prbench.viewing.figures import FORMATS, require_drawable
 
     is_figure = name.startswith("study figure")
     for path in given["numbers"] if is_figure else given["out"]:
-        require_format(path)
+        if item != "prediction" or path.suffix.lower() not in FORMATS:
+            require_format(path)
     if is_figure:
         if len(given["out"]) != 1:
             raise UsageError(f"{name}: --out FILE is needed, the picture: .png or .svg.")

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from prbench.cli.main import main
 from prbench.errors import RunError, UsageError
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
-from prbench.tables import as_json, as_markdown
+from prbench.tables import Block, as_json, as_markdown
+from prbench_benchmarks.motion_prediction.charts import draw_prediction
 from prbench_benchmarks.motion_prediction.study_tables import prediction_tables, scores_of_runs
 from prbench_benchmarks.motion_prediction.table import WindowsTable
 from tests.benchmarks.motion_prediction.windows import walking, write
@@ -65,11 +67,29 @@ def test_the_value_of_gaze_is_paired_between_all_conditions(tables):
 
 
 def test_the_command_writes_the_same_tables_again(windows, tmp_path):
-    paths = [tmp_path / "tables.md", tmp_path / "tables.csv"]
+    paths = [tmp_path / "tables.md", tmp_path / "tables.csv", tmp_path / "chart.png"]
     assert main(["study", "prediction", str(windows), "--limit", "2", "--out", *map(str, paths)]) == 0
     again = prediction_tables(windows, limit=2)
     assert paths[0].read_text() == as_markdown(again)
     assert "2 windows of" in as_json(again)
+    assert paths[2].read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_figure_shows_errors_over_the_horizon_and_what_gaze_is_worth_before_the_event(tables, tmp_path):
+    value = tables[-1]
+    (row,) = [
+        row
+        for row in value.blocks[0].rows
+        if (row.text["method"], row.text["metric"], row.text["told"]) == ("nearest-past", "ade", "pose → pose+gaze")
+    ]
+    at_event = [replace(row.cells[0], variant=f"ade, windows: event-{lead}") for lead in ("2", "0.5")]
+    anchored = replace(value, blocks=(Block(rows=(replace(row, cells=tuple(at_event)),)),))
+    draw_prediction([*tables[:3], anchored], tmp_path / "both.svg")
+    drawn = (tmp_path / "both.svg").read_text()
+    for words in ("seconds after the last observed frame", "seconds before the event", "GazeMoDiff", "pose+gaze"):
+        assert words in drawn
+    draw_prediction(tables, tmp_path / "sliding.svg")  # windows that slide have no time to an event
+    assert "seconds before the event" not in (tmp_path / "sliding.svg").read_text()
 
 
 def test_one_condition_has_no_value(windows, monkeypatch):
