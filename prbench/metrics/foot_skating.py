@@ -44,7 +44,7 @@ def foot_skating(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> F
 
 def contact_share(motion: MotionBatch, constants: MetricConstants) -> Float[np.ndarray, " n"]:
     """Share of frame transitions in which a toe stays below ``foot_height``; where it is 0, nothing can skate."""
-    return _share_of_transitions(_contact(motion, constants), motion)
+    return _share_of_transitions(toe_steps(motion, 1.0, constants).contact, motion)
 
 
 def slow_slides(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> Float[np.ndarray, " n"]:
@@ -83,16 +83,12 @@ def toe_steps(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> ToeS
     for window in np.unique(windows):
         rows = (window_of_sequence == window)[motion.sequence_of_row]
         averaged[:, rows] = moving_sum(speed, motion, int(window))[:, rows] / window
-    return ToeSteps(speed, averaged, _contact(motion, constants))
-
-
-def _contact(motion: MotionBatch, constants: MetricConstants) -> np.ndarray:
     low = motion.columns[list(TOES), 1] < constants.foot_height - constants.foot_tolerance
     # A step is a contact only if the toe is low before and after it.
     contact = np.zeros_like(low)
     contact[:, :-1] = low[:, :-1] & low[:, 1:]
     contact[:, motion.last] = False
-    return contact
+    return ToeSteps(speed, averaged, contact)
 
 
 def _sliding(steps: ToeSteps, constants: MetricConstants) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from prbench.metrics.batch import MotionBatch, ScoringPair, ScoringTargets, ranges
 from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frames, head_track, untrusted
@@ -60,7 +60,8 @@ def primed(
     hold = candidates.hold[sequence]
     # A look may begin where the ray is on target and stays there for the ``hold`` frames after.
     chosen = on_target[row]
-    for k in range(1, _largest(hold) + 1):
+    longest = int(hold.max(initial=0))
+    for k in range(1, longest + 1):
         chosen &= on_target[row + np.minimum(k, hold)]
     # Turning speed has no value in frame 0, so the mean of K speeds up to t needs t >= max(2, K).
     if variant == "onset":
@@ -69,11 +70,24 @@ def primed(
         # Where the head has no defined direction, nobody can say that it looked elsewhere.
         earliest = np.maximum(frame - candidates.before[sequence], 0)
         elsewhere = track.usable & (track.distance > constants.prime_distance + constants.threshold_tolerance + margin)
-        chosen &= _latest(elsewhere)[row] >= track.row_of_frame_0[sequence] + earliest
+        # The last row up to each row in which the ray was elsewhere; -1 where there is none.
+        latest = np.maximum.accumulate(np.where(elsewhere, np.arange(len(elsewhere)), -1))
+        chosen &= latest[row] >= track.row_of_frame_0[sequence] + earliest
     row = row[chosen]
     hold = hold[chosen]
     sequence = sequence[chosen]
-    change = _change_at_onset(track.speed, row, hold) if variant == "onset" else track.speed[row] - track.speed[row - 1]
+    speed = track.speed
+    if variant == "onset":
+        # Mean of the ``hold`` speeds after each row minus that of the ``hold`` speeds up to it. Sequences hold for
+        # different numbers of frames: beyond its own K, a sequence adds nothing.
+        last = hold - 1
+        change = np.zeros(len(row))
+        for k in range(longest):
+            step = speed[row + 1 + np.minimum(k, last)] - speed[row - np.minimum(k, last)]
+            change += np.where(k < hold, step, 0.0)
+        change /= hold
+    else:
+        change = speed[row] - speed[row - 1]
     # A head that turns at constant speed changes it by rounding alone, which the tolerance keeps from counting.
     success = np.zeros(len(candidates.count))
     success[sequence[change < -constants.deceleration_tolerance]] = 1.0
@@ -86,27 +100,6 @@ def near_goal(track: RayTrack, constants: MetricConstants, variant: Variant) -> 
     if variant == "angle":
         return track.angle <= constants.prime_angle_deg + np.rad2deg(constants.threshold_tolerance)
     return track.distance <= constants.prime_distance + constants.threshold_tolerance
-
-
-def _latest(mask: Bool[np.ndarray, " rows"]) -> Int[np.ndarray, " rows"]:
-    """Return for each row the last row up to it where the mask is True; -1 where there is none."""
-    rows = np.where(mask, np.arange(len(mask)), -1)
-    return np.maximum.accumulate(rows)
-
-
-def _change_at_onset(speed: np.ndarray, row: np.ndarray, hold: np.ndarray) -> Float[np.ndarray, " candidates"]:
-    """Mean of the ``hold`` speeds after each row minus that of the ``hold`` speeds up to it."""
-    change = np.zeros(len(row))
-    for k in range(_largest(hold)):
-        # Sequences hold for different numbers of frames: beyond its own K, a sequence adds nothing.
-        last = hold - 1
-        step = speed[row + 1 + np.minimum(k, last)] - speed[row - np.minimum(k, last)]
-        change += np.where(k < hold, step, 0.0)
-    return change / hold
-
-
-def _largest(hold: np.ndarray) -> int:
-    return int(hold.max(initial=0))
 
 
 def _evidence(

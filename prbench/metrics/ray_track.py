@@ -91,15 +91,21 @@ def head_track(
         constants: Of the protocol; with ``head_smoothing`` above 0 the joints are averaged over time first.
     """
     rows, sequence, row_of_frame_0 = _rows_looked_at(motion, candidates)
-    values = motion.values if constants.head_smoothing == 0 else _smoothed(motion, fps, constants.head_smoothing)
+    values = motion.values
+    if constants.head_smoothing > 0:
+        # Joints averaged over a centred window, which is shorter near the ends of a sequence.
+        flat = motion.columns.reshape(-1, len(motion.values))
+        smooth = np.empty_like(flat)
+        windows = np.array([odd_window(constants.head_smoothing, rate) for rate in fps])[motion.sequence_of_row]
+        for window in np.unique(windows):
+            of_window = windows == window
+            counts = moving_sum(np.ones((1, len(motion.values))), motion, int(window))
+            smooth[:, of_window] = (moving_sum(flat, motion, int(window)) / counts)[:, of_window]
+        values = smooth.T.reshape(motion.values.shape)
     joints = values[rows].astype(np.float64)
     direction, degenerate = head_forward(joints, head_tilt_deg[sequence])
-    origin = joints[:, Joint.HEAD]
-    goal = goal_location[sequence]
-    distance = ray_distance(origin, direction, goal)
-    angle = ray_angle_deg(origin, direction, goal)
-    speed = _turning_speed(direction, sequence, fps)
-    return RayTrack(distance, angle, speed, ~degenerate, direction, goal - origin, sequence, row_of_frame_0)
+    ray = joints[:, Joint.HEAD], direction
+    return _track(ray, ~degenerate, goal_location[sequence], sequence, row_of_frame_0, fps)
 
 
 def gaze_track(
@@ -121,17 +127,43 @@ def gaze_track(
         fps: Frames per second.
     """
     rows, sequence, row_of_frame_0 = _rows_looked_at(motion, candidates)
-    origin = gaze.origin[rows].astype(np.float64)
-    direction = gaze.direction[rows].astype(np.float64)
+    ray = gaze.origin[rows].astype(np.float64), gaze.direction[rows].astype(np.float64)
     valid = gaze.valid[rows]
-    goal = goal_location[sequence]
-    distance = ray_distance(origin, direction, goal)
-    angle = ray_angle_deg(origin, direction, goal)
-    speed = _turning_speed(direction, sequence, fps)
+    track = _track(ray, valid, goal_location[sequence], sequence, row_of_frame_0, fps)
     # A turn has two ends: both the one into an invalid sample and the one out of it are unknown.
-    speed[~valid] = np.nan
-    speed[1:][~valid[:-1]] = np.nan
-    return RayTrack(distance, angle, speed, valid, direction, goal - origin, sequence, row_of_frame_0)
+    track.speed[~valid] = np.nan
+    track.speed[1:][~valid[:-1]] = np.nan
+    return track
+
+
+def _track(
+    ray: tuple[np.ndarray, np.ndarray],
+    usable: np.ndarray,
+    goal: np.ndarray,
+    sequence: np.ndarray,
+    row_of_frame_0: np.ndarray,
+    fps: np.ndarray,
+) -> RayTrack:
+    """Hold a ray, its origin and direction, against the goal of each row."""
+    origin, direction = ray
+    before = direction[:-1]
+    after = direction[1:]
+    sine = np.linalg.norm(np.cross(before, after), axis=-1)
+    cosine = (before * after).sum(axis=-1)
+    # atan2 of sine and cosine is exact for small turns, where arccos loses half of the digits.
+    speed = np.full(len(direction), np.nan)
+    speed[1:] = fps[sequence[1:]] * np.arctan2(sine, cosine)
+    speed[1:][sequence[1:] != sequence[:-1]] = np.nan
+    return RayTrack(
+        ray_distance(origin, direction, goal),
+        ray_angle_deg(origin, direction, goal),
+        speed,
+        usable,
+        direction,
+        goal - origin,
+        sequence,
+        row_of_frame_0,
+    )
 
 
 def ray_distance(
@@ -154,21 +186,9 @@ def ray_angle_deg(
     return np.rad2deg(np.arctan2(sine, cosine))
 
 
-def _turning_speed(direction: np.ndarray, sequence: np.ndarray, fps: np.ndarray) -> np.ndarray:
-    before = direction[:-1]
-    after = direction[1:]
-    sine = np.linalg.norm(np.cross(before, after), axis=-1)
-    cosine = (before * after).sum(axis=-1)
-    # atan2 of sine and cosine is exact for small turns, where arccos loses half of the digits.
-    speed = np.full(len(direction), np.nan)
-    speed[1:] = fps[sequence[1:]] * np.arctan2(sine, cosine)
-    speed[1:][sequence[1:] != sequence[:-1]] = np.nan
-    return speed
-
-
 def _rows_looked_at(motion: MotionBatch, candidates: CandidateFrames) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows of the motion that some candidate depends on, the sequence of each, and where frame 0 would lie."""
-    before = np.maximum(_speeds_reach_back(candidates), candidates.before)
+    before = np.maximum(np.maximum(candidates.hold, 2), candidates.before)  # turning speeds reach back, too
     begin = np.maximum(candidates.first - before, 0)
     count = np.where(candidates.count > 0, candidates.last + candidates.hold + 1 - begin, 0)
     rows = ranges(motion.first + begin, count)
@@ -176,27 +196,10 @@ def _rows_looked_at(motion: MotionBatch, candidates: CandidateFrames) -> tuple[n
     return rows, sequence, np.cumsum(count) - count - begin
 
 
-def _speeds_reach_back(candidates: CandidateFrames) -> Int[np.ndarray, " n"]:
-    """Frames before a candidate that its turning speeds depend on."""
-    return np.maximum(candidates.hold, 2)
-
-
 def untrusted(track: RayTrack, candidates: CandidateFrames) -> Bool[np.ndarray, " n"]:
     """Return True for each sequence with a frame that is not usable among those that decide stay and deceleration."""
     frame = np.arange(len(track.sequence)) - track.row_of_frame_0[track.sequence]
-    begin = (candidates.first - _speeds_reach_back(candidates))[track.sequence]
+    begin = (candidates.first - np.maximum(candidates.hold, 2))[track.sequence]
     found = np.zeros(len(candidates.count), dtype=bool)
     found[track.sequence[~track.usable & (frame >= begin)]] = True
     return found
-
-
-def _smoothed(motion: MotionBatch, fps: np.ndarray, seconds: float) -> np.ndarray:
-    """Joints averaged over a centred window, which is shorter near the ends of a sequence."""
-    flat = motion.columns.reshape(-1, len(motion.values))
-    smooth = np.empty_like(flat)
-    window_of_row = np.array([odd_window(seconds, rate) for rate in fps])[motion.sequence_of_row]
-    for window in np.unique(window_of_row):
-        rows = window_of_row == window
-        counts = moving_sum(np.ones((1, len(motion.values))), motion, int(window))
-        smooth[:, rows] = (moving_sum(flat, motion, int(window)) / counts)[:, rows]
-    return smooth.T.reshape(motion.values.shape)
