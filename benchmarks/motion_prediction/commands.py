@@ -23,18 +23,16 @@ if TYPE_CHECKING:
 
 
 class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
-    """The work of ``build-windows``, done or counted.
+    """The work of ``build-windows``.
 
     Attributes:
-        folder: The table of windows that was written; null with ``--dry-run`` and ``--shard``.
+        folder: The table of windows that was written; null with ``--shard``.
         built: The content of its ``windows.json``; null likewise.
-        counted: With ``--dry-run``: maps the splits of the study to their numbers of segments, frames and windows.
         shard: The shard that was made, with ``--shard``; else null.
     """
 
     folder: Path | None = None
     built: WindowsInfo | None = None
-    counted: dict[str, tuple[int, int, int]] = {}
     shard: opt.MadeShard | None = None
 
 
@@ -49,7 +47,7 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option(
     "--data", type=opt.PATH, metavar="DIR", help="In place of a dataset, a built table: windows at its events."
 )
-@opt.out_folder_option("Folder of the windows; earlier ones are replaced once the new ones are ready.")
+@opt.out_folder_option("Folder of the windows; earlier ones are replaced once the new ones are ready.", required=True)
 @click.option(
     "--anchor",
     "anchors",
@@ -57,7 +55,6 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
     metavar="NAME",
     help="With --data: windows at this anchor alone, prime or event-2, event-1.5, event-1, event-0.5; repeatable.",
 )
-@click.option("--dry-run", is_flag=True, help="Count what a study used, from gimo's dataset.csv alone; write nothing.")
 @click.option(
     "--joints",
     type=click.Choice(["native", "smpl22"]),
@@ -73,9 +70,8 @@ def build_windows(
     dataset: str | None,
     root: Path | None,
     data: Path | None,
-    out: Path | None,
+    out: Path,
     anchors: tuple[str, ...],
-    dry_run: bool,
     joints: Literal["native", "smpl22"] | None,
     recordings: str,
     max_recordings: int | None,
@@ -90,22 +86,9 @@ def build_windows(
     """
     if (data is None) is (dataset is None) or (dataset is None) is not (root is None):
         raise UsageError("expected either DATASET with --root DIR, or --data DIR alone.")
-    part = opt.chosen_shard(shard, dry_run=dry_run, data=data)
+    part = opt.chosen_shard(shard, data=data)
     if anchors and data is None:
         raise UsageError("--anchor: belongs to --data; windows of recordings slide.")
-    if dry_run:
-        # Count a study's segments and windows.
-        from prbench_benchmarks.motion_prediction.windows import published_counts
-
-        if dataset is None or root is None:
-            raise UsageError("--dry-run: expected DATASET with --root DIR.")
-        counts = published_counts(dataset, root)
-        rows = [(split, *map(str, numbers)) for split, numbers in counts.items()]
-        title = f"{dataset}: what the study of prediction used"
-        header = ("split", "segments", "frames", "windows")
-        return Answer(WindowsReport(counted=counts), lambda: print_table(title, header, rows, numbers=(1, 2, 3)))
-    if out is None:
-        raise UsageError("--out DIR is needed: the folder of the windows. (--dry-run does without.)")
     if data is not None:
         from prbench_benchmarks.motion_prediction.anchored import build_anchored_windows
 

@@ -24,7 +24,7 @@ from prbench.curation.job import NativeSource, native_sources
 from prbench.curation.options import BuildOptions
 from prbench.engine import Engine, InProcess, is_out_of_memory
 from prbench.engine.shards import Shard, ShardRecord, require_settings
-from prbench.errors import InputFileError, PrbenchError, UsageError
+from prbench.errors import InputFileError, PrbenchError
 from prbench.files.storage import require_replaceable, sole_writer, text_digest
 from prbench.geometry.skeleton import head_forward
 from prbench.geometry.timelines import covered, interpolate, nearest_index
@@ -604,25 +604,3 @@ def _write_table(
     # Last of all: until here an earlier table stands as it was.
     info = write_windows(out, info, (run for each in finished for run in read_cut_runs(each.folder)))
     return BuildReport(out, info, tuple(finished), sum(each.reused for each in finished))
-
-
-def published_counts(dataset: str, root: Path | str) -> dict[str, tuple[int, int, int]]:
-    """Count a study's segments, frames and windows by published split, without reading any recording.
-
-    Args:
-        dataset: Name of a reader.
-        root: The dataset's folder; the file that lists its segments is enough.
-
-    Raises:
-        UsageError: for a dataset without such a file.
-        InputFileError: if it is missing or damaged.
-    """
-    reader = reader_for(dataset)
-    lengths = reader.published_lengths(Path(root)) if isinstance(reader, PublishedForPrediction) else None
-    if lengths is None:
-        raise UsageError(f"{dataset}: no file of it lists segments that a study of prediction used; build the windows.")
-    rules = load_prediction_protocol().windows
-    return {
-        split: (len(frames), sum(frames), sum(len(window_starts(each, rules)) for each in frames))
-        for split, frames in lengths.items()
-    }

@@ -334,14 +334,6 @@ class PublishedForPrediction(Reader, Protocol):
         """
         ...
 
-    def published_lengths(self, root: Path) -> Mapping[str, tuple[int, ...]] | None:
-        """Frames of the study's pieces by published split, where one file tells them without any recording.
-
-        Raises:
-            InputFileError: if that file is missing or damaged.
-        """
-        ...
-
 
 @dataclass(frozen=True)
 class AnnotationLine:

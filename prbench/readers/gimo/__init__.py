@@ -12,7 +12,6 @@ from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.files import GimoOptions, extents, find_segments, read_readings, row_of
-from prbench.readers.gimo.table import published_lengths
 from prbench.readers.gimo.to_recording import published_track, recording_from_gimo
 from prbench.recording import Recording
 from prbench.recording.streams import PublishedTrack
@@ -50,11 +49,6 @@ class GimoReader:
         has_jaw = native and self.native_joints == gimo.GIMO23
         track = published_track(readings, recording, load_manifest("gimo"), with_jaw=has_jaw)
         return recording, (track,)
-
-    @foreign_input()
-    def published_lengths(self, root: Path) -> dict[str, tuple[int, ...]]:
-        """See :class:`prbench.readers.PublishedForPrediction`."""
-        return published_lengths(root)
 
     def _read(self, found: RecordingFiles) -> tuple[gimo.GimoReadings, Recording]:
         manifest = load_manifest("gimo")

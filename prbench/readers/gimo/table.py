@@ -155,15 +155,6 @@ def overlapping(rows: Sequence[Row], row: Row) -> tuple[gimo.Segment, ...]:
     )
 
 
-def published_lengths(root: Path) -> dict[str, tuple[int, ...]]:
-    """Frames of every row of ``dataset.csv`` by published split; a row that stands there twice counts twice."""
-    lengths: dict[str, list[int]] = {}
-    for row in read_segments(root / gimo.TABLE_FILE):
-        of_split = lengths.setdefault(gimo.PUBLISHED_SPLITS[row.segment.training], [])
-        of_split += [len(row.segment.frames)] * (1 + len(row.repeated))
-    return {split: tuple(frames) for split, frames in sorted(lengths.items())}
-
-
 def read_events(path: Path) -> tuple[EventRow, ...]:
     """All lines of an events table.
 

@@ -58,10 +58,6 @@ class MogazeReader:
         tracks = published_tracks(readings, recording, least_confidence=least)
         return recording, tracks if native else tuple(replace(track, joints=track.body) for track in tracks)
 
-    def published_lengths(self, root: Path) -> None:  # noqa: ARG002 - a protocol
-        """See :class:`prbench.readers.PublishedForPrediction`: gaze decides, which every recording has in its files."""
-        return
-
     def _read(self, found: RecordingFiles) -> tuple[mogaze.MogazeReadings, Recording]:
         manifest = load_manifest("mogaze")
         found.require_usable(manifest.why_bad(found.recording_id))

@@ -10,7 +10,7 @@ from prbench.readers.mogaze.format import Segment
 from prbench.readers.mogaze.synthetic import write
 from prbench_benchmarks.motion_prediction.batch import Condition
 from prbench_benchmarks.motion_prediction.table import WindowsTable
-from prbench_benchmarks.motion_prediction.windows import build_windows, plan_windows, published_counts
+from prbench_benchmarks.motion_prediction.windows import build_windows, plan_windows
 from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, N, still_life
 
 
@@ -117,12 +117,3 @@ def test_a_folder_of_something_else_is_not_replaced(root, tmp_path):
     (tmp_path / "thesis.txt").write_text("dear")
     with pytest.raises(StorageError, match="no table of windows"):
         build_windows(plan_windows("mogaze", root), tmp_path)
-
-
-def test_what_a_study_has_of_gimo_is_counted_from_its_table_alone(tmp_path):
-    header = "sequence_path,start_frame,end_frame,scene,transformation,training\n"
-    rows = ["s,0,75,room,t.json,0", "s,100,190,room,t.json,0", "s,0,74,room,t.json,1", "s,300,599,room,t.json,2"]
-    (tmp_path / "dataset.csv").write_text(header + "\n".join([*rows, rows[2]]))
-    counted = published_counts("gimo", tmp_path)
-    # 76 frames have one window, 91 two, 75 none; the line that stands twice is counted twice, as the study does.
-    assert counted == {"test": (2, 167, 3), "train": (2, 150, 0), "unused": (1, 300, 15)}
