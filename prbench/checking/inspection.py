@@ -65,11 +65,6 @@ class InspectedDataset:
     recordings: tuple[InspectedRecording, ...]
     """All of its recordings."""
 
-    @property
-    def usable(self) -> int:
-        """Number of recordings that a build can use, as far as they were looked at."""
-        return sum(recording.state == "complete" for recording in self.recordings)
-
 
 @dataclass(frozen=True)
 class InspectedTable:
@@ -184,58 +179,50 @@ def inspect_folder(
     for found in discovery.found:
         inspected = []
         for recording in found.recordings:
-            inspected.append(_inspect(found, recording, thorough=thorough))
+            state, remarks = _inspect(found, recording, thorough=thorough)
+            size = sum(file.size for file in recording.files)
+            inspected.append(InspectedRecording(recording.recording_id, state, size, remarks))
             done += 1
             if progress is not None:
                 progress(done, total, recording.recording_id)
         title = load_manifest(found.dataset).title
         datasets.append(InspectedDataset(found.name, title, found.root, tuple(inspected)))
-    return Inspection((*datasets, *(_inspect_corpus(corpus) for corpus in corpora)), discovery.broken)
+    # Corpora tell while they are searched which of their recordings cannot be used.
+    for corpus in corpora:
+        inspected = [
+            InspectedRecording(each.identity.recording_id, "left out", each.input_bytes, (each.skip_reason,))
+            if each.skip_reason
+            else InspectedRecording(each.identity.recording_id, "complete", each.input_bytes, ())
+            for each in corpus.recordings
+        ]
+        title = load_manifest(corpus.corpus).title
+        datasets.append(InspectedDataset(corpus.name, title, corpus.root, tuple(inspected)))
+    return Inspection(tuple(datasets), discovery.broken)
 
 
-def _inspect_corpus(found: Any) -> InspectedDataset:
-    """Corpora tell while they are searched which of their recordings cannot be used."""
-    recordings = tuple(
-        InspectedRecording(
-            each.identity.recording_id,
-            "left out" if each.skip_reason else "complete",
-            each.input_bytes,
-            (each.skip_reason,) if each.skip_reason else (),
-        )
-        for each in found.recordings
-    )
-    return InspectedDataset(found.name, load_manifest(found.corpus).title, found.root, recordings)
-
-
-def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) -> InspectedRecording:
+def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) -> tuple[State, tuple[str, ...]]:
+    """Return the state of one recording, and what is wrong with it."""
     manifest = load_manifest(found.dataset)
-    size = sum(file.size for file in recording.files)
     reason = manifest.why_bad(recording.recording_id) or recording.skip_reason
     if reason:
-        return InspectedRecording(recording.recording_id, "left out", size, (reason,))
+        return "left out", (reason,)
     missing = tuple(f"missing: {name}" for name in missing_files(recording, manifest.required_roles))
     if lacks_mark(recording.recording_id, recording.dataset):
         missing += (f"missing: {SYNTHETIC_FILE}",)
-    wanted = tuple(f"without {name}" for name in missing_files(recording, manifest.wanted_roles))
+    remarks = tuple(f"without {name}" for name in missing_files(recording, manifest.wanted_roles))
     damaged = tuple(f"{file.path.name}: {text}" for file in recording.files if (text := damage(file)))
     # A missing file outranks a damaged one: it has to be downloaded anyway.
     if missing or damaged:
-        state: State = "incomplete" if missing else "damaged"
-        return InspectedRecording(recording.recording_id, state, size, missing + damaged + wanted)
-    if not thorough:
-        return _told(recording, size, cut_short(recording), wanted)
-    try:
-        read = reader_for(found.dataset).read(recording)
-    except PrbenchError as error:
-        return InspectedRecording(recording.recording_id, "unreadable", size, (str(error),))
-    return _told(recording, size, cut_short(recording, read), read.messages)
-
-
-def _told(
-    recording: RecordingFiles, size: int, shortfalls: tuple[str, ...], remarks: tuple[str, ...]
-) -> InspectedRecording:
-    state: State = "cut short" if shortfalls else "complete"
-    return InspectedRecording(recording.recording_id, state, size, shortfalls + remarks)
+        return ("incomplete" if missing else "damaged"), missing + damaged + remarks
+    read = None
+    if thorough:
+        try:
+            read = reader_for(found.dataset).read(recording)
+        except PrbenchError as error:
+            return "unreadable", (str(error),)
+        remarks = read.messages
+    shortfalls = cut_short(recording, read)
+    return ("cut short" if shortfalls else "complete"), shortfalls + remarks
 
 
 def missing_files(recording: RecordingFiles, roles: Mapping[str, str]) -> tuple[str, ...]:

@@ -71,4 +71,4 @@ def test_corpora_are_found_and_cited_like_datasets(tmp_path) -> None:
     assert "% synthetic-nymeria" in text
     assert "@software{prbench" in text
     (inspected,) = inspect_folder(tmp_path / "copies").datasets
-    assert (inspected.name, inspected.usable) == ("synthetic-nymeria", 1)
+    assert (inspected.name, inspected.recordings[0].state) == ("synthetic-nymeria", "complete")
