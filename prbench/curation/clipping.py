@@ -14,7 +14,7 @@ from prbench.curation.events import Decision
 from prbench.geometry.skeleton import facing_yaw
 from prbench.geometry.timelines import SequenceGrid, covered, interpolate, slerp
 from prbench.protocol.manifests import BenchmarkProtocol
-from prbench.recording import BodyStream, GazeStream, PoseStream, Recording
+from prbench.recording import BodyStream, GazeStream, Recording
 from prbench.sequences.sequence import FrameSource
 
 _SLACK = 1e-6  # seconds; streams of one recording are written with different rounding
@@ -46,49 +46,61 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
         available and needed) or the body has a gap in it (stage ``body``; value and threshold: longest gap and longest
         that is interpolated, seconds).
     """
-    constants = protocol.curation
-    grid = SequenceGrid.ending_at(event_time, prime_time=prime_time, lead=constants.lead, fps=protocol.fps)
-    if recording.body is None:
-        return Decision("no_body", "body")
-    interval = (prime_time - constants.lead, event_time)
-    uncovered = _outside(recording.span, interval) or _body_gap(
-        recording.body, grid, constants.largest_interpolated_gap
-    )
-    if uncovered is not None:
-        return uncovered
-    step = 1 / grid.fps
-    max_gap = constants.largest_interpolated_gap
+    lead = protocol.curation.lead
+    max_gap = protocol.curation.largest_interpolated_gap
+    grid = SequenceGrid.ending_at(event_time, prime_time=prime_time, lead=lead, fps=protocol.fps)
     times = grid.times
-    joints = _joints_at(recording.body, times)
-    if not _has_heading(joints[0]):
+    body = recording.body
+    if body is None:
+        return Decision("no_body", "body")
+    outside = _outside(recording.span, (prime_time - lead, event_time))
+    if outside is not None:
+        return outside
+    if not covered(body.times, body.valid, times, max_gap=max_gap).all():
+        span = (grid.start_time, float(times[-1]))
+        usable = body.times[body.valid]
+        if len(usable) == 0:
+            return Decision("too_short", "clipping", 0.0, span[1] - span[0])
+        # Estimated bodies begin some frames after the glasses. Nothing is extrapolated, however little is missing.
+        beyond = _outside((float(usable[0]), float(usable[-1])), span)
+        if beyond is not None:
+            return beyond
+        first, stop = np.searchsorted(usable, span)
+        around = usable[max(first - 1, 0) : stop + 1]  # with the nearest sample on either side
+        return Decision("too_short", "body", float(np.diff(around).max()), max_gap)
+    joints = _joints_at(body, times)
+    try:
+        facing_yaw(joints[0])
+    except ValueError:  # without a heading there is no canonical frame
         return Decision("no_body", "body")
     # One frame beyond either end: the initial velocity and the last feature row need them.
+    step = 1 / grid.fps
     around = np.array([grid.start_time - step, event_time + step])
-    recorded = covered(recording.body.times, recording.body.valid, around, max_gap=max_gap)
-    neighbours = _joints_at(recording.body, around)
+    recorded = covered(body.times, body.valid, around, max_gap=max_gap)
+    neighbours = _joints_at(body, around)
     previous_joints, previous_source = _neighbour(neighbours[0], bool(recorded[0]), joints)
     next_joints, next_source = _neighbour(neighbours[1], bool(recorded[1]), joints[::-1])
-    head_position, head_rotation = _head_at(recording.head, times)
+    # The glasses' pose, interpolated over invalid rows; None if no valid row lies within the clip.
+    head = recording.head
+    head_position = head_rotation = None
+    if (head.valid & (head.times >= times[0] - _SLACK) & (head.times <= times[-1] + _SLACK)).any():
+        near = _around(head.times, head.valid, times)
+        head_position = interpolate(head.times[near], head.position[near], times)
+        head_rotation = slerp(head.times[near], head.rotation[near], times)
+    gaze_origin, gaze_direction, gaze_valid = _gaze_at(recording.gaze, times, max_gap=max_gap)
     return Clip(
-        grid,
-        joints,
-        previous_joints,
-        previous_source,
-        next_joints,
-        next_source,
-        head_position,
-        head_rotation,
-        *_gaze_at(recording.gaze, times, max_gap=max_gap),
+        grid=grid,
+        joints=joints,
+        previous_joints=previous_joints,
+        previous_source=previous_source,
+        next_joints=next_joints,
+        next_source=next_source,
+        head_position=head_position,
+        head_rotation=head_rotation,
+        gaze_origin=gaze_origin,
+        gaze_direction=gaze_direction,
+        gaze_valid=gaze_valid,
     )
-
-
-def _has_heading(joints: Float[np.ndarray, "22 3"]) -> bool:
-    """Return True if a pose has a heading, without which there is no canonical frame."""
-    try:
-        facing_yaw(joints)
-    except ValueError:
-        return False
-    return True
 
 
 def _outside(span: tuple[float, float], interval: tuple[float, float]) -> Decision | None:
@@ -99,24 +111,6 @@ def _outside(span: tuple[float, float], interval: tuple[float, float]) -> Decisi
     if start < span[0] - _SLACK:
         return Decision("too_short", "clipping", end - span[0], end - start)
     return None
-
-
-def _body_gap(body: BodyStream, grid: SequenceGrid, max_gap: float) -> Decision | None:
-    if covered(body.times, body.valid, grid.times, max_gap=max_gap).all():
-        return None
-    start = grid.start_time
-    end = float(grid.times[-1])
-    usable = body.times[body.valid]
-    if len(usable) == 0:
-        return Decision("too_short", "clipping", 0.0, end - start)
-    # Estimated bodies begin some frames after the glasses. Nothing is extrapolated, however little is missing.
-    beyond = _outside((float(usable[0]), float(usable[-1])), (start, end))
-    if beyond is not None:
-        return beyond
-    first = int(np.searchsorted(usable, start))
-    stop = int(np.searchsorted(usable, end))
-    around = usable[max(first - 1, 0) : stop + 1]  # with the nearest sample on either side
-    return Decision("too_short", "body", float(np.diff(around).max()), max_gap)
 
 
 def _joints_at(body: BodyStream, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 22 3"]:
@@ -142,18 +136,6 @@ def _neighbour(
     if len(inwards) < 2:
         return inwards[0], "copied"
     return 2 * inwards[0] - inwards[1], "extrapolated"
-
-
-def _head_at(
-    head: PoseStream, times: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]] | tuple[None, None]:
-    """The glasses' pose, interpolated over invalid rows; None if no valid row lies within the clip."""
-    inside = head.valid & (head.times >= times[0] - _SLACK) & (head.times <= times[-1] + _SLACK)
-    if not inside.any():
-        return None, None
-    near = _around(head.times, head.valid, times)
-    usable = head.times[near]
-    return interpolate(usable, head.position[near], times), slerp(usable, head.rotation[near], times)
 
 
 def _gaze_at(

@@ -113,61 +113,54 @@ def _events_of(recording: Recording, holding: Holding, rule: InHandRule) -> list
     """The pick and the put of one holding; a pick before the recording began, or a put after its end, is none."""
     events = []
     if holding.pick is not None:
-        events.append(_event(recording, holding, "pick", holding.pick, rule))
+        events.append(_event(recording, holding, "pick", holding.pick.time, holding.pick, rule))
     if holding.put is not None:
-        events.append(_event(recording, holding, "put", holding.put, rule))
+        events.append(_event(recording, holding, "put", holding.put.time, holding.put, rule))
     elif holding.vanished is not None:
-        events.append(_put_without_place(recording, holding, holding.vanished))
+        events.append(_event(recording, holding, "put", holding.vanished, None, rule))
     return events
 
 
-def _event(recording: Recording, holding: Holding, action: Action, rest: Departure, rule: InHandRule) -> PickPutEvent:
-    wearer = recording.hand_streams(rule.contact)
-    others = contact_streams(recording, rule)[len(wearer) :]
-    hand, distance = nearest_hand(wearer, holding.track, rule, rest.time, rest)
-    _, other_distance = nearest_hand(others, holding.track, rule, rest.time, rest)
+def _event(
+    recording: Recording, holding: Holding, action: Action, time: float, rest: Departure | None, rule: InHandRule
+) -> PickPutEvent:
+    """Make an event of a holding; without a rest the object leaves the hand and never comes to rest while tracked."""
     rejected = None
-    # An unmeasured hand counts as just touching: another's has to be nearer than that to take the event.
-    if other_distance < (distance if np.isfinite(distance) else rule.distance):
-        rejected = Decision("other_wearer", "in_hand", distance if np.isfinite(distance) else None, other_distance)
-    elif rule.drop_hinged and holding.track.object_id in recording.hinged_objects:
-        rejected = Decision("excluded_category", "in_hand")
-    elif not rest.placed:
-        rejected = Decision("tracking_lost", "location", rest.gap_length, LONGEST_SURE_GAP)
-    low, high = holding.track.world_box(rest.position[None], rest.rotation[None])
-    place = Place((low[0] + high[0]) / 2, low[0], high[0])
+    place = None
     reaching: tuple[Side | None, HandSource | None] = (None, None)
-    if rejected is None or rejected.outcome != "other_wearer":
-        if hand is not None and distance <= rule.distance:
-            reaching = (hand, "contact")
-        else:  # the contact points were lost, so the wrists tell
-            reaching = reaching_hand(wrists_at(recording.hands, recording.body, rest.time), place.location)
+    if rest is None:
+        rejected = Decision("no_location", "location")
+    else:
+        wearer = recording.hand_streams(rule.contact)
+        others = contact_streams(recording, rule)[len(wearer) :]
+        hand, distance = nearest_hand(wearer, holding.track, rule, time, rest)
+        _, other_distance = nearest_hand(others, holding.track, rule, time, rest)
+        # An unmeasured hand counts as just touching: another's has to be nearer than that to take the event.
+        if other_distance < (distance if np.isfinite(distance) else rule.distance):
+            rejected = Decision("other_wearer", "in_hand", distance if np.isfinite(distance) else None, other_distance)
+        elif rule.drop_hinged and holding.track.object_id in recording.hinged_objects:
+            rejected = Decision("excluded_category", "in_hand")
+        elif not rest.placed:
+            rejected = Decision("tracking_lost", "location", rest.gap_length, LONGEST_SURE_GAP)
+        low, high = holding.track.world_box(rest.position[None], rest.rotation[None])
+        place = Place((low[0] + high[0]) / 2, low[0], high[0])
+        if rejected is None or rejected.outcome != "other_wearer":
+            # The hand in contact; where none is, because contact points were lost, the wrists tell.
+            if hand is not None and distance <= rule.distance:
+                reaching = (hand, "contact")
+            else:
+                reaching = reaching_hand(wrists_at(recording.hands, recording.body, time), place.location)
+    gap = 0.0 if rest is None else rest.gap_length
     return PickPutEvent(
-        event_id=event_id(recording, holding.track.object_id, action, rest.time),
+        event_id=event_id(recording, holding.track.object_id, action, time),
         object_id=holding.track.object_id,
         object_name=holding.track.name,
         action=action,
-        event_time=rest.time,
+        event_time=time,
         place=place,
         hand=reaching[0],
         hand_source=reaching[1],
         displacement=holding.displacement,
-        tracking_gap=rest.gap_length if rest.gap_length > LONGEST_SURE_GAP else None,
+        tracking_gap=gap if gap > LONGEST_SURE_GAP else None,
         rejected=rejected,
-    )
-
-
-def _put_without_place(recording: Recording, holding: Holding, time: float) -> PickPutEvent:
-    """The object leaves the hand and never comes to rest while it is tracked."""
-    return PickPutEvent(
-        event_id=event_id(recording, holding.track.object_id, "put", time),
-        object_id=holding.track.object_id,
-        object_name=holding.track.name,
-        action="put",
-        event_time=time,
-        place=None,
-        hand=None,
-        hand_source=None,
-        displacement=holding.displacement,
-        rejected=Decision("no_location", "location"),
     )

@@ -35,71 +35,41 @@ _LONGEST_HAND_GAP = 0.1
 
 @dataclass(frozen=True)
 class Departure:
-    """An object leaves its rest (or, seen backwards in time, comes to rest)."""
+    """An object leaves its rest (or, seen backwards in time, comes to rest).
+
+    Attributes:
+        time: Beginning of the movement, seconds: see :func:`find_departure`.
+        gap: Times of the last sample at rest and of the first away from it, seconds.
+        first_away: Centre of the box at the latter.
+        centre: Median centre of the box during the rest.
+        position: Median position of the object's origin during the rest.
+        rotation: Mean orientation of the rest, w x y z.
+        placed: False where the object was not tracked in the gap, and nothing tells when in it the movement began.
+    """
 
     time: float
-    """Beginning of the movement, seconds: see :func:`find_departure`."""
     gap: tuple[float, float]
-    """Times of the last sample at rest and of the first away from it, seconds."""
     first_away: Float[np.ndarray, "3"]
-    """Centre of the box at the latter."""
     centre: Float[np.ndarray, "3"]
-    """Median centre of the box during the rest."""
     position: Float[np.ndarray, "3"]
-    """Median position of the object's origin during the rest."""
     rotation: Float[np.ndarray, "4"]
-    """Mean orientation of the rest, w x y z."""
-
     placed: bool = True
-    """False where the object was not tracked in the gap, and nothing tells when in it the movement began."""
 
     @property
     def gap_length(self) -> float:
         """Seconds between the two samples."""
         return abs(self.gap[1] - self.gap[0])
 
-    def reversed(self) -> Departure:
-        """The same with time running backwards."""
-        return replace(self, time=-self.time, gap=(-self.gap[0], -self.gap[1]))
-
 
 @dataclass(frozen=True)
 class Track:
-    """The valid samples of one object: times, centre of the box, pose, and how fast the centre moves."""
+    """The valid samples of one object: times, centre of the box, pose, and the window of its speed in seconds."""
 
     times: Float[np.ndarray, " n"]
     centre: Float[np.ndarray, "n 3"]
     position: Float[np.ndarray, "n 3"]
     rotation: Float[np.ndarray, "n 4"]
-    speed: Float[np.ndarray, " n"]
     window: float
-    """Over which ``speed`` is measured, seconds."""
-
-    def reversed(self) -> Track:
-        """The same with time running backwards."""
-        return Track(
-            -self.times[::-1],
-            self.centre[::-1],
-            self.position[::-1],
-            self.rotation[::-1],
-            self.speed[::-1],
-            self.window,
-        )
-
-
-def windowed_speed(
-    times: Float[np.ndarray, " n"], points: Float[np.ndarray, "n 3"], *, window: float
-) -> Float[np.ndarray, " n"]:
-    """Distance covered within a centred window over its length, m/s; at the ends the window is cut.
-
-    The chord, not the path: noise of the samples does not add up.
-    """
-    if len(times) < 2:
-        return np.zeros(len(times))
-    before = np.maximum(times - window / 2, times[0])
-    after = np.minimum(times + window / 2, times[-1])
-    chord = interpolate(times, points, after) - interpolate(times, points, before)
-    return np.linalg.norm(chord, axis=1) / (after - before)
 
 
 def find_departure(
@@ -130,7 +100,11 @@ def find_departure(
     last = int(resting[-1])
     moving_before = np.flatnonzero(~still[floor:last])
     first = floor if len(moving_before) == 0 else floor + int(moving_before[-1]) + 1
-    quiet = _quiet_part(track, first, last)
+    # The quiet part of the still run lies before its end by half a window; at most its last second is averaged.
+    quiet_stop = int(np.searchsorted(track.times, track.times[last] - track.window / 2, side="right"))
+    quiet_stop = quiet_stop if quiet_stop > first else last + 1
+    begin = int(np.searchsorted(track.times, track.times[quiet_stop - 1] - _LONGEST_REST))
+    quiet = slice(max(first, begin), quiet_stop)
     # Medians, because trackers jump now and then even while an object lies still.
     rest = np.median(track.centre[quiet], axis=0)
     distance = np.linalg.norm(track.centre[:stop] - rest, axis=1)
@@ -141,38 +115,22 @@ def find_departure(
     way = slice(min(quiet.stop, int(away[0])) - 1, int(away[0]) + 1)
     noise = _STANDS_OUT * float(np.median(distance[quiet]))
     level = float(np.clip(noise, _FINEST_LEVEL * tolerance, tolerance))
-    inner, time = _leaving(track.times[way], distance[way], level)
-    inner += way.start
+    # The passage of the level that counts is the first one after the last sample within half of it: who turns back
+    # half-way has not left, who dips just below the level has.
+    times = track.times[way]
+    out = distance[way]
+    close = np.flatnonzero(out[:-1] <= level / 2)
+    home = int(close[-1]) if len(close) else 0
+    inner = home + int(np.flatnonzero(out[home + 1 :] > level)[0])
+    share = np.clip((level - out[inner]) / max(out[inner + 1] - out[inner], 1e-12), 0.0, 1.0)
     return Departure(
-        time=time,
-        gap=(float(track.times[inner]), float(track.times[inner + 1])),
-        first_away=track.centre[inner + 1],
+        time=float(times[inner] + share * (times[inner + 1] - times[inner])),
+        gap=(float(times[inner]), float(times[inner + 1])),
+        first_away=track.centre[way.start + inner + 1],
         centre=rest,
         position=np.median(track.position[quiet], axis=0),
         rotation=Rotation.from_quat(track.rotation[quiet], scalar_first=True).mean().as_quat(scalar_first=True),
     )
-
-
-def _leaving(times: Float[np.ndarray, " n"], distance: Float[np.ndarray, " n"], level: float) -> tuple[int, float]:
-    """Index of the last sample before ``level`` is passed, and the time at which it is passed.
-
-    The passage that counts is the first one after the last sample within half of the level: who turns back half-way has
-    not left, who dips just below the level has.
-    """
-    close = np.flatnonzero(distance[:-1] <= level / 2)
-    home = int(close[-1]) if len(close) else 0
-    inner = home + int(np.flatnonzero(distance[home + 1 :] > level)[0])
-    share = np.clip((level - distance[inner]) / max(distance[inner + 1] - distance[inner], 1e-12), 0.0, 1.0)
-    return inner, float(times[inner] + share * (times[inner + 1] - times[inner]))
-
-
-def _quiet_part(track: Track, first: int, last: int) -> slice:
-    """Samples of a still run that lie before its end by half a window, at most the last second of them."""
-    quiet_until = track.times[last] - track.window / 2
-    stop = int(np.searchsorted(track.times, quiet_until, side="right"))
-    stop = stop if stop > first else last + 1
-    begin = int(np.searchsorted(track.times, track.times[stop - 1] - _LONGEST_REST))
-    return slice(max(first, begin), stop)
 
 
 def placed_in_gap(departure: Departure, hands: tuple[HandStream, ...], distance: float) -> Departure:
@@ -273,19 +231,6 @@ def contact_streams(recording: Recording, rule: InHandRule) -> tuple[HandStream,
     return (*recording.hand_streams(rule.contact), *others)
 
 
-def require_surfaces(recording: Recording, rule: InHandRule) -> None:
-    """Refuse a rule about surfaces where no object has one.
-
-    Raises:
-        UsageError: saying how to get them.
-    """
-    if rule.target == "surface" and all(track.surface is None for track in recording.objects):
-        raise UsageError(
-            f"{recording.recording_id}: the in-hand rule measures distances to the objects' surfaces, and the recording"
-            " was read without them. Add `--option meshes=true`."
-        )
-
-
 def contact_distance(
     hand: HandStream,
     track: ObjectTrack,
@@ -316,13 +261,25 @@ def contact_distance(
     surface = None
     if rule.target == "surface" and track.surface is not None:
         surface = TriangleMesh(track.surface.vertices, track.surface.faces)
-    sampled = hand.times[hand.valid], hand.points[hand.valid]
     rows = max(1, _VERTICES_AT_ONCE // hand.points.shape[1])
-    nearest = [
-        _nearest(interpolate(*sampled, times[part]), track, rule, position[part], rotation[part], surface)
-        for part in (slice(start, start + rows) for start in range(0, len(times), rows))
-    ]
-    return np.where(measured, np.concatenate(nearest), np.inf)
+    nearest = np.empty(len(times))
+    for start in range(0, len(times), rows):
+        part = slice(start, start + rows)
+        points = interpolate(hand.times[hand.valid], hand.points[hand.valid], times[part])
+        offset = points - position[part, None]
+        if rule.target == "origin":
+            nearest[part] = np.linalg.norm(offset, axis=-1).min(axis=1)
+            continue
+        object_from_world = Rotation.from_quat(rotation[part], scalar_first=True).as_matrix().transpose(0, 2, 1)
+        local = np.einsum("nij,nkj->nki", object_from_world, offset)
+        outside = np.maximum(np.maximum(track.box_min - local, local - track.box_max), 0.0)
+        distance = np.linalg.norm(outside, axis=-1)
+        if surface is not None:
+            # The box holds the surface, so a point outside its reach needs no look at triangles.
+            near = distance < rule.distance
+            distance[near] = surface.distance(local[near])
+        nearest[part] = distance.min(axis=1)
+    return np.where(measured, nearest, np.inf)
 
 
 def close_to(
@@ -357,41 +314,23 @@ def nearest_hand(
     return hands[nearest].side, distances[nearest]
 
 
-def _nearest(
-    points: Float[np.ndarray, "n k 3"],
-    track: ObjectTrack,
-    rule: InHandRule,
-    position: Float[np.ndarray, "n 3"],
-    rotation: Float[np.ndarray, "n 4"],
-    surface: TriangleMesh | None,
-) -> Float[np.ndarray, " n"]:
-    """Distance of the nearest of ``k`` points to the object, metres."""
-    offset = points - position[:, None]
-    if rule.target == "origin":
-        return np.linalg.norm(offset, axis=-1).min(axis=1)
-    object_from_world = Rotation.from_quat(rotation, scalar_first=True).as_matrix().transpose(0, 2, 1)
-    local = np.einsum("nij,nkj->nki", object_from_world, offset)
-    distance = np.linalg.norm(np.maximum(np.maximum(track.box_min - local, local - track.box_max), 0.0), axis=-1)
-    if surface is not None:
-        # The box holds the surface, so a point outside its reach needs no look at triangles.
-        near = distance < rule.distance
-        distance[near] = surface.distance(local[near])
-    return distance.min(axis=1)
-
-
 @dataclass(frozen=True)
 class Holding:
-    """One object taken from a rest, moved, and brought to another rest."""
+    """One object taken from a rest, moved, and brought to another rest.
+
+    Attributes:
+        track: The object.
+        pick: The pick; None where the object was in hand, or moving, when the recording began.
+        put: The put; None where it is in hand when the recording ends, or where it never comes to rest.
+        vanished: Last time at which it was surely held, seconds, where it never comes to rest afterwards; else None.
+        displacement: Largest distance from its rest, metres.
+    """
 
     track: ObjectTrack
     pick: Departure | None
-    """The pick; None where the object was in hand, or moving, when the recording began."""
     put: Departure | None
-    """The put; None where it is in hand when the recording ends, or where it never comes to rest."""
     vanished: float | None
-    """Last time at which it was surely held, seconds, where it never comes to rest afterwards; else None."""
     displacement: float
-    """Largest distance from its rest, metres."""
 
 
 def find_holdings(recording: Recording, rule: InHandRule) -> list[Holding]:
@@ -403,87 +342,78 @@ def find_holdings(recording: Recording, rule: InHandRule) -> list[Holding]:
     Raises:
         UsageError: for a rule about surfaces where no object has one.
     """
-    require_surfaces(recording, rule)
+    if rule.target == "surface" and all(track.surface is None for track in recording.objects):
+        raise UsageError(
+            f"{recording.recording_id}: the in-hand rule measures distances to the objects' surfaces, and the recording"
+            " was read without them. Add `--option meshes=true`."
+        )
     hands = contact_streams(recording, rule)
     if not recording.hand_streams(rule.contact):
         return []
     found: list[Holding] = []
     for track in recording.objects:
-        if track.movable and _moves(track, rule):
-            found.extend(_holdings_of(track, hands, rule))
+        if track.movable and np.count_nonzero(track.valid) >= 2:
+            # A cheap upper bound of how far the centre of the box can have moved: twice the half diagonal of a cube
+            # around the first row. Two orientations whose quaternions are d apart differ by an angle of at most pi d.
+            spans = []
+            for rows in (track.position[track.valid], track.rotation[track.valid]):
+                spans.append(2 * float(np.sqrt(rows.shape[1]) * np.abs(rows - rows[0]).max()))
+            lever = float(np.linalg.norm((track.box_min + track.box_max) / 2))
+            if spans[0] + np.pi * spans[1] * lever >= rule.smallest_displacement:
+                found.extend(_holdings_of(track, hands, rule))
     return found
-
-
-def _moves(track: ObjectTrack, rule: InHandRule) -> bool:
-    """Return True if the centre of the box can have moved far enough at all: a cheap upper bound."""
-    if np.count_nonzero(track.valid) < 2:
-        return False
-    lever = float(np.linalg.norm((track.box_min + track.box_max) / 2))
-    # Two orientations whose quaternions are d apart differ by an angle of at most pi d.
-    farthest = _diameter(track.position, track.valid) + np.pi * _diameter(track.rotation, track.valid) * lever
-    return farthest >= rule.smallest_displacement
-
-
-def _diameter(rows: Float[np.ndarray, "n k"], valid: Bool[np.ndarray, " n"]) -> float:
-    """Upper bound of the distance between any two valid rows: twice the half diagonal of a cube around the first."""
-    rows = rows if valid.all() else rows[valid]
-    return 2 * float(np.sqrt(rows.shape[1]) * np.abs(rows - rows[0]).max())
 
 
 def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHandRule) -> list[Holding]:
     times, position, rotation = (column[track.valid] for column in (track.times, track.position, track.rotation))
     middle = (track.box_min + track.box_max) / 2
     centre = position + Rotation.from_quat(rotation, scalar_first=True).apply(middle)
-    samples = Track(
-        times, centre, position, rotation, windowed_speed(times, centre, window=rule.moving_window), rule.moving_window
-    )
-    distances = [
-        contact_distance(hand, track, rule, samples.times, samples.position, samples.rotation) for hand in hands
-    ]
-    close = np.any([close_to(distance, samples.times, rule) for distance in distances], axis=0)
-    moving = samples.speed > rule.moving_speed
-    still = samples.speed < rule.moving_speed / 2
+    # Distance covered within a centred window over its length, m/s; at the ends the window is cut. The chord, not the
+    # path: noise of the samples does not add up.
+    before = np.maximum(times - rule.moving_window / 2, times[0])
+    after = np.minimum(times + rule.moving_window / 2, times[-1])
+    chord = interpolate(times, centre, after) - interpolate(times, centre, before)
+    speed = np.linalg.norm(chord, axis=1) / (after - before)
+    close = np.zeros(len(times), dtype=bool)
+    for hand in hands:
+        close |= close_to(contact_distance(hand, track, rule, times, position, rotation), times, rule)
+    still = speed < rule.moving_speed / 2
     staying = close | ~still  # what never came to rest was not put down
+    held = close & (speed > rule.moving_speed)
     segments = held_segments(
-        close & moving,
-        staying,
-        samples.times,
-        minimum_duration=rule.minimum_duration,
-        join_gap=rule.join_gap,
-    )
-    n = len(samples.times)
+        held, staying, times, minimum_duration=rule.minimum_duration, join_gap=rule.join_gap
+    ).tolist()
     # A put is a pick seen backwards in time, so one search serves both.
-    backwards = samples.reversed()
-    floors = np.concatenate(([0], segments[:-1, 1])) if len(segments) else segments[:, 0]
-    ceilings = np.concatenate((segments[1:, 0], [n])) if len(segments) else segments[:, 0]
+    n = len(times)
+    samples = Track(times, centre, position, rotation, rule.moving_window)
+    backwards = Track(-times[::-1], centre[::-1], position[::-1], rotation[::-1], rule.moving_window)
     found = []
-    for (start, stop), floor, ceiling in zip(segments.tolist(), floors.tolist(), ceilings.tolist(), strict=True):
-        pick = find_departure(samples, still, start, stop, floor=floor, tolerance=rule.rest_tolerance)
-        put = find_departure(
-            backwards, still[::-1], n - stop, n - start, floor=n - ceiling, tolerance=rule.rest_tolerance
-        )
-        put = None if put is None else put.reversed()
-        displacement = _displacement(samples.centre[start:stop], pick or put)
+    for number, (start, stop) in enumerate(segments):
+        floor = segments[number - 1][1] if number else 0
+        ceiling = segments[number + 1][0] if number + 1 < len(segments) else n
+        tolerance = rule.rest_tolerance
+        pick = find_departure(samples, still, start, stop, floor=floor, tolerance=tolerance)
+        put = find_departure(backwards, still[::-1], n - stop, n - start, floor=n - ceiling, tolerance=tolerance)
+        if put is not None:
+            put = replace(put, time=-put.time, gap=(-put.gap[0], -put.gap[1]))
+        # Largest distance of the held object from its rest, smoothed over three samples: one jump of the tracker must
+        # not make a nudge look like a displacement.
+        path = centre[start:stop]
+        if len(path) >= 3:
+            path = (path[:-2] + path[1:-1] + path[2:]) / 3
+        rest = pick or put
+        origin = path[0] if rest is None else rest.centre
+        displacement = float(np.linalg.norm(path - origin, axis=1).max())
         if displacement < rule.smallest_displacement:
             continue
         held_before = bool(staying[:start].all())
         held_after = bool(staying[stop:].all())
-        found.append(
-            Holding(
-                track=track,
-                pick=None if pick is None or held_before else placed_in_gap(pick, hands, rule.distance),
-                put=None if put is None or held_after else placed_in_gap(put, hands, rule.distance),
-                vanished=float(samples.times[stop - 1]) if put is None and not held_after else None,
-                displacement=displacement,
-            )
+        holding = Holding(
+            track=track,
+            pick=None if pick is None or held_before else placed_in_gap(pick, hands, rule.distance),
+            put=None if put is None or held_after else placed_in_gap(put, hands, rule.distance),
+            vanished=float(times[stop - 1]) if put is None and not held_after else None,
+            displacement=displacement,
         )
+        found.append(holding)
     return found
-
-
-def _displacement(centre: Float[np.ndarray, "n 3"], rest: Departure | None) -> float:
-    """Largest distance of the held object, smoothed over three samples, from its rest; metres."""
-    # One jump of the tracker must not make a nudge look like a displacement.
-    if len(centre) >= 3:
-        centre = (centre[:-2] + centre[1:-1] + centre[2:]) / 3
-    origin = centre[0] if rest is None else rest.centre
-    return float(np.linalg.norm(centre - origin, axis=1).max())

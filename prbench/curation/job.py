@@ -47,27 +47,20 @@ from prbench.shown import quoted
 
 @runtime_checkable
 class RecordingSource(Protocol):
-    """One recording that can be read, here or in another process; instances are picklable."""
+    """One recording that can be read, here or in another process; instances are picklable.
+
+    ``recording_id`` is unique within a build, and ``dataset`` is the name that the recording will carry. ``split`` is
+    None where the split rule decides, and ``skip_reason`` says why the recording must not be read, if it must not.
+    """
 
     @property
-    def dataset(self) -> str:
-        """Name of the dataset that the recording will carry."""
-        ...
-
+    def dataset(self) -> str: ...  # noqa: D102 - explained above
     @property
-    def recording_id(self) -> str:
-        """Unique within a build."""
-        ...
-
+    def recording_id(self) -> str: ...  # noqa: D102
     @property
-    def split(self) -> str | None:
-        """The split, where the source decides it; None = by the split rule."""
-        ...
-
+    def split(self) -> str | None: ...  # noqa: D102
     @property
-    def skip_reason(self) -> str | None:
-        """The reason why the recording must not be read; None for all that are fine."""
-        ...
+    def skip_reason(self) -> str | None: ...  # noqa: D102
 
     def input_digest(self) -> str:
         """Digest of everything that reading depends on."""
@@ -84,9 +77,9 @@ class RecordingSource(Protocol):
 
 @dataclass(frozen=True)
 class NativeSource:
-    """A recording in a dataset's own files."""
+    """A recording in a dataset's own files below a folder."""
 
-    root: Path  # the folder that was searched
+    root: Path
     found: RecordingFiles
     split: str | None
     skip_reason: str | None
@@ -113,8 +106,8 @@ class NativeSource:
         files = sorted(self.found.files, key=lambda file: file.role)
         digests = {path: file_digest(path) for path in {file.path for file in files}}  # many lie in one archive
         parts = [text for file in files for text in (file.role, file.path.name, file.member, digests[file.path])]
-        reader = reader_for(self.dataset, dict(self.reader_options))
-        chosen = [text for item in described_options(reader.options).items() for text in item]
+        options = reader_for(self.dataset, dict(self.reader_options)).options
+        chosen = [text for item in described_options(options).items() for text in item]
         return text_digest(self.dataset, self.recording_id, self.split or "", *parts, *chosen)
 
     def read(self) -> Recording:
@@ -278,24 +271,24 @@ class CurationJob:
 
 
 _STAGES = {
-    "located": ("other_wearer", "excluded_category", "no_location", "tracking_lost"),
-    "primed": ("not_primed", "excluded_by_dataset", "not_published"),
-    "long_enough": ("too_short", "no_body"),
-    "moved_enough": ("minimum_movement",),
+    "located": {
+        "other_wearer": "somebody else's hand was nearer",
+        "excluded_category": "doors, drawers and the like",
+        "no_location": "never came to rest, or no place annotated",
+        "tracking_lost": "object not tracked around the event",
+    },
+    "primed": {
+        "not_primed": "gaze never met the place in the window before",
+        "excluded_by_dataset": "never tested by the dataset itself",
+        "not_published": "the dataset publishes nothing about it",
+    },
+    "long_enough": {
+        "too_short": "recording or body does not cover the sequence",
+        "no_body": "no body poses",
+    },
+    "moved_enough": {"minimum_movement": "started beside the goal"},
 }
-"""Outcomes that end an event at each stage, in the order of the stages."""
-_REASONS = {
-    "other_wearer": "somebody else's hand was nearer",
-    "excluded_category": "doors, drawers and the like",
-    "no_location": "never came to rest, or no place annotated",
-    "tracking_lost": "object not tracked around the event",
-    "not_primed": "gaze never met the place in the window before",
-    "excluded_by_dataset": "never tested by the dataset itself",
-    "not_published": "the dataset publishes nothing about it",
-    "too_short": "recording or body does not cover the sequence",
-    "no_body": "no body poses",
-    "minimum_movement": "started beside the goal",
-}
+"""Outcomes that end an event at each stage, in the order of the stages, and what they mean."""
 
 
 def describe(
@@ -395,19 +388,18 @@ def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:
     counts = info.counts
     outcomes = info.outcomes
     left_out = counts.recordings_failed + counts.recordings_skipped
-    read_reason = f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped" if left_out else ""
+    told = [f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped"] if left_out else []
     if counts.recordings_cut_short:
-        cut = f"{counts.recordings_cut_short} of those that were read are cut short: events may be missing"
-        read_reason = f"{read_reason}; {cut}" if read_reason else cut
+        told.append(f"{counts.recordings_cut_short} of those that were read are cut short: events may be missing")
     rows = [
         FunnelRow("recordings found", counts.recordings_found, 0, ""),
-        FunnelRow("recordings read", counts.recordings_read, left_out, read_reason),
+        FunnelRow("recordings read", counts.recordings_read, left_out, "; ".join(told)),
         FunnelRow("candidate events", counts.events, 0, ""),
     ]
     before = counts.events
     for stage, names in _STAGES.items():
         kept = getattr(counts, stage)
-        reasons = "; ".join(f"{outcomes[name]} {name}: {_REASONS[name]}" for name in names if outcomes.get(name))
+        reasons = "; ".join(f"{outcomes[name]} {name}: {why}" for name, why in names.items() if outcomes.get(name))
         rows.append(FunnelRow(stage.replace("_", " "), kept, before - kept, reasons))
         before = kept
     return [*rows, FunnelRow("sequences", counts.sequences, before - counts.sequences, "")]

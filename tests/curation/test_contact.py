@@ -12,7 +12,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prbench.curation.in_hand import close_to, contact_distance, find_holdings, held_segments, require_surfaces, runs
+from prbench.curation.in_hand import close_to, contact_distance, find_holdings, held_segments, runs
 from prbench.curation.options import CurationOptions
 from prbench.errors import MissingExtraError, UsageError
 from prbench.protocol.manifests import load_manifest
@@ -113,7 +113,7 @@ def test_a_rule_about_surfaces_needs_them() -> None:
     recording = scene()
     with pytest.raises(UsageError, match="--option meshes=true"):
         find_holdings(recording, SURFACE)
-    require_surfaces(recording, ORIGIN)
+    find_holdings(recording, ORIGIN)
 
 
 def test_hot3d_lists_the_rule_of_the_paper_and_its_alternatives() -> None:
