@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from prbench.errors import UsageError
 from prbench.files.storage import sole_file
-from prbench.geometry.skeleton import CHAINS, WRISTS, Joint, head_forward
+from prbench.geometry.skeleton import CHAINS, Joint, head_forward
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -112,8 +112,6 @@ def draw_figure(
     head_tilt_deg: float,
     sideways: Float[np.ndarray, "3"],
     at: float,
-    *,
-    finger_bases: Float[np.ndarray, "2 3"] | None = None,
 ) -> None:
     """Draw one pose in a vertical plane, and the head-forward vector as a short line.
 
@@ -125,17 +123,12 @@ def draw_figure(
         head_tilt_deg: See :func:`prbench.geometry.skeleton.head_forward`.
         sideways: Unit horizontal vector that points to the right in the picture.
         at: Horizontal place of the pelvis in the picture.
-        finger_bases: Ends of the hands, left and right.
     """
     pelvis = joints[Joint.PELVIS]
     flat = flattened(joints, pelvis, sideways, at)
     for chain, colour in zip(CHAINS, _COLOURS, strict=True):
         # Round ends, so that neighbouring bones join without a notch.
         axes.plot(*flat[list(chain)].T, color=colour, linewidth=1.1, solid_capstyle="round")
-    if finger_bases is not None:
-        ends = flattened(finger_bases, pelvis, sideways, at)
-        for end, wrist, colour in zip(ends, WRISTS, ("tab:blue", "tab:red"), strict=True):
-            axes.plot(*np.stack([flat[wrist], end]).T, color=colour, linewidth=1.8)
     forward, _ = head_forward(joints, head_tilt_deg)
     tip = flattened((joints[Joint.HEAD] + _HEAD_LINE * forward)[None], pelvis, sideways, at)[0]
     axes.plot(*np.stack([flat[Joint.HEAD], tip]).T, color="tab:green", linewidth=0.8)
