@@ -45,7 +45,7 @@ from prbench.harness.offline import read_conditions_file
 from prbench.representation import N_FEATURES
 from prbench.sequences import SequenceTable
 
-DEFAULT_LIMIT = 200
+_LIMIT = 200  # motions that are looked at, so that a large run takes seconds
 _DEFAULT_FPS = 20.0
 """The protocol's rate, for files that nothing else is known of."""
 _LARGEST = 8 * 1024**3  # bytes of one array
@@ -122,7 +122,6 @@ class DoctorRequest:
     conditions: Path | None = None
     seed: int = 0
     fps: float | None = None
-    limit: int = DEFAULT_LIMIT
 
     def __post_init__(self) -> None:
         turn_into_paths(self, "path", "data", "conditions")
@@ -163,7 +162,7 @@ def examine_file(request: DoctorRequest) -> DoctorReport:
     """
     named = read_motions(request.path)
     # Evenly spread: the first motions of a file are often those of one recording.
-    places = np.linspace(0, len(named) - 1, min(len(named), request.limit)).round().astype(int)
+    places = np.linspace(0, len(named) - 1, min(len(named), _LIMIT)).round().astype(int)
     names = [named[place][0] for place in places]
     motions = [named[place][1] for place in places]
     known: dict[str, Expected] = {}
@@ -191,10 +190,11 @@ def _from_table(names: Sequence[str], folder: Path, *, seed: int) -> dict[str, E
     """Return what a table says of the motions with these sequence ids or opaque ids."""
     table = SequenceTable.open(folder).with_sequences()
     ids = table.scalars(columns=["sequence_id"])["sequence_id"].to_pylist()
-    known_as = {name: name for name in ids if name in set(names)}
+    wanted = set(names)
+    known_as = {name: name for name in ids if name in wanted}
     if not known_as:
         opaque = opaque_ids(ids, run_salt(seed, table.identity))
-        known_as = {name: hidden for name, hidden in zip(ids, opaque, strict=True) if hidden in set(names)}
+        known_as = {name: hidden for name, hidden in zip(ids, opaque, strict=True) if hidden in wanted}
     found = {}
     for chunk in table.chunks(columns=("fps", "joints", "previous_joints"), ids=frozenset(known_as)):
         previous = chunk.poses("previous_joints")

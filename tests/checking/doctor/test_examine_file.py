@@ -163,12 +163,12 @@ def test_the_command_reports_the_same_as_json(
     refused(["doctor", str(tmp_path / "gone.npy")], capsys, code=3, message="gone.npy")
 
 
-def test_no_more_motions_are_looked_at_than_it_is_told(motions: list[np.ndarray], tmp_path: Path) -> None:
+def test_of_more_than_200_motions_200_are_looked_at(motions: list[np.ndarray], tmp_path: Path) -> None:
     (tmp_path / "motions").mkdir()
-    for row in range(3):
-        np.save(tmp_path / "motions" / f"{row:010d}.npy", motions[row])
-    report = examine_file(DoctorRequest(path=tmp_path, limit=2))
-    assert (report.total, report.examined) == (3, 2)
+    for row in range(203):
+        np.save(tmp_path / "motions" / f"{row:010d}.npy", motions[row % 3])
+    report = examine_file(DoctorRequest(path=tmp_path))
+    assert (report.total, report.examined) == (203, 200)
 
 
 def test_a_suspicion_alone_ends_with_zero(motions: list[np.ndarray], tmp_path: Path) -> None:
