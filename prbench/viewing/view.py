@@ -161,29 +161,16 @@ def _chosen(request: ViewRequest, shown: Sequence[tuple[SequenceTable, list[RunM
     everything = list(itertools.chain.from_iterable(known))
     among = ", ".join(table.info.dataset for table, _ in shown)
     wanted = list(dict.fromkeys(find_sequence_id(name, everything, among=among) for name in request.sequences))
-    for (table, runs), ids in zip(shown, known, strict=True):
+    for (_, runs), ids in zip(shown, known, strict=True):
         own = [name for name in wanted if name in ids]
         for run in runs:
             for name in own:
                 if name not in run:
-                    why = _why_left_out(run, table, name)
-                    raise UsageError(f"{run.run.path}: holds no motion of {name}: {why}")
+                    record = run.run.record
+                    limited = "" if record.limit is None else f" with --limit {record.limit}"
+                    raise UsageError(
+                        f"{run.run.path}: holds no motion of {name}; the run was of split '{record.split}'{limited}."
+                        " Run this sequence alone: prbench run … --sequence ID"
+                    )
         chosen.append(own)
     return chosen
-
-
-def _why_left_out(run: RunMotions, table: SequenceTable, name: str) -> str:
-    record = run.run.record
-    rows = table.scalars(columns=["sequence_id", "split", "n_frames"])
-    row = rows["sequence_id"].to_pylist().index(name)
-    split = rows["split"][row].as_py()
-    n_frames = rows["n_frames"][row].as_py()
-    if split != record.split:
-        return f"it is in split '{split}', the run is of '{record.split}'."
-    if record.method.max_frames is not None and n_frames > record.method.max_frames:
-        return f"it has {n_frames} frames, {record.method.name} generates at most {record.method.max_frames}."
-    if record.limit is not None:
-        return f"the run was limited to {record.limit} sequences (--limit). Run it alone: prbench run … --sequence ID"
-    if record.sequences:
-        return "the run was of other sequences (--sequence)."
-    return "the run was interrupted before it. Run the same `prbench run` again: it resumes."

@@ -138,12 +138,12 @@ def test_a_table_of_another_name_is_refused(place, tmp_path):
 
 def test_a_sequence_that_the_run_left_out_is_told_with_the_reason(place):
     ids = SequenceTable.open(place / "table").scalars(split="train")["sequence_id"].to_pylist()
-    with pytest.raises(UsageError, match="it is in split 'train', the run is of 'test'"):
+    with pytest.raises(UsageError, match="the run was of split 'test'"):
         scenes_of(_request(place, "scripted", sequences=(ids[0],)))
     held = set(Predictions.open(place / "few" / "predictions").ids)
     test = SequenceTable.open(place / "table").scalars(split="test")["sequence_id"].to_pylist()
     missing = next(name for name in test if name not in held)
-    with pytest.raises(UsageError, match="limited to 3 sequences"):
+    with pytest.raises(UsageError, match="with --limit 3"):
         scenes_of(_request(place, "few", sequences=(missing,)))
 
 
