@@ -55,15 +55,7 @@ class Report:
     @property
     def failed(self) -> tuple[Finding, ...]:
         """The findings that need a change."""
-        return self.of(Outcome.FAILED)
-
-    def of(self, outcome: Outcome) -> tuple[Finding, ...]:
-        """Return the findings of one outcome."""
-        return tuple(finding for finding in self.findings if finding.outcome is outcome)
-
-    def about(self, check: str) -> tuple[Finding, ...]:
-        """Return the findings of one check."""
-        return tuple(finding for finding in self.findings if finding.check == check)
+        return tuple(finding for finding in self.findings if finding.outcome is Outcome.FAILED)
 
 
 class Remedy(str):

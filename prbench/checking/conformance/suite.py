@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from typing import ClassVar
 
-from prbench.checking.conformance.findings import CheckRequest, Finding, Outcome, Report
+from prbench.checking.conformance.findings import CheckRequest, Outcome, Report
 from prbench.checking.conformance.session import check, judge_of
 from prbench.errors import UsageError
 from prbench.protocol.manifests import default_benchmark
@@ -67,23 +67,20 @@ class PredictorConformance(_Conformance):
 
 def _test_of(name: str, title: str) -> Callable[[_Conformance], None]:
     def test(self: _Conformance) -> None:
-        _require(self.report().about(name))
+        # The findings of one check, in pytest's terms.
+        findings = [finding for finding in self.report().findings if finding.check == name]
+        for finding in findings:
+            if finding.outcome is Outcome.WARNING:
+                warnings.warn(f"{name}: {finding.said} {finding.remedy}", ConformanceWarning, stacklevel=2)
+        wrong = [f"{finding.said} {finding.remedy}" for finding in findings if finding.outcome is Outcome.FAILED]
+        if wrong:
+            raise AssertionError("\n".join(wrong))
+        if all(finding.outcome is Outcome.SKIPPED for finding in findings):
+            raise unittest.SkipTest("; ".join(finding.said for finding in findings))
 
     test.__name__ = f"test_{name.replace('-', '_')}"
     test.__doc__ = f"{title[0].upper()}{title[1:]}."
     return test
-
-
-def _require(findings: tuple[Finding, ...]) -> None:
-    """Turn the findings of one check into pytest's terms."""
-    for finding in findings:
-        if finding.outcome is Outcome.WARNING:
-            warnings.warn(f"{finding.check}: {finding.said} {finding.remedy}", ConformanceWarning, stacklevel=3)
-    wrong = [f"{finding.said} {finding.remedy}" for finding in findings if finding.outcome is Outcome.FAILED]
-    if wrong:
-        raise AssertionError("\n".join(wrong))
-    if all(finding.outcome is Outcome.SKIPPED for finding in findings):
-        raise unittest.SkipTest("; ".join(finding.said for finding in findings))
 
 
 for _suite in (AdapterConformance, PredictorConformance):
