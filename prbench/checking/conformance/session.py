@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import json
 import os
 import queue
@@ -168,6 +169,7 @@ def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
     limits = {"starting": start, "asking": call}
     findings: list[Finding] = []
     lost: list[str] = []
+    announced = itertools.count(1)
     with working_folder() as folder:
         for fresh in (False, True):
             left = [one for one in judge.checks if one.fresh is fresh]
@@ -192,7 +194,7 @@ def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
                         if message["event"] == "check":
                             blamed = left.pop(0).name
                             if announce is not None:
-                                announce(blamed, len(judge.checks) - len(left), len(judge.checks))
+                                announce(blamed, next(announced), len(judge.checks))
                         elif message["event"] == "finding":
                             found = message["finding"]
                             findings.append(Finding(**(found | {"outcome": Outcome(found["outcome"])})))
