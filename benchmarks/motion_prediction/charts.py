@@ -33,8 +33,10 @@ def draw_prediction(tables: Sequence[Table], path: Path) -> None:
         for row in (row for block in table.blocks for row in block.rows):
             for cell in row.cells:
                 name, _, seconds = cell.metric.partition("@")
-                if table.number == "2" and name == "ade" and seconds.endswith("s"):
-                    horizons.setdefault(row.text["method"], []).append((float(seconds[:-1]), cell))
+                # Tables 1 and 2 share rows; the ablations of Table 3 would crowd the panel.
+                point = (float(seconds[:-1]), cell) if name == "ade" and seconds.endswith("s") else None
+                if point and table.number in ("1", "2") and point not in horizons.setdefault(row.text["method"], []):
+                    horizons[row.text["method"]].append(point)
                 metric, _, lead = cell.variant.partition(f", {_LEAD}")
                 if cell.metric == "difference" and metric == "ade" and lead:
                     values.setdefault(f"{cell.method}: {cell.condition}", []).append((float(lead), cell))
