@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, overload
+from typing import Any, Literal
 
 from prbench.errors import InputFileError, RecordingUnusable
 
@@ -44,13 +44,7 @@ class FilesOnDemand(Sequence[InputFile]):
     def _files(self) -> tuple[InputFile, ...]:
         return tuple(self._list_files())
 
-    @overload
-    def __getitem__(self, index: int) -> InputFile: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[InputFile]: ...
-
-    def __getitem__(self, index: int | slice) -> InputFile | Sequence[InputFile]:
+    def __getitem__(self, index: Any) -> Any:
         """One of the files, or some, in the order of the listing."""
         return self._files[index]
 

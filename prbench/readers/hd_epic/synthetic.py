@@ -25,7 +25,6 @@ from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, transform_points
 from prbench.geometry.timelines import interpolate
 from prbench.protocol.manifests import Manifest
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.format import MpsReadings
 from prbench.readers.aria_mps.synthetic import gaze_bias as aria_gaze_bias
 from prbench.readers.aria_mps.synthetic import sense_mps, uid_of, write_csv, write_mps
 from prbench.readers.egoallo import format as ego
@@ -98,7 +97,9 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         gaze_kind=_GAZE_KIND,
         step_jitter_us=_STEP_JITTER_US,
     )
-    glasses = _in_world_of(performance.person.participant_id, glasses)
+    # All videos of one participant share a world.
+    world = (uid_of(f"kitchen of {performance.person.participant_id}"),)
+    glasses = dataclasses.replace(glasses, trajectory=dataclasses.replace(glasses.trajectory, graph_uids=world))
     clock = sense_video_clock(sensing)
     tracks = _annotated_tracks(sensing, clock)
     readings = hd_epic.HdEpicReadings(
@@ -112,12 +113,6 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     )
     bodies = sense_egoallo(performance, glasses.trajectory, noise=noise, switches=switches, start_us=start_us)
     return SensedVideo(readings, bodies)
-
-
-def _in_world_of(participant_id: str, glasses: MpsReadings) -> MpsReadings:
-    """Move a video into the world that all videos of one participant share."""
-    uid = uid_of(f"kitchen of {participant_id}")
-    return dataclasses.replace(glasses, trajectory=dataclasses.replace(glasses.trajectory, graph_uids=(uid,)))
 
 
 def sense_video_clock(sensing: Sensing) -> hd_epic.VideoClock:
@@ -147,7 +142,7 @@ def _annotated_tracks(sensing: Sensing, clock: hd_epic.VideoClock) -> tuple[hd_e
         seconds = np.clip(clock.frames(device) / hd_epic.FPS, 0.0, last)
         start, end = (float(value) for value in np.round(seconds, _SECONDS))
         track = hd_epic.ObjectTrack(
-            track_id=_identifier(performance, f"track {number}"),
+            track_id=_identifier(f"{performance.recording_id} track {number}"),
             object_id=association_id(pick.object_id),
             name=pick.object_name.replace("_", " "),
             start=start,
@@ -172,11 +167,11 @@ def movements(performance: Performance) -> list[tuple[TrueEvent, TrueEvent]]:
 
 def association_id(object_id: str) -> str:
     """Return sixteen hexadecimal digits for an object of a performance."""
-    return hashlib.sha256(f"association {object_id}".encode()).hexdigest()[:16]
+    return _identifier(f"association {object_id}")
 
 
-def _identifier(performance: Performance, what: str) -> str:
-    return hashlib.sha256(f"{performance.recording_id} {what}".encode()).hexdigest()[:16]
+def _identifier(what: str) -> str:
+    return hashlib.sha256(what.encode()).hexdigest()[:16]
 
 
 def masks_of(sensing: Sensing, track: hd_epic.ObjectTrack, ends: tuple[TrueEvent, TrueEvent]) -> hd_epic.ObjectTrack:
@@ -195,19 +190,15 @@ def masks_of(sensing: Sensing, track: hd_epic.ObjectTrack, ends: tuple[TrueEvent
             place = np.round(transform_points(NATIVE_FROM_WORLD, event.goal + offset), _METRES)
             box = _box(performance, event, frame)
             fixture = _fixture(performance, event.goal)
-            masks.append(hd_epic.ObjectMask(_mask_id(track, side), frame, place, box, fixture))
+            masks.append(hd_epic.ObjectMask(_identifier(f"{track.track_id} {side}"), frame, place, box, fixture))
     if has_middle and track.end - track.start > 1.0 and len(masks) == 2:
         # Draw a mask somewhere in between, in the hand.
         frame = round((track.start + track.end) / 2 * hd_epic.FPS)
         known = [mask.location for mask in masks if mask.location is not None]
         place = np.round(np.mean(known, axis=0), _METRES)
         box = _box(performance, ends[0], frame)
-        masks.append(hd_epic.ObjectMask(_mask_id(track, "middle"), frame, place, box, None))
+        masks.append(hd_epic.ObjectMask(_identifier(f"{track.track_id} middle"), frame, place, box, None))
     return dataclasses.replace(track, masks=tuple(masks[::-1] if is_reversed else masks))
-
-
-def _mask_id(track: hd_epic.ObjectTrack, what: str) -> str:
-    return hashlib.sha256(f"{track.track_id} {what}".encode()).hexdigest()[:16]
 
 
 def _box(performance: Performance, event: TrueEvent, frame: int) -> Float[np.ndarray, "4"]:
@@ -255,7 +246,9 @@ def _first_look(performance: Performance, mask: hd_epic.ObjectMask, first: int) 
     """Return the frame of the first look, or -1, or -2 for an event that is not tested."""
     assert mask.location is not None
     goal = transform_points(Y_UP_FROM_Z_UP, mask.location)
-    if not _in_view(performance, goal, mask.frame):
+    row = _row(performance, mask.frame)
+    towards = goal - performance.eye[row]
+    if towards @ forward_of(performance.head_rotation[row]) < _IN_VIEW * np.linalg.norm(towards):
         return hd_epic.EXCLUDED
     for frame in range(first, mask.frame + 1):
         row = _row(performance, frame)
@@ -266,12 +259,6 @@ def _first_look(performance: Performance, mask: hd_epic.ObjectMask, first: int) 
             at_once = frame == first and mask.frame - first == _WINDOW
             return hd_epic.EXCLUDED if at_once else frame
     return hd_epic.NOT_PRIMED
-
-
-def _in_view(performance: Performance, goal: np.ndarray, frame: int) -> bool:
-    row = _row(performance, frame)
-    towards = goal - performance.eye[row]
-    return bool(towards @ forward_of(performance.head_rotation[row]) >= _IN_VIEW * np.linalg.norm(towards))
 
 
 def _row(performance: Performance, frame: int) -> int:

@@ -262,7 +262,7 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
             continue
         try:
             with opened(file.path) as content:
-                last = _last_label(content) if file.role == segments else _last_frame(content)
+                last = _last(content, file.role)
         except (InputFileError, KeyError):
             continue  # reading says what is wrong with it
         seconds = None if last is None else last / mogaze.RATE
@@ -271,21 +271,17 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
     return tuple(extents)
 
 
-def _last_frame(content: h5py.File) -> int | None:
-    """Return the last frame of a file's shortest array; None where it holds no frame."""
+def _last(content: h5py.File, role: str) -> int | None:
+    """Last frame of a file's shortest array or of its last label; None where it holds none."""
+    if role == mogaze.PARTS[3]:
+        rows = content[mogaze.SEGMENT_DATASET]
+        is_list = isinstance(rows, h5py.Dataset) and rows.ndim == 1 and len(rows) > 0
+        return int(rows[len(rows) - 1][1]) if is_list else None
     bodies = content.get(mogaze.OBJECT_GROUP)
     arrays = list(bodies.values()) if isinstance(bodies, h5py.Group) else []
     arrays += [content[name] for name in (mogaze.HUMAN_DATASET, mogaze.GAZE_DATASET) if name in content]
     frames = min((array.shape[0] for array in arrays if isinstance(array, h5py.Dataset) and array.ndim), default=0)
     return frames - 1 if frames else None
-
-
-def _last_label(content: h5py.File) -> int | None:
-    """Last frame of the last label; None where nothing is labelled."""
-    rows = content[mogaze.SEGMENT_DATASET]
-    if not isinstance(rows, h5py.Dataset) or rows.ndim != 1 or len(rows) == 0:
-        return None
-    return int(rows[len(rows) - 1][1])
 
 
 _BODY_KEY = re.compile(r"(?:.*\s)?(\d{1,19})")

@@ -209,14 +209,22 @@ def annotated_events(
     previous = ""
     merged = 0
     for segment in ordered:
-        reason = _why_bad(segment, by_name, n_frames)
+        track = by_name.get(segment.label)
+        is_object = segment.label != NULL_LABEL
+        reasons = {
+            "it ends before it begins": segment.end <= segment.start,
+            f"it begins outside of the {n_frames} frames": not 0 <= segment.start < n_frames,
+            "no such object is tracked": is_object and track is None,
+            "the object is never seen": is_object and track is not None and not track.valid.any(),
+        }
+        reason = next((text for text, holds in reasons.items() if holds), "")
         if reason:
             remarks.append(f"segment {segment.start} to {segment.end} ({segment.label}) is left out: {reason}")
         elif segment.label == previous:
             merged += 1
-            if segment.label != NULL_LABEL:
+            if is_object:
                 kept[-1] = Segment(kept[-1].start, max(kept[-1].end, segment.end), segment.label)
-        elif segment.label != NULL_LABEL:
+        elif is_object:
             kept.append(segment)
         if segment.end > segment.start:  # an empty one separates nothing
             previous = segment.label if not reason else ""
@@ -258,18 +266,6 @@ def annotated_events(
                 )
             )
     return tuple(events), tuple(remarks)
-
-
-def _why_bad(segment: Segment, labels: dict[str, ObjectTrack], n_frames: int) -> str:
-    if segment.end <= segment.start:
-        return "it ends before it begins"
-    if segment.start < 0 or segment.start >= n_frames:
-        return f"it begins outside of the {n_frames} frames"
-    if segment.label == NULL_LABEL:
-        return ""
-    if segment.label not in labels:
-        return "no such object is tracked"
-    return "" if labels[segment.label].valid.any() else "the object is never seen"
 
 
 def _resting_before(track: ObjectTrack, frame: int) -> tuple[np.ndarray, np.ndarray]:
