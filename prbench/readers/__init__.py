@@ -40,7 +40,6 @@ from typing import (
 import msgspec
 
 from prbench.datasets import ENTRY_POINT_GROUP, SYNTHETIC_PREFIX, find_reader, origin_of
-from prbench.entry_points import InstalledEntry
 from prbench.errors import InputFileError, PrbenchError, UsageError, did_you_mean
 from prbench.files.storage import file_digest
 from prbench.readers.extents import Extent, shortfalls
@@ -104,32 +103,24 @@ def parse_options(form: type[Options], given: Mapping[str, str], *, dataset: str
     try:
         return msgspec.convert(dict(given), form, strict=False, dec_hook=_path)
     except msgspec.ValidationError as error:
-        raise UsageError(
-            f"an option of the reader of {dataset} has a wrong value: {error}.{_allowed(form, str(error))}"
-        ) from error
-
-
-def _allowed(form: type[ReaderOptions], message: str) -> str:
-    """The values that the blamed option may have, where they are a list."""
-    blamed = re.search(r"`\$\.(\w+)`", message)
-    hints = get_type_hints(form)
-    if blamed is None or get_origin(hints.get(blamed[1])) is not Literal:
-        return ""
-    return f" {blamed[1]} is one of: {', '.join(map(str, get_args(hints[blamed[1]])))}."
+        # Name the values that the blamed option may have, where they are a list.
+        blamed = re.search(r"`\$\.(\w+)`", str(error))
+        kind = get_type_hints(form).get(blamed[1]) if blamed else None
+        known = f" {blamed[1]} is one of: {', '.join(map(str, get_args(kind)))}." if get_origin(kind) is Literal else ""
+        raise UsageError(f"an option of the reader of {dataset} has a wrong value: {error}.{known}") from error
 
 
 def described_options(options: ReaderOptions) -> dict[str, str]:
     """Options as text without places of this machine: of a file its digest, of a folder its name."""
-    return {name: _described(getattr(options, name)) for name in options.names()}
-
-
-def _described(value: Any) -> str:
-    if isinstance(value, Path):
-        value = value.expanduser()
-        return file_digest(value) if value.is_file() else value.name
-    if value is None:
-        return ""
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    described = {}
+    for name in options.names():
+        value = getattr(options, name)
+        text = "" if value is None else str(value)
+        if isinstance(value, Path):
+            value = value.expanduser()
+            text = file_digest(value) if value.is_file() else value.name
+        described[name] = text.lower() if isinstance(value, bool) else text
+    return described
 
 
 def _path(kind: type, value: Any) -> Any:
@@ -360,29 +351,23 @@ def reader_for(dataset: str, options: Mapping[str, str] | None = None) -> Reader
             imported or is none, and for an unknown option or value.
     """
     installed = find_reader(dataset)
-    reader = _imported(installed)
-    if not options:
-        return reader
-    chosen = parse_options(type(reader.options), options, dataset=installed.name)
-    return dataclasses.replace(reader, options=chosen)  # type: ignore[type-var]
-
-
-def _imported(installed: InstalledEntry) -> Reader:
+    origin = origin_of(installed)
     try:
         reader = EntryPoint(installed.name, installed.target, ENTRY_POINT_GROUP).load()
     except (Exception, SystemExit) as error:
         cause = f"{type(error).__name__}: {error}".rstrip(".")
-        raise UsageError(
-            f"{origin_of(installed)}: cannot be imported: {cause}. Repair or reinstall the package."
-        ) from error
+        raise UsageError(f"{origin}: cannot be imported: {cause}. Repair or reinstall the package.") from error
     if not isinstance(reader, Reader) or not dataclasses.is_dataclass(reader):
         raise UsageError(
-            f"{origin_of(installed)}: expected an instance of a frozen data class with dataset, options, find() and"
-            f" read(), found {type(reader).__name__}."
+            f"{origin}: expected an instance of a frozen data class with dataset, options, find() and read(), found"
+            f" {type(reader).__name__}."
         )
     if reader.dataset != installed.name:
-        raise UsageError(f"{origin_of(installed)}: it reads '{quoted(reader.dataset)}'; both names must be the same.")
-    return reader
+        raise UsageError(f"{origin}: it reads '{quoted(reader.dataset)}'; both names must be the same.")
+    if not options:
+        return reader
+    chosen = parse_options(type(reader.options), options, dataset=installed.name)
+    return dataclasses.replace(reader, options=chosen)  # type: ignore[type-var]
 
 
 def cut_short(found: RecordingFiles, recording: Recording | None = None) -> tuple[str, ...]:

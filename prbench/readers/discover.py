@@ -64,8 +64,10 @@ def discover(root: Path | str) -> Discovery:
     for reader in readers:
         dataset = reader.dataset
         for folder in (root, *_subfolders(root)):
-            claimed = folder != root and any(_lies_in(folder, other.recordings) for other in found)
-            if claimed or (folder != root and any(other.dataset == dataset and other.root == root for other in found)):
+            # Below the root only what lies in no recording of another dataset, and only if this one is not at the root.
+            inside = (folder.is_relative_to(recording.folder) for other in found for recording in other.recordings)
+            at_root = (other.dataset == dataset and other.root == root for other in found)
+            if folder != root and (any(inside) or any(at_root)):
                 continue
             answer = _ask(reader, folder)
             if isinstance(answer, BrokenDataset):
@@ -125,7 +127,3 @@ def _ask(reader: Reader, folder: Path) -> FoundDataset | BrokenDataset | None:
 
 def _subfolders(root: Path) -> list[Path]:
     return sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
-
-
-def _lies_in(folder: Path, recordings: tuple[RecordingFiles, ...]) -> bool:
-    return any(folder.is_relative_to(recording.folder) for recording in recordings)
