@@ -81,23 +81,24 @@ class CorpusJob:
         return self._made(group, error)
 
     def _made(self, group: RecordingGroup, full: PrbenchError | None) -> _Finished:
+        name, recordings = group
         try:
-            digest = group.input_digest()
+            digest = text_digest(*(recording.input_digest() for recording in recordings if not recording.skip_reason))
         except (OSError, InputFileError) as error:
             digest = text_digest("unreadable", type(error).__name__)
         # Splits, participants and reasons to skip come from files that the recordings share, or from the manifest.
         known = [
             text
-            for recording in group.recordings
+            for recording in recordings
             for text in (*map(str, vars(recording.identity).values()), recording.skip_reason or "")
         ]
-        folder = parts.part_folder(self.work, group.name, digest, text_digest(self.settings, *known))
+        folder = parts.part_folder(self.work, name, digest, text_digest(self.settings, *known))
         entries = parts.read_receipt(folder)
         if entries is not None and full is None:
             receipt = msgspec.convert(entries, GroupReceipt)
             if all(record.status != "failed" for record in receipt.records):  # a failure may have passed: try again
                 return folder, receipt, True
-        done = [self._read(recording, full) for recording in group.recordings]
+        done = [self._read(recording, full) for recording in recordings]
         clips = [clip for read, _ in done for clip in sorted(read.clips, key=lambda clip: clip.sequence_id)]
         records = tuple(record for _, record in done)
         batches = {
@@ -106,7 +107,7 @@ class CorpusJob:
             "recordings": corpus_recording_batch(records),
         }
         receipt = GroupReceipt(
-            name=group.name,
+            name=name,
             input_digest=digest,
             records=records,
             clips=len(clips),
@@ -200,7 +201,7 @@ def build_corpus(
     groups = find_groups(corpus, None if root is None else Path(root), options)
     with sole_writer(out), parts.working_in_parts(out):
         finished = _make_parts(corpus, groups, parts.work_folder(out), options, engine, progress)
-        return _write_corpus(groups[0].recordings[0].identity.dataset, corpus, finished, out, options)
+        return _write_corpus(groups[0][1][0].identity.dataset, corpus, finished, out, options)
 
 
 def build_corpus_shard(
@@ -235,8 +236,8 @@ def build_corpus_shard(
         kind="corpus",
         number=shard.number,
         count=shard.count,
-        settings=_shard_settings(corpus, groups[0].recordings[0].identity.dataset, options),
-        plan=tuple(group.name for group in groups),
+        settings=_shard_settings(corpus, groups[0][1][0].identity.dataset, options),
+        plan=tuple(name for name, _ in groups),
     )
     mine = [groups[place] for place in shard.places(len(groups))]
     with making_shard(out, record) as work:
@@ -301,7 +302,7 @@ def _make_parts(
     job = CorpusJob(settings, options.on_error == "fail", work)
     finished = []
     done = 0
-    total = sum(len(group.recordings) for group in groups)
+    total = sum(len(recordings) for _, recordings in groups)
     for part in engine.map(job, groups, if_full=job.if_full):
         finished.append(part)
         done += len(part[1].records)
@@ -389,7 +390,7 @@ def plan_corpus(name: str, root: Path | str | None, options: CorpusOptions = _DE
     corpus = corpus_for(name)
     corpus.described(options)  # options that the build would refuse are refused here, too
     groups = find_groups(corpus, None if root is None else Path(root), options)
-    recordings = [each for group in groups for each in group.recordings]
+    recordings = [each for _, members in groups for each in members]
     read = [each for each in recordings if each.skip_reason is None]
     return BuildPlan(
         dataset=name,

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError, PrbenchError, UsageError
-from prbench.files.storage import text_digest
 from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.protocol.manifests import Manifest, load_manifest, load_protocol
 from prbench.readers import ReaderOptions, described_options, parse_options
@@ -140,16 +139,8 @@ class CorpusRecording:
         return message
 
 
-@dataclass(frozen=True)
-class RecordingGroup:
-    """Recordings that are worked on and kept together: tiny ones by the hundred, large ones alone."""
-
-    name: str
-    recordings: tuple[CorpusRecording, ...]
-
-    def input_digest(self) -> str:
-        """Digest of all members that are read."""
-        return text_digest(*(recording.input_digest() for recording in self.recordings if not recording.skip_reason))
+RecordingGroup = tuple[str, tuple[CorpusRecording, ...]]
+"""Name of recordings that are worked on and kept together, and they: tiny ones by the hundred, large ones alone."""
 
 
 class Corpus:
@@ -237,7 +228,7 @@ def find_groups(corpus: Corpus, root: Path | None, options: CorpusOptions) -> tu
     groups: dict[str, list[CorpusRecording]] = {}
     for recording in chosen_recordings(found, options, where=root or "invented people"):
         groups.setdefault(corpus.group_of(recording.identity.recording_id), []).append(recording)
-    return tuple(RecordingGroup(name, tuple(members)) for name, members in groups.items())
+    return tuple((name, tuple(members)) for name, members in groups.items())
 
 
 def chosen_recordings(

@@ -1,7 +1,7 @@
 """22 joints to the 263 features of HumanML3D and back (docs/specification/humanml3d.md).
 
-This is the NumPy side, which checks what it is given; the differentiable torch side is
-:mod:`prbench.representation.tensors`.
+This is the NumPy side, which checks what it is given; the differentiable decoding in
+torch is :mod:`prbench.representation.tensors`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from prbench.representation.encoding import (
     canonicalise,
     check_joints,
     decode,
-    decode_rotations,
     encode,
     mirror,
     rest_offsets,
@@ -31,7 +30,6 @@ __all__ = [
     "canonicalise",
     "check_joints",
     "decode",
-    "decode_rotations",
     "encode",
     "mirror",
     "rest_offsets",

@@ -28,7 +28,6 @@ from prbench.representation.features import (
     CONTACT_THRESHOLD,
     HALF_TURN_MIDWAYS,
     JOINT_POSITIONS,
-    JOINT_ROTATIONS,
     OPPOSITE,
     REFLECTION_SIGNS,
     REST_DIRECTIONS,
@@ -332,48 +331,6 @@ def decode(features: Float[np.ndarray, "*batch frames 263"]) -> Float[np.ndarray
         Canonical frame, metres, float32.
     """
     rows = features.astype(np.float64)
-    pelvis, world_from_heading = _root(rows)
-    seen_from_heading = rows[..., JOINT_POSITIONS].reshape(*rows.shape[:-1], N_JOINTS - 1, 3)
-    joints = np.empty((*rows.shape[:-1], N_JOINTS, 3))
-    joints[..., Joint.PELVIS, :] = pelvis
-    joints[..., 1:, :] = seen_from_heading @ np.swapaxes(world_from_heading, -1, -2)
-    joints[..., 1:, ::2] += pelvis[..., None, ::2]
-    return joints.astype(np.float32)
-
-
-def decode_rotations(
-    features: Float[np.ndarray, "*batch frames 263"], offsets: Float[np.ndarray, "22 3"] = REST_OFFSETS
-) -> Float[np.ndarray, "*batch frames 22 3"]:
-    """Joints of every row from its rotation features: forward kinematics with constant bone lengths.
-
-    Args:
-        features: Raw features, not standardised; six numbers that are no rotation are made one (Gram-Schmidt).
-        offsets: Rest offset of each joint from its parent, metres: the uniform skeleton's, or those of a body's own
-            bone lengths (:func:`prbench.representation.rest_offsets`).
-
-    Returns:
-        Canonical frame, metres, float32.
-    """
-    rows = features.astype(np.float64)
-    pelvis, world_from_heading = _root(rows)
-    # Rotation matrices (..., 3, 3) from their first two columns (..., 6).
-    columns = rows[..., JOINT_ROTATIONS].reshape(*rows.shape[:-1], N_JOINTS - 1, 6)
-    first = columns[..., :3]
-    second = columns[..., 3:]
-    first = first / np.maximum(np.linalg.norm(first, axis=-1, keepdims=True), 1e-12)
-    second = second - (first * second).sum(axis=-1, keepdims=True) * first
-    second = second / np.maximum(np.linalg.norm(second, axis=-1, keepdims=True), 1e-12)
-    relative = np.stack([first, second, np.cross(first, second)], axis=-1)
-    rotations = [np.swapaxes(world_from_heading, -1, -2)]
-    joints = [pelvis]
-    for joint in range(1, N_JOINTS):
-        rotations.append(rotations[ROTATION_PARENTS[joint]] @ relative[..., joint - 1, :, :])
-        joints.append(joints[PARENTS[joint]] + rotations[joint] @ offsets[joint])
-    return np.stack(joints, axis=-2).astype(np.float32)
-
-
-def _root(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pelvis (..., N, 3) and the rotation (..., N, 3, 3) from each heading to the world."""
     # Sum over all earlier rows: 0 in row 0.
     values = rows[..., ROOT_YAW_VELOCITY]
     total = np.zeros_like(values)
@@ -385,7 +342,13 @@ def _root(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     steps[..., 1:, ::2] = rows[..., :-1, ROOT_LINEAR_VELOCITY]
     pelvis = np.cumsum((world_from_heading @ steps[..., None])[..., 0], axis=-2)
     pelvis[..., 1] = rows[..., ROOT_HEIGHT][..., 0]
-    return pelvis, world_from_heading
+
+    seen_from_heading = rows[..., JOINT_POSITIONS].reshape(*rows.shape[:-1], N_JOINTS - 1, 3)
+    joints = np.empty((*rows.shape[:-1], N_JOINTS, 3))
+    joints[..., Joint.PELVIS, :] = pelvis
+    joints[..., 1:, :] = seen_from_heading @ np.swapaxes(world_from_heading, -1, -2)
+    joints[..., 1:, ::2] += pelvis[..., None, ::2]
+    return joints.astype(np.float32)
 
 
 _LEG = (Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE)  # ends of the two bones that decide the scale: right thigh and shin

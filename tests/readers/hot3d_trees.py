@@ -34,10 +34,7 @@ def first_seconds(readings: hot3d.Hot3dReadings, seconds: float) -> hot3d.Hot3dR
         headset=cut(readings.headset),
         objects=tuple(replace(entry, rows=cut(entry.rows)) for entry in readings.objects),
         hands=tuple(cut_hand(hand) for hand in readings.hands),
-        masks={
-            name: hot3d.MaskRows(rows.time_ns[rows.time_ns <= end_ns], rows.good[rows.time_ns <= end_ns])
-            for name, rows in readings.masks.items()
-        },
+        masks={name: (times[times <= end_ns], good[times <= end_ns]) for name, (times, good) in readings.masks.items()},
         mps=_cut_mps(readings.mps, seconds),
         body=None,
         egoallo_outputs=(),

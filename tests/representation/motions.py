@@ -6,7 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.representation import canonicalise
+from prbench.geometry.skeleton import N_JOINTS, PARENTS
+from prbench.representation import REST_OFFSETS, canonicalise, decode
+from prbench.representation.encoding import yaw_matrices
+from prbench.representation.features import JOINT_ROTATIONS, ROTATION_PARENTS
 from tests.fakes import smooth_motion
 
 GOLDEN = ("antipode", "child", "five_frames", "long", "static", "straight", "turn90", "two_frames")
@@ -31,3 +34,21 @@ def walk(name: str, n_frames: int, *, turn: float = 2.0, length: float = 3.0) ->
     joints[:, :, 0] += (length * np.sin(phase))[:, None]
     joints[:, :, 2] += (length * phase)[:, None]
     return canonicalise(joints.astype(np.float32))
+
+
+def decode_rotations(features: np.ndarray, offsets: np.ndarray = REST_OFFSETS) -> np.ndarray:
+    """Joints (..., frames, 22, 3) from the rotation features alone: forward kinematics on the bones of ``offsets``."""
+    rows = features.astype(np.float64)
+    half_yaw = np.cumsum(rows[..., 0], axis=-1) - rows[..., 0]
+    columns = rows[..., JOINT_ROTATIONS].reshape(*rows.shape[:-1], N_JOINTS - 1, 6)
+    first, second = columns[..., :3], columns[..., 3:]
+    first = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    second = second - (first * second).sum(axis=-1, keepdims=True) * first
+    second = second / np.linalg.norm(second, axis=-1, keepdims=True)
+    relative = np.stack([first, second, np.cross(first, second)], axis=-1)
+    rotations = [np.swapaxes(yaw_matrices(np.cos(2 * half_yaw), -np.sin(2 * half_yaw)), -1, -2)]
+    joints = [decode(features)[..., 0, :]]
+    for joint in range(1, N_JOINTS):
+        rotations.append(rotations[ROTATION_PARENTS[joint]] @ relative[..., joint - 1, :, :])
+        joints.append(joints[PARENTS[joint]] + rotations[joint] @ offsets[joint])
+    return np.stack(joints, axis=-2)

@@ -13,7 +13,6 @@ from prbench.representation import (
     REST_OFFSETS,
     canonicalise,
     decode,
-    decode_rotations,
     encode,
     retarget,
     tensors,
@@ -25,7 +24,7 @@ from prbench.representation.features import (
     N_FEATURES,
     REST_DIRECTIONS,
 )
-from tests.representation.motions import GOLDEN, golden
+from tests.representation.motions import GOLDEN, decode_rotations, golden
 
 TOLERANCES = dict.fromkeys(BLOCKS, 2e-5) | {"joint_rotations": 1e-4, "foot_contacts": 0.0}
 
@@ -42,15 +41,6 @@ def test_features_of_the_original_from_its_own_input(samples, case):
     canonical = canonicalise(retarget(values["joints_in"], offsets=values["target_offsets"]))
     assert np.abs(canonical - values["canonical"]).max() < 2e-5
     assert_features(encode(canonical, mode="reference"), values["features"])
-
-
-@pytest.mark.parametrize("case", GOLDEN)
-def test_features_of_the_original_in_torch(samples, case):
-    values = golden(samples, case)
-    joints = torch.from_numpy(values["canonical"])[None]
-    n = joints.shape[1] - 1
-    features = tensors.encode(joints[:, :n], torch.tensor([n]), next_joints=joints[:, n], mode="reference")
-    assert_features(features[0].numpy(), values["features"])
 
 
 @pytest.mark.parametrize("case", GOLDEN)

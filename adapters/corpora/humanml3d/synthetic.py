@@ -8,7 +8,6 @@ Features (``new_joint_vecs``) are not written: nothing reads them yet.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from jaxtyping import Float
 
 from prbench.files.storage import atomic_path, write_text
 from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
+from prbench.representation import mirror
 from prbench.synthetic.activities import NarratedMotion
 from prbench.synthetic.layouts import Defect, removed
 from prbench_adapters.corpora.humanml3d import files as layout
@@ -23,17 +23,11 @@ from prbench_adapters.corpora.humanml3d import files as layout
 _LONGEST = 9.9
 """Seconds of a motion in the dataset."""
 _SHORTEST = 2.05
-_PAIRS = ((1, 2), (4, 5), (7, 8), (10, 11), (13, 14), (16, 17), (18, 19), (20, 21))
 _SIDES = {"left": "right", "right": "left"}
 
 
-@dataclass(frozen=True)
-class CaptionedMotion:
-    """One motion of the dataset, at 20 frames a second, with its text lines."""
-
-    joints: Float[np.ndarray, "n 22 3"]
-    lines: tuple[tuple[str, float, float], ...]
-    """Caption, from, to; both 0 for the whole motion."""
+CaptionedMotion = tuple[Float[np.ndarray, "n 22 3"], tuple[tuple[str, float, float], ...]]
+"""One motion of the dataset, at 20 frames a second, with its text lines: caption, from, to; both 0 for all of it."""
 
 
 def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
@@ -58,18 +52,14 @@ def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
             (f"a person {clauses[0]}.", 0.0, round(first.end - first.start, 3)),
             (f"a person {clauses[1]}.", round(second.start - first.start, 3), round(second.end - first.start, 3)),
         )
-        motions.append(CaptionedMotion(transform_points(invert_rigid(canonical_frame(joints)), joints), lines))
+        motions.append((transform_points(invert_rigid(canonical_frame(joints)), joints), lines))
     return tuple(motions)
 
 
 def mirrored(motion: CaptionedMotion) -> CaptionedMotion:
     """Exchange left and right, in joints and words."""
-    joints = motion.joints * np.array([-1.0, 1.0, 1.0])
-    swapped = joints.copy()
-    for left, right in _PAIRS:
-        swapped[:, left], swapped[:, right] = joints[:, right], joints[:, left]
-    lines = tuple((_other_side(text), start, end) for text, start, end in motion.lines)
-    return CaptionedMotion(swapped, lines)
+    joints, lines = motion
+    return mirror(joints), tuple((_other_side(text), start, end) for text, start, end in lines)
 
 
 def write_motion(root: Path, name: str, motion: CaptionedMotion) -> None:
@@ -79,8 +69,8 @@ def write_motion(root: Path, name: str, motion: CaptionedMotion) -> None:
         StorageError: if the disk is full or the folder cannot be written.
     """
     with atomic_path(root / layout.JOINTS_FOLDER / f"{name}.npy") as temporary:
-        np.save(temporary, motion.joints.astype(np.float32), allow_pickle=False)
-    lines = [f"{text}#{_tokens(text)}#{start}#{end}\n" for text, start, end in motion.lines]
+        np.save(temporary, motion[0].astype(np.float32), allow_pickle=False)
+    lines = [f"{text}#{_tokens(text)}#{start}#{end}\n" for text, start, end in motion[1]]
     write_text(root / layout.TEXTS_FOLDER / f"{name}.txt", "".join(lines))
 
 

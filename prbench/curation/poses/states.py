@@ -23,7 +23,7 @@ from prbench.limits import LARGEST_FILE
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, AriaGlasses, RecordingFiles, reader_for
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.files import read_first_calibration
+from prbench.readers.aria_mps.files import read_size_and_camera
 from prbench.readers.aria_mps.format import AriaTrajectory
 from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.aria_mps.trajectory import read_trajectory
@@ -120,9 +120,7 @@ def source_trajectory(inputs: EgoalloInputs) -> AriaTrajectory:
 
 def head_poses(inputs: EgoalloInputs, trajectory: AriaTrajectory) -> PoseStream:
     """Central pupil frame in the world of EgoAllo's outputs, device seconds."""
-    size = inputs.glasses_size
-    if inputs.calibration is not None:
-        size = read_first_calibration(inputs.calibration).size
+    size = read_size_and_camera(inputs.calibration)[0] or inputs.glasses_size
     valid = np.ones(len(trajectory.time_us), dtype=bool)
     device = PoseStream(trajectory.time_us / 1e6, trajectory.position, trajectory.rotation, valid)
     return part_poses(device, mps.device_from_cpf(size))

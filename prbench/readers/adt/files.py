@@ -20,9 +20,10 @@ from prbench.errors import InputFileError
 from prbench.files.bounded import require_rows
 from prbench.readers import ReaderOptions, read_synthetic_tree
 from prbench.readers.adt import format as adt
-from prbench.readers.adt.to_recording import glasses_z_up
-from prbench.readers.aria_mps.files import find_gaze_file, read_first_calibration, read_gaze_angles
-from prbench.readers.aria_mps.format import CALIBRATION_FILE, TIME_COLUMN, GazeAngles
+from prbench.readers.adt.to_recording import ASSUMED_SIZE, turned_to_z_up
+from prbench.readers.aria_mps.files import find_gaze_file, read_gaze_angles, read_size_and_camera
+from prbench.readers.aria_mps.format import CALIBRATION_FILE, TIME_COLUMN, GazeAngles, device_from_cpf
+from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.files import body_extent, find_outputs
@@ -314,8 +315,7 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
         )
     concurrent = metadata.concurrent_sequence or ""
     objects, remarks = read_objects(*(found.require(role, _FILES[role]) for role in (INSTANCES, BOXES, OBJECTS)))
-    path = found.path(CALIBRATION)
-    calibration = None if path is None else read_first_calibration(path)
+    size, device_from_rgb = read_size_and_camera(found.path(CALIBRATION))
     path = found.require(TRAJECTORY, adt.TRAJECTORY_FILE)
     trajectory = read_trajectory(path)
     if np.linalg.norm(trajectory.up - np.array(adt.UP)) > 1e-3:
@@ -326,18 +326,21 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
             found=f"up = {(np.round(trajectory.up, 3) + 0.0).tolist()}",
             remedy="This looks like a native MPS trajectory; use the recording's own aria_trajectory.csv.",
         )
-    size = None if calibration is None else calibration.size
+    body = None
+    if options.poses == "egoallo":
+        # The glasses' central pupil frame, which EgoAllo's outputs refer to.
+        body = read_bodies(found, cpf=part_poses(turned_to_z_up(trajectory), device_from_cpf(size or ASSUMED_SIZE)))
     return adt.AdtReadings(
         recording_id=found.recording_id,
         serial=metadata.serial or "",
         concurrent="" if concurrent.upper() == adt.NOBODY else concurrent,
         glasses_size=size,
-        device_from_rgb=None if calibration is None else calibration.device_from_camera["camera-rgb"],
+        device_from_rgb=device_from_rgb,
         glasses=trajectory,
         gaze=read_gaze(found.require(GAZE, adt.GAZE_FILE)),
         objects=objects,
         skeletons=read_skeletons(found),
-        estimated_body=read_bodies(found, cpf=glasses_z_up(trajectory, size)) if options.poses == "egoallo" else None,
+        estimated_body=body,
         messages=(*remarks, *trajectory.remarks),
     )
 

@@ -18,8 +18,8 @@ from prbench.geometry.skeleton import invert_rigid
 from prbench.geometry.timelines import require_overlap, stream_ranges
 from prbench.protocol.manifests import Manifest
 from prbench.readers.adt import format as adt
-from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, AriaTrajectory, GlassesSize, device_from_cpf
-from prbench.readers.aria_mps.to_recording import gaze_in_world, head_and_camera, part_poses, size_remark
+from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, AriaTrajectory, GlassesSize
+from prbench.readers.aria_mps.to_recording import gaze_in_world, head_and_camera, size_remark
 from prbench.readers.egoallo.files import POINT_FILES, EgoalloInputs, aria_inputs
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS, body_stream
 from prbench.readers.found import RecordingFiles
@@ -83,9 +83,17 @@ def recording_from_adt(
     )
     wearer = next((p for p in readings.skeletons if readings.serial and p.serial == readings.serial), None)
     suit, hands = (None, ()) if wearer is None else _body_and_hands(wearer, manifest, span)
-    body, source = (
-        (suit, manifest.body) if poses == "native" else (_estimated(readings, head), manifest.other_bodies[poses])
-    )
+    body = suit
+    source = manifest.body
+    estimate = readings.estimated_body
+    told = ()
+    if poses == "egoallo":
+        source = manifest.other_bodies[poses]
+        body, told = None, (NO_OUTPUTS,)
+        if estimate is not None:
+            # Frames over gaps of the glasses are guesses from nothing, and invalid.
+            body = body_stream(estimate, world_from_source=invert_rigid(adt.Z_UP_FROM_SCENE), head=head)
+            told = (*_counted(~body.valid, "frames of the estimated body are invalid"), *estimate.messages)
     others = [person for person in readings.skeletons if person is not wearer]
     tracks = [object_track(entry, start=span[0]) for entry in readings.objects]
     rooms = {track.object_id for track in tracks if _encloses_scene(track, gaze)}
@@ -120,17 +128,8 @@ def recording_from_adt(
         hinged_objects=frozenset(
             str(entry.object_id) for entry in readings.objects if adt.is_hinged(entry.name, entry.category)
         ),
-        messages=readings.messages
-        + _remarks(readings, span, gaze, suit, wearer)
-        + (() if poses == "native" else _estimate_remarks(readings, body)),
+        messages=(*readings.messages, *_remarks(readings, span, gaze, suit, wearer), *told),
     )
-
-
-def _estimated(readings: adt.AdtReadings, head: PoseStream) -> BodyStream | None:
-    """The estimated body in the scene; frames over gaps of the glasses are guesses from nothing, and invalid."""
-    if readings.estimated_body is None:
-        return None
-    return body_stream(readings.estimated_body, world_from_source=invert_rigid(adt.Z_UP_FROM_SCENE), head=head)
 
 
 def _body_and_hands(
@@ -147,7 +146,8 @@ def _body_and_hands(
     hands = []
     for contact, pair in _CONTACTS:
         for side, index in zip(SIDES, pair, strict=True):
-            measured = valid & _measured(native[:, index])
+            point = native[:, index]
+            measured = valid & np.isfinite(point).all(axis=1) & (point != 0).any(axis=1)
             points = hold_neighbours(native[:, index, None], measured)
             hands.append(HandStream(side, contact, times, points, measured))
     return BodyStream(times, hold_neighbours(joints, valid), valid), tuple(hands)
@@ -195,8 +195,13 @@ def _within(times: Float[np.ndarray, " n"], span: tuple[float, float]) -> Bool[n
     return (times >= span[0] - adt.SAME_INSTANT) & (times <= span[1] + adt.SAME_INSTANT)
 
 
-def _measured(points: np.ndarray) -> Bool[np.ndarray, " n"]:
-    return np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
+def _counted(mask: Bool[np.ndarray, " n"], said: str) -> list[str]:
+    return [f"{int(mask.sum())} of {len(mask)} {said}"] if mask.any() else []
+
+
+def _gaps(times: Float[np.ndarray, " n"], longest: float, where: str) -> list[str]:
+    gaps = int((np.diff(times) > longest).sum())
+    return [f"{gaps} gaps of more than {longest * 1e3:.0f} ms in {where}"] if gaps else []
 
 
 def _remarks(
@@ -205,51 +210,25 @@ def _remarks(
     gaze: GazeStream,
     body: BodyStream | None,
     wearer: adt.AdtSkeleton | None,
-) -> tuple[str, ...]:
+) -> list[str]:
     """Tell the user what is unusual about these readings."""
+    glasses = readings.glasses
     remarks = size_remark(readings.glasses_size, ASSUMED_SIZE)
-    outside = ~_within(gaze.times, span)
-    if outside.any():
-        remarks.append(f"{int(outside.sum())} of {len(outside)} gaze rows lie outside the tracked time and are invalid")
-    gaps = int((np.diff(readings.glasses.time_us) > LONGEST_POSE_STEP * 1e6).sum())
-    if gaps:
-        remarks.append(f"{gaps} gaps of more than {LONGEST_POSE_STEP * 1e3:.0f} ms in the poses of the glasses")
-    lost = int((~(readings.glasses.quality > 0)).sum())
-    if lost:
-        remarks.append(f"{lost} of {len(readings.glasses.quality)} poses of the glasses have quality 0 and are invalid")
+    remarks += _counted(~_within(gaze.times, span), "gaze rows lie outside the tracked time and are invalid")
+    remarks += _gaps(glasses.time_us / 1e6, LONGEST_POSE_STEP, "the poses of the glasses")
+    remarks += _counted(~(glasses.quality > 0), "poses of the glasses have quality 0 and are invalid")
     if wearer is None:
         remarks.append("no skeleton belongs to the wearer's glasses: no body, no hands")
     elif body is not None:
         tracked = _within(body.times, span)
-        implausible = int((~body.valid & tracked).sum())
-        if implausible:
-            remarks.append(f"{implausible} of {len(body.valid)} body frames are implausible and invalid")
-        if not tracked.all():
-            remarks.append(
-                f"{int((~tracked).sum())} of {len(tracked)} body frames lie outside the tracked time and are invalid"
-            )
-        gaps = int((np.diff(body.times) > adt.LONGEST_BODY_STEP).sum())
-        if gaps:
-            remarks.append(f"{gaps} gaps of more than {adt.LONGEST_BODY_STEP * 1e3:.0f} ms in the body")
-    return tuple(remarks)
-
-
-def _estimate_remarks(readings: adt.AdtReadings, body: BodyStream | None) -> tuple[str, ...]:
-    """Tell the user what is unusual about the estimated body."""
-    if readings.estimated_body is None or body is None:
-        return (NO_OUTPUTS,)
-    invalid = int((~body.valid).sum())
-    told = (f"{invalid} of {len(body.valid)} frames of the estimated body are invalid",) if invalid else ()
-    return readings.estimated_body.messages + told
+        remarks += _counted(~body.valid & tracked, "body frames are implausible and invalid")
+        remarks += _counted(~tracked, "body frames lie outside the tracked time and are invalid")
+        remarks += _gaps(body.times, adt.LONGEST_BODY_STEP, "the body")
+    return remarks
 
 
 _STEP_US = 1_000
 _GRAPH_UID = "adt-scene-z-up"
-
-
-def glasses_z_up(glasses: adt.GlassesPoses, size: GlassesSize | None) -> PoseStream:
-    """The glasses' central pupil frame in the scene turned to Z up, device seconds: what EgoAllo's outputs refer to."""
-    return part_poses(_device_z_up(glasses), device_from_cpf(size or ASSUMED_SIZE))
 
 
 def adt_inputs(root: Path, found: RecordingFiles) -> EgoalloInputs:
@@ -258,19 +237,15 @@ def adt_inputs(root: Path, found: RecordingFiles) -> EgoalloInputs:
     Raises:
         InputFileError: if it has no trajectory.
     """
+    # The semi-dense point cloud of the Machine Perception Services.
+    folder = found.folder / adt.MPS_FOLDER
+    clouds = (folder / place / name for place in ("slam", "trajectory") for name in POINT_FILES)
     return replace(
         aria_inputs(root, found, adt.TRAJECTORY_FILE),
-        points=point_cloud(found),
+        points=next((path for path in clouds if path.is_file()), None),
         glasses_size=ASSUMED_SIZE,
         turned=prepared_trajectory,
     )
-
-
-def point_cloud(found: RecordingFiles) -> Path | None:
-    """The semi-dense point cloud of the Machine Perception Services; None where there is none."""
-    folder = found.folder / adt.MPS_FOLDER
-    places = (folder / place / name for place in ("slam", "trajectory") for name in POINT_FILES)
-    return next((place for place in places if place.is_file()), None)
 
 
 def prepared_trajectory(glasses: adt.GlassesPoses) -> AriaTrajectory:
@@ -279,7 +254,7 @@ def prepared_trajectory(glasses: adt.GlassesPoses) -> AriaTrajectory:
     Gaps are bridged, since EgoAllo counts poses instead of reading clocks; bodies within them are taken for invalid
     when they are read.
     """
-    device = _device_z_up(glasses)
+    device = turned_to_z_up(glasses)
     usable = device.valid if device.valid.any() else np.ones_like(device.valid)
     first, last = (int(glasses.time_us[usable][end]) for end in (0, -1))
     time_us = np.arange(first, last + 1, _STEP_US)
@@ -295,7 +270,8 @@ def prepared_trajectory(glasses: adt.GlassesPoses) -> AriaTrajectory:
     )
 
 
-def _device_z_up(glasses: adt.GlassesPoses) -> PoseStream:
+def turned_to_z_up(glasses: adt.GlassesPoses) -> PoseStream:
+    """Poses of the device in the scene turned to Z up, device seconds."""
     device = glasses_stream(glasses)
     turn = Rotation.from_matrix(adt.Z_UP_FROM_SCENE[:3, :3])
     rotation = turn * Rotation.from_quat(device.rotation, scalar_first=True)

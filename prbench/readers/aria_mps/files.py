@@ -6,7 +6,6 @@ Source: docs/specification/aria-mps.md#folder-tree.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import msgspec
@@ -157,23 +156,7 @@ class _Camera(msgspec.Struct):
 
 
 class _CalibrationRow(msgspec.Struct):
-    tracking_timestamp_us: int
     cameras: tuple[_Camera, ...] = msgspec.field(name="CameraCalibrations")
-
-
-@dataclass(frozen=True)
-class OnlineCalibration:
-    """Places of the cameras on the glasses, at one instant."""
-
-    time_us: int
-    device_from_camera: dict[str, Float[np.ndarray, "4 4"]]
-    """Maps a camera's label (``camera-slam-left``, ``camera-slam-right``, ``camera-rgb``) to its pose."""
-
-    @property
-    def size(self) -> mps.GlassesSize:
-        """Size of the glasses, which the distance between the two SLAM cameras tells."""
-        left, right = (self.device_from_camera[f"camera-slam-{side}"] for side in ("left", "right"))
-        return mps.glasses_size(float(np.linalg.norm(left[:3, 3] - right[:3, 3])))
 
 
 _REQUIRED = {
@@ -208,7 +191,7 @@ def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
     poses = sources[mps.TRAJECTORY]
     trajectory = read_near(poses, gaze.time_us) if thin else read_trajectory(poses)
     remarks += trajectory.remarks
-    calibration = read_first_calibration(sources[mps.CALIBRATION]) if mps.CALIBRATION in sources else None
+    size, device_from_rgb = read_size_and_camera(sources.get(mps.CALIBRATION))
     wrists = None
     if mps.WRISTS in sources:
         try:
@@ -222,8 +205,8 @@ def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
         gaze=gaze,
         gaze_kind="personalized" if _place(files[mps.GAZE]).name in mps.PERSONALIZED_GAZE_FILES else "general",
         wrists=wrists,
-        glasses_size=None if calibration is None else calibration.size,
-        device_from_rgb=None if calibration is None else calibration.device_from_camera["camera-rgb"],
+        glasses_size=size,
+        device_from_rgb=device_from_rgb,
         messages=tuple(remarks),
     )
 
@@ -267,8 +250,24 @@ def read_gaze_angles(path: Source) -> mps.GazeAngles:
     return mps.GazeAngles(columns[mps.TIME_COLUMN], yaw, columns[mps.PITCH], depth, yaw_range, pair(mps.PITCH_RANGE))
 
 
-def read_first_calibration(path: Source) -> OnlineCalibration:
+def read_size_and_camera(path: Source | None) -> tuple[mps.GlassesSize | None, Float[np.ndarray, "4 4"] | None]:
+    """Size of the glasses, which the distance of the SLAM cameras tells, and pose of the RGB camera; None without file.
+
+    Raises:
+        InputFileError: as :func:`read_first_calibration`.
+    """
+    if path is None:
+        return None, None
+    cameras = read_first_calibration(path)
+    left, right = (cameras[f"camera-slam-{side}"] for side in ("left", "right"))
+    return mps.glasses_size(float(np.linalg.norm(left[:3, 3] - right[:3, 3]))), cameras["camera-rgb"]
+
+
+def read_first_calibration(path: Source) -> dict[str, Float[np.ndarray, "4 4"]]:
     """Read the first record of ``online_calibration.jsonl``; later ones differ by fractions of a millimetre.
+
+    Returns:
+        Pose of every camera on the glasses, by label (``camera-slam-left``, ``camera-slam-right``, ``camera-rgb``).
 
     Raises:
         InputFileError: if the file is missing or empty, or its first line is no calibration of the three cameras.
@@ -290,7 +289,7 @@ def read_first_calibration(path: Source) -> OnlineCalibration:
         raise InputFileError(
             shown(path), "line 1", expected=f"the camera {min(missing)}", found=", ".join(sorted(poses))
         )
-    return OnlineCalibration(row.tracking_timestamp_us, poses)
+    return poses
 
 
 def read_wrists(path: Source) -> mps.WristPositions:

@@ -28,7 +28,6 @@ from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, c
 from prbench.readers.files import decode_json, missing_file, read_columns, read_poses_by_body
 from prbench.readers.found import RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d.format import ObjectMesh
 from prbench.readers.hot3d.hands import read_profile, read_umetrack
 from prbench.recording import Recording
 
@@ -249,7 +248,7 @@ def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
     return {uid: hot3d.PoseRows(*rows) for uid, rows in poses.items()}
 
 
-def read_glb(path: Path) -> ObjectMesh:
+def read_glb(path: Path) -> hot3d.Mesh:
     """Read the triangles of a model in the object's frame, metres: node transforms applied, materials left aside.
 
     Raises:
@@ -290,7 +289,7 @@ def read_glb(path: Path) -> ObjectMesh:
     vertices = np.round(np.asarray(mesh.vertices, dtype=np.float64), _METRES)
     if len(vertices) == 0 or len(mesh.faces) == 0 or not np.isfinite(vertices).all():
         raise InputFileError(path, "", expected="triangles with finite corners", found=f"{len(mesh.faces)} triangles")
-    return ObjectMesh(vertices, np.asarray(mesh.faces, dtype=np.int64))
+    return vertices, np.asarray(mesh.faces, dtype=np.int64)
 
 
 _TRUTH = {"True": True, "False": False, "true": True, "false": False, "1": True, "0": False}
@@ -314,11 +313,8 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
     hands, hand_remarks = read_umetrack(found.require(UMETRACK, hot3d.UMETRACK_FILE))
     profile = found.path(PROFILE)
     # Those masks that curation honours and the recording has.
-    masks: dict[hot3d.MaskName, hot3d.MaskRows] = {}
-    for name in hot3d.MASK_NAMES:
-        path = found.path(f"{MASK_PREFIX}{name}")
-        if path is not None:
-            masks[name] = read_mask(path)
+    paths = {name: found.path(f"{MASK_PREFIX}{name}") for name in hot3d.MASK_NAMES}
+    masks = {name: read_mask(path) for name, path in paths.items() if path is not None}
     mps = read_mps(found, thin=False)
     up = mps.trajectory.up
     if np.linalg.norm(up - np.array([0.0, 0.0, 1.0])) > 1e-3:
@@ -344,7 +340,7 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
     )
 
 
-def read_mask(path: Path) -> hot3d.MaskRows:
+def read_mask(path: Path) -> hot3d.Mask:
     """One mask of the RGB stream, in the order of time.
 
     Raises:
@@ -356,4 +352,4 @@ def read_mask(path: Path) -> hot3d.MaskRows:
     require_rows(path, ~np.isin(values, list(_TRUTH)), "True or False", lambda row: f"'{values[row]}'")
     rgb = streams == hot3d.RGB_STREAM
     time_ns, first = np.unique(table[hot3d.TIME].to_numpy()[rgb], return_index=True)
-    return hot3d.MaskRows(time_ns, np.isin(values[rgb], [text for text, good in _TRUTH.items() if good])[first])
+    return time_ns, np.isin(values[rgb], [text for text, good in _TRUTH.items() if good])[first]

@@ -68,12 +68,10 @@ class PoseRows:
     """w x y z."""
 
 
-@dataclass(frozen=True)
-class ObjectMesh:
-    """A ``.glb`` model in the object's frame, metres, node transforms applied."""
-
-    vertices: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
+Mesh = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]
+"""Vertices (metres) and faces of a ``.glb`` model in the object's frame, node transforms applied."""
+Mask = tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]
+"""Times (ns) of the RGB stream, and where they are good."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ class Hot3dObject:
     """Up to 15 digits."""
     name: str
     rows: PoseRows
-    mesh: ObjectMesh | None
+    mesh: Mesh | None
     """None where its model is missing."""
 
 
@@ -100,14 +98,6 @@ class HandRows:
     """w x y z, hand to world."""
     angles: Float[np.ndarray, "n 22"]
     """22 joint angles, radians."""
-
-
-@dataclass(frozen=True)
-class MaskRows:
-    """One mask of the RGB stream."""
-
-    time_ns: Int[np.ndarray, " n"]
-    good: Bool[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)
@@ -140,7 +130,7 @@ class Hot3dReadings:
     """UmeTrack."""
     hand_model: HandModel | None
     """None where the profile is missing: then there are wrists, but no vertices."""
-    masks: dict[MaskName, MaskRows]
+    masks: dict[MaskName, Mask]
     """Those that the recording has."""
     mps: MpsReadings
     """With the whole trajectory, which tells the clocks' offset."""

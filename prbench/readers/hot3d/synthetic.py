@@ -192,16 +192,15 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     # Flags of the RGB frames.
     rgb = time_ns[::2]
     good = np.ones(len(rgb), dtype=bool)
-    tracked = np.isin(rgb, np.concatenate([hand.time_ns for hand in hands]))
-    masks: dict[hot3d.MaskName, hot3d.MaskRows] = {
-        "headset_pose_available": hot3d.MaskRows(rgb, good),
-        "object_pose_available": hot3d.MaskRows(rgb, good),
-        "hand_pose_available": hot3d.MaskRows(rgb, tracked),
+    masks: dict[hot3d.MaskName, hot3d.Mask] = {
+        "headset_pose_available": (rgb, good),
+        "object_pose_available": (rgb, good),
+        "hand_pose_available": (rgb, np.isin(rgb, np.concatenate([hand.time_ns for hand in hands]))),
     }
     # True where a recording of a newer release, which says in which frames the hands are right.
     if sensing.performance.index % 2 == 0:
         passed = good if not _has_wrong_start(sensing) else rgb - rgb[0] >= round(_WRONG_START * 1e9)
-        masks["qa_pass"] = hot3d.MaskRows(rgb, passed)
+        masks["qa_pass"] = rgb, passed
     return hot3d.Hot3dReadings(
         recording_id=performance.recording_id,
         participant_id=performance.person.participant_id,
@@ -273,12 +272,12 @@ def _sense_objects(
     return tuple(sorted(objects, key=lambda entry: entry.object_id))
 
 
-def box_mesh(half_extents: Float[np.ndarray, "3"]) -> hot3d.ObjectMesh:
+def box_mesh(half_extents: Float[np.ndarray, "3"]) -> hot3d.Mesh:
     """Return a box as twelve triangles in the object's frame, metres, rounded to micrometres."""
     corners = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = np.array([face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))])
-    return hot3d.ObjectMesh(np.round(corners * half_extents + _ORIGIN, _METRES), faces)
+    return np.round(corners * half_extents + _ORIGIN, _METRES), faces
 
 
 def _sense_hand(
@@ -379,15 +378,15 @@ def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
         if readings.hand_model is not None:
             write_json(target / hot3d.PROFILE_FILE, {"hand_model": profile(readings.hand_model)})
         rgb = readings.headset.time_ns[::2]
-        truth = hot3d.MaskRows(rgb, np.ones(len(rgb), dtype=bool))
+        truth = rgb, np.ones(len(rgb), dtype=bool)
         streams = (hot3d.RGB_STREAM, *hot3d.SLAM_STREAMS)
-        for name, rows in {**dict.fromkeys(_OTHER_MASKS, truth), **readings.masks}.items():
+        for name, (times, good) in {**dict.fromkeys(_OTHER_MASKS, truth), **readings.masks}.items():
             # One row a camera and frame: the RGB frame, then both SLAM cameras' one after it.
-            slam = rows.time_ns + round(SLAM_DELAY * 1e9)
+            slam = times + round(SLAM_DELAY * 1e9)
             columns = {
-                hot3d.TIME: np.column_stack([rows.time_ns, slam, slam]).ravel(),
-                hot3d.STREAM: np.tile(streams, len(rows.time_ns)),
-                hot3d.MASK: np.repeat(np.where(rows.good, "True", "False"), len(streams)),
+                hot3d.TIME: np.column_stack([times, slam, slam]).ravel(),
+                hot3d.STREAM: np.tile(streams, len(times)),
+                hot3d.MASK: np.repeat(np.where(good, "True", "False"), len(streams)),
             }
             write_csv(target / hot3d.MASK_FOLDER / f"mask_{name}.csv", columns)
         write_mps(readings.mps, target / hot3d.MPS_FOLDER)
@@ -411,7 +410,7 @@ def _write_below(readings: hot3d.Hot3dReadings, root: Path) -> None:
     write_library_part(readings, root / SHARED_PARTS / readings.recording_id)
 
 
-def glb_bytes(mesh: hot3d.ObjectMesh, *, name: str, turned: bool) -> bytes:
+def glb_bytes(mesh: hot3d.Mesh, *, name: str, turned: bool) -> bytes:
     """Return the file of one model: the node's transform brings its raw vertices into the object's frame.
 
     Args:
@@ -420,13 +419,13 @@ def glb_bytes(mesh: hot3d.ObjectMesh, *, name: str, turned: bool) -> bytes:
         turned: Whether the node turns and shifts what it holds, besides scaling it.
     """
     node: dict[str, object] = {"name": name, "mesh": 0, "scale": [_SCALE] * 3}
-    raw = mesh.vertices
+    raw, faces = mesh
     if turned:
         node |= {"rotation": list(_QUARTER_TURN), "translation": list(_SHIFT)}
         x, y, z = (raw - _SHIFT).T
         raw = np.column_stack([z, y, -x])  # the node turns it back: (x, y, z) becomes (-z, y, x)
     vertices = (raw / _SCALE).astype("<f4")  # glTF knows single precision only
-    faces = mesh.faces.astype("<u2")
+    faces = faces.astype("<u2")
     content = vertices.tobytes() + faces.tobytes()
     description = {
         "asset": {"version": "2.0", "generator": "prbench"},

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -24,8 +25,9 @@ from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands as umetrack
-from prbench.recording.streams import HandStream, ObjectTrack, Occluder, Recording
+from prbench.recording.streams import GazeStream, HandStream, ObjectTrack, Occluder, PoseStream, Recording
 
+_Stream = TypeVar("_Stream", GazeStream, PoseStream)
 _SAME_POSITION = 1e-6
 _SAME_ROTATION = np.deg2rad(0.01)
 """Metres and radians within which a row is found again; rounding alone turns it by up to 0.004 degree."""
@@ -209,15 +211,34 @@ def recording_from_hot3d(
     # All poses were needed to align the clocks; from here on those around the gaze times suffice.
     mps = _on_truth_clock(thinned(readings.mps), clock)
     streams = mps_streams(mps, world_from_source=Y_UP_FROM_Z_UP)
-    frames = GoodFrames(readings, skipped_start=manifest.thresholds["skipped_start_without_qa"])
+    checked = len(readings.masks.get("qa_pass", ((),))[0]) > 0
+    skipped_start = 0.0 if checked else manifest.thresholds["skipped_start_without_qa"]
+    """Seconds without use at the start, where no mask tells that the hands are right from the first frame."""
+    first_ns = int(headset.time_ns[0]) + round(skipped_start * 1e9)
+
+    def flag(time_ns: Int[np.ndarray, " n"], name: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
+        times, good = readings.masks.get(name, (time_ns[:0], time_ns[:0] > 0))
+        if len(times) == 0:  # an absent mask is taken as all true
+            return np.ones(len(time_ns), dtype=bool)
+        start = times[0]  # from there on floats hold nanoseconds exactly
+        return good[nearest_index((times - start).astype(np.float64), (time_ns - start).astype(np.float64))]
+
+    def usable(time_ns: Int[np.ndarray, " n"], mask: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
+        return flag(time_ns, mask) & flag(time_ns, "qa_pass") & (time_ns >= first_ns)
+
+    def posed(stream: _Stream) -> _Stream:
+        # Hands do not matter to the glasses' poses.
+        time_ns = np.rint(stream.times * 1e9).astype(np.int64)
+        return replace(stream, valid=stream.valid & flag(time_ns, "headset_pose_available"))
+
     body = None
     if readings.body is not None:
         retimed = replace(readings.body, time_ns=clock.truth_ns(readings.body.time_ns))
         body = body_stream(retimed, world_from_source=Y_UP_FROM_Z_UP)
-    hands, hand_remarks = hand_streams(readings, lambda time_ns: frames.good(time_ns, "hand_pose_available"))
+    hands, hand_remarks = hand_streams(readings, lambda time_ns: usable(time_ns, "hand_pose_available"))
     longest_gap = manifest.thresholds["longest_interpolated_object_gap"]
     objects = tuple(
-        object_track(entry, frames.good(entry.rows.time_ns, "object_pose_available"), longest_gap, meshes=meshes)
+        object_track(entry, usable(entry.rows.time_ns, "object_pose_available"), longest_gap, meshes=meshes)
         for entry in readings.objects
     )
     span = float(readings.headset.time_ns[0] / 1e9), float(readings.headset.time_ns[-1] / 1e9)
@@ -228,11 +249,10 @@ def recording_from_hot3d(
     source = manifest.body
     # Tell the user what is unusual about these readings.
     remarks = []
-    if frames.skipped_start:
-        remarks.append(f"no mask_qa_pass: the first {frames.skipped_start} s of objects and hands are not used")
-    bad = int((~readings.masks["qa_pass"].good).sum()) if frames.has_qa else 0
-    if bad:
-        remarks.append(f"{bad} of {len(readings.masks['qa_pass'].good)} frames fail the quality check and are invalid")
+    if not checked:
+        remarks.append(f"no mask_qa_pass: the first {skipped_start} s of objects and hands are not used")
+    elif not (passed := readings.masks["qa_pass"][1]).all():
+        remarks.append(f"{int((~passed).sum())} of {len(passed)} frames fail the quality check and are invalid")
     without = [entry.name for entry in readings.objects if entry.mesh is None]
     if without:
         remarks.append(f"objects without a model, whose box is their origin as a point: {', '.join(sorted(without))}")
@@ -248,9 +268,9 @@ def recording_from_hot3d(
         pose_source=source.pose_source if body is not None else "none",
         head_tilt_deg=source.head_tilt_deg,
         span=span,
-        gaze=replace(streams.gaze, valid=streams.gaze.valid & frames.glasses_good(streams.gaze.times)),
-        camera=replace(streams.camera, valid=streams.camera.valid & frames.glasses_good(streams.camera.times)),
-        head=replace(streams.head, valid=streams.head.valid & frames.glasses_good(streams.head.times)),
+        gaze=posed(streams.gaze),
+        camera=posed(streams.camera),
+        head=posed(streams.head),
         body=body,
         hands=hands,
         objects=objects,
@@ -263,7 +283,7 @@ def recording_from_hot3d(
             *(readings.body.messages if readings.body is not None else ()),
             clock.remark,
             *hand_remarks,
-            *tuple(remarks),
+            *remarks,
         ),
     )
 
@@ -282,32 +302,6 @@ def _on_truth_clock(mps: MpsReadings, clock: ClockMatch) -> MpsReadings:
         gaze=replace(mps.gaze, time_us=moved(mps.gaze.time_us)),
         wrists=None,  # hands come from the ground truth
     )
-
-
-class GoodFrames:
-    """Instants of the ground truth that can be used: the recording's masks, each absent one taken as all true."""
-
-    def __init__(self, readings: hot3d.Hot3dReadings, *, skipped_start: float) -> None:
-        self._masks = readings.masks
-        self.has_qa = "qa_pass" in readings.masks and len(readings.masks["qa_pass"].good) > 0
-        self.skipped_start = 0.0 if self.has_qa else skipped_start
-        """Seconds without use at the start, where no mask tells that the hands are right from the first frame."""
-        self._first_ns = int(readings.headset.time_ns[0]) + round(self.skipped_start * 1e9)
-
-    def good(self, time_ns: Int[np.ndarray, " n"], mask: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
-        """Return True where a stream of ground truth can be used at given times."""
-        return self._flag(time_ns, mask) & self._flag(time_ns, "qa_pass") & (time_ns >= self._first_ns)
-
-    def glasses_good(self, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Return True where the glasses' poses can be used at given times, seconds; hands do not matter to them."""
-        return self._flag(np.rint(times * 1e9).astype(np.int64), "headset_pose_available")
-
-    def _flag(self, time_ns: Int[np.ndarray, " n"], mask: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
-        rows = self._masks.get(mask)
-        if rows is None or len(rows.time_ns) == 0:
-            return np.ones(len(time_ns), dtype=bool)
-        start = rows.time_ns[0]  # from there on floats hold nanoseconds exactly
-        return rows.good[nearest_index((rows.time_ns - start).astype(np.float64), (time_ns - start).astype(np.float64))]
 
 
 def hand_streams(
@@ -369,10 +363,10 @@ def object_track(
     valid = good[kept]
     # An invalid sample in the middle of a gap keeps everybody from interpolating across it.
     gaps = np.flatnonzero(np.diff(times) > longest_gap)
-    vertices = np.zeros((1, 3)) if entry.mesh is None else entry.mesh.vertices
+    vertices, faces = (np.zeros((1, 3)), None) if entry.mesh is None else entry.mesh
     surface = None
-    if meshes and entry.mesh is not None:
-        surface = Occluder(entry.name, vertices, entry.mesh.faces, entry.object_id)
+    if meshes and faces is not None:
+        surface = Occluder(entry.name, vertices, faces, entry.object_id)
     return ObjectTrack(
         object_id=entry.object_id,
         name=entry.name,

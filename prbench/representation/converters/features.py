@@ -21,12 +21,11 @@ from prbench.errors import InputFileError
 from prbench.files.arrays import load_array
 from prbench.files.bounded import foreign_input, require_rows
 from prbench.geometry.skeleton import N_JOINTS
-from prbench.representation.encoding import decode, decode_rotations, yaw_matrices
+from prbench.representation.encoding import decode, yaw_matrices
 from prbench.representation.features import (
     FOOT_CONTACTS,
     JOINT_VELOCITIES,
     N_FEATURES,
-    REST_OFFSETS,
     ROOT_LINEAR_VELOCITY,
     ROOT_YAW_VELOCITY,
     Statistics,
@@ -145,7 +144,6 @@ def _speed(motion: np.ndarray) -> _Doubt | None:
 
 
 Root = Literal["relative", "absolute"]
-Bones = Literal["positions", "rotations"]
 
 _TINIEST_STD = 1e-8
 
@@ -215,8 +213,6 @@ def motions_from_features(
     n_frames: Sequence[int] | Int[np.ndarray, " batch"],
     *,
     root: Root = "relative",
-    bones: Bones = "positions",
-    offsets: Float[np.ndarray, "*batch 22 3"] = REST_OFFSETS,
     check: bool = True,
     source: str = FEATURES,
     sequences: Sequence[str] | np.ndarray | None = None,
@@ -230,8 +226,6 @@ def motions_from_features(
         features: Raw (restored with the model's statistics), one motion a row (:func:`feature_rows`).
         n_frames: Frames wanted of each: ``batch.n_frames``.
         root: As in :func:`joints_from_features`.
-        bones: Likewise.
-        offsets: Likewise; of one body, or of each (batch, 22, 3).
         check: Refuse a batch that was restored with foreign statistics (:func:`check_features`).
         source: Name of the method, with which messages begin.
         sequences: Name of each motion, for messages: ``batch.opaque_id``.
@@ -256,8 +250,7 @@ def motions_from_features(
     used = [_used_rows(features[row], wanted[row], root, names[row]) for row in range(len(names))]
     if check:
         check_features(used, source=source, sequences=sequences)
-    bodies = np.broadcast_to(offsets, (len(used), N_JOINTS, 3))
-    return [_decoded(rows, frames, bones, body) for rows, frames, body in zip(used, wanted, bodies)]
+    return [_decoded(rows, frames) for rows, frames in zip(used, wanted)]
 
 
 def joints_from_features(
@@ -265,8 +258,6 @@ def joints_from_features(
     n_frames: int | None = None,
     *,
     root: Root = "relative",
-    bones: Bones = "positions",
-    offsets: Float[np.ndarray, "22 3"] = REST_OFFSETS,
     check: bool = True,
     source: str = FEATURES,
 ) -> Float[np.ndarray, "frames 22 3"]:
@@ -281,10 +272,6 @@ def joints_from_features(
         n_frames: Frames wanted: as many as rows, one more, or fewer (rows behind are padding). None for all rows.
         root: ``absolute`` for models of the GMD family, whose first three columns hold heading (half angle) and place
             of the pelvis instead of their steps (docs/specification/gmd.md#representation).
-        bones: ``positions`` decodes columns 4 to 66, as everybody does for evaluation; ``rotations`` decodes the
-            rotations on ``offsets``, so bones keep their lengths, but errors add up along the limbs.
-        offsets: With ``rotations``: the uniform skeleton, or the body of the initial pose
-            (:func:`prbench.representation.rest_offsets`).
         check: Refuse features that were restored with foreign statistics (:func:`check_features`).
         source: Name that messages begin with.
 
@@ -298,7 +285,7 @@ def joints_from_features(
     used = _used_rows(features, wanted, root, source)
     if check:
         check_features(used, source=source)
-    return _decoded(used, wanted, bones, offsets)
+    return _decoded(used, wanted)
 
 
 def _used_rows(features: np.ndarray, wanted: int, root: Root, source: str) -> np.ndarray:
@@ -320,8 +307,8 @@ def _used_rows(features: np.ndarray, wanted: int, root: Root, source: str) -> np
     return relative_root(used) if root == "absolute" else used
 
 
-def _decoded(used: np.ndarray, wanted: int, bones: Bones, offsets: np.ndarray) -> np.ndarray:
-    joints = decode(used) if bones == "positions" else decode_rotations(used, offsets)
+def _decoded(used: np.ndarray, wanted: int) -> np.ndarray:
+    joints = decode(used)
     if wanted > len(used):
         # The frame to which the joint velocities of the last row lead.
         last = joints[-1]

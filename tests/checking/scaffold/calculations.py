@@ -16,7 +16,7 @@ def calculated(c, given):
     rows = len(features)
     found = {}
     found["positions"] = c.joints_from_features(features, rows + 1)
-    found["rotations"] = c.joints_from_features(features, bones="rotations", offsets=c.rest_offsets(initial))
+    found["rest"] = c.rest_offsets(initial)
     found["absolute"] = c.joints_from_features(given["absolute"], root="absolute")
     statistics = c.Statistics(given["mean"], given["std"])
     output = given["standardised"].T[None, :, None]

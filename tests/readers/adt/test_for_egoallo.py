@@ -16,7 +16,9 @@ from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.synthetic import estimated_outputs, write
-from prbench.readers.adt.to_recording import glasses_z_up, prepared_trajectory, recording_from_adt
+from prbench.readers.adt.to_recording import ASSUMED_SIZE, prepared_trajectory, recording_from_adt, turned_to_z_up
+from prbench.readers.aria_mps.format import device_from_cpf
+from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.egoallo.files import poses_folder
 from prbench.readers.egoallo.synthetic import synthetic_smplh, write_outputs, write_smplh_model
 from prbench.readers.egoallo.to_recording import body_from_outputs
@@ -139,7 +141,7 @@ def test_the_prepared_trajectory_is_the_same_path_every_millisecond_with_z_up(re
     native = readings.glasses.position[there]
     np.testing.assert_allclose(prepared.position[exact], native[:, [0, 2, 1]] * (1, -1, 1), atol=1e-9)
     assert abs(np.median(prepared.position[:, 2]) - np.median(readings.glasses.position[:, 1])) < 1e-2
-    cpf = glasses_z_up(readings.glasses, None)
+    cpf = part_poses(turned_to_z_up(readings.glasses), device_from_cpf(ASSUMED_SIZE))
     assert np.median(cpf.position[:, 2]) > 1.2
 
 

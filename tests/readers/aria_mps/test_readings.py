@@ -16,9 +16,9 @@ from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.files import (
     UNREADABLE,
     find_mps_files,
-    read_first_calibration,
     read_gaze_angles,
     read_mps,
+    read_size_and_camera,
     read_wrists,
 )
 from prbench.readers.aria_mps.synthetic import sense_mps, write_mps
@@ -213,11 +213,11 @@ def test_a_wrist_of_the_sample(samples, reference_values) -> None:
 
 
 def test_newer_calibration_keys_are_welcome(samples) -> None:
-    newer = read_first_calibration(samples / "mps/mps_sample/trajectory/online_calibration_v1_1_0.jsonl")
-    assert newer.size == "DVT-S"
+    newer, _ = read_size_and_camera(samples / "mps/mps_sample/trajectory/online_calibration_v1_1_0.jsonl")
+    assert newer == "DVT-S"
 
 
 def test_large_glasses_are_recognised(readings, tmp_path) -> None:
     write_mps(replace(readings, glasses_size="DVT-L"), tmp_path, only={mps.CALIBRATION})
-    assert read_first_calibration(tmp_path / "slam" / "online_calibration.jsonl").size == "DVT-L"
+    assert read_size_and_camera(tmp_path / "slam" / "online_calibration.jsonl")[0] == "DVT-L"
     assert [path.name for path in tmp_path.rglob("*.*")] == ["online_calibration.jsonl"]

@@ -116,13 +116,10 @@ def test_the_first_calibration(folder) -> None:
     path = file_of(folder, mps.CALIBRATION)
     theirs = official.read_online_calibration(str(path))[0]
     ours = read_first_calibration(path)
-    assert microseconds(theirs.tracking_timestamp) == ours.time_us
     cameras = {camera.get_label(): camera for camera in theirs.camera_calibs}
-    assert cameras.keys() == ours.device_from_camera.keys()
+    assert cameras.keys() == ours.keys()
     for label, camera in cameras.items():
-        assert ours.device_from_camera[label] == pytest.approx(
-            camera.get_transform_device_camera().to_matrix(), abs=1e-6
-        )
+        assert ours[label] == pytest.approx(camera.get_transform_device_camera().to_matrix(), abs=1e-6)
 
 
 @pytest.mark.filterwarnings("ignore:WristAndPalmPoses:UserWarning")

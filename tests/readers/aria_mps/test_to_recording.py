@@ -10,7 +10,7 @@ import pytest
 from prbench.geometry.skeleton import Y_UP_FROM_Z_UP
 from prbench.geometry.timelines import interpolate
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.files import find_mps_files, read_first_calibration, read_gaze_angles, read_wrists
+from prbench.readers.aria_mps.files import find_mps_files, read_gaze_angles, read_size_and_camera, read_wrists
 from prbench.readers.aria_mps.synthetic import sense_mps, with_slam_gaps
 from prbench.readers.aria_mps.to_recording import MpsStreams, mps_streams
 from prbench.readers.aria_mps.trajectory import read_trajectory
@@ -126,7 +126,7 @@ def test_unknown_glasses_are_assumed_small_and_said_so(readings) -> None:
 
 def test_a_ray_and_a_wrist_of_the_sample(samples, reference_values) -> None:
     sample = samples / "mps" / "mps_sample"
-    calibration = read_first_calibration(sample / "trajectory/online_calibration.jsonl")
+    size, device_from_rgb = read_size_and_camera(sample / "trajectory/online_calibration.jsonl")
     found = mps_streams(
         mps.thinned(
             mps.MpsReadings(
@@ -134,8 +134,8 @@ def test_a_ray_and_a_wrist_of_the_sample(samples, reference_values) -> None:
                 gaze=read_gaze_angles(sample / "eye_gaze_vergence/generalized_gaze.csv"),
                 gaze_kind="general",
                 wrists=read_wrists(sample / "hand_tracking/wrist_and_palm_poses.csv"),
-                glasses_size=calibration.size,
-                device_from_rgb=calibration.device_from_camera["camera-rgb"],
+                glasses_size=size,
+                device_from_rgb=device_from_rgb,
             )
         ),
         world_from_source=np.eye(4),

@@ -224,12 +224,12 @@ def test_a_damaged_hand_is_refused(folder, tree, change, said) -> None:
 
 
 def test_masks_are_read_for_the_rgb_stream(readings, folder) -> None:
-    rows = read_mask(folder / "masks" / "mask_qa_pass.csv")
-    assert np.array_equal(rows.time_ns, readings.masks["qa_pass"].time_ns)
-    assert rows.good.all()
+    times, good = read_mask(folder / "masks" / "mask_qa_pass.csv")
+    assert np.array_equal(times, readings.masks["qa_pass"][0])
+    assert good.all()
     _change_line(folder / "masks" / "mask_qa_pass.csv", 1, lambda row: [*row[:2], "False"])
     _change_line(folder / "masks" / "mask_qa_pass.csv", 5, lambda row: [*row[:2], "False"])  # of a SLAM camera
-    assert read_mask(folder / "masks" / "mask_qa_pass.csv").good.tolist().count(False) == 1
+    assert read_mask(folder / "masks" / "mask_qa_pass.csv")[1].tolist().count(False) == 1
     _change_line(folder / "masks" / "mask_qa_pass.csv", 9, lambda row: [*row[:2], "perhaps"])
     with pytest.raises(InputFileError, match="line 10: expected True or False, found 'perhaps'"):
         read_mask(folder / "masks" / "mask_qa_pass.csv")
@@ -268,8 +268,8 @@ def test_meshes_are_an_option(readings, folder, tree) -> None:
     track, mesh = recording.objects[0], readings.objects[0].mesh
     assert mesh is not None
     assert track.surface is not None
-    np.testing.assert_array_equal(track.surface.vertices, mesh.vertices)
-    np.testing.assert_array_equal(track.surface.faces, mesh.faces)
+    np.testing.assert_array_equal(track.surface.vertices, mesh[0])
+    np.testing.assert_array_equal(track.surface.faces, mesh[1])
     assert {occluder.object_id for occluder in recording.occluders} == {entry.object_id for entry in readings.objects}
     plain = _read(tree)
     assert plain.occluders == ()

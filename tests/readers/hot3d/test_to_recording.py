@@ -12,7 +12,7 @@ from prbench.geometry.timelines import interpolate
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.synthetic import clock_start, native_object_id, sense
-from prbench.readers.hot3d.to_recording import GoodFrames, object_track, recording_from_hot3d, umetrack_points
+from prbench.readers.hot3d.to_recording import object_track, recording_from_hot3d, umetrack_points
 from prbench.recording import Recording
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
@@ -118,7 +118,7 @@ def test_the_first_frames_are_not_used_where_no_mask_says_that_they_are_right(re
 
 
 def test_frames_that_fail_the_quality_check_are_invalid_in_objects_and_hands(readings) -> None:
-    good = np.ones(len(readings.masks["qa_pass"].good), dtype=bool)
+    good = np.ones(len(readings.masks["qa_pass"][1]), dtype=bool)
     good[20:30] = False
     recording = _recording(replace(readings, masks={**readings.masks, "qa_pass": _mask(readings, good)}))
     for stream in (*recording.hands, *recording.objects):
@@ -127,12 +127,12 @@ def test_frames_that_fail_the_quality_check_are_invalid_in_objects_and_hands(rea
 
 
 def _mask(readings: hot3d.Hot3dReadings, good: np.ndarray) -> hot3d.MaskRows:
-    return hot3d.MaskRows(readings.masks["qa_pass"].time_ns, good)
+    return readings.masks["qa_pass"][0], good
 
 
 @pytest.mark.parametrize("name", ["headset_pose_available", "object_pose_available", "hand_pose_available"])
 def test_a_mask_makes_its_own_stream_invalid_and_no_other(readings, name) -> None:
-    good = np.ones(len(readings.masks["qa_pass"].good), dtype=bool)
+    good = np.ones(len(readings.masks["qa_pass"][1]), dtype=bool)
     good[40:50] = False
     before = _recording(readings)
     after = _recording(replace(readings, masks={**readings.masks, name: _mask(readings, good)}))
@@ -166,11 +166,13 @@ def test_vertices_belong_to_the_row_that_is_kept(readings) -> None:
 
 def test_quality_masks_and_rows_need_not_share_their_times(readings) -> None:
     """Where the RGB row is missing the SLAM row 91 us later has its flag."""
-    good = np.ones(len(readings.masks["qa_pass"].good), dtype=bool)
+    good = np.ones(len(readings.masks["qa_pass"][1]), dtype=bool)
     good[5] = False
-    frames = GoodFrames(replace(readings, masks={"qa_pass": _mask(readings, good)}), skipped_start=0.7)
-    slam = readings.headset.time_ns[1::2]
-    assert np.flatnonzero(~frames.good(slam, "object_pose_available")).tolist() == [5]
+    entry = readings.objects[0]
+    slam = hot3d.PoseRows(*(column[1::2] for column in (entry.rows.time_ns, entry.rows.position, entry.rows.rotation)))
+    objects = (replace(entry, rows=slam), *readings.objects[1:])
+    recording = _recording(replace(readings, objects=objects, masks={"qa_pass": _mask(readings, good)}))
+    assert np.flatnonzero(~recording.objects[0].valid).tolist() == [5]
 
 
 def test_a_headset_of_another_world_is_refused(readings) -> None:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.geometry.skeleton import bone_lengths
-from prbench.representation import Statistics, canonicalise, encode, rest_offsets
+from prbench.representation import Statistics, canonicalise, encode
 from prbench.representation.converters import (
     check_features,
     feature_rows,
@@ -45,13 +44,6 @@ def test_rows_behind_the_sequence_are_padding() -> None:
 def test_another_number_of_rows_is_refused(wanted) -> None:
     with pytest.raises(InputFileError, match=f"for {wanted} frames, found {len(FEATURES)}"):
         joints_from_features(FEATURES, wanted)
-
-
-def test_rotations_on_the_person_s_own_bones_keep_their_lengths() -> None:
-    offsets = rest_offsets(person()[0].astype(np.float64))
-    joints = joints_from_features(FEATURES, bones="rotations", offsets=offsets)
-    assert np.allclose(bone_lengths(joints), bone_lengths(person()[0]), atol=1e-5)
-    assert np.allclose(joints, person()[:-1], atol=1e-4)
 
 
 def test_a_model_of_the_uniform_skeleton_comes_back_to_the_person_s_body() -> None:
@@ -247,11 +239,3 @@ def test_a_row_too_few_names_method_and_sequence() -> None:
         motions_from_features([WALKING, WALKING[:50]], [99, 99], source="glide", sequences="ab")
     with pytest.raises(InputFileError, match="glide: expected features of 2 motions"):
         motions_from_features([WALKING], [99, 99], source="glide")
-
-
-def test_each_motion_can_have_bones_of_its_own() -> None:
-    own = rest_offsets(person()[0].astype(np.float64))
-    both = motions_from_features([WALKING] * 2, [50, 40], bones="rotations", offsets=np.stack([own, 1.1 * own]))
-    for joints, offsets in zip(both, (own, 1.1 * own), strict=True):
-        expected = joints_from_features(WALKING, len(joints), bones="rotations", offsets=offsets)
-        assert np.array_equal(joints, expected)
