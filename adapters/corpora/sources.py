@@ -253,19 +253,8 @@ def chosen_recordings(
     return [by_name[name] for name in chosen[: options.limit]]
 
 
-@dataclass(frozen=True)
-class FoundCorpus:
-    """One corpus in a folder."""
-
-    corpus: str
-    """Name under which it is built."""
-    root: Path
-    recordings: tuple[CorpusRecording, ...]
-
-    @property
-    def name(self) -> str:
-        """Name that a build gives it: ``synthetic-`` stands before that of synthetic people."""
-        return self.recordings[0].identity.dataset
+FoundCorpus = tuple[str, Path, tuple[CorpusRecording, ...]]
+"""One corpus in a folder: the name under which it is built, the folder, and its recordings."""
 
 
 def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
@@ -281,7 +270,7 @@ def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
             except PrbenchError:
                 continue
             if recordings:
-                found.append(FoundCorpus(name, folder, recordings))
+                found.append((name, folder, recordings))
                 break
     return tuple(found)
 

@@ -27,7 +27,7 @@ from prbench_adapters.corpora.nymeria import synthetic as nymeria
 from prbench_adapters.corpora.nymeria.clock import ClockOffset
 from prbench_adapters.corpora.nymeria.format import SUIT_RATE
 from prbench_adapters.corpora.nymeria.source import NymeriaCorpus, NymeriaOptions, recording_clips
-from prbench_adapters.corpora.nymeria.suit import clean_suit, suit_motion
+from prbench_adapters.corpora.nymeria.suit import clean_suit
 from prbench_adapters.corpora.nymeria.synthetic import DEFECTS as NYMERIA_DEFECTS
 from prbench_adapters.corpora.nymeria.synthetic import sense_nymeria
 from prbench_adapters.corpora.sources import (
@@ -74,10 +74,9 @@ class SyntheticSource(CorpusRecording):
         """Act it out, and cut the clips that its texts describe."""
         motion = narrated_recording(self.options.seed, self.index)
         readings = sense_nymeria(motion, seed=self.options.seed, noise=self.options.noise)
-        manifest = load_manifest("nymeria")
         kinds = NymeriaOptions(kinds=self.options.kinds).chosen_kinds
-        clean = clean_suit(readings.suit, manifest.thresholds, path=motion.recording_id)
-        body = suit_motion(clean, manifest, path=motion.recording_id, pose_source=POSE_SOURCE)
+        manifest = load_manifest("nymeria")
+        body = clean_suit(readings.suit, manifest, path=motion.recording_id, pose_source=POSE_SOURCE)
         texts = tuple(row for row in readings.narrations if row.kind in kinds)
         return recording_clips(self.identity, body, texts, ClockOffset("known", readings.offset), self.limits)
 

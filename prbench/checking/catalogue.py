@@ -110,7 +110,8 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
     entries = []
     for dataset in names:
         here = [each for each in discovery.found if each.dataset == dataset]
-        places = [*here, *(corpus for corpus in corpora if corpus.corpus == dataset)]
+        places = [(len(each.recordings), each.root) for each in here]
+        places += [(len(found), folder) for corpus, folder, found in corpora if corpus == dataset]
         manifest = load_manifest(dataset)
         missing = [each.message for each in discovery.broken if each.dataset == dataset]
         recordings = [recording for each in here for recording in each.recordings]
@@ -129,7 +130,7 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
                 reader_options=tuple(
                     f"{option} (default {'none' if value is None else value})" for option, value in defaults.items()
                 ),
-                found="; ".join(f"{len(each.recordings)} recordings in {each.root}" for each in places),
+                found="; ".join(f"{number} recordings in {folder}" for number, folder in places),
                 missing=tuple(missing),
             )
         )

@@ -188,15 +188,15 @@ def inspect_folder(
         title = load_manifest(found.dataset).title
         datasets.append(InspectedDataset(found.name, title, found.root, tuple(inspected)))
     # Corpora tell while they are searched which of their recordings cannot be used.
-    for corpus in corpora:
+    for corpus, folder, found in corpora:
         inspected = [
             InspectedRecording(each.identity.recording_id, "left out", each.input_bytes, (each.skip_reason,))
             if each.skip_reason
             else InspectedRecording(each.identity.recording_id, "complete", each.input_bytes, ())
-            for each in corpus.recordings
+            for each in found
         ]
-        title = load_manifest(corpus.corpus).title
-        datasets.append(InspectedDataset(corpus.name, title, corpus.root, tuple(inspected)))
+        title = load_manifest(corpus).title
+        datasets.append(InspectedDataset(found[0].identity.dataset, title, folder, tuple(inspected)))
     return Inspection(tuple(datasets), discovery.broken)
 
 

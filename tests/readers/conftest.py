@@ -35,7 +35,7 @@ def still_life() -> adt.AdtReadings:
         concurrent="",
         glasses_size=None,
         device_from_rgb=None,
-        glasses=adt.GlassesPoses(pose_us, np.tile((0.0, 1.6, 0.0), (31, 1)), upright, np.full(31, 0.9)),
+        glasses=adt.AriaTrajectory(pose_us, np.tile((0.0, 1.6, 0.0), (31, 1)), upright, np.full(31, 0.9)),
         gaze=adt.GazeAngles(pose_us - 3, np.zeros(31), np.zeros(31), np.ones(31), np.zeros((31, 2)), np.zeros((31, 2))),
         objects=(
             _object(FORK, "WoodenFork", "fork", pose_us * 1000 + 700, (0.3, 0.9, 0.4), (0.01, 0.01, 0.1)),

@@ -83,7 +83,7 @@ def offset_by_correlation(
         The offset, or None and why not.
     """
     rate = thresholds["correlation_rate"]
-    piece = max(clean.pieces, key=lambda piece: piece.duration)
+    piece = max(clean.pieces, key=lambda piece: len(piece.joints))
     head = clean.head_rotation[piece.first : piece.stop]
     suit_times = piece.start + np.arange(len(head)) / SUIT_RATE
     suit = angular_speed(suit_times, head, rate)

@@ -63,7 +63,7 @@ def head_from_device(
     """
     if offset.approximate:
         return None, "gaze: the clocks of suit and glasses are not known well enough"
-    piece = max(clean.pieces, key=lambda each: each.duration)
+    piece = max(clean.pieces, key=lambda each: len(each.joints))
     head = clean.head_rotation[piece.first : piece.stop]
     step = round(_STEP * SUIT_RATE)
     frames = np.arange(0, len(head), step)
@@ -169,7 +169,7 @@ class NymeriaWindows:
         Raises:
             InputFileError: if a file does not hold what its format promises.
         """
-        clean, motion = self.source.suit()
+        motion = self.source.suit()
         # All pieces on one time line; what lies between them is a gap.
         pieces = sorted(motion.pieces, key=lambda piece: piece.start)
         times = np.concatenate([piece.start + np.arange(len(piece.joints)) / SUIT_RATE for piece in pieces])
@@ -183,7 +183,7 @@ class NymeriaWindows:
             )
         joints = np.concatenate([piece.joints for piece in pieces]).astype(np.float64)
         body = BodyStream(times, joints, np.ones(len(times), dtype=bool))
-        gaze, message = self._gaze(clean)
+        gaze, message = self._gaze(motion)
         nowhere = PoseStream(body.times[:1], body.joints[:1, Joint.HEAD], np.array([[1.0, 0, 0, 0]]), np.zeros(1, bool))
         identity = self.source.identity
         return Recording(

@@ -27,14 +27,7 @@ from prbench_adapters.corpora.nymeria.clock import (
 )
 from prbench_adapters.corpora.nymeria.files import OFFSET, SUIT, TRAJECTORY, find_sequences, read_narrations
 from prbench_adapters.corpora.nymeria.format import SUIT_RATE, Narration
-from prbench_adapters.corpora.nymeria.suit import (
-    BodyMotion,
-    CleanSuit,
-    MotionPiece,
-    clean_suit,
-    read_suit,
-    suit_motion,
-)
+from prbench_adapters.corpora.nymeria.suit import CleanSuit, Piece, clean_suit, read_suit
 from prbench_adapters.corpora.sources import (
     ClipLimits,
     Corpus,
@@ -50,7 +43,7 @@ _ROUNDING = 1e-6
 
 def clips_of(
     identity: RecordingIdentity,
-    body: BodyMotion,
+    body: CleanSuit,
     narrations: Sequence[Narration],
     offset: ClockOffset | None,
     limits: ClipLimits,
@@ -142,11 +135,11 @@ def clips_of(
     return tuple(clips), tuple(annotations)
 
 
-_Fate = tuple[str, float | None, float | None, tuple[MotionPiece, int, int] | None]
+_Fate = tuple[str, float | None, float | None, tuple[Piece, int, int] | None]
 
 
 def _placed(
-    span: Narration, pieces: Sequence[MotionPiece], offset: ClockOffset | None, limits: ClipLimits, coverage: float
+    span: Narration, pieces: Sequence[Piece], offset: ClockOffset | None, limits: ClipLimits, coverage: float
 ) -> _Fate:
     """What becomes of a span: outcome, deciding number, its threshold, and its place in the motion if it has one.
 
@@ -223,16 +216,14 @@ class NymeriaSource(CorpusRecording):
         )
 
     @foreign_input()
-    def suit(self) -> tuple[CleanSuit, BodyMotion]:
+    def suit(self) -> CleanSuit:
         """The suit, and its motion on the 22 joints.
 
         Raises:
             InputFileError: if the file does not hold what its format promises.
         """
-        manifest = load_manifest("nymeria")
         path = self.found.require(SUIT, f"body/{nymeria.SUIT_FILE}")
-        clean = clean_suit(read_suit(path), manifest.thresholds, path=path)
-        return clean, suit_motion(clean, manifest, path=path)
+        return clean_suit(read_suit(path), load_manifest("nymeria"), path=path)
 
     @foreign_input()
     def read(self) -> ReadRecording:
@@ -244,8 +235,8 @@ class NymeriaSource(CorpusRecording):
         chosen = self.options.chosen_kinds
         paths = {kind: path for kind in chosen if (path := self.found.path(kind)) is not None}
         narrations = tuple(row for kind, path in paths.items() for row in read_narrations(path, kind))
-        clean, body = self.suit()
-        offset, messages = self._offset(clean, narrations)
+        body = self.suit()
+        offset, messages = self._offset(body, narrations)
         # Files of chosen kinds that are absent or hold no text; without any text, the clock's message says so.
         held = {narration.kind for narration in narrations}
         lacking = [nymeria.NARRATION_FILES[kind] for kind in chosen if kind not in held]
@@ -282,7 +273,7 @@ class NymeriaSource(CorpusRecording):
 
 def recording_clips(
     identity: RecordingIdentity,
-    body: BodyMotion,
+    body: CleanSuit,
     narrations: tuple[Narration, ...],
     offset: ClockOffset | None,
     limits: ClipLimits,

@@ -6,7 +6,6 @@ Source: docs/specification/nymeria.md#the-suits-file.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,40 +22,49 @@ _DOWNLOAD = "The file may be truncated or another version; download it again."
 _NEEDED = ("timestamps_us", "segment_tXYZ", "segment_qWXYZ")
 _SIZES = {"segment_tXYZ": 3, "segment_qWXYZ": 4}
 """Numbers of a segment in the two large arrays."""
+_SPEED_STEP = 24  # frames; a tenth of a second
+_FEWEST_WALKING = 20  # tenths of a second in which the body walks, before its direction means anything
 _OPTIONAL = ("frameRate", "frameCount", "tpose_segment_tXYZ")
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of the suit's frames without a jump of its clock and without a missing position."""
+    """A stretch of the suit's frames without a jump of its clock and without a missing position, at 240 Hz."""
 
-    first: int
-    stop: int
     start: float
     """TIME_CODE of the first frame, seconds; frame i of the piece is ``start + i / 240``."""
+    joints: Float[np.ndarray, "n 22 3"]
+    """Y up, metres."""
+    first: int = 0
+    """Of the file's frames."""
 
     @property
-    def duration(self) -> float:
-        """Seconds from the first to the last frame."""
-        return (self.stop - self.first - 1) / SUIT_RATE
+    def stop(self) -> int:
+        """Frame of the file behind the last one."""
+        return self.first + len(self.joints)
+
+    @property
+    def end(self) -> float:
+        """TIME_CODE of the last frame, seconds."""
+        return self.start + (len(self.joints) - 1) / SUIT_RATE
 
 
 @dataclass(frozen=True)
 class CleanSuit:
-    """A suit recording that can be used: pieces of steady time and whole rotations."""
+    """A suit recording that can be used: pieces of steady time with the 22 joints, and whole rotations."""
 
-    suit: Suit
-    pelvis_rotation: Float[np.ndarray, "n 4"]
-    """Unit quaternions, w x y z, segment to world."""
-    head_rotation: Float[np.ndarray, "n 4"]
     pieces: tuple[Piece, ...]
+    pose_source: str
+    head_tilt_deg: float
     messages: tuple[str, ...]
+    pelvis_rotation: Float[np.ndarray, "n 4"]
+    """Unit quaternions, w x y z, segment to world; of all frames of the file."""
+    head_rotation: Float[np.ndarray, "n 4"]
 
     @property
     def span(self) -> tuple[float, float]:
         """First and last TIME_CODE of the usable motion, seconds."""
-        last = self.pieces[-1]
-        return self.pieces[0].start, max(piece.start + piece.duration for piece in (last, *self.pieces))
+        return self.pieces[0].start, max(piece.end for piece in self.pieces)
 
 
 def read_suit(path: Path) -> Suit:
@@ -111,17 +119,20 @@ def _is(values: np.ndarray | None, wanted: float) -> bool:
     return values is None or (values.size == 1 and abs(float(values.ravel()[0]) - wanted) <= 1e-6)
 
 
-def clean_suit(suit: Suit, thresholds: Mapping[str, float], *, path: Path | str) -> CleanSuit:
-    """Fill missing rotations, cut at jumps, and check that up is up and left is left.
+def clean_suit(suit: Suit, manifest: Manifest, *, path: Path | str, pose_source: str | None = None) -> CleanSuit:
+    """Fill missing rotations, cut at jumps, map to the 22 joints, and check that up is up and left is left.
 
     Args:
         suit: As read.
-        thresholds: Of the manifest.
+        manifest: Segment of each joint, thresholds, and the head tilt for a file without calibration pose.
         path: The file, for messages.
+        pose_source: Name of the result; the manifest's by default.
 
     Raises:
-        InputFileError: if no piece is long enough, the body stands on its head, or left and right are swapped.
+        InputFileError: if no piece is long enough, the body stands on its head, or left and right are swapped: then it
+            walks backwards.
     """
+    thresholds = manifest.thresholds
     # Not "less than": a comparison with NaN is false, and NaN has to count as missing.
     smallest = thresholds["smallest_quaternion"]
     missing = ~(np.einsum("nsk,nsk->ns", suit.rotation, suit.rotation) >= smallest**2)
@@ -132,20 +143,21 @@ def clean_suit(suit: Suit, thresholds: Mapping[str, float], *, path: Path | str)
         known = suit.rotation[np.maximum(last[:, 0], 0), segment].astype(np.float64)
         filled = np.where(last < 0, [1.0, 0.0, 0.0, 0.0], known)
         rotations.append(filled / np.linalg.norm(filled, axis=-1, keepdims=True))
+    pelvis, head = rotations
     finite = np.asarray(np.isfinite(suit.position).all(axis=(1, 2)))
     # Steps of the clock that are not 1/240 s.
     jumps = np.abs(np.diff(suit.time_us) - 1e6 / SUIT_RATE) > thresholds["clock_tolerance"] * 1e6
     # Stretches between jumps and missing frames, in file order, that are long enough.
     joined = ~jumps & finite[1:] & finite[:-1]
     borders = np.flatnonzero(np.concatenate([[True], ~joined, [True]]))
-    stretches = (
-        Piece(int(first), int(stop), float(suit.time_us[first]) / 1e6)
-        for first, stop in itertools.pairwise(borders)
-        if finite[first]
-    )
-    pieces = tuple(piece for piece in stretches if piece.duration >= thresholds["shortest_piece"])
+    shortest = thresholds["shortest_piece"] * SUIT_RATE
+    stretches = [
+        (first, stop)
+        for first, stop in itertools.pairwise(borders.tolist())
+        if finite[first] and stop - first - 1 >= shortest
+    ]
     lost = int((~finite).sum())
-    if not pieces:
+    if not stretches:
         raise InputFileError(
             path,
             "timestamps_us",
@@ -153,9 +165,9 @@ def clean_suit(suit: Suit, thresholds: Mapping[str, float], *, path: Path | str)
             found=f"{int(jumps.sum())} time steps off 240 Hz and {lost} frames without position",
             remedy="The recording is damaged; leave it out.",
         )
-    part = np.concatenate([suit.position[piece.first : piece.stop : 24, :, 2] for piece in pieces])
-    head, *feet = (part[:, XSENS_SEGMENTS.index(name)] for name in ("Head", "R_Foot", "L_Foot"))
-    height = float(np.median(head - np.mean(feet, axis=0)))
+    part = np.concatenate([suit.position[first:stop:24, :, 2] for first, stop in stretches])
+    top, *feet = (part[:, XSENS_SEGMENTS.index(name)] for name in ("Head", "R_Foot", "L_Foot"))
+    height = float(np.median(top - np.mean(feet, axis=0)))
     if not height > 0.0:
         raise InputFileError(
             path,
@@ -171,69 +183,25 @@ def clean_suit(suit: Suit, thresholds: Mapping[str, float], *, path: Path | str)
         messages.append(f"cut at {int(jumps.sum())} jumps of the clock")
     if lost:
         messages.append(f"{lost} frames without position are left out")
-    return CleanSuit(suit, *rotations, pieces, tuple(messages))
-
-
-_SPEED_STEP = 24  # frames; a tenth of a second
-_FEWEST_WALKING = 20  # tenths of a second in which the body walks, before its direction means anything
-
-
-@dataclass(frozen=True)
-class MotionPiece:
-    """Joints of one piece, Y up, metres, without gaps, at the suit's rate."""
-
-    start: float
-    """TIME_CODE of the first frame, seconds."""
-    joints: Float[np.ndarray, "n 22 3"]
-
-    @property
-    def end(self) -> float:
-        """TIME_CODE of the last frame, seconds."""
-        return self.start + (len(self.joints) - 1) / SUIT_RATE
-
-
-@dataclass(frozen=True)
-class BodyMotion:
-    """The pieces of one recording."""
-
-    pieces: tuple[MotionPiece, ...]
-    pose_source: str
-    head_tilt_deg: float
-    messages: tuple[str, ...]
-
-
-def suit_motion(
-    clean: CleanSuit, manifest: Manifest, *, path: Path | str, pose_source: str | None = None
-) -> BodyMotion:
-    """The 22 joints of a suit recording.
-
-    Args:
-        clean: The suit's pieces.
-        manifest: Segment of each joint, thresholds, and the head tilt for a file without calibration pose.
-        path: The file, for messages.
-        pose_source: Name of the result; the manifest's by default.
-
-    Raises:
-        InputFileError: if the body walks backwards, which means that left and right are swapped.
-    """
     rows = [XSENS_SEGMENTS.index(name) for name in manifest.body.joint_mapping]
     pieces = tuple(
-        MotionPiece(piece.start, y_up(clean.suit.position[piece.first : piece.stop, rows])) for piece in clean.pieces
+        Piece(float(suit.time_us[first]) / 1e6, y_up(suit.position[first:stop, rows]), first)
+        for first, stop in stretches
     )
     # Forward, from the hips, must be where the body walks; the pelvis segment's own x axis is asked beside it.
     along = []
     agrees = []
-    for piece, span in zip(pieces, clean.pieces, strict=True):
+    for piece in pieces:
         joints = piece.joints[::_SPEED_STEP]
         across = joints[:, Joint.LEFT_HIP] - joints[:, Joint.RIGHT_HIP]
         forward = np.stack([-across[:, 2], across[:, 0]], axis=-1)
         forward /= np.maximum(np.linalg.norm(forward, axis=-1, keepdims=True), 1e-9)
         velocity = np.diff(joints[:, Joint.PELVIS][:, [0, 2]], axis=0) * (SUIT_RATE / _SPEED_STEP)
         speed = np.linalg.norm(velocity, axis=-1)
-        fast = speed > manifest.thresholds["walking_speed"]
+        fast = speed > thresholds["walking_speed"]
         along.append(((velocity * forward[:-1]).sum(axis=-1) / np.maximum(speed, 1e-9))[fast])
         # The first column of the rotation matrix is the segment's own x axis in the world.
-        w, x, y, z = clean.pelvis_rotation[span.first : span.stop : _SPEED_STEP].T
+        w, x, y, z = pelvis[piece.first : piece.stop : _SPEED_STEP].T
         axis = y_up(np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1))
         agrees.append((axis[:, [0, 2]] * forward).sum(axis=-1))
     walked = np.concatenate(along)
@@ -247,13 +215,16 @@ def suit_motion(
             found="the opposite",
             remedy="Left and right segments seem to be swapped; leave the recording out.",
         )
-    backwards = ("the pelvis segment's x axis points backwards",) if by_segment < 0.0 else ()
-    tilt = measured_head_tilt(clean.suit)
-    return BodyMotion(
+    if by_segment < 0.0:
+        messages.append("the pelvis segment's x axis points backwards")
+    tilt = measured_head_tilt(suit)
+    return CleanSuit(
         pieces,
         pose_source or manifest.body.pose_source,
         manifest.body.head_tilt_deg if tilt is None else tilt,
-        clean.messages + backwards,
+        tuple(messages),
+        pelvis,
+        head,
     )
 
 

@@ -48,7 +48,7 @@ class NymeriaReadings:
     name: str
     suit: Suit
     narrations: tuple[Narration, ...]
-    glasses: mps.GlassesPoses
+    glasses: mps.AriaTrajectory
     """Poses of the glasses, device clock, Z up."""
     offset: float
     """TIME_CODE minus device time, seconds."""
@@ -103,7 +103,7 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
     slip = [wobble(motion.times, noise * _SLIP[0], *_SLIP[1:], rng) for _ in range(2)]
     on_head = matrix_of(rotation_quaternion(slip[0], slip[1]))
     rotation = quaternion(_Z_UP_FROM_Y_UP @ matrix_of(motion.head_rotation) @ on_head)
-    glasses = mps.GlassesPoses(
+    glasses = mps.AriaTrajectory(
         device_start_us + ticks,
         np.rint(z_up(motion.eye) * _ROUNDED) / _ROUNDED,
         np.round(rotation, 8),

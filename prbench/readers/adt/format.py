@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.readers.aria_mps.format import GazeAngles, GlassesPoses, GlassesSize
+from prbench.readers.aria_mps.format import AriaTrajectory, GazeAngles, GlassesSize
 from prbench.readers.egoallo.format import EgoAlloBody
 
 METADATA_FILE = "metadata.json"
@@ -143,7 +143,7 @@ class AdtReadings:
     """None where no file tells."""
     device_from_rgb: Float[np.ndarray, "4 4"] | None
     """Calibrated pose of the RGB camera; None where no file tells."""
-    glasses: GlassesPoses
+    glasses: AriaTrajectory
     """``aria_trajectory.csv``."""
     gaze: GazeAngles
     objects: tuple[AdtObject, ...]

@@ -26,7 +26,7 @@ from prbench.readers.aria_mps.synthetic import (
     device_poses,
     gaze_bias,
     gaze_rows,
-    split_columns,
+    pose_columns,
     trajectory_columns,
     write_csv,
 )
@@ -123,7 +123,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         concurrent=f"{performance.recording_id}-other" if performance.other_people else "",
         glasses_size=None,
         device_from_rgb=None,
-        glasses=adt.GlassesPoses(
+        glasses=mps.AriaTrajectory(
             pose_us,
             np.round(position + offset, _METRES),
             np.round(turned.as_quat(canonical=True, scalar_first=True), _QUATERNION),
@@ -132,7 +132,15 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         # The file's depth is 0, "unknown", between fixations.
         gaze=gaze_rows(sensing, times, pose_us - adt.GAZE_BEFORE_POSE_US, fixation_depth(sensing, times, 0.0)),
         objects=_sense_objects(sensing, times, pose_us * 1000 + adt.OBJECT_AFTER_POSE_NS),
-        skeletons=_sense_people(sensing),
+        skeletons=tuple(
+            _sense_suit(sensing, body.joints, body.finger_bases, person_id, number)
+            for number, (body, person_id) in enumerate(
+                [
+                    (performance, performance.person.participant_id),
+                    *((other, other.participant_id) for other in performance.other_people),
+                ]
+            )
+        ),
     )
 
 
@@ -202,15 +210,6 @@ def _room_object() -> adt.AdtObject:
     )
 
 
-def _sense_people(sensing: Sensing) -> tuple[adt.AdtSkeleton, ...]:
-    performance = sensing.performance
-    wearer = performance.person.participant_id
-    suits = [_sense_suit(sensing, performance.joints, performance.finger_bases, wearer, 0)]
-    for number, person in enumerate(performance.other_people, start=1):
-        suits.append(_sense_suit(sensing, person.joints, person.finger_bases, person.participant_id, number))
-    return tuple(suits)
-
-
 def _sense_suit(
     sensing: Sensing,
     joints: Float[np.ndarray, "n 22 3"],
@@ -221,8 +220,21 @@ def _sense_suit(
     performance = sensing.performance
     times = sensing.times(_BODY_RATE)
     native = interpolate(performance.times, suit_joints(joints, finger_bases), times)
-    native = with_rigid_bones(native, _suit_noise(sensing, times, number))
-    markers = suit_markers(native)
+    # How far each segment of the suit is shifted at every frame, metres.
+    segments = len(np.unique(suit_segments()))
+    rng = sensing.generator(f"body-noise-{number}")
+    shift = rng.normal(0.0, _BODY_NOISE, (len(times), segments, 3)) * sensing.strength("body_noise")
+    wandering = sensing.strength("body_wobble")
+    if wandering:
+        rng = sensing.generator(f"body-wobble-{number}")
+        slow = [wobble(times, _BODY_WOBBLE, *_BODY_WOBBLE_HZ, rng) for _ in range(3 * segments)]
+        shift += np.stack(slow, axis=1).reshape(shift.shape) * wandering
+    native = with_rigid_bones(native, shift)
+    # Three markers along each of 19 bones.
+    first, second = (np.array([adt.JOINT_NAMES.index(bone[end]) for bone in _MARKED_BONES]) for end in (0, 1))
+    share = np.array(_MARKERS_ALONG_BONE)[:, None]
+    points = native[:, first, None] * (1 - share) + native[:, second, None] * share
+    markers = points.reshape(len(native), adt.N_MARKERS, 3)
     scale = sensing.strength("body_losses")
     rng = sensing.generator(f"body-losses-{number}")
     bad = np.flatnonzero(rng.random(len(times)) < _BODY_LOSS * scale)
@@ -269,19 +281,6 @@ def suit_joints(
     return native
 
 
-def _suit_noise(sensing: Sensing, times: Float[np.ndarray, " n"], number: int) -> Float[np.ndarray, "n segments 3"]:
-    """Return how far each segment of the suit is shifted at every frame, metres."""
-    segments = len(np.unique(suit_segments()))
-    rng = sensing.generator(f"body-noise-{number}")
-    shift = rng.normal(0.0, _BODY_NOISE, (len(times), segments, 3)) * sensing.strength("body_noise")
-    scale = sensing.strength("body_wobble")
-    if scale == 0:
-        return shift
-    rng = sensing.generator(f"body-wobble-{number}")
-    slow = [wobble(times, _BODY_WOBBLE, *_BODY_WOBBLE_HZ, rng) for _ in range(3 * segments)]
-    return shift + np.stack(slow, axis=1).reshape(len(times), segments, 3) * scale
-
-
 def suit_segments() -> Int[np.ndarray, "51"]:
     """Return which joints the suit shifts together: pelvis, chest and hands are rigid, every other joint is alone."""
     names = adt.JOINT_NAMES
@@ -314,14 +313,6 @@ def with_rigid_bones(
             bone = wanted * np.sqrt((bone * bone).sum(axis=1) / (wanted * wanted).sum(axis=1))[:, None]
         moved[:, child] = moved[:, parent] + bone
     return moved
-
-
-def suit_markers(joints: Float[np.ndarray, "n 51 3"]) -> Float[np.ndarray, "n 57 3"]:
-    """Return synthetic markers: three along each of 19 bones."""
-    first, second = (np.array([adt.JOINT_NAMES.index(bone[end]) for bone in _MARKED_BONES]) for end in (0, 1))
-    share = np.array(_MARKERS_ALONG_BONE)[:, None]
-    points = joints[:, first, None] * (1 - share) + joints[:, second, None] * share
-    return points.reshape(len(joints), adt.N_MARKERS, 3)
 
 
 _GRAPH_UID = "00000000-0000-0000-0000-000000000000"
@@ -391,16 +382,7 @@ def write(readings: adt.AdtReadings, folder: Path) -> None:
             columns[adt.BOX_MIN[axis]] = np.array([entry.box_min[axis] for entry in objects])
             columns[adt.BOX_MAX[axis]] = np.array([entry.box_max[axis] for entry in objects])
         write_csv(target / adt.BOXES_FILE, columns)
-        times = np.concatenate([entry.time_ns for entry in objects])
-        order = np.argsort(times, kind="stable")
-        ids = np.concatenate([np.full(len(entry.time_ns), entry.object_id) for entry in objects])
-        columns = {
-            adt.OBJECT_ID: ids[order],
-            adt.OBJECT_TIME: times[order],
-            **split_columns(adt.OBJECT_POSITION, np.concatenate([entry.position for entry in objects])[order]),
-            **split_columns(adt.OBJECT_ROTATION, np.concatenate([entry.rotation for entry in objects])[order]),
-        }
-        write_csv(target / adt.OBJECTS_FILE, columns)
+        write_csv(target / adt.OBJECTS_FILE, pose_columns({entry.object_id: entry for entry in objects}))
         people = [
             {"AssociatedDeviceSerial": person.serial, "SkeletonId": person.skeleton_id, "SkeletonName": person.name}
             for person in readings.skeletons

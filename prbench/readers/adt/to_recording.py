@@ -185,7 +185,7 @@ def _encloses_scene(track: ObjectTrack, gaze: GazeStream) -> bool:
     return bool(((local >= track.box_min) & (local <= track.box_max)).all(axis=1).any())
 
 
-def glasses_stream(poses: adt.GlassesPoses) -> PoseStream:
+def glasses_stream(poses: AriaTrajectory) -> PoseStream:
     """Poses of the device in the scene; quality 0 is invalid."""
     rotation = poses.rotation / np.linalg.norm(poses.rotation, axis=1, keepdims=True)
     return PoseStream(poses.time_us / 1e6, poses.position, rotation, poses.quality > 0)
@@ -248,7 +248,7 @@ def adt_inputs(root: Path, found: RecordingFiles) -> EgoalloInputs:
     )
 
 
-def prepared_trajectory(glasses: adt.GlassesPoses) -> AriaTrajectory:
+def prepared_trajectory(glasses: AriaTrajectory) -> AriaTrajectory:
     """Poses of the device in the scene turned to Z up, every millisecond from the first to the last one.
 
     Gaps are bridged, since EgoAllo counts poses instead of reading clocks; bodies within them are taken for invalid
@@ -270,7 +270,7 @@ def prepared_trajectory(glasses: adt.GlassesPoses) -> AriaTrajectory:
     )
 
 
-def turned_to_z_up(glasses: adt.GlassesPoses) -> PoseStream:
+def turned_to_z_up(glasses: AriaTrajectory) -> PoseStream:
     """Poses of the device in the scene turned to Z up, device seconds."""
     device = glasses_stream(glasses)
     turn = Rotation.from_matrix(adt.Z_UP_FROM_SCENE[:3, :3])

@@ -6,7 +6,7 @@ x left, y up, z forward, origin midway between the eyes. Camera frame: z along t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -139,8 +139,8 @@ def combined_yaw(left: Float[np.ndarray, "*n"], right: Float[np.ndarray, "*n"]) 
 
 
 @dataclass(frozen=True)
-class GlassesPoses:
-    """Poses of the glasses in one world."""
+class AriaTrajectory:
+    """Poses of the glasses in one world; those of a file in a gravity-aligned one."""
 
     time_us: Int[np.ndarray, " n"]
     """Device clock."""
@@ -148,17 +148,11 @@ class GlassesPoses:
     rotation: Float[np.ndarray, "n 4"]
     """w x y z, device to world."""
     quality: Float[np.ndarray, " n"]
-
-
-@dataclass(frozen=True)
-class AriaTrajectory(GlassesPoses):
-    """A file of poses in a gravity-aligned world."""
-
-    up: Float[np.ndarray, "3"]
-    """Unit vector against gravity, in the world."""
-    graph_uids: tuple[str, ...]
+    up: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    """Unit vector against gravity, in the world; 0 where no file tells it."""
+    graph_uids: tuple[str, ...] = ()
     """World frames in the file, the one kept first; poses of the others are left out."""
-    left_out: int
+    left_out: int = 0
     """Rows without pose or of another world."""
 
     @property

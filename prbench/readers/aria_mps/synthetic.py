@@ -12,6 +12,7 @@ import uuid
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -85,11 +86,21 @@ def sense_mps(
     """
     sensing = Sensing(performance, noise, switches or Switches())
     n = int((performance.duration + 1e-9) * POSE_RATE) + 1
-    since_start = np.arange(n) * (1_000_000 // POSE_RATE) + _step_errors(sensing, n, step_jitter_us)
+    since_start = np.arange(n) * (1_000_000 // POSE_RATE)
+    if sensing.switches.pose_clock and step_jitter_us:
+        rng = sensing.generator("mps-pose-clock")
+        since_start[1:] += rng.integers(-step_jitter_us, step_jitter_us, n, endpoint=True)[1:]
     since_start = np.clip(since_start, 0, round(performance.duration * 1e6))
     times = performance.times[0] + since_start / 1e6
     position, rotation = _native_poses(sensing, times)
-    shift, turn = _drift(sensing, times)
+    # The slow errors of the estimated world: shift, metres, and rotation vector, radians.
+    scale = sensing.strength("pose_drift")
+    errors = np.zeros((n, 6))
+    if scale:
+        rng = sensing.generator("mps-pose-drift")
+        waves = [wobble(times, rms, *_DRIFT_HZ, rng) * scale for rms in [_DRIFT] * 3 + [_DRIFT_TURN] * 3]
+        errors = np.stack(waves, axis=1)
+    shift, turn = np.hsplit(errors, 2)
     rng = sensing.generator("mps-pose-noise")
     scale = sensing.strength("pose_noise")
     shift += rng.normal(0.0, _WHITE, (n, 3)) * scale
@@ -133,14 +144,6 @@ def device_from_rgb() -> Float[np.ndarray, "4 4"]:
     return transform
 
 
-def _step_errors(sensing: Sensing, n: int, largest_us: int) -> Int[np.ndarray, " n"]:
-    if not (sensing.switches.pose_clock and largest_us):
-        return np.zeros(n, dtype=np.int64)
-    errors = sensing.generator("mps-pose-clock").integers(-largest_us, largest_us, n, endpoint=True)
-    errors[0] = 0
-    return errors
-
-
 def _native_poses(sensing: Sensing, times: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
     """Return noise-free positions and rotations of the device in the native world; ``times`` in performance seconds."""
     position, rotation = device_poses(sensing, times, GLASSES_SIZE)
@@ -156,18 +159,6 @@ def device_poses(
     cpf_from_device = invert_rigid(mps.device_from_cpf(size))
     position = sensing.eye(times) + cpf.apply(cpf_from_device[:3, 3])
     return position, cpf * Rotation.from_matrix(cpf_from_device[:3, :3])
-
-
-def _drift(
-    sensing: Sensing, times: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Return the slow errors of the estimated world: shift, metres, and rotation vector, radians."""
-    scale = sensing.strength("pose_drift")
-    if scale == 0:
-        return np.zeros((len(times), 3)), np.zeros((len(times), 3))
-    rng = sensing.generator("mps-pose-drift")
-    waves = [wobble(times, rms, *_DRIFT_HZ, rng) * scale for rms in [_DRIFT] * 3 + [_DRIFT_TURN] * 3]
-    return np.stack(waves[:3], axis=1), np.stack(waves[3:], axis=1)
 
 
 def graph_uid(performance: Performance) -> str:
@@ -322,16 +313,24 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
         path = slam / mps.CALIBRATION_FILE
         first, last = readings.trajectory.time_us[[0, -1]]
         scale = _LARGE_GLASSES if readings.glasses_size == "DVT-L" else 1.0
-        poses = {label: _from_translation(np.array(place) * scale) for label, place in _CAMERAS.items()}
+        poses = {}
+        for label, place in _CAMERAS.items():
+            poses[label] = np.eye(4)
+            poses[label][:3, 3] = np.array(place) * scale
         if readings.device_from_rgb is not None:
             poses["camera-rgb"] = readings.device_from_rgb
+        # Focal length and principal point, pixels: 2880 x 2880 for RGB, 640 x 480 for SLAM.
+        pixels = dict.fromkeys(_CAMERAS, (242.0, 320.0, 240.0)) | {"camera-rgb": (1220.0, 1440.0, 1440.0)}
         cameras = [
             {
                 "Label": label,
                 "Calibrated": True,
                 "SerialNumber": "",
                 "T_Device_Camera": _pose_record(pose),
-                "Projection": {"Name": "FisheyeRadTanThinPrism", "Params": [*_intrinsics(label), *[0.0] * 12]},
+                "Projection": {
+                    "Name": "FisheyeRadTanThinPrism",
+                    "Params": [*pixels[label], *[0.0] * 12],
+                },
             }
             for label, pose in poses.items()
         ]
@@ -366,7 +365,7 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
 
 
 def trajectory_columns(
-    poses: mps.GlassesPoses, graph_uid: str, gravity: Sequence[float], velocities: Float[np.ndarray, "n 6"] | None
+    poses: mps.AriaTrajectory, graph_uid: str, gravity: Sequence[float], velocities: Float[np.ndarray, "n 6"] | None
 ) -> dict[str, object]:
     """Return the columns of a file of poses: rotations scalar last, velocities (linear, then angular) if any."""
     n = len(poses.time_us)
@@ -420,17 +419,6 @@ def _gaze_columns(gaze: mps.GazeAngles) -> dict[str, object]:
     }
 
 
-def _from_translation(place: np.ndarray) -> np.ndarray:
-    transform = np.eye(4)
-    transform[:3, 3] = place
-    return transform
-
-
-def _intrinsics(label: str) -> tuple[float, float, float]:
-    """Return the focal length and principal point, pixels: 2880 x 2880 for RGB, 640 x 480 for SLAM."""
-    return (1220.0, 1440.0, 1440.0) if label == "camera-rgb" else (242.0, 320.0, 240.0)
-
-
 def _pose_record(pose: Float[np.ndarray, "4 4"]) -> dict[str, object]:
     x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True).tolist()
     return {"Translation": pose[:3, 3].tolist(), "UnitQuaternion": [w, [x, y, z]]}
@@ -461,6 +449,26 @@ def _imu_record(label: str) -> dict[str, object]:
 def split_columns(names: Sequence[str], columns: np.ndarray) -> dict[str, object]:
     """Return the columns of an array under their names."""
     return {name: columns[:, index] for index, name in enumerate(names)}
+
+
+def pose_columns(bodies: Mapping[Any, Any]) -> dict[str, object]:
+    """Return the table of poses that ADT and HOT3D have, rows in the order of time.
+
+    Args:
+        bodies: Objects with ``time_ns``, ``position`` and ``rotation`` by id.
+    """
+    times, position, rotation = (
+        np.concatenate([getattr(rows, name) for rows in bodies.values()])
+        for name in ("time_ns", "position", "rotation")
+    )
+    order = np.argsort(times, kind="stable")
+    ids = np.concatenate([np.full(len(rows.time_ns), body) for body, rows in bodies.items()])
+    return {
+        "object_uid": ids[order],
+        "timestamp[ns]": times[order],
+        **split_columns([f"t_wo_{axis}[m]" for axis in "xyz"], position[order]),
+        **split_columns([f"q_wo_{axis}" for axis in "wxyz"], rotation[order]),
+    }
 
 
 def write_csv(path: Path, columns: Mapping[str, object]) -> None:

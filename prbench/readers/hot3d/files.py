@@ -63,20 +63,14 @@ _FILES = {
 }
 
 
-class _GroundTruth(msgspec.Struct):
-    """Ground truth that a recording has; that of test participants is withheld."""
-
-    object_pose_gt: bool
-    umetrack_hand_pose_gt: bool
-
-
 class Metadata(msgspec.Struct):
     """``metadata.json``."""
 
     headset: str
     participant_id: str
     recording_name: str
-    gt_available_status: _GroundTruth
+    gt_available_status: dict[str, bool]
+    """Ground truth that a recording has; that of test participants is withheld."""
 
 
 METADATA_DECODER = msgspec.json.Decoder(Metadata)
@@ -151,9 +145,8 @@ def why_unusable(metadata: Metadata) -> str | None:
     """Say why a recording cannot be primed, or None: it needs Aria glasses and poses of objects and hands."""
     if metadata.headset != hot3d.ARIA:
         return f"recorded with {metadata.headset}, which has no gaze; only Aria recordings can be primed"
-    status = metadata.gt_available_status
-    truth = {"objects": status.object_pose_gt, "hands": status.umetrack_hand_pose_gt}
-    missing = [what for what, there in truth.items() if not there]
+    truth = {"objects": "object_pose_gt", "hands": "umetrack_hand_pose_gt"}
+    missing = [what for what, key in truth.items() if not metadata.gt_available_status.get(key)]
     if missing:
         return f"the dataset withholds the ground truth of {' and '.join(missing)} (a test participant)"
     return None

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from prbench.files.storage import atomic_folder, read_json, write_bytes, write_json
 from prbench.geometry.skeleton import Joint, z_up
 from prbench.geometry.timelines import interpolate, slerp
-from prbench.readers.aria_mps.synthetic import GAZE_RATE, gaze_bias, sense_mps, split_columns, write_csv, write_mps
+from prbench.readers.aria_mps.synthetic import GAZE_RATE, gaze_bias, pose_columns, sense_mps, write_csv, write_mps
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.synthetic import (
     NATIVE_FROM_WORLD,
@@ -475,19 +475,6 @@ def _finish(root: Path) -> None:
             model.replace(library / model.name)
     write_json(library / hot3d.INSTANCES_FILE, instances)
     write_smplh_model(root / ego.MODEL_FILE)
-
-
-def pose_columns(bodies: dict[str, hot3d.PoseRows]) -> dict[str, object]:
-    """Return columns of a pose table, rows in the order of time."""
-    times = np.concatenate([rows.time_ns for rows in bodies.values()])
-    order = np.argsort(times, kind="stable")
-    uids = np.concatenate([np.full(len(rows.time_ns), uid) for uid, rows in bodies.items()])
-    return {
-        hot3d.OBJECT_ID: uids[order],
-        hot3d.TIME: times[order],
-        **split_columns(hot3d.POSITION, np.concatenate([rows.position for rows in bodies.values()])[order]),
-        **split_columns(hot3d.ROTATION, np.concatenate([rows.rotation for rows in bodies.values()])[order]),
-    }
 
 
 def profile(model: HandModel) -> dict[str, object]:

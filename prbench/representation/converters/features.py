@@ -78,7 +78,9 @@ def check_features(
     motions = [features] if isinstance(features, np.ndarray) and features.ndim == 2 else list(features)
     walking = [row for row, motion in enumerate(motions) if max(_step_lengths(motion)) > _WALKS]
     everything = list(range(len(motions)))
-    examinations: tuple[tuple[Callable[[np.ndarray], _Doubt | None], list[int]], ...] = (
+    # Each tells columns, what is expected there, what is found, and True where nothing but other statistics explains
+    # it, so that the motion needs no company to be refused.
+    examinations: tuple[tuple[Callable[[np.ndarray], tuple[str, str, str, bool] | None], list[int]], ...] = (
         (_steps, walking),
         (_contacts, everything),
         (_speed, everything),
@@ -96,12 +98,7 @@ def check_features(
             raise InputFileError(source, place + where, expected=expected, found=found, remedy=_OTHER_STATISTICS)
 
 
-_Doubt = tuple[str, str, str, bool]
-"""Columns, what is expected there, what is found, and True where nothing but other statistics explains it, so that the
-motion needs no company to be refused."""
-
-
-def _steps(motion: np.ndarray) -> _Doubt | None:
+def _steps(motion: np.ndarray) -> tuple[str, str, str, bool] | None:
     """The pelvis steps by another length in the root block than among the joint velocities."""
     stepped, walked = _step_lengths(motion)
     ratio = stepped / max(walked, 1e-12)
@@ -124,7 +121,7 @@ def _step_lengths(motion: np.ndarray) -> tuple[float, float]:
     return stepped, walked
 
 
-def _contacts(motion: np.ndarray) -> _Doubt | None:
+def _contacts(motion: np.ndarray) -> tuple[str, str, str, bool] | None:
     """Foot contacts, which are 0 or 1, lie nowhere near."""
     contacts = motion[:, FOOT_CONTACTS]
     if np.abs(contacts).max() <= _FARTHEST_CONTACT:
@@ -132,7 +129,7 @@ def _contacts(motion: np.ndarray) -> _Doubt | None:
     return "columns 259 to 262", "foot contacts near 0 or 1", f"{contacts.min():.1f} to {contacts.max():.1f}", True
 
 
-def _speed(motion: np.ndarray) -> _Doubt | None:
+def _speed(motion: np.ndarray) -> tuple[str, str, str, bool] | None:
     """Joints move faster than any body for the whole motion."""
     if len(motion) < 2:
         return None

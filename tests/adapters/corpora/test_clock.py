@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
 from prbench.errors import InputFileError
+from prbench.protocol.manifests import load_manifest
 from prbench.randomness import named_generator
 from prbench_adapters.corpora.nymeria.clock import (
     angular_speed,
@@ -42,7 +43,7 @@ def suit_with(head: np.ndarray):
     suit = walking_suit(len(head))
     rotation = suit.rotation.copy()
     rotation[:, HEAD] = head
-    return clean_suit(replace(suit, rotation=rotation), THRESHOLDS, path="x")
+    return clean_suit(replace(suit, rotation=rotation), load_manifest("nymeria"), path="x")
 
 
 def glasses(head: np.ndarray, *, first: int = 0, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

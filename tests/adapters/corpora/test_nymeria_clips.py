@@ -9,17 +9,18 @@ from prbench.geometry.skeleton import Joint, transform_points
 from prbench_adapters.corpora.nymeria.clock import ClockOffset
 from prbench_adapters.corpora.nymeria.format import Narration
 from prbench_adapters.corpora.nymeria.source import clips_of
-from prbench_adapters.corpora.nymeria.suit import BodyMotion, MotionPiece
+from prbench_adapters.corpora.nymeria.suit import CleanSuit, Piece
 from prbench_adapters.corpora.sources import ClipLimits, RecordingIdentity, cut_clip
 from tests.adapters.corpora.suits import THRESHOLDS
 from tests.fakes import STANDING, smooth_motion
 
 BELONGING = RecordingIdentity("nymeria", "seq", "p", "train", "p")
 LIMITS = ClipLimits(20.0, 20, 241)
+NONE = np.zeros((0, 4))
 
 
-def piece(start: float, seconds: float, name: str = "a") -> MotionPiece:
-    return MotionPiece(start, smooth_motion(name, int(seconds * 240) + 1).astype(np.float64))
+def piece(start: float, seconds: float, name: str = "a") -> Piece:
+    return Piece(start, smooth_motion(name, int(seconds * 240) + 1).astype(np.float64))
 
 
 def row(start: float, end: float, text: str = "C waves.", *, annotator: str = "", kind: str = "atomic_action"):
@@ -27,7 +28,7 @@ def row(start: float, end: float, text: str = "C waves.", *, annotator: str = ""
 
 
 def build(rows, *pieces, offset: float | None = 0.0, limits: ClipLimits = LIMITS):
-    body = BodyMotion(pieces or (piece(100.0, 20.0),), "suit", 20.0, ())
+    body = CleanSuit(pieces or (piece(100.0, 20.0),), "suit", 20.0, (), NONE, NONE)
     clock = None if offset is None else ClockOffset("file", offset)
     return clips_of(BELONGING, body, rows, clock, limits, THRESHOLDS["smallest_coverage"])
 

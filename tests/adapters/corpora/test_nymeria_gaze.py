@@ -9,11 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.geometry.skeleton import XSENS_SEGMENTS, y_up
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps import format as mps
 from prbench_adapters.corpora.nymeria.clock import ClockOffset
 from prbench_adapters.corpora.nymeria.recording import gaze_in_suit_world, head_from_device
 from prbench_adapters.corpora.nymeria.suit import clean_suit
-from tests.adapters.corpora.suits import THRESHOLDS, walking_suit
+from tests.adapters.corpora.suits import walking_suit
 
 OFFSET = ClockOffset("file", -3.0)
 MOUNTED = Rotation.from_euler("xyz", [20.0, -70.0, 110.0], degrees=True)  # head from glasses
@@ -27,7 +28,7 @@ def clean():
     about = np.stack([0.4 * np.sin(2 * seconds), 0.6 * np.sin(1.3 * seconds + 1), 0.9 * np.sin(0.9 * seconds)], axis=1)
     rotation = suit.rotation.copy()
     rotation[:, XSENS_SEGMENTS.index("Head")] = Rotation.from_rotvec(about).as_quat(scalar_first=True)
-    return clean_suit(replace(suit, rotation=rotation), THRESHOLDS, path="xdata.npz")
+    return clean_suit(replace(suit, rotation=rotation), load_manifest("nymeria"), path="xdata.npz")
 
 
 def _glasses(clean):
@@ -80,7 +81,7 @@ def test_a_fixed_point_in_the_distance_is_seen_in_one_direction_of_the_suits_wor
 
 def test_gaze_outside_the_suits_time_is_not_measured(clean):
     piece = clean.pieces[0]
-    times = np.array([piece.start - 1.0, piece.start + piece.duration + 1.0])
+    times = np.array([piece.start - 1.0, piece.end + 1.0])
     none = np.zeros(2)
     angles = mps.GazeAngles(np.zeros(2, dtype=np.int64), none, none, none, np.zeros((2, 2)), np.zeros((2, 2)))
     _, valid = gaze_in_suit_world(clean, MOUNTED, times, angles)

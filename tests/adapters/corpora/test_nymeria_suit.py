@@ -11,19 +11,15 @@ from prbench.errors import InputFileError
 from prbench.geometry.skeleton import XSENS_SEGMENTS, Joint, y_up
 from prbench.protocol.manifests import load_manifest
 from prbench_adapters.corpora.nymeria.format import Suit
-from prbench_adapters.corpora.nymeria.suit import clean_suit, measured_head_tilt, read_suit, suit_motion
-from tests.adapters.corpora.suits import THRESHOLDS, walking_suit, write_arrays
+from prbench_adapters.corpora.nymeria.suit import clean_suit, measured_head_tilt, read_suit
+from tests.adapters.corpora.suits import walking_suit, write_arrays
 from tests.fakes import STANDING
 
 MANIFEST = load_manifest("nymeria")
 
 
 def clean(suit: Suit):
-    return clean_suit(suit, THRESHOLDS, path="xdata.npz")
-
-
-def moved(suit: Suit):
-    return suit_motion(clean(suit), MANIFEST, path="xdata.npz")
+    return clean_suit(suit, load_manifest("nymeria"), path="xdata.npz")
 
 
 def test_the_published_index_list_is_the_mapping_by_name():
@@ -128,7 +124,7 @@ def test_the_suit_world_becomes_y_up():
 
 
 def test_joints_keep_their_shape_and_walk_where_they_face():
-    joints = moved(walking_suit(1200)).pieces[0].joints
+    joints = clean(walking_suit(1200)).pieces[0].joints
     body = joints[0] - joints[0, Joint.PELVIS]
     expected = STANDING - STANDING[Joint.PELVIS]
     np.testing.assert_allclose(np.linalg.norm(body, axis=1), np.linalg.norm(expected, axis=1), atol=1e-9)
@@ -140,18 +136,18 @@ def test_joints_keep_their_shape_and_walk_where_they_face():
 
 def test_a_body_that_walks_backwards_has_its_sides_swapped():
     with pytest.raises(InputFileError, match="Left and right"):
-        moved(walking_suit(1200, speed=-0.8))
+        clean(walking_suit(1200, speed=-0.8))
 
 
 def test_a_body_that_hardly_moves_is_judged_by_its_pelvis_segment():
-    assert not moved(walking_suit(1200, speed=0.0)).messages
+    assert not clean(walking_suit(1200, speed=0.0)).messages
     turned = walking_suit(1200, speed=0.0)
     rotation = turned.rotation.copy()
     rotation[:, 0] = [0.0, 0.0, 0.0, 1.0]  # x axis backwards
     with pytest.raises(InputFileError, match="pelvis segment"):
-        moved(replace(turned, rotation=rotation))
+        clean(replace(turned, rotation=rotation))
     walking = replace(walking_suit(1200), rotation=rotation)
-    assert moved(walking).messages == ("the pelvis segment's x axis points backwards",)
+    assert clean(walking).messages == ("the pelvis segment's x axis points backwards",)
 
 
 def test_the_head_tilt_is_measured_on_the_calibration_pose():
@@ -159,4 +155,4 @@ def test_the_head_tilt_is_measured_on_the_calibration_pose():
     bone = STANDING[Joint.HEAD] - STANDING[Joint.NECK]
     assert measured_head_tilt(suit) == pytest.approx(np.rad2deg(np.arctan2(bone[2], bone[1])), abs=1e-3)
     assert measured_head_tilt(replace(suit, tpose=None)) is None
-    assert moved(replace(suit, tpose=None)).head_tilt_deg == MANIFEST.body.head_tilt_deg
+    assert clean(replace(suit, tpose=None)).head_tilt_deg == MANIFEST.body.head_tilt_deg

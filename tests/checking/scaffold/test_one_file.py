@@ -100,6 +100,8 @@ def test_it_offers_every_converter_and_documents_none_that_is_missing(the_file) 
 def test_it_needs_numpy_alone_and_parses_as_python_3_8(folder) -> None:
     text = (folder / one_file.ONE_FILE).read_text()
     tree = ast.parse(text, feature_version=(3, 8))
+    subscripts = [node.value for node in tree.body if isinstance(getattr(node, "value", None), ast.Subscript)]
+    assert not [alias for alias in map(ast.unparse, subscripts) if alias.startswith(("tuple[", "list[", "dict["))]
     guarded = [node for node in tree.body if isinstance(node, ast.If)]
     imported = {
         name.split(".")[0]

@@ -13,8 +13,8 @@ import pytest
 
 from prbench.errors import InputFileError
 from prbench.readers.adt import find_recordings, read_readings, read_recording
-from prbench.readers.adt import format as adt
 from prbench.readers.adt import synthetic as layout
+from prbench.readers.aria_mps.format import trajectory_rows
 from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.recording import Recording
 from tests.readers.conftest import still_life
@@ -107,10 +107,10 @@ def test_rows_without_a_world_need_no_pose_and_the_longest_world_is_kept(folder)
 
 def test_a_body_outside_the_tracked_time_is_without_ground_truth(readings, tmp_path) -> None:
     poses = readings.glasses
-    kept = slice(6, 25)  # tracking begins late and ends early
+    kept = np.arange(6, 25)  # tracking begins late and ends early
     late = replace(
         readings,
-        glasses=adt.GlassesPoses(poses.time_us[kept], poses.position[kept], poses.rotation[kept], poses.quality[kept]),
+        glasses=trajectory_rows(poses, kept),
     )
     layout.write(late, tmp_path / "late")
     recording = _recording(tmp_path)
