@@ -222,8 +222,8 @@ class NymeriaWindows:
         offset = None if own is None else offset_from_file(own, found.recording_id)
         if offset is None:
             offset, message = offset_by_correlation(clean, poses.time_us, poses.rotation, thresholds)
-        if offset is None:
-            return nothing, message
+            if offset is None:
+                return nothing, message
         mounted, message = head_from_device(clean, offset, poses.time_us / 1e6, poses.rotation)
         if mounted is None:
             return nothing, message

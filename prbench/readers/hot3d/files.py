@@ -306,7 +306,7 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
     hands, hand_remarks = read_umetrack(found.require(UMETRACK, hot3d.UMETRACK_FILE))
     profile = found.path(PROFILE)
     # Those masks that curation honours and the recording has.
-    paths = {name: found.path(f"{MASK_PREFIX}{name}") for name in hot3d.MASK_NAMES}
+    paths: dict[hot3d.MaskName, Path | None] = {name: found.path(f"{MASK_PREFIX}{name}") for name in hot3d.MASK_NAMES}
     masks = {name: read_mask(path) for name, path in paths.items() if path is not None}
     mps = read_mps(found, thin=False)
     up = mps.trajectory.up
