@@ -19,8 +19,8 @@ from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import DatasetInfo
 
 DATASET = "hd-epic"
-PUBLISHED_OUTCOMES = ("primed", "not_primed", "excluded", "not in the file")
-RULE_OUTCOMES = ("primed", "not_primed", "no_location")
+PUBLISHED_OUTCOMES: tuple[str, ...] = ("primed", "not_primed", "excluded", "not in the file")
+RULE_OUTCOMES: tuple[str, ...] = ("primed", "not_primed", "no_location")
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def validate_build(folder: Path) -> Validation:
 
 def agreement(action: str, rows: Sequence[Mapping[str, Any]]) -> Agreement:
     """Summarise some rows of ``events``."""
-    counts = {published: dict.fromkeys(RULE_OUTCOMES, 0) for published in PUBLISHED_OUTCOMES}
+    counts: dict[str, dict[str, int]] = {each: dict.fromkeys(RULE_OUTCOMES, 0) for each in PUBLISHED_OUTCOMES}
     differences = []
     gaps: dict[str, list[float]] = {"published_prime_time": [], "prime_time": []}
     for row in rows:

@@ -213,9 +213,11 @@ def _from_conditions(names: Sequence[str], path: Path) -> dict[str, Expected]:
     conditions = read_conditions_file(path)
     expected = []
     for row in range(len(conditions)):
-        poses = [None if each is None else np.asarray(each[row], dtype=np.float64)
-                 for each in (conditions.initial_joints, conditions.previous_joints)]  # fmt: skip
-        expected.append(Expected(*poses, int(conditions.n_frames[row]), float(conditions.fps[row])))
+        initial, previous = (
+            None if each is None else np.asarray(each[row], dtype=np.float64)
+            for each in (conditions.initial_joints, conditions.previous_joints)
+        )
+        expected.append(Expected(initial, previous, int(conditions.n_frames[row]), float(conditions.fps[row])))
     found = dict(zip(conditions.opaque_id, expected, strict=True))
     # The names that `motions/%010d.npy` files have.
     found |= {f"{row:010d}": each for row, each in enumerate(expected)}

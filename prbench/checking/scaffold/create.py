@@ -287,7 +287,7 @@ def template_values(names: MethodNames, request: ScaffoldRequest) -> dict[str, s
         learns = _PREDICTOR_LEARNS
         does = "lets the last pose go on, at a speed that differs from sample to sample"
     weights = f"**Weights.** {_OWN_WEIGHTS if request.trainable else _NO_WEIGHTS} {_NEVER}"
-    given = GIVEN.get(chosen[0], ())
+    given = GIVEN[chosen[0]] if isinstance(chosen[0], Condition) else ()
     return {
         "name": names.method,
         "distribution": names.distribution,

@@ -93,7 +93,9 @@ def one_file(roots: Mapping[str, Iterable[str]], header: str) -> str:
     """
     # Collect, by module, the statements behind the names and behind all that these use.
     needed: dict[str, list[_Statement]] = {}
-    waiting = [_origin(module, name) for module, names in roots.items() for name in names]
+    wanted_names = [(module, name) for module, names in roots.items() for name in names]
+    waiting = [place for module, name in wanted_names if (place := _origin(module, name)) is not None]
+    assert len(waiting) == len(wanted_names), "a module does not define what it is to offer"
     offered = sorted({name for _, name in waiting})
     while waiting:
         name, wanted = waiting.pop()
