@@ -48,25 +48,28 @@ class ConditionBatch:
 
     There is no ground truth here, no gaze, no prime time, no path, and no id that leads to them. Where the initial
     state is given, whoever has the table can still recognise a sequence by it; the firewall prevents accidents.
+
+    Attributes:
+        n_frames: Frames to generate, at ``fps``.
+        opaque_id: Names the sequences within one run without telling which they are.
+        noise_seed: One per sequence, 63 bits: the only source of randomness
+            (``prbench.randomness.sequence_generator``).
+        initial_joints: The recorded first frame.
+        previous_joints: The frame before it, for the initial velocity.
+        goal_joints: The recorded last frame (``goal-pose`` only).
+        goal_location: Centre of the object, or of the place it is put to (``goal-loc`` only).
     """
 
     condition: Condition
     n_frames: Int[np.ndarray, " batch"]
-    """Frames to generate, at ``fps``."""
     fps: float
     opaque_id: tuple[str, ...]
-    """Names the sequences within one run without telling which they are."""
     noise_seed: tuple[int, ...]
-    """One per sequence, 63 bits: the only source of randomness (``prbench.randomness.sequence_generator``)."""
     text: tuple[str, ...] | None = None
     initial_joints: Float[np.ndarray, "batch 22 3"] | None = None
-    """The recorded first frame."""
     previous_joints: Float[np.ndarray, "batch 22 3"] | None = None
-    """The frame before it, for the initial velocity."""
     goal_joints: Float[np.ndarray, "batch 22 3"] | None = None
-    """The recorded last frame (``goal-pose`` only)."""
     goal_location: Float[np.ndarray, "batch 3"] | None = None
-    """Centre of the object, or of the place it is put to (``goal-loc`` only)."""
 
     def __post_init__(self) -> None:
         for name in sorted(frozenset().union(*GIVEN.values())):
@@ -109,12 +112,14 @@ class Gaze:
     """Generated gaze of a batch: one ray a frame, in the frame of the motions (docs/specification/protocol.md#gaze).
 
     Padding is that of the motions and is never looked at.
+
+    Attributes:
+        origin: Between the eyes, within 0.3 m of the motion's own head joint; metres.
+        direction: Unit vectors.
     """
 
     origin: Float[np.ndarray, "batch frames 3"]
-    """Between the eyes, within 0.3 m of the motion's own head joint; metres."""
     direction: Float[np.ndarray, "batch frames 3"]
-    """Unit vectors."""
 
 
 @dataclass(frozen=True)
@@ -122,13 +127,15 @@ class Motions:
     """Generated joint positions of a batch, in the canonical frame of each sequence's first frame, metres.
 
     Row i is valid up to ``n_frames[i]``; what stands behind is padding and is never looked at.
+
+    Attributes:
+        gaze: Of a method that declares ``gaze``; None for all others.
     """
 
     joints: Float[np.ndarray, "batch frames 22 3"]
     n_frames: Int[np.ndarray, " batch"]
     cost: Cost | None = None
     gaze: Gaze | None = None
-    """Of a method that declares ``gaze``; None for all others."""
 
     def ragged(self) -> Shaped[np.ndarray, "total 22 3"]:
         """The valid frames of all rows after one another."""
@@ -138,10 +145,13 @@ class Motions:
 
 @dataclass(frozen=True)
 class TrainingRun:
-    """Given to :meth:`prbench.contract.Trainable.fit`."""
+    """Given to :meth:`prbench.contract.Trainable.fit`.
+
+    Attributes:
+        folder: Folder for checkpoints and logs; kept per table identity, so that a fit is done once.
+    """
 
     folder: Path
-    """Folder for checkpoints and logs; kept per table identity, so that a fit is done once."""
     seed: int
     device: str
 

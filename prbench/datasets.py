@@ -22,13 +22,13 @@ from prbench.errors import UsageError, did_you_mean
 from prbench.shown import quoted
 
 ENTRY_POINT_GROUP = "prbench.readers"
+# Begins the name under which synthetic recordings of a dataset are kept; they have the layout of real ones.
 SYNTHETIC_PREFIX = "synthetic-"
-"""Begins the name under which synthetic recordings of a dataset are kept; they have the layout of real ones."""
 
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _LONGEST_NAME = 60
+# Words with another meaning in commands.
 _RESERVED = ("all", "synthetic")
-"""Words with another meaning in commands."""
 
 
 def origin_of(reader: InstalledEntry) -> str:

@@ -16,16 +16,16 @@ from typing import Any
 from prbench.errors import UsageError
 from prbench.shown import quoted
 
+# The group of methods; a third party finds it as :data:`prbench.contract.ENTRY_POINT_GROUP`.
 ADAPTERS = "prbench.adapters"
-"""The group of methods; a third party finds it as :data:`prbench.contract.ENTRY_POINT_GROUP`."""
+# The group of methods of motion prediction: ``load(weights, *, options, device) -> Predictor``.
 PREDICTORS = "prbench.predictors"
-"""The group of methods of motion prediction: ``load(weights, *, options, device) -> Predictor``."""
+# The group of commands: a word, and the :class:`prbench.cli.commands.Command` or ``Group`` that it runs.
 COMMANDS = "prbench.commands"
-"""The group of commands: a word, and the :class:`prbench.cli.commands.Command` or ``Group`` that it runs."""
+# The group of tables of the study that stand with their benchmark: a name, and the function that makes the table.
 STUDY_ITEMS = "prbench.study_items"
-"""The group of tables of the study that stand with their benchmark: a name, and the function that makes the table."""
+# The group of what text-motion corpora add to other commands: ``find``, ``merge``, ``synthesize`` and ``windows``.
 CORPORA = "prbench.corpora"
-"""The group of what text-motion corpora add to other commands: ``find``, ``merge``, ``synthesize`` and ``windows``."""
 _OURS = "prbench"  # the distribution whose plug-ins are built in
 _UNKNOWN = "unknown"
 _TARGET = re.compile(r"[A-Za-z_][\w.]*\s*:\s*[A-Za-z_][\w.]*\s*(\[.*\])?")
@@ -33,20 +33,23 @@ _TARGET = re.compile(r"[A-Za-z_][\w.]*\s*:\s*[A-Za-z_][\w.]*\s*(\[.*\])?")
 
 @dataclass(frozen=True, order=True)
 class InstalledEntry:
-    """One plug-in as the metadata of its package name it; nothing of it was imported."""
+    """One plug-in as the metadata of its package name it; nothing of it was imported.
+
+    Attributes:
+        name: What it is called by; empty where its line has no name.
+        package: Package that offers it.
+        version: Version of the package.
+        target: Where it stands: ``module:object``; empty where its line does not say.
+        problem: Reason why it cannot be used: damaged metadata, or a name that is not its own; empty if it can.
+        built_in: It comes with prbench itself.
+    """
 
     name: str
-    """What it is called by; empty where its line has no name."""
     package: str
-    """Package that offers it."""
     version: str
-    """Version of the package."""
     target: str
-    """Where it stands: ``module:object``; empty where its line does not say."""
     problem: str = ""
-    """Reason why it cannot be used: damaged metadata, or a name that is not its own; empty if it can."""
     built_in: bool = False
-    """It comes with prbench itself."""
 
 
 def installed_entries(group: str, *, kind: str = "callable") -> Iterator[InstalledEntry]:

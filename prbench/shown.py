@@ -10,11 +10,11 @@ import re
 import unicodedata
 from html import escape
 
+# Characters that a message quotes of something that was found in a file.
 LONGEST_QUOTE = 200
-"""Characters that a message quotes of something that was found in a file."""
 
+# Unicode categories that are not drawn but steer: control and format characters, lone surrogates, line separators.
 _UNSEEN = {"Cc", "Cf", "Co", "Cs", "Zl", "Zp"}
-"""Unicode categories that are not drawn but steer: control and format characters, lone surrogates, line separators."""
 
 
 def clean(text: object, *, keep: str = "") -> str:
@@ -71,10 +71,10 @@ def markdown_code(text: object) -> str:
 
 
 _MARKDOWN_MARKS = re.compile(r"[\\`*\[\]|~$]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])")
+# An ampersand that Markdown takes for the beginning of a character's name; any other shows itself.
 _ENTITY = re.compile(r"&(?=#?[A-Za-z0-9]+;)")
-"""An ampersand that Markdown takes for the beginning of a character's name; any other shows itself."""
+# Addresses that GitHub makes links of although nothing marks them.
 _BARE_LINK = re.compile(r"(?i)\b(https?|ftp|mailto|xmpp|www)[:.]")
-"""Addresses that GitHub makes links of although nothing marks them."""
 
 
 def csv_text(text: object) -> str:
@@ -90,8 +90,8 @@ def csv_text(text: object) -> str:
     return f"'{shown}" if is_formula else shown
 
 
+# The last four are the full-width forms, which Excel takes alike.
 _FORMULA_STARTS = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
-"""The last four are the full-width forms, which Excel takes alike."""
 _NUMBER = re.compile(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?")
 
 
@@ -113,6 +113,7 @@ def _latex_letter(character: str) -> str:
     return f"[U+{ord(character):04X}]"
 
 
+# What LaTeX would take for markup, and the signs that tables of prbench use.
 _LATEX = {
     "\\": r"\textbackslash{}",
     "{": r"\{",
@@ -146,7 +147,6 @@ _LATEX = {
     "≥": r"$\geq$",
     "≤": r"$\leq$",
 }
-"""What LaTeX would take for markup, and the signs that tables of prbench use."""
 
 
 def html(text: object) -> str:

@@ -15,11 +15,11 @@ from prbench.engine.choice import Cluster, open_engine
 from prbench.errors import UsageError, did_you_mean
 from prbench.object_stores.store import is_url
 
+# A path as text or as a :class:`pathlib.Path`, ``~`` means the home folder; or a URL such as ``s3://bucket/folder`` as
+# text (docs/object-stores.md).
 PathLike = str | os.PathLike[str]
-"""A path as text or as a :class:`pathlib.Path`, ``~`` means the home folder; or a URL such as ``s3://bucket/folder`` as
-text (docs/object-stores.md)."""
+# Processes of this machine, or a cluster.
 Workers = int | Cluster
-"""Processes of this machine, or a cluster."""
 _NOTE = "note: "
 
 

@@ -176,10 +176,13 @@ def build_dataset(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SyntheticRecordings:
-    """Recordings of synthetic people, written as files in a dataset's own layout."""
+    """Recordings of synthetic people, written as files in a dataset's own layout.
+
+    Attributes:
+        layout: The dataset whose layout the files have; the name to build them under.
+    """
 
     layout: str
-    """The dataset whose layout the files have; the name to build them under."""
     _tree: WrittenTree
 
     @property

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 _GOAL = "goal_location (or goal_box)"
 _TIME_TOLERANCE = 1e-6  # seconds
 _PRIME = (_GOAL, "prime_time", "head_tilt_deg", "fps")
+# Arguments beside the predicted motion that a metric needs; one that is not listed here is assumed to need all.
 _NEEDS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("prime_success", "prime_success_arrival", "prime_success_onset", "prime_success_angle"), _PRIME),
     **dict.fromkeys(("reach_success", "reach_success_final"), (_GOAL,)),
@@ -37,7 +38,6 @@ _NEEDS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("foot_skating", "slow_slides", "largest_jerk", "largest_speed", "plausible"), ("fps",)),
     **dict.fromkeys(("contact_share", "bone_length_change", "first_step", "floating", "penetration"), ()),
 }
-"""Arguments beside the predicted motion that a metric needs; one that is not listed here is assumed to need all."""
 _SIDES = {"left": 0, "right": 1, None: UNKNOWN_HAND}
 
 
@@ -46,13 +46,15 @@ class Measures(Mapping[str, Any]):
     """Values of metrics by id: a number each for one motion, an array (batch,) each for several.
 
     Works as a dictionary does: ``measures["mpjpe"]``, ``dict(measures)``, ``"mpjpe" in measures``.
+
+    Attributes:
+        left_out: Metrics that could not be computed, by id, each with the arguments that it needs.
+        flags: Remarks by metric id, one a motion: ``no_candidate_frames`` and the like, or None.
     """
 
     _values: dict[str, Float[np.ndarray, " batch"]]
     left_out: dict[str, str]
-    """Metrics that could not be computed, by id, each with the arguments that it needs."""
     flags: dict[str, list[str | None]] = field(default_factory=dict)
-    """Remarks by metric id, one a motion: ``no_candidate_frames`` and the like, or None."""
     _one: bool = False
 
     def __getitem__(self, metric: str) -> Any:

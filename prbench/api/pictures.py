@@ -32,20 +32,23 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+# Pixels of a replay below a cell.
 _REPLAY_HEIGHT = 560
-"""Pixels of a replay below a cell."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Picture:
-    """A picture: a notebook shows it below the cell, :meth:`save` writes it into a file."""
+    """A picture: a notebook shows it below the cell, :meth:`save` writes it into a file.
+
+    Attributes:
+        title: What is shown, in a few words.
+        _draw: Writes the picture as PNG.
+        scenes: What is drawn, where sequences are; a film or page can be made of them too.
+    """
 
     title: str
-    """What is shown, in a few words."""
     _draw: Callable[[Path], object]
-    """Writes the picture as PNG."""
     scenes: tuple[Scene, ...] = ()
-    """What is drawn, where sequences are; a film or page can be made of them too."""
 
     @cached_property
     def png(self) -> bytes:
@@ -91,12 +94,14 @@ class Replay:
     """Motions in a 3-D view to turn and play: a notebook shows it below the cell, :meth:`save` writes it into a file.
 
     Needs the extra ``view`` (``pip install 'prbench[view]'``).
+
+    Attributes:
+        title: What is shown, in a few words.
+        scenes: The sequences, each with its motions, in the order in which they are played.
     """
 
     title: str
-    """What is shown, in a few words."""
     scenes: tuple[Scene, ...] = field(repr=False)
-    """The sequences, each with its motions, in the order in which they are played."""
 
     @cached_property
     def page(self) -> str:
@@ -228,8 +233,8 @@ def notebook_table(title: str, frame: pd.DataFrame, remarks: Iterable[str] = ())
     return f"<p><b>{html(title)}</b></p>{table}{below}"
 
 
+# A notebook redraws its page for every update, which would take longer than the work itself.
 _SECONDS_BETWEEN_UPDATES = 0.2
-"""A notebook redraws its page for every update, which would take longer than the work itself."""
 
 
 @contextlib.contextmanager

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from prbench.harness.score_request import GivenMotions, ScoreReport
 
 
+# What messages and records call motions that come from memory.
 _IN_MEMORY = Path("motions")
-"""What messages and records call motions that come from memory."""
 _FORM = "an array (n, 22, 3) of metres, or (samples, n, 22, 3) for several motions of one sequence"
 
 
@@ -227,12 +227,15 @@ def _samples_of(name: object, value: Any) -> list[np.ndarray]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """The differences of two runs, sequence by sequence, and the support that the data give them."""
+    """The differences of two runs, sequence by sequence, and the support that the data give them.
+
+    Attributes:
+        first: Folder of the first run.
+        second: Folder of the second run.
+    """
 
     first: Path
-    """Folder of the first run."""
     second: Path
-    """Folder of the second run."""
     _found: RunComparison
 
     @property

@@ -48,14 +48,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Goal:
-    """The place of the object at the event: for a pick where it lies, for a put where it will lie."""
+    """The place of the object at the event: for a pick where it lies, for a put where it will lie.
+
+    Attributes:
+        location: Centre of the object's box, canonical frame, metres (column ``goal_location``).
+        box_world_min: Lower end of the box along x, y and z of the world, metres (column ``goal_box_world_min``).
+        box_world_max: Upper end of the box along x, y and z of the world, metres (column ``goal_box_world_max``).
+    """
 
     location: Float[np.ndarray, "3"]
-    """Centre of the object's box, canonical frame, metres (column ``goal_location``)."""
     box_world_min: Float[np.ndarray, "3"]
-    """Lower end of the box along x, y and z of the world, metres (column ``goal_box_world_min``)."""
     box_world_max: Float[np.ndarray, "3"]
-    """Upper end of the box along x, y and z of the world, metres (column ``goal_box_world_max``)."""
     _world_from_canonical: Float[np.ndarray, "4 4"]
 
     @cached_property
@@ -72,14 +75,17 @@ class Goal:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Gaze:
-    """The direction of the eyes: one ray a frame."""
+    """The direction of the eyes: one ray a frame.
+
+    Attributes:
+        origin: Start of each ray, between the eyes, canonical frame, metres (column ``gaze_origin``).
+        direction: Direction of each ray, unit vectors, canonical frame (column ``gaze_direction``).
+        valid: False where the eye tracker had no measurement; the ray then says nothing (column ``gaze_valid``).
+    """
 
     origin: Float[np.ndarray, "n 3"]
-    """Start of each ray, between the eyes, canonical frame, metres (column ``gaze_origin``)."""
     direction: Float[np.ndarray, "n 3"]
-    """Direction of each ray, unit vectors, canonical frame (column ``gaze_direction``)."""
     valid: Bool[np.ndarray, " n"]
-    """False where the eye tracker had no measurement; the ray then says nothing (column ``gaze_valid``)."""
 
     def __repr__(self) -> str:
         return f"<Gaze: {len(self.valid)} rays, {int(self.valid.sum())} of them valid>"
@@ -87,12 +93,15 @@ class Gaze:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Head:
-    """Pose of the glasses that the person wears: x points left, y up and z forward, between the eyes."""
+    """Pose of the glasses that the person wears: x points left, y up and z forward, between the eyes.
+
+    Attributes:
+        position: Position of the glasses in each frame, canonical frame, metres (column ``head_position``).
+        rotation: Rotation from the glasses to the canonical frame, unit quaternions w x y z (column ``head_rotation``).
+    """
 
     position: Float[np.ndarray, "n 3"]
-    """Position of the glasses in each frame, canonical frame, metres (column ``head_position``)."""
     rotation: Float[np.ndarray, "n 4"]
-    """Rotation from the glasses to the canonical frame, unit quaternions w x y z (column ``head_rotation``)."""
 
     def __repr__(self) -> str:
         return f"<Head: {len(self.position)} positions and rotations>"

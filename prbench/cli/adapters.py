@@ -167,8 +167,8 @@ def new(*, benchmark: str | None, **given: Any) -> Answer:
     return Answer(made, show)
 
 
+# Colour of each outcome, from good to bad.
 _COLOURS = {"passed": "green", "skipped": "dim", "warning": "yellow", "failed": "bold red"}
-"""Colour of each outcome, from good to bad."""
 _FAILED = 5  # as for every other breach of the adapter contract
 
 

@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from prbench.sequences.corpus import CorpusRecord
     from prbench.sequences.parts import ShardReport
 
+# Exit code of a command that finished, but had to leave out something that could not be read.
 NOT_EVERYTHING = 3
-"""Exit code of a command that finished, but had to leave out something that could not be read."""
+# Known-bad recordings that a printed plan names.
 _SKIPPED_SHOWN = 10
-"""Known-bad recordings that a printed plan names."""
+# Stands in place of a dataset's name for whatever is found.
 EVERYTHING = "all"
-"""Stands in place of a dataset's name for whatever is found."""
 
 
 class BuildsReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -28,8 +28,8 @@ from prbench.errors import did_you_mean
 from prbench.progress_bar import ProgressCallback, progress_bar
 from prbench.shown import clean, quoted
 
+# Columns that a help page takes at most: longer lines are hard to read.
 _WIDEST_HELP = 100
-"""Columns that a help page takes at most: longer lines are hard to read."""
 Report = type | str | list | Mapping[str, Any] | None
 
 
@@ -62,12 +62,15 @@ class Session:
 
 @dataclass(frozen=True)
 class Answer:
-    """The result of a command."""
+    """The result of a command.
+
+    Attributes:
+        report: An instance of the command's documented shape.
+        show: Prints the report for people, on standard output.
+    """
 
     report: Any
-    """An instance of the command's documented shape."""
     show: Callable[[], None]
-    """Prints the report for people, on standard output."""
     exit_code: int = 0
 
 

@@ -94,10 +94,10 @@ def _everything(entry: CatalogueEntry) -> str:
     return "\n".join([*lines, "", entry.citation])
 
 
+# Recordings of a dataset that are listed without ``--all``.
 _SHOWN = 30
-"""Recordings of a dataset that are listed without ``--all``."""
+# Exit code when something is missing, damaged, cut short or unreadable.
 _NOT_COMPLETE = 3
-"""Exit code when something is missing, damaged, cut short or unreadable."""
 
 
 @command(

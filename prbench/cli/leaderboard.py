@@ -125,12 +125,12 @@ def _difference_row(first: str, row: ComparedMetric) -> tuple[str, ...]:
     )
 
 
+# Metrics side by side at most; half as many on a narrow terminal.
 _COLUMNS = 8
-"""Metrics side by side at most; half as many on a narrow terminal."""
+# Columns of a terminal that these metrics take.
 _WIDE = 120
-"""Columns of a terminal that these metrics take."""
+# Sequences of each dataset that is named with ``--data``, unless the user says how many.
 _SEQUENCES = 48
-"""Sequences of each dataset that is named with ``--data``, unless the user says how many."""
 
 
 @command("audit", example="prbench audit --data tables/adt --limit 100", report=["prbench.board.audit:TableAudit"])

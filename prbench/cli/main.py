@@ -69,6 +69,7 @@ _COMMANDS = {
         "doctor": "prbench.cli.adapters:doctor",
     },
 }
+# Commands of earlier versions, and how to write them now.
 _RENAMED = {
     "ablation": "study table-3 --train",
     "adapters converters": "adapters list --converters",
@@ -86,7 +87,6 @@ _RENAMED = {
     "prediction view": "view RUN --data WINDOWS",
     "stats": "inspect TABLE",
 }
-"""Commands of earlier versions, and how to write them now."""
 
 
 program = Group(

@@ -28,24 +28,24 @@ if TYPE_CHECKING:
     from prbench.engine.shards import Shard
     from prbench.harness.verification import RunChecker
 
+# Conditions that a method of the default benchmark can be given.
 CONDITIONS = tuple(default_benchmark().conditions)
-"""Conditions that a method of the default benchmark can be given."""
 ALL_CONDITIONS = tuple(name for about in benchmarks().values() for name in about.conditions)
+# Limit of a run on the embedded datasets, of each (``prbench.harness.first_run``); spelt out for quick help.
 FIRST_RUN_SEQUENCES = 10
-"""Limit of a run on the embedded datasets, of each (``prbench.harness.first_run``); spelt out for quick help."""
 SPLITS = ("train", "validation", "test")
+# Value of ``--split`` that goes with ``--fold``.
 PARTICIPANTS = "participants"
-"""Value of ``--split`` that goes with ``--fold``."""
+# Value of ``--split`` that means the test split of a published evaluation, where windows have one.
 PUBLISHED = "published"
-"""Value of ``--split`` that means the test split of a published evaluation, where windows have one."""
 PATH = PlaceType("input")  # of a file or folder that is read
 LOCAL_PATH = PlaceType("local")  # of one that has to lie on this machine
 NATIVE = PlaceType("native")  # of a folder with a dataset's own files
 OUT_FILE = PlaceType("file")
 _OUT_FOLDER = PlaceType("folder")
 POSITIVE = click.IntRange(min=1)
+# A time limit.
 SECONDS = click.FloatRange(min=0, min_open=True)
-"""A time limit."""
 
 
 class KeyValue(click.ParamType):
@@ -80,8 +80,8 @@ benchmark_option = click.option(
     type=click.Choice(list(benchmarks())),
     help=f"What is asked of the method (default {default_benchmark().name}).",
 )
+# One built dataset folder or more.
 data_arguments = click.argument("data", type=PATH, nargs=-1, required=True, metavar="DIR...")
-"""One built dataset folder or more."""
 weights_option = click.option(
     "--weights",
     type=PATH,
@@ -90,6 +90,7 @@ weights_option = click.option(
 )
 device_option = click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1 ….")
 threads_option = click.option("--threads", type=POSITIVE, default=1, metavar="N", help="Threads a process (default 1).")
+# The user's word for data whose licence keeps recorded motion.
 permission_option = click.option(
     "--permission",
     multiple=True,
@@ -97,7 +98,6 @@ permission_option = click.option(
     help="I have the licensor's permission to pass on recorded motion and goals of DATASET (only needed where its"
     " licence forbids it; `prbench datasets` says which); repeatable.",
 )
-"""The user's word for data whose licence keeps recorded motion."""
 
 
 def data_option(*, required: bool, help: str = "Built dataset folder(s).") -> Callable:
@@ -353,6 +353,7 @@ def chosen_shard(text: str | None, **refused: object) -> Shard | None:
     return shard
 
 
+# What is wrong with an option beside ``--shard``, and what to do.
 _REFUSED = {
     "replace": "--replace: a shard replaces nothing; give the option to `prbench merge`",
     "dry_run": "--dry-run, which is of the whole build; leave one of them out",
@@ -362,7 +363,6 @@ _REFUSED = {
     "first_run": "a run without --data: name the tables",
     "table_two": "all: name one method and one condition",
 }
-"""What is wrong with an option beside ``--shard``, and what to do."""
 
 
 def shard_answer(report: Any, made: MadeShard, *, unit: str, exit_code: int = 0) -> Answer:

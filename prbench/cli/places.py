@@ -16,9 +16,9 @@ import click
 from prbench.cli.terminal import renamed_output
 from prbench.errors import PrbenchError
 
+# What a command does there: read something finished, read a dataset's own files, write a folder or a file; or what has
+# to lie on this machine.
 Use = Literal["input", "native", "folder", "file", "local"]
-"""What a command does there: read something finished, read a dataset's own files, write a folder or a file; or what has
-to lie on this machine."""
 Tell = Callable[[str], None]
 
 

@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from prbench.harness.run import RunReport
     from prbench.harness.run_folder import RunFolder
 
+# Every method, or every condition: the rows of Table 2.
 ALL = "all"
-"""Every method, or every condition: the rows of Table 2."""
 
 
 _FIRST_RUN_WORKERS = 2
@@ -364,14 +364,14 @@ def _group(experiment: Experiment) -> str:
     return find_benchmark(experiment.benchmark).entry_points
 
 
+# Options whose place is in the file, where there is one.
 _OF_AN_EXPERIMENT = ("benchmark", "method", "condition", "options", "control", "sequences")
-"""Options whose place is in the file, where there is one."""
 
+# Options that all runs of an experiment share; their names are its keys, but for ``seeds``.
 _SHARED = (
     *("data", "out", "split", "fold", "limit", "samples", "batch_size", "device", "threads", "isolate", "timeout"),
     *("seed", "protocol"),
 )
-"""Options that all runs of an experiment share; their names are its keys, but for ``seeds``."""
 
 
 def read_command_line(config: Path | None, given: Mapping[str, Any]) -> tuple[RunFolder | None, Experiment]:

@@ -19,10 +19,10 @@ from prbench.errors import UsageError
 if TYPE_CHECKING:
     from prbench.synthetic.write_tree import WrittenRecording
 
+# Layouts of text and motion, which stand with their corpora.
 _CORPUS_LAYOUTS = ("nymeria", "humanml3d")
-"""Layouts of text and motion, which stand with their corpora."""
+# Recordings of such a layout if no number is named.
 _CORPUS_RECORDINGS = 4
-"""Recordings of such a layout if no number is named."""
 
 
 class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -126,8 +126,8 @@ def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ..
     return Answer(report, show)
 
 
+# Changes that are printed; the report holds all.
 SHOWN = 40
-"""Changes that are printed; the report holds all."""
 
 
 @command(

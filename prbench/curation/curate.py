@@ -24,22 +24,25 @@ from prbench.sequences.sequence import Event, SceneBox, Sequence
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.table import body_movement, hand_movement
 
+# Metres within which a thing keeps its place through the recording; choice: above the noise of optical tracking.
 _STILL = 0.01
-"""Metres within which a thing keeps its place through the recording; choice: above the noise of optical tracking."""
 Split = Literal["train", "validation", "test"]
 
 
 @dataclass(frozen=True)
 class CuratedRecording:
-    """The result of curating one recording."""
+    """The result of curating one recording.
+
+    Attributes:
+        sequences: Sorted by ``sequence_id``.
+        events: Every candidate event, sorted by ``event_id``.
+        boxes: What stands still around the person, sorted by ``object_id``.
+    """
 
     sequences: tuple[Sequence, ...]
-    """Sorted by ``sequence_id``."""
     events: tuple[Event, ...]
-    """Every candidate event, sorted by ``event_id``."""
     record: RecordingRow
     boxes: tuple[SceneBox, ...] = ()
-    """What stands still around the person, sorted by ``object_id``."""
 
 
 def curate_recording(

@@ -21,6 +21,7 @@ from prbench.sequences import SequenceTable
 from prbench.sequences.schema import is_bulky
 from prbench.sequences.sequence import KEY_VALUES, OUTCOMES, SEQUENCES
 
+# Kinds of changes in the order of a report.
 KINDS: dict[str, str] = {
     "gained": "an event that became a sequence only in the second build",
     "lost": "an event that was a sequence only in the first build",
@@ -30,14 +31,13 @@ KINDS: dict[str, str] = {
     "outcome": "left out by both, for different reasons",
     "values": "the same sequence, event or recording in both, with other values in the columns named",
 }
-"""Kinds of changes in the order of a report."""
 _WITHIN = 1e-5
 _SAME_TIME = 1e-6  # s
 _LARGEST_SHIFT = 1.0  # seconds between two events that may be the same one
 _DIGESTED = tuple(field.name for field in SEQUENCES if is_bulky(field.type) and field.type != KEY_VALUES)
 _SETTINGS = ("dataset", "prbench_version", "protocol_digest", "manifest_digest", "input_digest")
+# Values by column; in place of per-frame values and poses their digest.
 Row = dict[str, Any]
-"""Values by column; in place of per-frame values and poses their digest."""
 
 
 @dataclass(frozen=True)

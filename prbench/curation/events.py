@@ -28,18 +28,30 @@ class Decision:
 
 @dataclass(frozen=True)
 class Place:
-    """The place of an event: for a put, the future resting place. World frame, metres."""
+    """The place of an event: for a put, the future resting place. World frame, metres.
+
+    Attributes:
+        location: Centre of the box, or the point that the dataset annotates.
+        box_min: Lower corner of the world-aligned box; equal to ``box_max`` where only a point is known.
+    """
 
     location: Float[np.ndarray, "3"]
-    """Centre of the box, or the point that the dataset annotates."""
     box_min: Float[np.ndarray, "3"]
-    """Lower corner of the world-aligned box; equal to ``box_max`` where only a point is known."""
     box_max: Float[np.ndarray, "3"]
 
 
 @dataclass(frozen=True)
 class PickPutEvent:
-    """One candidate event."""
+    """One candidate event.
+
+    Attributes:
+        hand_source: Source of the hand; None where it is unknown.
+        displacement: Distance by which the object moved away from its rest, metres; None where nobody measured it.
+        tracking_gap: Length of the gap in the object's track that the event falls into, seconds; None outside such
+            gaps.
+        published_priming: The dataset's own statement about its priming.
+        rejected: The reason why the event is not of this recording, where that is known already.
+    """
 
     event_id: str
     object_id: str
@@ -49,15 +61,10 @@ class PickPutEvent:
     place: Place | None
     hand: Side | None
     hand_source: HandSource | None
-    """Source of the hand; None where it is unknown."""
     displacement: float | None
-    """Distance by which the object moved away from its rest, metres; None where nobody measured it."""
     tracking_gap: float | None = None
-    """Length of the gap in the object's track that the event falls into, seconds; None outside such gaps."""
     published_priming: PublishedPriming | None = None
-    """The dataset's own statement about its priming."""
     rejected: Decision | None = None
-    """The reason why the event is not of this recording, where that is known already."""
 
 
 def find_events(recording: Recording, rule: InHandRule | None) -> tuple[list[PickPutEvent], tuple[str, ...]]:

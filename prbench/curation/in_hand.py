@@ -22,12 +22,12 @@ from prbench.recording.streams import Side
 _LONGEST_REST = 1.0  # seconds of rest that are averaged: enough to suppress sensor noise, short enough to be local
 
 
+# Times the median distance of resting samples from their centre: 4 standard deviations of isotropic noise.
 _STANDS_OUT = 2.6
-"""Times the median distance of resting samples from their centre: 4 standard deviations of isotropic noise."""
+# Share of the tolerance below which no movement is looked for, however quiet the rest: 1 mm of 2.5 mm.
 _FINEST_LEVEL = 0.4
-"""Share of the tolerance below which no movement is looked for, however quiet the rest: 1 mm of 2.5 mm."""
+# Seconds; within a longer gap in the track, interpolation says nothing about when the movement began.
 LONGEST_SURE_GAP = 0.1
-"""Seconds; within a longer gap in the track, interpolation says nothing about when the movement began."""
 _SAME_PLACE = 0.003  # metres; how exactly a hand has to come to where it held the object at rest
 _RATE = 120.0
 _LONGEST_HAND_GAP = 0.1
@@ -168,14 +168,14 @@ def placed_in_gap(departure: Departure, hands: tuple[HandStream, ...], distance:
 
 
 _SLACK = 1e-6  # seconds; times are computed, so equality needs room
+# Seconds; hand samples further apart are not interpolated. Long enough that a holding survives the stretches of
+# implausible poses that a noisy suit gives: who holds something before and after holds it in between.
 _LONGEST_CONTACT_GAP = 1.0
-"""Seconds; hand samples further apart are not interpolated. Long enough that a holding survives the stretches of
-implausible poses that a noisy suit gives: who holds something before and after holds it in between."""
+# Seconds; a hand that is close to an object on both sides of a stretch without measurements never left it (hands leave
+# the view of the glasses while they carry something).
 _LONGEST_UNSEEN = 2.0
-"""Seconds; a hand that is close to an object on both sides of a stretch without measurements never left it (hands leave
-the view of the glasses while they carry something)."""
+# Bounds the memory that meshes of hands need.
 _VERTICES_AT_ONCE = 200_000
-"""Bounds the memory that meshes of hands need."""
 
 
 def runs(mask: Bool[np.ndarray, " n"]) -> Int[np.ndarray, "k 2"]:

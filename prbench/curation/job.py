@@ -270,6 +270,7 @@ class CurationJob:
         return PartReceipt(folder, input_digest, curated.record, reused=False)
 
 
+# Outcomes that end an event at each stage, in the order of the stages, and what they mean.
 _STAGES = {
     "located": {
         "other_wearer": "somebody else's hand was nearer",
@@ -288,7 +289,6 @@ _STAGES = {
     },
     "moved_enough": {"minimum_movement": "started beside the goal"},
 }
-"""Outcomes that end an event at each stage, in the order of the stages, and what they mean."""
 
 
 def describe(

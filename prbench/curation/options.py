@@ -21,12 +21,12 @@ from prbench.geometry.skeleton import WRISTS
 from prbench.protocol.manifests import BenchmarkProtocol, InHandRule, Manifest, digest_of
 from prbench.sequences.table import body_movement
 
+# What each option of curation may be.
 _CHOICES = {
     "minimum_movement": ("wrist_to_goal", "pelvis_displacement", "object_displacement"),
     "priming": ("rule", "published"),
     "ray_origin": (None, *RAY_ORIGINS),
 }
-"""What each option of curation may be."""
 
 
 def minimum_movement(clip: Clip, event: PickPutEvent, place: Place, *, measure: str, threshold: float) -> Decision:
@@ -105,8 +105,8 @@ class CurationOptions:
         }
 
 
+# The dataset's own rule and the protocol's choices.
 DEFAULTS = CurationOptions()
-"""The dataset's own rule and the protocol's choices."""
 
 
 @dataclass(frozen=True)
@@ -137,8 +137,8 @@ class BuildOptions:
         return ("open3d",) if dict(self.reader).get("meshes") == "true" else ()
 
 
+# Every recording, curated by the defaults.
 NO_OPTIONS = BuildOptions()
-"""Every recording, curated by the defaults."""
 
 
 def build_options(

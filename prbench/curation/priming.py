@@ -21,14 +21,19 @@ _SLACK = 1e-9  # seconds
 
 @dataclass(frozen=True)
 class Prime:
-    """The first look at the place."""
+    """The first look at the place.
+
+    Attributes:
+        distance: Distance by which the ray passes the box, metres; 0 for a hit, NaN where the dataset told the time
+            only.
+        uncertainty: Time since the valid gaze sample before it (else until the one after it), seconds: the look began
+            in between.
+    """
 
     time: float
     kind: Literal["hit", "near_miss", "published"]
     distance: float
-    """Distance by which the ray passes the box, metres; 0 for a hit, NaN where the dataset told the time only."""
     uncertainty: float
-    """Time since the valid gaze sample before it (else until the one after it), seconds: the look began in between."""
 
 
 def gaze_rays(recording: Recording, origin: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

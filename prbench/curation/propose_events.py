@@ -41,8 +41,8 @@ _ON_WRIST = 0.10  # metres between ray and wrist
 _FAR_FROM_WRIST = 0.45
 _NEAR_HINT = 0.5  # seconds
 _WEIGHTS = {"arm": 0.35, "gaze": 0.35, "stop": 0.20, "moved": 0.10}
+# Share of the remaining doubt that a hint takes away.
 _HINT_SHARE = 0.5
-"""Share of the remaining doubt that a hint takes away."""
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from prbench.sequences.write import require_no_loss, write_tables
 
 CORPUS_SCHEMA_VERSION = 1
 _VERSION_KEY = "prbench_corpus_schema_version"
+# Possible outcomes of one annotated span of text.
 ANNOTATION_OUTCOMES = (
     "clip",
     "no_text",
@@ -34,18 +35,20 @@ ANNOTATION_OUTCOMES = (
     "no_clock",
     "no_heading",
 )
-"""Possible outcomes of one annotated span of text."""
 
 
 @dataclass(frozen=True)
 class Caption:
-    """One text of a clip."""
+    """One text of a clip.
+
+    Attributes:
+        kind: Kind of description, for example ``atomic_action`` or ``body posture``.
+        tokens: ``word/POS`` tokens where the source gives them.
+    """
 
     text: str
     kind: str
-    """Kind of description, for example ``atomic_action`` or ``body posture``."""
     tokens: str = ""
-    """``word/POS`` tokens where the source gives them."""
 
 
 _CAPTION = pa.struct(list(schema_of(Caption)))
@@ -53,7 +56,16 @@ _CAPTION = pa.struct(list(schema_of(Caption)))
 
 @dataclass(frozen=True)
 class Clip:
-    """One row of ``clips``. Canonical frame of the clip; metres, seconds."""
+    """One row of ``clips``. Canonical frame of the clip; metres, seconds.
+
+    Attributes:
+        captions: The texts of the clip, at least one.
+        start_time: Time of the first frame, on the motion's clock.
+        end_time: ``start_time`` plus ``n_frames`` frame times.
+        text_start: Beginning of the described span on the text's own clock.
+        cut: True if the described span goes on after the last frame.
+        clock_offset: Motion clock minus text clock, seconds.
+    """
 
     sequence_id: str
     dataset: str
@@ -63,22 +75,16 @@ class Clip:
     split_group: str
     kind: str
     captions: Annotated[tuple[Caption, ...], pa.list_(_CAPTION)]
-    """The texts of the clip, at least one."""
     fps: float
     n_frames: int
     start_time: float
-    """Time of the first frame, on the motion's clock."""
     end_time: float
-    """``start_time`` plus ``n_frames`` frame times."""
     text_start: float
-    """Beginning of the described span on the text's own clock."""
     text_end: float
     cut: bool
-    """True if the described span goes on after the last frame."""
     mirrored: bool
     clock_method: str
     clock_offset: float
-    """Motion clock minus text clock, seconds."""
     clock_quality: float | None
     approximate: bool
     pose_source: str
@@ -99,7 +105,12 @@ class Clip:
 
 @dataclass(frozen=True)
 class Annotation:
-    """One row of ``annotations``: one text of the source and what became of it."""
+    """One row of ``annotations``: one text of the source and what became of it.
+
+    Attributes:
+        value: The deciding number.
+        threshold: Threshold that the value was compared with.
+    """
 
     annotation_id: str
     recording_id: str
@@ -110,9 +121,7 @@ class Annotation:
     text_end: float
     outcome: str
     value: float | None = None
-    """The deciding number."""
     threshold: float | None = None
-    """Threshold that the value was compared with."""
 
     def __post_init__(self) -> None:
         assert self.outcome in ANNOTATION_OUTCOMES, self.outcome
@@ -120,30 +129,33 @@ class Annotation:
 
 @dataclass(frozen=True)
 class CorpusRecord:
-    """One row of ``recordings``."""
+    """One row of ``recordings``.
+
+    Attributes:
+        recording_id: Name of the recording.
+        participant_id: Name of the person.
+        split: ``train``, ``validation`` or ``test``.
+        split_group: Recordings of one group share the split.
+        duration: Length, seconds.
+        outcomes: Number of annotations by outcome.
+        clock_method: The way from the text's clock to the motion's.
+        clock_quality: How well the clocks agree, as the dataset has it; null where it does not tell.
+        status: ``read``, ``failed`` or ``skipped``.
+        message: Why it was not read, or what was noticed when it was.
+        measured: Measurements of the recording, as text.
+    """
 
     recording_id: str
-    """Name of the recording."""
     participant_id: str
-    """Name of the person."""
     split: str
-    """``train``, ``validation`` or ``test``."""
     split_group: str
-    """Recordings of one group share the split."""
     duration: float
-    """Length, seconds."""
     outcomes: Mapping[str, int]
-    """Number of annotations by outcome."""
     clock_method: str
-    """The way from the text's clock to the motion's."""
     clock_quality: float | None
-    """How well the clocks agree, as the dataset has it; null where it does not tell."""
     status: str
-    """``read``, ``failed`` or ``skipped``."""
     message: str
-    """Why it was not read, or what was noticed when it was."""
     measured: Texts = field(default_factory=dict)
-    """Measurements of the recording, as text."""
 
 
 _METADATA = {_VERSION_KEY: str(CORPUS_SCHEMA_VERSION)}
@@ -151,8 +163,8 @@ ANNOTATIONS = schema_of(Annotation).with_metadata(_METADATA)
 # The first caption has a column of its own, as the text of a sequence has.
 CLIPS = schema_of(Clip).insert(7, SEQUENCES.field("text")).with_metadata(_METADATA)
 CORPUS_RECORDINGS = schema_of(CorpusRecord, counted=ANNOTATION_OUTCOMES).with_metadata(_METADATA)
+# The tables of a corpus folder by the names of their files.
 CORPUS_TABLES = {"clips": CLIPS, "annotations": ANNOTATIONS, "recordings": CORPUS_RECORDINGS}
-"""The tables of a corpus folder by the names of their files."""
 
 
 def check_corpus_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None:

@@ -18,13 +18,13 @@ FILE_NAME = "dataset.json"
 CORPUS_FILE = "corpus.json"
 
 
+# What is built, by the file that describes it, for messages.
 _KINDS = {
     FILE_NAME: "a built dataset",
     CORPUS_FILE: "a corpus",
     "windows.json": "a table of windows, which `prbench run --benchmark motion-prediction` takes",
     "shard.json": "a shard, which `prbench merge` puts together with the others",
 }
-"""What is built, by the file that describes it, for messages."""
 
 
 class QuarantinedRecording(msgspec.Struct, frozen=True, kw_only=True):
@@ -229,8 +229,8 @@ class CorpusInfo(Provenance, frozen=True, kw_only=True):
     counts: CorpusCounts
 
 
+# Stands beside recorded motion that leaves a table.
 NOTICE_FILE = "NOTICE.txt"
-"""Stands beside recorded motion that leaves a table."""
 
 _STRICTEST_FIRST = ("none", "non-commercial", "yes")
 

@@ -22,10 +22,10 @@ from prbench.sequences.table import SequenceTable
 from prbench.sequences.write import write_dataset
 
 _UNKNOWN = ("", "unknown")
+# Key of the options of a table that holds the fold, such as ``2/6``.
 OPTION = "participant_fold"
-"""Key of the options of a table that holds the fold, such as ``2/6``."""
+# Key of the options of a table that holds the content digest of the whole table.
 WHOLE_TABLE = "participant_fold_of"
-"""Key of the options of a table that holds the content digest of the whole table."""
 
 
 def parse_fold(text: str) -> tuple[int, int]:

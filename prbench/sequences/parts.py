@@ -196,8 +196,8 @@ def finish_shard(out: Path, record: ShardRecord, folders: Sequence[Path]) -> Non
     write_json(out / _FINISHED, kept)
 
 
+# What ``finished.json`` holds of each part: place in the plan, name, folder, and SHA-256 of its files by name.
 _Kept = list[tuple[int, str, str, dict[str, str]]]
-"""What ``finished.json`` holds of each part: place in the plan, name, folder, and SHA-256 of its files by name."""
 
 
 @foreign_input()

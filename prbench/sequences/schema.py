@@ -33,11 +33,11 @@ from prbench.geometry.skeleton import JOINT_SET
 from prbench.sequences.sequence import EVENTS, RECORDINGS, SCENES, SEQUENCES, SequenceChunk
 from prbench.shown import quoted
 
+# 2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes. 3: ``events`` tell what told
+# the hand.
 SCHEMA_VERSION = 3
-"""2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes. 3: ``events`` tell what told
-the hand."""
+# Version of the columns of ``sequences`` alone. It enters the identity of a table, other versions do not.
 SEQUENCES_VERSION = 1
-"""Version of the columns of ``sequences`` alone. It enters the identity of a table, other versions do not."""
 UNITS = {
     "length": "m",
     "time": "s",
@@ -48,10 +48,10 @@ UNITS = {
 }
 
 
+# The tables of a dataset folder by the names of their files.
 DATASET_TABLES = {"sequences": SEQUENCES, "events": EVENTS, "recordings": RECORDINGS}
-"""The tables of a dataset folder by the names of their files."""
+# Tables that a dataset folder has only where its recordings know what they hold (docs/specification/scene.md).
 OPTIONAL_TABLES = {"scenes": SCENES}
-"""Tables that a dataset folder has only where its recordings know what they hold (docs/specification/scene.md)."""
 
 
 def with_metadata(schema: pa.Schema, *, protocol_version: int) -> pa.Schema:

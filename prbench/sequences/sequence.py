@@ -20,8 +20,8 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from prbench.geometry.skeleton import N_JOINTS
 
+# A map, written as a list of pairs: readers that know no maps (Hugging Face ``datasets``) open it too.
 KEY_VALUES = pa.list_(pa.struct([pa.field("key", pa.string()), pa.field("value", pa.string())]))
-"""A map, written as a list of pairs: readers that know no maps (Hugging Face ``datasets``) open it too."""
 _POINT = pa.list_(pa.float32(), 3)
 _POSE = pa.list_(pa.float32(), N_JOINTS * 3)
 
@@ -73,8 +73,8 @@ def _column(name: str, hint: Any) -> pa.Field:
     return column_field(name, kind, nullable=nullable)
 
 
+# Shapes of vectors that stand for more than a vector, by their length.
 _SHAPES = {N_JOINTS * 3: (N_JOINTS, 3), 16: (4, 4)}
-"""Shapes of vectors that stand for more than a vector, by their length."""
 
 
 @dataclass(frozen=True)
@@ -219,6 +219,7 @@ def _read_only(items: pa.Array) -> np.ndarray:
 
 
 FrameSource = Literal["recorded", "extrapolated", "copied"]
+# Possible outcomes of a candidate event.
 OUTCOMES = (
     "sequence",
     "no_location",
@@ -232,7 +233,6 @@ OUTCOMES = (
     "excluded_by_dataset",
     "not_published",
 )
-"""Possible outcomes of a candidate event."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -241,88 +241,92 @@ class Sequence:
 
     Positions are in the sequence's own canonical frame unless a name says ``world``: metres, Y up, the pelvis of the
     first frame over the origin facing +Z, the lowest joint of the sequence at Y = 0. Times are in seconds.
+
+    Attributes:
+        sequence_id: Dataset, recording, object, action, native time of the event and pose source, joined by slashes.
+        dataset: Name of the dataset; it begins with ``synthetic-`` where the people are synthetic.
+        recording_id: Name of the recording.
+        participant_id: Name of the person.
+        split: ``train``, ``validation`` or ``test``.
+        split_group: Recordings of one group share the split.
+        action: ``pick`` or ``put``; ``unknown`` only in an imported release.
+        object_id: The dataset's own id of the object.
+        object_name: The dataset's name of the object.
+        text: Sentence that a method conditioned on text is given.
+        hand: The hand that reaches, ``left`` or ``right``; None where nothing decides.
+        fps: Frames per second.
+        n_frames: Number of frames; the last one lies exactly on the event.
+        start_time: Time of the first frame, seconds on the recording's clock.
+        prime_time: Time of the first look at the goal, seconds on the recording's clock.
+        event_time: Time of the pick or put, seconds on the recording's clock.
+        prime_frame: The frame nearest to the prime time; metrics count from ``prime_after`` instead.
+        prime_gap: ``event_time - prime_time``, seconds.
+        preroll: ``prime_time - start_time``, seconds.
+        prime_kind: How gaze met the goal: ``hit`` or ``near_miss``; ``published`` or ``unknown`` where it was taken
+            over.
+        prime_time_uncertainty: Spacing of the gaze samples around the prime time, seconds.
+        goal_location: Centre of the object's box at the event, metres.
+        goal_box_world_min: Lower end of that box along x, y and z of the world, metres.
+        goal_box_world_max: Upper end of that box along x, y and z of the world, metres.
+        body_movement: Largest distance of the pelvis from its first position, metres.
+        hand_movement: Largest displacement of the reaching wrist relative to the pelvis, metres.
+        pose_source: Where the body comes from.
+        head_tilt_deg: Rest tilt of the neck-head bone of the body's skeleton, degrees; Prime Success needs it.
+        joints: Positions (n, 22, 3) of the 22 joints (:class:`prbench.Joint`) in every frame, metres.
+        previous_joints: The pose (22, 3) one frame before the first, metres.
+        previous_source: How the pose before was got: ``recorded``, ``extrapolated`` or ``copied``.
+        next_joints: The pose (22, 3) one frame after the last, metres.
+        next_source: How the pose after was got: ``recorded``, ``extrapolated`` or ``copied``.
+        head_position: Position (n, 3) of the glasses in every frame, between the eyes, metres; None where unknown.
+        head_rotation: Rotation (n, 4) from the glasses (x left, y up, z forward), quaternions w x y z; None where
+            unknown.
+        gaze_origin: Start (n, 3) of each gaze ray, between the eyes, metres.
+        gaze_direction: Direction (n, 3) of each gaze ray, unit vectors.
+        gaze_valid: False (n,) where the eye tracker had no measurement; the ray then says nothing.
+        world_from_canonical: Rigid transform (4, 4) from the canonical frame to the recording's world (Y up), metres.
+        extra: What only this dataset has, by name.
     """
 
     sequence_id: str
-    """Dataset, recording, object, action, native time of the event and pose source, joined by slashes."""
     dataset: str
-    """Name of the dataset; it begins with ``synthetic-`` where the people are synthetic."""
     recording_id: str
-    """Name of the recording."""
     participant_id: str
-    """Name of the person."""
     split: str
-    """``train``, ``validation`` or ``test``."""
     split_group: str
-    """Recordings of one group share the split."""
     action: str
-    """``pick`` or ``put``; ``unknown`` only in an imported release."""
     object_id: str
-    """The dataset's own id of the object."""
     object_name: str
-    """The dataset's name of the object."""
     text: str
-    """Sentence that a method conditioned on text is given."""
     hand: str | None
-    """The hand that reaches, ``left`` or ``right``; None where nothing decides."""
     fps: float
-    """Frames per second."""
     n_frames: int
-    """Number of frames; the last one lies exactly on the event."""
     start_time: float
-    """Time of the first frame, seconds on the recording's clock."""
     prime_time: float
-    """Time of the first look at the goal, seconds on the recording's clock."""
     event_time: float
-    """Time of the pick or put, seconds on the recording's clock."""
     prime_frame: int
-    """The frame nearest to the prime time; metrics count from ``prime_after`` instead."""
     prime_gap: float
-    """``event_time - prime_time``, seconds."""
     preroll: float
-    """``prime_time - start_time``, seconds."""
     prime_kind: str
-    """How gaze met the goal: ``hit`` or ``near_miss``; ``published`` or ``unknown`` where it was taken over."""
     prime_time_uncertainty: float
-    """Spacing of the gaze samples around the prime time, seconds."""
     goal_location: PrecisePoint
-    """Centre of the object's box at the event, metres."""
     goal_box_world_min: PrecisePoint
-    """Lower end of that box along x, y and z of the world, metres."""
     goal_box_world_max: PrecisePoint
-    """Upper end of that box along x, y and z of the world, metres."""
     body_movement: float
-    """Largest distance of the pelvis from its first position, metres."""
     hand_movement: float
-    """Largest displacement of the reaching wrist relative to the pelvis, metres."""
     pose_source: str
-    """Where the body comes from."""
     head_tilt_deg: float
-    """Rest tilt of the neck-head bone of the body's skeleton, degrees; Prime Success needs it."""
     joints: Poses
-    """Positions (n, 22, 3) of the 22 joints (:class:`prbench.Joint`) in every frame, metres."""
     previous_joints: Pose
-    """The pose (22, 3) one frame before the first, metres."""
     previous_source: FrameSource
-    """How the pose before was got: ``recorded``, ``extrapolated`` or ``copied``."""
     next_joints: Pose
-    """The pose (22, 3) one frame after the last, metres."""
     next_source: FrameSource
-    """How the pose after was got: ``recorded``, ``extrapolated`` or ``copied``."""
     head_position: Points | None
-    """Position (n, 3) of the glasses in every frame, between the eyes, metres; None where unknown."""
     head_rotation: Rotations | None
-    """Rotation (n, 4) from the glasses (x left, y up, z forward), quaternions w x y z; None where unknown."""
     gaze_origin: Points
-    """Start (n, 3) of each gaze ray, between the eyes, metres."""
     gaze_direction: Points
-    """Direction (n, 3) of each gaze ray, unit vectors."""
     gaze_valid: Flags
-    """False (n,) where the eye tracker had no measurement; the ray then says nothing."""
     world_from_canonical: Transform
-    """Rigid transform (4, 4) from the canonical frame to the recording's world (Y up), metres."""
     extra: Texts = field(default_factory=dict)
-    """What only this dataset has, by name."""
 
     @property
     def times(self) -> Float[np.ndarray, " n"]:
@@ -344,52 +348,58 @@ class Sequence:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Event:
-    """One candidate event, an object picked or put, and what became of it; world frame, metres, seconds."""
+    """One candidate event, an object picked or put, and what became of it; world frame, metres, seconds.
+
+    Attributes:
+        event_id: Dataset, recording, object, action and native time, joined by slashes.
+        recording_id: Name of the recording.
+        sequence_id: Id of the sequence that the event became; None if it was dropped.
+        object_id: The dataset's own id of the object.
+        object_name: The dataset's name of the object.
+        action: ``pick`` or ``put``.
+        hand: The hand that reaches, ``left`` or ``right``; None where nothing decides.
+        event_time: Time of the pick or put, seconds on the recording's clock.
+        prime_time: Time of the first look at the object's place, seconds on the recording's clock; None if there was
+            none.
+        prime_kind: How gaze met the place: ``hit``, ``near_miss`` or ``published``; None if it did not.
+        location: Centre (3,) of the object's box; None where the object could not be placed.
+        box_min: Lower end (3,) of the object's box along x, y and z; None where the object could not be placed.
+        box_max: Upper end (3,) of the object's box along x, y and z; None where the object could not be placed.
+        outcome: ``sequence`` if it became one, else why not (docs/table.md#events).
+        stage: The stage of curation that decided.
+        value: The number that decided.
+        threshold: What the number was compared with.
+        left_wrist: The left wrist (3,) at the event; None where nothing measured it.
+        right_wrist: The right wrist (3,) at the event; None where nothing measured it.
+        published_priming: ``primed``, ``not_primed`` or ``excluded`` where the dataset publishes priming of its own;
+            else None.
+        published_prime_time: The prime time that the dataset publishes, seconds on the recording's clock; None where it
+            publishes none.
+        hand_source: What told the hand (docs/table.md#which-hand-reached); None where the hand is unknown.
+    """
 
     event_id: str
-    """Dataset, recording, object, action and native time, joined by slashes."""
     recording_id: str
-    """Name of the recording."""
     sequence_id: str | None
-    """Id of the sequence that the event became; None if it was dropped."""
     object_id: str
-    """The dataset's own id of the object."""
     object_name: str
-    """The dataset's name of the object."""
     action: str
-    """``pick`` or ``put``."""
     hand: str | None
-    """The hand that reaches, ``left`` or ``right``; None where nothing decides."""
     event_time: float
-    """Time of the pick or put, seconds on the recording's clock."""
     prime_time: float | None
-    """Time of the first look at the object's place, seconds on the recording's clock; None if there was none."""
     prime_kind: str | None
-    """How gaze met the place: ``hit``, ``near_miss`` or ``published``; None if it did not."""
     location: PrecisePoint | None
-    """Centre (3,) of the object's box; None where the object could not be placed."""
     box_min: PrecisePoint | None
-    """Lower end (3,) of the object's box along x, y and z; None where the object could not be placed."""
     box_max: PrecisePoint | None
-    """Upper end (3,) of the object's box along x, y and z; None where the object could not be placed."""
     outcome: str
-    """``sequence`` if it became one, else why not (docs/table.md#events)."""
     stage: str
-    """The stage of curation that decided."""
     value: float | None
-    """The number that decided."""
     threshold: float | None
-    """What the number was compared with."""
     left_wrist: PrecisePoint | None = None
-    """The left wrist (3,) at the event; None where nothing measured it."""
     right_wrist: PrecisePoint | None = None
-    """The right wrist (3,) at the event; None where nothing measured it."""
     published_priming: str | None = None
-    """``primed``, ``not_primed`` or ``excluded`` where the dataset publishes priming of its own; else None."""
     published_prime_time: float | None = None
-    """The prime time that the dataset publishes, seconds on the recording's clock; None where it publishes none."""
     hand_source: str | None = None
-    """What told the hand (docs/table.md#which-hand-reached); None where the hand is unknown."""
 
     def __repr__(self) -> str:
         return f"<Event {self.event_id}: {self.action} of {self.object_name}, {self.outcome}>"
@@ -397,28 +407,31 @@ class Event:
 
 @dataclass(frozen=True)
 class Recording:
-    """One recording that a build found."""
+    """One recording that a build found.
+
+    Attributes:
+        recording_id: Name of the recording.
+        participant_id: Name of the person.
+        split: ``train``, ``validation`` or ``test``.
+        split_group: Recordings of one group share the split.
+        duration: Length of the part with ground truth, seconds.
+        outcomes: Number of its candidate events by outcome.
+        status: ``read``, ``failed`` or ``skipped``.
+        message: Why it was not read, or what was noticed when it was.
+        shortfalls: One message for each stream that ends before the recording does; they stand in ``message``, too.
+        lacks: Parts that it lacks to have events or sequences at all; stands in ``message``, too.
+    """
 
     recording_id: str
-    """Name of the recording."""
     participant_id: str
-    """Name of the person."""
     split: str
-    """``train``, ``validation`` or ``test``."""
     split_group: str
-    """Recordings of one group share the split."""
     duration: float
-    """Length of the part with ground truth, seconds."""
     outcomes: Mapping[str, int]
-    """Number of its candidate events by outcome."""
     status: str
-    """``read``, ``failed`` or ``skipped``."""
     message: str
-    """Why it was not read, or what was noticed when it was."""
     shortfalls: tuple[str, ...] = field(default=(), repr=False)
-    """One message for each stream that ends before the recording does; they stand in ``message``, too."""
     lacks: tuple[str, ...] = field(default=(), repr=False)
-    """Parts that it lacks to have events or sequences at all; stands in ``message``, too."""
 
     @property
     def why_fruitless(self) -> str:
@@ -431,7 +444,14 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class SceneBox:
-    """The box of a thing that stands still through a recording. World frame, metres."""
+    """The box of a thing that stands still through a recording. World frame, metres.
+
+    Attributes:
+        rotation: World from box, quaternion w x y z.
+        half_extents: Half the length of its edges.
+        entered: Largest depth to which a joint of the recorded person comes into it, over the whole recording; None
+            without a body.
+    """
 
     recording_id: str
     object_id: str
@@ -439,12 +459,8 @@ class SceneBox:
     category: str
     centre: PrecisePoint
     rotation: Quaternion
-    """World from box, quaternion w x y z."""
     half_extents: PrecisePoint
-    """Half the length of its edges."""
     entered: float | None
-    """Largest depth to which a joint of the recorded person comes into it, over the whole recording; None without a
-    body."""
 
 
 SEQUENCES = schema_of(Sequence)

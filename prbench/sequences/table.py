@@ -358,8 +358,8 @@ def find_sequence_id(wanted: str, known: SequenceOf[str], *, among: str) -> str:
     raise UsageError(f"no sequence '{wanted}' among the {len(known)} of {among}.{' Near it:' + hint if hint else ''}")
 
 
+# Seconds before and after the prime time over which the gaze shift is averaged.
 _GAZE_SHIFT_SPAN = (-2.0, 8.0)
-"""Seconds before and after the prime time over which the gaze shift is averaged."""
 _GAZE_SHIFT_STEP = 0.1
 _COLUMNS = ("joints", "goal_location", "gaze_origin", "gaze_direction", "gaze_valid", "fps", "preroll", "split")
 

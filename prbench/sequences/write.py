@@ -143,10 +143,10 @@ def _field(table: str, column: pa.Field, source: dict[str, Any]) -> dict[str, An
     return described | ({"isArray": True, "arrayShape": ",".join(shape)} if shape else {})
 
 
+# Lost recordings that the message names.
 _SHOWN = 3
-"""Lost recordings that the message names."""
+# Characters of the reason of one.
 _LONGEST_REASON = 160
-"""Characters of the reason of one."""
 
 
 def _held(recordings: Iterable[pa.RecordBatch], outcome: str) -> tuple[dict[str, int], dict[str, str]]:

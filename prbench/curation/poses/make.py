@@ -29,15 +29,15 @@ from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.bodies import HOW_TO_GET
 from prbench.readers.egoallo.files import EgoalloInputs, Need, find_model
 
+# What may stand in braces in a command; :func:`_run` fills them.
 _PLACEHOLDERS = ("python", "recording", "mps", "trajectory", "out", "frames", "guidance", "model")
-"""What may stand in braces in a command; :func:`_run` fills them."""
 
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
+# EgoAllo's own script (repository brentyi/egoallo, commit 0c20ae8).
 _DEFAULT_COMMAND = (
     "{python}", "3_aria_inference.py", "--traj-root", "{mps}", "--traj-length", "{frames}",
     "--guidance-mode", "{guidance}", "--smplh-npz-path", "{model}",
 )  # fmt: skip
-"""EgoAllo's own script (repository brentyi/egoallo, commit 0c20ae8)."""
 _INSTALL = """\
 EgoAllo estimates bodies from the glasses' path; prbench reads its outputs and can run it, but does not contain it.
 It needs Python 3.12 or newer and an NVIDIA GPU (repository brentyi/egoallo, MIT; commands of commit 0c20ae8):
