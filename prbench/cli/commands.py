@@ -39,7 +39,7 @@ class Session:
 
     Attributes:
         quiet: Neither notes nor progress are shown.
-        verbose: Every finished item is a line, a user's error has its traceback, and the end tells time and memory.
+        verbose: Every finished item is a line, and a user's error has its traceback.
         as_json: The report is printed as JSON.
         from_shell: The command line was not called as a function, so that nobody but the shell sees how it ends.
         resumes: The chosen command takes up what an interruption has left.
@@ -381,7 +381,7 @@ def _shared_option(words: list[str], help: str, **settings: Any) -> click.Option
 
 def _telling_options() -> list[click.Option]:
     quiet = "Show neither notes nor progress, only the result and errors."
-    verbose = "Show every finished item, the traceback of an error, and time and memory at the end."
+    verbose = "Show every finished item, and the traceback of an error."
     return [
         _shared_option(["-q", "--quiet"], quiet, is_flag=True),
         _shared_option(["-v", "--verbose"], verbose, is_flag=True),

@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 import os
 import sys
-import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
@@ -118,7 +117,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else list(arguments)
     now = Session(from_shell=arguments is None)
     with clean_output():
-        started = time.monotonic()
         try:
             with program.make_context("prbench", words, obj=now) as context:
                 code = _present(program.invoke(context), now)
@@ -141,8 +139,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except BrokenPipeError:
             sys.stderr.close()  # the reader of our output went away, as `| head` does
             return 0
-        if now.verbose:
-            _tell_cost(time.monotonic() - started)
         return code
 
 
@@ -171,21 +167,6 @@ def _refuse(error: PrbenchError, now: Session, words: list[str]) -> int:
     if now.as_json or "--json" in words:  # the option itself may stand behind the word that was refused
         print_document(document_of(error, now))
     return error.exit_code
-
-
-def _tell_cost(seconds: float) -> None:
-    """Print time and memory of the command."""
-    import psutil
-
-    process = psutil.Process()
-    times = process.cpu_times()
-    spent = times.user + times.system + times.children_user + times.children_system
-    memory = process.memory_info().rss / 1e6
-    print(
-        f"{seconds:.1f} s, {spent:.1f} s of processor time, {memory:,.0f} MB of memory at the end;"
-        f" prbench {prbench.__version__}, Python {sys.version.split()[0]}",
-        file=sys.stderr,
-    )
 
 
 class Document(msgspec.Struct, frozen=True, kw_only=True):

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import click
 
 from prbench.cli.terminal import renamed_output
-from prbench.errors import PrbenchError
+from prbench.errors import PrbenchError, WorkStopped
 
 # What a command does there: read something finished, read a dataset's own files, write a folder or a file; or what has
 # to lie on this machine.
@@ -63,12 +63,6 @@ class _Stopped(KeyboardInterrupt):
     """SIGTERM, which ends the work as Ctrl-C does, so that finished parts can still be uploaded."""
 
 
-class CommandStopped(PrbenchError):
-    """A command that writes at a URL was asked to stop."""
-
-    exit_code = 128 + signal.SIGTERM
-
-
 @dataclass
 class Places:
     """The paths of a command, and how its URLs are shown in place of them.
@@ -99,7 +93,7 @@ def local_places(values: Mapping[str, Any], tell: Tell) -> Iterator[Places]:
         tell: Called with lines on what is fetched and uploaded.
 
     Raises:
-        CommandStopped: after SIGTERM, where something is written at a URL.
+        WorkStopped: after SIGTERM, where something is written at a URL.
         PrbenchError: whatever fetching and uploading raise, and errors of the block with URLs in place of paths.
     """
     from prbench.object_stores.inputs import fetched, fetched_native
@@ -165,7 +159,7 @@ def _stopped_by_sigterm() -> Iterator[None]:
     try:
         yield
     except _Stopped:
-        raise CommandStopped(
+        raise WorkStopped(
             "stopped by SIGTERM; what was finished is kept at the URL of --out, and the same command goes on there."
         ) from None
     finally:

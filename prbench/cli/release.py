@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -12,13 +12,15 @@ from prbench.cli import options as opt
 from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.commands import Answer, command, note, session
 from prbench.cli.terminal import print_table
-from prbench.release.report import ExportReleaseReport, ImportReleaseReport
+
+if TYPE_CHECKING:
+    from prbench.release.report import ExportReleaseReport, ImportReleaseReport
 
 
 @command(
     "import-release",
     example="prbench import-release /data/PR --out tables/released",
-    report=ImportReleaseReport,
+    report="prbench.release.report:ImportReleaseReport",
 )
 @click.argument("root", type=opt.PATH)
 @opt.out_folder_option("Gets a table folder for each dataset; with --dataset it is the table.", required=True)
@@ -88,7 +90,7 @@ def _print_imported(report: ImportReleaseReport) -> None:
 @command(
     "export-release",
     example="prbench export-release tables/adt tables/mogaze --out release",
-    report=ExportReleaseReport,
+    report="prbench.release.report:ExportReleaseReport",
 )
 @opt.data_arguments
 @opt.out_folder_option("Folder of the release; each dataset gets a folder in it.", required=True)

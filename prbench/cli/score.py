@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -209,8 +208,6 @@ def export_conditions(
     own = {"max_frames": max_frames, "native_fps": native_fps, "control": control}
     if about.default:
         report = export(ExportRequest(condition=Condition(condition), **own, **given))
-        if given["limit"] is None:
-            _tell_first_run(data)
     else:
         for name, value in own.items():
             if value is not None:
@@ -220,18 +217,6 @@ def export_conditions(
     answers = "PREDICTIONS" if about.default else "FUTURES.npz"
     note(f"then: prbench score {answers} --conditions {shlex.quote(str(report.out))} --data …")
     return Answer(report, lambda: _print_export_conditions(report, "sequences" if about.default else "windows"))
-
-
-def _tell_first_run(data: Sequence[Path]) -> None:
-    """Tell that runs without ``--data`` take a part of the embedded datasets, and this command all by default."""
-    from prbench.harness.first_run import default_table_folders
-
-    embedded = {os.path.realpath(folder) for folder in default_table_folders()}
-    if any(os.path.realpath(folder) in embedded for folder in data):
-        note(
-            f"these are embedded datasets, of which `prbench run` without --data takes {opt.FIRST_RUN_SEQUENCES}"
-            f" sequences each: --limit {opt.FIRST_RUN_SEQUENCES} exports the same ones."
-        )
 
 
 def _print_export_conditions(report: ExportReport, case: str) -> None:

@@ -132,34 +132,6 @@ def identity_of_rows(rows: pa.Table, *, protocol_version: int) -> str:
     return digest.hexdigest()
 
 
-class RowDigests:
-    """Passes the rows of a main table on, and remembers what its two digests need.
-
-    Args:
-        columns: Every column of the table, for the content digest.
-        identity_columns: The columns of :func:`identity_of_rows`, in its order.
-    """
-
-    def __init__(self, columns: SequenceOf[str], identity_columns: SequenceOf[str]) -> None:
-        self.content = ContentDigest(columns)
-        self._identity_columns = list(identity_columns)
-        self._identifying: list[pa.RecordBatch] = []
-
-    def pass_on(self, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-        """Yield the batches unchanged; the digests are those of what was taken so far."""
-        for batch in batches:
-            self.content.update(batch)
-            self._identifying.append(batch.select(self._identity_columns))
-            yield batch
-
-    def identity(self, protocol_version: int) -> str:
-        """The identity digest of all rows that were passed on."""
-        rows = pa.table({name: pa.array([], pa.string()) for name in self._identity_columns})
-        if self._identifying:
-            rows = pa.Table.from_batches(self._identifying)
-        return identity_of_rows(rows, protocol_version=protocol_version)
-
-
 class ContentDigest:
     """Digest of the values, rounded to 10 µm, in the order of the rows; not of the file's bytes."""
 

@@ -346,15 +346,8 @@ def find_sequence_id(wanted: str, known: SequenceOf[str], *, among: str) -> str:
         raise UsageError(
             f"'{wanted}' fits {len(fitting)} sequences of {among}; give a longer part of one:\n{shown}{more}"
         )
-    # Near are the ids of which a part between slashes, as long as what was typed, looks like it.
-    length = wanted.count("/") + 1
-    whole: dict[str, str] = {}
-    for name in known:
-        parts = name.split("/")
-        for start in range(max(len(parts) - length, 0) + 1):
-            whole.setdefault("/".join(parts[start : start + length]), name)
-    near = list(dict.fromkeys(whole[part] for part in difflib.get_close_matches(wanted, whole, n=12, cutoff=0.0)))
-    hint = "".join(f"\n  {name}" for name in near[:3])
+    near = difflib.get_close_matches(wanted, known, n=3, cutoff=0.0)
+    hint = "".join(f"\n  {name}" for name in near)
     raise UsageError(f"no sequence '{wanted}' among the {len(known)} of {among}.{' Near it:' + hint if hint else ''}")
 
 

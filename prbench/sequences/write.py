@@ -10,7 +10,7 @@ loaders understand. It is JSON-LD of the Croissant vocabulary 1.1 (https://docs.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
 from importlib.resources import files
 from pathlib import Path
@@ -28,9 +28,10 @@ from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo, counts_stated
 from prbench.sequences.schema import (
     DATASET_TABLES,
     OPTIONAL_TABLES,
-    RowDigests,
+    ContentDigest,
     digests_of_files,
     files_of_table,
+    identity_of_rows,
     read_parquet,
     table_parts,
     with_metadata,
@@ -428,15 +429,25 @@ def write_tables(
     version = info.protocol_version
     main, *others = schemas
     # Digests are taken while the rows pass to the file: a table is never read back for them.
-    digests = RowDigests(schemas[main].names, identity_columns)
-    rows = digests.pass_on(tables[main])
+    content = ContentDigest(schemas[main].names)
+    identifying = [schemas[main].empty_table().select(list(identity_columns))]
+
+    def passed_on(batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+        for batch in batches:
+            content.update(batch)
+            identifying.append(pa.Table.from_batches([batch.select(list(identity_columns))]))
+            yield batch
+
+    rows = passed_on(tables[main])
     write_table_in_parts(folder, main, rows, schemas[main], protocol_version=version, row_group_rows=row_group_rows)
     for name in others:
         write_table(folder / f"{name}.parquet", tables[name], schemas[name], protocol_version=version)
     info = msgspec.structs.replace(
         info,
-        identity_digest=digests.identity(version),
-        content_digest=digests.content.hexdigest(),
+        identity_digest=identity_of_rows(
+            pa.concat_tables(identifying, promote_options="default"), protocol_version=version
+        ),
+        content_digest=content.hexdigest(),
         file_digests=digests_of_files(folder, schemas),
     )
     info.write(folder)
