@@ -57,9 +57,8 @@ class CleanSuit:
     pose_source: str
     head_tilt_deg: float
     messages: tuple[str, ...]
-    pelvis_rotation: Float[np.ndarray, "n 4"]
-    """Unit quaternions, w x y z, segment to world; of all frames of the file."""
     head_rotation: Float[np.ndarray, "n 4"]
+    """Unit quaternions, w x y z, segment to world; of all frames of the file."""
 
     @property
     def span(self) -> tuple[float, float]:
@@ -223,7 +222,6 @@ def clean_suit(suit: Suit, manifest: Manifest, *, path: Path | str, pose_source:
         pose_source or manifest.body.pose_source,
         manifest.body.head_tilt_deg if tilt is None else tilt,
         tuple(messages),
-        pelvis,
         head,
     )
 

@@ -95,8 +95,35 @@ def recording_from_adt(
             body = body_stream(estimate, world_from_source=invert_rigid(adt.Z_UP_FROM_SCENE), head=head)
             told = (*_counted(~body.valid, "frames of the estimated body are invalid"), *estimate.messages)
     others = [person for person in readings.skeletons if person is not wearer]
-    tracks = [object_track(entry, start=span[0]) for entry in readings.objects]
-    rooms = {track.object_id for track in tracks if _encloses_scene(track, gaze)}
+    tracks = []
+    rooms = set()
+    for entry in readings.objects:
+        # One that never moves has a single sample.
+        times = entry.time_ns / 1e9 if entry.time_ns[0] != adt.STATIC_TIME else device.times[:1]
+        rotation = entry.rotation / np.linalg.norm(entry.rotation, axis=1, keepdims=True)
+        track = ObjectTrack(
+            object_id=str(entry.object_id),
+            name=entry.name,
+            category=entry.category,
+            times=times,
+            position=entry.position,
+            rotation=rotation,
+            valid=np.ones(len(times), dtype=bool),
+            box_min=entry.box_min,
+            box_max=entry.box_max,
+            movable=entry.dynamic,
+        )
+        tracks.append(track)
+        # Every ray would hit a box that encloses the room: ``ApartmentEnv``, and any with a side above 3 m that holds
+        # a ray's origin.
+        large = (entry.box_max - entry.box_min).max() > adt.ROOM_SIZE and gaze.valid.any()
+        if large and entry.object_id != adt.SCENE_BOX_ID:
+            position, rotation = track.pose_at(gaze.times[gaze.valid])
+            turned = Rotation.from_quat(rotation, scalar_first=True)
+            local = turned.inv().apply(gaze.origin[gaze.valid] - position)
+            large = ((local >= entry.box_min) & (local <= entry.box_max)).all(axis=1).any()
+        if large or entry.object_id == adt.SCENE_BOX_ID:
+            rooms.add(track.object_id)
     # The suit in either case: an estimated body was held against the glasses when it was read.
     tolerance = adt.SAME_INSTANT
     ranges = {"glasses": (span[0] - tolerance, span[1] + tolerance)}
@@ -151,38 +178,6 @@ def _body_and_hands(
             points = hold_neighbours(native[:, index, None], measured)
             hands.append(HandStream(side, contact, times, points, measured))
     return BodyStream(times, hold_neighbours(joints, valid), valid), tuple(hands)
-
-
-def object_track(entry: adt.AdtObject, *, start: float) -> ObjectTrack:
-    """The track of one object; one that never moves has a single sample at ``start``, seconds."""
-    times = entry.time_ns / 1e9 if entry.time_ns[0] != adt.STATIC_TIME else np.array([start])
-    return ObjectTrack(
-        object_id=str(entry.object_id),
-        name=entry.name,
-        category=entry.category,
-        times=times,
-        position=entry.position,
-        rotation=entry.rotation / np.linalg.norm(entry.rotation, axis=1, keepdims=True),
-        valid=np.ones(len(times), dtype=bool),
-        box_min=entry.box_min,
-        box_max=entry.box_max,
-        movable=entry.dynamic,
-    )
-
-
-def _encloses_scene(track: ObjectTrack, gaze: GazeStream) -> bool:
-    """Return True where a box encloses the room, so that every ray would hit it.
-
-    That is the dataset's own room (``ApartmentEnv``), and any box with a side above 3 m that holds a ray's origin.
-    """
-    if track.object_id == str(adt.SCENE_BOX_ID):
-        return True
-    if (track.box_max - track.box_min).max() <= adt.ROOM_SIZE or not gaze.valid.any():
-        return False
-    origin = gaze.origin[gaze.valid]
-    position, rotation = track.pose_at(gaze.times[gaze.valid])
-    local = Rotation.from_quat(rotation, scalar_first=True).inv().apply(origin - position)
-    return bool(((local >= track.box_min) & (local <= track.box_max)).all(axis=1).any())
 
 
 def glasses_stream(poses: AriaTrajectory) -> PoseStream:

@@ -347,7 +347,19 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
     if mps.SLAM_SUMMARY in wanted:
         write_json(slam / mps.SUMMARY_FILE, {"SLAM": {"status": "SUCCESS", "info": [], "warnings": [], "errors": []}})
     if mps.GAZE in wanted:
-        write_csv(gaze / f"{readings.gaze_kind}_eye_gaze.csv", _gaze_columns(readings.gaze))
+        # The schema of two eyes, which here look in parallel.
+        angles = readings.gaze
+        columns = {mps.TIME_COLUMN: angles.time_us}
+        columns |= dict.fromkeys((mps.LEFT_YAW, mps.RIGHT_YAW), np.round(angles.yaw, 6))
+        columns |= {mps.PITCH: angles.pitch, mps.DEPTH: angles.depth}
+        for bound in (0, 1):
+            yaw = np.round(angles.yaw_range[:, bound], 6)
+            columns |= {mps.LEFT_YAW_RANGE[bound]: yaw, mps.RIGHT_YAW_RANGE[bound]: yaw}
+            columns[mps.PITCH_RANGE[bound]] = angles.pitch_range[:, bound]
+        n = len(angles.time_us)
+        eyes = [f"t{axis}_{side}_eye_cpf" for side in mps.SIDES for axis in "xyz"]
+        columns |= {name: np.full(n, _EYES.get(name, 0.0)) for name in eyes}
+        write_csv(gaze / f"{readings.gaze_kind}_eye_gaze.csv", columns | {"session_uid": np.full(n, _NO_SESSION)})
     if mps.GAZE_SUMMARY in wanted:
         write_json(gaze / mps.SUMMARY_FILE, {"GazeInference": {"status": "SUCCESS", "message": ""}, "version": "3.0"})
     if mps.WRISTS in wanted and readings.wrists is not None:
@@ -391,32 +403,6 @@ def _velocities(trajectory: mps.AriaTrajectory) -> Float[np.ndarray, "n 6"]:
     angular = (rotation[:-1].inv() * rotation[1:]).as_rotvec() / step
     both = np.hstack([linear, angular])
     return np.round(np.vstack([both, both[-1:]]), 6)
-
-
-def _gaze_columns(gaze: mps.GazeAngles) -> dict[str, object]:
-    """Return columns in the schema of two eyes, which here look in parallel."""
-    yaw = np.round(gaze.yaw, 6)
-    yaw_range = np.round(gaze.yaw_range, 6)
-    n = len(yaw)
-    return {
-        mps.TIME_COLUMN: gaze.time_us,
-        mps.LEFT_YAW: yaw,
-        mps.RIGHT_YAW: yaw,
-        mps.PITCH: gaze.pitch,
-        mps.DEPTH: gaze.depth,
-        mps.LEFT_YAW_RANGE[0]: yaw_range[:, 0],
-        mps.RIGHT_YAW_RANGE[0]: yaw_range[:, 0],
-        mps.PITCH_RANGE[0]: gaze.pitch_range[:, 0],
-        mps.LEFT_YAW_RANGE[1]: yaw_range[:, 1],
-        mps.RIGHT_YAW_RANGE[1]: yaw_range[:, 1],
-        mps.PITCH_RANGE[1]: gaze.pitch_range[:, 1],
-        **{
-            f"t{axis}_{side}_eye_cpf": np.full(n, _EYES.get(f"t{axis}_{side}_eye_cpf", 0.0))
-            for side in mps.SIDES
-            for axis in "xyz"
-        },
-        "session_uid": np.full(n, _NO_SESSION),
-    }
 
 
 def _pose_record(pose: Float[np.ndarray, "4 4"]) -> dict[str, object]:

@@ -129,14 +129,6 @@ class EgoalloInputs:
         return f"EgoAllo needs {' and '.join(missing)}" if missing else ""
 
 
-class GlassesWithMps:
-    """A reader of recordings with files of the Machine Perception Services (:class:`prbench.readers.AriaGlasses`)."""
-
-    def egoallo_inputs(self, root: Path, found: RecordingFiles) -> EgoalloInputs:
-        """See :class:`prbench.readers.AriaGlasses`."""
-        return aria_inputs(root, found)
-
-
 def aria_inputs(root: Path, found: RecordingFiles, name: str = mps.TRAJECTORY_FILE) -> EgoalloInputs:
     """Look for the inputs of a recording that has files of the Machine Perception Services.
 

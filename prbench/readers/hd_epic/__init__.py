@@ -7,7 +7,7 @@ from pathlib import Path
 
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
-from prbench.readers.egoallo.files import GlassesWithMps
+from prbench.readers.egoallo.files import aria_inputs
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hd_epic.files import HdEpicOptions, extents, find_recordings, read_readings
@@ -18,11 +18,12 @@ __all__ = ["READER", "HdEpicOptions", "HdEpicReader", "find_recordings", "read_r
 
 
 @dataclass(frozen=True)
-class HdEpicReader(GlassesWithMps):
+class HdEpicReader:
     """See :class:`prbench.readers.Reader`."""
 
     dataset: str = "hd-epic"
     options: HdEpicOptions = HdEpicOptions()  # noqa: RUF009 (frozen)
+    egoallo_inputs = staticmethod(aria_inputs)
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
-from prbench.readers.egoallo.files import GlassesWithMps
+from prbench.readers.egoallo.files import aria_inputs
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d.files import Hot3dOptions, extents, find_recordings, read_readings
@@ -18,11 +18,12 @@ __all__ = ["READER", "Hot3dOptions", "Hot3dReader", "find_recordings", "read_rea
 
 
 @dataclass(frozen=True)
-class Hot3dReader(GlassesWithMps):
+class Hot3dReader:
     """See :class:`prbench.readers.Reader`."""
 
     dataset: str = "hot3d"
     options: Hot3dOptions = Hot3dOptions()  # noqa: RUF009 (frozen)
+    egoallo_inputs = staticmethod(aria_inputs)
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:

@@ -307,7 +307,9 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
     profile = found.path(PROFILE)
     # Those masks that curation honours and the recording has.
     paths: dict[hot3d.MaskName, Path | None] = {name: found.path(f"{MASK_PREFIX}{name}") for name in hot3d.MASK_NAMES}
-    masks = {name: read_mask(path) for name, path in paths.items() if path is not None}
+    masks: dict[hot3d.MaskName, hot3d.Mask] = {
+        name: read_mask(path) for name, path in paths.items() if path is not None
+    }
     mps = read_mps(found, thin=False)
     up = mps.trajectory.up
     if np.linalg.norm(up - np.array([0.0, 0.0, 1.0])) > 1e-3:

@@ -16,7 +16,6 @@ from tests.fakes import STANDING, smooth_motion
 
 BELONGING = RecordingIdentity("nymeria", "seq", "p", "train", "p")
 LIMITS = ClipLimits(20.0, 20, 241)
-NONE = np.zeros((0, 4))
 
 
 def piece(start: float, seconds: float, name: str = "a") -> Piece:
@@ -28,7 +27,7 @@ def row(start: float, end: float, text: str = "C waves.", *, annotator: str = ""
 
 
 def build(rows, *pieces, offset: float | None = 0.0, limits: ClipLimits = LIMITS):
-    body = CleanSuit(pieces or (piece(100.0, 20.0),), "suit", 20.0, (), NONE, NONE)
+    body = CleanSuit(pieces or (piece(100.0, 20.0),), "suit", 20.0, (), np.zeros((0, 4)))
     clock = None if offset is None else ClockOffset("file", offset)
     return clips_of(BELONGING, body, rows, clock, limits, THRESHOLDS["smallest_coverage"])
 
