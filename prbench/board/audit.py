@@ -7,7 +7,7 @@ list of them and the comparison with recorded people.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,7 +129,15 @@ def audit(
     """
     tables = open_tables(data)
     rates = {select(table, split=split, limit=limit).fps for table in tables}
-    wanted = list(_wanted(rates))
+    # Method, control and what it does; recorded motion stands last.
+    wanted: list[tuple[str, str | None, str]] = []
+    methods = [control for control in CONTROLS if control.use == _ONLY_METHOD]
+    for control in sorted(methods, key=lambda control: control.name in RECORDED_MOTION):
+        if control.name == GROUND_TRUTH:
+            wanted.append((control.name, SHUFFLED_GOAL, "the recorded motion, scored against another sequence's goal"))
+        # A round trip through the table's own rate is the recorded motion itself.
+        if round_trip_fps(control.name) not in rates:
+            wanted.append((control.name, None, control.summary))
     by_table: list[list[AuditedControl]] = [[] for _ in tables]
     with (
         nullcontext() if out is None else sole_writer(out),
@@ -153,17 +161,6 @@ def audit(
                 audited.append(AuditedControl(label, use, name in RECORDED_MOTION, summary, agreement))
             progress(done + 1, len(wanted), label)
     return tuple(TableAudit(tuple(audited)) for audited in by_table)
-
-
-def _wanted(rates: set[float]) -> Iterator[tuple[str, str | None, str]]:
-    """Yield method, control and what it does; recorded motion stands last."""
-    methods = [control for control in CONTROLS if control.use == _ONLY_METHOD]
-    for control in sorted(methods, key=lambda control: control.name in RECORDED_MOTION):
-        if control.name == GROUND_TRUTH:
-            yield control.name, SHUFFLED_GOAL, "the recorded motion, scored against another sequence's goal"
-        # A round trip through the table's own rate is the recorded motion itself.
-        if round_trip_fps(control.name) not in rates:
-            yield control.name, None, control.summary
 
 
 def metrics_of(controls: Sequence[ControlMeans]) -> list[MetricInfo]:
