@@ -221,9 +221,9 @@ def open_any_table(folder: Path) -> CaseTable:
 
 
 def _embedded() -> Iterator[Path]:
-    """Folders of the embedded default tables, and of other ones that an earlier version left beside them."""
+    """Folders of the embedded default tables, of folds, and of other ones that an earlier version left beside them."""
     tables = cache_folder() / "tables"
-    earlier = sorted(path.parent for path in tables.glob(f"*/*/{FILE_NAME}"))
+    earlier = sorted(path.parent for depth in ("*", "*/*") for path in tables.glob(f"{depth}/{FILE_NAME}"))
     # The tables of the present version first: nearly every run was made on them.
     for folder in dict.fromkeys([*default_table_folders(), *earlier]):
         if (folder / FILE_NAME).is_file():

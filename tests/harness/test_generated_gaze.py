@@ -128,7 +128,7 @@ def test_finished_motions_with_gaze_are_scored_like_those_of_a_run(table, tmp_pa
     run_method(request(table, tmp_path / "run"))
     parts = shutil.copytree(tmp_path / "run/predictions", tmp_path / "handed-in")
     assert main(["score", str(parts), "--data", str(table.folder), "--condition", "goal-loc", "--json"]) == 0
-    (entry,) = json.loads(capsys.readouterr().out)["report"]["datasets"]
+    (entry,) = json.loads(capsys.readouterr().out)["report"]
     found = entry["scores"]
     values = {metric["metric"]: metric["mean"] for metric in found["metrics"]}
     assert found["gaze"] is True
