@@ -107,23 +107,21 @@ def _corpus_answer(report: BuildReport) -> Answer:
     """Answer a command that has written a corpus."""
     builds.note_unread(report.records, reused=report.reused)
     # Count what is left from files to captions.
-    from prbench.curation.job import FunnelRow
-
     counts = report.info.counts
     left_out = counts.recordings_failed + counts.recordings_skipped
     why = f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped" if left_out else ""
     stages = [
-        FunnelRow("recordings found", counts.recordings_found, 0, ""),
-        FunnelRow("recordings read", counts.recordings_read, left_out, why),
-        FunnelRow("texts", counts.annotations, 0, ""),
+        ("recordings found", counts.recordings_found, 0, ""),
+        ("recordings read", counts.recordings_read, left_out, why),
+        ("texts", counts.annotations, 0, ""),
     ]
     kept = counts.annotations
     for outcome, number in report.info.outcomes.items():
         if number and outcome != "clip":
             kept -= number
-            stages.append(FunnelRow(f"without {outcome}", kept, number, _REASONS[outcome]))
+            stages.append((f"without {outcome}", kept, number, _REASONS[outcome]))
     size = f"of {counts.clips} clips, {counts.frames} frames"
-    stages.append(FunnelRow("captions", counts.captions, 0, size))
+    stages.append(("captions", counts.captions, 0, size))
 
     def show() -> None:
         builds.print_stages(f"{report.info.title}: from files to clips", stages)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -80,7 +80,7 @@ class Build:
     def _rows(self) -> list[tuple[str, int, int, str]]:
         from prbench.curation import funnel_rows
 
-        return [astuple(row) for row in funnel_rows(self._report.info)]
+        return funnel_rows(self._report.info)
 
     def __repr__(self) -> str:
         return f"<Build of {self._report.info.title}: {self._report.info.counts.sequences} sequences, {self.folder}>"

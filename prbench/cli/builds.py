@@ -73,7 +73,7 @@ def print_plan(plan: BuildPlan, workers: int, *, unfit: str) -> None:
 
 def print_stages(title: str, stages: Iterable[FunnelRow]) -> None:
     """Print how much of the files each stage left."""
-    rows = [(each.stage, str(each.kept), str(each.dropped or ""), each.reason) for each in stages]
+    rows = [(stage, str(kept), str(dropped or ""), why) for stage, kept, dropped, why in stages]
     print_table(title, ("stage", "kept", "dropped", "why"), rows, numbers=(1, 2))
 
 

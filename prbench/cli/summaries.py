@@ -120,7 +120,7 @@ def print_datasets(
     """
     from prbench.board.tables import why_undecided
     from prbench.harness.run_folder.summary import means_over_datasets
-    from prbench.metrics import GAZE_METRICS, printed_scale
+    from prbench.metrics import GAZE_METRICS
 
     main = [info for info in metrics if info.main]
     # Metrics of gaze say what the head does; recorded motion, whose eyes were measured, has them too.
@@ -145,28 +145,13 @@ def print_datasets(
     print("Intervals of 95 %: with --json.")
     if not one_mean:
         print("No mean: bodies of some datasets were estimated from the motion of the head, others were captured.")
-    # Which datasets decide nothing, and the smallest differences that the others could find.
+    # Which datasets decide nothing between two methods.
     reasons: dict[str, list[str]] = {}
     for each in summaries:
         reasons.setdefault(why_undecided(each.sequences, each.recordings) or "", []).append(_short(each))
     for reason, undecided in reasons.items():
         if reason:
             print(f"Cannot be decided: {', '.join(undecided)} ({reason}).")
-    rows = []
-    for info in (info for info in main if info.ranked):
-        cells = []
-        for metric in (each.metric(info.id) for each in summaries):
-            detectable = metric.detectable if metric is not None else None
-            # Not even a difference of 100 points would be found.
-            hopeless = detectable is None or (info.unit == "rate" and detectable > 1)
-            cells.append(_DASH if hopeless else f"{detectable * printed_scale(info.unit):.2f}")
-        if any(cell != _DASH for cell in cells):
-            rows.append((_with_unit(info), *cells))
-    title = "Smallest difference to an unrelated method of this spread that four of five repetitions would find"
-    if rows:
-        print_table(title, ("metric", *names), rows, numbers=range(1, len(names) + 1))
-    else:
-        print("No difference between two unrelated methods would be found here, however large.")
     _print_marks(summaries)
 
 

@@ -2,7 +2,7 @@
 
 from prbench.curation.build import BuildPlan, BuildReport, build_dataset, build_from_sources, plan_build
 from prbench.curation.curate import CuratedRecording, curate_recording
-from prbench.curation.job import FunnelRow, RecordingSource, funnel_rows
+from prbench.curation.job import RecordingSource, funnel_rows
 from prbench.curation.options import BuildOptions, CurationOptions
 
 __all__ = [
@@ -11,7 +11,6 @@ __all__ = [
     "BuildReport",
     "CuratedRecording",
     "CurationOptions",
-    "FunnelRow",
     "RecordingSource",
     "build_dataset",
     "build_from_sources",

@@ -366,21 +366,8 @@ def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> F
     )
 
 
-@dataclass(frozen=True)
-class FunnelRow:
-    """One stage between the files and the table.
-
-    Attributes:
-        stage: Name of the stage, such as ``located``.
-        kept: How many recordings, events or texts passed it.
-        dropped: How many of those that came to it did not pass.
-        reason: Counts by reason for what was dropped; empty if nothing was.
-    """
-
-    stage: str
-    kept: int
-    dropped: int
-    reason: str
+FunnelRow = tuple[str, int, int, str]
+"""Name of a stage, how many passed it, how many of those that came to it did not, and counts of these by reason."""
 
 
 def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:
@@ -391,15 +378,15 @@ def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:
     told = [f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped"] if left_out else []
     if counts.recordings_cut_short:
         told.append(f"{counts.recordings_cut_short} of those that were read are cut short: events may be missing")
-    rows = [
-        FunnelRow("recordings found", counts.recordings_found, 0, ""),
-        FunnelRow("recordings read", counts.recordings_read, left_out, "; ".join(told)),
-        FunnelRow("candidate events", counts.events, 0, ""),
+    rows: list[FunnelRow] = [
+        ("recordings found", counts.recordings_found, 0, ""),
+        ("recordings read", counts.recordings_read, left_out, "; ".join(told)),
+        ("candidate events", counts.events, 0, ""),
     ]
     before = counts.events
     for stage, names in _STAGES.items():
         kept = getattr(counts, stage)
         reasons = "; ".join(f"{outcomes[name]} {name}: {why}" for name, why in names.items() if outcomes.get(name))
-        rows.append(FunnelRow(stage.replace("_", " "), kept, before - kept, reasons))
+        rows.append((stage.replace("_", " "), kept, before - kept, reasons))
         before = kept
-    return [*rows, FunnelRow("sequences", counts.sequences, before - counts.sequences, "")]
+    return [*rows, ("sequences", counts.sequences, before - counts.sequences, "")]

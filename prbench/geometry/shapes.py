@@ -259,10 +259,10 @@ def import_open3d(purpose: str) -> Any:
 
 
 class TriangleMesh:
-    """One triangle mesh, prepared for rays and closest points.
+    """One triangle mesh, prepared for closest points.
 
     Args:
-        vertices: Corners, metres. Rays and points are given in the same frame.
+        vertices: Corners, metres. Points are given in the same frame.
         faces: Three rows of ``vertices`` for each triangle.
 
     Raises:
@@ -278,31 +278,6 @@ class TriangleMesh:
         self._scene = open3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(self._single(vertices), self._tensor(faces.astype(np.uint32)))
 
-    def first_hit(
-        self,
-        origins: Float[np.ndarray, "n 3"],
-        directions: Float[np.ndarray, "n 3"],
-        reach: Float[np.ndarray, " n"],
-    ) -> Float[np.ndarray, " n"]:
-        """Distance along each ray to the first triangle, seen from either side.
-
-        Args:
-            origins: Where the rays begin.
-            directions: Unit vectors.
-            reach: How far each ray goes, metres.
-
-        Returns:
-            Metres; inf where nothing is in reach.
-        """
-        rays = np.hstack([origins - self._centre, directions]).astype(np.float32)
-        found = self._scene.cast_rays(self._tensor(rays))
-        single = found["t_hit"].numpy().astype(np.float64)
-        hit = np.flatnonzero(np.isfinite(single))
-        corners = self._corners[found["primitive_ids"].numpy()[hit]]
-        distance = np.full(len(origins), np.inf)
-        distance[hit] = _to_plane(corners, origins[hit], directions[hit], otherwise=single[hit])
-        return np.where(distance < reach, distance, np.inf)
-
     def distance(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         """Distance of each point to the closest point of the surface, metres; points inside a body are not negative."""
         found = self._scene.compute_closest_points(self._single(points))
@@ -314,17 +289,3 @@ class TriangleMesh:
     def _single(self, points: Float[np.ndarray, "n 3"]) -> Any:
         """Points around the mesh's centre as a float32 tensor."""
         return self._tensor((points - self._centre).astype(np.float32))
-
-
-def _to_plane(
-    corners: Float[np.ndarray, "n 3 3"],
-    origins: Float[np.ndarray, "n 3"],
-    directions: Float[np.ndarray, "n 3"],
-    *,
-    otherwise: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, " n"]:
-    """Distance along each ray to its triangle's plane; ``otherwise`` where the ray lies in the plane."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    speed = np.einsum("nc,nc->n", directions, normal)
-    height = np.einsum("nc,nc->n", corners[:, 0] - origins, normal)
-    return np.divide(height, speed, out=otherwise.copy(), where=speed != 0)

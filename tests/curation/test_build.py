@@ -73,11 +73,11 @@ def test_on_error_stop_ends_the_build_with_the_error(tmp_path: Path) -> None:
 def test_the_funnel_loses_nothing(tmp_path: Path) -> None:
     options = BuildOptions(CurationOptions(minimum_movement="pelvis_displacement"))
     info = build_from_sources(some_sources(3), tmp_path / "adt", options=options).info
-    rows = {row.stage: row for row in funnel_rows(info)}
-    assert (rows["candidate events"].kept, rows["long enough"].kept) == (6, 6)
-    assert (rows["moved enough"].kept, rows["moved enough"].dropped) == (0, 6)
-    assert "6 minimum_movement" in rows["moved enough"].reason
-    assert rows["sequences"].kept == 0
+    rows = {stage: rest for stage, *rest in funnel_rows(info)}
+    assert (rows["candidate events"][0], rows["long enough"][0]) == (6, 6)
+    assert rows["moved enough"][:2] == [0, 6]
+    assert "6 minimum_movement" in rows["moved enough"][2]
+    assert rows["sequences"][0] == 0
     assert info.options["minimum_movement"] == "pelvis_displacement"
 
 

@@ -1,4 +1,4 @@
-"""Rays and closest points on meshes, against a loop over all triangles."""
+"""Closest points on meshes, against a loop over all triangles."""
 
 from __future__ import annotations
 
@@ -25,24 +25,9 @@ def _crowd() -> tuple[np.ndarray, np.ndarray]:
     return np.random.default_rng(5).normal(size=(90, 3)) + FAR_AWAY, np.arange(90).reshape(-1, 3)
 
 
-def _rays(n: int) -> tuple[np.ndarray, np.ndarray]:
-    generator = np.random.default_rng(6)
-    direction = generator.normal(size=(n, 3))
-    return generator.normal(size=(n, 3)) * 2 + FAR_AWAY, direction / np.linalg.norm(direction, axis=1, keepdims=True)
-
-
-@needs_open3d
-def test_rays_meet_what_a_slow_loop_meets() -> None:
-    origins, directions = _rays(2000)
-    reach = np.full(2000, np.inf)
-    expected = SlowMesh(*_crowd()).first_hit(origins, directions, reach)
-    assert 200 < np.isfinite(expected).sum() < 1800
-    assert TriangleMesh(*_crowd()).first_hit(origins, directions, reach) == pytest.approx(expected, abs=1e-9)
-
-
 @needs_open3d
 def test_closest_points_are_those_of_a_slow_loop() -> None:
-    points, _ = _rays(400)
+    points = np.random.default_rng(6).normal(size=(400, 3)) * 2 + FAR_AWAY
     corners = _crowd()[0][:20]
     points = np.concatenate([points, corners, corners + 1e-5])
     expected = SlowMesh(*_crowd()).distance(points)
@@ -50,31 +35,17 @@ def test_closest_points_are_those_of_a_slow_loop() -> None:
 
 
 @needs_open3d
-def test_reach_ends_a_ray_and_nothing_behind_the_origin_counts() -> None:
+def test_points_outside_a_ball_are_as_far_as_from_its_surface() -> None:
     sphere = trimesh.creation.icosphere(subdivisions=5)
     origins = np.random.default_rng(2).normal(size=(700, 3))
     origins *= 3 / np.linalg.norm(origins, axis=1, keepdims=True)
     mesh = TriangleMesh(np.array(sphere.vertices), np.array(sphere.faces))
-    inwards, no_end = -origins / 3, np.full(700, np.inf)
-    assert mesh.first_hit(origins, inwards, no_end) == pytest.approx(2.0, abs=2e-3)
-    assert np.isinf(mesh.first_hit(origins, inwards, np.full(700, 1.9))).all(), "out of reach"
-    assert np.isinf(mesh.first_hit(origins, -inwards, no_end)).all(), "behind the eye"
-    assert mesh.first_hit(origins * 0, inwards, no_end) == pytest.approx(1.0, abs=2e-3), "from within"
     assert mesh.distance(origins) == pytest.approx(2.0, abs=2e-3)
 
 
 @needs_open3d
-def test_a_ray_along_an_axis_and_one_through_a_common_edge() -> None:
+def test_no_points_have_no_distances() -> None:
     mesh = TriangleMesh(SQUARE, TWO_TRIANGLES)
-    ahead = np.tile((0.0, 0.0, 1.0), (3, 1))
-    origins = np.array([(0.0, 0.0, 0.0), (0.5, 0.5, 0.0), (1.1, 0.0, 0.0)])  # both on the diagonal, and beside
-    assert mesh.first_hit(origins, ahead, np.full(3, np.inf)).tolist() == [2.0, 2.0, np.inf]
-
-
-@needs_open3d
-def test_no_rays_and_no_points_have_no_distances() -> None:
-    mesh = TriangleMesh(SQUARE, TWO_TRIANGLES)
-    assert mesh.first_hit(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)).shape == (0,)
     assert mesh.distance(np.empty((0, 3))).shape == (0,)
 
 
