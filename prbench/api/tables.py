@@ -512,7 +512,7 @@ class Table:
             return [self[place] for place in range(count)[key]]
         if not -count <= key < count:
             raise IndexError(f"{self.folder}: expected a number below {count}, found {key}")
-        return next(sequences_of([self._table.row_at(key % count)], self._table))
+        return self.sequence(self.sequence_ids()[key])
 
     def __repr__(self) -> str:
         return f"<Table {self.info.title}: {len(self)} sequences, {self.folder}>"

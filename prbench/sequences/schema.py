@@ -136,45 +136,32 @@ class ContentDigest:
     """Digest of the values, rounded to 10 µm, in the order of the rows; not of the file's bytes."""
 
     def __init__(self, columns: SequenceOf[str] = tuple(SEQUENCES.names)) -> None:
-        self._columns = {name: _ColumnDigest() for name in columns}
+        # Presence, lengths and values of each column are streams of their own, so that batch borders do not show.
+        self._columns = {name: [hashlib.sha256() for _ in range(3)] for name in columns}
 
     def update(self, batch: pa.RecordBatch) -> None:
         """Take up rows; how they are cut into batches leaves no trace."""
-        for name, column in self._columns.items():
-            column.update(batch.column(name))
+        for name, (presence, lengths, values) in self._columns.items():
+            column = batch.column(name)
+            presence.update(np.asarray(column.is_valid(), dtype=np.uint8).tobytes())
+            kind = column.type
+            if pa.types.is_string(kind) or (pa.types.is_list(kind) and pa.types.is_struct(kind.value_type)):
+                for value in column.to_pylist():
+                    values.update(repr(value).encode() + b"\n")
+                continue
+            if pa.types.is_list(kind):
+                lengths.update(np.asarray(column.value_lengths().fill_null(0), dtype=np.int64).tobytes())
+                column = column.flatten()
+            if pa.types.is_fixed_size_list(column.type):
+                column = column.flatten()
+            values.update(_rounded(column).tobytes())
 
     def hexdigest(self) -> str:
         """SHA-256 over the digests of the columns."""
         total = hashlib.sha256()
-        for name, column in self._columns.items():
-            total.update(name.encode() + column.digest())
+        for name, streams in self._columns.items():
+            total.update(name.encode() + b"".join(stream.digest() for stream in streams))
         return total.hexdigest()
-
-
-class _ColumnDigest:
-    """Presence, lengths and values of one column, each a stream of its own so that batch borders do not show."""
-
-    def __init__(self) -> None:
-        self._presence = hashlib.sha256()
-        self._lengths = hashlib.sha256()
-        self._values = hashlib.sha256()
-
-    def update(self, column: pa.Array) -> None:
-        self._presence.update(np.asarray(column.is_valid(), dtype=np.uint8).tobytes())
-        kind = column.type
-        if pa.types.is_string(kind) or (pa.types.is_list(kind) and pa.types.is_struct(kind.value_type)):
-            for value in column.to_pylist():
-                self._values.update(repr(value).encode() + b"\n")
-            return
-        if pa.types.is_list(kind):
-            self._lengths.update(np.asarray(column.value_lengths().fill_null(0), dtype=np.int64).tobytes())
-            column = column.flatten()
-        if pa.types.is_fixed_size_list(column.type):
-            column = column.flatten()
-        self._values.update(_rounded(column).tobytes())
-
-    def digest(self) -> bytes:
-        return self._presence.digest() + self._lengths.digest() + self._values.digest()
 
 
 def _rounded(leaf: pa.Array) -> np.ndarray:

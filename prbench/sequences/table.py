@@ -228,24 +228,6 @@ class SequenceTable(BuiltTable[DatasetInfo]):
             found = next(self.chunks(ids=frozenset({name})))
         return found
 
-    @foreign_input()
-    def row_at(self, place: int) -> SequenceChunk:
-        """Read the row at a place, counted from 0; of the files only its group of rows is read.
-
-        Raises:
-            TableError: if the file is damaged.
-        """
-        for path in self.part_paths("sequences"):
-            file = open_parquet(path)
-            for number in range(file.num_row_groups):
-                rows = file.metadata.row_group(number).num_rows
-                if place < rows:
-                    with naming(path):
-                        group = file.read_row_group(number, columns=SEQUENCES.names)
-                    return SequenceChunk(group.slice(place, 1).combine_chunks().to_batches()[0])
-                place -= rows
-        raise IndexError("a place beyond the last row")
-
     def with_sequences(self) -> SequenceTable:
         """The same table, for whoever needs sequences.
 
