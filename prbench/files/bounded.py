@@ -230,7 +230,9 @@ def foreign_input(place: Path | str = "input") -> Iterator[None]:
         ) from error
     except Exception as error:
         file = _file_of(error) or place
-        refusal = _refusal(error)
+        refusal = error.strerror if isinstance(error, OSError) else None
+        if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # of Path.resolve
+            refusal = "a link that leads to itself"
         if refusal:
             raise InputFileError(
                 file, "", expected="a file that can be read", found=refusal, remedy=_COPY_AGAIN
@@ -242,14 +244,6 @@ def foreign_input(place: Path | str = "input") -> Iterator[None]:
             found=f"what ends in {type(error).__name__}: {error}",
             remedy=_COPY_AGAIN,
         ) from error
-
-
-def _refusal(error: Exception) -> str:
-    """Return the reason why the system did not let a file be read; empty if that was not what went wrong."""
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror
-    looping = isinstance(error, RuntimeError) and str(error).startswith("Symlink loop")  # of Path.resolve
-    return "a link that leads to itself" if looping else ""
 
 
 def _file_of(error: Exception) -> Path | None:

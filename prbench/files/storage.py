@@ -323,12 +323,27 @@ def sole_writer(path: Path) -> Iterator[None]:
     Raises:
         StorageError: if another process holds it; names that process and its machine.
     """
-    with _parents_only_while_needed(path), contextlib.ExitStack() as held:
+    made = [parent for parent in path.absolute().parents if not parent.exists()]
+    lock = None
+    try:
         lock = _acquired(path)
-        if lock is not None:
-            held.callback(_release, lock)
         remove_leftovers(path)
         yield
+    finally:
+        if lock is not None:
+            # The file is removed while it is still held, so that nobody can be holding it. Whoever opened it before
+            # finds out that it has no name any more, and tries again with a new one. Windows removes no file that is
+            # open; there it goes afterwards, unless somebody has opened it again.
+            with contextlib.suppress(OSError):
+                Path(lock.lock_file).unlink()
+            lock.release()
+            if os.name == "nt":
+                with contextlib.suppress(OSError):
+                    Path(lock.lock_file).unlink()
+        # Folders that the lock has made go where the work has put nothing there.
+        for parent in made:
+            with contextlib.suppress(OSError):
+                parent.rmdir()
 
 
 @contextlib.contextmanager
@@ -418,29 +433,3 @@ def _owner(file: Path) -> str:
                 return f"process {int(match[1])} on {clean(match[2].decode(errors='replace'))}"
         time.sleep(_PATIENCE_S / 10)
     return "another process"
-
-
-def _release(lock: FileLock) -> None:
-    """Remove the file while it is still held, so that nobody can be holding it; then let go.
-
-    Whoever opened it before finds out that it has no name any more, and tries again with a new one. Windows removes no
-    file that is open; there it goes afterwards, unless somebody has opened it again.
-    """
-    with contextlib.suppress(OSError):
-        Path(lock.lock_file).unlink()
-    lock.release()
-    if os.name == "nt":
-        with contextlib.suppress(OSError):
-            Path(lock.lock_file).unlink()
-
-
-@contextlib.contextmanager
-def _parents_only_while_needed(path: Path) -> Iterator[None]:
-    """Remove the folders that the lock has made in the end, if the work has put nothing there."""
-    made = [parent for parent in path.absolute().parents if not parent.exists()]
-    try:
-        yield
-    finally:
-        for parent in made:
-            with contextlib.suppress(OSError):  # not empty
-                parent.rmdir()
