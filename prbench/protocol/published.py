@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -102,7 +102,12 @@ class Assumption:
 @cache
 def load_table_one() -> dict[str, PublishedRow]:
     """The published rows by dataset."""
-    return {row["dataset"]: _row(row) for row in _csv_rows("table_1_and_s2.csv")}
+    rows = {}
+    for row in _csv_rows("table_1_and_s2.csv"):
+        spreads = {name: Spread(float(row[f"{name}_mean"]), float(row[f"{name}_sd"])) for name in QUANTITIES}
+        counts = {name: int(row[name]) for name in ("sequences", "train", "test")}
+        rows[row["dataset"]] = PublishedRow(**counts, **spreads)
+    return rows
 
 
 @cache
@@ -120,22 +125,18 @@ def load_published(table: str) -> tuple[PublishedNumber, ...]:
         scores = [name for name in known if name not in ("1", "S2")]
         raise ValueError(f"no table of scores '{table}'; those of the study are: {', '.join(scores)}")
     file = known[table]["file"]
-    if file == "ablations.csv":
-        return tuple(_ablated(table))
-    return tuple(
-        PublishedNumber(
-            table=table,
-            dataset=row["dataset"],
-            condition=row["condition"],
-            method=row["method"],
-            variant=row["variant"],
-            metric=row["metric"],
-            printed=row["value"],
-            plus_minus=row.get("plus_minus", ""),
-            note=row["note"],
-        )
-        for row in _csv_rows(file)
-    )
+    numbers = []
+    for row in _csv_rows(file):
+        if file == "ablations.csv":  # a column a metric, several tables in one file
+            cells = {metric: row.pop(metric) for metric in _ABLATED_METRICS}
+            if row.pop("table") == table:
+                numbers += [
+                    PublishedNumber(table=table, method="pr", metric=metric, printed=printed, **row)
+                    for metric, printed in cells.items()
+                ]
+        else:
+            numbers.append(PublishedNumber(table=table, printed=row.pop("value"), **row))
+    return tuple(numbers)
 
 
 def published_table(table: str) -> PublishedTable:
@@ -159,21 +160,6 @@ def assumptions_for(metrics: Iterable[str]) -> tuple[Assumption, ...]:
     """Return the open choices that concern one of these metrics."""
     wanted = set(metrics)
     return tuple(each for each in load_assumptions() if wanted & set(each.metrics))
-
-
-def _row(row: Mapping[str, str]) -> PublishedRow:
-    spreads = {name: Spread(float(row[f"{name}_mean"]), float(row[f"{name}_sd"])) for name in QUANTITIES}
-    return PublishedRow(int(row["sequences"]), int(row["train"]), int(row["test"]), **spreads)
-
-
-def _ablated(table: str) -> Iterable[PublishedNumber]:
-    """Yield the cells of a table of ablations, whose file has a column a metric."""
-    for row in _csv_rows("ablations.csv"):
-        if row["table"] != table:
-            continue
-        condition = row["condition"]
-        for metric in _ABLATED_METRICS:
-            yield PublishedNumber(table, row["dataset"], condition, "pr", row["variant"], metric, row[metric])
 
 
 def _csv_rows(name: str) -> list[dict[str, str]]:
