@@ -369,7 +369,7 @@ def _describe(
         dataset=found.dataset,
         prbench_version=prbench.__version__,
         manifest_digest=digest_of(manifest),
-        input_digest=text_digest(file_digest(found.files.folder / TARGETS), *arrays),
+        input_digest=text_digest(file_digest(found.folder / TARGETS), *arrays),
         options=options,
         # A release holds sequences alone, so every event has passed all stages.
         counts=FunnelCounts(

@@ -15,7 +15,6 @@ import os
 import re
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -103,16 +102,6 @@ EXPORT_RECORD = "prbench_export.json"
 _ENDS = re.compile(r"^\D+|\D+$")
 
 
-@dataclass(frozen=True)
-class DatasetFiles:
-    """The files of one dataset's folder."""
-
-    folder: Path
-    motions: dict[int, Path]
-    gazes: dict[int, Path]
-    further: dict[int, Path]
-
-
 @foreign_input()
 def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Path]]:
     """Find the dataset folders of a release, sorted by name.
@@ -150,8 +139,8 @@ def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Pat
     return found
 
 
-def list_files(folder: Path) -> DatasetFiles:
-    """List the arrays of one dataset's folder by the number in their names.
+def list_files(folder: Path) -> dict[str, dict[int, Path]]:
+    """List the arrays of one dataset's folder by kind (``motions`` …) and by the number in their names.
 
     Raises:
         InputFileError: if two files have one number, or a file leads out of the folder.
@@ -176,7 +165,7 @@ def list_files(folder: Path) -> DatasetFiles:
             if other is not path:
                 names = f"{other.name} and {entry.name}"
                 raise InputFileError(folder / name, f"sequence {index}", expected="one file", found=names)
-    return DatasetFiles(folder, found[MOTIONS], found[GAZES], found[FURTHER])
+    return found
 
 
 @foreign_input()

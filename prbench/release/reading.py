@@ -20,9 +20,11 @@ from prbench.errors import InputFileError, UsageError
 from prbench.files.storage import bytes_digest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame
 from prbench.release.layout import (
+    FURTHER,
+    GAZES,
+    MOTIONS,
     SYNTHETIC_PREFIX,
     TARGETS,
-    DatasetFiles,
     convert_block,
     index_of,
     letters,
@@ -95,7 +97,9 @@ class ReleasedDataset:
     """One dataset of a release, measured; problems and warnings are collected while it is read."""
 
     dataset: str
-    files: DatasetFiles
+    folder: Path
+    files: dict[str, dict[int, Path]]
+    """Arrays by kind (``motions`` …) and number."""
     mapping: dict[str, str]
     """Field of the release by canonical name."""
     unmapped: list[str]
@@ -153,11 +157,11 @@ def read_release(
     mapping = _map_fields(folder / TARGETS, names, options.field_map)
     fps, rate = _frame_rate(folder, list(entries.values()), mapping, options.fps)
     unmapped = [name for name in names if name not in mapping.values()]
-    found = ReleasedDataset(dataset, files, mapping, unmapped, fps, inferences=[rate])
+    found = ReleasedDataset(dataset, folder, files, mapping, unmapped, fps, inferences=[rate])
     progress(dataset, f"measuring {len(entries)} sequences")
     for key, fields in entries.items():
         _read_sequence(found, key, fields)
-    for index in sorted(set(files.motions) - {index_of(key) for key in entries}):
+    for index in sorted(set(files[MOTIONS]) - {index_of(key) for key in entries}):
         found.note(f"{index:010d}", f"a motion without an entry in {TARGETS}", left_out=True)
     left_out = found.left_out
     if left_out and (options.on_error == "fail" or not found.sequences):
@@ -273,7 +277,7 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
         found.note(key, text, left_out=True)
         return
     gaze_file, gaze_content = _read_gaze(found, key, index, n_frames)
-    further, further_content = found.files.further.get(index), b""
+    further, further_content = found.files[FURTHER].get(index), b""
     if further is not None:
         try:
             further_content = read_further(further, n_frames)[1]
@@ -296,7 +300,7 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
         ReleasedSequence(
             fields=fields,
             index=index,
-            motion=found.files.motions[index],
+            motion=found.files[MOTIONS][index],
             gaze=gaze_file,
             further=further,
             block=block,
@@ -315,7 +319,7 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
 
 def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarray, np.ndarray, bytes] | None:
     """Return the joints of a sequence, the pose of its canonical frame and the file's bytes; None if it is unusable."""
-    path = found.files.motions.get(index)
+    path = found.files[MOTIONS].get(index)
     if path is None:
         found.note(key, "no file in motions", left_out=True)
         return None
@@ -343,7 +347,7 @@ def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarr
 
 def _read_gaze(found: ReleasedDataset, key: str, index: int, n_frames: int) -> tuple[Path | None, bytes]:
     """Return the file of a sequence's gaze and its bytes; None where it is missing or wrong, which costs the gaze."""
-    path = found.files.gazes.get(index)
+    path = found.files[GAZES].get(index)
     if path is None:
         found.note(key, "no file in gazes: no gaze")
         return None, b""
@@ -373,7 +377,7 @@ def _judge(found: ReleasedDataset) -> None:
     # Bodies differ by some per cent, units by factors of ten: the distance from pelvis to head tells them apart.
     if not rules.lowest_pelvis_to_head <= size <= rules.highest_pelvis_to_head or stated in ("cm", "mm"):
         raise InputFileError(
-            found.files.folder,
+            found.folder,
             "motions",
             expected=f"a median distance from pelvis to head of {rules.lowest_pelvis_to_head:g} to"
             f" {rules.highest_pelvis_to_head:g} m",
