@@ -6,7 +6,6 @@ Source: docs/specification/humanml3d.md#text-files.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from prbench.files.arrays import load_array
 from prbench.files.bounded import read_text
 from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.limits import HARMLESS_SIZE
+from prbench.sequences.corpus import Caption
 
 JOINTS_FOLDER = "new_joints"
 """Joint positions, one (F, 22, 3) array a motion: metres, Y up, 20 fps."""
@@ -31,22 +31,11 @@ _TEXT_SEPARATOR = "#"
 """``caption#tokens#from#to``; both times 0.0 mean the whole motion."""
 
 
-@dataclass(frozen=True)
-class TextLine:
-    """One caption."""
-
-    text: str
-    tokens: str
-    """``word/POS`` separated by spaces."""
-    start: float
-    """Seconds; 0 with ``end`` 0 means the whole motion."""
-    end: float
-
-    @property
-    def is_whole(self) -> bool:
-        """Return True if the caption describes the whole motion."""
-        return self.start == 0.0 and self.end == 0.0
-
+WHOLE = "caption"
+"""Kind of a caption of the whole motion; its times count as 0."""
+PART = "sub_caption"
+TextLine = tuple[Caption, float, float]
+"""One caption, and the seconds from which and to which it describes the motion."""
 
 _SHORTEST_TRUNK = 0.05  # metres; longer ones are in millimetres
 _LONGEST_TRUNK = 20.0
@@ -82,7 +71,7 @@ def _parse(path: Path, number: int, line: str) -> TextLine:
         )
     text, tokens, *times = (part.strip() for part in parts)
     start, end = (_seconds(path, number, cell) for cell in times)
-    return TextLine(text, tokens, start, end)
+    return Caption(text, WHOLE if start == end == 0.0 else PART, tokens), start, end
 
 
 def _seconds(path: Path, number: int, cell: str) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,9 +26,6 @@ from prbench_adapters.corpora.sources import (
     RecordingIdentity,
     cut_clip,
 )
-
-_WHOLE = "caption"
-_PART = "sub_caption"
 
 
 def clips_of(
@@ -54,14 +51,16 @@ def clips_of(
     annotations = []
     # Lines of one span together, whole motions first.
     duration = len(joints) / layout.RATE
-    spans: dict[tuple[float, float], list[tuple[int, TextLine]]] = {}
-    for number, line in sorted(enumerate(lines, start=1), key=lambda item: (not item[1].is_whole, item[0])):
-        spans.setdefault((0.0, duration) if line.is_whole else (line.start, line.end), []).append((number, line))
+    spans: dict[tuple[float, float], list[tuple[int, Caption]]] = {}
+    numbered = [(number, *line) for number, line in enumerate(lines, start=1)]
+    for number, caption, start, end in sorted(numbered, key=lambda item: (item[1].kind != layout.WHOLE, item[0])):
+        span = (0.0, duration) if caption.kind == layout.WHOLE else (start, end)
+        spans.setdefault(span, []).append((number, caption))
     for (start, end), members in spans.items():
-        kind = _WHOLE if members[0][1].is_whole else _PART
+        kind = members[0][1].kind
         recording = f"{identity.dataset}/{identity.recording_id}"
         sequence_id = f"{recording}/{kind}/{round(start * 1e6)}-{round(end * 1e6)}/{manifest.body.pose_source}"
-        captions = tuple(dict.fromkeys(Caption(line.text, kind, line.tokens) for _, line in members if line.text))
+        captions = tuple(dict.fromkeys(replace(caption, kind=kind) for _, caption in members if caption.text))
         first = int(start * layout.RATE)
         available = min(int(end * layout.RATE), len(joints)) - first
         outcome, value, threshold = _fate(captions, start, end, available, limits)
@@ -93,20 +92,20 @@ def clips_of(
             outcome = "no_heading" if clip is None else "clip"
             clips += [] if clip is None else [clip]
         seen: set[str] = set()
-        for number, line in members:
+        for number, caption in members:
             own = outcome
-            if not line.text:
+            if not caption.text:
                 own = "no_text"
-            elif line.text in seen:
+            elif caption.text in seen:
                 own = "duplicate"
-            seen.add(line.text)
+            seen.add(caption.text)
             annotations.append(
                 Annotation(
                     annotation_id=f"{recording}/{number}",
                     recording_id=identity.recording_id,
                     sequence_id=sequence_id if own == "clip" else None,
                     kind=kind,
-                    text=line.text,
+                    text=caption.text,
                     text_start=start,
                     text_end=end,
                     outcome=own,

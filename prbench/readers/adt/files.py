@@ -169,10 +169,6 @@ class _Association(msgspec.Struct):
     name: str = msgspec.field(name="SkeletonName")
 
 
-class _Associations(msgspec.Struct):
-    people: tuple[_Association, ...] = msgspec.field(name="SkeletonMetadata")
-
-
 class _Frame(msgspec.Struct):
     joints: msgspec.Raw
     timestamp_ns: int
@@ -183,7 +179,7 @@ class _SkeletonFile(msgspec.Struct):
 
 
 _INSTANCES = msgspec.json.Decoder(dict[str, _Instance])
-_ASSOCIATIONS = msgspec.json.Decoder(_Associations)
+_ASSOCIATIONS = msgspec.json.Decoder(dict[Literal["SkeletonMetadata"], tuple[_Association, ...]])
 _SKELETON = msgspec.json.Decoder(_SkeletonFile)
 
 
@@ -248,7 +244,7 @@ def read_skeletons(found: RecordingFiles) -> tuple[adt.AdtSkeleton, ...]:
             than the 51.
     """
     association = found.path(ASSOCIATION)
-    people = () if association is None else decode_json(association, _ASSOCIATIONS).people
+    people = () if association is None else decode_json(association, _ASSOCIATIONS)["SkeletonMetadata"]
     skeletons = []
     width = 3 * adt.N_NATIVE_JOINTS
     names = [str(column) for column in range(width)]

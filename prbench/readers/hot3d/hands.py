@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -54,11 +55,7 @@ class _Model(msgspec.Struct):
     joint_rotation_axes: list[tuple[float, float, float]]
 
 
-class _Profile(msgspec.Struct):
-    hand_model: _Model
-
-
-_PROFILE = msgspec.json.Decoder(_Profile, strict=False)
+_PROFILE = msgspec.json.Decoder(dict[Literal["hand_model"], _Model], strict=False)
 
 
 def bone_transforms(model: hot3d.HandModel, angles: Float[np.ndarray, "n 22"]) -> Float[np.ndarray, "n 17 4 4"]:
@@ -176,7 +173,7 @@ def read_profile(path: Path) -> hot3d.HandModel:
     Raises:
         InputFileError: if the file is missing or damaged, an array has another shape, or weights do not sum to 1.
     """
-    model = decode_json(path, _PROFILE).hand_model
+    model = decode_json(path, _PROFILE)["hand_model"]
     for row, weights in enumerate(model.dense_bone_weights):
         if len(weights) != N_BONES or not abs(sum(weights) - 1) <= 1e-3:
             raise InputFileError(

@@ -85,9 +85,9 @@ def test_long_motions_are_cut_at_the_loaders_limit(tmp_path):
 def test_captions_with_the_separator_inside_and_nan_times_are_read(tmp_path):
     path = tmp_path / "t.txt"
     path.write_text("number #1 walks.#number/NOUN#nan#nan\n\nthen.#x/X#0.5#2\n")
-    first, second = read_texts(path)
-    assert (first.text, first.is_whole) == ("number #1 walks.", True)
-    assert (second.start, second.end) == (0.5, 2.0)
+    (first, *times), (second, start, end) = read_texts(path)
+    assert (first.text, first.kind, times) == ("number #1 walks.", "caption", [0.0, 0.0])
+    assert (second.kind, start, end) == ("sub_caption", 0.5, 2.0)
 
 
 @pytest.mark.parametrize(("line", "says"), [("only text", "line 1"), ("a#b#c#d", "a time"), ("a#b#0#inf", "finite")])
