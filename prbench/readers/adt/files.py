@@ -17,7 +17,7 @@ import pyarrow.csv
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
-from prbench.files.bounded import require_rows
+from prbench.files.bounded import require, require_rows
 from prbench.readers import ReaderOptions, read_synthetic_tree
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.to_recording import ASSUMED_SIZE, turned_to_z_up
@@ -244,11 +244,14 @@ def read_skeletons(found: RecordingFiles) -> tuple[adt.AdtSkeleton, ...]:
             than the 51.
     """
     association = found.path(ASSOCIATION)
-    people = () if association is None else decode_json(association, _ASSOCIATIONS)["SkeletonMetadata"]
+    known = {"SkeletonMetadata": ()} if association is None else decode_json(association, _ASSOCIATIONS)
+    require(
+        association or "", ("SkeletonMetadata" in known, "", "the key 'SkeletonMetadata'", "an empty object", _AGAIN)
+    )
     skeletons = []
     width = 3 * adt.N_NATIVE_JOINTS
     names = [str(column) for column in range(width)]
-    for person in people:
+    for person in known["SkeletonMetadata"]:
         if person.name == adt.NOBODY:
             continue
         path = found.require(f"{SKELETON_PREFIX}{person.name}", f"{person.name}.json")
@@ -286,6 +289,7 @@ def read_skeletons(found: RecordingFiles) -> tuple[adt.AdtSkeleton, ...]:
     return tuple(skeletons)
 
 
+_AGAIN = "Download the file again."
 _BEHIND = np.pi / 2  # radians; no eye looks there
 _TOO_MANY = 0.2  # share of rows
 

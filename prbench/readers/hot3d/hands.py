@@ -11,6 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
+from prbench.files.bounded import require
 from prbench.readers.files import Nanoseconds, decode_json, require_increasing, text_lines
 from prbench.readers.hot3d import format as hot3d
 
@@ -173,7 +174,9 @@ def read_profile(path: Path) -> hot3d.HandModel:
     Raises:
         InputFileError: if the file is missing or damaged, an array has another shape, or weights do not sum to 1.
     """
-    model = decode_json(path, _PROFILE)["hand_model"]
+    profile = decode_json(path, _PROFILE)
+    require(path, ("hand_model" in profile, "", "the key 'hand_model'", "an empty object", "Download it again."))
+    model = profile["hand_model"]
     for row, weights in enumerate(model.dense_bone_weights):
         if len(weights) != N_BONES or not abs(sum(weights) - 1) <= 1e-3:
             raise InputFileError(
