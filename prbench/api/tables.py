@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import numpy as np
 import pyarrow as pa
@@ -226,8 +226,8 @@ def sequences_of(chunks: Iterable[SequenceChunk], table: SequenceTable) -> Itera
     for chunk in chunks:
         columns = [row_values(chunk.batch.column(name)) for name in SEQUENCES.names]
         for row in zip(*columns, strict=True):
-            values = (frozen(each.copy()) if isinstance(each, np.ndarray) else each for each in row)
-            yield Sequence(*values, table)
+            values: list[Any] = [frozen(each.copy()) if isinstance(each, np.ndarray) else each for each in row]
+            yield Sequence(*values, _table=table)
 
 
 _Record = TypeVar("_Record")

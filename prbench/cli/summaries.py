@@ -128,7 +128,9 @@ def print_datasets(
     means = means_over_datasets(summaries) if one_mean else {}
     irrelevant = _irrelevant(motionless)
     names = list(map(_short, summaries))
-    rows = [("sequences (recordings)", *(f"{each.sequences} ({each.recordings})" for each in summaries), "")]
+    rows: list[tuple[str, ...]] = [
+        ("sequences (recordings)", *(f"{each.sequences} ({each.recordings})" for each in summaries), "")
+    ]
     for info in (*main, *by_gaze):
         found = [*(summary.metric(info.id) for summary in summaries), means.get(info.id)]
         rows.append((_with_unit(info), *(_mean(each, info, hidden=info.id in irrelevant) for each in found)))

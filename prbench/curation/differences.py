@@ -115,7 +115,7 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
         pair = (row, None) if name in sequences[0] else (None, row)
         changes.append((0.0, _told(*pair, "vanished" if pair[0] else "appeared", "a sequence that no event names")))
     reported = {change.recording_id for _, change in changes}
-    changes += [(0.0, change) for change in _changed_recordings(*recordings, reported)]
+    changes += [(0.0, change) for change in _changed_recordings(recordings[0], recordings[1], reported)]
     order = {kind: rank for rank, kind in enumerate(KINDS)}
     changes.sort(key=lambda item: (order[item[1].kind], item[1].recording_id, item[0], item[1].event))
     settings = [(name, str(getattr(one, name)), str(getattr(other, name))) for name in _SETTINGS]
@@ -230,15 +230,15 @@ def _same(one: Any, other: Any) -> bool:
 def _changed_recordings(one: dict[str, Row], other: dict[str, Row], reported: Collection[str]) -> Iterator[Change]:
     """Recordings with other values; what follows from changes of their events, which are reported, is left out."""
     for name in sorted(one.keys() | other.keys()):
-        statuses = [rows[name]["status"] if name in rows else "" for rows in (one, other)]
-        if all(statuses):
+        first, second = (rows[name]["status"] if name in rows else "" for rows in (one, other))
+        if first and second:
             follows = (*OUTCOMES, "status", "message") if name in reported else ()
             columns = _differing(one[name], other[name], besides=follows)
             if columns:
-                yield Change("values", name, "", *statuses, ", ".join(columns))
+                yield Change("values", name, "", first, second, ", ".join(columns))
         elif name not in reported:
-            kind = "vanished" if statuses[0] else "appeared"
-            yield Change(kind, name, "", *statuses, "recording in one of the builds only")
+            kind = "vanished" if first else "appeared"
+            yield Change(kind, name, "", first, second, "recording in one of the builds only")
 
 
 def _told(one: Row | None, other: Row | None, kind: str, decided_by: str) -> Change:
