@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -238,60 +237,6 @@ def delta_loss(predicted: Frames, history: Frames) -> _PerMotion:
     )
 
 
-class Totals:
-    """Losses of all primitives of a step, averaged over those that lie inside their motion.
-
-    Args:
-        valid: Which do.
-    """
-
-    def __init__(self, valid: Bool[Tensor, "batch primitives"]) -> None:
-        self.valid, self.sums = valid, dict[str, Tensor]()
-
-    def add(self, number: int, losses: dict[str, _PerMotion]) -> None:
-        """The losses of one primitive of each motion."""
-        for name, loss in losses.items():
-            kept = torch.where(self.valid[:, number], loss, 0.0).sum()
-            self.sums[name] = self.sums.get(name, 0.0) + kept
-
-    def result(self, **weights: float) -> dict[str, Tensor]:
-        """The weighted sum ``loss`` and all parts."""
-        # Over all primitives together, so that each one inside its motion weighs the same.
-        count = self.valid.sum().clamp_min(1)
-        parts = {name: total / count for name, total in self.sums.items()}
-        loss = torch.stack([weights[name] * part for name, part in parts.items()]).sum()
-        return {"loss": loss, **{name: parts.get(name, torch.zeros_like(loss)).detach() for name in PARTS}}
-
-
-@dataclass(frozen=True)
-class Moment:
-    """Phase and progress of a training at one call."""
-
-    vae: bool
-    """True while the VAE is trained, False while the denoiser is."""
-    progress: float
-    """Share of the phase that is over, from 0 to 1."""
-    feedback: float
-    """Probability that a primitive starts from the end of what was predicted before it."""
-
-
-def moment_of(step: int, calls: int, objective: Objective) -> Moment:
-    """Return the phase and progress of a training at one call.
-
-    Args:
-        step: Counts the calls of the whole training from 0.
-        calls: How many there are.
-        objective: Shares of the phases, and of their stages.
-    """
-    # Counted in calls, so that a resumed training is in the same phase.
-    of_vae = round(objective.vae_share * calls)
-    if step < of_vae:
-        progress = step / of_vae
-        return Moment(True, progress, feedback(progress, objective.vae_stages))
-    progress = min(1.0, (step - of_vae) / max(1, calls - of_vae))
-    return Moment(False, progress, feedback(progress, objective.denoiser_stages))
-
-
 def feedback(progress: float, stages: Shares) -> float:
     """Probability of starting from one's own prediction: 0 in the first stage, 1 in the last, rising in between."""
     recorded, rising, _ = stages
@@ -301,20 +246,6 @@ def feedback(progress: float, stages: Shares) -> float:
 
 
 _MEASURED_MOTIONS = 512
-
-
-@dataclass(frozen=True)
-class _Step:
-    """One primitive of a training step: standardised features, and what they stand for in metres."""
-
-    history: Float[Tensor, "batch history 276"]
-    future: Float[Tensor, "batch future 276"]
-    recorded: Frames
-    offsets: Float[Tensor, "batch 22 3"]
-
-    @property
-    def recorded_future(self) -> Frames:
-        return self.recorded.part(HISTORY_FRAMES, self.recorded.joints.shape[1])
 
 
 class DartTraining(TrainingModule):
@@ -360,111 +291,114 @@ class DartTraining(TrainingModule):
         Returns:
             ``loss`` and its parts, unweighted (:data:`prbench_adapters.dart.training.PARTS`).
         """
-        _require_one_process()
-        moment = self.moment(step)
+        if torch.distributed.is_available() and torch.distributed.is_initialized():
+            raise UsageError(
+                "--devices: dart is trained by one process, because only one of its two networks has gradients at a"
+                " time; leave --devices out. At paper size it fits one GPU."
+            )
+        of_vae, _, share_of_own = self.moment(step)
         generator = self.generator(step)
-        rows = self._rows(len(batch), moment)
-        cut = self._windows(batch, rows, generator)
-        if moment.vae:
-            return self._train_vae(cut, moment, generator)
-        self._measure_latents()
-        texts = tuple(batch.text[row] for row in rows.tolist())
-        with self._frozen_vae():
-            return self._train_denoiser(cut, texts, moment, generator)
-
-    def moment(self, step: int) -> Moment:
-        """Return the phase of a call; a validation is in that of the training around it, without feedback."""
-        if step < 0:
-            return Moment(not self._measured(), 0.0, 0.0)
-        return moment_of(step, self.calls, self.objective)
-
-    def learning_rate_factor(self, step: int) -> float:
-        """Falls linearly to 0 in each phase."""
-        return max(0.0, 1.0 - self.moment(step).progress)
-
-    def _rows(self, motions: int, moment: Moment) -> Int[Tensor, " windows"]:
-        """Number the motion of the batch that each window is cut out of."""
-        most = self.objective.vae_batch_size if moment.vae else None
-        return torch.arange(min(motions, most or motions)).repeat_interleave(self.objective.windows)
-
-    def _windows(self, batch: MotionBatch, rows: Int[Tensor, " windows"], generator: torch.Generator) -> Window:
+        most = self.objective.vae_batch_size if of_vae else None
+        rows = torch.arange(min(len(batch), most or len(batch))).repeat_interleave(self.objective.windows)
         n = self.objective.primitives
         device = batch.joints.device
         starts = drawn_starts(batch.n_frames.cpu()[rows], n, self.configuration, generator)
         with torch.autocast(device.type, enabled=False):
-            return window(batch, rows.to(device), starts.to(device), n, self.configuration)
+            cut = window(batch, rows.to(device), starts.to(device), n, self.configuration)
+        self.vae.train(self.training and of_vae)
+        if of_vae:
+            return self._losses(cut, None, share_of_own, generator)
+        self._measure_latents()
+        texts = tuple(batch.text[row] for row in rows.tolist())
+        hidden = torch.rand(len(texts), generator=generator) < self.objective.text_drop
+        text = pooled_texts(self.texts, texts).masked_fill(hidden[:, None], 0.0).to(device)
+        # The decoder passes gradients on to the denoiser and gets none itself, so its optimiser leaves it alone.
+        self.vae.requires_grad_(False)
+        try:
+            return self._losses(cut, text, share_of_own, generator)
+        finally:
+            self.vae.requires_grad_(True)
 
-    def _train_vae(self, cut: Window, moment: Moment, generator: torch.Generator) -> dict[str, Tensor]:
-        self.vae.train(self.training)
-        totals = Totals(cut.valid)
-        own: Frames | None = None
-        for number in range(self.objective.primitives):
-            given = self._given(cut, number, own, moment, generator)
-            mean, log_variance = self.vae.encode(given.history, given.future)
-            # Validation judges the mean latent, so that its numbers do not waver.
-            noise = _normal(mean.shape, generator, mean.device) if self.training else torch.zeros_like(mean)
-            features = self.vae.decode(mean + (0.5 * log_variance).exp() * noise, given.history)
-            with torch.autocast(features.device.type, enabled=False):
-                predicted = self._scaling().frames(features.float())
-                body, consistency = body_losses(predicted, given.recorded_future, given.offsets)
-                losses = {
-                    "reconstruction": huber(features.float(), given.future),
-                    "divergence": divergence(mean.float(), log_variance.float()),
-                    "body": body,
-                    "consistency": consistency,
-                    "deltas": delta_loss(predicted, self._scaling().frames(given.history)),
-                }
-                totals.add(number, losses)
-                # Gradients do not run through the history: each primitive learns for itself.
-                own = _detached(next_history(predicted)[0])
-        weights = self.objective
-        return totals.result(
-            reconstruction=1.0,
-            divergence=weights.kl_weight,
-            body=weights.joint_weight,
-            consistency=weights.consistency_weight,
-            deltas=weights.vae_delta_weight,
-        )
+    def moment(self, step: int) -> tuple[bool, float, float]:
+        """Return the phase of a call: whether it is the VAE's, the share of it that is over, and that of own histories.
 
-    def _train_denoiser(
-        self, cut: Window, texts: tuple[str, ...], moment: Moment, generator: torch.Generator
-    ) -> dict[str, Tensor]:
-        text = self._texts(texts, generator)
-        totals = Totals(cut.valid)
-        own: Frames | None = None
-        for number in range(self.objective.primitives):
-            given = self._given(cut, number, own, moment, generator)
-            # The mean alone, divided by one number for all dimensions, as diffusion expects a variance near 1.
-            clean = self.vae.encode(given.history, given.future)[0].detach() / self.latent_std
-            latent = self.denoiser(*self._noisy(clean, generator), text, given.history)
-            features = self.vae.decode(latent * self.latent_std, given.history)
-            with torch.autocast(features.device.type, enabled=False):
-                predicted = self._scaling().frames(features.float())
-                losses = {
-                    "latent": huber(latent.float(), clean.float()),
-                    "reconstruction": huber(features.float(), given.future),
-                    "deltas": delta_loss(predicted, self._scaling().frames(given.history)),
-                }
-                totals.add(number, losses)
-            if moment.feedback > 0 and number + 1 < self.objective.primitives:
-                own = self._sampled_history(given.history, text, generator)
-        weights = self.objective
-        return totals.result(latent=weights.latent_weight, reconstruction=1.0, deltas=weights.denoiser_delta_weight)
-
-    def _given(self, cut: Window, number: int, own: Frames | None, moment: Moment, generator: torch.Generator) -> _Step:
-        """A primitive with the recorded history, or in some motions with the end of what was predicted before it.
-
-        The future stays the recorded one, seen from the recorded history: the network learns to come back to it.
+        A validation is in the phase of the training around it, without own histories.
         """
-        with torch.autocast(cut.valid.device.type, enabled=False):
-            recorded = cut.primitive(number, self.configuration.future_frames)
-            features = self._scaling().standardised(recorded)
-            history = features[:, :HISTORY_FRAMES]
-            future = features[:, HISTORY_FRAMES:]
-            chosen = torch.rand(len(features), generator=generator).to(history.device) < moment.feedback
-            if own is not None:
-                history = torch.where(chosen[:, None, None], self._scaling().standardised(own), history)
-            return _Step(history, future, recorded, rest_offsets(recorded.joints[:, 0]))
+        if step < 0:
+            return not bool(self.latent_std > 0), 0.0, 0.0
+        # Counted in calls, so that a resumed training is in the same phase.
+        of_vae = round(self.objective.vae_share * self.calls)
+        if step < of_vae:
+            progress = step / of_vae
+            return True, progress, feedback(progress, self.objective.vae_stages)
+        progress = min(1.0, (step - of_vae) / max(1, self.calls - of_vae))
+        return False, progress, feedback(progress, self.objective.denoiser_stages)
+
+    def learning_rate_factor(self, step: int) -> float:
+        """Falls linearly to 0 in each phase."""
+        return max(0.0, 1.0 - self.moment(step)[1])
+
+    def _losses(
+        self, cut: Window, text: Tensor | None, share_of_own: float, generator: torch.Generator
+    ) -> dict[str, Tensor]:
+        """The losses of the VAE, or with texts of the denoiser, averaged over primitives inside their motion."""
+        scaling = FeatureScaling(self.mean, self.std)
+        weights = self.objective
+        device = cut.valid.device
+        sums: dict[str, Tensor] = {}
+        own: Frames | None = None
+        for number in range(weights.primitives):
+            with torch.autocast(device.type, enabled=False):
+                recorded = cut.primitive(number, self.configuration.future_frames)
+                given = scaling.standardised(recorded)
+                history, future = given[:, :HISTORY_FRAMES], given[:, HISTORY_FRAMES:]
+                # The future stays the recorded one, seen from the recorded history: the network learns to come back.
+                chosen = torch.rand(len(given), generator=generator).to(device) < share_of_own
+                if own is not None:
+                    history = torch.where(chosen[:, None, None], scaling.standardised(own), history)
+            mean, log_variance = self.vae.encode(history, future)
+            if text is None:
+                # Validation judges the mean latent, so that its numbers do not waver.
+                noise = _normal(mean.shape, generator, device) if self.training else torch.zeros_like(mean)
+                latent = mean + (0.5 * log_variance).exp() * noise
+                features = self.vae.decode(latent, history)
+            else:
+                # The mean alone, divided by one number for all dimensions, as diffusion expects a variance near 1.
+                clean = mean.detach() / self.latent_std
+                latent = self.denoiser(*self._noisy(clean, generator), text, history)
+                features = self.vae.decode(latent * self.latent_std, history)
+            with torch.autocast(device.type, enabled=False):
+                predicted = scaling.frames(features.float())
+                reconstruction = huber(features.float(), future)
+                deltas = delta_loss(predicted, scaling.frames(history))
+                if text is None:
+                    following = recorded.part(HISTORY_FRAMES, recorded.joints.shape[1])
+                    body, consistency = body_losses(predicted, following, rest_offsets(recorded.joints[:, 0]))
+                    losses = {
+                        "reconstruction": (1.0, reconstruction),
+                        "divergence": (weights.kl_weight, divergence(mean.float(), log_variance.float())),
+                        "body": (weights.joint_weight, body),
+                        "consistency": (weights.consistency_weight, consistency),
+                        "deltas": (weights.vae_delta_weight, deltas),
+                    }
+                    # Gradients do not run through the history: each primitive learns for itself.
+                    ended = next_history(predicted)[0]
+                    own = Frames(**{name: value.detach() for name, value in vars(ended).items()})
+                else:
+                    losses = {
+                        "latent": (weights.latent_weight, huber(latent.float(), clean.float())),
+                        "reconstruction": (1.0, reconstruction),
+                        "deltas": (weights.denoiser_delta_weight, deltas),
+                    }
+                for name, (_, loss) in losses.items():
+                    sums[name] = sums.get(name, 0.0) + torch.where(cut.valid[:, number], loss, 0.0).sum()
+            if text is not None and share_of_own > 0 and number + 1 < weights.primitives:
+                own = self._sampled_history(history, text, generator)
+        # Over all primitives together, so that each one inside its motion weighs the same.
+        count = cut.valid.sum().clamp_min(1)
+        parts = {name: total / count for name, total in sums.items()}
+        loss = torch.stack([losses[name][0] * part for name, part in parts.items()]).sum()
+        return {"loss": loss, **{name: parts.get(name, torch.zeros_like(loss)).detach() for name in PARTS}}
 
     @torch.no_grad()
     def _sampled_history(self, history: Tensor, text: Tensor, generator: torch.Generator) -> Frames:
@@ -481,7 +415,7 @@ class DartTraining(TrainingModule):
         self.denoiser.train(was_training)
         features = self.vae.decode(latent * self.latent_std, history)
         with torch.autocast(history.device.type, enabled=False):
-            return next_history(self._scaling().frames(features.float()))[0]
+            return next_history(FeatureScaling(self.mean, self.std).frames(features.float()))[0]
 
     def _noisy(self, clean: Float[Tensor, "batch 1 latent"], generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Noisy latents and their diffusion steps, uniform."""
@@ -490,20 +424,10 @@ class DartTraining(TrainingModule):
         signal, noise = (values.float().to(clean.device) for values in (level.sqrt(), (1.0 - level).sqrt()))
         return signal * clean + noise * _normal(clean.shape, generator, clean.device), steps.to(clean.device)
 
-    def _texts(self, texts: tuple[str, ...], generator: torch.Generator) -> Float[Tensor, "batch dimension"]:
-        hidden: Bool[Tensor, " batch"] = torch.rand(len(texts), generator=generator) < self.objective.text_drop
-        return pooled_texts(self.texts, texts).masked_fill(hidden[:, None], 0.0).to(self.mean.device)
-
-    def _scaling(self) -> FeatureScaling:
-        return FeatureScaling(self.mean, self.std)
-
-    def _measured(self) -> bool:
-        return bool(self.latent_std > 0)
-
     @torch.no_grad()
     def _measure_latents(self) -> None:
         """Measure the latents' standard deviation, one number for all dimensions, when the denoiser's phase begins."""
-        if self._measured():
+        if self.latent_std > 0:
             return
         n = len(self.data)
         few = min(len(self.data), _MEASURED_MOTIONS)
@@ -512,18 +436,9 @@ class DartTraining(TrainingModule):
         self.vae.eval()
         latents = []
         for frames in primitives_of(self.data, places, self.configuration, self.mean.device):
-            features = self._scaling().standardised(frames)
+            features = FeatureScaling(self.mean, self.std).standardised(frames)
             latents.append(self.vae.encode(features[:, :HISTORY_FRAMES], features[:, HISTORY_FRAMES:])[0].float())
         self.latent_std.copy_(torch.cat(latents).std().clamp_min(1e-6))
-
-    @contextmanager
-    def _frozen_vae(self) -> Iterator[None]:
-        """The decoder passes gradients on to the denoiser and gets none itself, so its optimiser leaves it alone."""
-        self.vae.eval().requires_grad_(False)
-        try:
-            yield
-        finally:
-            self.vae.requires_grad_(True)
 
     def weights(self) -> tuple[dict[str, Tensor], dict[str, str]]:
         """Both networks with statistics, and the header of their file."""
@@ -543,21 +458,9 @@ class DartTraining(TrainingModule):
         return tuple(self.vae.parameters()), tuple(self.denoiser.parameters())
 
 
-def _detached(frames: Frames) -> Frames:
-    return Frames(**{name: value.detach() for name, value in vars(frames).items()})
-
-
 def _normal(shape: tuple[int, ...], generator: torch.Generator, device: torch.device) -> Tensor:
     """Drawn on the CPU, so the numbers are the same on every device."""
     return torch.randn(shape, generator=generator).to(device)
-
-
-def _require_one_process() -> None:
-    if torch.distributed.is_available() and torch.distributed.is_initialized():
-        raise UsageError(
-            "--devices: dart is trained by one process, because only one of its two networks has gradients at a time;"
-            " leave --devices out. At paper size it fits one GPU."
-        )
 
 
 FREE_TO_CHANGE = frozenset({"dropout", "uniform_skeleton"})

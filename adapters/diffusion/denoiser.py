@@ -345,20 +345,6 @@ class Denoiser(nn.Module):
     def _time(self, step: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1 width"]:
         return self.time_embedding(self.sinusoid[step])[:, None]
 
-    @torch.no_grad()
-    def take_steps(self, other: Denoiser, steps: Int[Tensor, " kept"]) -> None:
-        """Take over the weights of another denoiser, whose steps ``steps`` become the steps 0, 1, … here.
-
-        The first layer of the time embedding changes by the smallest matrix that maps the sinusoids of the new numbers
-        to what it has made of those of the old ones, so that both networks compute the same.
-        """
-        self.load_state_dict(other.state_dict())
-        first = cast(nn.Linear, self.time_embedding[0])
-        old = other.sinusoid[steps].double()
-        new = self.sinusoid[: len(steps)].double()
-        change = first.weight.double() @ (old - new).T @ torch.linalg.pinv(new.T)
-        first.weight += change.to(first.weight.dtype)
-
 
 def frame_mask(
     n_frames: Int[Tensor, " batch"], frames: int, device: torch.device
@@ -481,13 +467,6 @@ class FrameDenoiser(nn.Module):
         """Estimate the clean features; the arguments are those of :class:`~.denoiser.Denoiser`."""
         visible = frame_mask(n_frames, noisy.shape[1], noisy.device)
         return self.denoise(noisy, self.prepare(condition, step), visible)
-
-    @torch.no_grad()
-    def take_steps(self, other: FrameDenoiser, steps: Int[Tensor, " kept"]) -> None:
-        """Take over the weights of another denoiser, whose steps ``steps`` become the steps 0, 1, … here."""
-        weights = other.state_dict()
-        weights["step_embedding.weight"] = weights["step_embedding.weight"][steps]
-        self.load_state_dict(weights)
 
     def prepare(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> Float[Tensor, "batch width"]:
         """The part of :meth:`forward` that depends on condition and step; ``step`` has one entry a row, or one for all.

@@ -109,8 +109,6 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     the study. There alone the condition decides where a motion goes: afterwards the noisy motion shows it already."""
     text_drop: float = 0.2
     """Share of sequences whose text is replaced by the null text (*Prime and Reach*, section 5.1)."""
-    teacher_steps: int = 50
-    """Steps of the teacher's deterministic chain from noise to motion in the stage ``distil``, or all that it has."""
     loss_average: Literal["frames", "sequences"] = "frames"
     """Average a batch over its frames (P&R) or over its sequences.
 
@@ -273,7 +271,15 @@ class DiffusionTraining(TrainingModule):
         clean = self.standardised(batch, condition)
         predicted = self.denoiser(self.noisy(clean, draw), draw.step, condition, batch.n_frames)
         with torch.autocast(clean.device.type, enabled=False):  # joints are cumulative sums: float32 only
-            return self.losses_of(predicted.float(), clean, batch, condition)
+            features = predicted.float() * self.std + self.mean
+            configuration = self.denoiser.configuration
+            if configuration.features == "humanml3d":
+                joints = decode(smoothed(features, batch.n_frames) if configuration.smoothed else features)
+            else:
+                joints = goal_frame(condition, features).decode(features, batch.n_frames, batch.fps)
+            found = losses(self.objective, predicted.float(), clean, joints, batch.joints, batch.padding)
+            scored = scored_losses(self.objective, joints, batch)
+            return {**found, **scored, "loss": found["loss"] + scored["loss"]}
 
     def standardised(
         self, batch: MotionBatch, condition: EncodedCondition
@@ -292,28 +298,6 @@ class DiffusionTraining(TrainingModule):
         signal = self.signal[draw.step][:, None, None]
         noise = self.noise[draw.step][:, None, None]
         return signal * clean + noise * draw.noise
-
-    def joints_of(
-        self,
-        standardised: Float[torch.Tensor, "batch frames features"],
-        batch: MotionBatch,
-        condition: EncodedCondition,
-    ) -> Float[torch.Tensor, "batch frames 22 3"]:
-        """Joints of standardised features, canonical frame, metres."""
-        features = standardised * self.std + self.mean
-        configuration = self.denoiser.configuration
-        if configuration.features == "humanml3d":
-            return decode(smoothed(features, batch.n_frames) if configuration.smoothed else features)
-        return goal_frame(condition, features).decode(features, batch.n_frames, batch.fps)
-
-    def losses_of(
-        self, predicted: torch.Tensor, clean: torch.Tensor, batch: MotionBatch, condition: EncodedCondition
-    ) -> dict[str, torch.Tensor]:
-        """The loss and its parts, of standardised features against ``clean`` and of joints against the batch's."""
-        joints = self.joints_of(predicted, batch, condition)
-        found = losses(self.objective, predicted, clean, joints, batch.joints, batch.padding)
-        scored = scored_losses(self.objective, joints, batch)
-        return {**found, **scored, "loss": found["loss"] + scored["loss"]}
 
     def draw(self, batch: MotionBatch, step: int) -> Draw:
         """Draw the random numbers of a step for a batch of this shape: a function of seed, step and rank."""

@@ -33,22 +33,15 @@ _OF_GOAL_FRAMES = {"reach": "goal", "feet": "predicted"}  # choices that other f
 
 
 @dataclass(frozen=True)
-class Generation:
-    """Settings by which motions are made from conditions."""
-
-    settings: SamplingSettings | OptimisationSettings
-    """Of plain sampling, or of noise optimisation."""
-    own_bones: bool = False
-    """Keep the bone lengths of the initial pose in sampled motions; an optimisation has its own setting."""
-
-
-@dataclass(frozen=True)
 class TrainedFor:
     """A model, the file that it came from, and how it generates."""
 
     model: MotionModel
     path: Path
-    generation: Generation
+    settings: SamplingSettings | OptimisationSettings
+    """Of plain sampling, or of noise optimisation."""
+    own_bones: bool = False
+    """Keep the bone lengths of the initial pose in sampled motions; an optimisation has its own setting."""
 
 
 class PR:
@@ -84,17 +77,13 @@ class PR:
         """
         trained = self._trained_for(batch.condition)
         require_goals_within_reach(batch, adapter=self.name)
-        generation = trained.generation
-        from prbench_adapters.diffusion.generation import SamplingSettings, generate
-
-        if isinstance(generation.settings, SamplingSettings):
-            from prbench_adapters.diffusion.generation import on_own_bones
-
-            motions = generate(trained.model, batch, generation.settings)
-            return on_own_bones(motions, batch) if generation.own_bones else motions
+        from prbench_adapters.diffusion.generation import SamplingSettings, generate, on_own_bones
         from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised
 
-        return generate_optimised(trained.model, batch, generation.settings)
+        if isinstance(trained.settings, SamplingSettings):
+            motions = generate(trained.model, batch, trained.settings)
+            return on_own_bones(motions, batch) if trained.own_bones else motions
+        return generate_optimised(trained.model, batch, trained.settings)
 
     def _trained_for(self, condition: Condition) -> TrainedFor:
         if condition in self.models:
@@ -147,10 +136,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
 
 def training_task() -> DiffusionTask:
     """Make the task of ``prbench train --method pr``: text, initial state and goal. Pre-training may be ``mdm``'s."""
-    from prbench_adapters.diffusion.tasks import DISTIL, DiffusionTask
+    from prbench_adapters.diffusion.tasks import DiffusionTask
 
-    stages = ("pretrain", "finetune", DISTIL)
-    return DiffusionTask("pr", goals=("pose", "location"), configurations="prbench_adapters.pr", stages=stages)
+    return DiffusionTask("pr", goals=("pose", "location"), configurations="prbench_adapters.pr")
 
 
 def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Condition, ...]) -> TrainedFor:
@@ -172,14 +160,14 @@ def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Co
         )
     if options.get("sampler") == ONE_PASS:
         _require_few_steps(model, path)
-    return TrainedFor(model, path, _generation(options, model.configuration))
+    return TrainedFor(model, path, *_settings(options, model.configuration))
 
 
 def _require_few_steps(model: MotionModel, path: Path) -> None:
     """Refuse weights of too many steps for ``sampler=one-pass``.
 
     Raises:
-        AdapterError: with the command that distils them.
+        AdapterError: with both numbers.
     """
     from prbench_adapters.diffusion.sampling import MOST_PASSES
 
@@ -187,13 +175,14 @@ def _require_few_steps(model: MotionModel, path: Path) -> None:
     if steps > MOST_PASSES:
         raise AdapterError(
             f"option 'sampler': one-pass takes 1 to {MOST_PASSES} network passes, but weights {path} need {steps}."
-            " Make weights that need fewer (with the --config of these): `prbench train --method pr --stage distil"
-            f" --init {path} --data TABLE… --out DIR`. Or choose optimise=off."
+            " Train some with --set model.diffusion_steps=4, or choose optimise=off."
         )
 
 
-def _generation(options: Mapping[str, str], configuration: DenoiserConfiguration) -> Generation:
-    """Turn the options into settings for a model, checked before anything is generated."""
+def _settings(
+    options: Mapping[str, str], configuration: DenoiserConfiguration
+) -> tuple[SamplingSettings | OptimisationSettings, bool]:
+    """Turn the options into settings for a model, and whether sampled motions get the initial pose's bones."""
     from prbench_adapters.diffusion.generation import ONE_PASS, SAMPLERS, choice, number, sampling_settings
     from prbench_adapters.diffusion.model import Feet, Reach
     from prbench_adapters.diffusion.noise_optimisation.settings import (
@@ -219,7 +208,7 @@ def _generation(options: Mapping[str, str], configuration: DenoiserConfiguration
         noise_scale = number(options, "noise-scale", 1.0)
         own_bones = choice(options, "bones", _BONES) == "initial"
         sampling = replace(sampling, reach=reach, feet=feet, noise_scale=noise_scale)
-        return Generation(sampling, own_bones=own_bones)
+        return sampling, own_bones
     idle = [key for key in _SAMPLING_ALONE if key in options]
     if idle:
         raise ValueError(
@@ -228,7 +217,7 @@ def _generation(options: Mapping[str, str], configuration: DenoiserConfiguration
     quick = finishing if configuration.features == "goal-frame" else fast
     preset = {"fast": quick, "paper": paper}[mode](steps)
     preset = replace(preset, guidance=number(options, "guidance", _GUIDANCE))
-    return Generation(optimisation_settings(options, preset, diffusion_steps=steps))
+    return optimisation_settings(options, preset, diffusion_steps=steps), False
 
 
 def _of_one_pass(options: Mapping[str, str]) -> dict[str, str]:

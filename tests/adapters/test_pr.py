@@ -75,15 +75,9 @@ def test_one_pass_takes_the_passes_of_the_weights_and_nothing_else(few_steps):
     assert _largest_change(motions, _generate(said_twice, Condition.GOAL_LOCATION)) == 0.0
 
 
-def test_one_pass_is_refused_for_weights_of_many_steps_with_the_command_that_distils_them(weights):
-    with pytest.raises(
-        AdapterError, match=r"1 to 4 network passes, but weights .*location\.safetensors need 8\. .*"
-    ) as no:
+def test_one_pass_is_refused_for_weights_of_many_steps(weights):
+    with pytest.raises(AdapterError, match=r"1 to 4 network passes, but weights .*location\.safetensors need 8\. "):
         load(weights[Condition.GOAL_LOCATION], options={"sampler": "one-pass"}, device="cpu")
-    command = (
-        f"`prbench train --method pr --stage distil --init {weights[Condition.GOAL_LOCATION]} --data TABLE… --out DIR`"
-    )
-    assert command in str(no.value)
 
 
 @pytest.mark.parametrize(

@@ -5,13 +5,11 @@ from __future__ import annotations
 import re
 from importlib import resources
 
-import msgspec
 import pytest
 
 from prbench.protocol.manifests import load_protocol
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.model import network
-from prbench_adapters.diffusion.sampling import MOST_PASSES
 from prbench_adapters.diffusion.tasks import FREE_TO_CHANGE, read_model_table
 from prbench_adapters.diffusion.training import Objective
 from prbench_adapters.training.configuration import TrainingConfiguration, list_configurations, load_configuration
@@ -51,7 +49,7 @@ def test_shown_commands_name_the_stage_without_which_a_goal_is_never_learnt(task
         stage = re.search(r"--stage (\w+)", command)
         assert stage is not None, command
         needs_prior = stage[1] == "finetune" and name != "small"
-        assert (needs_prior or stage[1] == "distil") is ("--init" in command), command
+        assert needs_prior is ("--init" in command), command
 
 
 @pytest.mark.parametrize("name", ["paper", "smoke"])
@@ -62,17 +60,6 @@ def test_fine_tuning_may_start_from_the_pretrained_model_of_the_same_size(name):
     assert prior == also
     for field in set(DenoiserConfiguration.__struct_fields__) - FREE_TO_CHANGE:
         assert getattr(prior, field) == getattr(tuned, field), field
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_student_differs_from_its_teacher_in_its_few_passes_alone(name):
-    teacher, taught_by = read_model_table(_load("pr", name, "finetune").model)
-    student, objective = read_model_table(_load("pr", name, "distil").model)
-    assert student.diffusion_steps < teacher.diffusion_steps
-    assert student.diffusion_steps <= MOST_PASSES
-    alike = {"diffusion_steps": teacher.diffusion_steps, "dropout": teacher.dropout}
-    assert msgspec.structs.replace(student, **alike) == teacher
-    assert msgspec.structs.replace(objective, text_drop=taught_by.text_drop) == taught_by
 
 
 def test_the_paper_configurations_hold_the_numbers_of_the_study():
