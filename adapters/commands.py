@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
 
-from prbench.cli.commands import Answer, command, note, session
+from prbench.cli.commands import Answer, command, session
 from prbench.cli.options import (
     PATH,
     POSITIVE,
@@ -24,7 +23,6 @@ from prbench.cli.options import (
     threads_option,
 )
 from prbench.errors import UsageError
-from prbench.shown import clean
 from prbench_adapters.trained_network import TrainedNetwork
 
 if TYPE_CHECKING:
@@ -49,8 +47,7 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
 @command(
     "train",
     section="train",
-    example="prbench train --method pr --stage distil --data tables/adt --init trained/pr/weights.safetensors"
-    " --out trained/pr-one-pass",
+    example="prbench train --method pr --stage finetune --data tables/adt --out trained/pr",
     resumes=True,
     report=TrainReport,
 )
@@ -58,7 +55,7 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option(
     "--stage",
     metavar="STAGE",
-    help="pretrain, finetune or, for pr, distil for fewer passes (default: the first).",
+    help="pretrain or finetune; some methods have others (default: the first).",
 )
 @data_option(required=False, help="Built dataset or corpus folder(s), whose split 'train' is learnt from.")
 @out_folder_option("Training folder: checkpoints, logs, weights; an interrupted training goes on in it.")
@@ -108,6 +105,7 @@ def train(
     show_config: bool,
 ) -> Answer | int:
     """Train a method's network on tables; the same command goes on with an interrupted training."""
+    from prbench_adapters.training.loop import silent
     from prbench_adapters.training.run import TrainRequest
     from prbench_adapters.training.run import train as run_training
 
@@ -135,11 +133,10 @@ def train(
         threads=threads,
         workers=loaders,
     )
-    with show_training(f"training {method}") as show:
-        trained = run_training(request, report=show, engine=opened(engine, reads=data))
+    report_progress = silent if session().quiet else _print_progress
+    trained = run_training(request, report=report_progress, engine=opened(engine, reads=data))
     if trained is None:  # one of several processes that train together; the first one speaks for all
         return 0
-    note(f"waited for data {trained.waiting:.1%} of {trained.seconds:.0f} s")
     report = TrainReport(method=method, configuration=None, trained=trained)
     return Answer(report, lambda: print(f"weights: {trained.weights}"))
 
@@ -157,20 +154,8 @@ def _configuration(
     return Answer(report, lambda: print(as_toml(configuration), end=""))
 
 
-@contextlib.contextmanager
-def show_training(description: str) -> Iterator[Callable[[Progress], None]]:
-    """Show a training on standard error while the block runs."""
-    now = session()
-    if now.quiet:
-        yield lambda _: None
-    elif sys.stderr.isatty() and not now.verbose:
-        with _training_bar(description) as callback:
-            yield callback
-    else:
-        yield _training_lines
-
-
-def _training_lines(progress: Progress) -> None:
+def _print_progress(progress: Progress) -> None:
+    """Write each new line of the log on standard error."""
     if progress.row is not None:
         print(f"step {progress.step}/{progress.steps}: {_in_words(progress.row)}", file=sys.stderr, flush=True)
     if progress.validation is not None:
@@ -180,31 +165,3 @@ def _training_lines(progress: Progress) -> None:
 def _in_words(row: Mapping[str, float | int]) -> str:
     """Write ``loss 0.123, joints 0.01, …``, without the step."""
     return ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in row.items() if name != "step")
-
-
-@contextlib.contextmanager
-def _training_bar(description: str) -> Iterator[Callable[[Progress], None]]:
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    from prbench.cli.terminal import console
-
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[last]}", style="dim", markup=False),
-    )
-    with Bar(*columns, console=console(stderr=True)) as bar:
-        task = bar.add_task(clean(description), total=None, last="")
-
-        def update(progress: Progress) -> None:
-            bar.update(task, completed=progress.step, total=progress.steps)
-            if progress.row is not None:
-                shown = f"loss {progress.row['loss']:.4g}, waiting {progress.row['waiting']:.1%}"
-                bar.update(task, last=shown)
-            if progress.validation is not None:
-                bar.console.print(f"validation at {progress.step}: {_in_words(progress.validation)}")
-
-        yield update

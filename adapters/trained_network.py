@@ -13,11 +13,7 @@ class TrainedNetwork(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         weights: The trained weights.
         steps: Number of steps that the training has, those of interrupted runs with it.
-        seconds: Seconds that this run of the command has trained.
-        waiting: Fraction of those seconds in which the network waited for data.
     """
 
     weights: Path
     steps: int
-    seconds: float
-    waiting: float

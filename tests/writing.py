@@ -420,7 +420,6 @@ WRITING = (
     Writing(
         "train --out",
         lambda given, out: (*_TRAIN, "--data", given.table, "--out", out),
-        varies=("timing.json",),
     ),
 )
 

@@ -13,7 +13,6 @@ import contextlib
 import math
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -209,11 +208,8 @@ class _Session:
         self._validated()  # if the session before was stopped instead
         incoming = iter(batches(state.step))
         while state.step < settings.steps:
-            started = time.perf_counter()
             self._step(network, incoming)
-            means = self._means() if self._due(settings.log_every) else None
-            state.seconds += time.perf_counter() - started
-            row = self._log(means) if means is not None else None
+            row = self._log() if self._due(settings.log_every) else None
             asked = state.step < settings.steps and self._asked_to_stop()
             measured = None if asked else self._validated()
             if self.outputs is not None:
@@ -246,9 +242,7 @@ class _Session:
         for optimiser in state.optimisers:
             for group in optimiser.param_groups:
                 group["lr"] = self._rate(state.step) * group.get("scale", 1.0)
-        started = time.perf_counter()
         batch = next(incoming).to(self.fabric.device)
-        state.waited += time.perf_counter() - started
         # Dropout draws from torch's global generators; seeded anew, a resumed run drops the same.
         generator = named_generator("prbench-dropout", settings.seed, state.step, self.fabric.global_rank)
         torch.manual_seed(int(generator.integers(2**63 - 1)))
@@ -274,7 +268,7 @@ class _Session:
         assert isinstance(reduced, torch.Tensor)
         return reduced.tolist()
 
-    def _means(self) -> dict[str, float]:
+    def _log(self) -> Row:
         """Mean losses since the last line of the log, over all processes; waits for the device.
 
         Raises:
@@ -289,18 +283,12 @@ class _Session:
                     f"'{name}' is {value} at step {state.step}: the training has diverged. The checkpoints are"
                     " from before; try a lower learning rate or a gradient_clip in another folder."
                 )
-        return means
-
-    def _log(self, means: dict[str, float]) -> Row:
-        state = self.state
         state.losses, state.batches = {}, 0
         row: Row = {"step": state.step, **means, "learning_rate": self._rate(state.step - 1)}
-        timing: Row = {"step": state.step, "seconds": state.seconds, "waiting": state.waiting}
         state.rows.append(row)
-        state.timings.append(timing)
         if self.outputs is not None:
-            self.outputs.add({**row, **timing}, group="train")
-        return {**row, **timing}
+            self.outputs.add(row, group="train")
+        return row
 
     def _validated(self) -> Row | None:
         """Validate the averaged weights if it is time; only the first process does, and the others wait."""

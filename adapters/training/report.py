@@ -30,7 +30,7 @@ RECORD = "training.json"
 SCHEMA_VERSION = 1
 _MAY_CHANGE = frozenset({"configuration.training.save_every", "configuration.training.log_every"})
 _CARD_VERSION = 2
-"""2: times stand in ``timing.json``, so that the same training has the same card."""
+"""2: without times, so that the same training has the same card."""
 _CURVE_POINTS = 100
 _PACKAGES = ("numpy", "pyarrow", "torch", "lightning-fabric", "safetensors", "transformers")
 
@@ -196,7 +196,6 @@ def thinned(rows: list[Row], points: int) -> list[Row]:
 
 WEIGHTS = "weights.safetensors"
 _CARD = "weights.json"
-_TIMES = "timing.json"
 Describe = Callable[[TrainingState], dict[str, Any]]
 """Maps a state to its card."""
 
@@ -228,7 +227,7 @@ class Outputs:
             from torch.utils.tensorboard import SummaryWriter
         except ModuleNotFoundError as error:
             raise MissingExtraError("tensorboard", "train", "the log of a training") from error
-        for name in (WEIGHTS, _CARD, _TIMES):
+        for name in (WEIGHTS, _CARD):
             remove_leftovers(out / name)
         self.out, self.checkpoints, self.describe = out, checkpoints, describe
         self.dtype: Literal["float32", "float16"] = dtype
@@ -245,7 +244,7 @@ class Outputs:
         self.write_results(state)
 
     def write_results(self, state: TrainingState) -> None:
-        """Write the averaged weights with their card, and how long the training took.
+        """Write the averaged weights with their card.
 
         Raises:
             StorageError: if a file cannot be written.
@@ -253,13 +252,6 @@ class Outputs:
         with state.average.applied():
             tensors, metadata = state.module.weights()
             write_weights(self.out / WEIGHTS, tensors, metadata, self.describe(state), dtype=self.dtype)
-        times = {
-            "steps": state.step,
-            "seconds": round(state.seconds, 1),
-            "waiting_fraction": round(state.waiting, 4),
-            "timings": thinned(state.timings, _CURVE_POINTS),
-        }
-        write_json(self.out / _TIMES, times)
         self.log.flush()
 
     def add(self, row: Row, *, group: str) -> None:

@@ -232,7 +232,7 @@ def _run(
         raise SystemExit(0) from stopped
     if not fabric.is_global_zero:
         return None
-    return TrainedNetwork(weights=request.out / WEIGHTS, steps=state.step, seconds=state.seconds, waiting=state.waiting)
+    return TrainedNetwork(weights=request.out / WEIGHTS, steps=state.step)
 
 
 def _data(

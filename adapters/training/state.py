@@ -83,18 +83,12 @@ class TrainingState:
     average: WeightAverage
     step: int = 0
     """Steps done."""
-    seconds: float = 0.0
-    """Spent in training, all sessions together; validation and saving apart."""
-    waited: float = 0.0
-    """Seconds of these without a batch to work on."""
     losses: dict[str, torch.Tensor | float] = field(default_factory=dict)
     """Sums since the last line of the log; kept on their device, because reading them would make a GPU wait."""
     batches: int = 0
     """Batches in these sums."""
     rows: list[Row] = field(default_factory=list)
     """The log so far; holds no times, so that two undisturbed trainings have the same."""
-    timings: list[Row] = field(default_factory=list)
-    """Seconds and waiting at each line of the log."""
     validations: list[Row] = field(default_factory=list)
 
     @classmethod
@@ -116,11 +110,6 @@ class TrainingState:
             group = {"params": matrices, "scale": _MUON_SCALE}
             optimisers.append(torch.optim.Muon([group], adjust_lr_fn="match_rms_adamw", **common))
         return cls(module, tuple(optimisers), average)
-
-    @property
-    def waiting(self) -> float:
-        """Fraction of the time that was spent waiting for data."""
-        return self.waited / self.seconds if self.seconds > 0 else 0.0
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Trained parameters and buffers, their averages and their moments, by name; frozen parameters stay out."""
@@ -180,7 +169,6 @@ def learning_rate(step: int, settings: OptimisationConfiguration) -> float:
 _KEPT = 2
 _TENSORS = "tensors.safetensors"
 _STATE = "state.json"
-_TIMING = "timing.json"
 
 
 def save_checkpoint(folder: Path, state: TrainingState) -> None:
@@ -196,8 +184,6 @@ def save_checkpoint(folder: Path, state: TrainingState) -> None:
         tally = {"losses": losses, "batches": state.batches}
         described = {"step": state.step, "tally": tally, "rows": state.rows, "validations": state.validations}
         write_json(temporary / _STATE, described)
-        # Apart from the state, so that the states of two equal trainings have equal bytes.
-        write_json(temporary / _TIMING, {"seconds": state.seconds, "waited": state.waited, "timings": state.timings})
     _newest(folder)
 
 
@@ -231,10 +217,8 @@ def restore_checkpoint(checkpoints: Path, state: TrainingState) -> bool:
     described = read_json(folder / _STATE)
     if not isinstance(described, dict) or "step" not in described:
         raise TrainingError(f"{folder / _STATE}: expected the state of a training. Delete the folder {folder}.")
-    timing = read_json(folder / _TIMING)
     state.step = described["step"]
     state.losses, state.batches = described["tally"]["losses"], described["tally"]["batches"]
     state.rows, state.validations = described["rows"], described["validations"]
-    state.seconds, state.waited, state.timings = timing["seconds"], timing["waited"], timing["timings"]
     state.load_tensors(tensors)
     return True
