@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -174,8 +173,6 @@ def on_own_bones(motions: Motions, batch: ConditionBatch) -> Motions:
     return replace(motions, joints=joints.numpy())
 
 
-Precision = Literal["float32", "bfloat16"]
-"""The first also stands for float64, if that is what the network is made of."""
 _LARGEST_PART = {"cpu": 16}  # sequences in one pass; more do not run faster on a processor, but need more memory
 _LARGEST_PART_ELSEWHERE = 256
 
@@ -224,7 +221,6 @@ class Guided(Guidance):
         scale: Guidance weight s.
         reuse: Keep what is computed from condition and step for the next chain: for noise optimisation, which walks
             the same steps hundreds of times with frozen weights. The results are the same.
-        precision: Of the matrix products inside the network; what goes in and comes out stays as it is.
     """
 
     def __init__(
@@ -235,10 +231,9 @@ class Guided(Guidance):
         scale: float,
         *,
         reuse: bool = False,
-        precision: Precision = "float32",
     ) -> None:
         super().__init__(scale)
-        self.denoiser, self.precision = denoiser, precision
+        self.denoiser = denoiser
         self.condition = condition.then(condition.without_text()) if self.doubled else condition
         # On the CPU a batch without padding is recognised without waiting for the device, and then needs no mask.
         host = n_frames.cpu()
@@ -252,34 +247,22 @@ class Guided(Guidance):
         """The guided estimate of the clean features at ``step`` of the training schedule."""
 
         def predict(rows: Tensor) -> Tensor:
-            with self._computing(noisy.device):
-                clean = self.denoiser.denoise(rows, self.prepared(step), self._visible(rows))
-            return clean.to(noisy.dtype)
+            frames = rows.shape[1]
+            if frames not in self._masks:
+                self._masks[frames] = frame_mask(self._n_frames, frames, rows.device)
+            return self.denoiser.denoise(rows, self.prepared(step), self._masks[frames])
 
         return self.estimate(predict, noisy)
 
     def prepared(self, step: int) -> Any:
         """Keys and values of the condition at ``step``: computed anew, or once only with ``reuse``."""
-        if self._prepared is None:
-            return self._prepare(step)
-        if step not in self._prepared:
-            self._prepared[step] = self._prepare(step)
-        return self._prepared[step]
-
-    def _prepare(self, step: int) -> Any:
+        if self._prepared is not None and step in self._prepared:
+            return self._prepared[step]
         where = self.condition.text.device
-        return self.denoiser.prepare(self.condition, torch.full((1,), step, dtype=torch.long, device=where))
-
-    def _computing(self, device: torch.device) -> AbstractContextManager[object]:
-        if self.precision == "float32":
-            return nullcontext()
-        return torch.autocast(device.type, dtype=torch.bfloat16)
-
-    def _visible(self, noisy: Tensor) -> Tensor | None:
-        frames = noisy.shape[1]
-        if frames not in self._masks:
-            self._masks[frames] = frame_mask(self._n_frames, frames, noisy.device)
-        return self._masks[frames]
+        made = self.denoiser.prepare(self.condition, torch.full((1,), step, dtype=torch.long, device=where))
+        if self._prepared is not None:
+            self._prepared[step] = made
+        return made
 
 
 @dataclass(frozen=True)
@@ -291,9 +274,6 @@ class SamplingSettings:
     sampler: Literal["ddpm", "ddim"] = "ddpm"
     steps: int | None = None
     """Steps of the training schedule that are taken; None for all of them."""
-    precision: Precision = "float32"
-    """``bfloat16`` takes two thirds of the time on processors that have it. Its rounding turns and shifts the path of a
-    motion by some centimetres (poses by some millimetres), otherwise in another batch, so float32 is the default."""
     reach: Reach = "predicted"
     """``goal`` leads the nearer wrist to a goal location within the last half second, in closed form."""
     feet: Feet = "steps"
@@ -346,9 +326,7 @@ def _sample(
     settings: SamplingSettings,
 ) -> tuple[np.ndarray, int]:
     """Joints (rows, frames, 22, 3) and the network passes that they took."""
-    denoise = Guided(
-        model.denoiser, condition, torch.as_tensor(n_frames), settings.guidance, precision=settings.precision
-    )
+    denoise = Guided(model.denoiser, condition, torch.as_tensor(n_frames), settings.guidance)
     columns = model.configuration.n_features
     start = settings.noise_scale * noise.draw(columns)
     if settings.sampler == "ddim":
@@ -360,10 +338,9 @@ def _sample(
     return joints.cpu().numpy(), denoise.passes
 
 
-SAMPLING_OPTIONS = ("guidance", "sampler", "steps", "precision")
+SAMPLING_OPTIONS = ("guidance", "sampler", "steps")
 ONE_PASS = "one-pass"
 SAMPLERS = ("ddpm", "ddim")
-_PRECISIONS = ("float32", "bfloat16")
 
 
 def require_known(options: Mapping[str, str], known: Iterable[str]) -> None:
@@ -427,7 +404,7 @@ def choice(options: Mapping[str, str], key: str, values: tuple[str, ...], defaul
 def sampling_settings(
     options: Mapping[str, str], *, guidance: float, diffusion_steps: int, samplers: tuple[str, ...] = SAMPLERS
 ) -> SamplingSettings:
-    """The options ``guidance``, ``sampler``, ``steps`` and ``precision``; ``one-pass`` walks as ``ddim`` does.
+    """The options ``guidance``, ``sampler`` and ``steps``; ``one-pass`` walks as ``ddim`` does.
 
     Args:
         options: As given.
@@ -442,5 +419,4 @@ def sampling_settings(
         guidance=number(options, "guidance", guidance),
         sampler="ddpm" if choice(options, "sampler", samplers) == "ddpm" else "ddim",
         steps=whole_number(options, "steps", most=diffusion_steps),
-        precision="bfloat16" if choice(options, "precision", _PRECISIONS) == "bfloat16" else "float32",
     )

@@ -35,8 +35,8 @@ class MDM(SingleModelMethod):
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> MDM:
     """Entry point ``mdm``.
 
-    Options: ``guidance`` (2.5), ``sampler`` (ddpm or ddim), ``steps`` (all of the training's), ``precision`` (float32
-    or bfloat16), ``text-path`` (files of the text encoder, if the weights need one that has some).
+    Options: ``guidance`` (2.5), ``sampler`` (ddpm or ddim), ``steps`` (all of the training's), ``text-path``
+    (files of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights; None for ``mdm-small``.

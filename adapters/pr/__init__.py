@@ -198,7 +198,7 @@ def _settings(
         options = _of_one_pass(options)
     mode = choice(options, "optimise", _MODES)
     if mode == "off":
-        idle = [key for key in PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", "precision", "reach")]
+        idle = [key for key in PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", "reach")]
         if idle:
             raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
         samplers = (*SAMPLERS, ONE_PASS)

@@ -1,7 +1,6 @@
 """The rows of the study's ablations as configurations (*Prime and Reach*, tables 3, 4 and S4 to S7).
 
-``prbench study table-3 --train`` trains and runs the rows of a table;
-``python -m prbench_adapters.pr.ablations [TABLE …]`` prints the commands.
+``prbench study table-3 --train`` trains and runs the rows of a table.
 """
 
 from __future__ import annotations
@@ -9,10 +8,8 @@ from __future__ import annotations
 import csv
 import json
 import re
-import shlex
-import sys
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -71,27 +68,6 @@ class Ablation:
         """The study's numbers by dataset and metric; rates from 0 to 1, metres."""
         return _published()[self.table, self.condition, self.variant]
 
-    def commands(self, *, config: str = "paper", folder: str = "ablations") -> list[str]:
-        """The command lines that pre-train, fine-tune and run this row; rows that share a training share its folder.
-
-        Args:
-            config: Of ``prbench train``.
-            folder: Where trainings and runs go.
-        """
-        start = []
-        steps = []
-        if self.pretraining != "none":
-            shared = self.pretrained_model
-            prior = f"{folder}/{self.prior_name}"
-            steps.append(_train("mdm", "pretrain", config, f"corpora/{self.pretraining}", prior, shared))
-            start = ["--init", f"{prior}/weights.safetensors"]
-        trained = f"{folder}/{self.training_name}"
-        steps.append(_train("pr", "finetune", config, "tables/*", trained, self.model, start))
-        options = [part for key, value in self.options.items() for part in ("--option", f"{key}={value}")]
-        run = ["prbench", "run", "--method", "pr", "--condition", "goal-loc", "--data", "tables/*"]
-        weights = ["--weights", f"{trained}/weights.safetensors"]
-        return [*steps, _line([*run, *weights, *options, "--out", f"{folder}/runs/{self.run_name}"])]
-
 
 def load_ablations() -> tuple[Ablation, ...]:
     """All rows, in the order of the study's tables."""
@@ -124,14 +100,6 @@ def _read(package: str, name: str) -> str:
     return resources.files(package).joinpath(name).read_text(encoding="utf-8")
 
 
-def _train(
-    method: str, stage: str, config: str, data: str, out: str, model: Mapping[str, Any], start: Sequence[str] = ()
-) -> str:
-    settings = [part for key, value in overrides(model) for part in ("--set", f"{key}={value}")]
-    words = ["prbench", "train", "--method", method, "--stage", stage, "--config", config, "--data", data]
-    return _line([*words, *settings, *start, "--out", out])
-
-
 def overrides(model: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     """Return keys of ``[model]`` as ``prbench train --set`` takes them."""
     return tuple((f"model.{key}", _toml(value)) for key, value in model.items())
@@ -148,21 +116,3 @@ def _slug(words: str) -> str:
 def _toml(value: Any) -> str:
     """Write a value as ``--set`` takes it; plain words need no quotes."""
     return value if isinstance(value, str) else json.dumps(value)
-
-
-def _line(words: Sequence[str]) -> str:
-    # The shell has to expand this one, so it stands without quotes.
-    return " ".join(word if word == "tables/*" else shlex.quote(word) for word in words)
-
-
-def main(tables: Sequence[str]) -> None:
-    """Print the commands of some tables, of all of them if none is named; a shared training once."""
-    shown: set[str] = set()
-    for row in load_ablations():
-        if tables and row.table not in tables:
-            continue
-        sys.stdout.write(f"# table {row.table}: {row.condition}; {row.variant}\n")
-        for line in row.commands():
-            if line not in shown:
-                sys.stdout.write(f"{line}\n")
-            shown.add(line)

@@ -149,15 +149,14 @@ def main() -> None:
 def time_sampling(batch: ConditionBatch, options: argparse.Namespace) -> None:
     """Text vectors to joints: 50 guided DDPM steps of the decoder, as ``--method mdm`` does."""
 
-    def sampling(precision: Any, frames_per_token: int = 1) -> Callable[[], object]:
+    def sampling(frames_per_token: int = 1) -> Callable[[], object]:
         model = _model("decoder", options, frames_per_token=frames_per_token)
-        return lambda: generate(model, batch, SamplingSettings(guidance=_GUIDANCE, precision=precision))
+        return lambda: generate(model, batch, SamplingSettings(guidance=_GUIDANCE))
 
     jobs = {
-        "float32": sampling("float32"),
-        "bfloat16": sampling("bfloat16"),
-        "float32, two frames a token (another network)": sampling("float32", 2),
-        "matrix products of float32 alone": products_of(sampling("float32")),
+        "float32": sampling(),
+        "float32, two frames a token (another network)": sampling(2),
+        "matrix products of float32 alone": products_of(sampling()),
     }
     title = f"one sequence of {options.frames} frames by {_DIFFUSION_STEPS} guided steps"
     print_rows(title, shortest(jobs, options.repeats, len(batch)))
@@ -170,13 +169,12 @@ def time_optimisation(batch: ConditionBatch, options: argparse.Namespace) -> Non
     targets = Targets(initial_joints=poses[0], previous_joints=poses[0], goal_joints=poses[1])
     condition = model.encode(batch)
 
-    def search(precision: Any, iterations: int) -> Callable[[], object]:
+    def search(iterations: int) -> Callable[[], object]:
         settings = OptimisationSettings(
             ddim_steps=_OPTIMISATION_STEPS,
             iterations=iterations,
             guidance=_GUIDANCE,
             batch_size=len(batch),
-            precision=precision,
         )
         noise = start_noise(batch.noise_seed, batch.n_frames, options.device)
         n_frames = torch.as_tensor(batch.n_frames)
@@ -187,9 +185,8 @@ def time_optimisation(batch: ConditionBatch, options: argparse.Namespace) -> Non
     jobs = {}
     # The difference to one iteration leaves out what is done once.
     for iterations in (1, 1 + options.iterations):
-        jobs["float32", iterations] = search("float32", iterations)
-        jobs["bfloat16", iterations] = search("bfloat16", iterations)
-        jobs["matrix products of float32 alone", iterations] = products_of(search("float32", iterations))
+        jobs["float32", iterations] = search(iterations)
+        jobs["matrix products of float32 alone", iterations] = products_of(search(iterations))
     seconds = shortest(jobs, options.repeats, options.iterations * len(batch))
     names = [name for name, iterations in jobs if iterations == 1]
     rows = {name: seconds[name, 1 + options.iterations] - seconds[name, 1] for name in names}

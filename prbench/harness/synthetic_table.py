@@ -191,15 +191,15 @@ def recordings_of_people(preset: str, seed: int, people: Mapping[Split, int]) ->
     for index in itertools.count():
         if all(len(found[split]) == wanted for split, wanted in people.items()):
             break
-        casting = assign(source, index)
-        known = found.get(casting.split, set())
-        if len(known) < people.get(casting.split, 0) and casting.person not in known:
-            known.add(casting.person)
+        _, person, split = assign(source, index)
+        known = found.get(split, set())
+        if len(known) < people.get(split, 0) and person not in known:
+            known.add(person)
             chosen.append(index)
     return tuple(chosen)
 
 
 def synthetic_source(staging: Staging, index: int) -> SyntheticSource:
     """Recording ``index`` by name and split, not yet acted out."""
-    casting = assign(Source(staging.seed, staging.preset, staging.world), index)
-    return SyntheticSource(staging, index, name_of_recording(staging.preset, staging.seed, index), casting.split)
+    _, _, split = assign(Source(staging.seed, staging.preset, staging.world), index)
+    return SyntheticSource(staging, index, name_of_recording(staging.preset, staging.seed, index), split)

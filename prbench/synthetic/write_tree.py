@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 import prbench
 from prbench.engine import engine_for
-from prbench.errors import InputFileError, UsageError
+from prbench.errors import UsageError
 from prbench.files.storage import atomic_folder, atomic_path, sole_writer, write_json
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.layouts import SHARED_PARTS, defect, layout_for
@@ -168,31 +168,6 @@ def write_truth(table: pa.Table, tree: Path, name: _TruthTable, *, part: str | N
     path = folder / f"{name}.parquet" if part is None else folder / name / f"{part}.parquet"
     with atomic_path(path) as temporary:
         pq.write_table(table, temporary, compression="zstd", compression_level=1)
-
-
-def read_truth(tree: Path, name: _TruthTable) -> pa.Table:
-    """Read one table of a tree's truth.
-
-    Raises:
-        InputFileError: if the tree has none, or it is of an unknown schema version.
-    """
-    folder = tree / _TRUTH_FOLDER
-    path = folder / f"{name}.parquet" if (folder / f"{name}.parquet").is_file() else folder / name
-    if not path.exists():
-        raise InputFileError(
-            path, "", expected="a truth record", found="no such file", remedy="Synthesise the tree again."
-        )
-    table = pq.read_table(path)
-    version = (table.schema.metadata or {}).get(b"prbench.truth_schema", b"none").decode()
-    if version != str(_TRUTH_SCHEMA):
-        raise InputFileError(
-            path,
-            "schema version",
-            expected=str(_TRUTH_SCHEMA),
-            found=version,
-            remedy="It was written by another version of prbench; synthesise the tree again.",
-        )
-    return table
 
 
 def _rows(values: np.ndarray) -> pa.Array:

@@ -17,7 +17,7 @@ from prbench.harness.synthetic_table import Staging
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.readers import reader_for
 from prbench.synthetic.performance import TrueEvent
-from prbench.synthetic.write_tree import read_truth
+from tests.synthetic.true_clips import read_truth
 
 _SLACK = 1e-4
 """Seconds by which clocks and rounding may move a sample."""

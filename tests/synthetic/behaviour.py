@@ -16,7 +16,8 @@ import numpy as np
 from prbench.geometry.skeleton import WRISTS, Joint
 from prbench.protocol.published import Spread, load_table_one
 from prbench.synthetic.people.kinematics import forward_of
-from prbench.synthetic.performance import PREROLL, Performance, TrueClip, TrueEvent, clips_of
+from prbench.synthetic.performance import Performance, TrueEvent
+from tests.synthetic.true_clips import PREROLL, TrueClip, clips_of
 
 
 @dataclass(frozen=True)

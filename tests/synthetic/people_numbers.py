@@ -16,8 +16,9 @@ from prbench.metrics.batch import MotionBatch
 from prbench.metrics.plausible import body_numbers, plausible
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.synthetic.people import PRESETS, perform
-from prbench.synthetic.performance import FPS, Performance, clips_of
+from prbench.synthetic.performance import Performance
 from tests.synthetic.behaviour import Range, measure_behaviour, ranges
+from tests.synthetic.true_clips import FPS, clips_of
 
 EVENTS = 6
 """Picks and puts of each recording."""

@@ -19,7 +19,8 @@ from prbench.metrics.reach_success import reach_success
 from prbench.protocol.manifests import load_protocol
 from prbench.synthetic.activities import NarratedMotion
 from prbench.synthetic.people.kinematics import forward_of
-from prbench.synthetic.performance import FPS, Performance, TrueClip, true_clips
+from prbench.synthetic.performance import Performance
+from tests.synthetic.true_clips import FPS, TrueClip, true_clips
 
 _HIPS = [Joint.LEFT_HIP, Joint.RIGHT_HIP]
 _KNEES = [Joint.LEFT_KNEE, Joint.RIGHT_KNEE]

@@ -6,16 +6,16 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
-from prbench.errors import InputFileError, UsageError
+from prbench.errors import UsageError
 from prbench.readers import read_synthetic_tree, reader_for
 from prbench.readers.adt.synthetic import LAYOUT, sense
 from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.people import perform
-from prbench.synthetic.write_tree import WrittenTree, objects_table, read_truth, synthesize_tree
+from prbench.synthetic.write_tree import WrittenTree, objects_table, synthesize_tree
 from tests.comparing import differences
+from tests.synthetic.true_clips import read_truth
 
 TRUTH_OF_A_FRAME = ("recording_id", "t", "joints", "rotations", "eye", "gaze", "head_forward", "planted")
 
@@ -152,16 +152,6 @@ def test_what_cannot_be_written_is_refused_with_a_reason(tmp_path, arguments, wo
     preset = arguments.pop("preset", "adt")
     with pytest.raises(UsageError, match=words):
         synthesize_tree(preset, tmp_path / "tree", **arguments)
-
-
-def test_truth_of_another_version_is_refused(tree, tmp_path) -> None:
-    (tmp_path / "truth").mkdir()
-    events = read_truth(tree.root, "events").replace_schema_metadata({"prbench.truth_schema": "99"})
-    pq.write_table(events, tmp_path / "truth" / "events.parquet")
-    with pytest.raises(InputFileError, match="found 99"):
-        read_truth(tmp_path, "events")
-    with pytest.raises(InputFileError, match="truth record"):
-        read_truth(tmp_path, "joints")
 
 
 def test_what_a_killed_run_left_beside_the_tree_is_cleared_away(tmp_path) -> None:

@@ -45,7 +45,7 @@ class UnrolledChain:
         model: Frozen: its network and the joints of its features are taken from here.
         condition: B rows, on the device of the model.
         n_frames: Frames of each sequence, on the CPU.
-        settings: Steps, guidance, precision and checkpointing are taken from here.
+        settings: Steps, guidance and checkpointing are taken from here.
         lengths: Of each sequence's bones, metres, if the motions are to keep them.
         counter: Forward passes so far, one number.
     """
@@ -63,8 +63,7 @@ class UnrolledChain:
         self._model, self._condition, self._n_frames = model, condition, n_frames
         self._settings, self._lengths, self._counter = settings, lengths, counter or [0]
         self._schedule = CosineSchedule(model.denoiser.configuration.diffusion_steps)
-        guidance, precision = settings.guidance, settings.precision
-        self._guided = Guided(model.denoiser, condition, n_frames, guidance, reuse=True, precision=precision)
+        self._guided = Guided(model.denoiser, condition, n_frames, settings.guidance, reuse=True)
 
     @property
     def network_passes(self) -> int:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, cast, get_args
 
-from prbench_adapters.diffusion.generation import Precision, choice, number, whole_number
+from prbench_adapters.diffusion.generation import choice, number, whole_number
 from prbench_adapters.diffusion.model import Reach
 from prbench_adapters.diffusion.sampling import Spacing
 
@@ -19,7 +19,7 @@ Bones = Literal["predicted", "initial"]
 
 _FAST_PASSES = 400
 _FAST_STEPS = 4
-KEYFRAME_OPTIONS = ("ddim-steps", "iterations", "learning-rate", "decorrelation", "hand", "bones", "precision")
+KEYFRAME_OPTIONS = ("ddim-steps", "iterations", "learning-rate", "decorrelation", "hand", "bones")
 """Options that go with the objective ``keyframes``."""
 PRIME_AND_REACH_OPTIONS = (*KEYFRAME_OPTIONS, "reach", "alpha", "initial-velocity-weight")
 """Options that go with the objective ``prime_and_reach``."""
@@ -64,8 +64,6 @@ class OptimisationSettings:
     """Initial and goal loss, m², below which a sequence is finished; None runs all iterations."""
     checkpointing: int = 0
     """Steps a block whose activations are computed again instead of kept; 0 keeps all."""
-    precision: Precision = "float32"
-    """Precision of the network; schedule, integration and losses are float32 always."""
     batch_size: int = 16
     """Most sequences that are optimised side by side; no result depends on it beyond rounding."""
 
@@ -164,5 +162,4 @@ def optimisation_settings(
         hand=cast(Hand, choice(options, "hand", get_args(Hand), preset.hand)),
         bones=cast(Bones, choice(options, "bones", get_args(Bones), preset.bones)),
         reach=cast(Reach, choice(options, "reach", get_args(Reach), preset.reach)),
-        precision=cast(Precision, choice(options, "precision", get_args(Precision), preset.precision)),
     )

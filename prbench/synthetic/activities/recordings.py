@@ -232,10 +232,10 @@ def identity_of(seed: int, index: int) -> Identity:
     source = Source(seed, "activities", "default")
     if preset is not None:
         source = Source(_goal_seed(seed), preset, "default")
-    assigned = assign(source, index)
-    participant = f"invented_{'a' if preset is None else preset.replace('-', '')}{assigned.person:03d}"
+    _, person, split = assign(source, index)
+    participant = f"invented_{'a' if preset is None else preset.replace('-', '')}{person:03d}"
     name = f"20000101_s0_{participant}_act{seed}_n{index:05d}"
-    return Identity(name, participant, assigned.split, preset, assigned.person)
+    return Identity(name, participant, split, preset, person)
 
 
 def narrated_recording(seed: int, index: int) -> NarratedMotion:

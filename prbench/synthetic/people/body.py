@@ -349,15 +349,14 @@ def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Floa
     wrists = [waiting.copy() for waiting in rest]
     for reach in plan.reaches:
         hand, other = reach.hand, 1 - reach.hand
-        twist = reach.twist
-        if twist.handed_over is not None:
+        if reach.handed_over is not None:
             # Both hands meet before the chest; one leaves, the other carries on.
             middle = 0.5 * (trunk.shoulders[0] + trunk.shoulders[1])
             stature = plan.person.body.stature
             for side in (0, 1):
                 offset = np.array([0.08 if side == 0 else -0.08, -0.18 * stature, 0.21 * stature])
-                blend(wrists[side], times, twist.handed_over, MEETING_TIME, middle + turn(trunk.yaws[3], 0.0, offset))
-            handed = twist.handed_over + MEETING_TIME + HANDING_TIME
+                blend(wrists[side], times, reach.handed_over, MEETING_TIME, middle + turn(trunk.yaws[3], 0.0, offset))
+            handed = reach.handed_over + MEETING_TIME + HANDING_TIME
             blend(wrists[other], times, handed, _BACK_WITHIN, rest[other])
             blend(wrists[hand], times, handed, 0.5, carry[hand])
         _reach(wrists[hand], reach, np.zeros(3), times)
@@ -365,14 +364,14 @@ def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Floa
             blend(wrists[hand], times, reach.event, _CARRY_AFTER, carry[hand])
         else:
             # Stay a little, with what slides or turns, and go back.
-            if twist.slide is not None or twist.opening:
+            if reach.slide is not None or reach.opening:
                 first = int(np.searchsorted(times, reach.event))
                 wrists[hand][first:] = moved_along(reach, reach.grasp.wrist, times[first:])
             if np.isfinite(reach.dwell):
                 blend(wrists[hand], times, reach.event + reach.dwell, _BACK_WITHIN, rest[hand])
-        if twist.second_hand:
+        if reach.second_hand:
             # The other hand joins after the lift, some way beside the first, and helps to put down.
-            beside = np.array([(1.0 if hand == 1 else -1.0) * twist.second_hand, 0.0, 0.0])
+            beside = np.array([(1.0 if hand == 1 else -1.0) * reach.second_hand, 0.0, 0.0])
             if reach.action == "pick":
                 joined = carry[hand] + turn(trunk.yaws[3], 0.0, beside)
                 blend(wrists[other], times, reach.event + 0.2, _CARRY_AFTER - 0.2, joined)
@@ -393,15 +392,15 @@ def moved_along(
     reach: Reach, point: Float[np.ndarray, "3"], times: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
     """Return where a point fixed to a nudged or hinged object is after the event."""
-    if reach.twist.slide is not None:
-        return point + minimum_jerk((times - reach.event) / _SLIDE_TIME)[:, None] * reach.twist.slide
+    if reach.slide is not None:
+        return point + minimum_jerk((times - reach.event) / _SLIDE_TIME)[:, None] * reach.slide
     axis = reach.centre + turn(reach.yaw, 0.0, np.array([_DOOR_WIDTH_HALF, 0.0, 0.0]))
     return axis + turn(opened(reach, times), 0.0, point - axis)
 
 
 def opened(reach: Reach, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Return the angle of a door that is pulled towards the person, radians."""
-    return -reach.twist.opening * minimum_jerk((times - reach.event) / _OPENING_TIME)
+    return -reach.opening * minimum_jerk((times - reach.event) / _OPENING_TIME)
 
 
 def _resting_wrist(plan: Plan, trunk: Trunk, sway: Sway, hand: int) -> np.ndarray:

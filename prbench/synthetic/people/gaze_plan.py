@@ -145,8 +145,8 @@ class _Scheduler:
         """Draw when the first look at the goal begins."""
         preset = self.plan.preset
         rng = self.rng
-        if reach.twist.gap is not None:
-            return reach.event - reach.twist.gap
+        if reach.gap is not None:
+            return reach.event - reach.gap
         after_motor_start = not preset.gap
         prime = reach.motor_start + rng.normal(1.0, 0.6) if after_motor_start else reach.event - _draw_gap(preset, rng)
         latest = reach.event - (_SEEN_BEFORE_TOUCHED if after_motor_start else _GAP_LIMITS[0])

@@ -230,10 +230,10 @@ def perform(
         raise UsageError(f"synthetic preset '{preset}' is unknown. Take one of: {', '.join(PRESETS)}.")
     constants = PRESETS[preset]
     source = Source(seed, preset, world)
-    assigned = assign(source, index)
-    person = draw_person(constants, f"S{assigned.person:03d}", source.generator("person", assigned.person, "body"))
-    room_rng = source.generator("room", assigned.room, "plan")
-    room = draw_room(constants, f"R{assigned.room:03d}", room_rng, bystander_objects)
+    room_number, person_number, split = assign(source, index)
+    person = draw_person(constants, f"S{person_number:03d}", source.generator("person", person_number, "body"))
+    room_rng = source.generator("room", room_number, "plan")
+    room = draw_room(constants, f"R{room_number:03d}", room_rng, bystander_objects)
     shares = shares_for(constants, provocations)
     plan, motion, times = _acted(constants, source, room, person, index, n_events, rate, shares)
     # The true gaze, after moving fills that would prime a goal too early; the head stays as it was.
@@ -275,7 +275,7 @@ def perform(
         index=index,
         recording_id=recording_id,
         room_id=plan.room.room_id,
-        split=assigned.split,
+        split=split,
         person=person.style(),
         rate=rate,
         times=times,
@@ -286,7 +286,7 @@ def perform(
         eye=motion.eye,
         gaze=gaze,
         planted=motion.planted,
-        objects=(*objects, *_furniture(plan, source, assigned.room)),
+        objects=(*objects, *_furniture(plan, source, room_number)),
         events=events,
         fixations=tuple(_fixation(look, recording_id) for look in gaze_plan.looks),
         other_people=others,

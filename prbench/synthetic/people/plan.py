@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -26,27 +26,6 @@ OPENING = 2.5
 """Seconds of standing before anything happens."""
 
 Action = Literal["pick", "put", "hover", "pass_by", "touch", "nudge", "hinge"]
-
-
-@dataclass(frozen=True)
-class ReachChange:
-    """Changes that a provocation makes to one reach; the default changes nothing.
-
-    Source: docs/specification/synthetic-recordings.md#provocations.
-    """
-
-    gap: float | None = None
-    """Forced time from the first look to the event."""
-    second_hand: float = 0.0
-    """Distance at which the other hand joins, metres; 0: it does not."""
-    handed_over: float | None = None
-    """Of a put: when the object began to change hands."""
-    slide: Float[np.ndarray, "3"] | None = None
-    """How far a nudged object slides."""
-    opening: float = 0.0
-    """Angle by which a hinged object is turned, radians."""
-    lost: tuple[float, float] | None = None
-    """Span in which tracking loses the object."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +56,19 @@ class Reach:
     dwell: float
     """Seconds that the hand stays after the event, unless it carries the object away."""
     carries: bool
-    twist: ReachChange = ReachChange()
+    # What a provocation changes (docs/specification/synthetic-recordings.md#provocations).
+    gap: float | None = None
+    """Forced time from the first look to the event."""
+    second_hand: float = 0.0
+    """Distance at which the other hand joins, metres; 0: it does not."""
+    handed_over: float | None = None
+    """Of a put: when the object began to change hands."""
+    slide: Float[np.ndarray, "3"] | None = None
+    """How far a nudged object slides."""
+    opening: float = 0.0
+    """Angle by which a hinged object is turned, radians."""
+    lost: tuple[float, float] | None = None
+    """Span in which tracking loses the object."""
 
 
 @dataclass(frozen=True)
@@ -312,8 +303,7 @@ class _Planner:
             return
         goal, stand, motor_start = found
         reach = self._reach("put", goal, stand, hand, pick.item, motor_start)
-        twist = replace(reach.twist, handed_over=handing, second_hand=pick.twist.second_hand)
-        self._commit(replace(reach, twist=twist), stand)
+        self._commit(replace(reach, handed_over=handing, second_hand=pick.second_hand), stand)
         self.holding, self.tag = None, "plain"
 
     def _extra(self, action: Action) -> None:
@@ -439,7 +429,7 @@ class _Planner:
             event=event,
             dwell=_DWELL[action],
             carries=action == "pick" and self.preset.puts,
-            twist=self._draw_twist(action, tag, goal, stand, event),
+            **self._draw_provocation(action, tag, goal, stand, event),
         )
 
     def _tag_of(self, action: Action) -> str:
@@ -453,25 +443,26 @@ class _Planner:
         is_tagged = self.tag in _OF_PAIR or (self.tag in _OF_EVENT and action == self.tagged_event)
         return self.tag if is_tagged else "plain"
 
-    def _draw_twist(self, action: Action, tag: str, goal: Goal, stand: Stand, event: float) -> ReachChange:
+    def _draw_provocation(self, action: Action, tag: str, goal: Goal, stand: Stand, event: float) -> dict[str, Any]:
+        """Draw the fields of a reach that its provocation changes."""
         draw = self.provoker.uniform
         if action == "nudge":
             away = goal.centre - stand.grasp.wrist
             away[1] = 0.0
-            return ReachChange(slide=float(draw(0.008, 0.018)) * away / np.linalg.norm(away))
+            return {"slide": float(draw(0.008, 0.018)) * away / np.linalg.norm(away)}
         if action == "hinge":
-            return ReachChange(opening=float(draw(0.55, 0.8)))
+            return {"opening": float(draw(0.55, 0.8))}
         if tag == "two_handed":
-            return ReachChange(second_hand=float(draw(0.10, 0.16)))
+            return {"second_hand": float(draw(0.10, 0.16))}
         if tag == "too_near" and action == "pick":
-            return ReachChange(gap=float(draw(0.42, 0.55)))
+            return {"gap": float(draw(0.42, 0.55))}
         if tag == "early":
-            return ReachChange(gap=min(event - float(draw(0.6, 1.7)), _LONGEST_GAP))
+            return {"gap": min(event - float(draw(0.6, 1.7)), _LONGEST_GAP)}
         if tag == "lost":
             before = float(draw(0.1, 0.5))
             after = float(draw(0.2, 0.5))
-            return ReachChange(lost=(event - before, event + after))
-        return ReachChange()
+            return {"lost": (event - before, event + after)}
+        return {}
 
     def _commit(self, reach: Reach, stand: Stand) -> None:
         self.reaches.append(reach)

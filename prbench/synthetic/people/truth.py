@@ -92,8 +92,8 @@ def _moving(item: Item, reaches: list[Reach], wrists: np.ndarray, hands: np.ndar
             span = slice(first, last)
             places, frames = _rigid(wrists[span, reach.hand], hands[span, reach.hand], reach, at=0)
             held_by[span] = reach.hand
-            if following is not None and following.twist.handed_over is not None:
-                begin = following.twist.handed_over + MEETING_TIME
+            if following is not None and following.handed_over is not None:
+                begin = following.handed_over + MEETING_TIME
                 share = minimum_jerk((times[span] - begin) / HANDING_TIME)
                 other = following.hand
                 places_after, frames_after = _rigid(wrists[span, other], hands[span, other], following, at=-1)
@@ -362,7 +362,7 @@ def _true_event(
         reach_start=float(reach.reach_start),
         expected=expected,
         thin=sight.marginal or margin < _THIN_MOVEMENT,
-        lost_span=reach.twist.lost,
+        lost_span=reach.lost,
     )
 
 

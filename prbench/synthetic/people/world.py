@@ -207,21 +207,15 @@ class Source:
         )
 
 
-@dataclass(frozen=True)
-class Assignment:
-    """Room, person and split of one recording."""
-
-    room: int
-    person: int
-    split: Split
-
-
-def assign(source: Source, index: int) -> Assignment:
+def assign(source: Source, index: int) -> tuple[int, int, Split]:
     """Draw the side of the split, then room and person; those of the test side are kept out of training.
 
     Args:
         source: Seed, preset and world.
         index: Of the recording.
+
+    Returns:
+        Numbers of the room and the person, and the split.
     """
     rng = source.generator("recording", index, "split")
     is_test = rng.random() < _TEST_SHARE
@@ -237,6 +231,6 @@ def assign(source: Source, index: int) -> Assignment:
     person = people_here[int(rng.integers(len(people_here)))]
     room = rooms_here[int(rng.integers(len(rooms_here)))]
     if is_test:
-        return Assignment(room, person, "test")
+        return room, person, "test"
     for_validation = people[n_test_people : n_test_people + round(_VALIDATION_SHARE * len(people))]
-    return Assignment(room, person, "validation" if person in for_validation else "train")
+    return room, person, "validation" if person in for_validation else "train"

@@ -168,18 +168,3 @@ def test_rows_of_a_condition_by_slice_list_and_tensor():
         assert torch.equal(row.text[0], condition.text[1])
         assert torch.equal(row.padding[0], condition.padding[1])
         assert torch.equal(row.vector[0], condition.vector[1])
-
-
-def test_bfloat16_is_inside_the_network_only():
-    """What comes out is float32 that was computed more coarsely; nothing of it stays on."""
-    network = tiny.denoiser(goal="location")
-    condition = _condition()
-    condition = EncodedCondition(condition.text.float(), condition.padding, condition.vector.float())
-    plain, rough = (
-        Guided(network, condition, N_FRAMES, 2.5, precision=precision)(NOISY.float(), 3)
-        for precision in ("float32", "bfloat16")
-    )
-    assert rough.dtype == torch.float32
-    assert not torch.equal(rough, plain)
-    torch.testing.assert_close(rough, plain, rtol=0, atol=0.1)
-    assert not torch.is_autocast_enabled("cpu")

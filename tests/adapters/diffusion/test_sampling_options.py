@@ -11,7 +11,6 @@ def _settings(**options: str) -> SamplingSettings:
 
 def test_the_methods_own_values_stand_unless_others_are_given():
     assert _settings() == SamplingSettings(guidance=2.5, sampler="ddpm", steps=None)
-    assert _settings(precision="bfloat16").precision == "bfloat16"
     assert _settings(guidance="1", sampler="ddim", steps="10") == SamplingSettings(1.0, "ddim", 10)
 
 
@@ -22,7 +21,6 @@ def test_the_methods_own_values_stand_unless_others_are_given():
         ({"guidance": "nan"}, "option 'guidance'"),
         ({"guidance": "much"}, "option 'guidance'"),
         ({"sampler": "euler"}, "option 'sampler': expected ddpm or ddim, found 'euler'"),
-        ({"precision": "half"}, "option 'precision': expected float32 or bfloat16, found 'half'"),
         ({"steps": "0"}, "option 'steps': expected a whole number from 1 to 50, found '0'"),
         ({"steps": "51"}, "option 'steps'"),
         ({"steps": "2.5"}, "option 'steps'"),

@@ -86,7 +86,7 @@ from pathlib import Path
 from prbench.sequences import SequenceTable
 from prbench_adapters.training import store
 
-def killed(*arguments):
+def killed(rows, encoding):
     os.kill(os.getpid(), signal.SIGKILL)
 
 store._encoded_rows = killed

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from prbench.synthetic.people import PRESETS
-from prbench.synthetic.performance import Performance, clips_of
+from prbench.synthetic.performance import Performance
 from tests.synthetic.behaviour import TARGETS, sequence_statistics
 from tests.synthetic.plausibility import truth_scores
+from tests.synthetic.true_clips import clips_of
 
 TRIAL = {
     "hd-epic": (0.75, 0.61),

@@ -53,7 +53,6 @@ def test_without_options_a_preset_stays_as_it_is():
         ("iterations", "0"),
         ("hand", "both"),
         ("alpha", "-1"),
-        ("precision", "float16"),
     ],
 )
 def test_an_impossible_value_is_refused_by_name(key, value):
@@ -64,7 +63,7 @@ def test_an_impossible_value_is_refused_by_name(key, value):
 def test_every_option_changes_something():
     other = {
         "ddim-steps": "3", "iterations": "9", "learning-rate": "1", "alpha": "2", "decorrelation": "3",
-        "initial-velocity-weight": "4", "hand": "left", "bones": "initial", "reach": "goal", "precision": "bfloat16",
+        "initial-velocity-weight": "4", "hand": "left", "bones": "initial", "reach": "goal",
     }  # fmt: skip
     assert set(other) == {*KEYFRAME_OPTIONS, *PRIME_AND_REACH_OPTIONS}
     preset = OptimisationSettings()
