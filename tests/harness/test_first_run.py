@@ -96,9 +96,9 @@ def test_the_test_people_of_every_layout_are_all_there_and_in_no_other_split():
         source = Source(first_run.SEED, layout, "default")
         recordings = recordings_of_people(layout, first_run.SEED, first_run.PEOPLE)
         castings = [assign(source, index) for index in recordings]
-        people = Counter(casting.split for casting in castings)
+        people = Counter(split for _, _, split in castings)
         assert people == first_run.PEOPLE
-        assert len({casting.person for casting in castings}) == len(castings)
+        assert len({person for _, person, _ in castings}) == len(castings)
 
 
 def test_another_version_of_the_people_gets_another_folder(cache, monkeypatch):
