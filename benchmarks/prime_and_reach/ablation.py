@@ -130,9 +130,8 @@ def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> tuple
                 say(f"pre-training for '{row.variant}': {prior}")
                 data = (request.corpora[row.pretraining],) if row.pretraining in request.corpora else request.data
                 changes = overrides(row.pretrained_model)
-                initial = train(
-                    TrainRequest(method="mdm", stage="pretrain", data=data, out=prior, overrides=changes, **same)
-                ).weights
+                train(TrainRequest(method="mdm", stage="pretrain", data=data, out=prior, overrides=changes, **same))
+                initial = prior / WEIGHTS
             trained = request.folder / row.training_name
             say(f"fine-tuning '{row.variant}': {trained}")
             learnt = TrainRequest(
@@ -144,7 +143,7 @@ def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> tuple
                 initial=initial,
                 **same,
             )
-            weights = train(learnt).weights
+            train(learnt)
             out = request.folder / _RUNS / row.run_name
             say(f"running '{row.variant}': {out}")
             run_method(
@@ -152,7 +151,7 @@ def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> tuple
                     method="pr",
                     condition=Condition.GOAL_LOCATION,
                     data=request.data,
-                    weights=weights,
+                    weights=trained / WEIGHTS,
                     options=request.options_of(row),
                     limit=request.limit,
                     seed=request.seed,

@@ -48,8 +48,14 @@ def agreement_tables(runs: Sequence[Path], checker: RunChecker) -> list[Table]:
                 notes.append("These are scores on synthetic data: never compare them with published ones.")
             rates = []
             for rate in found.rates:
-                counts = {"sequences": rate.sequences, "recordings": rate.recordings}
-                phi = Cell(metric="phi", value=rate.phi, low=rate.low, high=rate.high, **counts)
+                phi = Cell(
+                    metric="phi",
+                    value=rate.phi,
+                    low=rate.low,
+                    high=rate.high,
+                    sequences=rate.sequences,
+                    recordings=rate.recordings,
+                )
                 words = {"metric": rate.title, "remark": rate.remark}
                 rates.append(Row(text=words, cells=(phi, metric_cell("people", "rate", rate.people))))
             bins = []

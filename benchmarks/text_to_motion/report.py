@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
@@ -103,7 +104,7 @@ class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
         return msgspec.json.decode(read_whole(path), type=cls)
 
 
-_METRICS = {
+_METRICS: dict[str, tuple[str, Literal["higher", "lower"], str]] = {
     "r_precision_top_3": ("R Precision Top-3", "higher", "rate"),
     "fid": ("FID", "lower", ""),
     "multimodal_distance": ("Multimodal Distance", "lower", ""),

@@ -149,7 +149,7 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
         compared.append(
             ComparedRun(run.path, method.name, method.origin, {name: mark for name, mark in marks.items() if mark})
         )
-    return RunComparison(*compared, tuple(metrics), tuple(left_out), tuple(unverified))
+    return RunComparison(compared[0], compared[1], tuple(metrics), tuple(left_out), tuple(unverified))
 
 
 SequenceScores = dict[str, tuple[list[str], np.ndarray]]

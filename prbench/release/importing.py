@@ -12,7 +12,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -56,7 +56,7 @@ _PUTS = re.compile(r"\b(put|plac|drop|set(s|ting)? down|return)", re.IGNORECASE)
 
 
 def make_row(
-    found: ReleasedDataset, one: ReleasedSequence, *, head_tilt_deg: float, texts: Mapping[str, str]
+    found: ReleasedDataset, one: ReleasedSequence, *, head_tilt_deg: float, texts: Mapping[Literal["pick", "put"], str]
 ) -> tuple[Sequence, Event]:
     """Read one sequence again and convert it; times count from the first frame, unless its block tells them.
 
@@ -93,7 +93,7 @@ def make_row(
     text = value("text").strip() if isinstance(value("text"), str) else ""
     action = _action(value("action"), text)
     if not text and action != _UNKNOWN_ACTION:
-        text = texts[action]
+        text = texts["pick" if action == "pick" else "put"]
     # The layout names no hand: the nearer wrist is taken for the one that reached.
     wrist = WRISTS[int(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).argmin())]
     fps = found.fps

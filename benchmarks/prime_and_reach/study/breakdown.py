@@ -42,7 +42,7 @@ def breakdown_table(runs: Sequence[GenuineRun], by: str) -> Table:
     for run in runs:
         rows = []
         for group, cells in _scored_groups(run, by).items():
-            if cells[0].recordings < FEWEST_FOR_TEST:
+            if (cells[0].recordings or 0) < FEWEST_FOR_TEST:
                 few[group] = None
             rows.append(
                 Row(

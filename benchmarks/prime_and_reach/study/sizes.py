@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.protocol.published import DATASETS, QUANTITIES, cite, load_table_one, published_table
@@ -27,7 +28,7 @@ def table_one(tables: Sequence[SequenceTable]) -> Table:
     measured = []
     for table in tables:
         each = table_statistics(table)
-        about = {
+        about: dict[str, Any] = {
             "dataset": each.dataset,
             "recordings": len(set(table.scalars()["recording_id"].to_pylist())),
             "origin": origin_of(synthetic=table.info.synthetic),
@@ -42,7 +43,7 @@ def table_one(tables: Sequence[SequenceTable]) -> Table:
     published = []
     for name in _published_names(tables):
         row = load_table_one()[name]
-        about = {"dataset": name, "origin": f"published: {cite('1')}"}
+        about: dict[str, Any] = {"dataset": name, "origin": f"published: {cite('1')}"}
         cells = [Cell(metric="n_sequences", value=float(row.sequences), **about)]
         for quantity, unit in QUANTITIES.items():
             spread = getattr(row, quantity)
@@ -74,7 +75,7 @@ def table_s2(tables: Sequence[SequenceTable]) -> Table:
             held = [recording for own, recording in pairs if split in (own, "total")]
             recordings = len(set(held))
             words[split] = f"{len(held)} ({recordings})"
-            about = {"recordings": recordings, "origin": origin_of(synthetic=table.info.synthetic)}
+            about: dict[str, Any] = {"recordings": recordings, "origin": origin_of(synthetic=table.info.synthetic)}
             value = float(len(held))
             cells.append(Cell(dataset=table.info.dataset, variant=split, metric="n_sequences", value=value, **about))
         measured.append(Row(text=words, cells=tuple(cells)))
@@ -82,7 +83,7 @@ def table_s2(tables: Sequence[SequenceTable]) -> Table:
     for name in _published_names(tables):
         row = load_table_one()[name]
         counts = {"train": row.train, "test": row.test, "total": row.sequences}
-        about = {"dataset": name, "metric": "n_sequences", "origin": f"published: {cite('S2')}"}
+        about: dict[str, Any] = {"dataset": name, "metric": "n_sequences", "origin": f"published: {cite('S2')}"}
         cells = tuple(Cell(variant=split, value=float(count), **about) for split, count in counts.items())
         words = {"dataset": name} | {split: str(count) for split, count in counts.items()}
         published.append(Row(text=words, cells=cells))
