@@ -6,7 +6,6 @@ Each sample draws its noise from a seed that depends on the run's seed, the wind
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
@@ -38,13 +37,8 @@ _PRECISIONS = {"float32": torch.float32, "float64": torch.float64}
 _SAME_TIME = 1e-6  # seconds
 
 
-@dataclass(frozen=True)
-class Loaded:
-    """One weights file in use."""
-
-    path: Path
-    windows: SeenWindows
-    network: PredictorNetwork
+Loaded = tuple[Path, SeenWindows, PredictorNetwork]
+"""A weights file in use, what it was trained on, and its network."""
 
 
 class LearnedPredictor:
@@ -57,13 +51,13 @@ class LearnedPredictor:
 
     def __init__(self, name: str, loaded: Sequence[Loaded]) -> None:
         self.name = name
-        self._loaded = {each.windows.condition: each for each in loaded}
+        self._loaded = {seen.condition: (path, seen, network) for path, seen, network in loaded}
         self.conditions = frozenset(self._loaded)
-        self.one_design = any(isinstance(each.network, DLow) for each in loaded)
+        self.one_design = any(isinstance(network, DLow) for *_, network in loaded)
 
     def weights_for(self, condition: Condition) -> Path:
         """The weights file in use under a condition."""
-        return self._loaded[condition].path
+        return self._loaded[condition][0]
 
     def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:
         """See :class:`prbench_benchmarks.motion_prediction.batch.Predictor`.
@@ -76,14 +70,13 @@ class LearnedPredictor:
             AdapterError: for other joints or another duration than the network was trained on, and for windows without
                 any measured gaze.
         """
-        loaded = self._loaded[batch.condition]
-        self._require_fit(batch, loaded, n_samples)
-        seen = loaded.windows
+        self._require_fit(batch, *self._loaded[batch.condition], n_samples)
+        _, seen, network = self._loaded[batch.condition]
         frames = np.tile(np.eye(4), (len(batch), 1, 1))
         if seen.frame == "last-pose":
             frames = seen.joints.last_pose_frame(batch.observed_joints[:, -1])
         observed = self._observed(batch, seen, invert_each(frames))
-        weight = next(loaded.network.parameters())
+        weight = next(network.parameters())
         together = max(_MOST_TOGETHER // n_samples, 1)
         parts = []
         for first in range(0, len(observed), together):
@@ -93,7 +86,7 @@ class LearnedPredictor:
             ]
             seeds = [[int(each.integers(2**63 - 1)) for each in row] for row in generators]
             shown = torch.from_numpy(observed[first : first + together]).to(weight)
-            parts.append(loaded.network.predict(shown, seeds).double().cpu().numpy())
+            parts.append(network.predict(shown, seeds).double().cpu().numpy())
         joints = np.concatenate(parts)[:, :, :, : seen.n_joints]
         if batch.fps != seen.fps:
             last = np.broadcast_to(observed[:, None, -1:, : seen.n_joints], (*joints.shape[:2], 1, *joints.shape[3:]))
@@ -125,11 +118,12 @@ class LearnedPredictor:
         latest = np.searchsorted(times, own_times + _SAME_TIME, side="right") - 1
         return np.concatenate([joints, measured[:, np.maximum(latest, 0)]], axis=2)
 
-    def _require_fit(self, batch: ObservedBatch, loaded: Loaded, n_samples: int) -> None:
-        seen = loaded.windows
+    def _require_fit(
+        self, batch: ObservedBatch, path: Path, seen: SeenWindows, network: PredictorNetwork, n_samples: int
+    ) -> None:
         if batch.joint_names != seen.joints.names:
             raise AdapterError(
-                f"{self.name}: {loaded.path.name} was trained on the {seen.n_joints} joints of {seen.joint_set}, these"
+                f"{self.name}: {path.name} was trained on the {seen.n_joints} joints of {seen.joint_set}, these"
                 f" windows have {len(batch.joint_names)} others. Choose weights that were trained on such windows."
             )
         expected = (seen.observed / seen.fps, seen.predicted / seen.fps)
@@ -137,10 +131,9 @@ class LearnedPredictor:
         # Half a frame of the slower rate: 10 frames at 20 and 15 at 30 a second last half a second both.
         if max(abs(a - b) for a, b in zip(expected, found, strict=True)) > 0.5 / min(batch.fps, seen.fps):
             raise AdapterError(
-                f"{self.name}: {loaded.path.name} sees {expected[0]:g} s and predicts {expected[1]:g} s, these windows"
+                f"{self.name}: {path.name} sees {expected[0]:g} s and predicts {expected[1]:g} s, these windows"
                 f" have {found[0]:g} s and {found[1]:g} s. Choose weights that were trained on such windows."
             )
-        network = loaded.network
         if isinstance(network, DLow) and n_samples != network.configuration.n_samples:
             wanted = network.configuration.n_samples
             raise UsageError(
@@ -192,7 +185,7 @@ def load_predictor(name: str, weights: Path | None, *, options: Mapping[str, str
             guidance = number(options, "guidance", network.guidance)
             network = msgspec.structs.replace(network, sampling_steps=steps, guidance=guidance)
             record = msgspec.structs.replace(record, network=network)
-        loaded.append(Loaded(path, record.windows, network_of(file, record).to(where, precision)))
+        loaded.append((path, record.windows, network_of(file, record).to(where, precision)))
     return LearnedPredictor(name, loaded)
 
 

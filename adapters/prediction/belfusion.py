@@ -7,6 +7,7 @@ the sampling. Joints are in metres.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Literal
 
 import msgspec
@@ -118,9 +119,8 @@ class LatentUNet(nn.Module):
                 self.down.append(nn.ModuleList([_Block(width, width, embedding, "halve")]))
                 skips.append(width)
             inputs = width
-        blocks = (_Block, _Attention, _Block)
-        sizes = ((inputs, inputs, embedding), (inputs, configuration.head_channels), (inputs, inputs, embedding))
-        self.middle = nn.ModuleList(block(*size) for block, size in zip(blocks, sizes, strict=True))
+        block = partial(_Block, inputs, inputs, embedding)
+        self.middle = nn.ModuleList([block(), _Attention(inputs, configuration.head_channels), block()])
         self.up = nn.ModuleList()
         for level, width in reversed(list(enumerate(widths))):
             # A level has as many blocks on the way up as outputs on the way down: its own, and that of the change.

@@ -20,7 +20,6 @@ from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusi
 from prbench_adapters.prediction.configuration import PRESETS, DiffusionConfiguration, preset
 from prbench_adapters.prediction.records import (
     AUTOENCODERS,
-    Autoencoders,
     AutoencodersRecord,
     BeLFusionRecord,
     CVAERecord,
@@ -31,7 +30,7 @@ from prbench_adapters.prediction.records import (
     SeenWindows,
     contents,
 )
-from prbench_adapters.prediction.recurrent import CVAE, CVAEConfiguration, DLow, DLowConfiguration, Losses
+from prbench_adapters.prediction.recurrent import CVAEConfiguration, DLow, DLowConfiguration, Losses
 from prbench_adapters.training.batches import WindowBatch, WindowChoice, WindowsDataset
 from prbench_adapters.training.task import TrainingModule, split_model_table
 from prbench_adapters.training.weights import Weights, origin_of, read_weights
@@ -139,7 +138,7 @@ class PredictorTraining(TrainingModule):
         super().__init__()
         self.kind = kind
         self.record = record
-        self.network = network
+        self.network: Any = network
         self.losses = losses
         self.course = course
         self.origin = origin
@@ -374,10 +373,8 @@ def _dlow(model: dict[str, Any], seen: SeenWindows, course: RateCourse, initial:
     start, old = _started("dlow", initial, seen, "cvae", CVAERecord, "a trained CVAE", command)
     network = _converted(model, DLowConfiguration, "model")
     record = DLowRecord(windows=seen, network=network, cvae=old.network)
-    decoder = CVAE(old.network)
-    start.load_into(decoder, "network")
     sampler = record.build()
-    sampler.cvae.load_state_dict(decoder.state_dict())
+    start.load_into(sampler.cvae, "network")
     return PredictorTraining("dlow", record, sampler, latent_losses, course, origin_of(start))
 
 
@@ -395,10 +392,8 @@ def _belfusion(
         network = record.build()
     except ValueError as error:
         raise UsageError(f"[model]: {error}.") from error
-    trained = Autoencoders(old.network)
-    start.load_into(trained, "network")
-    network.past.load_state_dict(trained.past.state_dict())
-    network.behaviour.load_state_dict(trained.behaviour.state_dict())
+    start.load_into(network.past, "network.past")
+    start.load_into(network.behaviour, "network.behaviour")
     losses = belfusion_losses(objective.noises)
     module = PredictorTraining("belfusion", record, network, losses, course, origin_of(start))
     _take_ranges(module, network, data)

@@ -6,6 +6,7 @@ Source: docs/specification/motion-prediction.md#the-anchored-track.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from prbench.sequences.dataset_info import Provenance
 from prbench.sequences.sequence import SequenceChunk
 from prbench.sequences.table import SequenceTable
 from prbench_benchmarks.motion_prediction.protocol import AnchoredRules, WindowRules, load_prediction_protocol
-from prbench_benchmarks.motion_prediction.table import SCHEMA_VERSION, CutRun, Run, Window, WindowsInfo, write_windows
+from prbench_benchmarks.motion_prediction.table import SCHEMA_VERSION, Run, Window, WindowsInfo, write_windows
 
 _TEXT = ("sequence_id", "recording_id", "participant_id", "split", "action", "pose_source")
 _NUMBERS = ("n_frames", "prime_frame", "start_time", "fps", "head_tilt_deg")
@@ -54,13 +55,13 @@ def build_anchored_windows(data: Path | str, out: Path | str, *, only: Collectio
     fps = table.scalars()["fps"][0].as_py()
     rules = protocol.windows.at(fps)
 
-    def cut() -> Iterator[CutRun]:
+    def cut() -> Iterator[Run]:
         for chunk in table.chunks(columns=[*_TEXT, *_NUMBERS, *_ARRAYS]):
             for row in range(len(chunk)):
                 found = _cut(chunk.take([row]), rules, protocol.anchored)
                 windows = tuple(each for each in found.windows if not only or each.anchor in only)
                 if windows:
-                    yield CutRun(found.run, windows)
+                    yield replace(found, windows=windows)
 
     source = {name: getattr(table.info, name) for name in Provenance.__struct_fields__}
     changed = {
@@ -88,7 +89,7 @@ def build_anchored_windows(data: Path | str, out: Path | str, *, only: Collectio
         return write_windows(out, info, cut())
 
 
-def _cut(chunk: SequenceChunk, rules: WindowRules, anchored: AnchoredRules) -> CutRun:
+def _cut(chunk: SequenceChunk, rules: WindowRules, anchored: AnchoredRules) -> Run:
     """The only sequence of a chunk in the room, with its windows: up to the prime, and to each lead before the event.
 
     Only windows both of whose halves are there.
@@ -134,4 +135,4 @@ def _cut(chunk: SequenceChunk, rules: WindowRules, anchored: AnchoredRules) -> C
         windows.append(
             Window(start, looking, n_scored, anchor=anchor, goal=goal if border + n_scored == event else None)
         )
-    return CutRun(run, tuple(windows))
+    return replace(run, windows=tuple(windows))

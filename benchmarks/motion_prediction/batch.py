@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
@@ -82,11 +82,8 @@ class ObservedBatch:
     def chosen(self, rows: Sequence[int]) -> ObservedBatch:
         """Some rows of the batch, in the order given."""
         places = np.asarray(rows, dtype=np.int64)
-        return ObservedBatch(
-            condition=self.condition,
-            fps=self.fps,
-            n_future=self.n_future,
-            joint_names=self.joint_names,
+        return replace(
+            self,
             observed_joints=self.observed_joints[places],
             key=tuple(self.key[place] for place in places),
             gaze=None if self.gaze is None else self.gaze[places],
@@ -100,32 +97,6 @@ class Futures:
 
     joints: Float[np.ndarray, "batch samples future joints 3"]
     """Metres, in the frame of the batch that they answer."""
-
-    def require_fits(self, batch: ObservedBatch, n_samples: int, *, predictor: str) -> None:
-        """Hold an answer against what was asked.
-
-        Raises:
-            AdapterError: for another shape, values that are no decimals or not finite, or the past instead of a future.
-        """
-        found = np.shape(self.joints)
-        expected = (len(batch), n_samples, batch.n_future, len(batch.joint_names), 3)
-        if found != expected:
-            raise AdapterError(
-                f"{predictor}: expected futures of shape {expected} (windows, samples, frames, joints, 3), found"
-                f" {found}. Return one future a sample, without the observed frames."
-            )
-        kind = np.asarray(self.joints).dtype
-        if not np.issubdtype(kind, np.floating):
-            raise AdapterError(f"{predictor}: expected positions with decimals, found {kind}. Return float32, metres.")
-        if not np.isfinite(self.joints).all():
-            raise AdapterError(f"{predictor}: expected finite positions, found NaN or infinity among the futures.")
-        observed = batch.observed_joints
-        shared = min(observed.shape[1], batch.n_future)
-        moving = np.ptp(observed, axis=1).max() > 0 if len(batch) else False
-        if shared > 1 and moving and (self.joints[:, :, :shared] == observed[:, None, :shared]).all():
-            raise AdapterError(
-                f"{predictor}: its futures begin with the {shared} observed frames. Return the frames after them alone."
-            )
 
 
 @runtime_checkable
@@ -160,7 +131,7 @@ def ask(predictor: Predictor, batch: ObservedBatch, *, n_samples: int, seed: int
 
     Raises:
         UsageError: for less than one sample, or a condition that it does not accept.
-        AdapterError: if the answer does not fit (see :meth:`Futures.require_fits`).
+        AdapterError: if the answer does not fit (see :func:`require_futures`).
     """
     if n_samples < 1:
         raise UsageError(f"expected one sample or more, found {n_samples}.")
@@ -183,7 +154,8 @@ def require_futures(answer: object, batch: ObservedBatch, n_samples: int, *, pre
         predictor: Its name, for messages.
 
     Raises:
-        AdapterError: for anything but futures, or such as do not fit (see :meth:`Futures.require_fits`).
+        AdapterError: for anything but futures, for another shape, values that are no decimals or not finite, or the
+            past instead of a future.
     """
     if not isinstance(answer, Futures):
         raise AdapterError(
@@ -191,7 +163,25 @@ def require_futures(answer: object, batch: ObservedBatch, n_samples: int, *, pre
             f" {type(answer).__name__}. Return"
             " Futures(joints=…) with joints of (windows, samples, frames, joints, 3)."
         )
-    answer.require_fits(batch, n_samples, predictor=predictor)
+    found = np.shape(answer.joints)
+    expected = (len(batch), n_samples, batch.n_future, len(batch.joint_names), 3)
+    if found != expected:
+        raise AdapterError(
+            f"{predictor}: expected futures of shape {expected} (windows, samples, frames, joints, 3), found"
+            f" {found}. Return one future a sample, without the observed frames."
+        )
+    kind = np.asarray(answer.joints).dtype
+    if not np.issubdtype(kind, np.floating):
+        raise AdapterError(f"{predictor}: expected positions with decimals, found {kind}. Return float32, metres.")
+    if not np.isfinite(answer.joints).all():
+        raise AdapterError(f"{predictor}: expected finite positions, found NaN or infinity among the futures.")
+    observed = batch.observed_joints
+    shared = min(observed.shape[1], batch.n_future)
+    moving = np.ptp(observed, axis=1).max() > 0 if len(batch) else False
+    if shared > 1 and moving and (answer.joints[:, :, :shared] == observed[:, None, :shared]).all():
+        raise AdapterError(
+            f"{predictor}: its futures begin with the {shared} observed frames. Return the frames after them alone."
+        )
     return answer
 
 

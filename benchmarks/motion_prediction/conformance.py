@@ -38,7 +38,7 @@ from prbench_benchmarks.motion_prediction.anchored import build_anchored_windows
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, Predictor, require_futures
 from prbench_benchmarks.motion_prediction.metrics import bone_error, first_frame_jump
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
-from prbench_benchmarks.motion_prediction.table import FILE_NAME, CutRun, Run, Window, WindowsTable, write_windows
+from prbench_benchmarks.motion_prediction.table import FILE_NAME, Run, Window, WindowsTable, write_windows
 
 BENCHMARK = "motion-prediction"
 WINDOWS = 12
@@ -108,18 +108,18 @@ def windows_of_table(data: Path, folder: Path) -> AskedWindows:
             run = runs[row["row"]]
             alone = _part(run, row["window_id"], row["start"], min(row["start"] + length, len(run)))
             looking = int(alone.gaze_valid[:observed].sum())
-            asked.append(CutRun(alone, (Window(0, looking, row["n_scored"]),)))
+            asked.append(replace(alone, windows=(Window(0, looking, row["n_scored"]),)))
         try:
             learnt = table.windows.take(table.chosen(split="train")[:_TO_LEARN_FROM]).to_pylist()
         except UsageError:  # the table has no such split
             learnt = []
         train = [
-            CutRun(run, tuple(Window.of(row) for row in learnt if row["row"] == number))
+            replace(run, windows=tuple(Window.of(row) for row in learnt if row["row"] == number))
             for number, run in dict(table.iterate_runs({row["row"] for row in learnt})).items()
         ]
         write_windows(whole, table.info, [*asked, *train])
         for each in asked:
-            for values in (each.run.joints, each.run.gaze, each.run.head_direction):
+            for values in (each.joints, each.gaze, each.head_direction):
                 values[observed:] = np.nan
         with np.errstate(invalid="ignore"):  # digests of numbers that are none
             write_windows(blind, table.info, [*asked, *train])

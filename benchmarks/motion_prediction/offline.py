@@ -30,7 +30,7 @@ from prbench.harness.run_folder.predictions import PredictionRows, write_part
 from prbench.harness.run_folder.record import FILE, MethodRecord
 from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.sequences.dataset_info import notice, require_may_pass_on
-from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch
+from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, require_futures
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
 from prbench_benchmarks.motion_prediction.table import WindowsInfo
 
@@ -344,7 +344,7 @@ def _joints(
     place = {name: row for row, name in enumerate(ids)}
     ordered = joints[[place[name] for name in wanted]]
     try:
-        Futures(joints=ordered).require_fits(batch, info.samples, predictor=path.name)
+        require_futures(Futures(joints=ordered), batch, info.samples, predictor=path.name)
     except AdapterError as error:
         raise PredictionsError(str(error)) from error
     return ordered.astype(np.float32)

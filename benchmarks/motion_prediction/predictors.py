@@ -68,86 +68,6 @@ class ConstantVelocity:
 
 
 @dataclass(frozen=True)
-class NearestPast:
-    """Sample k is the future of the training window whose observed frames are k-th nearest.
-
-    Pasts are compared, and futures placed, with the pelvis of the last observed frame over the origin facing +Z. A gaze
-    that is given counts as one more joint, a metre from the origin.
-    """
-
-    pasts: Float[np.ndarray, "windows values"]
-    """Observed frames of the training windows, flattened."""
-    futures: Float[np.ndarray, "windows future joints 3"]
-    condition: Condition
-    name: str = "nearest-past"
-
-    @property
-    def conditions(self) -> frozenset[Condition]:
-        """The condition that it was made for."""
-        return frozenset({self.condition})
-
-    @classmethod
-    def fit(cls, batches: Iterable[tuple[ObservedBatch, Truth]]) -> NearestPast:
-        """Remember windows of the training split.
-
-        Args:
-            batches: See :meth:`prbench_benchmarks.motion_prediction.table.WindowsTable.batches`.
-
-        Raises:
-            UsageError: if none is left.
-        """
-        pasts = []
-        futures = []
-        condition = Condition.POSE
-        for batch, truth in batches:
-            condition = batch.condition
-            frames, features = _own_frame(batch)
-            pasts.append(features)
-            # Windows of an anchored table end with the event: their last pose is held, as nothing is known after it.
-            shown = np.minimum(np.arange(batch.n_future), truth.n_scored[:, None] - 1)
-            whole = np.take_along_axis(truth.joints, shown[:, :, None, None], axis=1)
-            futures.append(transform_each(invert_each(frames), whole).astype(np.float32))
-        if not futures:
-            raise UsageError("nearest-past: expected windows to remember, found none.")
-        return cls(np.concatenate(pasts), np.concatenate(futures), condition)
-
-    def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:  # noqa: ARG002 - a protocol
-        """See :class:`prbench_benchmarks.motion_prediction.batch.Predictor`; ``seed`` leaves no trace.
-
-        Raises:
-            UsageError: if fewer windows are remembered than samples are asked for, or windows of another length or of
-                other joints.
-        """
-        if n_samples > len(self.futures):
-            raise UsageError(f"{self.name}: expected at most {len(self.futures)} samples, found {n_samples}.")
-        frames, features = _own_frame(batch)
-        shapes = (self.pasts.shape[1], *self.futures.shape[1:3])
-        asked = (features.shape[1], batch.n_future, len(batch.joint_names))
-        if asked != shapes:
-            raise UsageError(
-                f"{self.name}: it remembers windows of {shapes[1]} future frames and {shapes[2]} joints ({shapes[0]}"
-                f" observed numbers), these have {asked[1]} and {asked[2]} ({asked[0]}). Fit it to windows like these."
-            )
-        apart = cdist(features, self.pasts)
-        # Stable, so that a tie is not broken by how many samples are asked for.
-        nearest = np.argsort(apart, axis=1, kind="stable")[:, :n_samples]
-        return Futures(joints=transform_each(frames, self.futures[nearest]).astype(np.float32))
-
-
-def _own_frame(batch: ObservedBatch) -> tuple[Float[np.ndarray, "batch 4 4"], Float[np.ndarray, "batch values"]]:
-    """``batch_from_own`` of each window, and its observed frames in the frame of its last pose, flattened."""
-    frames = next(each for each in JOINT_SETS.values() if each.names == batch.joint_names).last_pose_frame(
-        batch.observed_joints[:, -1]
-    )
-    own_from_batch = invert_each(frames)
-    features = [transform_each(own_from_batch, batch.observed_joints).reshape(len(batch), -1)]
-    if batch.gaze is not None:
-        turned = transform_each(rotations_alone(own_from_batch), batch.gaze)
-        features.append(turned.reshape(len(batch), -1))
-    return frames, np.concatenate(features, axis=1)
-
-
-@dataclass(frozen=True)
 class TrainingWindows:
     """The windows of a table that a predictor may learn from."""
 
@@ -169,33 +89,88 @@ class TrainingWindows:
 
 
 @dataclass
-class NearestPastOfTable:
-    """:class:`NearestPast` of the training windows of the table that it is run on, under whatever condition."""
+class NearestPast:
+    """Sample k is the future of the training window whose observed frames are k-th nearest.
+
+    Pasts are compared, and futures placed, with the pelvis of the last observed frame over the origin facing +Z. A gaze
+    that is given counts as one more joint, a metre from the origin.
+    """
 
     name: str = "nearest-past"
-    conditions: frozenset[Condition] = frozenset(Condition)
+    conditions: frozenset[Condition] = _ALL
     train: TrainingWindows | None = None
-    _remembered: dict[Condition, NearestPast] = field(default_factory=dict)
+    _remembered: dict[Condition, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    """By condition the observed frames of the windows, flattened, and their futures."""
 
     def fit(self, train: TrainingWindows) -> None:
         """Remember which windows may be learnt from; they are read when the condition is known."""
         self.train = train
 
-    def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:
-        """See :class:`prbench_benchmarks.motion_prediction.batch.Predictor`.
+    def remember(self, batches: Iterable[tuple[ObservedBatch, Truth]]) -> NearestPast:
+        """Remember windows of the training split, all of one condition.
 
         Raises:
-            UsageError: if it was not fitted, or remembers fewer windows than samples are asked for.
+            UsageError: if there is none.
         """
-        if self.train is None:
-            raise UsageError(f"{self.name}: expected to be fitted to a table of windows first; `prbench run` does so.")
+        pasts = []
+        futures = []
+        condition = Condition.POSE
+        for batch, truth in batches:
+            condition = batch.condition
+            frames, features = _own_frame(batch)
+            pasts.append(features)
+            # Windows of an anchored table end with the event: their last pose is held, as nothing is known after it.
+            shown = np.minimum(np.arange(batch.n_future), truth.n_scored[:, None] - 1)
+            whole = np.take_along_axis(truth.joints, shown[:, :, None, None], axis=1)
+            futures.append(transform_each(invert_each(frames), whole).astype(np.float32))
+        if not futures:
+            raise UsageError("nearest-past: expected windows to remember, found none.")
+        self._remembered[condition] = (np.concatenate(pasts), np.concatenate(futures))
+        return self
+
+    def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:  # noqa: ARG002 - a protocol
+        """See :class:`prbench_benchmarks.motion_prediction.batch.Predictor`; ``seed`` leaves no trace.
+
+        Raises:
+            UsageError: if it was not fitted, remembers fewer windows than samples are asked for, or windows of another
+                length or of other joints.
+        """
         if batch.condition not in self._remembered:
-            self._remembered[batch.condition] = NearestPast.fit(self.train.batches(batch.condition))
-        return self._remembered[batch.condition].predict(batch, n_samples=n_samples, seed=seed)
+            if self.train is None:
+                raise UsageError(f"{self.name}: expected to be fitted to a table of windows first; `prbench run` does.")
+            self.remember(self.train.batches(batch.condition))
+        pasts, known = self._remembered[batch.condition]
+        if n_samples > len(known):
+            raise UsageError(f"{self.name}: expected at most {len(known)} samples, found {n_samples}.")
+        frames, features = _own_frame(batch)
+        shapes = (pasts.shape[1], *known.shape[1:3])
+        asked = (features.shape[1], batch.n_future, len(batch.joint_names))
+        if asked != shapes:
+            raise UsageError(
+                f"{self.name}: it remembers windows of {shapes[1]} future frames and {shapes[2]} joints ({shapes[0]}"
+                f" observed numbers), these have {asked[1]} and {asked[2]} ({asked[0]}). Fit it to windows like these."
+            )
+        apart = cdist(features, pasts)
+        # Stable, so that a tie is not broken by how many samples are asked for.
+        nearest = np.argsort(apart, axis=1, kind="stable")[:, :n_samples]
+        return Futures(joints=transform_each(frames, known[nearest]).astype(np.float32))
+
+
+def _own_frame(batch: ObservedBatch) -> tuple[Float[np.ndarray, "batch 4 4"], Float[np.ndarray, "batch values"]]:
+    """``batch_from_own`` of each window, and its observed frames in the frame of its last pose, flattened."""
+    frames = next(each for each in JOINT_SETS.values() if each.names == batch.joint_names).last_pose_frame(
+        batch.observed_joints[:, -1]
+    )
+    own_from_batch = invert_each(frames)
+    features = [transform_each(own_from_batch, batch.observed_joints).reshape(len(batch), -1)]
+    if batch.gaze is not None:
+        turned = transform_each(rotations_alone(own_from_batch), batch.gaze)
+        features.append(turned.reshape(len(batch), -1))
+    return frames, np.concatenate(features, axis=1)
 
 
 def _loaded(
-    kind: type[ZeroVelocity] | type[ConstantVelocity] | type[NearestPastOfTable],
+    kind: type[ZeroVelocity] | type[ConstantVelocity] | type[NearestPast],
     weights: Path | None,
     *,
     options: Mapping[str, str],
@@ -215,4 +190,4 @@ def _loaded(
 
 zero_velocity = partial(_loaded, ZeroVelocity)
 constant_velocity = partial(_loaded, ConstantVelocity)
-nearest_past = partial(_loaded, NearestPastOfTable)
+nearest_past = partial(_loaded, NearestPast)

@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Float
 
 from prbench.harness.methods.messages import Header, arrow_stream, numbers_by_id
 from prbench.harness.methods.remote import RemoteMethod, answer_in
@@ -30,6 +29,7 @@ class RemotePredictor(RemoteMethod):
         """
         ids = tuple(f"{key:016x}" for key in batch.key)
         shape = (len(batch), n_samples, batch.n_future, len(batch.joint_names), 3)
+        size = int(np.prod(shape[1:]))
         header = {
             "message": "predict",
             "condition": batch.condition.value,
@@ -44,21 +44,19 @@ class RemotePredictor(RemoteMethod):
         joints = self.exchange(
             header,
             _observed_payload(batch, ids),
-            partial(_futures_in, ids=ids, shape=shape),
+            partial(answer_in, due="futures", read=partial(numbers_by_id, asked=ids, name="joints", size=size)),
             # Twice the size in float64: room for any list type, and still a bound on what is read.
-            largest=2 * int(np.prod(shape)) * 8,
+            largest=2 * len(batch) * size * 8,
             ids=ids,
         )
-        return Futures(joints=joints)
+        return Futures(joints=joints.reshape(shape))
 
 
 def _observed_payload(batch: ObservedBatch, ids: tuple[str, ...]) -> bytes:
     """Arrow stream of what a program may know, one row a window."""
 
     def rows(values: np.ndarray, kind: pa.DataType) -> pa.Array:
-        size = int(np.prod(values.shape[1:]))
-        flat = pa.array(values.reshape(-1), kind)
-        return pa.FixedSizeListArray.from_arrays(flat, size)
+        return pa.FixedSizeListArray.from_arrays(pa.array(values.reshape(-1), kind), int(np.prod(values.shape[1:])))
 
     columns = {
         "opaque_id": pa.array(ids, pa.utf8()),
@@ -69,14 +67,6 @@ def _observed_payload(batch: ObservedBatch, ids: tuple[str, ...]) -> bytes:
         columns["gaze"] = rows(batch.gaze, pa.float32())
         columns["gaze_valid"] = rows(batch.gaze_valid, pa.bool_())
     return arrow_stream(columns)
-
-
-def _futures_in(
-    header: Header, payload: bytes | None, number: int, *, ids: tuple[str, ...], shape: tuple[int, ...]
-) -> Float[np.ndarray, "batch samples future joints 3"]:
-    size = int(np.prod(shape[1:]))
-    read = partial(numbers_by_id, asked=ids, name="joints", size=size)
-    return answer_in(header, payload, number, due="futures", read=read).reshape(shape)
 
 
 def serve_futures(name: str, adapter: Predictor, header: Header, payload: bytes) -> tuple[Header, bytes]:

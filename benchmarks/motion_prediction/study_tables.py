@@ -177,8 +177,8 @@ def prediction_tables(
             n_samples = samples
             if row.method in _WITHOUT_LEARNING:
                 n_samples = 1
-            elif isinstance(predictor, NearestPast):
-                n_samples = min(samples, len(predictor.futures))
+            elif row.method == NearestPast.name:
+                n_samples = min(samples, len(train))
             scores[row.name] = score_predictor(
                 predictor, table, row.condition, test, similar=similar, n_samples=n_samples, seed=seed
             )
@@ -203,7 +203,7 @@ def _predictor(row: TableRow, table: WindowsTable, train: np.ndarray, weights: P
     if row.method == NearestPast.name:
         if not len(train):
             raise UsageError(f"{row.method}: expected windows of a training split, found none in {table.folder}.")
-        return NearestPast.fit(table.batches(row.condition, train))
+        return NearestPast().remember(table.batches(row.condition, train))
     if weights is not None and weights.is_dir():
         places = (weights / f"{row.weights}.safetensors", weights / row.weights / "weights.safetensors")
         weights = next((path for path in places if path.is_file()), None)

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from collections.abc import Sequence as SequenceOf
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -96,6 +95,8 @@ class Run:
     """Unit vectors; where ``gaze_valid`` is False the last one measured before, or +Z if there was none."""
     gaze_valid: Bool[np.ndarray, " n"]
     head_direction: Float[np.ndarray, "n 3"]
+    windows: tuple[Window, ...] = ()
+    """The windows that begin in it; none in a run that was read from ``streams`` alone."""
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -124,28 +125,15 @@ class Window:
 
     def row(self, run: Run, row: int) -> dict[str, object]:
         """Columns of ``windows``."""
-        return {
-            "window_id": f"{run.run_id}/{self.anchor}/{self.start}",
-            "row": row,
-            "start": self.start,
-            "anchor": self.anchor,
-            "n_scored": self.n_scored,
-            "n_gaze_valid": self.n_gaze_valid,
-            "exclusion": self.exclusion,
-            "goal": None if self.goal is None else self.goal.tolist(),
-        }
+        window_id = f"{run.run_id}/{self.anchor}/{self.start}"
+        goal = None if self.goal is None else self.goal.tolist()
+        return vars(self) | {"window_id": window_id, "row": row, "goal": goal}
 
     @classmethod
     def of(cls, row: Mapping[str, Any]) -> Window:
         """A row of ``windows`` again, as :meth:`row` wrote it."""
-        return cls(
-            start=row["start"],
-            n_gaze_valid=row["n_gaze_valid"],
-            n_scored=row["n_scored"],
-            exclusion=row["exclusion"],
-            anchor=row["anchor"],
-            goal=None if row["goal"] is None else np.array(row["goal"]),
-        )
+        values: dict[str, Any] = {each.name: row[each.name] for each in fields(cls)}
+        return cls(**values | {"goal": None if row["goal"] is None else np.array(row["goal"])})
 
 
 class WindowsInfo(Provenance, frozen=True, kw_only=True):
@@ -179,15 +167,7 @@ class WindowsInfo(Provenance, frozen=True, kw_only=True):
     """Number of frames in all runs."""
 
 
-@dataclass(frozen=True)
-class CutRun:
-    """A run with the windows that begin in it."""
-
-    run: Run
-    windows: tuple[Window, ...]
-
-
-def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[CutRun]) -> WindowsInfo:
+def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[Run]) -> WindowsInfo:
     """Write a folder of windows whole or not at all; an earlier one there is replaced.
 
     Args:
@@ -211,8 +191,7 @@ def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[CutRun]) -> Win
     recordings: set[str] = set()
 
     def streams() -> Iterator[pa.RecordBatch]:
-        for each in cut:
-            run = each.run
+        for run in cut:
             # Estimated bodies may carry later head motion: they never enter one mean with captured ones.
             kinds.setdefault(is_estimated(run.pose_source), run.recording_id)
             if len(kinds) > 1:
@@ -220,7 +199,7 @@ def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[CutRun]) -> Win
                     f"{folder}: expected captured bodies or estimated ones, found both: {kinds[False]} and"
                     f" {kinds[True]}. Build a table of each; they never enter one mean."
                 )
-            windows.extend(window.row(run, counted["runs"]) for window in each.windows)
+            windows.extend(window.row(run, counted["runs"]) for window in run.windows)
             counted["runs"] += 1
             counted["frames"] += len(run)
             counted["has_gaze"] |= bool(run.gaze_valid.any())
@@ -339,7 +318,7 @@ class WindowsTable:
     @cached_property
     def _columns(self) -> Mapping[str, np.ndarray]:
         row = self.windows["row"].to_numpy()
-        short = ("split", "published_split", "recording_id")
+        short = ("split", "published_split")
         columns = {name: np.array(self.runs[name].to_pylist())[row] for name in short}
         own = {name: np.array(self.windows[name].to_pylist()) for name in ("exclusion", "n_gaze_valid", "anchor")}
         return {**columns, **own, "row": row}
@@ -350,7 +329,6 @@ class WindowsTable:
         split: str | None = None,
         published_split: str | None = None,
         anchor: str | None = None,
-        recordings: SequenceOf[str] | None = None,
         with_excluded: bool = False,
     ) -> Int[np.ndarray, " n"]:
         """Places of the windows that are scored, the same under every condition, so that conditions can be paired.
@@ -359,7 +337,6 @@ class WindowsTable:
             split: Only this split of the dataset.
             published_split: Only this split of the published evaluation.
             anchor: Only this anchor.
-            recordings: Only these recordings, for splits of one's own.
             with_excluded: Windows with an invalid body or too little gaze, too: those that the study counts.
 
         Raises:
@@ -370,8 +347,6 @@ class WindowsTable:
         for name, wanted in (("split", split), ("published_split", published_split), ("anchor", anchor)):
             if wanted is not None:
                 keep &= columns[name] == wanted
-        if recordings is not None:
-            keep &= np.isin(columns["recording_id"], list(recordings))
         if not with_excluded:
             keep &= columns["exclusion"] == ""
             if self.info.has_gaze:

@@ -9,7 +9,7 @@ stands, so that a build can be resumed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -50,7 +50,6 @@ from prbench_benchmarks.motion_prediction.table import (
     FILE_NAME,
     SCHEMA_VERSION,
     WINDOWS,
-    CutRun,
     Run,
     Window,
     WindowsInfo,
@@ -71,7 +70,7 @@ _RATE_TOLERANCE = 0.005
 """Share by which a rate may differ from a multiple of the windows' rate: 29.97 is 30, EgoAllo's 30.3 is not."""
 
 
-def runs_of_recording(recording: Recording, rules: WindowRules, *, split: str) -> Iterator[CutRun]:
+def runs_of_recording(recording: Recording, rules: WindowRules, *, split: str) -> Iterator[Run]:
     """Runs of the 22 joints, cut where the body is missing for longer than the largest gap.
 
     Args:
@@ -105,12 +104,12 @@ def runs_of_recording(recording: Recording, rules: WindowRules, *, split: str) -
             gaze_valid=looking[part],
             head_direction=directions[part],
         )
-        yield CutRun(run, sliding_windows(run, filled[part], rules))
+        yield replace(run, windows=sliding_windows(run, filled[part], rules))
 
 
 def runs_of_tracks(
     recording: Recording, tracks: tuple[PublishedTrack, ...], rules: WindowRules, *, split: str, published_split: str
-) -> Iterator[CutRun]:
+) -> Iterator[Run]:
     """One run for each published segment, whole, with every window that the study counts.
 
     Args:
@@ -137,7 +136,7 @@ def runs_of_tracks(
             gaze_valid=looking,
             head_direction=directions,
         )
-        yield CutRun(run, sliding_windows(run, track.filled, rules))
+        yield replace(run, windows=sliding_windows(run, track.filled, rules))
 
 
 def _run(recording: Recording, segment: str, rules: WindowRules, *, published_split: str = "", **frames: Any) -> Run:
@@ -269,7 +268,7 @@ class NativeWindows:
         """A message without the folders of this machine."""
         return self.source.without_places(message)
 
-    def cut(self, protocol: PredictionProtocol) -> Iterator[CutRun]:
+    def cut(self, protocol: PredictionProtocol) -> Iterator[Run]:
         """Read it, and cut it.
 
         Raises:
@@ -317,7 +316,7 @@ class CutRecording:
     """True if an earlier, interrupted build had made it."""
 
 
-def read_cut_runs(folder: Path) -> Iterator[CutRun]:
+def read_cut_runs(folder: Path) -> Iterator[Run]:
     """Read the runs of one part in their order."""
     windows: dict[int, list[Window]] = {}
     for batch in parts.read_batches([folder], "windows"):
@@ -325,7 +324,7 @@ def read_cut_runs(folder: Path) -> Iterator[CutRun]:
             windows.setdefault(row["row"], []).append(Window.of(row))
     rows = (batch.slice(row, 1) for batch in parts.read_batches([folder], "streams") for row in range(batch.num_rows))
     for number, row in enumerate(rows):
-        yield CutRun(run_of(row), tuple(windows.get(number, ())))
+        yield replace(run_of(row), windows=tuple(windows.get(number, ())))
 
 
 @dataclass(frozen=True)
@@ -377,13 +376,13 @@ class WindowsJob:
         return parts.part_folder(self.work, source.recording_id, input_digest, settings)
 
     def _write(
-        self, source: Any, digest: str, status: Status, message: str, runs: tuple[CutRun, ...] = ()
+        self, source: Any, digest: str, status: Status, message: str, runs: tuple[Run, ...] = ()
     ) -> CutRecording:
         receipt = WindowsReceipt(input_digest=digest, status=status, message=message)
         folder = self._folder(source, digest)
-        windows = [window.row(each.run, row) for row, each in enumerate(runs) for window in each.windows]
+        windows = [window.row(run, row) for row, run in enumerate(runs) for window in run.windows]
         batches = {
-            "streams": row_batch([each.run for each in runs], streams_schema(joint_set(source.joint_set))),
+            "streams": row_batch(runs, streams_schema(joint_set(source.joint_set))),
             "windows": pa.RecordBatch.from_pylist(windows, schema=WINDOWS),
         }
         parts.write_part(folder, batches, parts.plain(receipt))

@@ -24,8 +24,8 @@ from prbench_benchmarks.text_to_motion.networks import (
     SNIPPET,
     EvaluatorConfiguration,
     GloveCaptions,
-    MotionEncoder,
     MovementEncoder,
+    SequenceEncoder,
     TextEncoder,
     WordVectors,
 )
@@ -223,7 +223,7 @@ class Extractor:
         self,
         configuration: EvaluatorConfiguration,
         movement: MovementEncoder,
-        motion: MotionEncoder,
+        motion: SequenceEncoder,
         text: TextEncoder,
         *,
         statistics: Statistics,

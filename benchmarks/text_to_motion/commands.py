@@ -77,29 +77,14 @@ _TITLES = {
 )
 @device_option
 @threads_option
-def evaluate_text(
-    out: Path,
-    method: str | None,
-    weights: Path | None,
-    options: tuple[tuple[str, str], ...],
-    batch_size: int,
-    kinds: tuple[str, ...],
-    device: str,
-    **given,
-) -> Answer:
+def evaluate_text(out: Path, kinds: tuple[str, ...], **given) -> Answer:
     """Measure how well motions match texts, with a trained text-motion evaluator."""
     from prbench_benchmarks.text_to_motion import evaluate
 
-    of_methods = {"weights": weights, "option": options, "multimodality": given["multimodality"]}
-    for name, value in of_methods.items():
-        if value and not method:
-            raise UsageError(f"--{name} belongs to a method; name one with --method.")
-    requested = None
-    if method:
-        requested = evaluate.MethodRequest(
-            name=method, weights=weights, options=options, device=device, batch_size=batch_size
-        )
-    request = evaluate.TextEvaluationRequest(kinds=frozenset(kinds), method=requested, device=device, **given)
+    for option, name in (("weights",) * 2, ("option", "options"), ("multimodality",) * 2):
+        if given[name] and not given["method"]:
+            raise UsageError(f"--{option} belongs to a method; name one with --method.")
+    request = evaluate.TextEvaluationRequest(kinds=frozenset(kinds), **given)
     with progress("evaluating") as show:
         evaluation = evaluate.evaluate_text(request, show)
     evaluation.write(out)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -59,18 +60,6 @@ Features = Float[np.ndarray, "n 263"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class MethodRequest:
-    """The method whose motions are evaluated, and its settings."""
-
-    name: str
-    weights: Path | None = None
-    """Weights; None for the method's default."""
-    options: tuple[tuple[str, str], ...] = ()
-    device: str = "cpu"
-    batch_size: int = 64
-
-
-@dataclass(frozen=True, kw_only=True)
 class TextEvaluationRequest:
     """One evaluation."""
 
@@ -81,8 +70,14 @@ class TextEvaluationRequest:
     split: str = "test"
     kinds: frozenset[str] = frozenset()
     """Kinds of captions; empty for all."""
-    method: MethodRequest | None = None
-    """The method; None for recorded motions alone."""
+    method: str | None = None
+    """The method whose motions are evaluated; None for recorded motions alone."""
+    weights: Path | None = None
+    """Weights of the method; None for its default."""
+    options: tuple[tuple[str, str], ...] = ()
+    """Of the method."""
+    batch_size: int = 64
+    """Motions that the method makes at once."""
     repetitions: int | None = None
     """Number of repetitions; by default 20, and 5 with multimodality."""
     multimodality: bool = False
@@ -117,7 +112,7 @@ class _Row:
         self.rankings.append(ranking)
         self.motions = len(pairs.captions)
 
-    def result(self, source: str, method: MethodRequest | None = None, unsupported: int = 0) -> ResultRow:
+    def result(self, source: str, **of_method: Any) -> ResultRow:
         """The row after at least one repetition."""
         return ResultRow(
             source=source,
@@ -127,9 +122,7 @@ class _Row:
             dropped_pairs=self.rankings[-1].n_dropped,
             duplicate_captions=float(np.mean([each.n_duplicates for each in self.rankings])),
             repetitions=len(self.rankings),
-            weights_sha256=None if method is None else weights_digest(method.weights),
-            options=dict(method.options) if method else {},
-            unsupported=unsupported,
+            **of_method,
         )
 
 
@@ -189,10 +182,8 @@ class _Passes:
         return [self.supported[place] for place in places]
 
     def _features(self, prompts: Sequence[tuple[str, Draw, int]]) -> list[Features]:
-        assert self.adapter is not None and self.request.method is not None  # noqa: PT018
-        return _generated(
-            self.adapter, self.request.method, prompts, self.evaluator.configuration, seed=self.request.seed
-        )
+        assert self.adapter is not None
+        return _generated(self.adapter, self.request, prompts, self.evaluator.configuration)
 
 
 def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_: None) -> TextEvaluation:
@@ -211,10 +202,9 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
     )
     configuration = evaluator.configuration
     read = EvaluatedClips.read(request.corpus, split=request.split, kinds=request.kinds, fps=configuration.fps)
-    method = request.method
-    adapter = None if method is None else _loaded(method)
+    adapter = None if request.method is None else _loaded(request.method, request)
     supported = tuple(clip for clip in read.clips if adapter is None or _supports(adapter, clip, configuration))
-    fewest = min(len(supported), request.prompts) if method else len(read.clips)
+    fewest = min(len(supported), request.prompts) if adapter else len(read.clips)
     # Diversity draws two disjoint sets of so many motions from one pass.
     if fewest <= request.diversity_pairs:
         raise UsageError(
@@ -235,7 +225,7 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
         pairs = passes.recorded(taken).shuffled(taken.generator("order"))
         real.add(pairs, passes.motions(pairs, reference, taken))
         mismatched.add(pairs.mismatched(), {})
-        if method is not None:
+        if adapter is not None:
             extra = {}
             if request.multimodality:
                 extra[MULTIMODALITY] = passes.multimodality(Pass(request.seed, repetition, "multimodality"))
@@ -244,8 +234,9 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
             made.add(pairs, passes.motions(pairs, reference, taken) | extra)
         progress(repetition + 1, request.chosen_repetitions, "repetitions")
     rows = [real.result(REAL), mismatched.result(MISMATCHED)]
-    if method is not None:
-        rows.append(made.result(method.name, method, len(read.clips) - len(supported)))
+    if request.method is not None:
+        about = {"weights_sha256": weights_digest(request.weights), "options": dict(request.options)}
+        rows.append(made.result(request.method, unsupported=len(read.clips) - len(supported), **about))
     info = read.table.info
     return TextEvaluation(
         vectorisation=evaluator.vectorisation,
@@ -285,11 +276,11 @@ def _notes(rows: Sequence[ResultRow], request: TextEvaluationRequest) -> tuple[s
     return tuple(notes)
 
 
-def _loaded(method: MethodRequest) -> Adapter:
-    adapter = load_adapter(method.name, method.weights, dict(method.options), method.device)
-    chosen_condition(method.name, adapter, Condition.TEXT)
-    if isinstance(adapter, Trainable) and method.weights is None:
-        raise UsageError(f"the method '{method.name}' learns from a table first; give it --weights.")
+def _loaded(method: str, request: TextEvaluationRequest) -> Adapter:
+    adapter = load_adapter(method, request.weights, dict(request.options), request.device)
+    chosen_condition(method, adapter, Condition.TEXT)
+    if isinstance(adapter, Trainable) and request.weights is None:
+        raise UsageError(f"the method '{method}' learns from a table first; give it --weights.")
     return adapter
 
 
@@ -305,11 +296,9 @@ def _supports(adapter: Adapter, clip: Clip, configuration: EvaluatorConfiguratio
 
 def _generated(
     adapter: Adapter,
-    method: MethodRequest,
+    request: TextEvaluationRequest,
     prompts: Sequence[tuple[str, Draw, int]],
     configuration: EvaluatorConfiguration,
-    *,
-    seed: int,
 ) -> list[Features]:
     """Generate motions for sequence ids with their texts and lengths, each with the noise of a sample, and encode them.
 
@@ -318,22 +307,22 @@ def _generated(
     """
     order = sorted(range(len(prompts)), key=lambda place: (prompts[place][1].n_frames, place))
     found: dict[int, Features] = {}
-    for start in range(0, len(order), method.batch_size):
-        places = order[start : start + method.batch_size]
+    for start in range(0, len(order), request.batch_size):
+        places = order[start : start + request.batch_size]
         chosen = [prompts[place] for place in places]
         batch = ConditionBatch(
             condition=Condition.TEXT,
             n_frames=np.array([one.n_frames for _, one, _ in chosen], dtype=np.int64),
             fps=configuration.fps,
             # Methods must not recognise sequences, so they see a digest in place of the id.
-            opaque_id=tuple(text_digest("opaque", str(seed), name)[:16] for name, _, _ in chosen),
-            noise_seed=tuple(noise_seed(seed, name, sample) for name, _, sample in chosen),
+            opaque_id=tuple(text_digest("opaque", str(request.seed), name)[:16] for name, _, _ in chosen),
+            noise_seed=tuple(noise_seed(request.seed, name, sample) for name, _, sample in chosen),
             text=tuple(one.caption for _, one, _ in chosen),
         )
         ids = [name for name, _, _ in chosen]
-        motions, _ = generate_checked(adapter, batch, seed=seed, method=method.name, sequence_ids=ids)
+        motions, _ = generate_checked(adapter, batch, seed=request.seed, method=adapter.name, sequence_ids=ids)
         for place, (name, one, _), joints in zip(places, chosen, motions.joints):
-            source = f"{method.name}'s motion for {name}"
+            source = f"{adapter.name}'s motion for {name}"
             found[place] = generated_features(joints[: one.n_frames], configuration, name=source)
     return [found[place] for place in range(len(prompts))]
 

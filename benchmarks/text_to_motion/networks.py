@@ -235,7 +235,7 @@ class MovementDecoder(nn.Module):
         return self.convolutions(self.input(snippets).transpose(1, 2)).transpose(1, 2)
 
 
-class _SequenceEncoder(nn.Module):
+class SequenceEncoder(nn.Module):
     """Linear, bidirectional GRU with a learned initial state, and a head on the last states of both directions.
 
     Args:
@@ -264,12 +264,10 @@ class _SequenceEncoder(nn.Module):
         return self.head(torch.cat((last[0], last[1]), dim=-1))
 
 
-class MotionEncoder(_SequenceEncoder):
+def motion_encoder(configuration: EvaluatorConfiguration) -> SequenceEncoder:
     """Snippets to an embedding."""
-
-    def __init__(self, configuration: EvaluatorConfiguration) -> None:
-        width = configuration.motion_width
-        super().__init__(configuration.movement_width, width, width, width, configuration.embedding)
+    width = configuration.motion_width
+    return SequenceEncoder(configuration.movement_width, width, width, width, configuration.embedding)
 
 
 class TextEncoder(nn.Module):
@@ -285,7 +283,7 @@ class TextEncoder(nn.Module):
         words = WORD_DIMENSION if configuration.text == GLOVE else dimension
         self.classes = nn.Linear(len(POS_CLASSES), words) if configuration.text == GLOVE else None
         width = configuration.text_width
-        self.sequence = _SequenceEncoder(words, width, width, width, configuration.embedding)
+        self.sequence = SequenceEncoder(words, width, width, width, configuration.embedding)
 
     def forward(
         self, tokens: Float[torch.Tensor, "batch tokens dimension"], lengths: Int[torch.Tensor, " batch"]

@@ -27,10 +27,10 @@ from prbench_benchmarks.text_to_motion.networks import (
     MOVEMENT_FEATURES,
     SNIPPET,
     EvaluatorConfiguration,
-    MotionEncoder,
     MovementDecoder,
     MovementEncoder,
     TextEncoder,
+    motion_encoder,
 )
 
 Stage = Literal["full", "autoencoder", "contrastive"]
@@ -165,7 +165,7 @@ class EvaluatorTraining(TrainingModule):
         self.tokens, self.words_digest, self.origin = tokens, words_digest, origin
         self.movement = MovementEncoder(configuration.movement_width)
         self.decoder = MovementDecoder(configuration.movement_width)
-        self.motion = MotionEncoder(configuration)
+        self.motion = motion_encoder(configuration)
         self.text = TextEncoder(configuration, tokens.dimension)
         self.mean: torch.Tensor
         self.std: torch.Tensor
@@ -410,7 +410,7 @@ def load_evaluator(
             found=f"others (sha256 {words_digest[:12]}…)",
         )
     movement = MovementEncoder(configuration.movement_width)
-    motion = MotionEncoder(configuration)
+    motion = motion_encoder(configuration)
     text = TextEncoder(configuration, tokens.dimension)
     for name, network in (("movement", movement), ("motion", motion), ("text", text)):
         weights.load_into(network, name)

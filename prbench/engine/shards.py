@@ -126,14 +126,10 @@ class ShardRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     def difference(self, other: ShardRecord) -> str | None:
         """Name the first thing in which another shard is of something else; None where both are of the same."""
-        checks: list[tuple[str, object, object]] = [
-            ("kind", self.kind, other.kind),
-            ("prbench_version", self.prbench_version, other.prbench_version),
-            ("code_digest (prbench's source files)", self.code_digest, other.code_digest),
-        ]
-        for key, mine, theirs in checks:
+        for name in ("kind", "prbench_version", "code_digest"):
+            mine, theirs = getattr(self, name), getattr(other, name)
             if mine != theirs:
-                return f"{key}: expected {_shown(mine)}, found {_shown(theirs)}"
+                return f"{name}: expected {_shown(mine)}, found {_shown(theirs)}"
         difference = _difference_of_settings(self.settings, other.settings)
         if difference is not None:
             return difference

@@ -35,7 +35,7 @@ from prbench_adapters.corpora.nymeria.suit import CleanSuit
 from prbench_adapters.corpora.sources import CorpusOptions, chosen_recordings
 from prbench_benchmarks.motion_prediction.joint_sets import SMPL22
 from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol
-from prbench_benchmarks.motion_prediction.table import CutRun
+from prbench_benchmarks.motion_prediction.table import Run
 from prbench_benchmarks.motion_prediction.windows import JointChoice, WindowsPlan, runs_of_recording
 
 _STEP = 0.1  # s between two poses whose turn is compared
@@ -158,7 +158,7 @@ class NymeriaWindows:
         """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
         return self.source.without_places(message)
 
-    def cut(self, protocol: PredictionProtocol) -> Iterator[CutRun]:
+    def cut(self, protocol: PredictionProtocol) -> Iterator[Run]:
         """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
         yield from runs_of_recording(self._read(), protocol.windows, split=self.source.identity.split)
 

@@ -53,7 +53,7 @@ def test_a_predictor_is_not_told_when_the_event_happens(tables):
 def test_nearest_pasts_hold_their_pose_after_the_event(tables):
     _, table = tables
     batches = list(table.batches(Condition.POSE, table.chosen(anchor="event-1", with_excluded=True)))
-    predictor = NearestPast.fit(batches)
+    predictor = NearestPast().remember(batches)
     batch, truth = batches[0]
     futures = predictor.predict(batch, n_samples=1, seed=0).joints[:, 0]
     assert set(truth.n_scored.tolist()) == {20}

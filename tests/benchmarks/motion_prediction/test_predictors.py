@@ -36,7 +36,7 @@ def test_constant_velocity_goes_on_as_it_was(table):
 @pytest.mark.parametrize("condition", list(Condition))
 @pytest.mark.parametrize("frame", ["room", "last-pose"])
 def test_the_nearest_past_of_a_window_that_was_learnt_is_its_own(table, condition, frame):
-    predictor = NearestPast.fit(table.batches(condition, table.chosen(split="train")))
+    predictor = NearestPast().remember(table.batches(condition, table.chosen(split="train")))
     batch, truth = question(table, condition, "train", frame=frame)
     futures = ask(predictor, batch, n_samples=3, seed=0)
     np.testing.assert_allclose(futures.joints[:, 0], truth.joints, atol=1e-5)
@@ -45,7 +45,7 @@ def test_the_nearest_past_of_a_window_that_was_learnt_is_its_own(table, conditio
 
 
 def test_the_nearest_past_cannot_give_more_samples_than_it_saw(table):
-    predictor = NearestPast.fit(table.batches(Condition.POSE, table.chosen(split="train")))
+    predictor = NearestPast().remember(table.batches(Condition.POSE, table.chosen(split="train")))
     with pytest.raises(UsageError, match="at most 5 samples, found 6"):
         ask(predictor, question(table)[0], n_samples=6, seed=0)
 

@@ -44,22 +44,22 @@ def test_the_number_of_windows_is_the_published_one(n, windows):
 @pytest.mark.parametrize("rate", [30.0, 120.0, 240.0, 29.97, 30.3])
 def test_bodies_of_any_rate_come_to_thirty_frames_a_second(rate):
     (cut,) = runs_of_recording(recording(rate, 4.0), RULES, split="test")
-    assert len(cut.run) == (120 if rate == 30.3 else 121)  # 4 s hold no whole number of 1/30.3 s
-    np.testing.assert_allclose(np.diff(cut.run.joints[:, 0, 0]), 1 / 30, atol=0.5 / rate + 1e-9)
+    assert len(cut) == (120 if rate == 30.3 else 121)  # 4 s hold no whole number of 1/30.3 s
+    np.testing.assert_allclose(np.diff(cut.joints[:, 0, 0]), 1 / 30, atol=0.5 / rate + 1e-9)
     assert {window.exclusion for window in cut.windows} == {""}
 
 
 def test_a_multiple_of_the_rate_is_sampled_not_averaged():
     (cut,) = runs_of_recording(recording(120.0, 4.0), RULES, split="test")
-    np.testing.assert_array_equal(cut.run.joints[7], STANDING + np.array([28 / 120, 0.0, 0.0]))
+    np.testing.assert_array_equal(cut.joints[7], STANDING + np.array([28 / 120, 0.0, 0.0]))
 
 
 def test_a_long_gap_of_the_body_cuts_and_a_short_one_is_filled():
     runs = list(runs_of_recording(recording(30.0, 12.0, lost=(5.99, 6.21)), RULES, split="test"))
-    assert [len(cut.run) for cut in runs] == [180, 174]
+    assert [len(cut) for cut in runs] == [180, 174]
     (cut,) = runs_of_recording(recording(30.0, 12.0, lost=(5.99, 6.05)), RULES, split="test")
-    assert len(cut.run) == 361
-    np.testing.assert_allclose(np.diff(cut.run.joints[:, 0, 0]), 1 / 30, atol=1e-9)
+    assert len(cut) == 361
+    np.testing.assert_allclose(np.diff(cut.joints[:, 0, 0]), 1 / 30, atol=1e-9)
 
 
 def test_no_window_ends_its_observation_inside_a_gap():
@@ -103,6 +103,6 @@ def test_a_published_segment_stays_whole_and_says_which_windows_are_not_scored()
         gaze_measured=np.arange(n) % 5 == 0,
     )
     (cut,) = runs_of_tracks(source, (track,), RULES, split="train", published_split="test")
-    assert (cut.run.run_id, cut.run.published_split, len(cut.run)) == ("r/pick_001", "test", n)
+    assert (cut.run_id, cut.published_split, len(cut)) == ("r/pick_001", "test", n)
     assert [window.exclusion for window in cut.windows] == ["", "", "invalid_body", "invalid_body"]
     assert [window.n_gaze_valid for window in cut.windows] == [12] * 4  # of five frames the fifth is older than 0.12 s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from prbench.geometry.skeleton import head_forward
 from prbench_benchmarks.motion_prediction.joint_sets import SMPL22
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
-from prbench_benchmarks.motion_prediction.table import SCHEMA_VERSION, CutRun, Run, WindowsInfo, write_windows
+from prbench_benchmarks.motion_prediction.table import SCHEMA_VERSION, Run, WindowsInfo, write_windows
 from prbench_benchmarks.motion_prediction.windows import sliding_windows
 from tests.fakes import STANDING
 
@@ -41,9 +42,9 @@ def walking(name: str, n: int, *, split: str = "test", gaze: bool = True, number
     )
 
 
-def cut(run: Run) -> CutRun:
+def cut(run: Run) -> Run:
     """The run with its windows."""
-    return CutRun(run, sliding_windows(run, np.zeros(len(run), dtype=bool), RULES))
+    return replace(run, windows=sliding_windows(run, np.zeros(len(run), dtype=bool), RULES))
 
 
 def info(joint_set: str = SMPL22.name) -> WindowsInfo:

@@ -16,7 +16,6 @@ from prbench_benchmarks.text_to_motion.clips import EvaluatedClips, Pass, draw, 
 from prbench_benchmarks.text_to_motion.evaluate import (
     MISMATCHED,
     REAL,
-    MethodRequest,
     TextEvaluationRequest,
     evaluate_text,
     generated_features,
@@ -92,8 +91,7 @@ def test_an_evaluator_read_from_its_file_embeds_as_it_did_in_training(build, bat
 
 
 def test_recorded_motions_and_a_method_get_their_rows(request_for, swaying, tmp_path):
-    method = MethodRequest(name="swaying", batch_size=16)
-    result = evaluate_text(request_for(method=method, prompts=34, seed=3))
+    result = evaluate_text(request_for(method="swaying", batch_size=16, prompts=34, seed=3))
     assert [row.source for row in result.rows] == [REAL, MISMATCHED, "swaying"]
     real, mismatched, made = result.rows
     pairs = {"r_precision_top_1", "r_precision_top_2", "r_precision_top_3", "multimodal_distance"}
@@ -111,10 +109,7 @@ def test_recorded_motions_and_a_method_get_their_rows(request_for, swaying, tmp_
 
 
 def test_the_same_request_gives_the_same_numbers_whatever_the_batches(request_for, swaying):
-    first, second = (
-        evaluate_text(request_for(method=MethodRequest(name="swaying", batch_size=size), prompts=34))
-        for size in (7, 34)
-    )
+    first, second = (evaluate_text(request_for(method="swaying", batch_size=size, prompts=34)) for size in (7, 34))
     for name, metric in first.rows[-1].metrics.items():
         assert metric.mean == pytest.approx(second.rows[-1].metrics[name].mean, rel=1e-4)
     other = evaluate_text(request_for(seed=1))
@@ -123,7 +118,7 @@ def test_the_same_request_gives_the_same_numbers_whatever_the_batches(request_fo
 
 def test_multimodality_takes_thirty_motions_of_each_text(request_for, swaying, monkeypatch):
     monkeypatch.setattr("prbench_benchmarks.text_to_motion.evaluate.MULTIMODALITY_PROMPTS", 3)
-    result = evaluate_text(request_for(method=MethodRequest(name="swaying"), multimodality=True, repetitions=1))
+    result = evaluate_text(request_for(method="swaying", multimodality=True, repetitions=1))
     assert result.rows[-1].metrics["multimodality"].mean > 0
     assert sum(swaying.calls) == 36 + 3 * 30
     assert "multimodality" not in result.rows[0].metrics
@@ -184,7 +179,7 @@ def test_weights_of_something_else_are_refused(build, saved, corpus):
 def test_a_method_without_texts_is_refused(request_for, swaying):
     swaying.conditions = frozenset({Condition.NONE})
     with pytest.raises(AdapterError, match="does not take the condition 'text'"):
-        evaluate_text(request_for(method=MethodRequest(name="swaying")))
+        evaluate_text(request_for(method="swaying"))
 
 
 def test_the_command_writes_prints_and_refuses(build, saved, corpus, tmp_path, capsys):

@@ -10,10 +10,10 @@ from prbench.text import text_encoder
 from prbench_benchmarks.text_to_motion.clips import Extractor
 from prbench_benchmarks.text_to_motion.networks import (
     EvaluatorConfiguration,
-    MotionEncoder,
     MovementDecoder,
     MovementEncoder,
     TextEncoder,
+    motion_encoder,
 )
 
 TINY = EvaluatorConfiguration(
@@ -29,7 +29,7 @@ def parameters(module: nn.Module) -> int:
 def test_parameter_counts_are_those_of_the_text_to_motion_paper():
     paper = EvaluatorConfiguration()
     assert parameters(MovementEncoder(paper.movement_width)) == 1_842_688
-    assert parameters(MotionEncoder(paper)) == 15_747_584
+    assert parameters(motion_encoder(paper)) == 15_747_584
     assert parameters(TextEncoder(paper, 315)) == 4_100_288
 
 
@@ -37,7 +37,7 @@ def test_parameter_counts_are_those_of_the_text_to_motion_paper():
 def extractor() -> Extractor:
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        networks = MovementEncoder(8), MotionEncoder(TINY), TextEncoder(TINY, 64)
+        networks = MovementEncoder(8), motion_encoder(TINY), TextEncoder(TINY, 64)
     std = np.full(263, 2.0, dtype=np.float32)
     statistics = Statistics(np.linspace(-1, 1, 263, dtype=np.float32), std)
     return Extractor(TINY, *networks, statistics=statistics, tokens=text_encoder("hashed-ngrams"))
