@@ -27,7 +27,7 @@ from prbench.api.pictures import (
 from prbench.api.tables import Table, embedded_tables, table_folders
 from prbench.engine.choice import Cluster
 from prbench.errors import RunError, UsageError
-from prbench.harness.run_folder import DatasetSummary, Predictions, RunCost, RunFolder, RunRecord, read_scores
+from prbench.harness.run_folder import DatasetSummary, Predictions, RunFolder, RunRecord, read_scores
 from prbench.metrics import METRICS
 from prbench.protocol.manifests import PROTOCOL_NAME, find_benchmark
 from prbench.shown import html
@@ -142,18 +142,12 @@ class Run:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks beside the scores, one line each: work taken over, crashes, names that are refused."""
+        """Remarks beside the scores, one line each: work taken over, names that are refused."""
         from prbench.harness.methods.installed import list_adapters
 
         notes = []
         if self._batches_found:
             notes.append(f"{self._batches_found} batches were taken over from an earlier run.")
-        for name in self.datasets:
-            path = self._folder.dataset(name).cost
-            crashes = sum(RunCost.read(path).restarts.values()) if path.is_file() else 0
-            if crashes:
-                times = "once" if crashes == 1 else f"{crashes} times"
-                notes.append(f"its program crashed {times} and was started again: {path}, restarts.")
         # Packages that offer a method under a name that belongs to prbench; theirs is never run.
         notes += [
             f"{adapter.package} {adapter.version} is not used: {adapter.problem}."

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from prbench.board.comparison import RunComparison
-    from prbench.harness.score_request import GivenMotions, ScoreReport
+    from prbench.harness.score_request import ScoreReport
 
 
 # What messages and records call motions that come from memory.
@@ -173,14 +173,13 @@ def score(
     return Scores(reports, folder)
 
 
-def _given(motions: Mapping[str, ArrayLike]) -> GivenMotions:
+def _given(motions: Mapping[str, ArrayLike]) -> tuple[Predictions, str]:
     """Return motions by ``sequence_id`` as the scoring takes them.
 
     Raises:
         PredictionsError: if there are none, or one is not of the right form.
     """
     from prbench.harness.run_folder.predictions.rows import ArrayMotions, as_float32
-    from prbench.harness.score_request import GivenMotions
 
     if not motions:
         raise PredictionsError(
@@ -199,7 +198,7 @@ def _given(motions: Mapping[str, ArrayLike]) -> GivenMotions:
     predictions = Predictions((), "sequence_id", tuple(ids), tuple(samples), lengths, store)
     digests = [bytes_digest(np.ascontiguousarray(array).tobytes()) for array in arrays]
     parts = [part for item in zip(ids, map(str, samples), digests, strict=True) for part in item]
-    return GivenMotions(predictions, text_digest(*parts))
+    return predictions, text_digest(*parts)
 
 
 def _samples_of(name: object, value: Any) -> list[np.ndarray]:

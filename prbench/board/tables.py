@@ -23,8 +23,7 @@ from statistics import median
 from prbench.board.collect import CollectedRuns, LeaderboardRow
 from prbench.board.comparison import Separate, separate_by_comparison
 from prbench.harness.benchmark import Benchmark
-from prbench.harness.clusters import FEWEST_FOR_TEST, recordings_needed
-from prbench.harness.intervals import POINTS, POWER
+from prbench.harness.clusters import FEWEST_FOR_TEST
 from prbench.harness.run_folder.record import CONTROL
 from prbench.harness.run_folder.summary import MeanOverDatasets, MetricSummary, mean_over_datasets
 from prbench.metrics import RANKED_METRICS, MetricInfo, printed_unit
@@ -397,16 +396,6 @@ def undecided(
             f" {', '.join(texts)}."
         )
 
-    rate = next((info for info in ranked if info.unit == "rate" and found.get(info.id)), None)
-    if rate is not None:
-        detectable = median(found[rate.id])
-        same = {"recordings": recordings, "comparisons": len(ranked), "power": POWER}
-        needed = [recordings_needed(detectable, points / 100, **same) for points in POINTS]
-        yield (
-            f"{rate.title}: to find {_listed(POINTS)} points as surely, about {_listed(needed)} recordings like these"
-            " are needed."
-        )
-
 
 def why_undecided(sequences: int, recordings: int) -> str:
     """Say why nothing can be decided on so few data; empty if something can."""
@@ -416,8 +405,3 @@ def why_undecided(sequences: int, recordings: int) -> str:
     if sequences < FEWEST_RANKED:
         return f"{sequences} sequences, where a ranking needs {FEWEST_RANKED}"
     return ""
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    *first, last = map(str, numbers)
-    return f"{', '.join(first)} and {last}"

@@ -79,19 +79,14 @@ def compare(first: Path, second: Path, data: tuple[Path, ...], workers: int) -> 
 
 
 def _print_comparison(compared: RunComparison) -> None:
-    from prbench.harness.intervals import POINTS
-
     first = compared.first.path.name
     print_table(
         f"{first} against {compared.second.path.name}, sequence by sequence",
-        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "detectable", "power", ""),
+        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "detectable", ""),
         [_difference_row(first, row) for row in compared.metrics],
-        numbers=(2, 3, 4, 5, 6),
+        numbers=(2, 3, 4, 5),
     )
     print("detectable: smallest true difference that is found in four of five repetitions, at Holm's first step.")
-    if any(row.comparison.power for row in compared.metrics):
-        points = ", ".join(map(str, POINTS))
-        print(f"power: in % of repetitions, true differences of {points} points are found there.")
     for run in (compared.first, compared.second):
         print(f"{run.path.name}: {run.method}, {run.origin}")
         for dataset, mark in run.marks.items():
@@ -120,7 +115,6 @@ def _difference_row(first: str, row: ComparedMetric) -> tuple[str, ...]:
         bounds,
         "–" if found.adjusted_p_value is None else f"{found.adjusted_p_value:.4f}",
         detectable,
-        ", ".join(f"{100 * share:.0f}" for share in found.power) or "–",
         f"{first} is {row.conclusion}" if row.conclusion in ("higher", "lower") else row.conclusion,
     )
 

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from prbench.harness.experiment import Experiment
     from prbench.harness.request import Progress, RunRequest
     from prbench.harness.run import RunReport
-    from prbench.harness.run_folder import RunFolder
 
 # Every method, or every condition: the rows of Table 2.
 ALL = "all"
@@ -70,9 +69,8 @@ _FIRST_RUN_WORKERS = 2
 @click.option(
     "--config",
     type=opt.PATH,
-    metavar="FILE|RUN",
-    help="An experiment's TOML file (docs/experiments.md), or a run folder or run.json to repeat; --data, --out,"
-    " --weights and the like replace what it says.",
+    metavar="FILE",
+    help="An experiment's TOML file (docs/experiments.md); --data, --out and the like replace what it says.",
 )
 @click.option("--show-config", is_flag=True, help="Print the experiment that the command line means, and stop.")
 @opt.data_option(required=False, help="Built dataset folder(s); without it small synthetic ones are built and used.")
@@ -146,7 +144,7 @@ def run(
         return replace(made, report=RunAnswer(table_two=msgspec.to_builtins(made.report, enc_hook=str)))
     if config is None and given["method"] is None:
         raise UsageError("--method NAME is needed, or --config FILE. `prbench adapters list` shows the methods.")
-    repeated, experiment = read_command_line(config, given)
+    experiment = read_command_line(config, given)
     if show_config:
         print(experiment.as_toml(), end="")
         return 0
@@ -156,7 +154,7 @@ def run(
                 from prbench.cli.main import main
 
                 return supervised(main, sys.argv[1:], method=method.name)
-    return _run_all(experiment, repeated, view=view, permission=permission, choice=engine, shard=part)
+    return _run_all(experiment, view=view, permission=permission, choice=engine, shard=part)
 
 
 def _require_fits_benchmark(given: Mapping[str, Any], of_table_two: bool, *, by_file: bool) -> None:
@@ -181,7 +179,6 @@ def _require_fits_benchmark(given: Mapping[str, Any], of_table_two: bool, *, by_
 
 def _run_all(
     experiment: Experiment,
-    repeated: RunFolder | None,
     *,
     view: Path | None,
     permission: tuple[str, ...],
@@ -204,23 +201,13 @@ def _run_all(
     engine = _opened(choice, experiment)
     if first_run:
         experiment = _on_embedded_tables(experiment, engine)
-    requests = [replace(request, repeats=repeated and repeated.record) for request in experiment.requests()]
+    requests = list(experiment.requests())
     if view is not None and len(requests) > 1:
         raise UsageError("--view: belongs to one run; `prbench view RUN RUN … --out FILE` shows several.")
     if shard is not None:
         return shards_answer(_generated_shard(request, shard, engine) for request in requests)
     reports = [_generated(request, engine) for request in requests]
     folder = reports[0].folder
-    if repeated is not None:
-        from prbench.harness.experiment import same_scores
-
-        told = f"repeats {repeated.path}: scores differ. `prbench leaderboard compare {repeated.path} {folder.path}`"
-        told += " says where; other versions of packages, processors or numbers of threads can be the cause."
-        if folder.path.resolve() == repeated.path.resolve():
-            told = f"this is the run itself; --out DIR makes it anew beside {repeated.path}."
-        elif same_scores(repeated, folder):
-            told = f"repeats {repeated.path}: every score is the same."
-        note(told)
     companions: list[RunReport] = []
     if first_run and len(requests) == 1:
         # Methods that tell what the scores of a first run are worth, under the condition that the method chose.
@@ -278,17 +265,10 @@ def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> opt.M
 
 def _generated(request: RunRequest, engine: Engine) -> RunReport:
     from prbench.harness.run import run_method
-    from prbench.harness.run_folder.cost import RunCost
 
     with _told(request, f"running {request.method_label}") as tell:
         report = run_method(request, engine=engine, progress=tell)
     _note_found(report.batches_found)
-    for table in report.folder.record.tables:  # how often a program crashed, which its motions do not show
-        cost = report.folder.dataset(table.dataset).cost
-        crashes = sum(RunCost.read(cost).restarts.values())
-        if crashes:
-            times = "once" if crashes == 1 else f"{crashes} times"
-            note(f"its program crashed {times} and was started again: {cost}, restarts.")
     return report
 
 
@@ -374,13 +354,13 @@ _SHARED = (
 )
 
 
-def read_command_line(config: Path | None, given: Mapping[str, Any]) -> tuple[RunFolder | None, Experiment]:
-    """Turn the command line into an experiment; also return the run that it repeats, if it repeats one.
+def read_command_line(config: Path | None, given: Mapping[str, Any]) -> Experiment:
+    """Turn the command line into an experiment.
 
     Raises:
         UsageError: for an option whose place is in the file that was named.
     """
-    from prbench.harness.experiment import Experiment, ExperimentMethod, experiment_of_run, read_experiment, run_of
+    from prbench.harness.experiment import Experiment, ExperimentMethod, read_experiment
 
     # Defaults do not replace what a file says.
     source = click.get_current_context().get_parameter_source
@@ -401,20 +381,14 @@ def read_command_line(config: Path | None, given: Mapping[str, Any]) -> tuple[Ru
         said = {"methods": [msgspec.to_builtins(method)], "sequences": given["sequences"], **own}
         if given["benchmark"]:
             said["benchmark"] = given["benchmark"]
-        return None, msgspec.convert(said, Experiment)
+        return msgspec.convert(said, Experiment)
     for name in _OF_AN_EXPERIMENT:
         if given.get(name):
             option = name.removesuffix("s") if name in ("options", "sequences") else name
             raise UsageError(f"--{option}: {config} says that already; write it there, or leave --config out.")
-    repeated = run_of(config)
-    if repeated is None:
-        experiment = read_experiment(config)
-        if given["weights"]:
-            raise UsageError(f"--weights: write them into {config}, beside the method that they belong to.")
-    else:
-        experiment = experiment_of_run(repeated, data=given["data"], weights=given["weights"])
-        own.pop("data", None)  # found by digest among the named ones
-    return repeated, msgspec.structs.replace(experiment, **own)
+    if given["weights"]:
+        raise UsageError(f"--weights: write them into {config}, beside the method that they belong to.")
+    return msgspec.structs.replace(read_experiment(config), **own)
 
 
 _Command = Callable[[Sequence[str]], int]

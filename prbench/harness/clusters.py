@@ -146,59 +146,11 @@ def detectable_difference(spread: Spread, *, comparisons: int, power: float) -> 
         comparisons: Number of comparisons made together.
         power: Such as 0.8.
     """
-    degrees = test_degrees(spread)
-    return (_critical(spread, comparisons) + special.stdtrit(degrees, power)) * spread.error
-
-
-def power_of(spread: Spread, difference: float, *, comparisons: int) -> PerSet:
-    """Probability that a true difference of this size would be found at Holm's first step; NaN where none can be.
-
-    Args:
-        spread: Of the differences of two methods.
-        difference: The true one.
-        comparisons: Number of comparisons made together.
-    """
-    reached = np.clip(abs(difference) / np.maximum(spread.error, _TINY), 0, _CERTAIN)
-    return special.stdtr(test_degrees(spread), reached - _critical(spread, comparisons))
-
-
-def _critical(spread: Spread, comparisons: int) -> PerSet:
-    """Studentised difference from which on Holm's first step finds one; NaN where nothing can be tested."""
     if spread.recordings < FEWEST_FOR_TEST or spread.degrees < _FEWEST_DEGREES:
         return np.full(np.shape(spread.mean), np.nan)
+    degrees = test_degrees(spread)
     tail = SIGNIFICANCE / 2 / comparisons * _tail_share_of_test(spread.recordings)
-    return special.stdtrit(test_degrees(spread), 1 - tail)
-
-
-def recordings_needed(detectable: float, wanted: float, *, recordings: int, comparisons: int, power: float) -> int:
-    """About how many recordings of the same spread find a smaller or larger difference with this power.
-
-    Args:
-        detectable: The difference that the present recordings find with this power, above 0.
-        wanted: The difference to be found, above 0.
-        recordings: Number of the present ones.
-        comparisons: Number of comparisons made together.
-        power: Such as 0.8.
-    """
-
-    def found_by(count: int) -> float:
-        """The difference that this many find, but for the spread of a recording."""
-        tail = SIGNIFICANCE / 2 / comparisons * _tail_share_of_test(count)
-        reach = special.stdtrit(count - 1, 1 - tail) + special.stdtrit(count - 1, power)
-        return float(reach) / np.sqrt(count)
-
-    aim = found_by(recordings) * wanted / detectable * (1 + 1e-9)  # what rounding adds needs no recording more
-    most = FEWEST_FOR_TEST
-    while found_by(most) > aim:
-        most *= 2
-    fewest = FEWEST_FOR_TEST
-    while fewest < most:
-        middle = (fewest + most) // 2
-        if found_by(middle) > aim:
-            fewest = middle + 1
-        else:
-            most = middle
-    return most
+    return (special.stdtrit(degrees, 1 - tail) + special.stdtrit(degrees, power)) * spread.error
 
 
 def test_degrees(spread: Spread) -> PerSet:

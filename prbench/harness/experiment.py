@@ -13,19 +13,14 @@ from pathlib import Path
 
 import msgspec
 
-from prbench.errors import InputFileError, RunError, UsageError, did_you_mean
+from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.files.bounded import foreign_input, read_whole
-from prbench.harness.first_run import table_finder
 from prbench.harness.preparation import DEFAULT_PARENT
 from prbench.harness.request import RunRequest
-from prbench.harness.run_folder import RunFolder, read_scores
-from prbench.harness.run_folder.record import FILE, FILE_NAME, PROGRAM, UNKNOWN, TableRecord
 from prbench.limits import HARMLESS_SIZE
 from prbench.object_stores.store import is_url
 from prbench.protocol.manifests import PROTOCOL_NAME, benchmarks, find_benchmark
-from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
-from prbench.sequences import DatasetInfo, SequenceTable
-from prbench.sequences.folds import fold_table, parse_fold
+from prbench.sequences.folds import parse_fold
 
 PARTICIPANTS = "participants"
 """Split of an experiment that is a fold of participants."""
@@ -183,81 +178,3 @@ def read_experiment(path: Path) -> Experiment:
         if is_wrong:
             raise InputFileError(path, where, expected=expected, found=found, remedy=remedy)
     return experiment
-
-
-def run_of(path: Path) -> RunFolder | None:
-    """Open the run that a run folder or its ``run.json`` belongs to; return None for an experiment's file."""
-    if path.is_dir():
-        return RunFolder.open(path, any_benchmark=True)
-    return RunFolder.open(path.parent, any_benchmark=True) if path.name == FILE_NAME else None
-
-
-def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path | None) -> Experiment:
-    """Return the experiment that repeats an earlier run.
-
-    Args:
-        run: The earlier run.
-        data: Tables of the run; embedded ones need not be named. Run folders hold no paths.
-        weights: The run's weights, where it was given other ones than the method's own.
-
-    Raises:
-        RunError: if the run cannot be repeated: its motions came as a file, its program's command is not recorded, or
-            one of its tables is not among the named and the embedded ones.
-    """
-    record = run.record
-    if record.method.kind in (FILE, PROGRAM, UNKNOWN):
-        raise RunError(
-            f"{run.path}: {record.method.name} is {record.method.origin}, and a run folder does not record how to"
-            " start it. Repeat the command with --method."
-        )
-    find = table_finder(data)
-    folders = []
-    for table in record.tables:
-        found = find(table) or _fold_of(table, data)
-        if found is None:
-            raise RunError(
-                f"{run.path}: the run was made on a table of {table.dataset} with content digest"
-                f" {table.content_digest[:12]}…, which is neither named with --data nor embedded. Name its folder."
-            )
-        folders.append(str(found.folder))
-    method = ExperimentMethod(
-        name=record.method.name,
-        conditions=(record.condition,),
-        weights=None if weights is None else str(weights),
-        options=dict(record.method.options),
-        control=record.control,
-    )
-    return Experiment(
-        methods=(method,),
-        benchmark=record.benchmark,
-        data=tuple(folders),
-        split=record.split,
-        limit=record.limit,
-        sequences=record.sequences,
-        seeds=(record.seed,),
-        samples=record.samples,
-        batch_size=record.tables[0].batch_plan.batch_size,
-        device=record.device,
-        threads=record.threads,
-        isolate=record.method.isolation is not None,
-        protocol=str(run.path / PROTOCOL_FILE) if (run.path / PROTOCOL_FILE).is_file() else None,
-    )
-
-
-def _fold_of(record: TableRecord, data: tuple[Path, ...]) -> SequenceTable | None:
-    """The fold that a run was made on, made anew from the whole table if that is named; else None."""
-    if record.fold is None:
-        return None
-    for folder in data:
-        if DatasetInfo.read(folder).content_digest == record.whole_table:
-            made = fold_table(folder, record.fold)
-            return made if made.info.content_digest == record.content_digest else None
-    return None
-
-
-def same_scores(first: RunFolder, second: RunFolder) -> bool:
-    """Return True where two runs on the same tables have equal scores, to the last digit."""
-    names = [table.dataset for table in first.record.tables]
-    return all(
-        read_scores(first.dataset(name).scores).equals(read_scores(second.dataset(name).scores)) for name in names
-    )

@@ -33,7 +33,6 @@ from prbench.harness.clusters import (
     mean_bounds,
     measure_spread,
     p_values,
-    power_of,
     rate_bounds,
 )
 from prbench.metrics import MetricInfo
@@ -266,8 +265,6 @@ def _starts(counts: np.ndarray) -> np.ndarray:
 
 POWER = 0.8
 """Probability with which the smallest detectable difference would be found."""
-POINTS = (5, 10, 20)
-"""Differences of rates, in points, for which the probability of finding them is told."""
 
 Conclusion = Literal["higher", "lower", "not supported by the data", "cannot be tested"]
 
@@ -295,8 +292,6 @@ class Comparison:
     """After Holm's correction for all comparisons made together."""
     detectable: float | None = None
     """Smallest difference that is found with 80 % power at Holm's first step; None where none can be."""
-    power: tuple[float, ...] = ()
-    """Probability that true differences of :data:`POINTS` would be found at Holm's first step; empty but for rates."""
 
     @property
     def conclusion(self) -> Conclusion:
@@ -326,16 +321,11 @@ def compare(pairs: Mapping[str, PairedValues]) -> dict[str, Comparison]:
     family = max(sum(p is not None for p in unadjusted), 1)
     found = {}
     for name, pair, p_value, adjusted_p_value in zip(pairs, values, unadjusted, adjusted, strict=True):
-        data = clustered(pair.first - pair.second, pair.recording_ids)
-        power: tuple[float, ...] = ()
-        if pair.rate and _ALL_EQUAL not in data.marks:
-            power = tuple(float(power_of(data.spread, points / 100, comparisons=family)) for points in POINTS)
         found[name] = Comparison(
             difference=difference_interval(pair.first, pair.second, pair.recording_ids, rate=pair.rate),
             p_value=p_value,
             adjusted_p_value=adjusted_p_value,
             detectable=smallest_detectable(pair.first - pair.second, pair.recording_ids, comparisons=family),
-            power=() if np.isnan(power).any() else power,
         )
     return found
 

@@ -143,8 +143,6 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
         work = benchmark.work(request, cases, method=method, condition=condition, rules=rules)
         datasets.append(PreparedDataset(chosen, cases, fitted, work))
     record = run_record(request, condition, method, tuple(datasets), rules)
-    if request.repeats is not None:
-        record.require_same_inputs(request.repeats)
     return PreparedRun(request, benchmark, record, tuple(datasets), request.out or _default_folder(record), rules)
 
 

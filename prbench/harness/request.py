@@ -13,7 +13,6 @@ from prbench.errors import UsageError
 from prbench.files.storage import turn_into_paths
 from prbench.harness.methods.installed import METHOD_CONTROLS, SHUFFLED_GOAL
 from prbench.harness.methods.programs import short_name
-from prbench.harness.run_folder.record import RunRecord
 from prbench.protocol.manifests import PROTOCOL_NAME
 
 DEFAULT_BATCH_SIZE = 64
@@ -89,8 +88,6 @@ class RunRequest:
     system where bubblewrap works."""
     timeout: float | None = None
     """Seconds until another process answers a batch; by default 600, or what its TOML file says."""
-    repeats: RunRecord | None = None
-    """An earlier run: other tables, sequences or weights than its are refused before anything is generated."""
     protocol: Path | None = None
     """The user's own protocol; None for prbench's (docs/specification/protocol.md#a-protocol-of-ones-own)."""
     out: Path | None = None

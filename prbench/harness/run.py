@@ -74,7 +74,6 @@ def run_batch(task: BatchTask) -> int:
     method = None if task.method is None else task.method.load()
     if cuda := _used_cuda():
         cuda.reset_peak_memory_stats()
-    crashes_before = 0 if method is None else method.restarts
     started = _synchronised_time()
     with contextlib.nullcontext() if task.method is None else computing_threads(task.method.threads):
         answer = task.question.ask(method, seed=task.seed, sequence_ids=task.sequence_ids)
@@ -93,11 +92,9 @@ def run_batch(task: BatchTask) -> int:
         cost = msgspec.structs.replace(cost, motions=motions, frames=frames)
     else:
         timed = {"motions": motions, "frames": frames, "seconds": seconds}
-        crashes = method.restarts - crashes_before
         cost = msgspec.structs.replace(
             cost,
             parameters=count_parameters(method.adapter),
-            restarts={f"{task.index:05d}": crashes} if crashes else {},
             **(timed if method.warmed_up else {f"warm_up_{name}": value for name, value in timed.items()}),
         )
         method.warmed_up = True
@@ -301,7 +298,7 @@ class RunPart:
         files = self.files
         work = self.dataset.work
         scores = reported(work.scores(files, self.engine), self.dataset.name, len(self.dataset.cases), self.progress)
-        if files.finished and files.has_scores():
+        if files.finished:
             stored = CodedScores.read(files.scores)
             require_scores(files, stored, CodedScores.of(scores))
             require_summary(files, self._summary(stored))

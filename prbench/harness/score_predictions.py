@@ -26,7 +26,6 @@ from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.record import FILE, BatchPlanRecord, MethodRecord, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION, CodedScores
 from prbench.harness.score_request import (
-    GivenMotions,
     ScoreReport,
     ScoreRequest,
     require_complete,
@@ -47,7 +46,7 @@ _STATED_BY_THE_RUN = ("conditions", "condition", "control", "seed", "split", "ma
 def score_predictions(
     request: ScoreRequest,
     *,
-    given: GivenMotions | None = None,
+    given: tuple[Predictions, str] | None = None,
     engine: Engine | None = None,
     progress: ProgressCallback = silent,
 ) -> tuple[ScoreReport, ...]:
@@ -55,7 +54,8 @@ def score_predictions(
 
     Args:
         request: What to score.
-        given: The motions where they are in memory; by default they are read from ``request.predictions``.
+        given: The motions where they are in memory, and a digest over their ids and values; by default they are read
+            from ``request.predictions``.
         engine: Where the work is done; changes no value.
         progress: Called after every scored window.
 
@@ -118,7 +118,7 @@ def _score_run(
 def _score_file(
     tables: list[SequenceTable],
     request: ScoreRequest,
-    given: GivenMotions | None,
+    given: tuple[Predictions, str] | None,
     engine: Engine,
     progress: ProgressCallback,
 ) -> tuple[RunRecord, BenchmarkProtocol, list[ScoreReport]]:
@@ -144,11 +144,11 @@ def _score_file(
                 f"--max-frames {request.max_frames}: all {len(each)} chosen sequences of {each.table.info.dataset} are"
                 " longer."
             )
-    predictions = Predictions.open(path) if given is None else given.predictions
+    predictions = Predictions.open(path) if given is None else given[0]
     found = require_complete(predictions, request, selections, seed=seed, samples=samples)
     digest = ""  # takes long, and nobody asks for it where nothing is written
     if request.out is not None:
-        digest = predictions_digest(path) if given is None else given.digest
+        digest = predictions_digest(path) if given is None else given[1]
     record = RunRecord(
         schema_version=RUN_SCHEMA_VERSION,
         prbench_version=prbench.__version__,

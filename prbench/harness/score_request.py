@@ -76,15 +76,6 @@ class ScoreRequest:
 
 
 @dataclass(frozen=True)
-class GivenMotions:
-    """Motions that are in memory already; ``ScoreRequest.predictions`` is what messages call them."""
-
-    predictions: Predictions
-    digest: str
-    """Over their ids and values; the version of the submission."""
-
-
-@dataclass(frozen=True)
 class ScoreReport:
     """Scores of one dataset in long form, and their summary."""
 

@@ -188,19 +188,14 @@ def scripted_joints(
     """The same motions as float64; canonical frame, metres. Frames beyond a sequence's own continue its end."""
     initial = start.initial_joints.astype(np.float64)
     goal = start.goal_location.astype(np.float64)
-    time = np.arange(int(n_frames.max())) / fps
+    time = _times(n_frames, fps)
     # The turn ends at the arrival, so the ray is on the goal from 2.0 s on.
     turned = minimum_jerk((time - (_ARRIVAL - _TURN_DURATION)) / _TURN_DURATION)
     turned = np.broadcast_to(turned, (len(n_frames), len(time)))
-    time = np.arange(int(n_frames.max())) / fps
     end = ((n_frames - 1) / fps)[:, None]
     begin = np.clip(end - _SHORTEST_REACH, 0.0, _ARRIVAL)
     reached = minimum_jerk((time - begin) / np.maximum(end - begin, 1 / fps))
-
-    yaw = yaw_to_goal(initial, goal, start.head_tilt_deg)
-    nod = nod_to_goal(about_pelvis(initial[:, None], yaw[:, None])[:, 0], goal, start.head_tilt_deg)
-    body = about_pelvis(initial[:, None], yaw[:, None] * turned)
-    body = nodded(body, nod[:, None] * turned)
+    body = _looking(start, turned)
     body = body + reached[..., None, None] * glide(initial, goal)[:, None, None]
     return reaching(body, goal, reached)
 

@@ -173,7 +173,7 @@ ASKED = "hello(); read();"
 ASKED_FOR = batch()
 ENVIRONMENT = tuple(os.environ.items())
 FAULTS = {
-    "exits, twice at the same batch": f"{ASKED} sys.exit(3)",
+    "exits in mid-batch": f"{ASKED} sys.exit(3)",
     "is ended by the system": f"{ASKED} os.kill(os.getpid(), signal.SIGKILL)",
     "closes stdout": f"{ASKED} os.close(1); time.sleep(30)",
     "does not answer": f"{ASKED} time.sleep(30)",

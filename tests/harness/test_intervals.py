@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -12,11 +10,8 @@ from prbench.harness.clusters import (
     degrees_of_freedom,
     effective_number,
     measure_spread,
-    power_of,
-    recordings_needed,
 )
 from prbench.harness.intervals import (
-    POINTS,
     PairedValues,
     clustered,
     compare,
@@ -309,36 +304,6 @@ def test_the_smallest_detectable_difference_is_found_as_often_as_said() -> None:
         assert detectable is not None
         found += paired_p_value(noise + detectable, ids) <= 0.05 / 6
     assert 0.7 <= found / 300 <= 0.95
-
-
-def test_the_detectable_difference_has_the_power_that_it_is_named_for() -> None:
-    rows = np.random.default_rng(0).normal(0, 0.3, 60)
-    ids = names(*[3] * 20)
-    found = smallest_detectable(rows, ids, comparisons=6)
-    assert found is not None
-    spread = clustered(rows, ids).spread
-    assert power_of(spread, found, comparisons=6) == pytest.approx(0.8)
-    assert power_of(spread, -found, comparisons=6) == pytest.approx(0.8)
-    assert power_of(spread, 0.0, comparisons=6) <= 0.05 / 6
-    assert np.isnan(power_of(clustered(rows[:9], ids[:9]).spread, found, comparisons=6))
-
-
-def test_rates_are_told_with_their_power_and_lengths_are_not() -> None:
-    rng = np.random.default_rng(0)
-    first, second = (rng.random((2, 60)) < 0.4).astype(float)
-    ids = names(*[3] * 20)
-    found = compare({"rate": PairedValues(first, second, ids, rate=True), "length": PairedValues(first, second, ids)})
-    assert len(found["rate"].power) == len(POINTS)
-    assert list(found["rate"].power) == sorted(found["rate"].power)
-    assert found["length"].power == ()
-
-
-@pytest.mark.parametrize("recordings", [6, 11, 47])
-def test_the_recordings_needed_are_those_there_are_where_they_find_it(recordings: int) -> None:
-    same = partial(recordings_needed, 0.2, recordings=recordings, comparisons=7, power=0.8)
-    assert same(0.2) == recordings
-    assert same(0.1) > 3 * recordings * (0.8 if recordings > 6 else 0.5)
-    assert same(0.05) > same(0.1) > same(0.2) >= same(0.4)
 
 
 def test_more_comparisons_make_less_detectable() -> None:

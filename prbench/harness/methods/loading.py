@@ -251,11 +251,6 @@ class LoadedMethod:
                 found += process.memory_info().rss
         return found
 
-    @property
-    def restarts(self) -> int:
-        """Number of times that the method's program was started again after a crash; 0 in process."""
-        return self.adapter.restarts if isinstance(self.adapter, RemoteMethod) else 0
-
 
 @dataclass
 class _HeldMethods:

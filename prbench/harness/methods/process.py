@@ -120,18 +120,6 @@ _SLICE = 0.2
 _REMEDY = "Its stdout belongs to the protocol: print to stderr"
 
 
-class Deadline:
-    """A time limit that has begun to run."""
-
-    def __init__(self, seconds: float) -> None:
-        self.seconds = seconds
-        self._end = time.monotonic() + seconds
-
-    def remaining(self) -> float:
-        """Seconds, 0 when it is over."""
-        return max(0.0, self._end - time.monotonic())
-
-
 @dataclass(frozen=True)
 class Program:
     """A method's program. Picklable, so that every worker can start its own; it knows nothing about tables."""
@@ -202,6 +190,7 @@ class ProgramProcess:
         self._stdin_broken = threading.Event()
         self._written = self._total = 0
         self._has_answered = False
+        self._seconds = self._end = 0.0
         self.over = False
         """It was closed or killed."""
 
@@ -234,7 +223,8 @@ class ProgramProcess:
         Raises:
             Fault: if what comes is no message, or not all of it comes in time, or the program ends or closes a pipe.
         """
-        deadline = Deadline(timeout)
+        self._seconds = timeout
+        self._end = time.monotonic() + timeout
         try:
             # What a program writes before the first question is taken for its answer, however early or late it comes:
             # the message must not depend on which of the two processes was faster.
@@ -243,8 +233,8 @@ class ProgramProcess:
             if self._has_answered and self._buffer:
                 found = excerpt(self._buffer)
                 raise Fault(f"wrote to stdout without being asked, behind its last answer: {found}. {_REMEDY}")
-            self._send(encode_message(header, payload), deadline)
-            answer = self._receive(answer_limit, deadline)
+            self._send(encode_message(header, payload))
+            answer = self._receive(answer_limit)
             self._has_answered = True
             return answer
         except BaseException:
@@ -297,11 +287,14 @@ class ProgramProcess:
         assert self._popen.stdin is not None
         return self._popen.stdin
 
-    def _send(self, message: Sequence[bytes], deadline: Deadline) -> None:
+    def _remaining(self) -> float:
+        return max(0.0, self._end - time.monotonic())
+
+    def _send(self, message: Sequence[bytes]) -> None:
         if self._writer is not None:
-            self._writer.join(deadline.remaining())
+            self._writer.join(self._remaining())
             if self._writer.is_alive():
-                raise Fault(f"did not read its stdin within {deadline.seconds:g} s ({self._progress()})", kind="late")
+                raise Fault(f"did not read its stdin within {self._seconds:g} s ({self._progress()})", kind="late")
         self._written = 0
         self._total = sum(map(len, message))
 
@@ -323,7 +316,7 @@ class ProgramProcess:
     def _progress(self) -> str:
         return f"{self._written:,} of {self._total:,} bytes of the request went into its stdin"
 
-    def _receive(self, payload_limit: int, deadline: Deadline) -> tuple[Header, bytes | None]:
+    def _receive(self, payload_limit: int) -> tuple[Header, bytes | None]:
         """Wait for one message."""
         while (end := self._buffer.find(b"\n", 0, HEADER_LIMIT)) < 0:
             found = len(self._buffer)
@@ -334,7 +327,7 @@ class ProgramProcess:
                 )
             if found and self._buffer[0] != ord("{"):
                 break
-            self._take_in(deadline, f"{found:,} bytes of a header without its end" if found else "")
+            self._take_in(f"{found:,} bytes of a header without its end" if found else "")
         line = self._cut(end + 1 if end >= 0 else len(self._buffer))
         reason = ""
         try:
@@ -342,22 +335,22 @@ class ProgramProcess:
                 header = parse_header(line)
                 if "bytes" not in header:
                     return header, None
-                return header, self._payload(header["bytes"], payload_limit, deadline)
+                return header, self._payload(header["bytes"], payload_limit)
         except ValueError as error:
             reason = f" ({error})"
         raise Fault(f"wrote a line that is no message: {excerpt(line)}{reason}. {_REMEDY}")
 
-    def _payload(self, size: int, limit: int, deadline: Deadline) -> bytes:
+    def _payload(self, size: int, limit: int) -> bytes:
         if size > limit:
             raise Fault(f"announced a payload of {size:,} bytes, where at most {limit:,} can be the answer")
         while (found := len(self._buffer)) < size:
             try:
-                self._take_in(deadline, f"{found:,} of {size:,} bytes of its payload")
+                self._take_in(f"{found:,} of {size:,} bytes of its payload")
             except Fault as fault:
                 if fault.kind != "late":
                     raise
                 raise Fault(
-                    f"announced a payload of {size:,} bytes and wrote {found:,} of them within {deadline.seconds:g} s."
+                    f"announced a payload of {size:,} bytes and wrote {found:,} of them within {self._seconds:g} s."
                     " 'bytes' has to be the size of what follows, all of it written and flushed; if it was still"
                     " writing, raise the limit with --timeout"
                 ) from None
@@ -368,11 +361,11 @@ class ProgramProcess:
         del self._buffer[:size]
         return piece
 
-    def _take_in(self, deadline: Deadline, so_far: str) -> None:
+    def _take_in(self, so_far: str) -> None:
         """Wait for the next bytes."""
         behind = f", after {so_far}" if so_far else ""
-        patience: Deadline | None = None  # with a program that reads no more
-        while remaining := deadline.remaining():
+        patience = 0.0  # until when a program that reads no more may answer
+        while remaining := self._remaining():
             status = self._popen.poll()
             try:
                 chunk = self._chunks.get(timeout=min(remaining, _SLICE))
@@ -380,8 +373,8 @@ class ProgramProcess:
                 if status is not None:  # already before the wait, so nothing of it is on its way
                     raise Fault(f"{exit_story(status)}{behind}", kind="ended") from None
                 if self._stdin_broken.is_set():
-                    patience = patience or Deadline(2 * _SLICE)
-                    if not patience.remaining():
+                    patience = patience or time.monotonic() + 2 * _SLICE
+                    if time.monotonic() > patience:
                         raise Fault(f"closed its stdin{behind}", kind="ended") from None
                 continue
             if chunk:
@@ -392,7 +385,7 @@ class ProgramProcess:
                 status = self._popen.wait(1.0)
             raise Fault(f"{'closed its stdout' if status is None else exit_story(status)}{behind}", kind="ended")
         unread = f" ({self._progress()})" if self._written < self._total else ""
-        raise Fault(f"did not answer within {deadline.seconds:g} s{unread}{behind}", kind="late")
+        raise Fault(f"did not answer within {self._seconds:g} s{unread}{behind}", kind="late")
 
     def _read_on(self) -> None:
         """Take in stdout; a thread, because a wait for a pipe cannot be given up."""
@@ -413,7 +406,7 @@ class ProgramProcess:
 
     def _signal_all(self, how: str, patience: float) -> None:
         """Send a signal to the program and its kin, and wait until they are gone."""
-        until = Deadline(patience)
+        until = time.monotonic() + patience
         kin = self._known_kin = list({*self._kin(), *filter(_runs, self._known_kin)})
         if sys.platform != "win32" and (kin or self._popen.poll() is None):
             with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -424,8 +417,8 @@ class ProgramProcess:
         if self._popen.poll() is None:
             getattr(self._popen, how)()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._popen.wait(until.remaining())
-        while any(map(_runs, kin)) and until.remaining():
+                self._popen.wait(max(0.0, until - time.monotonic()))
+        while any(map(_runs, kin)) and time.monotonic() < until:
             time.sleep(0.01)
 
     def _kin(self) -> Iterator[psutil.Process]:

@@ -216,8 +216,8 @@ _SLOW_START = (
 class RemoteMethod:
     """A method of any benchmark in a process of its own; made by :meth:`start`.
 
-    A program that crashes in mid-batch is started again, once for each batch; one that misses a time limit or breaks
-    the protocol is not. It ends with :meth:`close`, with the interpreter, or when nobody holds this object any more.
+    A program that crashes, misses a time limit or breaks the protocol fails its batch. It ends with :meth:`close`, with
+    the interpreter, or when nobody holds this object any more.
     """
 
     all_conditions: ClassVar[type[StrEnum]]
@@ -228,9 +228,7 @@ class RemoteMethod:
     def __init__(self, program: Program, hello: Header) -> None:
         self._program, self._hello = program, hello
         self._closed = False
-        self.restarts = 0
-        """Number of times that the program was started again after a crash."""
-        introduction = self._introduction = self._launch(f"method '{program.name}'")
+        introduction = self._launch(f"method '{program.name}'")
         self.name, self.version = introduction.name, introduction.version
         self.conditions: frozenset[Any] = introduction.declared.conditions
         self.max_frames, self.native_fps = introduction.declared.max_frames, introduction.declared.native_fps
@@ -271,7 +269,7 @@ class RemoteMethod:
         largest: int,
         ids: Any,
     ) -> Any:
-        """Ask the program once, or twice where it crashed.
+        """Ask the program.
 
         Args:
             header: Of the request, without the number of the batch.
@@ -281,39 +279,29 @@ class RemoteMethod:
             ids: Names of the rows, for messages.
 
         Raises:
-            AdapterError: if it fails, crashes twice, answers too late or with something else than the protocol asks
-                for. The program is ended then, unless it reported the failure itself.
+            AdapterError: if it fails, crashes, answers too late or with something else than the protocol asks for. The
+                program is ended then, unless it reported the failure itself.
             MemoryError: if it says that the batch does not fit in memory.
         """
         origin = f"method '{self.name}'"
-        for attempt in range(2):
-            if self._closed:
-                raise AdapterError(f"{origin}: asked for motions after its program was closed.")
-            if self._process.over and self._launch(origin) != self._introduction:
-                self._process.close()
-                raise AdapterError(
-                    f"{origin}: expected its program to introduce itself as before it was started again after a crash,"
-                    " found another name, version or declaration. Make its hello depend on its settings alone."
-                )
-            number = self._batches
-            self._batches += 1
-            try:
-                answer, sent = self._process.ask(
-                    {"message": header["message"], "batch": number, **header},
-                    payload,
-                    timeout=self._program.batch_timeout,
-                    answer_limit=largest + _MEGABYTE,
-                )
-                return read(answer, sent, number)
-            except Fault as fault:
-                if fault.kind == "ended" and attempt == 0:
-                    self.restarts += 1
-                    continue
-                if fault.kind not in ("ended", "reported"):
-                    self._process.kill()
-                twice = ", twice" if fault.kind == "ended" else ""
-                raise AdapterError(self._told(f"{origin}{twice}", fault, asked_for(ids))) from fault
-        raise AssertionError("a program is asked twice at most")
+        if self._closed:
+            raise AdapterError(f"{origin}: asked for motions after its program was closed.")
+        if self._process.over:  # after a failure that the caller has survived
+            self._launch(origin)
+        number = self._batches
+        self._batches += 1
+        try:
+            answer, sent = self._process.ask(
+                {"message": header["message"], "batch": number, **header},
+                payload,
+                timeout=self._program.batch_timeout,
+                answer_limit=largest + _MEGABYTE,
+            )
+            return read(answer, sent, number)
+        except Fault as fault:
+            if fault.kind not in ("ended", "reported"):
+                self._process.kill()
+            raise AdapterError(self._told(origin, fault, asked_for(ids))) from fault
 
     def close(self) -> None:
         """End the program. May be called again."""

@@ -30,8 +30,6 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
     peak_process_bytes: int = 0
     peak_device_bytes: int | None = None
     network_passes_declared: int | None = None
-    restarts: dict[str, int] = {}
-    """Crashes after which the method's program was started again, by planned batch."""
     parameters: int | None = None
     """Parameters of the method's networks; None for a program, and in runs of earlier versions."""
 
@@ -71,6 +69,5 @@ def total_cost(costs: Sequence[RunCost]) -> RunCost:
         peak_process_bytes=max((cost.peak_process_bytes for cost in costs), default=0),
         peak_device_bytes=max(known("peak_device_bytes"), default=None),
         network_passes_declared=sum(known("network_passes_declared")) or None,
-        restarts={batch: count for cost in costs for batch, count in cost.restarts.items()},
         parameters=max(known("parameters"), default=None),
     )

@@ -59,8 +59,14 @@ class DatasetFolder:
 
     @property
     def finished(self) -> bool:
-        """Everything is there; the summary is written last."""
-        return all(path.is_file() for path in (self.scores, self.cost, self.path / summary.FILE_NAME))
+        """Everything is there, and the scores are whole at their end; the summary is written last."""
+        if not (self.cost.is_file() and (self.path / summary.FILE_NAME).is_file()):
+            return False
+        try:
+            pq.read_metadata(self.scores)
+        except (pa.ArrowInvalid, OSError):
+            return False
+        return True
 
     def part(self, batch: int) -> Path:
         """Predictions of one batch."""
@@ -100,14 +106,6 @@ class DatasetFolder:
             raise RunError(
                 f"{unplanned[0]}: expected the {batches} parts of this run only, found another file. Move it elsewhere."
             )
-
-    def has_scores(self) -> bool:
-        """Return True if scores are there and their file is whole at its end."""
-        try:
-            pq.read_metadata(self.scores)
-        except (FileNotFoundError, pa.ArrowInvalid, OSError):
-            return False
-        return True
 
     def forget_batch_costs(self) -> None:
         """Remove the measurements of single batches."""

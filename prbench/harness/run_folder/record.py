@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,10 +26,6 @@ FILE = "file"
 UNKNOWN = "unknown"
 """Kinds of methods: prbench's own, the harness's controls, a foreign package, a program (``cmd:`` or a TOML file),
 motions that came as a file; and what an old record does not say."""
-
-
-_VERSIONS = ("prbench_version", "method.version", "packages")
-"""Keys that may differ between a run and its repetition."""
 
 
 class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -218,22 +213,6 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
             return record
         return msgspec.structs.replace(record, method=msgspec.structs.replace(method, kind=kind))
 
-    def require_same_inputs(self, other: RunRecord) -> None:
-        """Refuse to repeat a run with other tables, sequences, weights or settings; versions may differ.
-
-        Args:
-            other: The earlier run.
-
-        Raises:
-            RunError: naming the first key that differs, with both values.
-        """
-        for key, wanted, found in _differences(other, self):
-            if not key.startswith(_VERSIONS):
-                raise RunError(
-                    f"{key}: expected {wanted} as in the run that is to be repeated, found {found}. Name its tables"
-                    " with --data and its weights with --weights."
-                )
-
     def require_same(self, other: RunRecord, folder: Path) -> None:
         """Refuse to go on in a folder that belongs to other inputs.
 
@@ -244,20 +223,16 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: naming the first key that differs, with both values.
         """
-        for key, wanted, found in _differences(self, other):
-            raise RunError(
-                f"{folder / FILE_NAME}, {key}: expected {wanted} for this run, found {found}. The folder belongs to"
-                " another run; choose another folder for --out, or delete this one."
-            )
-
-
-def _differences(expected: RunRecord, found: RunRecord) -> Iterator[tuple[str, str, str]]:
-    """Yield the keys that differ with both values, in the order of the record: the most telling one comes first."""
-    wanted = flat_leaves(expected.written)
-    there = flat_leaves(found.written)
-    for key in wanted | there:
-        if wanted.get(key) != there.get(key):
-            yield key, _shown(wanted.get(key)), _shown(there.get(key))
+        wanted = flat_leaves(self.written)
+        found = flat_leaves(other.written)
+        # In the order of the record, so that the first difference named is the most telling one.
+        for key in wanted | found:
+            if wanted.get(key) != found.get(key):
+                raise RunError(
+                    f"{folder / FILE_NAME}, {key}: expected {_shown(wanted.get(key))} for this run, found"
+                    f" {_shown(found.get(key))}. The folder belongs to another run; choose another folder for --out, or"
+                    " delete this one."
+                )
 
 
 def read_record(path: Path, kind: type[Record], *, missing: str, remedy: str) -> Record:

@@ -201,11 +201,6 @@ def answered_everywhere(subject: MethodSubject, remedy: str, *, said: str) -> It
         said=said,
         things=subject.things,
     )
-    if restarts := getattr(subject.adapter, "restarts", 0):
-        yield failed(
-            f"the program ended by itself and was started again ({restarts} times); its log says why.",
-            "Repair what ends it: a run starts a program again only once for each batch.",
-        )
 
 
 @check("shapes", "motions have the asked shape and lengths", needs=("load",))

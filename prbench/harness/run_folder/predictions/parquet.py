@@ -131,53 +131,58 @@ class ParquetMotions:
         return rows
 
 
-def _as_rows(column: pa.Array, path: Path, *, first_row: int) -> PredictionRows:
-    """Frames as numbers: all of a motion after one another, or however deeply the 66 of a frame are nested in lists."""
-    if column.null_count:
-        raise PredictionsError(f"{path}, column 'joints': expected {_JOINTS_FORM} in every row, found a null.")
-    offsets = _ends(column)
+def _flattened(column: pa.Array) -> tuple[np.ndarray, np.ndarray, list[np.ndarray], pa.Array]:
+    """Take nested lists apart.
+
+    Returns:
+        Where the items of each row begin, where the numbers of each item begin, the sizes of the lists of each level
+        inside an item, and all numbers.
+    """
+    rows = _ends(column)
+    items = np.arange(rows[-1] + 1)
+    sizes = []
     leaves = column.flatten()
-    if not pa.types.is_nested(leaves.type):
-        sizes = np.diff(offsets)
-        if (sizes % POSE_SIZE).any():
-            row = int(np.flatnonzero(sizes % POSE_SIZE)[0])
-            raise PredictionsError(
-                f"{path}, column 'joints', row {first_row + row}: expected {_JOINTS_FORM}, or all frames after one"
-                f" another (n × {POSE_SIZE} numbers), found {sizes[row]} numbers."
-            )
-        return PredictionRows(_numbers(leaves).reshape(-1, N_JOINTS, 3), offsets // POSE_SIZE)
-    frame_ends = np.arange(offsets[-1] + 1)
-    depth = 0
-    sizes = np.empty(0, dtype=np.int64)
     while pa.types.is_nested(leaves.type):
         ends = _ends(leaves)
-        frame_ends = ends[frame_ends]
-        sizes = np.diff(ends)
-        depth += 1
+        items = ends[items]
+        sizes.append(np.diff(ends))
         leaves = leaves.flatten()
-    if depth > 1 and (sizes != 3).any():
-        found = int(sizes[sizes != 3][0])
-        raise PredictionsError(f"{path}, column 'joints': expected x y z for each of 22 joints, found {found} numbers.")
-    sizes = np.diff(frame_ends)
-    if (sizes != POSE_SIZE).any():
-        frame = int(np.flatnonzero(sizes != POSE_SIZE)[0])
-        row = int(np.searchsorted(offsets, frame, side="right")) - 1
+    return rows, items, sizes, leaves
+
+
+def _as_rows(column: pa.Array, path: Path, *, first_row: int) -> PredictionRows:
+    """Frames as numbers: all of a motion after one another, or however deeply the 66 of a frame are nested in lists."""
+    where = f"{path}, column 'joints'"
+    if column.null_count:
+        raise PredictionsError(f"{where}: expected {_JOINTS_FORM} in every row, found a null.")
+    rows, frames, sizes, leaves = _flattened(column)
+    values = _numbers(leaves)
+    if not sizes:
+        wrong = np.flatnonzero(np.diff(rows) % POSE_SIZE)
+        if wrong.size:
+            raise PredictionsError(
+                f"{where}, row {first_row + wrong[0]}: expected {_JOINTS_FORM}, or all frames after one another"
+                f" (n × {POSE_SIZE} numbers), found {np.diff(rows)[wrong[0]]} numbers."
+            )
+        return PredictionRows(values.reshape(-1, N_JOINTS, 3), rows // POSE_SIZE)
+    if len(sizes) > 1 and (sizes[-1] != 3).any():
+        found = int(sizes[-1][sizes[-1] != 3][0])
+        raise PredictionsError(f"{where}: expected x y z for each of 22 joints, found {found} numbers.")
+    wrong = np.flatnonzero(np.diff(frames) != POSE_SIZE)
+    if wrong.size:
+        row = int(np.searchsorted(rows, wrong[0], side="right")) - 1
         raise PredictionsError(
-            f"{path}, column 'joints', row {first_row + row}, frame {frame - offsets[row]}:"
-            f" expected {_JOINTS_FORM}, found {sizes[frame]} numbers."
+            f"{where}, row {first_row + row}, frame {wrong[0] - rows[row]}: expected {_JOINTS_FORM}, found"
+            f" {np.diff(frames)[wrong[0]]} numbers."
         )
-    return PredictionRows(_numbers(leaves).reshape(-1, N_JOINTS, 3), offsets)
+    return PredictionRows(values.reshape(-1, N_JOINTS, 3), rows)
 
 
 def _rays(column: pa.Array, path: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return points or directions of all rows after one another, (total, 3), and where each row begins."""
-    offsets = _ends(column)
-    leaves = column.flatten()
-    while pa.types.is_nested(leaves.type):
-        offsets = _ends(leaves)[offsets]
-        leaves = leaves.flatten()
-    wrong = np.flatnonzero(offsets % 3)
-    if wrong.size or not (pa.types.is_float32(leaves.type) or pa.types.is_float64(leaves.type)):
+    rows, items, _, leaves = _flattened(column)
+    offsets = items[rows]
+    if (offsets % 3).any() or not (pa.types.is_float32(leaves.type) or pa.types.is_float64(leaves.type)):
         raise PredictionsError(f"{path}, column '{name}': expected x y z for each frame, found {column.type}.")
     return _numbers(leaves).reshape(-1, 3), offsets // 3
 

@@ -1,4 +1,4 @@
-"""A program behaves like any other method: asked, answered, restarted once, closed."""
+"""A program behaves like any other method: asked, answered, closed."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_the_program_hears_the_settings_and_the_adapter_what_it_declares(worksho
         workshop.program(source), weights="small", options={"steps": "5"}, device="cuda:1", threads=3
     )
     assert (adapter.name, adapter.version, adapter.max_frames) == ("glide", "2", 99)
-    assert (adapter.native_fps, adapter.motionless, adapter.restarts) == (30.0, True, 0)
+    assert (adapter.native_fps, adapter.motionless) == (30.0, True)
     assert adapter.conditions == {Condition.TEXT, Condition.NONE}
     assert adapter.weights == {Condition.TEXT: ("w.npz", "0f" * 32)}
     adapter.close()
@@ -119,33 +119,6 @@ def test_a_program_that_reports_an_error_is_asked_for_the_next_batch(workshop: W
     with pytest.raises(MemoryError, match="7 GB wanted"):
         adapter.generate(BATCH, seed=0)
     np.testing.assert_array_equal(adapter.generate(BATCH, seed=0).ragged(), EXPECTED)
-    assert adapter.restarts == 0
-
-
-def test_a_crash_is_followed_by_one_restart_and_the_same_batch(workshop: Workshop) -> None:
-    source = f"""
-        if not os.path.exists("crashed"):
-            hello(); motions(read()[0]); read()
-            open("crashed", "w").close()
-            os._exit(1)
-        {HONEST.replace(chr(10), chr(10) + " " * 8)}
-    """
-    adapter = workshop.start(source)
-    for _ in range(3):
-        np.testing.assert_array_equal(adapter.generate(BATCH, seed=0).ragged(), EXPECTED)
-    assert adapter.restarts == 1
-
-
-def test_a_program_that_comes_back_as_another_one_is_refused(workshop: Workshop) -> None:
-    source = """
-        hello(version=str(os.path.exists("crashed")))
-        read()
-        open("crashed", "w").close()
-        os._exit(1)
-    """
-    adapter = workshop.start(source)
-    with pytest.raises(AdapterError, match="expected its program to introduce itself as before it was started again"):
-        adapter.generate(BATCH, seed=0)
 
 
 def test_wrong_motions_are_told_by_the_name_of_the_sequence(workshop: Workshop) -> None:
