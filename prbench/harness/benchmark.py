@@ -106,21 +106,17 @@ class Benchmark(ABC, Generic[Table, Chosen]):
     """One benchmark; its value stands in ``benchmark.toml``."""
 
     name: str
+    metrics: tuple[MetricInfo, ...]
+    """All metrics, in the order in which they are printed."""
+    methods: MethodGroup
+    """How its methods are found and loaded."""
+    table_file: str
+    """Name of the file that describes a table, by which a folder is known to hold one."""
 
     @property
     def about(self) -> AboutBenchmark:
         """Return its description."""
         return find_benchmark(self.name)
-
-    @property
-    @abstractmethod
-    def metrics(self) -> tuple[MetricInfo, ...]:
-        """Return all metrics, in the order in which they are printed."""
-
-    @property
-    @abstractmethod
-    def methods(self) -> MethodGroup:
-        """Return how its methods are found and loaded."""
 
     @property
     @abstractmethod
@@ -173,11 +169,6 @@ class Benchmark(ABC, Generic[Table, Chosen]):
             UsageError: naming the option.
         """
         return request
-
-    @property
-    @abstractmethod
-    def table_file(self) -> str:
-        """Return the name of the file that describes a table, by which a folder is known to hold one."""
 
     @abstractmethod
     def open_table(self, folder: Path) -> Table:

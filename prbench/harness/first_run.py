@@ -170,17 +170,16 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
             record = next(record for record in run.record.tables if record.dataset == first.dataset)
             table = find(record)
             if table is None or record.content_digest != first.content_digest:
-                digest = f"{record.content_digest[:_SHOWN]}…"
-                if first.dataset not in named:
+                other = named.get(first.dataset)
+                wanted = f"{run.path}: was made on a table of {record.dataset} with content digest"
+                if other is None:
                     raise TableError(
-                        f"{run.path}: was made on a table of {record.dataset} with content digest {digest}, which is"
-                        " not among the embedded ones. Name its folder with --data DIR."
+                        f"{wanted} {record.content_digest[:_SHOWN]}…, which is not among the embedded ones. Name its"
+                        " folder with --data DIR."
                     )
-                other = named[first.dataset]
                 raise RunError(
-                    f"{other.folder}: expected the table that {run.path} was made on (content digest {digest}), found"
-                    f" another one ({other.info.content_digest[:_SHOWN]}…). Name that table with --data DIR, or run the"
-                    " method again on this one."
+                    f"{wanted} {record.content_digest[:_SHOWN]}…, found {other.folder} with"
+                    f" {other.info.content_digest[:_SHOWN]}…. Name that table with --data DIR, or run the method again."
                 )
         tables.append(table.with_sequences())
     return tables

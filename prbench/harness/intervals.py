@@ -50,8 +50,6 @@ EQUAL_RATES_INTERVAL = "clopper-pearson-recordings"
 MEAN_INTERVAL = "student-hall-cluster"
 DIFFERENCE_INTERVAL = "student-hall-newcombe-cluster"
 NO_INTERVAL = "none"
-INTERVALS = (RATE_INTERVAL, EQUAL_RATES_INTERVAL, MEAN_INTERVAL, DIFFERENCE_INTERVAL, NO_INTERVAL)
-"""Names of all estimators of intervals."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ class Estimate:
     n_recordings: int
     """Number of recordings that they come from."""
     method: str
-    """Name of the interval: one of :data:`INTERVALS`."""
+    """Name of the interval, such as :data:`RATE_INTERVAL`."""
     marks: tuple[str, ...]
     """``few_recordings`` (below ten), ``one_recording``, ``all_equal``."""
 
@@ -83,7 +81,6 @@ class ClusteredValues:
     """Rows (samples) of each sequence; its rows stand together."""
     sequences: Int[np.ndarray, " recordings"]
     """Sequences of each recording; they stand together."""
-    recordings: tuple[str, ...]
 
     @property
     def sequence_means(self) -> Float[np.ndarray, " sequences"]:
@@ -148,7 +145,7 @@ def clustered(
     sequences = np.arange(len(values)) if sequence_ids is None else np.asarray(sequence_ids)
     if not len(values) == len(recording_ids) == len(sequences):
         raise ValueError("values, recording ids and sequence ids differ in number")
-    names, recording = np.unique(np.asarray(recording_ids), return_inverse=True)
+    recording = np.unique(np.asarray(recording_ids), return_inverse=True)[1]
     sequence = np.unique(sequences, return_inverse=True)[1]
     # Sorted by values last, so that the order of rows leaves no trace in rounded sums.
     order = np.lexsort((values, sequence, recording) if sequence_ids is not None else (values, recording))
@@ -160,7 +157,6 @@ def clustered(
         values[order].astype(np.float64),
         np.diff(np.append(first, len(values))),
         np.bincount(pairs[0, first]),
-        tuple(str(name) for name in names),
     )
 
 

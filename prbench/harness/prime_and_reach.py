@@ -29,7 +29,7 @@ from prbench.harness.controls import (
 )
 from prbench.harness.methods.loading import LoadedMethod, MethodSpec, fitted_to
 from prbench.harness.methods.motions import generate_checked
-from prbench.harness.methods.remote import MOTIONS, MethodGroup
+from prbench.harness.methods.remote import MOTIONS
 from prbench.harness.planning import Selection, open_tables, plan_batches, select, select_sequences, supported
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
@@ -37,7 +37,7 @@ from prbench.harness.run_folder.predictions import PredictionRows
 from prbench.harness.run_folder.record import MethodRecord
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.scoring import ScoringRules, score_selection
-from prbench.metrics import METRICS, MetricInfo
+from prbench.metrics import METRICS
 from prbench.protocol.manifests import PROTOCOL_NAME, BenchmarkProtocol, load_protocol
 from prbench.protocol.own_protocol import protocol_for
 from prbench.sequences import SequenceTable
@@ -114,13 +114,9 @@ class MotionWork(CaseWork):
         return self._request.method in HOLDS_RECORDINGS
 
     @cached_property
-    def _batches(self) -> list[Int[np.ndarray, "_"]]:
-        return plan_batches(self._selection.n_frames, self._request.batch_size)
-
-    @property
     def plan(self) -> list[Int[np.ndarray, "_"]]:
         """See :attr:`CaseWork.plan`; batches are of similar length."""
-        return self._batches
+        return plan_batches(self._selection.n_frames, self._request.batch_size)
 
     def questions(self, wanted: frozenset[int]) -> Iterator[tuple[int, MotionQuestion]]:
         """See :meth:`CaseWork.questions`."""
@@ -164,16 +160,9 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
     """See :class:`prbench.harness.benchmark.Benchmark`."""
 
     name = PROTOCOL_NAME
-
-    @property
-    def metrics(self) -> tuple[MetricInfo, ...]:
-        """The study's metrics and their variants."""
-        return METRICS
-
-    @property
-    def methods(self) -> MethodGroup:
-        """Methods that generate motions."""
-        return MOTIONS
+    metrics = METRICS
+    methods = MOTIONS
+    table_file = FILE_NAME
 
     @property
     def present_rules(self) -> BenchmarkProtocol:
@@ -194,11 +183,6 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
             return request
         folds = tuple(fold_table(folder, request.fold).folder for folder in request.data)
         return replace(request, data=folds, fold=None)
-
-    @property
-    def table_file(self) -> str:
-        """See :attr:`Benchmark.table_file`."""
-        return FILE_NAME
 
     def open_table(self, folder: Path) -> SequenceTable:
         """See :meth:`Benchmark.open_table`."""

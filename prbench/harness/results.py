@@ -21,7 +21,7 @@ from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder import summary as run_summary
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.record import RunRecord, TableRecord
-from prbench.harness.run_folder.scores import CodedScores
+from prbench.harness.run_folder.scores import PIECE, SCORES, CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
 from prbench.metrics.registry import LENGTH_MISMATCH
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
@@ -159,16 +159,12 @@ def require_scores(files: DatasetFolder, stored: CodedScores, made: CodedScores)
 
 def _first_other_key(stored: CodedScores, made: CodedScores) -> int | None:
     """Return the first row of which two scores differ in sequence, sample, metric or flag; None without any."""
-    start = 0
-    for expected, found in itertools.zip_longest(made.pieces(), stored.pieces()):
-        if expected is None or found is None:
-            return start
-        keys = [table.select(_KEYS) for table in (found, expected)]
-        if not keys[0].equals(keys[1]):
-            rows = zip(*(table.to_pylist() for table in keys))
-            common = min(table.num_rows for table in keys)
-            return start + next((number for number, (one, other) in enumerate(rows) if one != other), common)
-        start += expected.num_rows
+    pieces = enumerate(itertools.zip_longest(made.pieces(), stored.pieces(), fillvalue=SCORES.empty_table()))
+    for number, (expected, found) in pieces:
+        one, other = (table.select(_KEYS) for table in (expected, found))
+        if not one.equals(other):
+            rows = itertools.zip_longest(one.to_pylist(), other.to_pylist())
+            return number * PIECE + next(place for place, (first, second) in enumerate(rows) if first != second)
     return None
 
 

@@ -98,7 +98,7 @@ _PLACES = ("virtual_environment", "conda", "container")
 _OF_CONTAINERS = ("engine", "gpus", "user", "volumes")
 
 
-class _MethodTable(msgspec.Struct, frozen=True, kw_only=True):
+class _MethodTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[method]``: what is started, and where."""
 
     command: _Text | Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
@@ -109,7 +109,7 @@ class _MethodTable(msgspec.Struct, frozen=True, kw_only=True):
     """Folder that it starts in, relative to the file."""
 
 
-class EnvironmentTable(msgspec.Struct, frozen=True, kw_only=True, rename="kebab"):
+class EnvironmentTable(msgspec.Struct, frozen=True, kw_only=True, rename="kebab", forbid_unknown_fields=True):
     """``[environment]``: in what the command runs. At most one of the first three."""
 
     virtual_environment: _Text | None = None
@@ -130,7 +130,7 @@ class EnvironmentTable(msgspec.Struct, frozen=True, kw_only=True, rename="kebab"
     """Further environment variables."""
 
 
-class _LimitsTable(msgspec.Struct, frozen=True, kw_only=True):
+class _LimitsTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[limits]``: time limits, seconds."""
 
     start_s: _Seconds = 120.0
@@ -139,19 +139,12 @@ class _LimitsTable(msgspec.Struct, frozen=True, kw_only=True):
     """Until a batch is answered."""
 
 
-class MethodDescription(msgspec.Struct, frozen=True, kw_only=True):
+class MethodDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The whole TOML file."""
 
     method: _MethodTable
     environment: EnvironmentTable = EnvironmentTable()
     limits: _LimitsTable = _LimitsTable()
-
-
-_TABLES: dict[str, type[msgspec.Struct]] = {
-    "method": _MethodTable,
-    "environment": EnvironmentTable,
-    "limits": _LimitsTable,
-}
 
 
 @foreign_input()
@@ -171,12 +164,6 @@ def read_description(path: Path) -> MethodDescription:
         ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise InputFileError(path, "", expected="a TOML file", found=str(error)) from error
-    _refuse_unknown(path, "", content, list(_TABLES), kind="table")
-    for name, table in _TABLES.items():
-        keys = content.get(name)
-        if isinstance(keys, dict):
-            known = [field.encode_name for field in msgspec.structs.fields(table)]
-            _refuse_unknown(path, f"{name}.", keys, known, kind="key")
     try:
         description = msgspec.convert(content, MethodDescription)
     except msgspec.ValidationError as error:
@@ -212,18 +199,6 @@ def _require_fitting(path: Path, description: MethodDescription) -> None:
     for is_wrong, where, expected, found, remedy in wrong:
         if is_wrong:
             raise InputFileError(path, where, expected=expected, found=found, remedy=remedy)
-
-
-def _refuse_unknown(path: Path, prefix: str, found: dict[str, object], known: list[str], *, kind: str) -> None:
-    for name in found:
-        if name not in known:
-            raise InputFileError(
-                path,
-                f"{prefix}{name}",
-                expected=f"one of {', '.join(known)}",
-                found=f"an unknown {kind}",
-                remedy=did_you_mean(name, known).strip(),
-            )
 
 
 _METHOD_FOLDER = "/method"  # where a container finds the program's folder

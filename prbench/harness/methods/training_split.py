@@ -7,7 +7,6 @@ import os
 import shutil
 import tempfile
 from collections.abc import Collection, Iterator, Sequence
-from functools import cached_property
 from pathlib import Path
 
 import psutil
@@ -15,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from prbench.errors import AdapterError
-from prbench.sequences import DatasetInfo, SequenceTable
+from prbench.sequences import SequenceTable
 from prbench.sequences.schema import DATASET_TABLES, SEQUENCES
 from prbench.sequences.sequence import SequenceChunk
 from prbench.sequences.write import write_table
@@ -62,37 +61,14 @@ class TrainingSplit(SequenceTable):
         """Return the training recordings."""
         return super().recordings().filter(pc.field("split") == _SPLIT)
 
-    @cached_property
-    def identity(self) -> str:
-        """That of the whole table."""
-        return self._whole.identity
-
-    @cached_property
-    def content(self) -> str:
-        """That of the whole table."""
-        return self._whole.content
-
-    @cached_property
-    def _whole(self) -> SequenceTable:
-        return SequenceTable(self.folder, self.info)
-
-
-class TrainingCopy(TrainingSplit):
-    """The copy, which a method takes for the table: same rows, same chunks, same digests."""
-
-    @classmethod
-    def open(cls, folder: Path | str) -> TrainingCopy:
-        """Open what :func:`write_training_copy` has written; that it may be empty is for the method to say."""
-        return cls(Path(folder), DatasetInfo.read(folder))
-
-    @cached_property
-    def identity(self) -> str:
-        """That of the whole table that was copied from."""
+    @property
+    def identity(self) -> str:  # type: ignore[override]
+        """That of the whole table, by which a method names its fit."""
         return self.info.identity_digest
 
-    @cached_property
-    def content(self) -> str:
-        """That of the whole table that was copied from."""
+    @property
+    def content(self) -> str:  # type: ignore[override]
+        """That of the whole table."""
         return self.info.content_digest
 
 
@@ -130,7 +106,6 @@ def write_training_copy(table: SequenceTable, folder: Path) -> None:
         StorageError: if the folder cannot be written.
     """
     version = table.info.protocol_version
-    # Its digests stay those of the whole table, by which a method names its fit.
     table.info.write(folder)
     shown = TrainingSplit(table.folder, table.info)
     portions = ([chunk.batch] for chunk in shown.chunks())

@@ -22,8 +22,9 @@ from prbench.harness.methods.messages import WIRE_VERSION, Header, read_message,
 from prbench.harness.methods.motions import Declared, release_memory, told
 from prbench.harness.methods.process import computing_threads
 from prbench.harness.methods.remote import MethodGroup, group_of
-from prbench.harness.methods.training_split import FIT_SEED, TrainingCopy
+from prbench.harness.methods.training_split import FIT_SEED, TrainingSplit
 from prbench.protocol.manifests import default_benchmark
+from prbench.sequences import DatasetInfo
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -61,7 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         adapter = load_adapter(asked.name, weights, settings["options"], settings["device"], group=group)
         if asked.train is not None and isinstance(adapter, Trainable):
             run = TrainingRun(folder=asked.fit, seed=FIT_SEED, device=settings["device"])
-            adapter.fit(TrainingCopy.open(asked.train), validation=None, run=run)
+            copy = TrainingSplit(asked.train, DatasetInfo.read(asked.train))  # that it may be empty the method says
+            adapter.fit(copy, validation=None, run=run)
         introduction = _introduction(asked.name, adapter, weights, group)
     except (Exception, SystemExit) as error:
         write_message(answers, failed(error))

@@ -62,7 +62,8 @@ _CODED = pa.schema(
         for field in SCORES
     ]
 )
-_ROWS_AT_ONCE = 64 * 1024
+PIECE = 64 * 1024
+"""Rows of a piece of :meth:`CodedScores.pieces`."""
 _ROW_GROUP = 256 * 1024
 """Rows of a row group: their texts take 70 MB while they are written."""
 _KEYS = ["dataset", "sequence_id", "sample", "metric"]
@@ -132,7 +133,7 @@ class CodedScores:
                 raise RunError(
                     f"{path}: expected the columns {', '.join(SCORES.names)}, found {', '.join(columns.names)}."
                 )
-            scores = cls.of(file.iter_batches(batch_size=_ROWS_AT_ONCE))
+            scores = cls.of(file.iter_batches(batch_size=PIECE))
         except FileNotFoundError as error:
             raise RunError(
                 f"{path}: expected the scores of a run, found no file. Run the method again: it resumes."
@@ -184,7 +185,7 @@ class CodedScores:
         start, stop, _ = rows.indices(len(self))
         return self.rows.slice(start, stop - start).cast(SCORES)
 
-    def pieces(self, rows: int = _ROWS_AT_ONCE) -> Iterator[pa.Table]:
+    def pieces(self, rows: int = PIECE) -> Iterator[pa.Table]:
         """Yield all rows as ``scores.parquet`` has them, some at a time."""
         for start in range(0, len(self), rows):
             yield self.long_form(slice(start, start + rows))

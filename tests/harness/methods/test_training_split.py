@@ -16,16 +16,20 @@ from prbench.contract import Condition
 from prbench.errors import AdapterError
 from prbench.harness.methods import training_split as training_copy
 from prbench.harness.methods.training_split import (
-    TrainingCopy,
     TrainingSplit,
     temporary_training_copy,
     write_training_copy,
 )
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
-from prbench.sequences import SequenceTable
+from prbench.sequences import DatasetInfo, SequenceTable
 from tests.fakes import fake_dataset
 from tests.method_fixtures import adapter_source
+
+
+def opened(folder: Path) -> TrainingSplit:
+    return TrainingSplit(folder, DatasetInfo.read(folder))
+
 
 CURIOUS = """
         def fit(self, train, *, validation, run):
@@ -86,7 +90,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> SequenceTable:
 
 def test_the_copy_streams_the_same_rows_in_the_same_portions(large, tmp_path):
     write_training_copy(large, tmp_path / "copy")
-    whole, copy = TrainingSplit.open(large.folder), TrainingCopy.open(tmp_path / "copy")
+    whole, copy = TrainingSplit.open(large.folder), opened(tmp_path / "copy")
     portions = list(zip(whole.chunks(), copy.chunks(), strict=True))
     assert len(portions) == 2
     for expected, found in portions:
@@ -105,7 +109,7 @@ def test_no_byte_of_another_split_is_in_the_copy(table, tmp_path):
         assert not others & set(pq.read_table(file).to_pydict().get("sequence_id", []))
     splits = SequenceTable(tmp_path / "copy", table.info).scalars()["split"].to_pylist()
     assert set(splits) == {"train"}
-    copy = TrainingCopy.open(tmp_path / "copy")
+    copy = opened(tmp_path / "copy")
     assert set(copy.recordings()["split"].to_pylist()) == {"train"}
     assert copy.events().num_rows == len(splits)
     with pytest.raises(AdapterError, match="split 'train' only"):
@@ -117,7 +121,7 @@ def test_a_table_without_training_rows_makes_an_empty_copy(tmp_path):
     keep = table.scalars(split="train").num_rows
     assert keep
     write_training_copy(_without_training(table, tmp_path), tmp_path / "copy")
-    assert list(TrainingCopy.open(tmp_path / "copy").chunks()) == []
+    assert list(opened(tmp_path / "copy").chunks()) == []
 
 
 def _without_training(table: SequenceTable, tmp_path: Path) -> SequenceTable:
@@ -137,7 +141,7 @@ def test_a_temporary_copy_vanishes_and_those_of_killed_processes_are_cleared_awa
     orphan.mkdir()
     mine.mkdir()
     copy = temporary_training_copy(table)
-    assert TrainingCopy.open(Path(copy.name)).identity == table.identity
+    assert opened(Path(copy.name)).identity == table.identity
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([mine.name, Path(copy.name).name])
     copy.cleanup()
     assert sorted(tmp_path.iterdir()) == [mine]
