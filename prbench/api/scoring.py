@@ -193,9 +193,8 @@ def _given(motions: Mapping[str, ArrayLike]) -> tuple[Predictions, str]:
             ids.append(name)
             samples.append(sample)
             arrays.append(as_float32(motion))
-    lengths = np.array([len(array) for array in arrays], dtype=np.int64)
     store = ArrayMotions(tuple(arrays), (str(_IN_MEMORY),) * len(arrays))
-    predictions = Predictions((), "sequence_id", tuple(ids), tuple(samples), lengths, store)
+    predictions = Predictions((), "sequence_id", tuple(ids), tuple(samples), store)
     digests = [bytes_digest(np.ascontiguousarray(array).tobytes()) for array in arrays]
     parts = [part for item in zip(ids, map(str, samples), digests, strict=True) for part in item]
     return predictions, text_digest(*parts)

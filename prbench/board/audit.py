@@ -15,7 +15,7 @@ from pathlib import Path
 from prbench.contract import Condition
 from prbench.engine import Engine
 from prbench.files.storage import sole_writer
-from prbench.harness.controls import CONTROLS, GROUND_TRUTH, RECORDED_MOTION, SHUFFLED_GOAL, round_trip_fps
+from prbench.harness.controls import CONTROLS, GROUND_TRUTH, RECORDED_MOTION, ROUND_TRIP_FPS, SHUFFLED_GOAL
 from prbench.harness.planning import open_tables, select
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
@@ -136,7 +136,7 @@ def audit(
         if control.name == GROUND_TRUTH:
             wanted.append((control.name, SHUFFLED_GOAL, "the recorded motion, scored against another sequence's goal"))
         # A round trip through the table's own rate is the recorded motion itself.
-        if round_trip_fps(control.name) not in rates:
+        if ROUND_TRIP_FPS.get(control.name) not in rates:
             wanted.append((control.name, None, control.summary))
     by_table: list[list[AuditedControl]] = [[] for _ in tables]
     with (

@@ -45,8 +45,9 @@ from prbench.harness.similar_tasks import at_length, laid_on_goal, read_motions
 from prbench.representation import decode, encode
 from prbench.sequences.sequence import SequenceChunk
 
-_ROUND_TRIP_FPS = {GROUND_TRUTH_20_FPS: 20.0, GROUND_TRUTH_30_FPS: 30.0}
-RECORDED_MOTION = frozenset({GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, *_ROUND_TRIP_FPS})
+ROUND_TRIP_FPS = {GROUND_TRUTH_20_FPS: 20.0, GROUND_TRUTH_30_FPS: 30.0}
+"""Controls that take recorded motion through another frame rate, and that rate."""
+RECORDED_MOTION = frozenset({GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, *ROUND_TRIP_FPS})
 """Controls whose motion is the recorded one: it gets no goal, has gaze, and stands under the data's own terms."""
 HOLDS_RECORDINGS = RECORDED_MOTION | {NEAREST_NEIGHBOUR}
 """Controls whose motions are people's, those of training sequences too: they stand under the data's own terms."""
@@ -80,11 +81,6 @@ CONTROLS = (
 )
 
 
-def round_trip_fps(name: str) -> float | None:
-    """Return the frame rate that a control takes recorded motion through; None for all other controls."""
-    return _ROUND_TRIP_FPS.get(name)
-
-
 def control_motions(
     name: str, selection: Selection, source: ConditionSource | ConditionStream, plan: list[Int[np.ndarray, "_"]]
 ) -> Iterator[Motions]:
@@ -96,9 +92,9 @@ def control_motions(
         source: Their conditions, for ``nearest-neighbour`` those of all; ``scripted`` takes its goals from here.
         plan: Of :func:`prbench.harness.planning.plan_batches`.
     """
-    if name in _ROUND_TRIP_FPS:
+    if name in ROUND_TRIP_FPS:
         for motions in _recorded(selection, plan, through_features=False):
-            yield _through_rate(motions, fps=selection.fps, other_fps=_ROUND_TRIP_FPS[name])
+            yield _through_rate(motions, fps=selection.fps, other_fps=ROUND_TRIP_FPS[name])
         return
     if name in RECORDED_MOTION:
         yield from _recorded(selection, plan, through_features=name == GROUND_TRUTH_RESAMPLED)

@@ -171,15 +171,10 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
             table = find(record)
             if table is None or record.content_digest != first.content_digest:
                 other = named.get(first.dataset)
-                wanted = f"{run.path}: was made on a table of {record.dataset} with content digest"
-                if other is None:
-                    raise TableError(
-                        f"{wanted} {record.content_digest[:_SHOWN]}…, which is not among the embedded ones. Name its"
-                        " folder with --data DIR."
-                    )
-                raise RunError(
-                    f"{wanted} {record.content_digest[:_SHOWN]}…, found {other.folder} with"
-                    f" {other.info.content_digest[:_SHOWN]}…. Name that table with --data DIR, or run the method again."
+                found = "none of the embedded ones" if other is None else f"{other.info.content_digest[:_SHOWN]}…"
+                raise TableError(
+                    f"{run.path}: expected the table of {record.dataset} with content digest"
+                    f" {record.content_digest[:_SHOWN]}…, found {found}. Name that table with --data DIR."
                 )
         tables.append(table.with_sequences())
     return tables

@@ -8,11 +8,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 from jaxtyping import Int
+from msgspec.structs import asdict
 
+from prbench.engine.shards import flat_leaves
 from prbench.errors import RunError
 from prbench.harness.benchmark import CaseTable, CaseWork, load_benchmark
 from prbench.harness.intervals import CONFIDENCE, metric_interval, smallest_detectable_unpaired
@@ -123,8 +124,8 @@ def require_summary(files: DatasetFolder, made: DatasetSummary, *, grouped: bool
         RunError: naming the first entry that differs.
     """
     stored = DatasetSummary.read(files.path)
-    for key, expected, found in _differences(made, stored):
-        if not grouped and key.rpartition(".")[2] in _OF_RECORDINGS:
+    for key, expected, found in differences(made, stored):
+        if not grouped and _OF_RECORDINGS.intersection(key.split(".")):
             continue
         raise RunError(
             f"{files.path / run_summary.FILE_NAME}, {key}: expected {expected}, which follows from"
@@ -176,35 +177,27 @@ def _row(scores: CodedScores, row: int) -> str:
     return f"{sequence_id}, sample {sample}, {metric}{f', {flag}' if flag else ''}"
 
 
-def _differences(made: DatasetSummary, stored: DatasetSummary) -> Iterator[tuple[str, object, object]]:
-    """Key, expected and found value of what a summary says otherwise than the scores."""
-    for name in DatasetSummary.__struct_fields__:
-        expected = getattr(made, name)
-        found = getattr(stored, name)
-        if name != "metrics" and expected != found:
-            yield name, expected, found
-    names = [metric.metric for metric in made.metrics]
-    found_names = [metric.metric for metric in stored.metrics]
-    if names != found_names:
-        yield "metrics", ", ".join(names), ", ".join(found_names)
-        return
-    for expected, found in zip(made.metrics, stored.metrics, strict=True):
-        yield from metric_differences(expected, found)
-
-
-def metric_differences(made: MetricSummary, stored: MetricSummary) -> Iterator[tuple[str, object, object]]:
-    """Key, expected and found value of what an entry says otherwise than the scores."""
-    within = 1e-9 + _VALUES_WITHIN * abs(made.mean)
-    found = msgspec.structs.asdict(stored)
+def differences(made: DatasetSummary, stored: DatasetSummary) -> Iterator[tuple[str, object, object]]:
+    """Yield key, expected and found value of what a summary says otherwise than the scores."""
+    expected, found = (
+        flat_leaves(
+            asdict(summary)
+            | {"metrics": [each.metric for each in summary.metrics]}
+            | {each.metric: asdict(each) for each in summary.metrics}
+        )
+        for summary in (made, stored)
+    )
     # The estimator first: bounds of another one differ, too, and say less about the cause.
-    for name, value in sorted(msgspec.structs.asdict(made).items(), key=lambda item: item[0] != "interval"):
-        other = found[name]
-        if name in ("mean", "low", "high", "detectable") and value is not None and other is not None:
-            same = abs(value - other) <= within
+    for key in sorted(expected | found, key=lambda key: not key.endswith(".interval")):
+        value, other = expected.get(key), found.get(key)
+        if isinstance(value, float) and isinstance(other, float):
+            mean = expected[f"{key.rpartition('.')[0]}.mean"]
+            assert isinstance(mean, float)
+            same = abs(value - other) <= 1e-9 + _VALUES_WITHIN * abs(mean)
         else:
             same = value == other
         if not same:
-            yield f"{made.metric}.{name}", value, other
+            yield key, value, other
 
 
 def summary_of(

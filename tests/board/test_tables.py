@@ -23,7 +23,7 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import RunRecord, TableRecord
-from prbench.harness.run_folder.scores import read_scores
+from prbench.harness.run_folder.scores import read_scores, write_scores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
 from prbench.harness.verification import CheckedSummary
 from prbench.metrics import METRICS
@@ -93,8 +93,8 @@ def write_run(
         )
         path = folder if len(datasets) == 1 else folder / name
         result.write(path)
-        for left in ("scores.parquet", "cost.json"):
-            (path / left).write_bytes(b"")
+        write_scores(path / "scores.parquet", ())
+        (path / "cost.json").write_bytes(b"")
     return folder
 
 

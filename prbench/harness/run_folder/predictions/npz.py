@@ -106,7 +106,6 @@ def _read(archive: Archive, path: Path) -> dict[str, Any]:
         "id_column": id_column,
         "ids": tuple(ids.tolist()),
         "samples": tuple(whole["sample"].tolist()),
-        "n_frames": n_frames,
         "store": store,
         "has_gaze": bool(gaze),
     }
@@ -135,7 +134,6 @@ def _read_by_name(archive: Archive, path: Path) -> dict[str, Any] | None:
         "id_column": "opaque_id" if all(map(_OPAQUE_ID.fullmatch, ids)) else "sequence_id",
         "ids": ids,
         "samples": tuple(sample for _, sample in keys),
-        "n_frames": np.array([len(motion) for motion in motions], dtype=np.int64),
         "store": ArrayMotions(tuple(motions), tuple(f"{path}, '{name}', sample {sample}" for name, sample in keys)),
         "has_gaze": False,
     }

@@ -63,7 +63,6 @@ def index_parquet(paths: tuple[Path, ...]) -> dict[str, Any]:
         "id_column": id_column,
         "ids": tuple(ids),
         "samples": tuple(samples),
-        "n_frames": None,
         "store": ParquetMotions(tuple(groups), gaze),
         "has_gaze": bool(gaze),
     }

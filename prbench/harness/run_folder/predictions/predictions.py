@@ -27,8 +27,6 @@ class Predictions:
     ids: tuple[str, ...]
     """Id of every motion, in the order of the files."""
     samples: tuple[int, ...]
-    n_frames: Int[np.ndarray, " n"] | None
-    """Length of every motion; None where only the motions themselves tell (Parquet)."""
     store: ParquetMotions | ArrayMotions
     has_gaze: bool = False
     """True if every motion comes with gaze."""
@@ -78,7 +76,6 @@ class Predictions:
             self,
             ids=tuple(name for name, _ in keys),
             samples=tuple(sample for _, sample in keys),
-            n_frames=None if self.n_frames is None else self.n_frames[places],
             store=self.store.only(rows.tolist()) if isinstance(self.store, ArrayMotions) else self.store,
             rows=None if in_memory else rows,
         )
@@ -95,15 +92,6 @@ class Predictions:
 
     def __contains__(self, key: tuple[str, int]) -> bool:
         return key in self._place_of
-
-    @property
-    def repeats(self) -> bool:
-        """True if several motions have the same id and sample."""
-        return len(self._place_of) < len(self.ids)
-
-    def length(self, name: str, sample: int) -> int | None:
-        """Frames of a motion, if they are known without reading it."""
-        return None if self.n_frames is None else int(self.n_frames[self._place_of[name, sample]])
 
     def where(self, name: str, sample: int) -> str:
         """The file that a motion stands in and its place there, for messages."""

@@ -49,7 +49,7 @@ def test_every_key_of_the_page_is_read(tmp_path):
         ("", "[method]", "missing required field `method`"),
         ("[method]\n", "method", "missing required field `command`"),
         (COMMAND + "[metod]\n", "[method]", "unknown field `metod`"),
-        ('[method]\ncomand = "x"\n', "method", "field `command`"),
+        ('[method]\ncomand = "x"\n', "method", "unknown field `comand`"),
         (COMMAND + "[limits]\nbatch = 3\n", "limits", "unknown field `batch`"),
         (COMMAND + "[limits]\nbatch_s = 0\n", "limits.batch_s", "> 0"),
         (COMMAND + '[limits]\nstart_s = "long"\n', "limits.start_s", "found expected `float`, got `str`"),
