@@ -6,7 +6,7 @@ which sequences.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import msgspec
 import numpy as np
@@ -17,6 +17,7 @@ from prbench.errors import RunError
 from prbench.harness.conditions import is_solid
 from prbench.harness.intervals import CONFIDENCE, metric_interval
 from prbench.harness.planning import Selection
+from prbench.harness.results import differences
 from prbench.harness.run_folder.agreement import FILE_NAME, BinRate, DatasetAgreement, RateAgreement, SceneOfPeople
 from prbench.harness.run_folder.folder import DatasetFolder
 from prbench.harness.run_folder.scores import CodedScores
@@ -26,7 +27,6 @@ from prbench.protocol.manifests import BenchmarkProtocol
 
 RATES: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.unit == "rate")
 _SCENE_METRICS = ("scene_penetration", "scene_depth")
-_SAME_WITHIN = 1e-6  # what other processors may make of the same outcomes
 _PERFECT = 1 - 1e-12  # beyond which Fisher's scale has no finite value
 _ONE_OUTCOME = "{} the same outcome in every sequence"
 
@@ -114,28 +114,11 @@ def require_agreement(files: DatasetFolder, made: DatasetAgreement) -> None:
     if not files.agreement.is_file():
         return
     stored = DatasetAgreement.read(files.path)
-    for name, expected, found in _differences(msgspec.to_builtins(made), msgspec.to_builtins(stored)):
+    for name, expected, found in differences(msgspec.to_builtins(made), msgspec.to_builtins(stored)):
         raise RunError(
             f"{files.agreement}, {name}: expected {expected}, which follows from {files.scores.name} and the table,"
             f" found {found}. One of them was edited. Delete {FILE_NAME} and run the same command again."
         )
-
-
-def _differences(expected: object, found: object, key: str = "") -> Iterator[tuple[str, object, object]]:
-    """Key, expected and found value of what differs in two trees of plain values."""
-    if isinstance(expected, dict) and isinstance(found, dict):
-        for name in expected:
-            yield from _differences(expected[name], found.get(name), f"{key}.{name}" if key else name)
-    elif isinstance(expected, tuple) and isinstance(found, tuple):
-        if len(expected) != len(found):
-            yield key, f"{len(expected)} entries", f"{len(found)}"
-        for number, (one, other) in enumerate(zip(expected, found, strict=False)):
-            yield from _differences(one, other, f"{key}[{number}]")
-    elif isinstance(expected, float) and isinstance(found, float):
-        if abs(expected - found) > _SAME_WITHIN:
-            yield key, expected, found
-    elif expected != found:
-        yield key, expected, found
 
 
 def _agreement(

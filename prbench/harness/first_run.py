@@ -170,11 +170,17 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
             record = next(record for record in run.record.tables if record.dataset == first.dataset)
             table = find(record)
             if table is None or record.content_digest != first.content_digest:
-                other = named.get(first.dataset)
-                found = "none of the embedded ones" if other is None else f"{other.info.content_digest[:_SHOWN]}…"
-                raise TableError(
-                    f"{run.path}: expected the table of {record.dataset} with content digest"
-                    f" {record.content_digest[:_SHOWN]}…, found {found}. Name that table with --data DIR."
+                digest = f"{record.content_digest[:_SHOWN]}…"
+                if first.dataset not in named:
+                    raise TableError(
+                        f"{run.path}: was made on a table of {record.dataset} with content digest {digest}, which is"
+                        " not among the embedded ones. Name its folder with --data DIR."
+                    )
+                other = named[first.dataset]
+                raise RunError(
+                    f"{other.folder}: expected the table that {run.path} was made on (content digest {digest}), found"
+                    f" another one ({other.info.content_digest[:_SHOWN]}…). Name that table with --data DIR, or run the"
+                    " method again on this one."
                 )
         tables.append(table.with_sequences())
     return tables

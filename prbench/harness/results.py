@@ -13,7 +13,6 @@ import pyarrow as pa
 from jaxtyping import Int
 from msgspec.structs import asdict
 
-from prbench.engine.shards import flat_leaves
 from prbench.errors import RunError
 from prbench.harness.benchmark import CaseTable, CaseWork, load_benchmark
 from prbench.harness.intervals import CONFIDENCE, metric_interval, smallest_detectable_unpaired
@@ -123,9 +122,8 @@ def require_summary(files: DatasetFolder, made: DatasetSummary, *, grouped: bool
     Raises:
         RunError: naming the first entry that differs.
     """
-    stored = DatasetSummary.read(files.path)
-    for key, expected, found in differences(made, stored):
-        if not grouped and _OF_RECORDINGS.intersection(key.split(".")):
+    for key, expected, found in differences(tree_of(made), tree_of(DatasetSummary.read(files.path))):
+        if not grouped and _OF_RECORDINGS.intersection(key.partition("[")[0].split(".")):
             continue
         raise RunError(
             f"{files.path / run_summary.FILE_NAME}, {key}: expected {expected}, which follows from"
@@ -177,27 +175,28 @@ def _row(scores: CodedScores, row: int) -> str:
     return f"{sequence_id}, sample {sample}, {metric}{f', {flag}' if flag else ''}"
 
 
-def differences(made: DatasetSummary, stored: DatasetSummary) -> Iterator[tuple[str, object, object]]:
-    """Yield key, expected and found value of what a summary says otherwise than the scores."""
-    expected, found = (
-        flat_leaves(
-            asdict(summary)
-            | {"metrics": [each.metric for each in summary.metrics]}
-            | {each.metric: asdict(each) for each in summary.metrics}
-        )
-        for summary in (made, stored)
-    )
+def tree_of(summary: DatasetSummary) -> dict[str, Any]:
+    """Return a summary as plain values, metrics by their ids."""
     # The estimator first: bounds of another one differ, too, and say less about the cause.
-    for key in sorted(expected | found, key=lambda key: not key.endswith(".interval")):
-        value, other = expected.get(key), found.get(key)
-        if isinstance(value, float) and isinstance(other, float):
-            mean = expected[f"{key.rpartition('.')[0]}.mean"]
-            assert isinstance(mean, float)
-            same = abs(value - other) <= 1e-9 + _VALUES_WITHIN * abs(mean)
-        else:
-            same = value == other
-        if not same:
-            yield key, value, other
+    entries = {each.metric: {"interval": each.interval} | asdict(each) for each in summary.metrics}
+    return asdict(summary) | {"metrics": tuple(each.metric for each in summary.metrics)} | entries
+
+
+def differences(expected: object, found: object, key: str = "") -> Iterator[tuple[str, object, object]]:
+    """Yield key, expected and found value of what differs in two trees of plain values."""
+    if isinstance(expected, dict) and isinstance(found, dict):
+        for name in expected | found:
+            yield from differences(expected.get(name), found.get(name), f"{key}.{name}" if key else name)
+    elif isinstance(expected, tuple) and isinstance(found, tuple):
+        if len(expected) != len(found):
+            yield key, f"{len(expected)} entries", f"{len(found)}"
+        for number, (one, other) in enumerate(zip(expected, found, strict=False)):
+            yield from differences(one, other, f"{key}[{number}]")
+    elif isinstance(expected, float) and isinstance(found, float):
+        if not abs(expected - found) <= _VALUES_WITHIN * max(abs(expected), 1.0):  # NaN differs, too
+            yield key, expected, found
+    elif expected != found:
+        yield key, expected, found
 
 
 def summary_of(

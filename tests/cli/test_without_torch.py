@@ -84,7 +84,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "ground truth": run("ground-truth", "ground-truth", "goal-loc"),
         "through features": run("features", "ground-truth-resampled", "goal-loc"),
         "scripted": run("scripted", "scripted", "goal-loc"),
-        "export": ["export-conditions", *data, "--condition", "goal-loc", "--out", str(folder / "asked.parquet")],
+        "export": ["export-conditions", *data, "--condition", "goal-loc", "--out", str(folder / "asked.npz")],
         "score a run": ["score", str(folder / "runs" / "program"), *data],
         "score a file": ["score", str(folder / "recorded.parquet"), *data],
         "check": ["adapters", "check", "static", *data],

@@ -46,7 +46,8 @@ def test_every_method_is_run_under_every_condition_with_every_seed(data, tmp_pat
     path = written(tmp_path, FILE.format(data=data, out=tmp_path / "runs"))
     assert main(["run", "--config", str(path), "--samples", "2", "--json"]) == 0
     runs = json.loads(capsys.readouterr().out)["report"]["runs"]
-    assert [(run["method"], run["condition"], run["seed"]) for run in runs] == [
+    records = [RunFolder.open(run["folder"]).record for run in runs]
+    assert [(record.method.name, record.condition, record.seed) for record in records] == [
         ("ground-truth", "none", 0),
         ("ground-truth", "none", 1),
         ("scripted", "goal-loc", 0),
