@@ -360,20 +360,15 @@ def plausible_body_frames(
     if len(index) < 3:
         return shaped
     step = np.linalg.norm(np.diff(joints[index], axis=0), axis=-1).max(axis=1) / np.diff(times[index])
-    shaped[index[_excursions(times[index], step > _FASTEST_JOINT)]] = False
-    return shaped
-
-
-def _excursions(times: Float[np.ndarray, " n"], fast: Bool[np.ndarray, " steps"]) -> Bool[np.ndarray, " n"]:
-    """Frames of every short run between fast steps; the longest run is never one."""
-    run = np.concatenate(([0], np.cumsum(fast)))
+    # Leave out every short run between fast steps; in a very short recording the longest run is the body itself.
+    run = np.concatenate(([0], np.cumsum(step > _FASTEST_JOINT)))
     first = np.flatnonzero(np.diff(run, prepend=-1))
     last = np.append(first[1:], len(run)) - 1
-    duration = times[last] - times[first]
+    duration = times[index[last]] - times[index[first]]
     short = duration <= _LONGEST_EXCURSION
-    # In a very short recording the longest run is the body itself.
     short[np.argmax(duration)] = False
-    return short[run]
+    shaped[index[short[run]]] = False
+    return shaped
 
 
 def hold_neighbours(
