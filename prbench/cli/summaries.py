@@ -264,6 +264,7 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
         method: Name of the method.
         origin: Where the method comes from, in words.
         condition: What it was given.
+        seed: Seed of the run.
         batches_found: Number of batches that an earlier call had left.
         datasets: Scores of each dataset, as in ``summary.json``.
         agreements: Agreement with recorded people on each dataset, and rates by the goal's place, as in
@@ -276,6 +277,7 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
     method: str
     origin: str
     condition: str
+    seed: int
     batches_found: int
     datasets: tuple[DatasetSummary, ...]
     agreements: list[DatasetAgreement]
@@ -340,6 +342,7 @@ def _made(report: RunReport) -> MadeRun:
         method=record.method.name,
         origin=record.method.origin,
         condition=record.condition,
+        seed=record.seed,
         batches_found=report.batches_found,
         datasets=report.summaries,
         agreements=[found for found in _agreements(report) if found],
