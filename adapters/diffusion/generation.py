@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -90,16 +90,6 @@ def start_noise(
     return SequenceNoise(noise_seed, n_frames, device).draw(columns)
 
 
-@runtime_checkable
-class _HasSkeleton(Protocol):
-    """A model's configuration."""
-
-    @property
-    def uniform_skeleton(self) -> bool:
-        """True if the model has learnt bodies that were rescaled to HumanML3D's skeleton."""
-        ...
-
-
 @dataclass(frozen=True)
 class ModelBodies:
     """A batch as a model sees it."""
@@ -109,8 +99,8 @@ class ModelBodies:
     """The change of skeleton; None if there is none."""
 
     @classmethod
-    def of(cls, batch: ConditionBatch, configuration: _HasSkeleton) -> ModelBodies:
-        """The batch on the skeleton of the model.
+    def of(cls, batch: ConditionBatch, configuration: Any) -> ModelBodies:
+        """The batch on the skeleton of the model, as its configuration says.
 
         Without an initial pose (condition ``text``) the body is not known; then the motion keeps the model's size.
         """

@@ -7,7 +7,6 @@ small network does not learn them. All are squared metres, averaged over frames.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import msgspec
 import torch
@@ -109,11 +108,6 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     the study. There alone the condition decides where a motion goes: afterwards the noisy motion shows it already."""
     text_drop: float = 0.2
     """Share of sequences whose text is replaced by the null text (*Prime and Reach*, section 5.1)."""
-    loss_average: Literal["frames", "sequences"] = "frames"
-    """Average a batch over its frames (P&R) or over its sequences.
-
-    Source: docs/specification/mdm.md#training.
-    """
 
 
 def losses(
@@ -145,8 +139,9 @@ def losses(
         "velocities": _squared(error.diff(dim=1), valid[:, 1:]),
         "bones": _squared(bones, valid),
     }
-    n_features = clean.shape[-1]
-    parts = {name: _average(objective, summed, valid, n_features) for name, summed in sums.items()}
+    # The divisor of the features for joints as well, which keeps the study's ratio of the two losses.
+    count = clean.shape[-1] * valid.sum(dim=1).sum()
+    parts = {name: summed.sum() / count for name, summed in sums.items()}
     total = (
         parts["features"]
         + objective.joint_loss_weight * parts["joints"]
@@ -194,19 +189,6 @@ def scored_losses(
     }
     total = sum((weights[name] * part for name, part in parts.items()), predicted.new_zeros(()))
     return {"loss": total, **{name: part.detach() for name, part in parts.items()}}
-
-
-def _average(
-    objective: Objective,
-    summed: Float[torch.Tensor, " batch"],
-    valid: Bool[torch.Tensor, "batch frames"],
-    n_features: int,
-) -> Float[torch.Tensor, ""]:
-    # The divisor of the features for joints as well, which keeps the study's ratio of the two losses.
-    frames = valid.sum(dim=1)
-    if objective.loss_average == "sequences":
-        return (summed / (n_features * frames)).mean()
-    return summed.sum() / (n_features * frames.sum())
 
 
 @dataclass(frozen=True)

@@ -288,7 +288,7 @@ class BestOfNoises(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 @dataclass(frozen=True)
 class PredictorTask:
-    """A training task that is fed windows (:class:`prbench_adapters.training.task.WindowsTask`)."""
+    """A training task that is fed windows (:class:`prbench_adapters.training.task.TrainingTask`)."""
 
     name: str
     stages: tuple[str, ...] = (TRAIN,)

@@ -37,7 +37,7 @@ from prbench_adapters.training.report import (
 )
 from prbench_adapters.training.state import Row
 from prbench_adapters.training.store import REFIT, parts_of
-from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask, WindowsTask
+from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask
 from prbench_adapters.training.validation import Validation
 from prbench_adapters.training.weights import read_weights
 
@@ -246,7 +246,7 @@ def _data(
                 "--fold: windows have no folds of participants; leave participants out with"
                 " --set 'model.windows.left_out=[\"P1\"]'."
             )
-        choice = cast(WindowsTask, task).window_choice(configuration.model)
+        choice = cast(Any, task).window_choice(configuration.model)
         return WindowsDataset(request.data, split=split, choice=choice, seed=configuration.training.seed)
     folders = request.data
     if request.fold is not None:

@@ -21,7 +21,6 @@ from prbench.errors import UsageError
 from prbench.randomness import named_generator
 
 if TYPE_CHECKING:
-    from prbench_adapters.training.batches import WindowChoice, WindowsDataset
     from prbench_adapters.training.dataset import MotionBatch, SequenceDataset
 
 Networks = TypeVar("Networks", bound=msgspec.Struct)
@@ -135,7 +134,7 @@ class TrainingTask(Protocol):
     Two optional attributes are honoured: ``stages``, a tuple of the names that ``--stage`` may have here (by default
     ``("pretrain", "finetune")``; the first is the default of the command line), and ``window_choice``, which takes the
     table ``[model]`` and returns a :class:`~prbench_adapters.training.batches.WindowChoice`. A task with it is fed
-    windows of motion prediction (:class:`WindowsTask`).
+    windows of motion prediction: its data are :class:`~prbench_adapters.training.batches.WindowsDataset`.
     """
 
     name: str
@@ -155,27 +154,6 @@ class TrainingTask(Protocol):
 
         Raises:
             PrbenchError: if the table does not describe a model, or the initial weights do not fit it.
-        """
-        ...
-
-
-class WindowsTask(Protocol):
-    """A training task that is fed windows of motion prediction; see :class:`TrainingTask` for what else it has."""
-
-    def window_choice(self, model: Mapping[str, Any]) -> WindowChoice:
-        """Return which windows the network of the table ``[model]`` is shown.
-
-        Raises:
-            UsageError: if the table holds no such choice.
-        """
-        ...
-
-    def build(
-        self, model: Mapping[str, Any], *, data: WindowsDataset, initial: Path | None, stage: str
-    ) -> TrainingModule:
-        """Make the module in its state before the first step, as :meth:`TrainingTask.build` does.
-
-        Its batches are :class:`~prbench_adapters.training.batches.WindowBatch`.
         """
         ...
 

@@ -19,7 +19,7 @@ from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.kinematics import rest_offsets, root_orientation
 from prbench_adapters.training import MotionBatch, collate
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
-from prbench_adapters.training.weights import Weights, origin_of, read_weights
+from prbench_adapters.training.weights import origin_of, read_weights
 from prbench_adapters.wandr.network import (
     JOINTS,
     KIND,
@@ -432,7 +432,11 @@ class WandrTask:
         configuration, objective = read_model_table(model)
         if initial is not None:
             start = read_weights(initial, kind=KIND)
-            return WandrTraining(_continued(configuration, start), objective, origin_of(start))
+            start.require_same(configuration, apart_from=FREE_TO_CHANGE)
+            network = WandrNetwork(configuration)
+            # Through a network of the file's own configuration, which checks every shape.
+            network.load_state_dict(network_of(start).state_dict())
+            return WandrTraining(network, objective, origin_of(start))
         network = WandrNetwork(configuration)
         # Standardise by the training split.
         seen = []
@@ -471,16 +475,3 @@ def _set(into: Standardisation, values: Float[torch.Tensor, "places size"], leas
     values = values.double()
     into.mean.copy_(values.mean(0))
     into.std.copy_(values.std(0, correction=0).clamp_min(least))
-
-
-def _continued(configuration: WandrConfiguration, start: Weights) -> WandrNetwork:
-    """The network of a file, for a configuration that may differ in a few points.
-
-    Raises:
-        InputFileError: if it differs in others, or the file is damaged.
-    """
-    start.require_same(configuration, apart_from=FREE_TO_CHANGE)
-    network = WandrNetwork(configuration)
-    # Through a network of the file's own configuration, which checks every shape.
-    network.load_state_dict(network_of(start).state_dict())
-    return network
