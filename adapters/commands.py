@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from prbench.cli.commands import Answer, command, session
+from prbench.cli.commands import Answer, command, progress, session
 from prbench.cli.options import (
     PATH,
     POSITIVE,
@@ -105,7 +106,6 @@ def train(
     show_config: bool,
 ) -> Answer | int:
     """Train a method's network on tables; the same command goes on with an interrupted training."""
-    from prbench_adapters.training.loop import silent
     from prbench_adapters.training.run import TrainRequest
     from prbench_adapters.training.run import train as run_training
 
@@ -133,8 +133,16 @@ def train(
         threads=threads,
         workers=loaders,
     )
-    report_progress = silent if session().quiet else _print_progress
-    trained = run_training(request, report=report_progress, engine=opened(engine, reads=data))
+    bar_is_shown = sys.stderr.isatty() and not session().verbose
+    with progress(f"training {method}") if bar_is_shown else contextlib.nullcontext() as tell:
+
+        def report_progress(now: Progress) -> None:
+            if tell is not None:
+                tell(now.step, now.steps, _in_words(now.validation or now.row or {}))
+            elif not session().quiet:
+                _print_progress(now)
+
+        trained = run_training(request, report=report_progress, engine=opened(engine, reads=data))
     if trained is None:  # one of several processes that train together; the first one speaks for all
         return 0
     report = TrainReport(method=method, configuration=None, trained=trained)
