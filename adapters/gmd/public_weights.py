@@ -1,0 +1,419 @@
+"""Files of the original program: its checkpoints, and the statistics and projection that they were trained with.
+
+A checkpoint is a file of ``torch.save``, from which numbers are read and nothing else. It is opened with
+``weights_only=True``: PyTorch then builds tensors and plain containers, and refuses whatever would run code. Files that
+ask for more are refused here too.
+"""
+
+from __future__ import annotations
+
+import pickle
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+import prbench
+from prbench.errors import InputFileError, UsageError
+from prbench.files.arrays import load_array
+from prbench.files.bounded import foreign_input
+from prbench.files.storage import file_digest
+from prbench.representation.features import N_FEATURES
+from prbench.text.pretrained import CLIP
+from prbench_adapters.gmd.model import KIND, N_ROOT, ROOT_XZ, FeatureSpace, GMDConfiguration, TemporalUNet
+from prbench_adapters.training.weights import representation_entry, weights_header, write_weights
+
+RELEASED = {
+    "mean": "1bb2633e77a99f1120fc1eb424b7489360bac0a8dfb579e18bd5065431b4b07e",
+    "std": "9f5f12cae2003ef19fea119347346d0e46ad85c86dcd1096f1e319ee2a69f940",
+    "projection": "91027345a8157fbfe31f6c75b3d341436b649194fe31158ea4419d5cf38d5abb",
+}
+"""SHA-256 of ``Mean_abs_3d.npy``, ``Std_abs_3d.npy`` and ``rand_proj.npy`` in the public repository."""
+_LEAST_DEVIATION_OF_PLACES = 0.1
+"""Metres. Where people stand deviates by decimetres; how far they step in a frame, by some centimetres."""
+_MOST_OFF = 1.25
+"""A draw of the projection has a sum of squares of 263, give or take some per cent; its inverse has many times that."""
+_COPIES = ("model_avg", "model")
+"""The copies of the network in a checkpoint, the one to sample with first: a moving average over training."""
+_SAFE_SINCE = (2, 6)
+"""Earlier versions of PyTorch could be made to run code in spite of ``weights_only`` (CVE-2025-32434)."""
+_NOT_LEARNT = re.compile(r"clip_model\.|(embed_timestep\.)?sequence_pos_encoder\.pe$")
+_REFUSED = re.compile(r"GLOBAL ([\w.]+)")
+
+
+def read_space(mean: Path, std: Path, projection: Path) -> FeatureSpace:
+    """The feature space of the public checkpoints.
+
+    Args:
+        mean: ``Mean_abs_3d.npy``, of features with an absolute root.
+        std: ``Std_abs_3d.npy``.
+        projection: ``rand_proj.npy``.
+
+    Raises:
+        InputFileError: if a file is none of these.
+    """
+    means = _read(mean, (N_FEATURES,))
+    deviations = _read(std, (N_FEATURES,))
+    remedy = "Give --statistics Mean_abs_3d.npy Std_abs_3d.npy, in this order."
+    least = int(deviations.argmin())
+    if deviations[least] <= 0:
+        found = f"{deviations[least]:g}"
+        raise InputFileError(std, f"column {least}", expected="a positive deviation", found=found, remedy=remedy)
+    # HumanML3D's own statistics, which are those of relative features, have the same shape.
+    if deviations[ROOT_XZ].max() < _LEAST_DEVIATION_OF_PLACES:
+        raise InputFileError(
+            std,
+            "columns 1 and 2",
+            expected="deviations of where the pelvis stands, some decimetres",
+            found=f"{deviations[ROOT_XZ].max():.3f} m, as of its steps from frame to frame",
+            remedy=f"These seem to be statistics of relative features. {remedy}",
+        )
+    matrix = _read(projection, (N_FEATURES, N_FEATURES))
+    size = float((matrix.astype(np.float64) ** 2).sum()) / N_FEATURES
+    # The repository also holds the inverse, which is as square and as large.
+    if not 1 / _MOST_OFF < size < _MOST_OFF or np.linalg.matrix_rank(matrix.astype(np.float64)) < N_FEATURES:
+        raise InputFileError(
+            projection,
+            "",
+            expected="an emphasis projection that can be inverted, with a mean square of 1 a row",
+            found=f"{size:.3g}",
+            remedy="Give --projection rand_proj.npy; inv_rand_proj.npy is its inverse, which prbench computes itself.",
+        )
+    return FeatureSpace.of(torch.from_numpy(means), torch.from_numpy(deviations), torch.from_numpy(matrix))
+
+
+def emphasis_of(space: FeatureSpace) -> float:
+    """The weight c of the absolute root with which a projection was drawn, a whole number."""
+    squares = space.projection.square().sum(dim=1)
+    return float(max(1.0, torch.round((squares[:3].mean() / squares[3:].mean()).sqrt())))
+
+
+def is_released(role: str, path: Path) -> bool:
+    """Return True for a file that is, byte for byte, that of the public repository."""
+    return file_digest(path) == RELEASED[role]
+
+
+def _read(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
+    array = load_array(path)
+    if array.shape != shape:
+        raise InputFileError(path, "", expected=f"an array of shape {shape}", found=f"shape {array.shape}")
+    if array.dtype.kind != "f" or not np.isfinite(array).all():
+        raise InputFileError(path, "", expected="finite numbers", found=f"{array.dtype} with NaN or infinity")
+    return array.astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """One network of the original program."""
+
+    path: Path
+    copy: str
+    """Name of this copy in the file: ``model_avg``, ``model``, or ``only`` where there are no two."""
+    tensors: dict[str, Tensor]
+    """Maps the original's names to tensors, on the CPU."""
+
+    def require(self, name: str, shape: tuple[int | None, ...]) -> Tensor:
+        """The tensor of this name.
+
+        Args:
+            name: The original's.
+            shape: Its sizes; None for any.
+
+        Raises:
+            InputFileError: if there is none, it has another shape, or it holds anything but finite numbers.
+        """
+        tensor = self.tensors.get(name)
+        wanted = f"({', '.join('any' if size is None else str(size) for size in shape)})"
+        if tensor is None:
+            raise self.misfit(name, f"a tensor of shape {wanted}", "none of this name")
+        sizes = tuple(tensor.shape)
+        if len(sizes) != len(shape) or any(want not in (None, size) for want, size in zip(shape, sizes, strict=True)):
+            raise self.misfit(name, f"shape {wanted}", f"shape {sizes}")
+        if not (tensor.is_floating_point() and bool(torch.isfinite(tensor).all())):
+            raise self.misfit(name, "finite numbers", f"{tensor.dtype} with NaN, infinity or no fractions")
+        return tensor.float()
+
+    def misfit(self, name: str, expected: str, found: str) -> InputFileError:
+        """An error about one tensor of this file."""
+        remedy = (
+            "Give the motion network's file as --motion and the trajectory network's as --trajectory, both as GMD was"
+            " released (absolute root, U-Net with adaptive group normalisation)."
+        )
+        return InputFileError(self.path, f"'{name}'", expected=expected, found=found, remedy=remedy)
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """Read the averaged network of a checkpoint, or the only one that it holds.
+
+    Args:
+        path: ``model000500000.pt`` or the like.
+
+    Raises:
+        InputFileError: if there is no such file, it is no checkpoint, or it holds more than numbers.
+        UsageError: if this version of PyTorch cannot be trusted to open it.
+    """
+    _require_safe_torch()
+    content = _mapping(path, _content(path))
+    copy = next((name for name in _COPIES if name in content), "only")
+    state = content if copy == "only" else _mapping(path, content[copy])
+    tensors = {}
+    for name, value in state.items():
+        if not isinstance(value, Tensor):
+            found = f"a {type(value).__name__}"
+            raise InputFileError(path, f"'{name}'", expected="a tensor", found=found, remedy=_saving_anew(path))
+        # True where an entry of a checkpoint that is a network's own: no table of sinusoids, nothing of CLIP.
+        if _NOT_LEARNT.match(name) is None:
+            tensors[name] = value
+    return Checkpoint(path, copy, tensors)
+
+
+def _require_safe_torch() -> None:
+    """Refuse a PyTorch whose ``weights_only`` does not keep its promise.
+
+    Raises:
+        UsageError: naming the version that does.
+    """
+    numbers = tuple(int(part) for part in re.findall(r"\d+", torch.__version__)[:2])
+    if numbers < _SAFE_SINCE:
+        least = ".".join(map(str, _SAFE_SINCE))
+        raise UsageError(
+            f"opening a checkpoint safely needs PyTorch {least} or later, found {torch.__version__} (CVE-2025-32434)."
+            f" Run: pip install 'torch>={least}'"
+        )
+
+
+def _mapping(path: Path, value: object) -> Mapping[str, object]:
+    if not isinstance(value, Mapping):
+        raise InputFileError(path, "", expected="tensors by name", found=f"a {type(value).__name__}")
+    return value
+
+
+@foreign_input()
+def _content(path: Path) -> object:
+    if not path.is_file():
+        raise InputFileError(path, "", expected="a checkpoint (.pt)", found="no such file")
+    if not zipfile.is_zipfile(path):
+        raise _no_checkpoint(path, "another format, or a truncated file")
+    try:
+        # Mapped and not read: a checkpoint holds both copies of the network, of which one is taken.
+        return torch.load(path, map_location="cpu", weights_only=True, mmap=True)
+    except pickle.UnpicklingError as error:
+        wanted = _REFUSED.search(str(error))
+        found = f"one that asks for '{wanted[1]}'" if wanted else "one that asks for more"
+        expected = "a checkpoint of numbers alone"
+        raise InputFileError(path, "", expected=expected, found=found, remedy=_saving_anew(path)) from error
+    except RuntimeError as error:
+        raise _no_checkpoint(path, "an archive without one, or a damaged one") from error
+
+
+def _no_checkpoint(path: Path, found: str) -> InputFileError:
+    remedy = "If it is what was downloaded, unpack it first and name the model….pt inside; else download it again."
+    return InputFileError(path, "", expected="a checkpoint of torch.save (.pt)", found=found, remedy=remedy)
+
+
+def _saving_anew(path: Path) -> str:
+    return (
+        "prbench runs no code of a file. If you trust it, keep its tensors alone, where the original program runs: "
+        f"python -c \"import torch; c = torch.load('{path.name}', map_location='cpu'); c = c.get('model_avg', c);"
+        " torch.save({k: v for k, v in c.items() if torch.is_tensor(v)}, 'tensors.pt')\" and import tensors.pt."
+    )
+
+
+_RENAMED = (
+    (r"^time_embedding", "embed_timestep.time_embed"),
+    (r"^text_embedding", "embed_text"),
+    (r"^condition", "unet.time_mlp"),
+    (r"^head\.0\.convolution", "unet.final_conv.0.block.0"),
+    (r"^head\.0\.norm", "unet.final_conv.0.block.2"),
+    (r"^head\.1", "unet.final_conv.1"),
+    (r"^middle\.0", "unet.mid_block1"),
+    (r"^middle\.1", "unet.mid_block2"),
+    (r"^(down|up)\.(\d+)\.blocks\.(\d)", r"unet.\1s.\2.\3"),
+    (r"^(down|up)\.(\d+)\.resample", r"unet.\1s.\2.3.conv"),
+    (r"\.first\.convolution\.", ".blocks.0.block1.0."),
+    (r"\.first\.norm\.", ".blocks.0.block1.2."),
+    (r"\.second\.convolution\.", ".blocks.1.block.0."),
+    (r"\.second\.norm\.", ".blocks.1.block.2."),
+    (r"\.condition\.", ".time_mlp.1."),
+    (r"\.skip\.", ".residual_conv."),
+)
+_PADDED_FRAMES = 224
+_PADDING_STEP = 8
+_SUFFIX = ".safetensors"
+_CARD_VERSION = 1
+_ORIGIN = (
+    "GMD: Guided Motion Diffusion for Controllable Human Motion Synthesis (Karunratanakul et al., ICCV 2023),"
+    " https://github.com/korrawe/guided-motion-diffusion"
+)
+_LICENCE = (
+    "that of the imported files: the original's repository is under the MIT licence (copyright Korrawe Karunratanakul"
+    " and Guy Tevet); CLIP and HumanML3D, on which the networks were trained, have their own terms"
+)
+
+
+@dataclass(frozen=True)
+class PublicFiles:
+    """Files that a user has downloaded."""
+
+    motion: Path
+    trajectory: Path
+    mean: Path
+    std: Path
+    projection: Path
+
+    def by_role(self) -> dict[str, Path]:
+        """The files by the names of the fields."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Report of what was written."""
+
+    configuration: GMDConfiguration
+    copies: dict[str, str]
+    """Name of the copy that was taken, by network."""
+    parameters: int
+    not_released: tuple[Path, ...]
+    """Statistics and projection that are not those of the public repository."""
+
+
+def import_public(files: PublicFiles, out: Path) -> Imported:
+    """Write weights of ``prbench run --method gmd`` and their card.
+
+    Args:
+        files: Of the original.
+        out: ``<name>.safetensors``; the card is written beside it. The same files give the same bytes.
+
+    Raises:
+        InputFileError: if a file is not what it should be; then nothing is written.
+        StorageError: if the weights cannot be written.
+        UsageError: if ``out`` has another suffix, or PyTorch is too old to open the files safely.
+    """
+    if out.suffix != _SUFFIX:
+        raise UsageError(f"--out {out}: expected a name that ends with {_SUFFIX}.")
+    space = read_space(files.mean, files.std, files.projection)
+    motion = read_checkpoint(files.motion)
+    trajectory = read_checkpoint(files.trajectory)
+    configuration = _configuration_of(motion, trajectory, emphasis_of(space))
+    # The parameters of both networks by our names, ``motion.…`` and ``trajectory.…``.
+    with torch.device("meta"):  # names and shapes alone
+        unets = (
+            TemporalUNet(N_FEATURES, configuration.motion_widths, configuration),
+            TemporalUNet(N_ROOT, configuration.trajectory_widths, configuration),
+        )
+    found = {}
+    for prefix, checkpoint, unet in zip(("motion", "trajectory"), (motion, trajectory), unets, strict=True):
+        found |= {f"{prefix}.{name}": tensor for name, tensor in parameters_of(checkpoint, unet).items()}
+    networks = found
+    tensors = {f"networks.{name}": tensor for name, tensor in networks.items()}
+    tensors |= {"statistics.mean": space.mean, "statistics.std": space.std, "projection": space.projection}
+    metadata = weights_header(KIND, configuration, representation_entry(configuration.representation))
+    copies = {"motion": motion.copy, "trajectory": trajectory.copy}
+    # After everything was checked: a wrong file leaves no weights behind.
+    write_weights(out, tensors, metadata, _card(files, configuration, copies, networks))
+    others = tuple(path for role, path in files.by_role().items() if role in RELEASED and not is_released(role, path))
+    parameters = sum(tensor.numel() for tensor in networks.values())
+    return Imported(configuration, copies, parameters, others)
+
+
+def _configuration_of(motion: Checkpoint, trajectory: Checkpoint, emphasis: float) -> GMDConfiguration:
+    """Describe the released networks: sizes from their arrays, the rest from docs/specification/gmd.md#networks.
+
+    Raises:
+        InputFileError: if the files hold no such networks.
+    """
+    size, text_dimension = motion.require("embed_text.weight", (None, None)).shape
+    motion_widths = widths_of(motion)
+    trajectory_widths = widths_of(trajectory)
+    levels = max(len(motion_widths), len(trajectory_widths))
+    try:
+        return GMDConfiguration(
+            motion_widths=motion_widths,
+            trajectory_widths=trajectory_widths,
+            condition_width=size,
+            emphasis=emphasis,
+            text_encoder=CLIP,
+            text_dimension=text_dimension,
+            diffusion_steps=1000,
+            representation="reference",  # the original's own heading
+            padded_frames=_PADDED_FRAMES,
+            padding_step=max(_PADDING_STEP, 2 ** (levels - 1)),
+            uniform_skeleton=True,  # HumanML3D's people share one
+        )
+    except ValueError as error:
+        expected = "networks of GMD"
+        raise InputFileError(motion.path, "sizes", expected=expected, found=f"others: {error}") from error
+
+
+def widths_of(checkpoint: Checkpoint) -> tuple[int, ...]:
+    """Channels of each level, the finest first; at least one.
+
+    Raises:
+        InputFileError: if the first level is missing, as it is in other networks.
+    """
+    widths: list[int] = []
+    # The first level is required, so that a file of something else fails with its name.
+    while not widths or _of_level(len(widths)) in checkpoint.tensors:
+        widths.append(len(checkpoint.require(_of_level(len(widths)), (None,))))
+    return tuple(widths)
+
+
+def _of_level(level: int) -> str:
+    return f"unet.downs.{level}.1.blocks.0.block1.0.bias"
+
+
+def parameters_of(checkpoint: Checkpoint, unet: TemporalUNet) -> dict[str, Tensor]:
+    """The parameters of one network by our names.
+
+    Args:
+        checkpoint: Of the original.
+        unet: Of the sizes that it should have.
+
+    Raises:
+        InputFileError: as :func:`_networks_of`.
+    """
+    wanted = {original_name(name): (name, tuple(tensor.shape)) for name, tensor in unet.state_dict().items()}
+    found = {name: checkpoint.require(original, shape) for original, (name, shape) in wanted.items()}
+    # A tensor too many means another architecture, even where all of ours are there.
+    unknown = sorted(set(checkpoint.tensors) - set(wanted))
+    if unknown:
+        raise checkpoint.misfit(unknown[0], "only parameters of the network", "one more")
+    return found
+
+
+def original_name(name: str) -> str:
+    """The original's name of a parameter of :class:`prbench_adapters.gmd.model.TemporalUNet`."""
+    for pattern, replacement in _RENAMED:
+        name = re.sub(pattern, replacement, name)
+    return name
+
+
+def _card(
+    files: PublicFiles, configuration: GMDConfiguration, copies: Mapping[str, str], networks: Mapping[str, Tensor]
+) -> dict[str, Any]:
+    """Say where the weights come from; prbench trained nothing of this, so there are no curves and no scores."""
+    return {
+        "card_version": _CARD_VERSION,
+        "prbench": prbench.__version__,
+        "method": "gmd",
+        "stage": "imported",
+        "origin": _ORIGIN,
+        "licence": _LICENCE,
+        "trained_on": "HumanML3D, by the authors of GMD",
+        "parameters": sum(tensor.numel() for tensor in networks.values()),
+        "configuration": {"model": msgspec.to_builtins(configuration)},
+        "files": {
+            role: {"name": path.name, "sha256": file_digest(path)}
+            | ({"copy": copies[role]} if role in copies else {"as_released": is_released(role, path)})
+            for role, path in files.by_role().items()
+        },
+    }
