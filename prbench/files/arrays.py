@@ -23,6 +23,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import pyarrow as pa
@@ -67,7 +68,7 @@ class ArrayHeader:
         return values.reshape(self.shape, order="F" if self.fortran_order else "C")
 
 
-def read_header(stream: io.BufferedIOBase, path: Path, where: str, *, remedy: str = "") -> ArrayHeader:
+def read_header(stream: IO[bytes], path: Path, where: str, *, remedy: str = "") -> ArrayHeader:
     """Read the header of a ``.npy``, up to its first value.
 
     Args:
@@ -141,7 +142,7 @@ def load_array(path: Path, *, largest: int = LARGEST_ARRAYS, remedy: str = "") -
         raise InputFileError(path, "", expected="this file", found="no such file", remedy=remedy) from error
 
 
-def _values(stream: io.BufferedIOBase, header: ArrayHeader) -> np.ndarray:
+def _values(stream: IO[bytes], header: ArrayHeader) -> np.ndarray:
     """The values behind a header, flat, in memory of their own."""
     values = bytearray(header.nbytes)
     filled = 0
@@ -237,7 +238,7 @@ class Archive:
         """Return True for an array that is stored without compression."""
         return self.members[name].compress_type == zipfile.ZIP_STORED
 
-    def _header(self, name: str, stream: io.BufferedIOBase) -> ArrayHeader:
+    def _header(self, name: str, stream: IO[bytes]) -> ArrayHeader:
         header = read_header(stream, self.path, f"'{name}'", remedy=self.remedy)
         size = self.members[name].file_size
         announced = header.offset + header.nbytes

@@ -162,7 +162,7 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
             f"{runs[0].path}: the run is of {', '.join(sorted(shared))}; --data names {', '.join(named)}. Name the"
             " table that it was made on."
         )
-    tables = []
+    tables = {}
     for first in runs[0].record.tables:
         if first.dataset not in (shared & set(named) if data else shared):
             continue
@@ -182,8 +182,8 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
                     f" another one ({other.info.content_digest[:_SHOWN]}…). Name that table with --data DIR, or run the"
                     " method again on this one."
                 )
-        tables.append(table.with_sequences())
-    return tables
+            tables[first.dataset] = table
+    return [table.with_sequences() for table in tables.values()]
 
 
 def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], Any]:

@@ -113,9 +113,13 @@ class MotionWork(CaseWork):
         """See :attr:`CaseWork.holds_recordings`."""
         return self._request.method in HOLDS_RECORDINGS
 
-    @cached_property
+    @property
     def plan(self) -> list[Int[np.ndarray, "_"]]:
         """See :attr:`CaseWork.plan`; batches are of similar length."""
+        return self._batches
+
+    @cached_property
+    def _batches(self) -> list[Int[np.ndarray, "_"]]:
         return plan_batches(self._selection.n_frames, self._request.batch_size)
 
     def questions(self, wanted: frozenset[int]) -> Iterator[tuple[int, MotionQuestion]]:

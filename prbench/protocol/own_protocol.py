@@ -78,7 +78,7 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
     fewest = protocol.breakdown.fewest_recordings
     numbers = [item for item in _leaves(msgspec.to_builtins(protocol)) if isinstance(item[1], int | float)]
     ends = {f"breakdown.{key}": getattr(protocol.breakdown, key) for key in ("bearing", "distance", "height")}
-    checks = (
+    checks: list[tuple[Any, str, str, object]] = [
         (is_name, "name", name, f"'{protocol.name}'"),
         (protocol.version >= 1, "version", "1 or more", protocol.version),
         (
@@ -98,7 +98,7 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
             f"at most splits.test_from ({splits.test_from:g})",
             f"{splits.validation_below:g}",
         ),
-    )
+    ]
     require(path, *((*check, "") for check in checks))
     return protocol
 

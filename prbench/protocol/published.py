@@ -105,8 +105,7 @@ def load_table_one() -> dict[str, PublishedRow]:
     rows = {}
     for row in _csv_rows("table_1_and_s2.csv"):
         spreads = {name: Spread(float(row[f"{name}_mean"]), float(row[f"{name}_sd"])) for name in QUANTITIES}
-        counts = {name: int(row[name]) for name in ("sequences", "train", "test")}
-        rows[row["dataset"]] = PublishedRow(**counts, **spreads)
+        rows[row["dataset"]] = PublishedRow(int(row["sequences"]), int(row["train"]), int(row["test"]), **spreads)
     return rows
 
 

@@ -105,8 +105,9 @@ def parse_options(form: type[Options], given: Mapping[str, str], *, dataset: str
     except msgspec.ValidationError as error:
         # Name the values that the blamed option may have, where they are a list.
         blamed = re.search(r"`\$\.(\w+)`", str(error))
-        kind = get_type_hints(form).get(blamed[1]) if blamed else None
-        known = f" {blamed[1]} is one of: {', '.join(map(str, get_args(kind)))}." if get_origin(kind) is Literal else ""
+        key = blamed[1] if blamed else ""
+        kind = get_type_hints(form).get(key)
+        known = f" {key} is one of: {', '.join(map(str, get_args(kind)))}." if get_origin(kind) is Literal else ""
         raise UsageError(f"an option of the reader of {dataset} has a wrong value: {error}.{known}") from error
 
 

@@ -433,7 +433,7 @@ def reaching_hand(wrists: Wrists, place: Float[np.ndarray, "3"]) -> tuple[Side |
         wrists: At the instant of the event.
         place: World, metres.
     """
-    distances = {side: float(np.linalg.norm(position - place)) for side, (position, _) in wrists.items()}
+    distances: dict[Side, float] = {side: float(np.linalg.norm(wrist - place)) for side, (wrist, _) in wrists.items()}
     if not distances:
         return None, None
     nearest = min(distances, key=lambda side: distances[side])

@@ -51,7 +51,7 @@ def motions_of(payload: bytes, batch: ConditionBatch, *, gaze: bool = False) -> 
             f"expected a multiple of {_NUMBERS} numbers for sequence {ids[row][:64]}, found {lengths[row]:,}"
         )
     offsets = ends // _NUMBERS
-    columns = [numbers.reshape(-1, N_JOINTS, 3)]
+    columns: list[np.ndarray] = [numbers.reshape(-1, N_JOINTS, 3)]
     for name in wanted[2:]:
         rays, ray_ends, _ = _flattened(_column(rows, name, wanted), name)
         wrong = np.flatnonzero(np.diff(ray_ends) != 3 * np.diff(offsets))

@@ -206,7 +206,8 @@ class CodedScores:
 
     def only(self, ids: Collection[str]) -> CodedScores:
         """Return the rows of some sequences."""
-        kept = pc.is_in(self.rows["sequence_id"].cast(pa.string()), value_set=pa.array(sorted(ids), pa.string()))
+        wanted = pc.SetLookupOptions(pa.array(sorted(ids), pa.string()), skip_nulls=False)
+        kept = pc.call_function("is_in", [self.rows["sequence_id"].cast(pa.string())], wanted)
         return CodedScores.of([self.rows.filter(kept).cast(SCORES)])
 
     def _texts(self, column: str) -> tuple[str, ...]:

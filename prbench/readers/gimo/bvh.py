@@ -100,12 +100,12 @@ def _read_hierarchy(path: Path, text: str) -> tuple[BvhJoint, ...]:
                 name = " ".join(parts)
             case ["End", *_]:
                 name = None
-            case ["{"] if name is None:
-                open_joints.append(-1)
-            case ["{"]:
+            case ["{"] if name is not None:
                 parent = next((index for index in reversed(open_joints) if index >= 0), -1)
                 open_joints.append(len(joints))
                 joints.append(BvhJoint(name, parent, (0.0, 0.0, 0.0), ()))
+            case ["{"]:
+                open_joints.append(-1)
             case ["}"] if open_joints:
                 open_joints.pop()
             case ["OFFSET", *numbers] if open_joints and len(numbers) == 3:

@@ -60,7 +60,7 @@ class _Foreign(pickle.UnpicklingError):
 
 
 def _refusing(opcode: str):
-    def refuse(_: pickle._Unpickler) -> None:
+    def refuse(_: object) -> None:
         raise _Foreign(f"the opcode {opcode}")
 
     return refuse

@@ -179,7 +179,7 @@ def _event_row(path: Path, line: int, cells: dict[str, str]) -> EventRow:
     said = cells.get(gimo.CONFIRMED_COLUMN, _YES[0]).lower()
     confirmed = said in _YES
     no_frame = texts["event_frame"] == "" and not confirmed
-    checks = (
+    checks: tuple[tuple[bool, str, str, str], ...] = (
         *((_is_frame(texts[name]), name, "a frame number", f"'{texts[name]}'") for name in frames[:2]),
         (said in (*_YES, *_NO), gimo.CONFIRMED_COLUMN, "yes, no, or nothing (not looked at yet)", f"'{said}'"),
         (no_frame or _is_frame(texts["event_frame"]), "event_frame", "a frame number", f"'{texts['event_frame']}'"),
@@ -188,7 +188,8 @@ def _event_row(path: Path, line: int, cells: dict[str, str]) -> EventRow:
         (hand in ("left", "right", ""), "hand", "left, right, or nothing", f"'{hand}'"),
     )
     where = f"line {line}, column"
-    require(path, *((holds, f"{where} '{name}'", *rest, "Correct the line.") for holds, name, *rest in checks))
+    remedy = "Correct the line."
+    require(path, *((holds, f"{where} '{name}'", good, found, remedy) for holds, name, good, found in checks))
     return EventRow(
         line=line,
         segment=(texts["scene"], texts["sequence_path"], start, end),

@@ -219,7 +219,7 @@ def read_readings(found: RecordingFiles) -> hd_epic.HdEpicReadings:
                 remedy=f"Clone the repository beside {hd_epic.DATA_FOLDER}, or name it: --option annotations=DIR.",
             )
         paths.append(path)
-    tracks, track_remarks = read_tracks(*paths, video)
+    tracks, track_remarks = read_tracks(paths[0], paths[1], video)
     priming = found.path(PRIMING)
     clock, clock_remarks = read_video_clock(found.require(TIME, f"{video}{hd_epic.TIME_SUFFIX}"), found.path(LOG))
     glasses = _read_mps(found)

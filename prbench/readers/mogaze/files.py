@@ -12,6 +12,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
+from typing import TypeVar
 
 import h5py
 import numpy as np
@@ -33,6 +34,7 @@ _SHOWN = 8
 _COPY_AGAIN = "The file may be truncated; copy or download it again."
 _OTHER_FILE = "Is this the right file?"
 _MOST_DIGITS = 19  # of the id of a body
+_Kind = TypeVar("_Kind", h5py.Dataset, h5py.Group)
 
 
 @contextmanager
@@ -51,14 +53,16 @@ def opened(path: Path) -> Iterator[h5py.File]:
         raise InputFileError(path, "", expected="a complete HDF5 file", found=found, remedy=_COPY_AGAIN) from error
 
 
-def _entry(path: Path, parent: h5py.Group, name: str, kind: type, called: str) -> h5py.Dataset | h5py.Group:
+def _entry(path: Path, parent: h5py.Group, name: str, kind: type[_Kind], called: str) -> _Kind:
     """What stands under a name in this very file; a link that leads elsewhere is never followed."""
     link = parent.get(name, getlink=True)
     elsewhere = link is not None and not isinstance(link, h5py.HardLink)
     found = f"a link ({type(link).__name__})"
     require(path, (not elsewhere, f"{parent.name}, '{name}'", "numbers in this file", found, ""))
     entry = parent.get(name)
-    require(path, (isinstance(entry, kind), parent.name or "", f"{called} '{name}'", _listed(parent), _OTHER_FILE))
+    if not isinstance(entry, kind):
+        expected, where = f"{called} '{name}'", parent.name or ""
+        raise InputFileError(path, where, expected=expected, found=_listed(parent), remedy=_OTHER_FILE)
     return entry
 
 
@@ -275,8 +279,9 @@ def _last(content: h5py.File, role: str) -> int | None:
     """Last frame of a file's shortest array or of its last label; None where it holds none."""
     if role == mogaze.PARTS[3]:
         rows = content[mogaze.SEGMENT_DATASET]
-        is_list = isinstance(rows, h5py.Dataset) and rows.ndim == 1 and len(rows) > 0
-        return int(rows[len(rows) - 1][1]) if is_list else None
+        if not isinstance(rows, h5py.Dataset) or rows.ndim != 1 or len(rows) == 0:
+            return None
+        return int(rows[len(rows) - 1][1])
     bodies = content.get(mogaze.OBJECT_GROUP)
     arrays = list(bodies.values()) if isinstance(bodies, h5py.Group) else []
     arrays += [content[name] for name in (mogaze.HUMAN_DATASET, mogaze.GAZE_DATASET) if name in content]

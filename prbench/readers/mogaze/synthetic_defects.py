@@ -62,7 +62,7 @@ def _disorder_segments(rows: np.ndarray) -> np.ndarray:
 
 def _raise_floor(root: Path, recording: str) -> None:
     with h5py.File(_file(OBJECTS)(root, recording), "r") as file:
-        names = [f"{mogaze.OBJECT_GROUP}/{key}" for key in file[mogaze.OBJECT_GROUP]]
+        names = [f"{mogaze.OBJECT_GROUP}/{key}" for key in file.require_group(mogaze.OBJECT_GROUP)]
     heights = [(HUMAN, mogaze.HUMAN_DATASET, STATE_COLUMNS.index("baseTransZ"))]
     heights += [(OBJECTS, name, 2) for name in names]
     for part, name, column in heights:

@@ -89,7 +89,8 @@ def synthesise(plan: Plan, times: Float[np.ndarray, " n"], generators: Generator
     head = move_head(plan.preset, person.habits, gaze_plan, base.heading, rough_eye, times, for_head)
 
     frames = np.searchsorted(times, [reach.event for reach in plan.reaches])
-    for left in reversed(range(_CORRECTIONS + 1)):
+    left = _CORRECTIONS
+    while True:
         trunk = move_trunk(plan, base, bend(plan, postures, times), sway, feet, steps, times, head)
         arms = pose_arms(body, person.habits.elbow_flare, trunk, move_wrists(plan, trunk, sway, times))
         misses = tuple(
@@ -98,6 +99,7 @@ def synthesise(plan: Plan, times: Float[np.ndarray, " n"], generators: Generator
         )
         if not left or max(misses, default=0.0) <= _WRIST_TOLERANCE:
             break
+        left -= 1
         # Solve the posture again where the wrist did not arrive, with the shoulder where it really was.
         for number, reach in enumerate(plan.reaches):
             if misses[number] > _WRIST_TOLERANCE:
@@ -304,7 +306,8 @@ def _acted(
     shares: Mapping[str, float],
 ) -> tuple[Plan, Motion, np.ndarray]:
     """Plan and motion; planned anew when a wrist stays more than 2 cm from its target."""
-    for attempt in range(_ATTEMPTS):
+    attempt = 0
+    while True:
         rng = source.generator("recording", index, f"plan{attempt}")
         is_seated = bool(rng.random() < preset.seated_share)
         here = seated(room, source.generator("recording", index, "table")) if is_seated else room
@@ -314,9 +317,9 @@ def _acted(
         )
         times = np.arange(round(_duration(plan) * rate) + 1) / rate
         motion = synthesise(plan, times, _generators(source, index, f"{{}}{attempt}"))
-        if max(motion.misses, default=0.0) <= _WORST_WRIST:
-            break
-    return plan, motion, times
+        attempt += 1
+        if max(motion.misses, default=0.0) <= _WORST_WRIST or attempt == _ATTEMPTS:
+            return plan, motion, times
 
 
 def name_of_recording(preset: str, seed: int, index: int) -> str:

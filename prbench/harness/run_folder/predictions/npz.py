@@ -165,10 +165,9 @@ def _is_floating(dtype: np.dtype) -> bool:
 
 def _frames_of(header: ArrayHeader, path: Path, n_frames: np.ndarray) -> tuple[int, ...]:
     """The axes of ``joints`` before those of a pose: (n, N) where it is padded, (total,) where it is not."""
-    if header.shape[-2:] == (N_JOINTS, 3):
-        frames = header.shape[:-2]
-    else:
-        frames = header.shape[:-1] if header.shape[-1:] == (POSE_SIZE,) else ()
+    axes = len(header.shape)
+    of_pose = 2 if header.shape[-2:] == (N_JOINTS, 3) else 1 if header.shape[-1:] == (POSE_SIZE,) else axes
+    frames = header.shape[: axes - of_pose]
     if len(frames) not in (1, 2) or not _is_floating(header.dtype):
         raise PredictionsError(f"{path}, 'joints': expected {_FORMS}, found {header.shape} of {header.dtype}.")
     if len(frames) == 1:
