@@ -389,7 +389,8 @@ def plan_corpus(name: str, root: Path | str | None, options: CorpusOptions = _DE
     """
     corpus = corpus_for(name)
     corpus.described(options)  # options that the build would refuse are refused here, too
-    groups = find_groups(corpus, None if root is None else Path(root), options)
+    root = None if root is None else Path(root)
+    groups = find_groups(corpus, root, options)
     recordings = [each for _, members in groups for each in members]
     read = [each for each in recordings if each.skip_reason is None]
     return BuildPlan(

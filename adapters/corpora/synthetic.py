@@ -39,7 +39,6 @@ from prbench_adapters.corpora.sources import (
 )
 
 DATASET = f"{SYNTHETIC_PREFIX}corpus"
-_COST = (1.2, 0.5e6)  # seconds, and bytes on the disk
 _GENERATOR = str(GENERATOR_VERSION)
 POSE_SOURCE = "invented-xsens"
 
@@ -63,8 +62,16 @@ class SyntheticSource(CorpusRecording):
 
     index: int
     options: SyntheticOptions
-    input_bytes = 0
-    cost = _COST
+
+    @property
+    def input_bytes(self) -> int:
+        """Zero, as there are no files."""
+        return 0
+
+    @property
+    def cost(self) -> tuple[float, float]:
+        """The same for each: seconds, and bytes on the disk."""
+        return 1.2, 0.5e6
 
     def input_digest(self) -> str:
         """Return the digest of what the recording is made from."""
@@ -88,7 +95,10 @@ class SyntheticCorpus(Corpus):
     options = SyntheticOptions
     native_rate = SUIT_RATE
     rates = NymeriaCorpus.rates
-    manifest = None
+
+    @property
+    def manifest(self) -> None:
+        """Nothing, as prbench itself invents it."""
 
     def chosen(self, options: CorpusOptions) -> SyntheticOptions:
         """See :class:`prbench_adapters.corpora.sources.Corpus`."""

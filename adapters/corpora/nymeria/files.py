@@ -157,9 +157,9 @@ def read_narrations(path: Path, kind: str) -> tuple[Narration, ...]:
                 remedy="The file may be truncated; download it again.",
             )
         cells = dict(zip(lower, row, strict=False))
-        times = (_seconds(path, number, cells[name]) for name in (nymeria.START_COLUMN, nymeria.END_COLUMN))
+        start, end = (_seconds(path, number, cells[name]) for name in (nymeria.START_COLUMN, nymeria.END_COLUMN))
         texts = tuple((name, row[column].strip()) for column, name in answers)
-        narrations.append(Narration(kind, *times, texts, cells.get(nymeria.ANNOTATOR_COLUMN, "").strip()))
+        narrations.append(Narration(kind, start, end, texts, cells.get(nymeria.ANNOTATOR_COLUMN, "").strip()))
     durations = [row.end - row.start for row in narrations]
     if durations and min(durations) > _LONGEST_DURATION:
         raise InputFileError(
