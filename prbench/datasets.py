@@ -24,6 +24,8 @@ from prbench.shown import quoted
 ENTRY_POINT_GROUP = "prbench.readers"
 # Begins the name under which synthetic recordings of a dataset are kept; they have the layout of real ones.
 SYNTHETIC_PREFIX = "synthetic-"
+# Follows every table of scores on such recordings.
+ON_SYNTHETIC_DATA = "These are scores on synthetic data: never compare them with published ones."
 
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _LONGEST_NAME = 60

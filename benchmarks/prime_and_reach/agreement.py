@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.run_folder.agreement import DatasetAgreement
 from prbench.harness.verification import RunChecker
@@ -45,7 +46,7 @@ def agreement_tables(runs: Sequence[Path], checker: RunChecker) -> list[Table]:
             if unverified:
                 notes.append(f"unverified: {unverified}")
             if record.synthetic:
-                notes.append("These are scores on synthetic data: never compare them with published ones.")
+                notes.append(ON_SYNTHETIC_DATA)
             rates = []
             for rate in found.rates:
                 phi = Cell(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.errors import RunError, UsageError
 from prbench.harness.diversity import SPREADS, MotionsToGoal, spreads
 from prbench.harness.first_run import tables_of_runs
@@ -188,7 +189,7 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table
         if "few_recordings" in estimates["method"].marks and len(notes) == 1:
             notes.append("Few recordings (below ten): the intervals say little.")
     if info.synthetic:
-        notes.append("Synthetic people: this says nothing about real ones.")
+        notes.append(ON_SYNTHETIC_DATA)
     count = len(set(recordings))
     return Table(
         title=(

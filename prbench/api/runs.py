@@ -25,6 +25,7 @@ from prbench.api.pictures import (
     replay_of,
 )
 from prbench.api.tables import Table, embedded_tables, table_folders
+from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.engine.choice import Cluster
 from prbench.errors import RunError, UsageError
 from prbench.harness.run_folder import DatasetSummary, Predictions, RunFolder, RunRecord, read_scores
@@ -67,7 +68,7 @@ def scores_for_notebook(summaries: Sequence[DatasetSummary], *, motionless: bool
     """
     remarks = [f"{each.dataset}: {each.mark}." for each in summaries if each.mark]
     if any(each.synthetic for each in summaries):
-        remarks.append("These are scores on synthetic data: never compare them with published ones.")
+        remarks.append(ON_SYNTHETIC_DATA)
     columns = ["dataset", "title", "unit", "mean", "low", "high", "marks"]
     return notebook_table(described(summaries), summary_frame(summaries, motionless=motionless)[columns], remarks)
 

@@ -18,6 +18,7 @@ from prbench.board.tables import (
     hides,
     undecided_lines,
 )
+from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.errors import UsageError
 from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.run_folder.record import CONTROL, RunRecord
@@ -364,7 +365,7 @@ def table_notes(table: DatasetTable) -> Iterable[str]:
     """Yield what a reader of measured rows has to know, whatever stands beside them."""
     yield "Rates in %, lengths in m; 95 % intervals over recordings in brackets."
     if table.synthetic:
-        yield "These are scores on synthetic data; they say nothing about real people."
+        yield ON_SYNTHETIC_DATA
     if any("few_recordings" in metric.marks for row in table.rows for metric in row.entry.summary.metrics):
         yield f"{_FEW} few recordings (below ten): the interval says little."
     if table.of:
@@ -444,7 +445,8 @@ def _macro_table(macro: MacroTable, *, with_benchmark: bool) -> Table:
         " methods without a dataset."
     )
     columns = _columns(benchmark, Column(key="missing", title="Missing", text=True))
-    return Table(title=title, columns=columns, blocks=(Block(rows=tuple(rows)),), notes=(legend,))
+    notes = (legend, ON_SYNTHETIC_DATA) if macro.synthetic else (legend,)
+    return Table(title=title, columns=columns, blocks=(Block(rows=tuple(rows)),), notes=notes)
 
 
 def _macro_cells(macro: MacroTable, benchmark: Benchmark) -> Iterator[tuple[Cell, ...]]:

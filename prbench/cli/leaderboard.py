@@ -12,6 +12,7 @@ from prbench.cli import options as opt
 from prbench.cli.commands import Answer, Group, command, note, progress, session
 from prbench.cli.summaries import phi_cell
 from prbench.cli.terminal import print_table, shown_width
+from prbench.datasets import ON_SYNTHETIC_DATA, SYNTHETIC_PREFIX
 
 if TYPE_CHECKING:
     from prbench.board.audit import ControlMeans, TableAudit
@@ -93,6 +94,8 @@ def _print_comparison(compared: RunComparison) -> None:
             print(f"{run.path.name}, {dataset}: {mark}.")
     for reason in compared.unverified:
         print(f"unverified: {reason}")
+    if any(row.dataset.startswith(SYNTHETIC_PREFIX) for row in compared.metrics):
+        print(ON_SYNTHETIC_DATA)
 
 
 def _difference_row(first: str, row: ComparedMetric) -> tuple[str, ...]:
@@ -161,7 +164,7 @@ def audit(data: tuple[Path, ...], split: str, limit: int | None, out: Path | Non
             for each in found:
                 _print_dataset(each)
         if any(each.recorded.synthetic for each in found):
-            print("These are scores on synthetic data: never compare them with published ones.")
+            print(ON_SYNTHETIC_DATA)
         print("docs/audit.md says what each control does and what is to be learnt from it.")
         if out is not None:
             print(f"run folders: {out}")

@@ -11,11 +11,13 @@ import msgspec
 from prbench.cli.commands import Answer
 from prbench.cli.options import MadeShard, shard_answer
 from prbench.cli.terminal import print_table
+from prbench.datasets import ON_SYNTHETIC_DATA, SYNTHETIC_PREFIX
 
 if TYPE_CHECKING:
     from prbench.harness.run import RunReport
     from prbench.harness.run_folder import RunFolder
     from prbench.harness.run_folder.agreement import DatasetAgreement, RateAgreement
+    from prbench.harness.run_folder.record import TableRecord
     from prbench.harness.run_folder.summary import DatasetSummary, MeanOverDatasets, MetricSummary
     from prbench.metrics import MetricInfo
 
@@ -176,6 +178,7 @@ def _print_company(reports: Sequence[RunReport]) -> None:
         header.append(f"{f'{method.name} {symbols}'.strip()}\n({report.folder.record.condition})\n{method.origin}")
     title = f"Means over {len(reports[0].summaries)} datasets"
     print_table(title, header, rows, numbers=range(1, len(header)))
+    _print_synthetic([each for report in reports for each in report.summaries])
 
 
 def _print_marks(summaries: Sequence[DatasetSummary]) -> None:
@@ -185,8 +188,12 @@ def _print_marks(summaries: Sequence[DatasetSummary]) -> None:
             print(f"{_short(each)}: {each.unsupported} sequences are longer than the method can generate: not scored.")
         if each.mark:
             print(f"{_short(each)}: {each.mark}.")
-    if any(each.synthetic for each in summaries):
-        print("Synthetic data: never compare these scores with published ones.")
+    _print_synthetic(summaries)
+
+
+def _print_synthetic(tables: Sequence[DatasetSummary | TableRecord]) -> None:
+    if any(each.synthetic for each in tables):
+        print(ON_SYNTHETIC_DATA)
 
 
 def _irrelevant(motionless: bool) -> frozenset[str]:
@@ -203,8 +210,6 @@ def _method(summary: DatasetSummary, origin: str) -> str:
 
 def _short(summary: DatasetSummary) -> str:
     """Return the name of a dataset without the word that stands below the table."""
-    from prbench.readers import SYNTHETIC_PREFIX
-
     return summary.dataset.removeprefix(SYNTHETIC_PREFIX)
 
 
@@ -252,8 +257,7 @@ def _print_sequence_scores(run: RunFolder, metrics: Sequence[MetricInfo]) -> Non
             header = ("metric", *(f"sample {sample}" if len(samples) > 1 else "value" for sample in samples), "")
             title = f"{name}: {run.record.method.name}, {run.record.condition}"
             print_table(title, header, lines, numbers=range(1, len(samples) + 1))
-        if table.synthetic:
-            print("These are scores on synthetic data: never compare them with published ones.")
+        _print_synthetic([table])
 
 
 class MadeRun(msgspec.Struct, frozen=True, kw_only=True):

@@ -58,7 +58,7 @@ def test_a_run_without_data_builds_the_datasets_once_and_says_where(cache, tmp_p
         assert info.synthetic
         assert info.dataset == f"synthetic-{name}"
         assert info.counts.recordings_read == 1
-    assert "Synthetic data: never compare these scores with published ones." in first.out
+    assert "These are scores on synthetic data: never compare them with published ones." in first.out
     header = next(line for line in first.out.splitlines() if "metric" in line)
     assert header.split() == ["metric", "adt", "hot3d", "mean"]
     assert "· phi" in first.out

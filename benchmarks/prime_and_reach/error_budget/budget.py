@@ -13,6 +13,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 from jaxtyping import Float
 
+from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.errors import RunError, TableError
 from prbench.files.storage import atomic_path, remove_leftovers, sole_writer
 from prbench.harness.run_folder import RunFolder
@@ -134,8 +135,8 @@ def _budget(run: RunFolder, other: RunFolder | None, motions: pa.Table) -> list[
         f" {record.samples} {'motion' if record.samples == 1 else 'motions'} each"
     )
     notes = []
-    if all(table.synthetic for table in record.tables):
-        notes = ["These are motions beside synthetic people: never compare their scores with published ones."]
+    if any(table.synthetic for table in record.tables):
+        notes = [ON_SYNTHETIC_DATA]
     # Groups of the method's motions, each beside the same group of people.
     protocol = run.protocol or load_protocol()
     groups = {"recorded people": (people, people)}

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import pyarrow.compute as pc
 
+from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.errors import UsageError
 from prbench.harness.clusters import FEWEST_FOR_TEST
 from prbench.harness.intervals import metric_interval
@@ -19,7 +20,7 @@ from prbench.metrics import MAIN_METRICS
 from prbench.tables import Block, Cell, Column, Row, Table, metric_cell
 from prbench_benchmarks.prime_and_reach.study.genuine import GenuineRun
 from prbench_benchmarks.prime_and_reach.study.methods import METRIC_COLUMNS
-from prbench_benchmarks.prime_and_reach.study.sizes import SYNTHETIC_NOTE, origin_of
+from prbench_benchmarks.prime_and_reach.study.sizes import origin_of
 
 GROUPINGS = {"action": "action", "hand": "hand", "kind": "prime_kind"}
 """What sequences can be grouped by, and the column of the table that says it."""
@@ -56,7 +57,7 @@ def breakdown_table(runs: Sequence[GenuineRun], by: str) -> Table:
         notes.append(f"Cannot be decided, with fewer than {FEWEST_FOR_TEST} recordings: {', '.join(few)}.")
     notes.append("The study prints no numbers for its Figure 4, so that nothing published stands beside.")
     if any(run.record.synthetic for run in runs):
-        notes.append(SYNTHETIC_NOTE)
+        notes.append(ON_SYNTHETIC_DATA)
     return Table(
         number="of Figure 4",
         title=f"scores by {by}",

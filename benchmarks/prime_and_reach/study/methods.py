@@ -31,7 +31,7 @@ from prbench.protocol.published import (
     published_table,
 )
 from prbench.tables import DASH, Block, Cell, Column, Row, Table, metric_column, note_of
-from prbench_benchmarks.prime_and_reach.study.sizes import SYNTHETIC_NOTE, origin_of
+from prbench_benchmarks.prime_and_reach.study.sizes import origin_of
 from prbench_benchmarks.prime_and_reach.table_two.request import StudyRow, load_table_two, study_place
 
 _INFOS = {info.id: info for info in METRICS}
@@ -288,8 +288,6 @@ def _published_title(number: str, dataset: str, table: DatasetTable) -> str:
 
 
 def _why_not_beside_notes(table: DatasetTable) -> Iterable[str]:
-    if table.synthetic:
-        yield SYNTHETIC_NOTE
     for reason in filter(None, dict.fromkeys(why_not_beside(row.entry) for row in table.rows)):
         yield f"No difference to a published number for {reason}."
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from prbench.datasets import SYNTHETIC_PREFIX
+from prbench.datasets import ON_SYNTHETIC_DATA, SYNTHETIC_PREFIX
 from prbench.protocol.published import DATASETS, QUANTITIES, cite, load_table_one, published_table
 from prbench.sequences import SequenceTable
 from prbench.sequences.table import table_statistics
@@ -13,7 +13,6 @@ from prbench.tables import Block, Cell, Column, Row, Table
 
 MEASURED = "measured"
 SYNTHETIC = "measured on synthetic data"
-SYNTHETIC_NOTE = "Numbers of synthetic data say nothing about real people; never compare them with published ones."
 _TITLES = {
     "duration": "Duration",
     "prime_gap": "Prime gap",
@@ -129,5 +128,5 @@ def _table(
             Block(title="Measured on synthetic data: not comparable with published numbers", rows=made_up),
             Block(title=f"Published: {cite(number)}", rows=tuple(published)),
         ),
-        notes=(note, *published_table(number).notes, *([SYNTHETIC_NOTE] if made_up else [])),
+        notes=(note, *published_table(number).notes, *([ON_SYNTHETIC_DATA] if made_up else [])),
     )

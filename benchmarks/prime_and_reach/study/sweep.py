@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
+from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.engine import Engine
 from prbench.errors import RunError
 from prbench.harness.planning import Selection, select
@@ -22,7 +23,7 @@ from prbench.metrics.ray_track import candidate_frames, head_track
 from prbench.protocol.manifests import MetricConstants
 from prbench.tables import Block, Cell, Column, Row, Table
 from prbench_benchmarks.prime_and_reach.study.genuine import GenuineRun, load_study_settings
-from prbench_benchmarks.prime_and_reach.study.sizes import SYNTHETIC_NOTE, origin_of
+from prbench_benchmarks.prime_and_reach.study.sizes import origin_of
 
 _COLUMNS = ["goal_location", "prime_time", "start_time", "head_tilt_deg", "fps", "joints"]
 _METRIC = "prime_success"
@@ -164,6 +165,6 @@ def sweep_table(sweeps: Sequence[Sweep]) -> Table:
             "The study prints its curves in a figure only, so that nothing published stands beside.",
             "σ = 0 s: the frame nearest to the prime time alone.",
             "Intervals stand with the protocol's limits on the leaderboard; points of a curve share their sequences.",
-            *([SYNTHETIC_NOTE] if any(one.run.record.synthetic for one in sweeps) else []),
+            *([ON_SYNTHETIC_DATA] if any(one.run.record.synthetic for one in sweeps) else []),
         ),
     )

@@ -56,7 +56,7 @@ def test_spreads_stand_beside_those_of_people_with_intervals(table, tmp_path, in
     assert "3 motions of each of 8 sequences" in shown
     assert "Prime time" in shown
     assert "an upper bound of what one task brings forth" in shown
-    assert "Synthetic people: this says nothing about real ones." in shown
+    assert "These are scores on synthetic data: never compare them with published ones." in shown
 
 
 def test_recorded_motion_drawn_several_times_has_no_spread(table, tmp_path, capsys):

@@ -48,6 +48,10 @@ def test_the_method_goes_from_conditions_to_scores(shown, table, tmp_path, capsy
     assert (
         "Made up (synthetic): glide (file predictions.npz), condition goal-loc; 15 sequences of 3 recordings" in printed
     )
+    sentence = "These are scores on synthetic data: never compare them with published ones."
+    assert printed.count(sentence) == 2
+    assert main(["run", "--method", "ground-truth", *data[:2], "--limit", "3", "--out", str(tmp_path / "one")]) == 0
+    assert capsys.readouterr().out.count(sentence) == 1
     for dataset in ("synthetic-adt", "synthetic-gimo"):
         summary = DatasetSummary.read(tmp_path / "scores" / dataset)
         assert (summary.method, summary.condition, summary.samples) == ("glide", "goal-loc", 3)
