@@ -114,7 +114,7 @@ def _corpus(name: str) -> Door:
 
     def look(folder: Path) -> Seen:
         groups = find_groups(corpus_for(name), folder / "input", CorpusOptions())
-        members = [member for group in groups for member in group.recordings]
+        members = [member for _, recordings in groups for member in recordings]
         told = [f"{member.identity.recording_id} {member.skip_reason}" for member in members]
         made = [member.read() for member in members if not member.skip_reason]
         told += [f"{recording.message} {recording.clock_method}" for recording in made]
