@@ -1,4 +1,4 @@
-"""An experiment: methods, conditions, tables and seeds in one file, or what an earlier run's ``run.json`` says.
+"""An experiment: methods, conditions, tables and seeds in one file.
 
 The file is TOML. Its keys are the options of ``prbench run``; each method may have several conditions, and each seed is
 a run of its own. ``docs/experiments.md`` shows one.

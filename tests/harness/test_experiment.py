@@ -1,4 +1,4 @@
-"""One file for several runs, what a command line means as such a file, and a run that is repeated."""
+"""One file for several runs, and what a command line means as such a file."""
 
 from __future__ import annotations
 
