@@ -346,6 +346,7 @@ class DartTraining(TrainingModule):
         weights = self.objective
         device = cut.valid.device
         sums: dict[str, Tensor] = {}
+        losses: dict[str, tuple[float, Tensor]] = {}
         own: Frames | None = None
         for number in range(weights.primitives):
             with torch.autocast(device.type, enabled=False):
@@ -357,14 +358,14 @@ class DartTraining(TrainingModule):
                 if own is not None:
                     history = torch.where(chosen[:, None, None], scaling.standardised(own), history)
             mean, log_variance = self.vae.encode(history, future)
+            # The mean alone, divided by one number for all dimensions, as diffusion expects a variance near 1.
+            clean = mean.detach() / self.latent_std
             if text is None:
                 # Validation judges the mean latent, so that its numbers do not waver.
                 noise = _normal(mean.shape, generator, device) if self.training else torch.zeros_like(mean)
                 latent = mean + (0.5 * log_variance).exp() * noise
                 features = self.vae.decode(latent, history)
             else:
-                # The mean alone, divided by one number for all dimensions, as diffusion expects a variance near 1.
-                clean = mean.detach() / self.latent_std
                 latent = self.denoiser(*self._noisy(clean, generator), text, history)
                 features = self.vae.decode(latent * self.latent_std, history)
             with torch.autocast(device.type, enabled=False):

@@ -149,8 +149,8 @@ def _scales(
         # Scales of goal-frame features; no deviation is below 0.05.
         features = []
         conditions = []
-        for start in range(0, len(data.train), _TOGETHER):
-            batch = collate([data.train[index] for index in range(start, min(start + _TOGETHER, len(data.train)))])
+        for first in range(0, len(data.train), _TOGETHER):
+            batch = collate([data.train[index] for index in range(first, min(first + _TOGETHER, len(data.train)))])
             raw = raw_condition_of_items(batch, cast(Goal, configuration.goal))
             features.append(GoalFrame.of(raw).encode(batch.joints, batch.fps)[~batch.padding])
             conditions.append(seen_condition(raw))

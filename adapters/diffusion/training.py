@@ -7,6 +7,7 @@ small network does not learn them. All are squared metres, averaged over frames.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import msgspec
 import torch
@@ -22,6 +23,7 @@ from prbench_adapters.diffusion.goal_frame import head_axes, smoothed, still_ste
 from prbench_adapters.diffusion.model import KIND, TextVectors, goal_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.training import MotionBatch
+from prbench_adapters.training.dataset import Goal
 from prbench_adapters.training.task import TrainingModule
 from prbench_adapters.training.weights import representation_entry, weights_header
 
@@ -303,7 +305,7 @@ class DiffusionTraining(TrainingModule):
         text = text.masked_fill(without_text[:, None, None], 0.0)
         if self.scaling is None:
             return EncodedCondition(text, padding)
-        raw = raw_condition_of_items(batch, self.denoiser.configuration.goal)
+        raw = raw_condition_of_items(batch, cast(Goal, self.denoiser.configuration.goal))
         return EncodedCondition(text, padding, self.scaling(raw), raw)
 
     def hidden_matrices(self) -> tuple[nn.Parameter, ...]:

@@ -100,15 +100,15 @@ class TrainingState:
             raise UsageError("training.optimiser: this task names no matrices for muon. Use adamw.")
         apart = {id(matrix) for matrix in matrices}
         others = [parameter for parameter in average.parameters.values() if id(parameter) not in apart]
-        common = {"lr": settings.learning_rate, "weight_decay": settings.weight_decay}
+        rate, decay = settings.learning_rate, settings.weight_decay
         fused = all(parameter.device.type in ("cpu", "cuda") for parameter in others)
         optimisers: list[torch.optim.Optimizer] = [
-            torch.optim.AdamW(others, betas=settings.betas, fused=fused, **common)
+            torch.optim.AdamW(others, rate, settings.betas, weight_decay=decay, fused=fused)
         ]
         if matrices:
             # Scaled so that a step changes an entry as much as one of AdamW at the same rate would.
             group = {"params": matrices, "scale": _MUON_SCALE}
-            optimisers.append(torch.optim.Muon([group], adjust_lr_fn="match_rms_adamw", **common))
+            optimisers.append(torch.optim.Muon([group], rate, decay, adjust_lr_fn="match_rms_adamw"))
         return cls(module, tuple(optimisers), average)
 
     def tensors(self) -> dict[str, torch.Tensor]:

@@ -244,7 +244,7 @@ def padded_decorrelation(
         filling = np.zeros((len(rows), int(size), noise.shape[2]), dtype=np.float32)
         for place, row in enumerate(rows):
             tail = filling[place, lengths[row] :]
-            tail[:] = generators[row].standard_normal(tail.shape, dtype=np.float32)
+            tail[:] = generators[int(row)].standard_normal(tail.shape, dtype=np.float32)
         own = torch.as_tensor(np.arange(size) < lengths[rows][:, None])[..., None].to(noise.device)
         index = torch.as_tensor(rows, device=noise.device)
         given = noise[index, : int(size)]
@@ -324,9 +324,9 @@ def optimise(
             joints = decoder(leaf)
             losses = objective(joints, n_frames, targets, settings)
             gradient = torch.zeros_like(noise)
+            decorrelated = torch.zeros_like(losses.initial)
             if not is_last:
                 minimised = losses.minimised
-                decorrelated = torch.zeros_like(minimised)
                 if settings.decorrelation_weight:
                     decorrelated = padded_decorrelation(leaf, n_frames, generators)
                     minimised = minimised + settings.decorrelation_weight * decorrelated
