@@ -70,7 +70,7 @@ def gaze_directions(
     Args:
         goggles_rotation: Goggles to world.
         calibration: Eye tracker's camera to goggles.
-        points: Gaze points in the camera's frame, millimetres; one behind it (z < 0) is mirrored first.
+        points: Gaze points in the camera's frame, any unit; one behind it (z < 0) is mirrored first.
 
     Returns:
         NaN where an input is NaN or the point is the origin.

@@ -34,7 +34,6 @@ from prbench.recording.streams import (
 
 _UNIT_TOLERANCE = 0.1
 _TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
-_MILLIMETRES = 1000.0
 _ROUNDING = 1e-9  # s
 
 
@@ -142,7 +141,7 @@ def _gaze(
         native[tracked] = mogaze.gaze_directions(
             Rotation.from_quat(goggles.rotation[tracked]).as_matrix(),
             Rotation.from_quat(readings.calibration).as_matrix(),
-            points[tracked] * (_MILLIMETRES if in_metres else 1.0),
+            points[tracked],  # a direction is the same in any unit
         )
     measured = confident & np.isfinite(native).all(axis=1)
     source, recent = held_index(measured, int(manifest.thresholds["gaze_hold"] * mogaze.RATE + _ROUNDING))
