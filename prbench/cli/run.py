@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from prbench.harness.experiment import Experiment
     from prbench.harness.request import Progress, RunRequest
     from prbench.harness.run import RunReport
+    from prbench.harness.run_folder import RunFolder
 
 # Every method, or every condition: the rows of Table 2.
 ALL = "all"
@@ -70,7 +71,8 @@ _FIRST_RUN_WORKERS = 2
     "--config",
     type=opt.PATH,
     metavar="FILE",
-    help="An experiment's TOML file (docs/experiments.md); --data, --out and the like replace what it says.",
+    help="An experiment's TOML file (docs/experiments.md); --data, --out and the like replace what it says. Or a run"
+    " folder: the run is repeated.",
 )
 @click.option("--show-config", is_flag=True, help="Print the experiment that the command line means, and stop.")
 @opt.data_option(required=False, help="Built dataset folder(s); without it small synthetic ones are built and used.")
@@ -144,7 +146,7 @@ def run(
         return replace(made, report=RunAnswer(table_two=msgspec.to_builtins(made.report, enc_hook=str)))
     if config is None and given["method"] is None:
         raise UsageError("--method NAME is needed, or --config FILE. `prbench adapters list` shows the methods.")
-    experiment = read_command_line(config, given)
+    repeated, experiment = read_command_line(config, given)
     if show_config:
         print(experiment.as_toml(), end="")
         return 0
@@ -154,7 +156,7 @@ def run(
                 from prbench.cli.main import main
 
                 return supervised(main, sys.argv[1:], method=method.name)
-    return _run_all(experiment, view=view, permission=permission, choice=engine, shard=part)
+    return _run_all(experiment, repeated, view=view, permission=permission, choice=engine, shard=part)
 
 
 def _require_fits_benchmark(given: Mapping[str, Any], of_table_two: bool, *, by_file: bool) -> None:
@@ -179,6 +181,7 @@ def _require_fits_benchmark(given: Mapping[str, Any], of_table_two: bool, *, by_
 
 def _run_all(
     experiment: Experiment,
+    repeated: RunFolder | None,
     *,
     view: Path | None,
     permission: tuple[str, ...],
@@ -208,6 +211,15 @@ def _run_all(
         return shards_answer(_generated_shard(request, shard, engine) for request in requests)
     reports = [_generated(request, engine) for request in requests]
     folder = reports[0].folder
+    if repeated is not None and folder.path.resolve() != repeated.path.resolve():
+        from prbench.harness.experiment import same_scores
+
+        differ = (
+            f"scores differ. `prbench leaderboard compare {repeated.path} {folder.path}` says where; other weights,"
+        )
+        causes = "versions of packages, processors or numbers of threads can be the cause."
+        verdict = "every score is the same." if same_scores(repeated, folder) else f"{differ} {causes}"
+        note(f"repeats {repeated.path}: {verdict}")
     companions: list[RunReport] = []
     if first_run and len(requests) == 1:
         # Methods that tell what the scores of a first run are worth, under the condition that the method chose.
@@ -354,13 +366,19 @@ _SHARED = (
 )
 
 
-def read_command_line(config: Path | None, given: Mapping[str, Any]) -> Experiment:
-    """Turn the command line into an experiment.
+def read_command_line(config: Path | None, given: Mapping[str, Any]) -> tuple[RunFolder | None, Experiment]:
+    """Turn the command line into an experiment; also return the run that it repeats, if it repeats one.
 
     Raises:
-        UsageError: for an option whose place is in the file that was named.
+        UsageError: for an option whose place is in the file or run that was named.
     """
-    from prbench.harness.experiment import Experiment, ExperimentMethod, read_experiment
+    from prbench.harness.experiment import (
+        Experiment,
+        ExperimentMethod,
+        earlier_run,
+        experiment_of_run,
+        read_experiment,
+    )
 
     # Defaults do not replace what a file says.
     source = click.get_current_context().get_parameter_source
@@ -381,14 +399,23 @@ def read_command_line(config: Path | None, given: Mapping[str, Any]) -> Experime
         said = {"methods": [msgspec.to_builtins(method)], "sequences": given["sequences"], **own}
         if given["benchmark"]:
             said["benchmark"] = given["benchmark"]
-        return msgspec.convert(said, Experiment)
+        return None, msgspec.convert(said, Experiment)
     for name in _OF_AN_EXPERIMENT:
         if given.get(name):
             option = name.removesuffix("s") if name in ("options", "sequences") else name
             raise UsageError(f"--{option}: {config} says that already; write it there, or leave --config out.")
+    repeated = earlier_run(config)
+    if repeated is not None:
+        decided = sorted(own.keys() - {"data", "out", "device", "threads", "timeout"})
+        if decided:
+            option = decided[0].removesuffix("s").replace("_", "-")
+            raise UsageError(f"--{option}: {config} says that already; a repeated run is the same run.")
+        experiment = experiment_of_run(repeated, data=given["data"], weights=given["weights"])
+        own.pop("data", None)  # found by digest among the named ones
+        return repeated, msgspec.structs.replace(experiment, **own)
     if given["weights"]:
         raise UsageError(f"--weights: write them into {config}, beside the method that they belong to.")
-    return msgspec.structs.replace(read_experiment(config), **own)
+    return None, msgspec.structs.replace(read_experiment(config), **own)
 
 
 _Command = Callable[[Sequence[str]], int]

@@ -1,4 +1,4 @@
-"""An experiment: methods, conditions, tables and seeds in one file.
+"""An experiment: methods, conditions, tables and seeds in one file, or what an earlier run's ``run.json`` says.
 
 The file is TOML. Its keys are the options of ``prbench run``; each method may have several conditions, and each seed is
 a run of its own. ``docs/experiments.md`` shows one.
@@ -13,13 +13,18 @@ from pathlib import Path
 
 import msgspec
 
-from prbench.errors import InputFileError, UsageError, did_you_mean
+from prbench.errors import InputFileError, RunError, UsageError, did_you_mean
 from prbench.files.bounded import foreign_input, read_whole
+from prbench.harness.first_run import table_finder
 from prbench.harness.preparation import DEFAULT_PARENT
 from prbench.harness.request import RunRequest
+from prbench.harness.run_folder import RunFolder, read_scores
+from prbench.harness.run_folder.record import FILE, FILE_NAME, PROGRAM, UNKNOWN
 from prbench.limits import HARMLESS_SIZE
 from prbench.object_stores.store import is_url
 from prbench.protocol.manifests import PROTOCOL_NAME, benchmarks, find_benchmark
+from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
+from prbench.sequences import DatasetInfo
 from prbench.sequences.folds import parse_fold
 
 PARTICIPANTS = "participants"
@@ -178,3 +183,73 @@ def read_experiment(path: Path) -> Experiment:
         if is_wrong:
             raise InputFileError(path, where, expected=expected, found=found, remedy=remedy)
     return experiment
+
+
+def earlier_run(path: Path) -> RunFolder | None:
+    """Open the run that a run folder or its ``run.json`` belongs to; return None for an experiment's file."""
+    folder = path if path.is_dir() else path.parent
+    return RunFolder.open(folder, any_benchmark=True) if path.is_dir() or path.name == FILE_NAME else None
+
+
+def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path | None) -> Experiment:
+    """Return the experiment that repeats an earlier run.
+
+    Args:
+        run: The earlier run.
+        data: Tables of the run, of a fold the whole ones; embedded ones need not be named. Run folders hold no paths.
+        weights: The run's weights, where it was given other ones than the method's own.
+
+    Raises:
+        RunError: if a run folder does not record how to start the method, or one of its tables is neither named nor
+            embedded.
+    """
+    record = run.record
+    if record.method.kind in (FILE, PROGRAM, UNKNOWN):
+        raise RunError(
+            f"{run.path}: {record.method.name} is {record.method.origin}, and a run folder does not record how to"
+            " start it. Repeat the command with --method."
+        )
+    find = table_finder(data)
+    whole = {DatasetInfo.read(folder).content_digest: folder for folder in data if record.tables[0].fold}
+    folders = []
+    for table in record.tables:
+        found = find(table) if table.fold is None else None
+        folder = found.folder if found is not None else whole.get(table.whole_table or "")
+        if folder is None:
+            raise RunError(
+                f"{run.path}: the run was made on a table of {table.dataset} with content digest"
+                f" {table.content_digest[:12]}…, which is neither named with --data nor embedded. Name its folder."
+            )
+        folders.append(str(folder))
+    method = ExperimentMethod(
+        name=record.method.name,
+        conditions=(record.condition,),
+        weights=None if weights is None else str(weights),
+        options=dict(record.method.options),
+        control=record.control,
+    )
+    own_protocol = run.path / PROTOCOL_FILE
+    return Experiment(
+        methods=(method,),
+        benchmark=record.benchmark,
+        data=tuple(folders),
+        split=PARTICIPANTS if record.tables[0].fold else record.split,
+        fold=record.tables[0].fold,
+        limit=record.limit,
+        sequences=record.sequences,
+        seeds=(record.seed,),
+        samples=record.samples,
+        batch_size=record.tables[0].batch_plan.batch_size,
+        device=record.device,
+        threads=record.threads,
+        isolate=record.method.isolation is not None,
+        protocol=str(own_protocol) if own_protocol.is_file() else None,
+    )
+
+
+def same_scores(first: RunFolder, second: RunFolder) -> bool:
+    """Return True where two runs on the same tables have equal scores, to the last digit."""
+    names = [table.dataset for table in first.record.tables]
+    return all(
+        read_scores(first.dataset(name).scores).equals(read_scores(second.dataset(name).scores)) for name in names
+    )

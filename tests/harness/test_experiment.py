@@ -1,4 +1,4 @@
-"""One file for several runs, and what a command line means as such a file."""
+"""One file for several runs, what a command line means as such a file, and a run that is repeated."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from prbench.cli import main
 from prbench.contract import Condition
 from prbench.errors import InputFileError, UsageError
-from prbench.harness.experiment import Experiment, read_experiment
+from prbench.harness.experiment import Experiment, earlier_run, read_experiment, same_scores
 from prbench.harness.run_folder import RunFolder
 from tests.fakes import fake_dataset
 
@@ -119,3 +119,25 @@ def test_what_belongs_to_one_method_stands_in_the_file(data, tmp_path, capsys, g
     path = written(tmp_path, FILE.format(data=data, out="runs"))
     assert main(["run", "--config", str(path), *given]) == 2
     assert f"{given[0]}: " in capsys.readouterr().err
+
+
+def test_a_repeated_run_gives_the_same_scores_and_says_so(data, tmp_path, capsys):
+    first = tmp_path / "first"
+    words = ["--method", "scripted", "--condition", "goal-loc", "--data", str(data), "--control", "shuffled-goal"]
+    assert main(["run", *words, "--seed", "3", "--limit", "5", "--batch-size", "2", "--out", str(first)]) == 0
+    again = ["run", "--config", str(first / "run.json"), "--out", str(tmp_path / "second")]
+    capsys.readouterr()
+    assert main(again) == 7
+    assert "neither named with --data nor embedded" in capsys.readouterr().err
+    assert main([*again, "--data", str(data)]) == 0
+    assert "every score is the same" in capsys.readouterr().err
+    assert (tmp_path / "second" / "run.json").read_bytes() == (first / "run.json").read_bytes()
+    assert same_scores(RunFolder.open(first), RunFolder.open(tmp_path / "second"))
+    other = ["run", "--config", str(first), "--data", str(data), "--limit", "4", "--out", str(tmp_path / "third")]
+    assert main(other) == 2
+    assert "--limit: " in capsys.readouterr().err
+    assert not (tmp_path / "third").exists()
+
+
+def test_only_a_run_folder_or_its_record_is_a_run(tmp_path):
+    assert earlier_run(tmp_path / "experiment.toml") is None

@@ -137,12 +137,17 @@ def fold_runs(table, tmp_path_factory):
         yield _runs_of_folds(table, root)
 
 
-def test_a_run_on_a_fold_is_that_on_the_table_of_the_fold_and_says_so(table, folds, fold_runs, tmp_path):
+def test_a_run_on_a_fold_is_that_on_the_table_of_the_fold_and_says_so(table, folds, fold_runs, tmp_path, capsys):
     made = RunFolder.open(fold_runs[1]).record
     assert made.tables[0].fold == "2/3"
     assert made.tables[0].whole_table == table.info.content_digest
     run_method(RunRequest(method="scripted", data=(folds[1].folder,), out=tmp_path / "beside"))
     assert RunFolder.open(tmp_path / "beside").record == made
+    repeated = tmp_path / "repeated"
+    words = ["run", "--config", str(fold_runs[1]), "--data", str(table.folder), "--out", str(repeated)]
+    assert main(words) == 0
+    assert RunFolder.open(repeated).record == made
+    assert "every score is the same" in capsys.readouterr().err
 
 
 def test_a_fold_and_its_split_are_named_together(table, fold_runs, tmp_path, capsys):
