@@ -13,6 +13,9 @@ from pathlib import Path
 import pytest
 
 from tests.shapes import check_array_annotations, unchecked
+from tests.shared import open_folder
+
+open_folder()
 
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):  # hundreds of interpreters are started, which would each compile anew
     sys.dont_write_bytecode = False

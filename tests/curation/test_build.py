@@ -33,12 +33,6 @@ def test_names_that_begin_alike_come_out_sorted(tmp_path: Path) -> None:
     assert ids == sorted(ids)
 
 
-def test_the_same_bytes_for_any_number_of_workers_and_any_order(tmp_path: Path) -> None:
-    build_from_sources(some_sources(), tmp_path / "one")
-    build_from_sources(some_sources()[::-1], tmp_path / "two", engine=ProcessPool(2))
-    assert folder_bytes(tmp_path / "one") == folder_bytes(tmp_path / "two")
-
-
 def test_failed_and_skipped_recordings_are_counted_named_and_free_of_places(tmp_path: Path) -> None:
     sources = [
         *some_sources(2),
