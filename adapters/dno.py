@@ -17,7 +17,7 @@ from prbench_adapters.diffusion.method import SingleModelMethod, require_goals_w
 
 if TYPE_CHECKING:
     from prbench_adapters.diffusion.model import MotionModel
-    from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
+    from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
 
 DEFAULT_WEIGHTS = "mdm-small"
 _NO_PROMPT = "none"
@@ -43,8 +43,8 @@ class DNO(SingleModelMethod):
         Raises:
             AdapterError: for a goal that no body can reach, or a sequence that is longer than the prior knows.
         """
-        from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised
-        from prbench_adapters.diffusion.noise_optimisation.optimise import keyframes
+        from prbench_adapters.diffusion.noise_optimisation import keyframes
+        from prbench_adapters.diffusion.optimised_generation import generate_optimised
 
         require_goals_within_reach(batch, adapter=self.name)
         return generate_optimised(self.model, batch, self.settings, objective=keyframes, texts=self._texts(batch))
@@ -59,7 +59,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     """Entry point ``dno``.
 
     Options: ``optimise`` (fast or paper), ``prompt`` (none, own for each sequence's text, or any text), ``guidance``
-    (1), ``text-path``, and ``KEYFRAME_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`.
+    (1), ``text-path``, and ``KEYFRAME_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation`.
 
     Args:
         weights: File, folder or name of bundled weights of a text-to-motion model; None for ``mdm-small``.
@@ -74,7 +74,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     from prbench_adapters.diffusion.generation import require_known
     from prbench_adapters.diffusion.method import bundled_names, resolve
     from prbench_adapters.diffusion.model import MotionModel, require_goal
-    from prbench_adapters.diffusion.noise_optimisation.settings import KEYFRAME_OPTIONS
+    from prbench_adapters.diffusion.noise_optimisation import KEYFRAME_OPTIONS
 
     require_known(options, ("optimise", "prompt", "guidance", "text-path", *KEYFRAME_OPTIONS))
     # The default belongs to another method, which a user may have removed.
@@ -94,7 +94,7 @@ def _settings(options: Mapping[str, str], diffusion_steps: int) -> OptimisationS
     from dataclasses import replace
 
     from prbench_adapters.diffusion.generation import choice, number
-    from prbench_adapters.diffusion.noise_optimisation.settings import dno_paper, fast, optimisation_settings
+    from prbench_adapters.diffusion.noise_optimisation import dno_paper, fast, optimisation_settings
 
     # The initial pose is given; bones of its lengths cost the goal nothing, where the prior's waver by a quarter.
     quick = replace(fast(diffusion_steps), bones="initial")

@@ -31,6 +31,7 @@ _NO_HEADING = 1e-3  # sine between hips and spine below which the shoulders say 
 _X = (1.0, 0.0, 0.0)
 _Y = (0.0, 1.0, 0.0)
 _Z = (0.0, 0.0, 1.0)
+# Directions of the bones at rest, by the joint in which they end: body frame, x left, y up, z to the front.
 _REST = {
     _X: (Joint.LEFT_HIP, Joint.LEFT_COLLAR, Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST),
     _Y: (Joint.SPINE1, Joint.SPINE2, Joint.SPINE3, Joint.NECK),
@@ -40,7 +41,6 @@ _REST = {
     ),
     (0.0, -1.0, 0.0): (Joint.LEFT_KNEE, Joint.RIGHT_KNEE, Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE),
 }  # fmt: skip
-"""Directions of the bones at rest, by the joint in which they end: body frame, x left, y up, z to the front."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,10 @@ class World:
         return vectors[..., back] * vectors.new_tensor([self.signs[place] for place in back])
 
 
+# docs/specification/dart.md#noise-optimisation: (x, y, z) with Y up is (-x, z, y) here, and the other way round.
 DART = World(axes=(0, 2, 1), signs=(-1.0, 1.0, 1.0))
-"""docs/specification/dart.md#noise-optimisation: (x, y, z) with Y up is (-x, z, y) here, and the other way round."""
+# docs/specification/wandr.md#inference: (x, y, z) here is (x, z, -y) with Y up.
 WANDR = World(axes=(0, 2, 1), signs=(1.0, -1.0, 1.0))
-"""docs/specification/wandr.md#inference: (x, y, z) here is (x, z, -y) with Y up."""
 
 
 def fitted_rotations(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tensor, "*batch 22 3 3"]:
@@ -180,8 +180,8 @@ class _Tree:
             self.levels.append(_Level(below, above, device))
             listed = listed + below
             above = below
+        # From the joints level by level to the usual order.
         self.order = torch.tensor([listed.index(joint) for joint in range(N_JOINTS)], device=device)
-        """From the joints level by level to the usual order."""
         rest = torch.zeros(N_JOINTS, 3)
         for direction, joints in _REST.items():
             rest[list(joints)] = torch.tensor(direction)
@@ -196,5 +196,5 @@ class _Level:
 
     def __init__(self, joints: list[int], above: list[int], device: torch.device) -> None:
         self.joints = torch.tensor(joints, device=device)
+        # Their places in the level above.
         self.parents = torch.tensor([above.index(PARENTS[joint]) for joint in joints], device=device)
-        """Their places in the level above."""

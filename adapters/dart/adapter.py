@@ -27,7 +27,7 @@ from prbench_adapters.dart.rollout import (
 )
 from prbench_adapters.diffusion.generation import ModelBodies, SequenceNoise, require_known
 from prbench_adapters.diffusion.method import SingleModelMethod, own_weights, require_goals_within_reach
-from prbench_adapters.diffusion.noise_optimisation.generation import targets_of
+from prbench_adapters.diffusion.optimised_generation import targets_of
 from prbench_adapters.kinematics import DART
 
 _LARGEST_PART = {"cpu": 320}  # primitives, of all sequences side by side; all passes are kept for the gradient

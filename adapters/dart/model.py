@@ -22,14 +22,14 @@ from prbench.text import text_encoder
 from prbench_adapters.diffusion.denoiser import TransformerLayer, pooled, sinusoid_table
 from prbench_adapters.diffusion.generation import choice, number, whole_number
 from prbench_adapters.diffusion.model import TextVectors, torch_device
-from prbench_adapters.diffusion.noise_optimisation.settings import Hand
+from prbench_adapters.diffusion.noise_optimisation import Hand
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.kinematics import fitted_rotations, matrices_of, rows_of, unit
 from prbench_adapters.training.weights import Weights, read_weights
 
 N_FEATURES = 276
+# Numbers of each field of :class:`Frames`, in their order.
 _SIZES = (3, 6, 6 * (N_JOINTS - 1), 3, 6, 3 * N_JOINTS, 3 * N_JOINTS)
-"""Numbers of each field of :class:`Frames`, in their order."""
 
 
 @dataclass(frozen=True)
@@ -56,17 +56,20 @@ class Placement:
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames of B motions in one frame of reference each; deltas lead to the next frame."""
+    """Frames of B motions in one frame of reference each; deltas lead to the next frame.
+
+    Attributes:
+        orientation: Orientation of the root.
+        body: Each other joint's rotation relative to the bone before: the first two rows, as they are; predicted ones
+            need not be those of a rotation, and go on to the next history as predicted (as in the original).
+        orientation_delta: Next orientation · this one, transposed.
+    """
 
     translation: Float[Tensor, "batch frames 3"]
     orientation: Float[Tensor, "batch frames 3 3"]
-    """Orientation of the root."""
     body: Float[Tensor, "batch frames 21 6"]
-    """Each other joint's rotation relative to the bone before: the first two rows, as they are; predicted ones need
-    not be those of a rotation, and go on to the next history as predicted (as in the original)."""
     translation_delta: Float[Tensor, "batch frames 3"]
     orientation_delta: Float[Tensor, "batch frames 3 3"]
-    """Next orientation · this one, transposed."""
     joints: Float[Tensor, "batch frames 22 3"]
     joints_delta: Float[Tensor, "batch frames 22 3"]
 
@@ -164,8 +167,8 @@ def _broadcast(origin: Float[Tensor, "batch 3"], points: Tensor) -> Tensor:
     return origin.reshape(len(origin), *(1,) * (points.ndim - 2), 3)
 
 
+# H: the last frames of one primitive, which the next begins with; the first has those of the initial state.
 HISTORY_FRAMES = 2
-"""H: the last frames of one primitive, which the next begins with; the first has those of the initial state."""
 
 _COUNTS = (
     "future_frames", "latent", "vae_width", "vae_heads", "vae_layers", "vae_feed_forward", "width",
@@ -181,16 +184,21 @@ class DartConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
     Raises:
         ValueError: for sizes that do not fit together.
+
+    Attributes:
+        future_frames: F: frames that a primitive adds.
+        latent: Numbers of the latent vector of a primitive.
+        vae_layers: Layers of encoder and decoder each; odd: as many in front of the middle one as behind it.
+        uniform_skeleton: True for a model that has learnt bodies that were rescaled to HumanML3D's skeleton
+            (docs/specification/pr-model.md#data-and-features); conditions are then put onto it, and motions scaled
+            back.
     """
 
     future_frames: int = 8
-    """F: frames that a primitive adds."""
     latent: int = 256
-    """Numbers of the latent vector of a primitive."""
     vae_width: int = 256
     vae_heads: int = 4
     vae_layers: int = 7
-    """Layers of encoder and decoder each; odd: as many in front of the middle one as behind it."""
     vae_feed_forward: int = 1024
     width: int = 512
     heads: int = 4
@@ -202,8 +210,6 @@ class DartConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     diffusion_steps: int = 10
     fps: float = 20.0
     uniform_skeleton: bool = False
-    """True for a model that has learnt bodies that were rescaled to HumanML3D's skeleton
-    (docs/specification/pr-model.md#data-and-features); conditions are then put onto it, and motions scaled back."""
 
     def __post_init__(self) -> None:
         for name in _COUNTS:
@@ -238,21 +244,25 @@ class DartSettings:
     """Settings of generation; the defaults are those of the study's comparison.
 
     Source: docs/specification/dart.md#conditions-in-the-study.
+
+    Attributes:
+        optimised: Optimise the noise towards the goal; otherwise the goal is not looked at.
+        iterations: *Prime and Reach*, section 5.3.
+        learning_rate: Learning rate of Adam in the first iteration; falls linearly, to a hundredth of it in the last of
+            100.
+        noise_scale: Standard deviation of the noise that optimisation starts from (the original's setting for
+            in-betweening).
+        ddim_steps: Steps of the chain from noise to latent; None for all of the training's, as in the original.
+        hand: Wrist that a goal location is meant for; ``nearest`` leaves the choice to the motion.
     """
 
     optimised: bool = True
-    """Optimise the noise towards the goal; otherwise the goal is not looked at."""
     iterations: int = 100
-    """*Prime and Reach*, section 5.3."""
     learning_rate: float = 0.05
-    """Learning rate of Adam in the first iteration; falls linearly, to a hundredth of it in the last of 100."""
     noise_scale: float = 0.1
-    """Standard deviation of the noise that optimisation starts from (the original's setting for in-betweening)."""
     ddim_steps: int | None = None
-    """Steps of the chain from noise to latent; None for all of the training's, as in the original."""
     guidance: float = 5.0
     hand: Hand = "right"
-    """Wrist that a goal location is meant for; ``nearest`` leaves the choice to the motion."""
 
     def __post_init__(self) -> None:
         if self.iterations < 1:
@@ -410,8 +420,8 @@ class LatentDenoiser(nn.Module):
 
 
 KIND = "dart"
+# Header entry: the 276 features, with rotations fitted to joints instead of those of a body model.
 REPRESENTATION = f"dart-{N_FEATURES}/fitted"
-"""Header entry: the 276 features, with rotations fitted to joints instead of those of a body model."""
 
 
 class FeatureScaling:

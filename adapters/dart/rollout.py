@@ -24,27 +24,30 @@ from prbench_adapters.dart.model import (
 )
 from prbench_adapters.diffusion.denoiser import TransformerLayer
 from prbench_adapters.diffusion.generation import Guidance
-from prbench_adapters.diffusion.noise_optimisation.optimise import Targets, chosen_wrist, last_frame
+from prbench_adapters.diffusion.noise_optimisation import Targets, chosen_wrist, last_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim, sample_ddpm
 
+# Maps number and standardised history of a primitive to its clean latent, divided by the latents' std.
 SampleLatent = Callable[[int, Float[Tensor, "batch history 276"]], Float[Tensor, "batch 1 latent"]]
-"""Maps number and standardised history of a primitive to its clean latent, divided by the latents' std."""
 
 
 @dataclass(frozen=True)
 class Primitive:
-    """One primitive of B motions."""
+    """One primitive of B motions.
+
+    Attributes:
+        history: Standardised, in the primitive's frame of reference.
+        latent: Divided by the latents' std.
+        features: Standardised, likewise.
+        placement: Placement of its frame of reference in the world.
+        joints: Joints of the future frames, in the world, metres.
+    """
 
     history: Float[Tensor, "batch history 276"]
-    """Standardised, in the primitive's frame of reference."""
     latent: Float[Tensor, "batch 1 latent"]
-    """Divided by the latents' std."""
     features: Float[Tensor, "batch future 276"]
-    """Standardised, likewise."""
     placement: Placement
-    """Placement of its frame of reference in the world."""
     joints: Float[Tensor, "batch future 22 3"]
-    """Joints of the future frames, in the world, metres."""
 
 
 def first_history(

@@ -36,20 +36,23 @@ from prbench_adapters.training import MotionBatch, SequenceDataset, collate
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import origin_of, read_weights, weights_header
 
+# Floors of positions and rotations, their deltas, joints, theirs: bones that never turn keep their scale (the original
+# divided 12 such features of a user's data by zero).
 _STD_FLOORS = ((135, 0.01), (9, 0.001), (66, 0.01), (66, 0.001))
-"""Floors of positions and rotations, their deltas, joints, theirs: bones that never turn keep their scale (the original
-divided 12 such features of a user's data by zero)."""
 _ITEMS_AT_ONCE = 64
 
 
 @dataclass(frozen=True)
 class Window:
-    """Consecutive primitives of B motions."""
+    """Consecutive primitives of B motions.
+
+    Attributes:
+        frames: All of them, in the motions' own worlds with Z up; primitive k has the frames k·F to k·F + H + F.
+        valid: True for primitives that lie inside their motion, the step that leads on from their last frame included.
+    """
 
     frames: Frames
-    """All of them, in the motions' own worlds with Z up; primitive k has the frames k·F to k·F + H + F."""
     valid: Bool[Tensor, "batch primitives"]
-    """True for primitives that lie inside their motion, the step that leads on from their last frame included."""
 
     def primitive(self, number: int, future_frames: int) -> Frames:
         """Cut out one primitive, in its own frame of reference."""
@@ -143,8 +146,8 @@ def primitives_of(
 
 _PerMotion = Float[Tensor, " batch"]
 Shares = tuple[float, float, float]
+# Names of the parts of the loss; those that a phase does not have are 0 in its log.
 PARTS = ("reconstruction", "divergence", "body", "consistency", "deltas", "latent")
-"""Names of the parts of the loss; those that a phase does not have are 0 in its log."""
 
 
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -152,32 +155,35 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     Raises:
         ValueError: for shares that divide nothing.
+
+    Attributes:
+        vae_share: Share of the VAE's phase in the training, after which it is frozen and the denoiser trained. 0 keeps
+            the VAE of the initial weights.
+        vae_stages: Shares of the phase in which primitives start from recorded history, ever more often from the end of
+            what was just predicted, and always from that.
+        primitives: Consecutive ones of each training motion.
+        windows: Number of times that they are drawn from each motion of a batch.
+        vae_batch_size: Motions of each batch that the VAE's phase looks at; None for all.
+        joint_weight: Weight of joints that follow from predicted rotations, against the recorded.
+        consistency_weight: Weight of predicted joints against those that follow from predicted rotations.
+        vae_delta_weight: Weight of predicted deltas against differences of predictions: translation, orientation and
+            joints each.
+        text_drop: Share of motions whose text is hidden, so that guidance has an unconditional model.
     """
 
     vae_share: float = 0.4
-    """Share of the VAE's phase in the training, after which it is frozen and the denoiser trained. 0 keeps the VAE of
-    the initial weights."""
     vae_stages: Shares = (0.5, 0.25, 0.25)
-    """Shares of the phase in which primitives start from recorded history, ever more often from the end of what was
-    just predicted, and always from that."""
     denoiser_stages: Shares = (1 / 3, 1 / 3, 1 / 3)
     primitives: int = 4
-    """Consecutive ones of each training motion."""
     windows: int = 1
-    """Number of times that they are drawn from each motion of a batch."""
     vae_batch_size: int | None = None
-    """Motions of each batch that the VAE's phase looks at; None for all."""
     kl_weight: float = 1e-6
     joint_weight: float = 10.0
-    """Weight of joints that follow from predicted rotations, against the recorded."""
     consistency_weight: float = 10.0
-    """Weight of predicted joints against those that follow from predicted rotations."""
     vae_delta_weight: float = 100.0
-    """Weight of predicted deltas against differences of predictions: translation, orientation and joints each."""
     latent_weight: float = 1.0
     denoiser_delta_weight: float = 1e4
     text_drop: float = 0.1
-    """Share of motions whose text is hidden, so that guidance has an unconditional model."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.vae_share < 1:
@@ -464,8 +470,8 @@ def _normal(shape: tuple[int, ...], generator: torch.Generator, device: torch.de
     return torch.randn(shape, generator=generator).to(device)
 
 
+# Keys that fine-tuning may set otherwise than the weights that it starts from.
 FREE_TO_CHANGE = frozenset({"dropout", "uniform_skeleton"})
-"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
 
 
 class DartTask:

@@ -19,7 +19,6 @@ from jaxtyping import Bool, Float
 from prbench.contract import ConditionBatch
 from prbench.representation.features import N_FEATURES
 from prbench_adapters.diffusion.goal_frame import N_GOAL_FRAME_FEATURES, seen_condition, seen_size
-from prbench_adapters.training.dataset import Goal, MotionBatch
 
 _ConditionPart = Literal["initial_pose", "initial_velocity", "goal", "text"]
 
@@ -46,47 +45,46 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
 
     Raises:
         ValueError: for sizes that do not fit together.
+
+    Attributes:
+        architecture: ``frames`` is ours, for small models with a goal (:mod:`prbench_adapters.diffusion.denoiser`).
+        features: What the network sees of a motion: HumanML3D's 263 numbers a frame, or ours
+            (:mod:`prbench_adapters.diffusion.goal_frame`), which the architecture ``frames`` is made for.
+        frames_per_token: Neighbouring frames that share a token; 1 as in the paper. More make small models quicker, in
+            training and in noise optimisation alike.
+        text_tokens: One memory token per word piece, or their mean; the encoder architecture always takes the mean.
+        dropped: Conditions that the model never sees, in training and later (*Prime and Reach*, table 3).
+        smoothed: Average neighbouring frames with weights 1, 2, 1 when HumanML3D's features are decoded, in training as
+            well. That leaves a fifth of the jerk of independent errors; not in the study. Goal-frame features are
+            always averaged.
+        time_in_frames: Put the time token also in front of the frames of a decoder. Source:
+            docs/specification/mdm.md#network.
+        uniform_skeleton: True if the features are those of bodies rescaled to HumanML3D's skeleton. Source:
+            docs/specification/pr-model.md#data-and-features.
     """
 
     architecture: Literal["decoder", "encoder", "frames"] = "decoder"
-    """``frames`` is ours, for small models with a goal (:mod:`prbench_adapters.diffusion.denoiser`)."""
     features: Literal["humanml3d", "goal-frame"] = "humanml3d"
-    """What the network sees of a motion: HumanML3D's 263 numbers a frame, or ours
-    (:mod:`prbench_adapters.diffusion.goal_frame`), which the architecture ``frames`` is made for."""
     width: int = 512
     heads: int = 4
     layers: int = 8
     feed_forward: int = 1024
     dropout: float = 0.1
     frames_per_token: int = 1
-    """Neighbouring frames that share a token; 1 as in the paper. More make small models quicker, in training and in
-    noise optimisation alike."""
     text_encoder: str = "distilbert"
     text_dimension: int = 768
     text_tokens: Literal["all", "pooled"] = "all"
-    """One memory token per word piece, or their mean; the encoder architecture always takes the mean."""
     goal: Literal["none", "pose", "location"] = "none"
     injection: Literal["addition", "cross-attention"] = "addition"
     dropped: tuple[_ConditionPart, ...] = ()
-    """Conditions that the model never sees, in training and later (*Prime and Reach*, table 3)."""
     condition_scaling: Literal["standardised", "none"] = "standardised"
     diffusion_steps: int = 50
     representation: Literal["continuous", "reference"] = "continuous"
     fps: float = 20.0
     max_frames: int = 241
     smoothed: bool = False
-    """Average neighbouring frames with weights 1, 2, 1 when HumanML3D's features are decoded, in training as well. That
-    leaves a fifth of the jerk of independent errors; not in the study. Goal-frame features are always averaged."""
     time_in_frames: bool = False
-    """Put the time token also in front of the frames of a decoder.
-
-    Source: docs/specification/mdm.md#network.
-    """
     uniform_skeleton: bool = False
-    """True if the features are those of bodies rescaled to HumanML3D's skeleton.
-
-    Source: docs/specification/pr-model.md#data-and-features.
-    """
 
     def __post_init__(self) -> None:
         for name in _COUNTS:
@@ -138,16 +136,21 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
 
 @dataclass(frozen=True)
 class EncodedCondition:
-    """Conditions of B motions."""
+    """Conditions of B motions.
+
+    Attributes:
+        text: Vectors of the frozen text encoder, one per word piece.
+        padding: True where a row has no word piece. The first token of a row always counts, so that no row is without
+            any.
+        vector: Initial pose, initial velocity and goal, scaled (docs/specification/pr-model.md#network); None without a
+            goal.
+        given: The same as it was given (:func:`raw_condition`): what goal-frame features are measured from.
+    """
 
     text: Float[torch.Tensor, "batch tokens dimension"]
-    """Vectors of the frozen text encoder, one per word piece."""
     padding: Bool[torch.Tensor, "batch tokens"]
-    """True where a row has no word piece. The first token of a row always counts, so that no row is without any."""
     vector: Float[torch.Tensor, "batch size"] | None = None
-    """Initial pose, initial velocity and goal, scaled (docs/specification/pr-model.md#network); None without a goal."""
     given: Float[torch.Tensor, "batch raw"] | None = None
-    """The same as it was given (:func:`raw_condition`): what goal-frame features are measured from."""
 
     def __len__(self) -> int:
         return len(self.text)
@@ -205,17 +208,6 @@ def raw_condition(
     return torch.cat([part.flatten(1) for part in (initial_joints, velocity, goal)], dim=1).float()
 
 
-def raw_condition_of_items(batch: MotionBatch, goal: Goal) -> Float[torch.Tensor, "batch size"]:
-    """:func:`raw_condition` of motions that are trained on.
-
-    Args:
-        batch: The motions.
-        goal: ``pose`` or ``location``.
-    """
-    target = batch.goal_joints if goal == "pose" else batch.goal_location
-    return raw_condition(batch.initial_joints, batch.previous_joints, target, batch.fps)
-
-
 def raw_condition_of(
     batch: ConditionBatch, configuration: DenoiserConfiguration
 ) -> Float[torch.Tensor, "batch size"] | None:
@@ -240,14 +232,16 @@ class ConditionScaling:
     """Scales a raw vector for the network: ``(raw - mean) / std``, dropped conditions zero.
 
     With goal-frame features the raw vector is first seen from the goal (:func:`.goal_frame.seen_condition`).
+
+    Attributes:
+        kept: 0 for conditions that the model never sees, in training and test alike (table 3), else 1.
+        from_goal: True with goal-frame features.
     """
 
     mean: Float[torch.Tensor, " size"]
     std: Float[torch.Tensor, " size"]
     kept: Float[torch.Tensor, " size"]
-    """0 for conditions that the model never sees, in training and test alike (table 3), else 1."""
     from_goal: bool = False
-    """True with goal-frame features."""
 
     @classmethod
     def of(

@@ -24,8 +24,8 @@ from torch.nn import functional
 from prbench.representation.features import N_FEATURES
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration, EncodedCondition
 
+# Keys and values of one layer's cross-attention, each (batch, heads, tokens, width / heads).
 KeysValues = tuple[Tensor, Tensor]
-"""Keys and values of one layer's cross-attention, each (batch, heads, tokens, width / heads)."""
 
 
 class _SelfAttention(nn.Module):
@@ -218,14 +218,17 @@ class _CrossAttentionInjection(nn.Module):
 
 @dataclass(frozen=True)
 class PreparedCondition:
-    """Everything that a pass takes from condition and step: computed once, used for as many passes as wanted."""
+    """Everything that a pass takes from condition and step: computed once, used for as many passes as wanted.
+
+    Attributes:
+        front: The token put in front of the frames, if there is one.
+        layers: Per layer: keys and values of the memory; the constant of a single memory token; None in an encoder.
+        visible: True for memory tokens that may be attended to; None for all of them.
+    """
 
     front: Float[Tensor, "batch 1 width"] | None
-    """The token put in front of the frames, if there is one."""
     layers: tuple[KeysValues | Tensor | None, ...]
-    """Per layer: keys and values of the memory; the constant of a single memory token; None in an encoder."""
     visible: Bool[Tensor, "batch 1 1 tokens"] | None
-    """True for memory tokens that may be attended to; None for all of them."""
 
 
 class Denoiser(nn.Module):

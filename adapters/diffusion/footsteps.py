@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+# Seconds of a swing: 40 % of a gait cycle of 1.1 seconds (Perry and Burnfield 2010, Gait Analysis).
 SWING = 0.45
-"""Seconds of a swing: 40 % of a gait cycle of 1.1 seconds (Perry and Burnfield 2010, Gait Analysis)."""
+# Metres to which a toe joint rises in the middle of its swing; choice: recorded toes are at 6.8 cm on the average while
+# they are quicker than half a metre a second (tables of synthetic people, training split).
 LIFT = 0.08
-"""Metres to which a toe joint rises in the middle of its swing; choice: recorded toes are at 6.8 cm on the average
-while they are quicker than half a metre a second (tables of synthetic people, training split)."""
+# Metres that a toe may be away from where it is wanted before it swings; choice, about a foot's width.
 LAG = 0.08
-"""Metres that a toe may be away from where it is wanted before it swings; choice, about a foot's width."""
+# Likewise, where the network says that the foot stands: half a short step.
 SURE_LAG = 0.16
-"""Likewise, where the network says that the foot stands: half a short step."""
 _REST = 0.15  # seconds on the floor between two swings of a foot; choice
 _HIGH = 0.05  # metres above its lowest place from which on a toe of the first frame is in the air
 _QUICK = 0.25  # m/s from which on it is, too; over the speed of planted toes of noisy body trackers
@@ -31,15 +31,18 @@ _RETURN = 0.2  # seconds after the first and before a given last frame within wh
 
 @dataclass(frozen=True)
 class _Swing:
-    """One foot's way through the air."""
+    """One foot's way through the air.
+
+    Attributes:
+        stop: Frame in which it lands.
+        behind: Share of the swing before the motion's first frame.
+    """
 
     start: int
     stop: int
-    """Frame in which it lands."""
     source: Float[np.ndarray, "2"]
     target: Float[np.ndarray, "2"]
     behind: float = 0.0
-    """Share of the swing before the motion's first frame."""
 
 
 def stepped(

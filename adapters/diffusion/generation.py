@@ -92,11 +92,14 @@ def start_noise(
 
 @dataclass(frozen=True)
 class ModelBodies:
-    """A batch as a model sees it."""
+    """A batch as a model sees it.
+
+    Attributes:
+        skeleton: The change of skeleton; None if there is none.
+    """
 
     batch: ConditionBatch
     skeleton: UniformSkeleton | None
-    """The change of skeleton; None if there is none."""
 
     @classmethod
     def of(cls, batch: ConditionBatch, configuration: Any) -> ModelBodies:
@@ -180,8 +183,8 @@ class Guidance:
     def __init__(self, scale: float) -> None:
         self.scale = scale
         self.doubled = scale != 1.0
+        # Network passes so far, summed over sequences; guidance takes two a sequence, backward passes are none.
         self.passes = 0
-        """Network passes so far, summed over sequences; guidance takes two a sequence, backward passes are none."""
 
     def both(self, conditional: Tensor, unconditional: Tensor) -> Tensor:
         """The rows of a pass: the conditional ones, and with guidance the unconditional ones behind them."""
@@ -257,20 +260,23 @@ class Guided(Guidance):
 
 @dataclass(frozen=True)
 class SamplingSettings:
-    """Settings of plain sampling."""
+    """Settings of plain sampling.
+
+    Attributes:
+        guidance: Weight s of the text; 1 takes one network pass a step, anything else two.
+        steps: Steps of the training schedule that are taken; None for all of them.
+        reach: ``goal`` leads the nearer wrist to a goal location within the last half second, in closed form.
+        feet: ``steps`` lets the feet of goal-frame features stand or swing; ``predicted`` leaves them as they are.
+        noise_scale: Standard deviation of the noise that sampling starts from. Above the 1 of training, several motions
+            of one sequence differ more; 0 gives the one motion of no noise.
+    """
 
     guidance: float
-    """Weight s of the text; 1 takes one network pass a step, anything else two."""
     sampler: Literal["ddpm", "ddim"] = "ddpm"
     steps: int | None = None
-    """Steps of the training schedule that are taken; None for all of them."""
     reach: Reach = "predicted"
-    """``goal`` leads the nearer wrist to a goal location within the last half second, in closed form."""
     feet: Feet = "steps"
-    """``steps`` lets the feet of goal-frame features stand or swing; ``predicted`` leaves them as they are."""
     noise_scale: float = 1.0
-    """Standard deviation of the noise that sampling starts from. Above the 1 of training, several motions of one
-    sequence differ more; 0 gives the one motion of no noise."""
 
 
 def generate(model: MotionModel, batch: ConditionBatch, settings: SamplingSettings) -> Motions:

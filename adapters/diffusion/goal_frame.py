@@ -29,23 +29,23 @@ from torch.nn import functional
 from prbench.geometry.skeleton import BONES, N_JOINTS, PARENTS, TOES, WRISTS, Joint
 from prbench_adapters.diffusion.footsteps import stepped
 
+# Seconds over which corrections of the first and last frame fade out; choice: about a step.
 FADE = 0.5
-"""Seconds over which corrections of the first and last frame fade out; choice: about a step."""
+# Metres a second over the floor below which a toe counts as planted: the protocol's ``slide_speed``. Noise of body
+# trackers moves planted toes by half of it.
 STILL = 0.2
-"""Metres a second over the floor below which a toe counts as planted: the protocol's ``slide_speed``. Noise of body
-trackers moves planted toes by half of it."""
+# Metres above the floor below which it must be, too: the protocol's ``foot_height``.
 LOW = 0.05
-"""Metres above the floor below which it must be, too: the protocol's ``foot_height``."""
+# Numbers that :func:`sight` returns for each frame.
 N_SIGHT = 17
-"""Numbers that :func:`sight` returns for each frame."""
 
+# Joints whose bones are chained from the pelvis: hips, spine, neck, head, collars, shoulders.
 _TRUNK = (1, 2, 3, 6, 9, 12, 13, 14, 15, 16, 17)
-"""Joints whose bones are chained from the pelvis: hips, spine, neck, head, collars, shoulders."""
 _ROOTS = (Joint.LEFT_HIP, Joint.RIGHT_HIP, Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER)
 _MIDDLES = (Joint.LEFT_KNEE, Joint.RIGHT_KNEE, Joint.LEFT_ELBOW, Joint.RIGHT_ELBOW)
 _ENDS = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, *WRISTS)
+# Joints whose bones have directions among the features.
 _DIRECTED = (*_TRUNK, *_MIDDLES, *TOES)
-"""Joints whose bones have directions among the features."""
 _DIRECTIONS = slice(3, 3 + 3 * len(_DIRECTED))
 _PLACES = slice(_DIRECTIONS.stop, _DIRECTIONS.stop + 3 * len(_ENDS))
 N_POSE_FEATURES = _PLACES.stop
@@ -62,22 +62,25 @@ _POSE = 3 * N_JOINTS
 
 @dataclass(frozen=True)
 class GoalFrame:
-    """The frame of each sequence's goal, with the poses that are given in it."""
+    """The frame of each sequence's goal, with the poses that are given in it.
+
+    Attributes:
+        origin: Under the goal, on the floor; canonical frame, metres.
+        forward: Unit vector (x, z) of the frame's +Z axis, canonical frame.
+        height: Of the goal above the floor; of a goal pose, of the middle between its wrists. Metres.
+        lengths: Of the bones of the initial pose, metres.
+        first: Features of the initial pose, contacts left out.
+        rates: Their changes in a second, as the initial velocity has it.
+        last: Features of the goal pose, if that is the goal.
+    """
 
     origin: Float[Tensor, "batch 3"]
-    """Under the goal, on the floor; canonical frame, metres."""
     forward: Float[Tensor, "batch 2"]
-    """Unit vector (x, z) of the frame's +Z axis, canonical frame."""
     height: Float[Tensor, " batch"]
-    """Of the goal above the floor; of a goal pose, of the middle between its wrists. Metres."""
     lengths: Float[Tensor, "batch 21"]
-    """Of the bones of the initial pose, metres."""
     first: Float[Tensor, "batch 66"]
-    """Features of the initial pose, contacts left out."""
     rates: Float[Tensor, "batch 66"]
-    """Their changes in a second, as the initial velocity has it."""
     last: Float[Tensor, "batch 66"] | None
-    """Features of the goal pose, if that is the goal."""
 
     @classmethod
     def of(cls, raw: Float[Tensor, "batch size"]) -> GoalFrame:

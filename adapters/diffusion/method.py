@@ -102,13 +102,13 @@ def _files(folder: Path | None) -> dict[str, Path]:
     return {path.name.removesuffix(_SUFFIX): path for one in folders for path in one.glob(f"*{_SUFFIX}")}
 
 
+# Kind of goal of a model, by the condition of the protocol.
 GOALS = {Condition.GOAL_LOCATION: "location", Condition.GOAL_POSE: "pose"}
-"""Kind of goal of a model, by the condition of the protocol."""
 _FARTHEST_GOAL = 10.0
+# Metres from the first pelvis, and from the floor: in twelve seconds nobody here comes farther or reaches higher.
 _HIGHEST_GOAL = 3.0
-"""Metres from the first pelvis, and from the floor: in twelve seconds nobody here comes farther or reaches higher."""
+# docs/specification/mdm.md#classifier-free-guidance; docs/specification/pr-model.md#sampling-without-optimisation.
 TEXT_GUIDANCE = 2.5
-"""docs/specification/mdm.md#classifier-free-guidance; docs/specification/pr-model.md#sampling-without-optimisation."""
 
 
 def require_goals_within_reach(batch: ConditionBatch, *, adapter: str) -> None:

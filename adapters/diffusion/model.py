@@ -25,12 +25,13 @@ from prbench_adapters.diffusion.goal_frame import GoalFrame, smoothed
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.training.weights import Weights, read_weights
 
+# Kept at once; of Nymeria's narrations in DistilBERT's vectors these are about 3 GB.
 _MOST_TEXTS = 65_536
-"""Kept at once; of Nymeria's narrations in DistilBERT's vectors these are about 3 GB."""
 KIND = "denoiser"
+# Where a motion ends: as the network predicts it, or with a wrist at the goal.
 Reach = Literal["predicted", "goal"]
+# How the feet of goal-frame features move: they stand or swing, or stay as the network predicts them.
 Feet = Literal["steps", "predicted"]
-"""Where a motion ends: as the network predicts it, or with a wrist at the goal."""
 
 
 class TextVectors:

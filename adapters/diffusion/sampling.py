@@ -19,19 +19,19 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+# End of the schedule from which the kept steps are counted: the cleanest or the noisiest.
 Spacing = Literal["leading", "trailing"]
-"""End of the schedule from which the kept steps are counted: the cleanest or the noisiest."""
 
 _OFFSET = 0.008
 _LARGEST_BETA = 0.999
+# Noisy features (batch, frames, features) and their index in the training schedule, to clean features.
 Denoise = Callable[[Tensor, int], Tensor]
-"""Noisy features (batch, frames, features) and their index in the training schedule, to clean features."""
+# Index in the training schedule, to the standard normal noise (batch, frames, features) added in that step.
 _DrawNoise = Callable[[int], Tensor]
-"""Index in the training schedule, to the standard normal noise (batch, frames, features) added in that step."""
+# Network passes that a motion in one go may take: sampling of weights with so few steps, and nothing else.
 MOST_PASSES = 4
-"""Network passes that a motion in one go may take: sampling of weights with so few steps, and nothing else."""
+# Index in the training schedule; factors of the clean estimate and of the state in the next state.
 _Move = tuple[int, float, float]
-"""Index in the training schedule; factors of the clean estimate and of the state in the next state."""
 _Factors = tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]
 
 

@@ -13,34 +13,36 @@ from prbench.errors import UsageError
 from prbench_adapters.diffusion.configuration import (
     ConditionScaling,
     DenoiserConfiguration,
-    raw_condition_of_items,
 )
 from prbench_adapters.diffusion.goal_frame import GoalFrame, seen_condition
 from prbench_adapters.diffusion.model import KIND, TextVectors, network, stored_scaling, stored_statistics
-from prbench_adapters.diffusion.training import DiffusionTraining, Objective
+from prbench_adapters.diffusion.training import DiffusionTraining, Objective, raw_condition_of_items
 from prbench_adapters.training.dataset import Goal, collate
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import Weights, origin_of, read_weights
 
+# Keys that fine-tuning may set otherwise than the weights that it starts from.
 FREE_TO_CHANGE = frozenset(
     {"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames", "smoothed", "uniform_skeleton"}
 )
-"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
 _TOGETHER = 64  # sequences whose features are measured at once
+# Metres, or of a unit vector: bones that hardly turn are not blown up.
 _LEAST_FEATURE_STD = 0.05
-"""Metres, or of a unit vector: bones that hardly turn are not blown up."""
 _LEAST_CONDITION_STD = 0.01
 
 
 @dataclass(frozen=True)
 class DiffusionTask:
-    """A training task (:class:`prbench_adapters.training.task.TrainingTask`)."""
+    """A training task (:class:`prbench_adapters.training.task.TrainingTask`).
+
+    Attributes:
+        goals: Kinds of goal that its models may have once they are fine-tuned.
+        configurations: Import name of the package with the method's ``<name>-<configuration>.toml``.
+    """
 
     name: str
     goals: tuple[str, ...]
-    """Kinds of goal that its models may have once they are fine-tuned."""
     configurations: str
-    """Import name of the package with the method's ``<name>-<configuration>.toml``."""
 
     def build(
         self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str
@@ -133,8 +135,8 @@ def _require_one_skeleton(configuration: DenoiserConfiguration, data: TrainingDa
             )
 
 
+# Mean and standard deviation.
 _Statistics = tuple[torch.Tensor, torch.Tensor]
-"""Mean and standard deviation."""
 
 
 def _scales(

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from prbench.geometry.skeleton import BONES, TOES, WRISTS, Joint
 from prbench.protocol.manifests import load_protocol
 from prbench.representation.tensors import decode
-from prbench_adapters.diffusion.configuration import ConditionScaling, EncodedCondition, raw_condition_of_items
+from prbench_adapters.diffusion.configuration import ConditionScaling, EncodedCondition, raw_condition
 from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser
 from prbench_adapters.diffusion.goal_frame import head_axes, smoothed, still_steps
 from prbench_adapters.diffusion.model import KIND, TextVectors, goal_frame
@@ -30,13 +30,13 @@ from prbench_adapters.training.weights import representation_entry, weights_head
 Joints = Float[Tensor, "batch frames 22 3"]
 
 _NEAREST = 0.3
+# Metres: the goal's distance counts as at least and at most this, so that near and far goals are both learnt.
 _FARTHEST = 2.5
-"""Metres: the goal's distance counts as at least and at most this, so that near and far goals are both learnt."""
+# Seconds around the prime time within which the head counts in full: most of the benchmark's window of one second.
 _PRIMING_WIDTH = 0.75
-"""Seconds around the prime time within which the head counts in full: most of the benchmark's window of one second."""
 _OTHER_TIMES = 0.2
+# Seconds before the end in which wrists count: the last part of a reach.
 _ENDING = 0.3
-"""Seconds before the end in which wrists count: the last part of a reach."""
 
 
 def ray_loss(
@@ -89,27 +89,32 @@ _PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
 
 
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The losses, which diffusion steps are trained, and how often the text is hidden."""
+    """The losses, which diffusion steps are trained, and how often the text is hidden.
+
+    Attributes:
+        joint_loss_weight: Weight of L_joint in square metres; 0 trains on features alone (table S5).
+        velocity_loss_weight: Weight of the squared error of joint displacements between neighbouring frames, m²; not in
+            the study.
+        bone_loss_weight: Weight of the squared error of the 21 bone vectors, m²; not in the study. It teaches small
+            models to keep lengths, and where the head points.
+        ray_loss_weight: Weight of the miss of the head's axes at the goal's distance, m², most of all around the prime
+            time; not in the study, where the neck-head bone has a thousandth of the loss.
+        foot_loss_weight: Weight of the squared steps of planted toes, m²; not in the study.
+        wrist_loss_weight: Weight of the squared error of the wrists at the end of the reach, m²; not in the study.
+        noisiest_share: Share of the sequences that are trained on the noisiest sixth of the diffusion steps, beyond the
+            uniform draw of the study. There alone the condition decides where a motion goes: afterwards the noisy
+            motion shows it already.
+        text_drop: Share of sequences whose text is replaced by the null text (*Prime and Reach*, section 5.1).
+    """
 
     joint_loss_weight: float = 1.0
-    """Weight of L_joint in square metres; 0 trains on features alone (table S5)."""
     velocity_loss_weight: float = 0.0
-    """Weight of the squared error of joint displacements between neighbouring frames, m²; not in the study."""
     bone_loss_weight: float = 0.0
-    """Weight of the squared error of the 21 bone vectors, m²; not in the study. It teaches small models to keep
-    lengths, and where the head points."""
     ray_loss_weight: float = 0.0
-    """Weight of the miss of the head's axes at the goal's distance, m², most of all around the prime time; not in the
-    study, where the neck-head bone has a thousandth of the loss."""
     foot_loss_weight: float = 0.0
-    """Weight of the squared steps of planted toes, m²; not in the study."""
     wrist_loss_weight: float = 0.0
-    """Weight of the squared error of the wrists at the end of the reach, m²; not in the study."""
     noisiest_share: float = 0.0
-    """Share of the sequences that are trained on the noisiest sixth of the diffusion steps, beyond the uniform draw of
-    the study. There alone the condition decides where a motion goes: afterwards the noisy motion shows it already."""
     text_drop: float = 0.2
-    """Share of sequences whose text is replaced by the null text (*Prime and Reach*, section 5.1)."""
 
 
 def losses(
@@ -193,16 +198,31 @@ def scored_losses(
     return {"loss": total, **{name: part.detach() for name, part in parts.items()}}
 
 
+def raw_condition_of_items(batch: MotionBatch, goal: Goal) -> Float[torch.Tensor, "batch size"]:
+    """:func:`raw_condition` of motions that are trained on.
+
+    Args:
+        batch: The motions.
+        goal: ``pose`` or ``location``.
+    """
+    target = batch.goal_joints if goal == "pose" else batch.goal_location
+    return raw_condition(batch.initial_joints, batch.previous_joints, target, batch.fps)
+
+
 @dataclass(frozen=True)
 class Draw:
-    """Random numbers of one training step of one network."""
+    """Random numbers of one training step of one network.
+
+    Attributes:
+        step: Index t of the diffusion step of each sequence, uniform unless the objective asks for more noise.
+        without_text: True where the text is hidden, so that guidance has an unconditional model; the condition vector
+            never is.
+        noise: Standard normal, as many columns as the network sees.
+    """
 
     step: Int[torch.Tensor, " batch"]
-    """Index t of the diffusion step of each sequence, uniform unless the objective asks for more noise."""
     without_text: Bool[torch.Tensor, " batch"]
-    """True where the text is hidden, so that guidance has an unconditional model; the condition vector never is."""
     noise: Float[torch.Tensor, "batch frames columns"]
-    """Standard normal, as many columns as the network sees."""
 
 
 class DiffusionTraining(TrainingModule):

@@ -27,17 +27,17 @@ from prbench_adapters.diffusion.model import TextVectors, torch_device
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.training.weights import Weights, read_weights
 
+# Half the turn of the heading since the first frame, radians.
 HEADING = slice(0, 1)
-"""Half the turn of the heading since the first frame, radians."""
+# Pelvis on the ground, canonical frame, metres.
 ROOT_XZ = slice(1, 3)
-"""Pelvis on the ground, canonical frame, metres."""
+# Columns of the root, which are all that the trajectory network sees.
 N_ROOT = ROOT_HEIGHT.stop
-"""Columns of the root, which are all that the trajectory network sees."""
+# Columns that decide the joints of a frame: root and joint positions.
 N_POSE = JOINT_POSITIONS.stop
-"""Columns that decide the joints of a frame: root and joint positions."""
 _EMPHASISED = 3
+# Number of the draw of A: of the first forty the one that is best to invert, condition number 1108.
 _DRAW = 13
-"""Number of the draw of A: of the first forty the one that is best to invert, condition number 1108."""
 
 
 def with_absolute_root(
@@ -95,12 +95,15 @@ def half_turn_of(joints: Float[Tensor, "batch 22 3"]) -> Float[Tensor, " batch"]
 
 @dataclass(frozen=True)
 class FeatureSpace:
-    """Leads from raw features to what the networks see and back: statistics, projection and its inverse."""
+    """Leads from raw features to what the networks see and back: statistics, projection and its inverse.
+
+    Attributes:
+        projection: A: the motion network sees standardised features times A.
+    """
 
     mean: Float[Tensor, " 263"]
     std: Float[Tensor, " 263"]
     projection: Float[Tensor, "263 263"]
-    """A: the motion network sees standardised features times A."""
     inverse: Float[Tensor, "263 263"]
 
     @classmethod
@@ -146,8 +149,8 @@ def emphasis_projection(emphasis: float) -> Float[Tensor, "263 263"]:
     return torch.from_numpy(drawn).half().float()
 
 
+# Groups of every group normalisation; widths are multiples of it.
 GROUPS = 8
-"""Groups of every group normalisation; widths are multiples of it."""
 _KERNEL = 5
 
 
@@ -159,15 +162,24 @@ class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
     Raises:
         ValueError: for sizes that do not fit together.
+
+    Attributes:
+        motion_widths: Channels of each level of the motion network; every further level halves the frames.
+        condition_width: Numbers of the vector of step and text, in both networks.
+        emphasis: Weight c of the three absolute root features in the random projection.
+        padded_frames: Every motion is padded with zeros to this length before a network sees it: group normalisation
+            takes its statistics over padding too, so the length must not depend on the batch.
+        padding_step: Motions that are longer than ``padded_frames`` are padded to the next multiple of this.
+        smoothed: Average neighbouring frames with weights 1, 2, 1 when motions are decoded, in training as well, which
+            leaves a fifth of the jerk of independent errors. The first and the last frame stay.
+        uniform_skeleton: True if the features are those of bodies rescaled to HumanML3D's skeleton. Source:
+            docs/specification/pr-model.md#data-and-features.
     """
 
     motion_widths: tuple[int, ...] = (1024, 1024, 1024, 1024)
-    """Channels of each level of the motion network; every further level halves the frames."""
     trajectory_widths: tuple[int, ...] = (64, 128, 256)
     condition_width: int = 512
-    """Numbers of the vector of step and text, in both networks."""
     emphasis: float = 10.0
-    """Weight c of the three absolute root features in the random projection."""
     text_encoder: str = "distilbert"
     text_dimension: int = 768
     diffusion_steps: int = 1000
@@ -175,18 +187,9 @@ class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     fps: float = 20.0
     max_frames: int = 241
     padded_frames: int = 224
-    """Every motion is padded with zeros to this length before a network sees it: group normalisation takes its
-    statistics over padding too, so the length must not depend on the batch."""
     padding_step: int = 8
-    """Motions that are longer than ``padded_frames`` are padded to the next multiple of this."""
     smoothed: bool = False
-    """Average neighbouring frames with weights 1, 2, 1 when motions are decoded, in training as well, which leaves a
-    fifth of the jerk of independent errors. The first and the last frame stay."""
     uniform_skeleton: bool = False
-    """True if the features are those of bodies rescaled to HumanML3D's skeleton.
-
-    Source: docs/specification/pr-model.md#data-and-features.
-    """
 
     def __post_init__(self) -> None:
         for name in ("motion_widths", "trajectory_widths"):

@@ -31,20 +31,20 @@ from prbench.text.pretrained import CLIP
 from prbench_adapters.gmd.model import KIND, N_ROOT, ROOT_XZ, FeatureSpace, GMDConfiguration, TemporalUNet
 from prbench_adapters.training.weights import representation_entry, weights_header, write_weights
 
+# SHA-256 of ``Mean_abs_3d.npy``, ``Std_abs_3d.npy`` and ``rand_proj.npy`` in the public repository.
 RELEASED = {
     "mean": "1bb2633e77a99f1120fc1eb424b7489360bac0a8dfb579e18bd5065431b4b07e",
     "std": "9f5f12cae2003ef19fea119347346d0e46ad85c86dcd1096f1e319ee2a69f940",
     "projection": "91027345a8157fbfe31f6c75b3d341436b649194fe31158ea4419d5cf38d5abb",
 }
-"""SHA-256 of ``Mean_abs_3d.npy``, ``Std_abs_3d.npy`` and ``rand_proj.npy`` in the public repository."""
+# Metres. Where people stand deviates by decimetres; how far they step in a frame, by some centimetres.
 _LEAST_DEVIATION_OF_PLACES = 0.1
-"""Metres. Where people stand deviates by decimetres; how far they step in a frame, by some centimetres."""
+# A draw of the projection has a sum of squares of 263, give or take some per cent; its inverse has many times that.
 _MOST_OFF = 1.25
-"""A draw of the projection has a sum of squares of 263, give or take some per cent; its inverse has many times that."""
+# The copies of the network in a checkpoint, the one to sample with first: a moving average over training.
 _COPIES = ("model_avg", "model")
-"""The copies of the network in a checkpoint, the one to sample with first: a moving average over training."""
+# Earlier versions of PyTorch could be made to run code in spite of ``weights_only`` (CVE-2025-32434).
 _SAFE_SINCE = (2, 6)
-"""Earlier versions of PyTorch could be made to run code in spite of ``weights_only`` (CVE-2025-32434)."""
 _NOT_LEARNT = re.compile(r"clip_model\.|(embed_timestep\.)?sequence_pos_encoder\.pe$")
 _REFUSED = re.compile(r"GLOBAL ([\w.]+)")
 
@@ -112,13 +112,16 @@ def _read(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """One network of the original program."""
+    """One network of the original program.
+
+    Attributes:
+        copy: Name of this copy in the file: ``model_avg``, ``model``, or ``only`` where there are no two.
+        tensors: Maps the original's names to tensors, on the CPU.
+    """
 
     path: Path
     copy: str
-    """Name of this copy in the file: ``model_avg``, ``model``, or ``only`` where there are no two."""
     tensors: dict[str, Tensor]
-    """Maps the original's names to tensors, on the CPU."""
 
     def require(self, name: str, shape: tuple[int | None, ...]) -> Tensor:
         """The tensor of this name.
@@ -276,14 +279,17 @@ class PublicFiles:
 
 @dataclass(frozen=True)
 class Imported:
-    """Report of what was written."""
+    """Report of what was written.
+
+    Attributes:
+        copies: Name of the copy that was taken, by network.
+        not_released: Statistics and projection that are not those of the public repository.
+    """
 
     configuration: GMDConfiguration
     copies: dict[str, str]
-    """Name of the copy that was taken, by network."""
     parameters: int
     not_released: tuple[Path, ...]
-    """Statistics and projection that are not those of the public repository."""
 
 
 def import_public(files: PublicFiles, out: Path) -> Imported:

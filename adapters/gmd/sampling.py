@@ -16,12 +16,12 @@ from prbench_adapters.diffusion.generation import Guidance, SequenceNoise
 from prbench_adapters.diffusion.sampling import Chain, CosineSchedule, Denoise
 from prbench_adapters.gmd.model import N_POSE, N_ROOT, ROOT_XZ, FeatureSpace, TemporalUNet, half_turn_of, pose_columns
 
+# Maps the clean estimate (batch, frames, columns) to a loss a row (batch,).
 RowLoss = Callable[[Tensor], Tensor]
-"""Maps the clean estimate (batch, frames, columns) to a loss a row (batch,)."""
+# Limit at which the original cuts the clean estimate of the trajectory, in standard deviations.
 _MOST_DEVIATIONS = 6.0
-"""Limit at which the original cuts the clean estimate of the trajectory, in standard deviations."""
+# Part of the first and last frame that is imputed: the pelvis on the ground, or in stage 2 the whole pose.
 Keyframes = Literal["root", "pose"]
-"""Part of the first and last frame that is imputed: the pelvis on the ground, or in stage 2 the whole pose."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,8 @@ class RootGoal:
         return RootGoal(torch.lerp(start, end, progress[..., None]), after < frames)
 
 
+# Standardised values, and the columns that sampling overwrites by them.
 Imputed = tuple[Float[Tensor, "batch frames columns"], Bool[Tensor, "batch frames columns"]]
-"""Standardised values, and the columns that sampling overwrites by them."""
 
 
 def clean_of_noise(
@@ -194,17 +194,20 @@ _LINE_FROM = 100
 
 @dataclass(frozen=True)
 class GMDSettings:
-    """Settings of sampling; the defaults are those of the original's evaluation."""
+    """Settings of sampling; the defaults are those of the original's evaluation.
+
+    Attributes:
+        guidance: Weight s of the text; 1 takes one network pass a step, anything else two.
+        goal_scale: Weight of the gradient of the goal; 0 computes none.
+        steps: Steps of the training schedule that each stage takes; None for all of them.
+        bones: Lengths of the bones: those that the network gives them, or those of the initial pose.
+    """
 
     guidance: float = 2.5
-    """Weight s of the text; 1 takes one network pass a step, anything else two."""
     goal_scale: float = 100.0
-    """Weight of the gradient of the goal; 0 computes none."""
     keyframes: Keyframes = "root"
     steps: int | None = None
-    """Steps of the training schedule that each stage takes; None for all of them."""
     bones: Literal["predicted", "initial"] = "predicted"
-    """Lengths of the bones: those that the network gives them, or those of the initial pose."""
 
 
 class GuidedNetwork(Guidance):

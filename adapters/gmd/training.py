@@ -34,27 +34,32 @@ from prbench_adapters.training import MotionBatch
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import origin_of, read_weights, representation_entry, weights_header
 
+# Keys that fine-tuning may set otherwise than the weights that it starts from.
 FREE_TO_CHANGE = frozenset({"max_frames", "smoothed", "uniform_skeleton"})
-"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
 _FEATURES_ALONE = DenoiserObjective(joint_loss_weight=0.0)
 
 
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Settings of the training beside the configuration of the networks."""
+    """Settings of the training beside the configuration of the networks.
+
+    Attributes:
+        text_drop: Share of sequences whose text is hidden, so that guidance has an unconditional model.
+        joint_loss_weight: Weight of the squared error of the decoded joints of the motion network, m²; this and the
+            next three are losses of the compared models (:class:`prbench_adapters.diffusion.training.Objective`), which
+            GMD does not have.
+        velocity_loss_weight: Weight of the squared error of their steps between neighbouring frames, m².
+        bone_loss_weight: Weight of the squared error of the bone vectors, m².
+        foot_loss_weight: Weight of the squared steps of planted toes, m².
+        path_step_weight: Weight of the squared differences between neighbouring frames' errors of the trajectory
+            network; not in GMD.
+    """
 
     text_drop: float = 0.1
-    """Share of sequences whose text is hidden, so that guidance has an unconditional model."""
     joint_loss_weight: float = 0.0
-    """Weight of the squared error of the decoded joints of the motion network, m²; this and the next three are losses
-    of the compared models (:class:`prbench_adapters.diffusion.training.Objective`), which GMD does not have."""
     velocity_loss_weight: float = 0.0
-    """Weight of the squared error of their steps between neighbouring frames, m²."""
     bone_loss_weight: float = 0.0
-    """Weight of the squared error of the bone vectors, m²."""
     foot_loss_weight: float = 0.0
-    """Weight of the squared steps of planted toes, m²."""
     path_step_weight: float = 0.0
-    """Weight of the squared differences between neighbouring frames' errors of the trajectory network; not in GMD."""
 
 
 class GMDTraining(TrainingModule):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from prbench_adapters.diffusion.configuration import DenoiserConfiguration
     from prbench_adapters.diffusion.generation import SamplingSettings
     from prbench_adapters.diffusion.model import MotionModel
-    from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
+    from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
     from prbench_adapters.diffusion.tasks import DiffusionTask
 
 DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_POSE: "pr-small-goal-pose"}
@@ -34,14 +34,17 @@ _OF_GOAL_FRAMES = {"reach": "goal", "feet": "predicted"}  # choices that other f
 
 @dataclass(frozen=True)
 class TrainedFor:
-    """A model, the file that it came from, and how it generates."""
+    """A model, the file that it came from, and how it generates.
+
+    Attributes:
+        settings: Of plain sampling, or of noise optimisation.
+        own_bones: Keep the bone lengths of the initial pose in sampled motions; an optimisation has its own setting.
+    """
 
     model: MotionModel
     path: Path
     settings: SamplingSettings | OptimisationSettings
-    """Of plain sampling, or of noise optimisation."""
     own_bones: bool = False
-    """Keep the bone lengths of the initial pose in sampled motions; an optimisation has its own setting."""
 
 
 class PR:
@@ -78,7 +81,7 @@ class PR:
         trained = self._trained_for(batch.condition)
         require_goals_within_reach(batch, adapter=self.name)
         from prbench_adapters.diffusion.generation import SamplingSettings, generate, on_own_bones
-        from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised
+        from prbench_adapters.diffusion.optimised_generation import generate_optimised
 
         if isinstance(trained.settings, SamplingSettings):
             motions = generate(trained.model, batch, trained.settings)
@@ -99,7 +102,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     """Entry point ``pr``.
 
     Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the other
-    ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`; without optimisation
+    ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation`; without optimisation
     ``sampler`` (ddpm, ddim, or one-pass for weights of one to four steps, which needs no ``optimise=off``), ``steps``
     ``feet`` (steps: they stand or swing; or predicted: as the network has them) and ``noise-scale`` (1: deviation of
     the noise that sampling starts from; with 2 several motions for one goal differ more); ``reach`` (predicted, or
@@ -120,7 +123,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     """
     from prbench_adapters.diffusion.generation import SAMPLING_OPTIONS, require_known
     from prbench_adapters.diffusion.method import resolve
-    from prbench_adapters.diffusion.noise_optimisation.settings import PRIME_AND_REACH_OPTIONS
+    from prbench_adapters.diffusion.noise_optimisation import PRIME_AND_REACH_OPTIONS
 
     own = ("optimise", "text-path", "feet", "noise-scale")
     require_known(options, (*own, *SAMPLING_OPTIONS, *PRIME_AND_REACH_OPTIONS))
@@ -185,7 +188,7 @@ def _settings(
     """Turn the options into settings for a model, and whether sampled motions get the initial pose's bones."""
     from prbench_adapters.diffusion.generation import ONE_PASS, SAMPLERS, choice, number, sampling_settings
     from prbench_adapters.diffusion.model import Feet, Reach
-    from prbench_adapters.diffusion.noise_optimisation.settings import (
+    from prbench_adapters.diffusion.noise_optimisation import (
         PRIME_AND_REACH_OPTIONS,
         fast,
         finishing,

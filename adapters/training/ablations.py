@@ -24,15 +24,18 @@ _ONLY_IN_FINE_TUNING = frozenset({"goal", "dropped", "injection", "joint_loss_we
 
 @dataclass(frozen=True)
 class Ablation:
-    """One row of a table: what is changed in the full model."""
+    """One row of a table: what is changed in the full model.
+
+    Attributes:
+        model: Keys of ``[model]`` for fine-tuning.
+        options: Options of ``prbench run --method pr``.
+    """
 
     table: str
     condition: str
     variant: str
     model: Mapping[str, Any]
-    """Keys of ``[model]`` for fine-tuning."""
     options: Mapping[str, str]
-    """Options of ``prbench run --method pr``."""
     pretraining: _Pretraining
 
     @property

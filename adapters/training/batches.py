@@ -33,20 +33,23 @@ from prbench_benchmarks.motion_prediction.joint_sets import (
 from prbench_benchmarks.motion_prediction.protocol import FrameName
 from prbench_benchmarks.motion_prediction.table import Run, WindowsTable
 
+# Share of the published training segments that validate, as the published split has no such part.
 _HELD_OUT = 0.1
-"""Share of the published training segments that validate, as the published split has no such part."""
 
 
 class WindowChoice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a network is shown of the windows, and of which people."""
+    """What a network is shown of the windows, and of which people.
+
+    Attributes:
+        frame: Frame of the joints: the room's, or that of the last observed pose.
+        split: ``published``: the training part of the published evaluation, of which a tenth of the segments validates.
+        left_out: Participants who are not shown, for evaluations that leave one out.
+    """
 
     condition: Condition = Condition.POSE_GAZE
     frame: FrameName = "last-pose"
-    """Frame of the joints: the room's, or that of the last observed pose."""
     split: Literal["dataset", "published"] = "dataset"
-    """``published``: the training part of the published evaluation, of which a tenth of the segments validates."""
     left_out: tuple[str, ...] = ()
-    """Participants who are not shown, for evaluations that leave one out."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +74,14 @@ class WindowShape:
 
 @dataclass(frozen=True)
 class WindowItem:
-    """One window, room, metres, Y up; arrays are views of the run."""
+    """One window, room, metres, Y up; arrays are views of the run.
+
+    Attributes:
+        direction: Of gaze or of the head; None under ``pose``.
+    """
 
     joints: Float[np.ndarray, "frames joints 3"]
     direction: Float[np.ndarray, "frames 3"] | None
-    """Of gaze or of the head; None under ``pose``."""
     direction_valid: Bool[np.ndarray, " frames"]
     shape: WindowShape
     frame: FrameName
@@ -83,12 +89,15 @@ class WindowItem:
 
 @dataclass(frozen=True)
 class WindowBatch:
-    """B windows in the frame that the network works in; metres, Y up."""
+    """B windows in the frame that the network works in; metres, Y up.
+
+    Attributes:
+        motion: Joints, and behind them the direction of gaze or of the head, if the condition has one.
+        direction_valid: Which observed directions were measured; None without direction.
+    """
 
     motion: Float[torch.Tensor, "windows frames nodes 3"]
-    """Joints, and behind them the direction of gaze or of the head, if the condition has one."""
     direction_valid: Bool[torch.Tensor, "windows observed"] | None
-    """Which observed directions were measured; None without direction."""
 
     def __len__(self) -> int:
         return len(self.motion)
@@ -161,8 +170,8 @@ class WindowsDataset(Dataset[WindowItem]):
         self.split, self.seed = split, seed
         self._runs: list[Run] = []
         self._stretches: list[tuple[int, Int[np.ndarray, " starts"]]] = []
+        # Items of each table.
         self.counts: tuple[int, ...] = tuple(self._read(table) for table in opened)
-        """Items of each table."""
         self.lengths: Int[np.ndarray, " items"] = np.full(len(self._stretches), self.shape.frames)
 
     def __len__(self) -> int:
@@ -265,10 +274,10 @@ def _allowed_starts(run: Run, shape: WindowShape, fewest_gaze: int) -> Int[np.nd
     return np.flatnonzero(whole & looking)
 
 
+# Index of an item, and the epoch that it is drawn for.
 Draw = tuple[int, int]
-"""Index of an item, and the epoch that it is drawn for."""
+# Batches that are sorted by length together: enough for little padding, few enough that batches stay random.
 _POOL = 32
-"""Batches that are sorted by length together: enough for little padding, few enough that batches stay random."""
 _AHEAD = 4  # batches that each worker prepares in advance
 
 

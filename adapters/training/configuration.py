@@ -23,44 +23,51 @@ DEFAULT_STAGES = ("pretrain", "finetune")
 
 
 class DataConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """``[data]``: how sequences are cut and encoded."""
+    """``[data]``: how sequences are cut and encoded.
+
+    Attributes:
+        max_frames: Longer sequences are cropped to this.
+        crop: Keep the end (it holds the goal), or a random part (for text alone).
+        mode: Mode of the representation.
+    """
 
     max_frames: int = 241
-    """Longer sequences are cropped to this."""
     crop: Literal["end", "random"] = "end"
-    """Keep the end (it holds the goal), or a random part (for text alone)."""
     mode: Literal["continuous", "reference"] = "continuous"
-    """Mode of the representation."""
 
 
 class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """``[training]``: everything that the loop needs."""
+    """``[training]``: everything that the loop needs.
+
+    Attributes:
+        batch_size: Sequences of a batch of each process.
+        optimiser: ``muon`` moves the matrices that a task names by orthogonal steps (Jordan et al. 2024), twice the
+            learning rate long, and everything else by AdamW.
+        warmup_steps: Steps over which the learning rate rises linearly; part of ``steps``.
+        gradient_clip: Largest norm of the gradient over all parameters, or over those of each network where the task
+            says so.
+        ema: Decay of the average of the weights, which is what is saved; 0 keeps no average.
+        ema_warmup: Average over fewer steps at first: the decay at step n is at most (1 + n) / (10 + n).
+        precision: ``auto`` is bfloat16 on a GPU and float32 on a processor; the card and ``training.json`` name it.
+        weights_dtype: Type of matrices in the saved weights.
+    """
 
     steps: int
     batch_size: int = 64
-    """Sequences of a batch of each process."""
     optimiser: Literal["adamw", "muon"] = "adamw"
-    """``muon`` moves the matrices that a task names by orthogonal steps (Jordan et al. 2024), twice the learning rate
-    long, and everything else by AdamW."""
     learning_rate: float = 1e-4
     schedule: Literal["constant", "cosine"] = "constant"
     warmup_steps: int = 0
-    """Steps over which the learning rate rises linearly; part of ``steps``."""
     weight_decay: float = 0.0
     betas: tuple[float, float] = (0.9, 0.999)
     gradient_clip: float | None = None
-    """Largest norm of the gradient over all parameters, or over those of each network where the task says so."""
     ema: float = 0.9999
-    """Decay of the average of the weights, which is what is saved; 0 keeps no average."""
     ema_warmup: bool = True
-    """Average over fewer steps at first: the decay at step n is at most (1 + n) / (10 + n)."""
     precision: Literal["32-true", "bf16-mixed", "auto"] = "32-true"
-    """``auto`` is bfloat16 on a GPU and float32 on a processor; the card and ``training.json`` name it."""
     seed: int = 0
     save_every: int = 1000
     log_every: int = 50
     weights_dtype: Literal["float32", "float16"] = "float32"
-    """Type of matrices in the saved weights."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch_size", "save_every", "log_every"):
@@ -77,20 +84,26 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
 
 
 class ValidationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """``[validation]``: losses on the validation split, while training goes on."""
+    """``[validation]``: losses on the validation split, while training goes on.
+
+    Attributes:
+        every: Steps between validations; 0 for none.
+        sequences: Number of sequences of each dataset: of every recording its share, as ``--limit`` takes them.
+    """
 
     every: int = 0
-    """Steps between validations; 0 for none."""
     sequences: int = 64
-    """Number of sequences of each dataset: of every recording its share, as ``--limit`` takes them."""
     batch_size: int = 32
 
 
 class TrainingConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One configuration, resolved for one stage."""
+    """One configuration, resolved for one stage.
+
+    Attributes:
+        model: Read by the task.
+    """
 
     model: dict[str, Any]
-    """Read by the task."""
     training: OptimisationConfiguration
     data: DataConfiguration = DataConfiguration()
     validation: ValidationConfiguration = ValidationConfiguration()

@@ -36,23 +36,26 @@ from prbench_adapters.training.store import (
 )
 
 Goal = Literal["pose", "location"]
+# Metres, or metres a second: entries that hardly vary are not blown up.
 _STD_FLOOR = 0.01
-"""Metres, or metres a second: entries that hardly vary are not blown up."""
 
 
 @dataclass(frozen=True)
 class MotionItem:
-    """One motion as it is trained on. Canonical frame of its first frame, metres; arrays may be read-only views."""
+    """One motion as it is trained on. Canonical frame of its first frame, metres; arrays may be read-only views.
+
+    Attributes:
+        features: Raw features, one row a frame, not standardised (docs/specification/humanml3d.md#forward-conversion).
+        text: Caption, one of those of the row.
+        previous_joints: The frame before the first, for the initial velocity.
+        goal_location: Place that is reached; NaN for motions of a corpus.
+    """
 
     features: Float[np.ndarray, "n 263"]
-    """Raw features, one row a frame, not standardised (docs/specification/humanml3d.md#forward-conversion)."""
     joints: Float[np.ndarray, "n 22 3"]
     text: str
-    """Caption, one of those of the row."""
     previous_joints: Float[np.ndarray, "22 3"]
-    """The frame before the first, for the initial velocity."""
     goal_location: Float[np.ndarray, "3"]
-    """Place that is reached; NaN for motions of a corpus."""
     fps: float
     sequence_id: str
 
@@ -74,23 +77,26 @@ class MotionItem:
 
 @dataclass(frozen=True)
 class MotionBatch:
-    """B motions. Canonical frame of each one's first frame, metres; frames from ``n_frames[i]`` on are zeros."""
+    """B motions. Canonical frame of each one's first frame, metres; frames from ``n_frames[i]`` on are zeros.
+
+    Attributes:
+        features: Raw features, not standardised; standardise, then set padding to zero.
+        padding: True where there is no frame.
+        initial_joints: The first frame.
+        previous_joints: The frame before it.
+        goal_joints: The last frame.
+        goal_location: NaN for motions of a corpus.
+    """
 
     features: Float[torch.Tensor, "batch frames 263"]
-    """Raw features, not standardised; standardise, then set padding to zero."""
     joints: Float[torch.Tensor, "batch frames 22 3"]
     padding: Bool[torch.Tensor, "batch frames"]
-    """True where there is no frame."""
     n_frames: Int[torch.Tensor, " batch"]
     text: tuple[str, ...]
     initial_joints: Float[torch.Tensor, "batch 22 3"]
-    """The first frame."""
     previous_joints: Float[torch.Tensor, "batch 22 3"]
-    """The frame before it."""
     goal_joints: Float[torch.Tensor, "batch 22 3"]
-    """The last frame."""
     goal_location: Float[torch.Tensor, "batch 3"]
-    """NaN for motions of a corpus."""
     fps: float
     sequence_id: tuple[str, ...]
 
@@ -227,8 +233,8 @@ class SequenceDataset(Dataset[MotionItem]):
                 store, unusable = table_store(table, part, wanted, cache or cache_folder() / "training", engine=engine)
                 self._stores.append(store)
                 left_out += unusable
+        # Rows that cannot be encoded, with the reason of each.
         self.left_out: tuple[LeftOut, ...] = tuple(left_out)
-        """Rows that cannot be encoded, with the reason of each."""
         self._starts = np.cumsum([0, *(len(store) for store in self._stores)])
 
     def __len__(self) -> int:

@@ -105,22 +105,25 @@ def stop_on_signals() -> Iterator[list[int]]:
 _CHECKPOINTS = "checkpoints"
 _STEPS_BETWEEN_QUESTIONS = 10  # processes that train together agree to stop; asking costs a message each
 
+# Maps the number of batches taken before to the batches that follow, without end.
 Batches = Callable[[int], Iterable[Any]]
-"""Maps the number of batches taken before to the batches that follow, without end."""
+# Maps a module with the averaged weights, in evaluation mode, to what was measured.
 Validate = Callable[[TrainingModule], Row]
-"""Maps a module with the averaged weights, in evaluation mode, to what was measured."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a training."""
+    """Progress of a training.
+
+    Attributes:
+        row: A new line of the log, if there is one.
+        validation: Measurements of a validation, if there was one.
+    """
 
     step: int
     steps: int
     row: Row | None = None
-    """A new line of the log, if there is one."""
     validation: Row | None = None
-    """Measurements of a validation, if there was one."""
 
 
 def silent(progress: Progress) -> None:

@@ -29,14 +29,19 @@ from prbench_benchmarks.motion_prediction.table import WindowsTable
 RECORD = "training.json"
 SCHEMA_VERSION = 1
 _MAY_CHANGE = frozenset({"configuration.training.save_every", "configuration.training.log_every"})
+# 2: without times, so that the same training has the same card.
 _CARD_VERSION = 2
-"""2: without times, so that the same training has the same card."""
 _CURVE_POINTS = 100
 _PACKAGES = ("numpy", "pyarrow", "torch", "lightning-fabric", "safetensors", "transformers")
 
 
 class TableRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One table that was learnt from."""
+    """One table that was learnt from.
+
+    Attributes:
+        sequences: Number of sequences in the split that is trained on.
+        fold: The fold of participants that was not learnt from, such as ``2/6``; absent for a table that is no fold.
+    """
 
     dataset: str
     title: str
@@ -45,13 +50,15 @@ class TableRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     identity_digest: str
     content_digest: str
     sequences: int
-    """Number of sequences in the split that is trained on."""
     fold: str | None = None
-    """The fold of participants that was not learnt from, such as ``2/6``; absent for a table that is no fold."""
 
 
 class TrainingRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything that decides the result, except code and machine."""
+    """Everything that decides the result, except code and machine.
+
+    Attributes:
+        refit: The validation split was learnt from, too, so that scores on it say nothing.
+    """
 
     schema_version: int = SCHEMA_VERSION
     method: str
@@ -61,7 +68,6 @@ class TrainingRecord(msgspec.Struct, frozen=True, kw_only=True):
     initial_weights_sha256: str | None
     devices: int
     refit: bool = False
-    """The validation split was learnt from, too, so that scores on it say nothing."""
 
 
 def table_record(table: SequenceTable | CorpusTable | WindowsTable, sequences: int) -> TableRecord:
@@ -196,8 +202,8 @@ def thinned(rows: list[Row], points: int) -> list[Row]:
 
 WEIGHTS = "weights.safetensors"
 _CARD = "weights.json"
+# Maps a state to its card.
 Describe = Callable[[TrainingState], dict[str, Any]]
-"""Maps a state to its card."""
 
 
 class Outputs:

@@ -50,34 +50,38 @@ _IN_PROCESS = InProcess()
 
 @dataclass(frozen=True, kw_only=True)
 class TrainRequest:
-    """One training."""
+    """One training.
+
+    Attributes:
+        method: Name of an installed training task.
+        data: Folders of built datasets or corpora; their split ``train`` is learnt from.
+        out: The training folder; goes on with the same training, refuses another.
+        refit: Learn from the split ``validation`` as well, once nothing is chosen by it any more.
+        fold: A fold of the tables' participants, such as ``2/6``, who are not learnt from; None for the tables' own
+            split.
+        stage: Stage of the training; by default the task's first.
+        configuration: Name of one that comes with the task, or the path of a TOML file; by default the one named like
+            the stage where there is one, else ``small``.
+        overrides: ``("training.steps", "100")`` …
+        initial: Weights to start from.
+        devices: Processes that train together.
+        threads: Torch's threads in each process; on a CPU the last bits of the weights depend on it.
+        workers: Processes that load data for each training process; they change no result.
+    """
 
     method: str
-    """Name of an installed training task."""
     data: tuple[Path, ...]
-    """Folders of built datasets or corpora; their split ``train`` is learnt from."""
     out: Path
-    """The training folder; goes on with the same training, refuses another."""
     refit: bool = False
-    """Learn from the split ``validation`` as well, once nothing is chosen by it any more."""
     fold: str | None = None
-    """A fold of the tables' participants, such as ``2/6``, who are not learnt from; None for the tables' own split."""
     stage: str | None = None
-    """Stage of the training; by default the task's first."""
     configuration: str | None = None
-    """Name of one that comes with the task, or the path of a TOML file; by default the one named like the stage where
-    there is one, else ``small``."""
     overrides: tuple[tuple[str, str], ...] = ()
-    """``("training.steps", "100")`` …"""
     initial: Path | None = None
-    """Weights to start from."""
     device: str = "cpu"
     devices: int = 1
-    """Processes that train together."""
     threads: int = 1
-    """Torch's threads in each process; on a CPU the last bits of the weights depend on it."""
     workers: int = 0
-    """Processes that load data for each training process; they change no result."""
 
 
 def train(

@@ -27,10 +27,10 @@ from prbench.limits import LARGEST_UNPACKED
 from prbench_adapters.training.configuration import OptimisationConfiguration
 from prbench_adapters.training.task import TrainingModule
 
+# Length of Muon's steps against AdamW's; tried with small P&R models (docs/methods/pr.md#training).
 _MUON_SCALE = 2.0
-"""Length of Muon's steps against AdamW's; tried with small P&R models (docs/methods/pr.md#training)."""
+# One line of the log: ``step`` and what was measured there, by name.
 Row = dict[str, float | int]
-"""One line of the log: ``step`` and what was measured there, by name."""
 
 
 class WeightAverage:
@@ -75,20 +75,23 @@ class WeightAverage:
 
 @dataclass
 class TrainingState:
-    """A training between two steps."""
+    """A training between two steps.
+
+    Attributes:
+        optimisers: Each with parameters of its own; a group's ``scale`` is its factor on the learning rate.
+        step: Steps done.
+        losses: Sums since the last line of the log; kept on their device, because reading them would make a GPU wait.
+        batches: Batches in these sums.
+        rows: The log so far; holds no times, so that two undisturbed trainings have the same.
+    """
 
     module: TrainingModule
     optimisers: tuple[torch.optim.Optimizer, ...]
-    """Each with parameters of its own; a group's ``scale`` is its factor on the learning rate."""
     average: WeightAverage
     step: int = 0
-    """Steps done."""
     losses: dict[str, torch.Tensor | float] = field(default_factory=dict)
-    """Sums since the last line of the log; kept on their device, because reading them would make a GPU wait."""
     batches: int = 0
-    """Batches in these sums."""
     rows: list[Row] = field(default_factory=list)
-    """The log so far; holds no times, so that two undisturbed trainings have the same."""
     validations: list[Row] = field(default_factory=list)
 
     @classmethod

@@ -39,15 +39,18 @@ Table = SequenceTable | CorpusTable
 
 @dataclass(frozen=True)
 class Motion:
-    """Joints of one clip in its own canonical frame, metres, float32."""
+    """Joints of one clip in its own canonical frame, metres, float32.
+
+    Attributes:
+        previous_joints: The frame before the first.
+        next_joints: The frame after the last, which the last feature row needs.
+        goal_location: NaN where the motion has no goal.
+    """
 
     joints: Float[np.ndarray, "n 22 3"]
     previous_joints: Float[np.ndarray, "22 3"]
-    """The frame before the first."""
     next_joints: Float[np.ndarray, "22 3"]
-    """The frame after the last, which the last feature row needs."""
     goal_location: Float[np.ndarray, "3"]
-    """NaN where the motion has no goal."""
 
     @property
     def n_frames(self) -> int:
@@ -115,11 +118,14 @@ def encoded(motion: Motion, mode: Mode, *, name: str) -> Float[np.ndarray, "n 26
 
 @dataclass(frozen=True)
 class Row:
-    """One row of a table, as training uses it."""
+    """One row of a table, as training uses it.
+
+    Attributes:
+        texts: All captions; a sequence of P&R has one.
+    """
 
     sequence_id: str
     texts: tuple[str, ...]
-    """All captions; a sequence of P&R has one."""
     motion: Motion
 
 
@@ -157,8 +163,8 @@ def read_rows(table: Table, split: str) -> Iterator[list[Row]]:
         yield rows
 
 
+# Both splits learnt from together, once nothing is chosen by the validation split any more.
 REFIT = "train+validation"
-"""Both splits learnt from together, once nothing is chosen by the validation split any more."""
 
 
 def parts_of(split: str) -> tuple[str, ...]:
@@ -187,6 +193,7 @@ def frame_rate(table: Table, split: str) -> float:
 
 
 _POSE = pa.list_(pa.float32(), 3 * N_JOINTS)
+# One row a motion. One that is longer than an item may be has no features, because each of its crops has its own.
 _COLUMNS = {
     "sequence_id": pa.string(),
     "texts": pa.list_(pa.string()),
@@ -197,7 +204,6 @@ _COLUMNS = {
     "goal_location": pa.list_(pa.float32(), 3),
     "features": pa.list_(pa.list_(pa.float32(), N_FEATURES)),
 }
-"""One row a motion. One that is longer than an item may be has no features, because each of its crops has its own."""
 _SCHEMA = pa.schema([pa.field(name, kind, nullable=False) for name, kind in _COLUMNS.items()])
 
 
@@ -270,10 +276,13 @@ class LeftOut(msgspec.Struct, frozen=True):
 
 
 class _Notes(msgspec.Struct, frozen=True):
-    """Notes on a store, kept beside its rows."""
+    """Notes on a store, kept beside its rows.
+
+    Attributes:
+        files: Size and time of change of the table's files when the store was made.
+    """
 
     files: list[tuple[int, int]]
-    """Size and time of change of the table's files when the store was made."""
     left_out: tuple[LeftOut, ...]
 
 

@@ -34,13 +34,15 @@ class TrainingData:
     A task takes normalisation statistics from ``train.statistics()`` and ``train.condition_statistics(goal)``, both
     made once and kept; a fine-tuned model keeps those of its initial weights instead
     (docs/specification/pr-model.md#training).
+
+    Attributes:
+        mode: Representation of the features: ``continuous`` or ``reference``.
+        max_frames: The longest item that will be fed; crops are never longer.
     """
 
     train: SequenceDataset
     mode: str
-    """Representation of the features: ``continuous`` or ``reference``."""
     max_frames: int
-    """The longest item that will be fed; crops are never longer."""
     fps: float = 20.0
 
     def require_fit(self, model: str, *, representation: str, fps: float, max_frames: int) -> None:
@@ -73,16 +75,18 @@ class TrainingModule(nn.Module):
 
     The loop sets :attr:`seed`, :attr:`rank` and :attr:`calls` before the first step, seeds torch's global generator
     before every call of :meth:`forward` (dropout draws from that), and calls everything else outside of gradients.
+
+    Attributes:
+        seed: Seed of the configuration.
+        rank: Number of this process among those that train together; each draws other noise.
+        origin: Lines for the card: initial weights, text encoder, whatever else the weights build upon.
+        calls: Steps of the whole training: modules that train one network after the other take their phases from it.
     """
 
     seed: int = 0
-    """Seed of the configuration."""
     rank: int = 0
-    """Number of this process among those that train together; each draws other noise."""
     origin: tuple[str, ...] = ()
-    """Lines for the card: initial weights, text encoder, whatever else the weights build upon."""
     calls: int = 1
-    """Steps of the whole training: modules that train one network after the other take their phases from it."""
 
     def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
         """Losses of one batch: scalars by name.
@@ -135,11 +139,13 @@ class TrainingTask(Protocol):
     ``("pretrain", "finetune")``; the first is the default of the command line), and ``window_choice``, which takes the
     table ``[model]`` and returns a :class:`~prbench_adapters.training.batches.WindowChoice`. A task with it is fed
     windows of motion prediction: its data are :class:`~prbench_adapters.training.batches.WindowsDataset`.
+
+    Attributes:
+        configurations: Import name of the package that holds the TOML files, named ``<task>-<configuration>.toml``.
     """
 
     name: str
     configurations: str
-    """Import name of the package that holds the TOML files, named ``<task>-<configuration>.toml``."""
 
     def build(
         self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str

@@ -29,11 +29,14 @@ _IN_PROCESS = InProcess()
 
 @dataclass(frozen=True)
 class Validation:
-    """Chosen sequences and settings of a validation, the same at every step of a training."""
+    """Chosen sequences and settings of a validation, the same at every step of a training.
+
+    Attributes:
+        places: Places of the chosen items in ``data``, by length.
+    """
 
     data: SequenceDataset | WindowsDataset
     places: tuple[int, ...]
-    """Places of the chosen items in ``data``, by length."""
     batch_size: int
 
     @classmethod

@@ -35,14 +35,17 @@ _Configuration = TypeVar("_Configuration")
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """A weights file in memory."""
+    """A weights file in memory.
+
+    Attributes:
+        tensors: Maps names to tensors, on the CPU; floating-point ones are float32 whatever the file holds.
+        digest: SHA-256 of the file.
+    """
 
     path: Path
     tensors: dict[str, torch.Tensor]
-    """Maps names to tensors, on the CPU; floating-point ones are float32 whatever the file holds."""
     metadata: dict[str, str]
     digest: str
-    """SHA-256 of the file."""
 
     @property
     def kind(self) -> str:

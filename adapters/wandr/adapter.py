@@ -37,18 +37,21 @@ _MIRRORED = np.array([-1.0, 1.0, 1.0], dtype=np.float32)
 
 @dataclass(frozen=True)
 class Start:
-    """Start of B sequences, before the first step. World with Z up, metres; one precision throughout."""
+    """Start of B sequences, before the first step. World with Z up, metres; one precision throughout.
+
+    Attributes:
+        state: The first frame.
+        delta: The change that led to it.
+        offsets: The skeletons at rest.
+        goal: Place of the right wrist in the last frame.
+        n_frames: Frames of each sequence, the first among them.
+    """
 
     state: BodyState
-    """The first frame."""
     delta: Float[torch.Tensor, "batch 135"]
-    """The change that led to it."""
     offsets: Float[torch.Tensor, "batch 22 3"]
-    """The skeletons at rest."""
     goal: Float[torch.Tensor, "batch 3"]
-    """Place of the right wrist in the last frame."""
     n_frames: Int[torch.Tensor, " batch"]
-    """Frames of each sequence, the first among them."""
 
 
 class WANDR:

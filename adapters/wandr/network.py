@@ -26,14 +26,14 @@ from prbench_adapters.kinematics import (
 )
 from prbench_adapters.training.weights import Weights, read_weights, weights_header
 
+# Numbers of a change: step of the pelvis, turn of the root, turns of the 21 other joints.
 DELTA_SIZE = 3 + 6 * N_JOINTS
-"""Numbers of a change: step of the pelvis, turn of the root, turns of the 21 other joints."""
+# Numbers of a state without its yaw and its place on the floor.
 SEEN_SIZE = 1 + 6 * N_JOINTS
-"""Numbers of a state without its yaw and its place on the floor."""
 TRANSLATION = slice(0, 3)
 ROOT = slice(3, 9)
+# Parts of a change.
 JOINTS = slice(9, DELTA_SIZE)
-"""Parts of a change."""
 
 _LYING = 0.1  # length of the horizontal part of the left axis below which the body lies on its side (6 degrees)
 INTENTION_SIZE = 9
@@ -44,11 +44,14 @@ _ABOVE = 1e-6  # metres on the floor between pelvis and goal below which the goa
 
 @dataclass(frozen=True)
 class BodyState:
-    """Place and pose of a body."""
+    """Place and pose of a body.
+
+    Attributes:
+        rotations: The root's orientation, and of each other joint the rotation relative to the one before.
+    """
 
     pelvis: Float[torch.Tensor, "*batch 3"]
     rotations: Float[torch.Tensor, "*batch 22 3 3"]
-    """The root's orientation, and of each other joint the rotation relative to the one before."""
 
     @classmethod
     def fitted(cls, joints: Float[torch.Tensor, "*batch 22 3"]) -> BodyState:
@@ -170,22 +173,24 @@ class WandrConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
     Raises:
         ValueError: for sizes that are not possible.
+
+    Attributes:
+        layers: Linear layers of the encoder, and of the decoder.
+        widest: No hidden layer is wider; without effect on the original's sizes.
+        original_deviation: Draw the latent with exp(v) as its deviation, as the public program does, though its KL
+            divergence takes v for a log-variance; otherwise with exp(v / 2). Only training draws from the encoder.
+        most_speed: Longest intention of the wrist that the network is shown, metres a second, in training and in
+            generation; 0 is no limit, as in the original. A body that is late is then asked for speeds that no training
+            motion has, and falls towards the goal (docs/methods/wandr.md).
     """
 
     layers: int = 14
-    """Linear layers of the encoder, and of the decoder."""
     widest: int = 512
-    """No hidden layer is wider; without effect on the original's sizes."""
     latent: int = 64
     dropout: float = 0.03
     fps: float = 30.0
     original_deviation: bool = False
-    """Draw the latent with exp(v) as its deviation, as the public program does, though its KL divergence takes v for a
-    log-variance; otherwise with exp(v / 2). Only training draws from the encoder."""
     most_speed: float = 0.0
-    """Longest intention of the wrist that the network is shown, metres a second, in training and in generation; 0 is no
-    limit, as in the original. A body that is late is then asked for speeds that no training motion has, and falls
-    towards the goal (docs/methods/wandr.md)."""
 
     def __post_init__(self) -> None:
         for name in ("layers", "widest", "latent"):

@@ -43,13 +43,16 @@ _ROUNDING = 1e-4  # frames
 
 @dataclass(frozen=True)
 class Recordings:
-    """B recorded motions; frame 0 is the one before the first, frames from ``n_frames[i]`` on are padding."""
+    """B recorded motions; frame 0 is the one before the first, frames from ``n_frames[i]`` on are padding.
+
+    Attributes:
+        joints: World with Z up, metres.
+        has_goal: True where the last frame reaches a goal; otherwise goals are made up (:func:`goal_frames`).
+    """
 
     joints: Float[torch.Tensor, "batch frames 22 3"]
-    """World with Z up, metres."""
     n_frames: Int[torch.Tensor, " batch"]
     has_goal: Bool[torch.Tensor, " batch"]
-    """True where the last frame reaches a goal; otherwise goals are made up (:func:`goal_frames`)."""
 
     @classmethod
     def of(cls, batch: MotionBatch, fps: float) -> Recordings:
@@ -168,30 +171,35 @@ _CENTIMETRES = 100.0
 
 
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The losses, and the training on the network's own output; the defaults are those of the original."""
+    """The losses, and the training on the network's own output; the defaults are those of the original.
+
+    Attributes:
+        free_bits: Below this, the divergence of a dimension is not pushed down any further.
+        joint_loss_weight: Weight of the squared error of the joints, square centimetres.
+        longest_chunk: Frames that the network runs on its own output at most.
+        steps_per_chunk_frame: Training steps after which chunks may be one frame longer (the original: five epochs).
+        own_latents: Source of the latents of chunks: the encoder, which sees the change that is wanted, as in the
+            original, or the standard normal distribution, as in generation. What corrects a body that has strayed may
+            come from the encoder in the first case; generation has none. In the second it must come from state and
+            goal.
+        frames_per_step: Number of frames of a batch that are drawn for a step, and as many for the network's own
+            output; 0 takes all.
+        frames_back: Frames in which a body that has strayed in a chunk is to be back at the recording. 1 is the
+            original's: the whole way back within one frame, which is a leap once a chunk is long. With more, the wanted
+            change is the recorded one with so small a part of the way back.
+        pseudo_goals: Share of the frames of motions with a goal that are shown a pseudo goal instead, as the original's
+            AMASS has beside the goals of CIRCLE.
+    """
 
     kl_weight: float = 1e-2
     free_bits: float = 0.05
-    """Below this, the divergence of a dimension is not pushed down any further."""
     joint_loss_weight: float = 1.0
-    """Weight of the squared error of the joints, square centimetres."""
     longest_chunk: int = 10
-    """Frames that the network runs on its own output at most."""
     steps_per_chunk_frame: int = 1000
-    """Training steps after which chunks may be one frame longer (the original: five epochs)."""
     own_latents: Literal["encoded", "drawn"] = "encoded"
-    """Source of the latents of chunks: the encoder, which sees the change that is wanted, as in the original, or
-    the standard normal distribution, as in generation. What corrects a body that has strayed may come from the encoder
-    in the first case; generation has none. In the second it must come from state and goal."""
     frames_per_step: int = 0
-    """Number of frames of a batch that are drawn for a step, and as many for the network's own output; 0 takes all."""
     frames_back: int = 1
-    """Frames in which a body that has strayed in a chunk is to be back at the recording. 1 is the original's: the whole
-    way back within one frame, which is a leap once a chunk is long. With more, the wanted change is the recorded one
-    with so small a part of the way back."""
     pseudo_goals: float = 0.0
-    """Share of the frames of motions with a goal that are shown a pseudo goal instead, as the original's AMASS has
-    beside the goals of CIRCLE."""
 
     def __post_init__(self) -> None:
         for name in ("kl_weight", "free_bits", "joint_loss_weight", "frames_per_step"):
@@ -390,16 +398,16 @@ class WandrTraining(TrainingModule):
         return contents(self.network)
 
 
+# Keys that fine-tuning may set otherwise than the weights that it starts from.
 FREE_TO_CHANGE = frozenset({"dropout", "original_deviation", "most_speed"})
-"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
 
+# Number of motions that statistics are made from, spread evenly over the training split.
 _MOST_MOTIONS = 4096
-"""Number of motions that statistics are made from, spread evenly over the training split."""
 _TOGETHER = 64
 _LEAST_SEEN = 0.02
+# Smallest deviations of a state's numbers and of a change's (metres, numbers of a matrix). Some hardly vary, such as a
+# hip's rotation in recordings of one person; whatever is a little different later must not look enormous.
 _LEAST_DELTA = 1e-3
-"""Smallest deviations of a state's numbers and of a change's (metres, numbers of a matrix). Some hardly vary, such as a
-hip's rotation in recordings of one person; whatever is a little different later must not look enormous."""
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,8 @@ from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.generation import SamplingSettings, generate, start_noise
 from prbench_adapters.diffusion.model import MotionModel, TextVectors
-from prbench_adapters.diffusion.noise_optimisation.generation import optimise_noise
-from prbench_adapters.diffusion.noise_optimisation.optimise import Targets, keyframes
-from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
+from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, keyframes
+from prbench_adapters.diffusion.optimised_generation import optimise_noise
 
 _PRODUCTS = ("mm", "addmm", "bmm", "baddbmm", "_scaled_dot_product")
 """Beginnings of the names of operations that multiply matrices."""

@@ -8,8 +8,8 @@ from prbench.errors import AdapterError
 from prbench.geometry.skeleton import Joint, bone_lengths
 from prbench_adapters import dno
 from prbench_adapters.diffusion.generation import ModelBodies
-from prbench_adapters.diffusion.noise_optimisation.generation import optimise_batch
-from prbench_adapters.diffusion.noise_optimisation.optimise import keyframes
+from prbench_adapters.diffusion.noise_optimisation import keyframes
+from prbench_adapters.diffusion.optimised_generation import optimise_batch
 from tests.adapters.diffusion import tiny
 
 QUICK = {"iterations": "3", "ddim-steps": "2"}

@@ -20,7 +20,7 @@ from prbench_adapters.dart.rollout import (
     roll_out,
 )
 from prbench_adapters.dart.training import delta_loss, divergence
-from prbench_adapters.diffusion.noise_optimisation.optimise import Targets
+from prbench_adapters.diffusion.noise_optimisation import Targets
 from prbench_adapters.kinematics import DART, root_orientation
 from tests.adapters.dart import page, tiny
 from tests.adapters.diffusion.goal_batches import conditions

@@ -13,7 +13,7 @@ from prbench.geometry.skeleton import Joint
 from prbench_adapters.dart.adapter import generate
 from prbench_adapters.dart.model import DartSettings
 from prbench_adapters.dart.rollout import goal_loss, optimise
-from prbench_adapters.diffusion.noise_optimisation.optimise import Targets
+from prbench_adapters.diffusion.noise_optimisation import Targets
 from tests.adapters.dart import tiny
 from tests.adapters.diffusion.goal_batches import conditions
 

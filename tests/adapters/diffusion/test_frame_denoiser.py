@@ -14,8 +14,8 @@ from prbench_adapters import pr
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.generation import SamplingSettings, generate
 from prbench_adapters.diffusion.model import MotionModel
-from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised
-from prbench_adapters.diffusion.noise_optimisation.settings import finishing
+from prbench_adapters.diffusion.noise_optimisation import finishing
+from prbench_adapters.diffusion.optimised_generation import generate_optimised
 from prbench_adapters.diffusion.training import DiffusionTraining
 from prbench_adapters.training import SequenceDataset, collate
 from prbench_adapters.training.task import TrainingData

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from prbench_adapters.diffusion.generation import Guided
-from prbench_adapters.diffusion.noise_optimisation.generation import UnrolledChain
-from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
+from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
+from prbench_adapters.diffusion.optimised_generation import UnrolledChain
 from prbench_adapters.diffusion.sampling import sample_ddim
 from tests.adapters.diffusion import tiny
 

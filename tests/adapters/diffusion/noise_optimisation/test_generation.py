@@ -4,9 +4,8 @@ import numpy as np
 import torch
 
 from prbench_adapters.diffusion.generation import start_noise
-from prbench_adapters.diffusion.noise_optimisation.generation import optimise_noise
-from prbench_adapters.diffusion.noise_optimisation.optimise import Targets
-from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
+from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets
+from prbench_adapters.diffusion.optimised_generation import optimise_noise
 from tests.adapters.diffusion import tiny
 
 SETTINGS = OptimisationSettings(ddim_steps=2, iterations=4, warmup=1, decorrelation_weight=100.0, batch_size=2)

@@ -11,14 +11,14 @@ import torch
 from prbench.representation import tensors
 from prbench_adapters.diffusion.configuration import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.noise_optimisation.generation import optimise_noise
-from prbench_adapters.diffusion.noise_optimisation.optimise import (
+from prbench_adapters.diffusion.noise_optimisation import (
+    OptimisationSettings,
     Targets,
     decorrelation,
     keyframes,
     learning_rate_factor,
 )
-from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
+from prbench_adapters.diffusion.optimised_generation import optimise_noise
 from tests.adapters.diffusion import golden
 
 PUBLISHED = OptimisationSettings(

@@ -4,14 +4,14 @@ import pytest
 import torch
 
 from prbench.geometry.skeleton import Joint
-from prbench_adapters.diffusion.noise_optimisation.optimise import (
+from prbench_adapters.diffusion.noise_optimisation import (
+    OptimisationSettings,
     Targets,
     jerk_norm,
     keyframes,
     largest_jerk,
     prime_and_reach,
 )
-from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 
 LENGTH = torch.tensor([5])
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from prbench_adapters.diffusion.noise_optimisation.optimise import Targets, optimise, prime_and_reach
-from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
+from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, optimise, prime_and_reach
 from tests.adapters.diffusion.noise_optimisation.linear import LinearDecoder, noise
 
 SETTINGS = OptimisationSettings(iterations=50, warmup=5, learning_rate=0.5, decorrelation_weight=10.0, jerk_weight=0.01)

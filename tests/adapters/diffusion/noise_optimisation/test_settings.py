@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from prbench_adapters.diffusion.noise_optimisation.settings import (
+from prbench_adapters.diffusion.noise_optimisation import (
     KEYFRAME_OPTIONS,
     PRIME_AND_REACH_OPTIONS,
     OptimisationSettings,

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from prbench.randomness import named_generator
-from prbench_adapters.diffusion.noise_optimisation.optimise import (
+from prbench_adapters.diffusion.noise_optimisation import (
     decorrelation,
     learning_rate_factor,
     padded_decorrelation,

@@ -20,16 +20,16 @@ from prbench_adapters.diffusion.generation import (
     with_bone_lengths,
 )
 from prbench_adapters.diffusion.model import MotionModel, led_to_goal
-from prbench_adapters.diffusion.noise_optimisation.optimise import (
+from prbench_adapters.diffusion.noise_optimisation import (
     Joints,
     Objective,
+    OptimisationSettings,
     OptimisedMotions,
     Targets,
     Watch,
     optimise,
     prime_and_reach,
 )
-from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim
 
 Noise = Float[torch.Tensor, "batch frames features"]
@@ -120,7 +120,7 @@ def optimise_noise(
         targets: What the motions are asked for, on the device of ``noise``.
         n_frames: Frames of each sequence; on the CPU, so that the host never waits for them.
         noise: Start noise of each sequence, normally distributed.
-        settings: A preset of :mod:`~prbench_adapters.diffusion.noise_optimisation.settings`, changed or not.
+        settings: A preset of :mod:`~prbench_adapters.diffusion.noise_optimisation`, changed or not.
         seeds: One per sequence, usually its ``noise_seed``.
         objective: What is minimised: the paper's losses, or DNO's ``keyframes``.
         watch: Called in every iteration of each part.

@@ -1,6 +1,8 @@
-"""Objectives of optimised motions, and the solver that moves noise until the motion decoded from it meets them.
+"""Noise optimisation: its settings, the objectives of motions, and the solver that moves noise until they are met.
 
-Sources: docs/specification/dno.md#the-optimiser, docs/specification/dno.md#decorrelation-loss.
+Sources: docs/specification/dno.md#the-optimiser, docs/specification/dno.md#decorrelation-loss,
+docs/specification/pr-model.md#latent-noise-optimisation. The options (``--option key=value``) are shared by the methods
+that optimise noise.
 
 Every objective reports the same two losses in the same units, so that methods can be compared, beside the sum that it
 minimises. Frames behind a sequence's end are never looked at. Nothing couples the sequences of a batch: each has its
@@ -10,9 +12,9 @@ own gradient length, its own random stream and its own end.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 import torch
@@ -20,7 +22,164 @@ from jaxtyping import Float, Int
 
 from prbench.geometry.skeleton import Joint
 from prbench.randomness import named_generator
-from prbench_adapters.diffusion.noise_optimisation.settings import Hand, OptimisationSettings
+from prbench_adapters.diffusion.generation import choice, number, whole_number
+from prbench_adapters.diffusion.model import Reach
+from prbench_adapters.diffusion.sampling import Spacing
+
+Hand = Literal["right", "left", "nearest"]
+Bones = Literal["predicted", "initial"]
+
+_FAST_PASSES = 400
+_FAST_STEPS = 4
+# Options that go with the objective ``keyframes``.
+KEYFRAME_OPTIONS = ("ddim-steps", "iterations", "learning-rate", "decorrelation", "hand", "bones")
+# Options that go with the objective ``prime_and_reach``.
+PRIME_AND_REACH_OPTIONS = (*KEYFRAME_OPTIONS, "reach", "alpha", "initial-velocity-weight")
+_MOST_ITERATIONS = 100_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimisationSettings:
+    """Settings of one noise optimisation; the defaults are the paper's mode with DNO's solver.
+
+    Sources: docs/specification/pr-model.md#latent-noise-optimisation (*Prime and Reach*, sections 4.2 and 5.1) and
+    docs/specification/dno.md#inference-for-the-benchmark.
+
+    Attributes:
+        ddim_steps: Steps of the deterministic chain from noise to motion, of equal stride, in every iteration and at
+            the end.
+        spacing: End from which they are counted: the cleanest step, as DNO does, or the noisiest.
+        warmup: Iterations over which the learning rate grows from 0.
+        jerk_weight: The paper's alpha.
+        jerk_power: Power norm of the jerks that is minimised instead of the largest jerk, which is reported; None
+            minimises it.
+        decorrelation_weight: DNO's; the paper does not mention this term, so 0 is its literal reading.
+        hand: Wrist that a goal location is meant for; ``nearest`` leaves the choice to the motion.
+        bones: Lengths of the bones: as the network predicts them, or those of the initial pose (not in the study).
+        reach: ``goal`` leads the nearer wrist of the result to a goal location in closed form, as far as it has not
+            come there yet; goal-frame features alone.
+        guidance: Scale of classifier-free guidance; anything but 1 doubles the network passes.
+        keep: Iterate that is the result: the last, or the one with the lowest initial plus goal loss.
+        stop_below: Initial and goal loss, m², below which a sequence is finished; None runs all iterations.
+        checkpointing: Steps a block whose activations are computed again instead of kept; 0 keeps all.
+        batch_size: Most sequences that are optimised side by side; no result depends on it beyond rounding.
+    """
+
+    ddim_steps: int = 50
+    spacing: Spacing = "leading"
+    iterations: int = 400
+    learning_rate: float = 0.05
+    warmup: int = 50
+    jerk_weight: float = 0.5
+    jerk_power: float | None = None
+    decorrelation_weight: float = 1000.0
+    initial_velocity_weight: float = 0.0
+    hand: Hand = "right"
+    bones: Bones = "predicted"
+    reach: Reach = "predicted"
+    guidance: float = 1.0
+    keep: Literal["last", "best"] = "last"
+    stop_below: float | None = None
+    checkpointing: int = 0
+    batch_size: int = 16
+
+    def __post_init__(self) -> None:
+        if min(self.ddim_steps, self.iterations) < 1:
+            raise ValueError(
+                f"'ddim_steps', 'iterations': expected 1 or more, found {self.ddim_steps}, {self.iterations}."
+            )
+
+
+def paper(diffusion_steps: int) -> OptimisationSettings:
+    """All T steps of the training schedule, M = 400, learning rate 0.05, alpha 0.5 (*Prime and Reach*, section 5.1).
+
+    Solver and decorrelation are DNO's. Blocks of about sqrt(T) steps are computed twice, so that memory stays small.
+    """
+    return OptimisationSettings(ddim_steps=diffusion_steps, checkpointing=math.ceil(math.sqrt(diffusion_steps)))
+
+
+def dno_paper(diffusion_steps: int) -> OptimisationSettings:
+    """The baseline with the same budget: S = 400; K = T up to 50 steps, else 10.
+
+    Source: docs/specification/dno.md#inference-for-the-benchmark.
+    """
+    return replace(paper(diffusion_steps), ddim_steps=diffusion_steps if diffusion_steps <= 50 else 10)
+
+
+def fast(diffusion_steps: int) -> OptimisationSettings:
+    """Spend at most 400 network passes a sequence, the last decoding included.
+
+    Found on small models of synthetic data: with a fixed number of passes, fewer steps and more iterations lower all
+    losses; so do twice the learning rate, a decorrelation term that does not outweigh the others, and a power norm of
+    all jerks with a smaller weight instead of the largest jerk, which pulls at one place of the motion at a time. The
+    chain starts at the noisiest step: started later, it takes the noise for a motion and hardly asks the condition.
+    """
+    steps = min(_FAST_STEPS, diffusion_steps)
+    # One chain is kept for decoding the result.
+    iterations = _FAST_PASSES // steps - 1
+    return OptimisationSettings(
+        ddim_steps=steps,
+        spacing="trailing",
+        iterations=iterations,
+        learning_rate=0.1,
+        warmup=iterations // 8,
+        jerk_weight=0.1,
+        jerk_power=8.0,
+        decorrelation_weight=10.0,
+        keep="best",
+        stop_below=1e-6,
+    )
+
+
+def finishing(diffusion_steps: int) -> OptimisationSettings:
+    """Lead a motion to its goal that starts in the initial pose by construction, and change it no further.
+
+    For goal-frame features. Longer and harder pursuit costs priming: with an early state of the weights, 99 iterations
+    of :func:`fast` lowered Prime Success from 77 to 60 % (30 validation sequences), and these left it (73 and 75 %, 60
+    sequences). It stops when the wrist is 5 cm from the goal, because a hand holds an object, not the wrist. What is
+    left after 20 iterations is the arm's.
+    """
+    return replace(
+        fast(diffusion_steps),
+        iterations=20,
+        warmup=2,
+        learning_rate=0.03,
+        decorrelation_weight=0.0,
+        hand="nearest",
+        reach="goal",
+        stop_below=0.0025,
+    )
+
+
+def optimisation_settings(
+    options: Mapping[str, str], preset: OptimisationSettings, *, diffusion_steps: int
+) -> OptimisationSettings:
+    """A preset with the options that were given; the warm-up keeps its share of the iterations.
+
+    Args:
+        options: As given; keys that are in neither list above are not looked at.
+        preset: What holds for options that are not given.
+        diffusion_steps: Steps that the model was trained with.
+
+    Raises:
+        ValueError: naming the option with a value that is not possible.
+    """
+    iterations = whole_number(options, "iterations", most=_MOST_ITERATIONS) or preset.iterations
+    return replace(
+        preset,
+        ddim_steps=whole_number(options, "ddim-steps", most=diffusion_steps) or preset.ddim_steps,
+        iterations=iterations,
+        # The warm-up keeps its share of the whole, or a short run would be nothing else.
+        warmup=round(preset.warmup * iterations / preset.iterations),
+        learning_rate=number(options, "learning-rate", preset.learning_rate),
+        jerk_weight=number(options, "alpha", preset.jerk_weight),
+        decorrelation_weight=number(options, "decorrelation", preset.decorrelation_weight),
+        initial_velocity_weight=number(options, "initial-velocity-weight", preset.initial_velocity_weight),
+        hand=cast(Hand, choice(options, "hand", get_args(Hand), preset.hand)),
+        bones=cast(Bones, choice(options, "bones", get_args(Bones), preset.bones)),
+        reach=cast(Reach, choice(options, "reach", get_args(Reach), preset.reach)),
+    )
+
 
 Joints = Float[torch.Tensor, "batch frames 22 3"]
 _PerSequence = Float[torch.Tensor, " batch"]
@@ -30,14 +189,17 @@ _SOFTNESS = 0.01  # m² of the soft minimum over wrists: 10 cm apart counts as a
 
 @dataclass(frozen=True)
 class Losses:
-    """Losses of each sequence; only ``minimised`` carries gradients that matter."""
+    """Losses of each sequence; only ``minimised`` carries gradients that matter.
+
+    Attributes:
+        minimised: Weighted sum that the optimiser lowers, without decorrelation.
+        initial: Mean over joints of the squared distance to the recorded first frame, m².
+        goal: The same for the goal pose, or the squared distance of the chosen wrist to the goal location, m².
+    """
 
     minimised: _PerSequence
-    """Weighted sum that the optimiser lowers, without decorrelation."""
     initial: _PerSequence
-    """Mean over joints of the squared distance to the recorded first frame, m²."""
     goal: _PerSequence
-    """The same for the goal pose, or the squared distance of the chosen wrist to the goal location, m²."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,8 +221,8 @@ class Targets:
         return Targets(**{name: value[index] for name, value in given.items() if value is not None})
 
 
+# Losses of motions against targets of the same batch.
 Objective = Callable[[Joints, Int[torch.Tensor, " batch"], Targets, OptimisationSettings], Losses]
-"""Losses of motions against targets of the same batch."""
 
 
 def prime_and_reach(
@@ -256,21 +418,24 @@ def padded_decorrelation(
 
 @dataclass(frozen=True)
 class OptimisedMotions:
-    """Optimised motions of B sequences, in the order in which they were given."""
+    """Optimised motions of B sequences, in the order in which they were given.
+
+    Attributes:
+        joints: Canonical frame, metres; decoded from ``noise`` by as many steps as it was optimised with.
+        initial: L_init of ``joints``, m².
+        goal: L_goal of ``joints``, m².
+        network_passes: Forward passes of the denoiser spent on each sequence, guidance and recomputed ones included.
+    """
 
     joints: Float[torch.Tensor, "batch frames 22 3"]
-    """Canonical frame, metres; decoded from ``noise`` by as many steps as it was optimised with."""
     noise: Float[torch.Tensor, "batch frames features"]
     initial: Float[torch.Tensor, " batch"]
-    """L_init of ``joints``, m²."""
     goal: Float[torch.Tensor, " batch"]
-    """L_goal of ``joints``, m²."""
     network_passes: Int[torch.Tensor, " batch"]
-    """Forward passes of the denoiser spent on each sequence, guidance and recomputed ones included."""
 
 
+# Is told the noise, the losses and other numbers of each iteration before its step.
 Watch = Callable[[Noise, Losses, dict[str, Any]], None]
-"""Is told the noise, the losses and other numbers of each iteration before its step."""
 
 
 def optimise(
