@@ -53,7 +53,8 @@ class Pass:
 
     def generator(self, *parts: str) -> np.random.Generator:
         """The pass's own generator for one purpose, or for one clip."""
-        return named_generator("prbench-text-to-motion", self.seed, self.repetition, self.name, *parts)
+        path = "/".join(parts).split("/")  # the id of a clip holds slashes
+        return named_generator("prbench-text-to-motion", self.seed, self.repetition, self.name, *path)
 
 
 @dataclass(frozen=True)
