@@ -1,8 +1,12 @@
-"""Packages import only from layers below them, no modules import one another, prbench never imports its adapters."""
+"""Packages import only from layers below them, no modules import one another, prbench never imports its adapters.
+
+``python -m tests.test_architecture`` writes the table of layers in docs/architecture.md again.
+"""
 
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import numpy as np
@@ -135,3 +139,50 @@ def test_a_circle_would_be_noticed(tmp_path):
         (tmp_path / f"{name}.py").write_text(source)
     imports = {name: _imported_modules(tmp_path / f"{name}.py", set(sources)) for name in sources}
     assert _circles(imports) == [{"a", "b", "c"}]
+
+
+PAGE = ROOT / "docs" / "architecture.md"
+BEGIN = "<!-- layers: python -m tests.test_architecture -->"
+END = "<!-- end of layers -->"
+
+
+def _purpose(package: str) -> tuple[str, str]:
+    """Path of a package or module, and the first sentence of its docstring."""
+    folder = ROOT / "adapters" if package == "prbench_adapters" else ROOT / "prbench" / package
+    path = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
+    docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    shown = path.parent if path.name == "__init__.py" else path
+    return str(shown.relative_to(ROOT)) + "/" * shown.is_dir(), " ".join(docstring.split("\n\n")[0].split())
+
+
+def _table_of_layers() -> str:
+    rows = ["| layer | package | what it holds |", "|---|---|---|"]
+    for package, layer in sorted(LAYERS.items(), key=lambda item: (-item[1], item[0])):
+        if package not in ("commands", "prbench_data_manifests", "prbench_benchmarks"):
+            path, purpose = _purpose(package)
+            purpose = re.sub(r":\w+:`[\w.~]*?(\w+)`", r"`\1`", purpose).replace("``", "`")
+            rows.append(f"| {layer} | `{path}` | {purpose} |")
+    return "\n".join(rows)
+
+
+def _with_table(page: str) -> str:
+    before, rest = page.split(BEGIN)
+    return f"{before}{BEGIN}\n\n{_table_of_layers()}\n\n{END}{rest.split(END)[1]}"
+
+
+def test_the_page_shows_the_layers_that_are_tested():
+    page = PAGE.read_text(encoding="utf-8")
+    assert page == _with_table(page), "write it again: python -m tests.test_architecture"
+
+
+def test_every_path_on_the_page_exists():
+    found = re.findall(
+        r"`((?:prbench|adapters|benchmarks|data_manifests|tests|docs)/[\w./*<>-]*)`", PAGE.read_text("utf-8")
+    )
+    missing = [path for path in found if "<" not in path and not list(ROOT.glob(path.rstrip("/")))]
+    assert len(found) > 30
+    assert missing == []
+
+
+if __name__ == "__main__":
+    PAGE.write_text(_with_table(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
