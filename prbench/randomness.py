@@ -28,7 +28,7 @@ def named_generator(*parts: str | int) -> np.random.Generator:
 
 
 def hash_fraction(*parts: str) -> float:
-    """Return SHA-256 of the parts joined by slashes as a number from 0 to 1, for choices that must not depend on an order."""
+    """Return SHA-256 of the parts, joined by slashes, as a number from 0 to 1: it decides what no order may change."""
     return int.from_bytes(hashlib.sha256("/".join(parts).encode()).digest(), "big") / 2**256
 
 
