@@ -2,7 +2,8 @@
 
 * CHANGELOG, CONTRIBUTING and SECURITY, which stand at the root of the repository, become pages.
 * The example programs become one page, each notebook (a script of jupytext's percent format) a page of its own.
-* The page on the command line shows the help of every command that is installed.
+* The page on the command line shows the help of every command that is installed, and leads to a page made of the
+  classes of all reports.
 * A link that leads out of this folder leads to the page made of that file, or becomes plain text where there is none.
 """
 
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+from json_page import json_page
 from mkdocs.structure.files import File
 
 DOCS = Path(__file__).parent
@@ -29,6 +31,8 @@ EXAMPLES_PAGE = "examples/index.md"
 NOTEBOOKS = "notebooks"
 COMMANDS_PAGE = "command-line.md"
 COMMANDS_MARK = "<!-- help of every command -->"
+JSON_PAGE = "json.md"
+JSON_MARK = "a page made from the code"
 BOOSTS = {
     "index.md": 4.0,
     "glossary.md": 4.0,
@@ -67,6 +71,7 @@ def on_files(files: Any, config: Any) -> Any:
         text = (ROOT / source).read_text(encoding="utf-8")
         files.append(File.generated(config, page, content=with_site_links(text, source)))
     files.append(File.generated(config, EXAMPLES_PAGE, content=examples_page()))
+    files.append(File.generated(config, JSON_PAGE, content=json_page()))
     for script in sorted((DOCS / NOTEBOOKS).glob("*.py")):
         text = with_site_links(notebook_page(script), f"docs/{NOTEBOOKS}/{script.name}")
         files.append(File.generated(config, f"{NOTEBOOKS}/{script.stem}.md", content=text))
@@ -80,6 +85,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     page.meta.setdefault("search", {"boost": boosts[0] if boosts else 1.0})
     if uri == COMMANDS_PAGE:
         markdown = markdown.replace(COMMANDS_MARK, "\n".join(command_sections()))
+        markdown = markdown.replace(JSON_MARK, f"[{JSON_MARK}]({JSON_PAGE})")
     if page.file.generated_by:
         return markdown
     return with_site_links(markdown, f"docs/{uri}")

@@ -1,8 +1,8 @@
 """Commands, groups of commands, and what all of them have in common: help, notes, JSON.
 
-A command is a function that returns an :class:`Answer`: a report whose shape is documented (``docs/json.md``), and how
-it is printed for people. The same report is printed as JSON with ``--json``, and written to a file with ``--out`` where
-the command has no other use for that option.
+A command is a function that returns an :class:`Answer`: a report, and how it is printed for people. The same report is
+printed as JSON with ``--json`` (docs/command-line.md#json), and written to a file with ``--out`` where the command has no
+other use for that option.
 
 Progress of long work: a bar on a terminal, plain lines in a log. Everything goes to standard error.
 """
@@ -125,7 +125,7 @@ class Command(click.Command):
         self.resumes = resumes
         self.report = report
         if report is not None:
-            as_json = "Print the report as JSON (docs/json.md describes it); notes stay on standard error."
+            as_json = "Print the report as JSON (docs/command-line.md#json); notes stay on standard error."
             self.params.append(_shared_option(["--json", "as_json"], as_json, is_flag=True, is_eager=True))
         if writes_report:
             to_file = "Write the report as JSON to this file, too."

@@ -13,8 +13,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from docs.json_page import fields_of, has_fields, reports
 from prbench.cli import main
-from prbench.cli.json_page import fields_of, has_fields, reports
 from prbench.cli.main import Document
 
 

@@ -1,6 +1,6 @@
-"""The page on JSON reports (``docs/json.md``), written from the classes of the reports.
+"""The site's page on JSON reports, written from the classes of the reports.
 
-``python -m prbench.cli.json_page docs/json.md`` writes it again after a report has changed; a test compares the two.
+``docs/hooks.py`` puts it into the site; ``python docs/json_page.py FILE`` writes the page alone.
 """
 
 from __future__ import annotations
@@ -63,8 +63,6 @@ prbench adapters list static --json
 A command that cannot do its work prints a document, too: `report` is null, and `error` says why. Numbers that JSON
 cannot hold (not a number, infinity) are null. Paths are written as they were given. Keys may be added in later
 versions; a key that is described here keeps its name and meaning within a major version.
-
-`python -m prbench.cli.json_page docs/json.md` writes this page from the classes of the reports.
 """
 _COUNTABLE = ("string", "integer", "number", "boolean", "path")
 _PLAIN_TYPES: dict[Any, str] = {
@@ -80,7 +78,7 @@ _PLAIN_TYPES: dict[Any, str] = {
 
 
 def json_page() -> str:
-    """Return the text of ``docs/json.md``; a class that several reports hold is described where it comes first."""
+    """Return the text of the page; a class that several reports hold is described where it comes first."""
     lines = _START.splitlines()
     headings: dict[type, str] = {}
     for name, report in {"": Document, **reports()}.items():

@@ -1,30 +1,25 @@
-"""The page on JSON reports says what the commands print, field by field."""
+"""The page on JSON reports, which the site makes, says what the commands print, field by field."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import msgspec
 import pytest
 
-from prbench.cli.json_page import (
-    all_commands,
-    descriptions_of,
-    fields_of,
-    json_page,
-    reports,
-    shapes_in,
-)
+from docs.json_page import all_commands, descriptions_of, fields_of, json_page, reports, shapes_in
 from prbench.cli.main import Document
-
-PAGE = Path(__file__).parents[2] / "docs" / "json.md"
-WITHOUT_REPORT: set[str] = set()
-"""Commands that print text alone: they explain prbench, and are read by people and shells."""
+from tests.docs.test_citations import anchor_of
 
 
-def test_the_page_is_up_to_date() -> None:
-    assert PAGE.read_text(encoding="utf-8") == json_page(), "python -m prbench.cli.json_page docs/json.md"
+def test_the_page_has_a_section_for_every_command_and_every_record_and_its_links_lead_there() -> None:
+    lines = json_page().splitlines()
+    sections = {anchor_of(line.lstrip("# ")) for line in lines if line.startswith("##")}
+    assert {f"prbench-{name.replace(' ', '-')}" for name in reports()} <= sections
+    rows = [line.split(" | ") for line in lines if line.startswith("| `")]
+    links = {link.partition(")")[0] for row in rows for link in row[1].split("](#")[1:]}
+    assert links
+    assert links <= sections
 
 
 @pytest.mark.parametrize(("name", "report"), reports().items(), ids=reports())
@@ -33,18 +28,13 @@ def test_every_field_of_a_report_is_described_and_no_other(name, report) -> None
         described = descriptions_of(shape)
         assert set(described) == set(fields_of(shape)), f"{name}: {shape.__name__}"
         assert not [field for field, text in described.items() if not text.endswith(".")]
-
-
-def test_every_command_reports_and_has_the_option() -> None:
-    for name, command in all_commands():
-        options = {option for parameter in command.params for option in parameter.opts}
-        assert ("--json" in options) is (name not in WITHOUT_REPORT), name
-
-
-@pytest.mark.parametrize(("name", "report"), reports().items(), ids=reports())
-def test_msgspec_knows_the_shape_of_every_report(name, report) -> None:
     schema = msgspec.json.schema(report, schema_hook=lambda kind: {"type": "string"})
     assert schema["$defs"]
+
+
+def test_every_command_reports_as_json() -> None:
+    for name, command in all_commands():
+        assert "--json" in {option for parameter in command.params for option in parameter.opts}, name
 
 
 class _Inner(msgspec.Struct):
@@ -84,5 +74,4 @@ class _Further(_Outer):
 def test_descriptions_are_read_from_docstrings_of_structs_and_dataclasses() -> None:
     assert shapes_in(_Outer) == [_Outer, _Inner]
     assert descriptions_of(_Inner) == {"size": "Length, in metres; or nothing."}
-    assert descriptions_of(_Outer) == {"parts": "By name."}
     assert descriptions_of(_Further) == {"parts": "By name.", "rest": "What is left, counted."}
