@@ -1,8 +1,8 @@
 """Commands, groups of commands, and what all of them have in common: help, notes, JSON.
 
 A command is a function that returns an :class:`Answer`: a report, and how it is printed for people. The same report is
-printed as JSON with ``--json`` (docs/command-line.md#json), and written to a file with ``--out`` where the command has no
-other use for that option.
+printed as JSON with ``--json`` (docs/command-line.md#json), and written to a file with ``--out`` where the command has
+no other use for that option.
 
 Progress of long work: a bar on a terminal, plain lines in a log. Everything goes to standard error.
 """
