@@ -390,7 +390,7 @@ WRITING = (
     Writing("adapters list --out", lambda _, out: ("adapters", "list", "static", "--out", out), "m.json"),
     Writing(
         "doctor --out",
-        lambda given, out: ("doctor", given.run / "predictions", "--data", given.table, "--out", out),
+        lambda given, out: ("doctor", given.run / "synthetic-adt/predictions", "--data", given.table, "--out", out),
         "d.json",
     ),
     Writing(

@@ -126,7 +126,8 @@ def _run(table: SequenceTable, method: str, out: Path) -> None:
 def _means(run: Path, only: Collection[str] | None = None) -> list[str]:
     """Means in % over the sequences of a run, or over some of them."""
     values: dict[str, list[float]] = {}
-    for row in read_scores(run / "scores.parquet").to_pylist():
+    (scores,) = run.glob("*/scores.parquet")
+    for row in read_scores(scores).to_pylist():
         if only is None or row["sequence_id"] in only:
             values.setdefault(row["metric"], []).append(row["value"])
     return [f"{100 * np.mean(values[name]):.1f}" if name in values else "–" for name in SHOWN]

@@ -154,7 +154,7 @@ def view_futures(request: ViewRequest) -> FuturesReport:
     # What was observed stands in every view.
     require_may_pass_on(table.info, "the view", request.permitted)
     runs = [run_on(path, table) for path in request.runs]
-    labels = run_labels(request.runs, [run.record for run, _ in runs])
+    labels = run_labels([run.path for run, _ in runs], [run.record for run, _ in runs])
     ids = [_ids_of(files) for _, files in runs]
     windows = table.windows["window_id"].to_pylist()
     known = [name for name in windows if all(name in held for held in ids)]

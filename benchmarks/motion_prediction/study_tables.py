@@ -23,6 +23,7 @@ from prbench.harness.clusters import SIGNIFICANCE
 from prbench.harness.intervals import Comparison, Estimate, PairedValues, compare, metric_interval
 from prbench.harness.methods.loading import load_adapter, require_weights
 from prbench.harness.run_folder import read_scores
+from prbench.harness.run_folder.folder import run_folder_of
 from prbench.protocol.manifests import read_toml
 from prbench.sequences.table import by_share
 from prbench.shown import quoted
@@ -227,7 +228,8 @@ def scores_of_runs(paths: Sequence[Path], table: WindowsTable) -> dict[str, Scor
     folders: list[Path] = []
     for path in paths:
         inside = sorted(each.parent for each in path.glob("*/run.json"))
-        folders += [path] if (path / "run.json").is_file() else inside
+        run = run_folder_of(path)
+        folders += [run] if (run / "run.json").is_file() else inside
     if paths and not folders:
         raise RunError(f"{', '.join(map(str, paths))}: expected run folders, found none.")
     for path in folders:

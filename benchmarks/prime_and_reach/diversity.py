@@ -85,7 +85,7 @@ def read_fan(
     if sequence is not None:
         name = find_sequence_id(sequence, list(held), among=f"the motions of {run} on {among}")
     info = held[name].info
-    label = run_labels([run], [opened.record])[0]
+    label = run_labels([opened.path], [opened.record])[0]
     if opened.record.method.kind == "control":
         require_may_pass_on(info, f"the motions of '{label}'", permitted)
     ((_, generated, recorded, _),) = _pairs(opened, held[name], [name])

@@ -18,7 +18,7 @@ from prbench.harness.methods.installed import METHOD_CONTROLS, name_problem
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder.cost import RunCost
 from prbench.harness.run_folder.folder import FOLDS_FILE as MERGED
-from prbench.harness.run_folder.folder import DatasetFolder, FoldRun, RunFolder, read_folds
+from prbench.harness.run_folder.folder import DatasetFolder, FoldRun, RunFolder, read_folds, run_folder_of
 from prbench.harness.run_folder.record import RunRecord, TableRecord
 from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
@@ -153,8 +153,8 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_bench
     """
     folders: dict[Path, None] = {}
     for path in paths:
-        found = [path]
-        if not (path / run_record.FILE_NAME).is_file():
+        found = [run_folder_of(path)]
+        if not (found[0] / run_record.FILE_NAME).is_file():
             found = sorted(file.parent for file in path.rglob(run_record.FILE_NAME)) if path.is_dir() else []
         if not found:
             raise RunError(

@@ -66,7 +66,7 @@ class MergedRun:
                 write_scores(files.scores, [self.scores])
                 total_cost([RunCost.read(run.dataset(dataset).cost) for run in self.folds]).write(files.cost)
                 write_folds(folder, made_from)
-                self.summary.write(folder)
+                self.summary.write(files.path)
 
 
 def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> MergedRun:

@@ -251,9 +251,10 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
     `prbench run --split participants --fold K/N`.
     """
     from prbench.engine.shards import FILE_NAME, require_whole
+    from prbench.harness.run_folder.folder import run_folder_of
     from prbench.harness.run_folder.record import FILE_NAME as RUN_FILE
 
-    if (parts[0] / RUN_FILE).is_file() and not (parts[0] / FILE_NAME).is_file():
+    if (run_folder_of(parts[0]) / RUN_FILE).is_file() and not (parts[0] / FILE_NAME).is_file():
         if replace:
             raise UsageError("--replace: belongs to a dataset or corpus; these are runs on folds. Leave it out.")
         return _merged_folds(parts, out, data, workers)

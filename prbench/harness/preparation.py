@@ -30,6 +30,7 @@ from prbench.harness.methods.motions import Declared
 from prbench.harness.methods.remote import RemoteMethod
 from prbench.harness.planning import plan_digest
 from prbench.harness.request import RunRequest
+from prbench.harness.run_folder.folder import run_folder_of
 from prbench.harness.run_folder.record import (
     BUILT_IN,
     CONTROL,
@@ -143,7 +144,8 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
         work = benchmark.work(request, cases, method=method, condition=condition, rules=rules)
         datasets.append(PreparedDataset(chosen, cases, fitted, work))
     record = run_record(request, condition, method, tuple(datasets), rules)
-    return PreparedRun(request, benchmark, record, tuple(datasets), request.out or _default_folder(record), rules)
+    out = _default_folder(record) if request.out is None else run_folder_of(request.out)
+    return PreparedRun(request, benchmark, record, tuple(datasets), out, rules)
 
 
 def _spec(request: RunRequest, benchmark: Benchmark) -> MethodSpec:

@@ -223,7 +223,7 @@ def _written(
         raise StorageError(f"{folder}: is a run folder with scores of its own. Choose another folder for --out.")
     if record is None:
         remove_half_written(folder)
-        parts = [folder if len(reports) == 1 else folder / one.summary.dataset for one in reports]
+        parts = [folder / one.summary.dataset for one in reports]
     else:
         run = RunFolder.prepare(folder, record, protocol)
         parts = [run.dataset(one.summary.dataset).path for one in reports]

@@ -20,6 +20,7 @@ from prbench.harness.planning import Selection, select
 from prbench.harness.request import require_settings
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder.agreement import DatasetAgreement
+from prbench.harness.run_folder.folder import run_folder_of
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary
@@ -63,8 +64,8 @@ class ScoreRequest:
     protocol: Path | None = None
     """The user's own protocol; by default that of the run, else prbench's."""
     out: Path | None = None
-    """Folder for ``scores.parquet`` and ``summary.json`` (of several datasets, a sub-folder each), and for what a
-    leaderboard needs beside them; nothing is written without it."""
+    """Folder that gets ``<dataset>/scores.parquet``, ``<dataset>/summary.json`` and what a leaderboard needs beside
+    them; nothing is written without it."""
 
     def __post_init__(self) -> None:
         turn_into_paths(self, "predictions", "data", "conditions", "protocol", "out")
@@ -224,7 +225,7 @@ def require_complete(
     there = {sequence_id for name, sequence_id in sequence_of.items() if name in set(predictions.ids)}
     expected = " and ".join(f"{len(one)} {one.split} sequences of {one.table.info.dataset}" for one in selections)
     each = f", each with samples {', '.join(map(str, wanted))}" if len(wanted) > 1 else ""
-    if (request.predictions / run_record.FILE_NAME).is_file():
+    if (run_folder_of(request.predictions) / run_record.FILE_NAME).is_file():
         remedy = "Run the same command again: it resumes."
     elif predictions.id_column == "opaque_id" and unknown and not there:
         remedy = f"Opaque ids hold for one seed and one table: is --seed {seed} that of the run, and --data its table?"

@@ -112,7 +112,7 @@ def view(request: ViewRequest, progress: Progress = _silent) -> ViewReport:
 def scenes_of(request: ViewRequest) -> tuple[Scene, ...]:
     """Read what is to be shown, table after table."""
     runs = [RunFolder.open(path) for path in request.runs]
-    labels = run_labels(request.runs, [run.record for run in runs])
+    labels = run_labels([run.path for run in runs], [run.record for run in runs])
     if runs:
         tables = tables_of_runs(runs, request.data)
     else:

@@ -70,7 +70,7 @@ def _predicted(table, weights: Path, out: Path, control: str | None) -> np.ndarr
             out=out,
         )
     )
-    predictions = Predictions.open(out / "predictions")
+    predictions = Predictions.open(out / "synthetic-adt/predictions")
     return predictions.motions(sorted(predictions.ids), 0).values
 
 

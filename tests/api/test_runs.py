@@ -27,7 +27,7 @@ def test_a_run_has_summary_scores_and_motions(table, runs):
     assert run.datasets == ("synthetic-adt",)
     assert run.folder.name == "scripted"
     assert isinstance(run.summary, pd.DataFrame)
-    stored = DatasetSummary.read(run.folder)
+    stored = DatasetSummary.read(run.folder / "synthetic-adt")
     assert run.summaries == (stored,)
     assert run.summary["mean"].tolist() == [metric.mean for metric in stored.metrics]
     scores = run.to_pandas()
@@ -144,7 +144,7 @@ def test_a_dictionary_is_scored_as_its_file_is(table, runs, motions, tmp_path):
     assert report.scores["value"].to_pylist() == values.value.tolist()
     assert scores.summaries[0].method == report.summary.method == "mine"
     assert scores.folder == tmp_path / "mine"
-    assert {path.name for path in scores.folder.iterdir()} >= {"run.json", "scores.parquet", "summary.json"}
+    assert {path.name for path in scores.folder.rglob("*")} >= {"run.json", "scores.parquet", "summary.json"}
     assert prbench.open_run(scores.folder).record.method.kind == "file"
     again = prbench.score(tmp_path / "mine.npz", str(table.folder), limit=6)
     pd.testing.assert_frame_equal(again.to_pandas(), scores.to_pandas())

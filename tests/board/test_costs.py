@@ -25,7 +25,7 @@ def batch(*, warm_up: bool = False, parameters: int | None = 1_250_000) -> RunCo
 
 def test_seconds_without_warm_up_passes_a_motion_memory_and_parameters(tmp_path):
     run = write_run(tmp_path / "a")
-    total_cost([batch(warm_up=True), batch(), batch()]).write(run / "cost.json")
+    total_cost([batch(warm_up=True), batch(), batch()]).write(run / "synthetic-adt/cost.json")
     header, _, row = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
     shown = dict(zip(header, row, strict=True))
     wanted = {"s/motion": "0.250", "Passes/motion": "100", "Memory (MiB)": "512", "Parameters": "1250000"}
@@ -43,7 +43,7 @@ def test_seconds_without_warm_up_passes_a_motion_memory_and_parameters(tmp_path)
 
 def test_a_single_batch_is_better_than_nothing(tmp_path):
     run = write_run(tmp_path / "a")
-    total_cost([batch(warm_up=True, parameters=None)]).write(run / "cost.json")
+    total_cost([batch(warm_up=True, parameters=None)]).write(run / "synthetic-adt/cost.json")
     entry = only(only(leaderboard(tmp_path).tables).rows).entry
     assert (entry.cost["seconds"], entry.cost["parameters"]) == (1.0, None)
 
@@ -51,7 +51,7 @@ def test_a_single_batch_is_better_than_nothing(tmp_path):
 def test_files_controls_and_lost_measurements_have_dashes(tmp_path):
     write_run(tmp_path / "lost")
     run = write_run(tmp_path / "file", "mine", kind=FILE)
-    total_cost([]).write(run / "cost.json")
+    total_cost([]).write(run / "synthetic-adt/cost.json")
     _, _, *rows = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
     assert [row[11:15] for row in rows] == [["–"] * 4] * 2
 

@@ -91,7 +91,7 @@ def write_run(
                 **(summary or {}),
             },
         )
-        path = folder if len(datasets) == 1 else folder / name
+        path = folder / name
         result.write(path)
         write_scores(path / "scores.parquet", ())
         (path / "cost.json").write_bytes(b"")
@@ -267,7 +267,9 @@ def test_ranks_on_common_sequences_follow_from_these_alone(tmp_path):
     assert {row.entry.method: row.ranks["mpjpe"] for row in common.rows} == {"one": 1, "two": 1, "brief": 1}
     short = {name for name, length in lengths.items() if length <= limit}
     scores = {
-        name: sequence_scores(tmp_path / "runs" / name / "scores.parquet", PRIME_AND_REACH, only=common.common)
+        name: sequence_scores(
+            tmp_path / "runs" / name / "synthetic-adt/scores.parquet", PRIME_AND_REACH, only=common.common
+        )
         for name in ("one", "two")
     }
     assert set(scores["one"]["mpjpe"][0]) == short
@@ -303,7 +305,7 @@ def test_all_methods_are_scored_on_the_sequences_that_every_one_generated(tmp_pa
     ranks = {row.entry.method: row.ranks.get("mpjpe") for row in common.rows}
     assert ranks == {"whole": 2, "brief": 1, "scripted": None}
     for row in common.rows:
-        scores = read_scores(tmp_path / "runs" / row.entry.run / "scores.parquet").to_pylist()
+        scores = read_scores(tmp_path / "runs" / row.entry.run / "synthetic-adt/scores.parquet").to_pylist()
         values = [one["value"] for one in scores if one["metric"] == "mpjpe" and one["sequence_id"] in short]
         assert row.entry.metric("mpjpe").mean == pytest.approx(sum(values) / len(values))
         assert row.entry.metric("mpjpe").sequences == len(short)
@@ -486,7 +488,7 @@ def test_the_order_of_the_paths_and_naming_a_run_twice_change_nothing(tmp_path):
 
 def test_a_run_that_is_not_finished_is_named_and_left_out(tmp_path):
     write_run(tmp_path / "a", "one")
-    (write_run(tmp_path / "b", "two") / "summary.json").unlink()
+    (write_run(tmp_path / "b", "two") / "synthetic-adt/summary.json").unlink()
     board = leaderboard(tmp_path)
     assert [row.entry.method for row in only(board.tables).rows] == ["one"]
     assert board.notes == ("Left out: b: not finished on synthetic-adt; run it again, it resumes.",)

@@ -159,7 +159,7 @@ def test_a_run_prints_scores_with_intervals_and_says_synthetic(data, tmp_path, c
     assert "95 % interval" in text
     assert str(out) in text
     assert "stands still" in text, "Foot Skating of a motionless method is no number"
-    assert (out / "summary.json").is_file()
+    assert (out / "synthetic-adt/summary.json").is_file()
 
 
 def test_several_datasets_may_follow_one_option_or_repeat_it(tmp_path, capsys, monkeypatch):
@@ -177,7 +177,9 @@ def test_the_whole_way_from_run_to_leaderboard_and_score(data, tmp_path, capsys,
     run = tmp_path / "runs" / "truth"
     assert main(["run", "--method", "ground-truth", "--data", str(data), "--out", str(run)]) == 0
     assert main(["score", str(run), "--data", str(data), "--out", str(tmp_path / "scored")]) == 0
-    assert (tmp_path / "scored" / "scores.parquet").read_bytes() == (run / "scores.parquet").read_bytes()
+    assert (tmp_path / "scored" / "synthetic-adt/scores.parquet").read_bytes() == (
+        run / "synthetic-adt/scores.parquet"
+    ).read_bytes()
     capsys.readouterr()
     assert main(["leaderboard", "export", str(tmp_path / "runs"), "--format", "md"]) == 0
     printed = capsys.readouterr().out

@@ -80,7 +80,7 @@ def test_a_run_in_shards_is_scored_by_the_merge(tmp_path, capsys):
     merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], capsys, kind="of runs")
     assert merged.runs[0].datasets[0].sequences == 6
     bytes_of = [folder_bytes(tmp_path / name) for name in ("whole", "merged")]
-    assert [files.pop("cost.json") != b"" for files in bytes_of] == [True, True]
+    assert [files.pop("synthetic-adt/cost.json") != b"" for files in bytes_of] == [True, True]
     assert bytes_of[0] == bytes_of[1]
 
 

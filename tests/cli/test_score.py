@@ -36,7 +36,7 @@ def test_from_conditions_to_scores_everything_is_reported(data, tmp_path, capsys
     (dataset,) = reported([*words, "--name", "still"], capsys)
     scores = dataset.scores
     assert dataset.origin == "file predictions.npz"
-    summary = DatasetSummary.read(out)
+    summary = DatasetSummary.read(out / "synthetic-adt")
     assert (scores.method, scores.condition, scores.samples) == ("still", "goal-loc", 2)
     assert scores.sequences == summary.sequences == exported.sequences["synthetic-adt"]
     assert {each.metric: (each.mean, each.low) for each in scores.metrics} == {

@@ -84,7 +84,10 @@ def test_the_single_sequence_gets_the_motion_that_the_whole_run_gives_it(run, da
     out = tmp_path / "one"
     words = ["run", "--method", "scripted", "--condition", "goal-loc", "--data", str(data), "--out", str(out)]
     assert main([*words, "--sequence", "/obj5/", "--sequence", "/obj9/"]) == 0
-    alone, whole = Predictions.open(out / "predictions"), Predictions.open(run / "predictions")
+    alone, whole = (
+        Predictions.open(out / "synthetic-adt/predictions"),
+        Predictions.open(run / "synthetic-adt/predictions"),
+    )
     assert len(alone.ids) == 2
     for name in alone.ids:
         assert (alone.motions([name], 0).values == whole.motions([name], 0).values).all()

@@ -64,14 +64,14 @@ def test_the_metric_obeys_the_laws_that_hold_for_all(checkout):
 def test_a_run_prints_and_keeps_the_metric_with_its_interval(checkout, printed):
     (line,) = (line for line in printed[0].splitlines() if "Final wrist error" in line)
     assert re.search(r"\d\.\d\d m .*\[\d\.\d\d, \d\.\d\d\]", line), line
-    scores = read_scores(checkout / "runs/static/scores.parquet")
+    scores = read_scores(checkout / "runs/static/synthetic-adt/scores.parquet")
     assert "wrist_error" in scores["metric"].to_pylist()
 
 
 def test_recorded_motion_against_other_goals_is_not_compared_with_itself(checkout, printed):
     assert "Reach Success" in printed[1]
     assert "Final wrist error" not in printed[1]
-    summary = DatasetSummary.read(checkout / "runs/control")
+    summary = DatasetSummary.read(checkout / "runs/control/synthetic-adt")
     assert "wrist_error" not in [metric.metric for metric in summary.metrics]
 
 
@@ -81,11 +81,11 @@ def test_a_leaderboard_exports_the_metric_with_unit_and_direction(printed):
 
 
 def test_scores_from_before_the_metric_are_made_anew_from_the_kept_motions(checkout, printed):
-    before = (checkout / "runs/static/scores.parquet").read_bytes()
-    parts = sorted((checkout / "runs/static/predictions").iterdir())
+    before = (checkout / "runs/static/synthetic-adt/scores.parquet").read_bytes()
+    parts = sorted((checkout / "runs/static/synthetic-adt/predictions").iterdir())
     written = [part.stat().st_mtime_ns for part in parts]
     for name in ("scores.parquet", "summary.json"):
-        (checkout / "runs/static" / name).unlink()
+        (checkout / "runs/static/synthetic-adt" / name).unlink()
     run(checkout, "-m", *shlex.split(blocks("bash")[-1].splitlines()[0]))
-    assert (checkout / "runs/static/scores.parquet").read_bytes() == before
+    assert (checkout / "runs/static/synthetic-adt/scores.parquet").read_bytes() == before
     assert [part.stat().st_mtime_ns for part in parts] == written

@@ -141,7 +141,7 @@ def test_by_command_by_description_behind_a_fence_and_offline_it_scores_alike(ta
         )
         report = run_method(request)
         assert (report.folder.record.method.name, report.folder.record.method.version) == ("glide", "1.0")
-        found[name] = (report.folder.path / "scores.parquet").read_bytes()
+        found[name] = (report.folder.path / "synthetic-adt/scores.parquet").read_bytes()
     assert found["command"] == found["description"] == found["fence"]
     asked = tmp_path / "asked.npz"
     export_conditions(ExportRequest(data=(table.folder,), condition=Condition.GOAL_LOCATION, out=asked))
@@ -165,7 +165,9 @@ def _scores(table, ids, motions, folder):
 
 
 def _values(folder):
-    scores = read_scores(folder / "scores.parquet").sort_by([("sequence_id", "ascending"), ("metric", "ascending")])
+    scores = read_scores(folder / "synthetic-adt/scores.parquet").sort_by(
+        [("sequence_id", "ascending"), ("metric", "ascending")]
+    )
     return scores["value"].to_numpy(zero_copy_only=False).astype(np.float64)
 
 

@@ -101,11 +101,11 @@ def test_places_of_goals():
 
 def test_a_run_holds_every_rate_and_each_breakdown_covers_every_sequence_once(table, tmp_path):
     run_method(request(table, tmp_path / "out", "scripted"))
-    found = DatasetAgreement.read(tmp_path / "out")
+    found = DatasetAgreement.read(tmp_path / "out" / "synthetic-adt")
     assert [rate.metric for rate in found.rates] == [
         info.id for info in METRICS if info.id in RATES and not info.compares_with_recorded and "gaze" not in info.id
     ]
-    scores = read_scores(tmp_path / "out/scores.parquet").to_pylist()
+    scores = read_scores(tmp_path / "out/synthetic-adt/scores.parquet").to_pylist()
     for metric in {row["metric"] for row in scores} & set(RATES):
         values = [row["value"] for row in scores if row["metric"] == metric]
         for by in ("bearing", "distance", "height"):
@@ -119,10 +119,10 @@ def test_a_run_holds_every_rate_and_each_breakdown_covers_every_sequence_once(ta
 def test_recorded_motion_agrees_with_itself_and_a_method_without_success_with_nobody(table, tmp_path):
     run_method(request(table, tmp_path / "recorded", "ground-truth"))
     run_method(request(table, tmp_path / "stare", "stare"))
-    own = {rate.metric: rate for rate in DatasetAgreement.read(tmp_path / "recorded").rates}
+    own = {rate.metric: rate for rate in DatasetAgreement.read(tmp_path / "recorded" / "synthetic-adt").rates}
     assert own["reach_success"].phi == pytest.approx(1.0)
     assert own["reach_success"].low is None
-    staring = {rate.metric: rate for rate in DatasetAgreement.read(tmp_path / "stare").rates}
+    staring = {rate.metric: rate for rate in DatasetAgreement.read(tmp_path / "stare" / "synthetic-adt").rates}
     assert staring["prime_success"].phi is None
     assert "the same outcome" in staring["prime_success"].remark
 
@@ -130,11 +130,11 @@ def test_recorded_motion_agrees_with_itself_and_a_method_without_success_with_no
 def test_batches_and_samples_leave_no_trace_and_scored_files_say_the_same(table, tmp_path):
     run_method(request(table, tmp_path / "one", "scripted", batch_size=1))
     run_method(request(table, tmp_path / "all", "scripted", samples=3))
-    one, three = (DatasetAgreement.read(tmp_path / name) for name in ("one", "all"))
+    one, three = (DatasetAgreement.read(tmp_path / name / "synthetic-adt") for name in ("one", "all"))
     assert one.rates == three.rates
     scored = ScoreRequest(predictions=tmp_path / "one", data=(table.folder,), out=tmp_path / "again")
     (report,) = score_predictions(scored)
-    assert report.agreement == one == DatasetAgreement.read(tmp_path / "again")
+    assert report.agreement == one == DatasetAgreement.read(tmp_path / "again" / "synthetic-adt")
 
 
 def checked(run, table) -> None:
@@ -154,7 +154,7 @@ def checked(run, table) -> None:
 def test_an_edited_agreement_is_refused_wherever_the_table_is_at_hand(table, tmp_path, part, row, key, value):
     run_method(request(table, tmp_path / "out", "scripted", control="shuffled-goal"))
     checked(tmp_path / "out", table)
-    file = tmp_path / "out/agreement.json"
+    file = tmp_path / "out/synthetic-adt/agreement.json"
     entries = json.loads(file.read_text())
     entries[part][row][key] = value
     file.write_text(json.dumps(entries))

@@ -61,7 +61,7 @@ def test_recorded_motion_against_other_goals_drops_and_leaves_out_what_ignores_t
     assert other["reach_success"] < 0.7 * own["reach_success"]
     assert not other.keys() & {"goal_mpjpe", "mpjpe", "location_error", "reach_wrist"}
     assert other["foot_skating"] == own["foot_skating"]
-    mine, others = (Predictions.open(tmp_path / run / "predictions") for run in ("own", "other"))
+    mine, others = (Predictions.open(tmp_path / run / "synthetic-adt/predictions") for run in ("own", "other"))
     ids = [name for chunk in table.chunks(split="test", columns=[]) for name in chunk.sequence_ids]
     assert np.array_equal(mine.motions(ids, 0).values, others.motions(ids, 0).values)
 
@@ -77,7 +77,7 @@ def test_a_method_that_follows_its_goal_drops_under_shuffled_goals_but_is_scored
 def test_a_method_that_ignores_its_goal_scores_the_same_under_shuffled_goals(table, tmp_path):
     run_method(request(table, tmp_path / "own", "static"))
     run_method(request(table, tmp_path / "other", "static", control="shuffled-goal"))
-    own, other = (read_scores(tmp_path / run / "scores.parquet") for run in ("own", "other"))
+    own, other = (read_scores(tmp_path / run / "synthetic-adt/scores.parquet") for run in ("own", "other"))
     assert own.equals(other)
 
 
@@ -86,7 +86,7 @@ def test_a_method_that_ignores_its_goal_scores_the_same_under_shuffled_goals(tab
 def test_controls_run_under_any_condition_with_the_same_scores(table, tmp_path, method, condition):
     run_method(request(table, tmp_path / "out", method, condition=condition, limit=4))
     run_method(request(table, tmp_path / "none", method, limit=4))
-    scores = [read_scores(tmp_path / run / "scores.parquet") for run in ("out", "none")]
+    scores = [read_scores(tmp_path / run / "synthetic-adt/scores.parquet") for run in ("out", "none")]
     assert scores[0].equals(scores[1])
 
 
@@ -296,9 +296,9 @@ def test_its_run_carries_the_notice_of_recorded_motion(tmp_path):
     msgspec.structs.replace(table.info, redistribution="none").write(table.folder)
     run_method(request(table, tmp_path / "out", "nearest-neighbour"))
     run_method(request(table, tmp_path / "recorded", "ground-truth"))
-    notices = [(tmp_path / run / "NOTICE.txt").read_text() for run in ("out", "recorded")]
+    notices = [(tmp_path / run / "synthetic-adt/NOTICE.txt").read_text() for run in ("out", "recorded")]
     assert notices[0] == notices[1]
-    assert "prime_success_gaze" not in read_scores(tmp_path / "out/scores.parquet")["metric"].to_pylist()
+    assert "prime_success_gaze" not in read_scores(tmp_path / "out/synthetic-adt/scores.parquet")["metric"].to_pylist()
 
 
 def test_a_round_trip_through_its_own_rate_changes_nothing_and_through_another_little(table):

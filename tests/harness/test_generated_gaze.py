@@ -62,7 +62,7 @@ def test_gaze_is_scored_beside_the_head_and_the_run_is_marked(table, tmp_path, s
     for name in BY_GAZE:
         assert summary.metric(name).mean == 1.0
         assert summary.metric(name).sequences == 15
-    assert Predictions.open(tmp_path / "run/predictions").has_gaze
+    assert Predictions.open(tmp_path / "run/synthetic-adt/predictions").has_gaze
 
 
 def test_a_view_shows_the_gaze_of_each_motion(table, tmp_path, seeing):
@@ -79,13 +79,15 @@ def test_a_view_shows_the_gaze_of_each_motion(table, tmp_path, seeing):
 def test_another_process_sends_the_same_gaze(table, tmp_path, seeing):
     run_method(request(table, tmp_path / "here"))
     run_method(request(table, tmp_path / "apart", isolate=True))
-    assert (tmp_path / "here/scores.parquet").read_bytes() == (tmp_path / "apart/scores.parquet").read_bytes()
+    assert (tmp_path / "here/synthetic-adt/scores.parquet").read_bytes() == (
+        tmp_path / "apart/synthetic-adt/scores.parquet"
+    ).read_bytes()
 
 
 def test_a_finished_run_with_gaze_is_verified_and_keeps_the_rays_of_its_motions(table, tmp_path, seeing):
     for _ in range(2):  # the second finds everything, and holds scores and summary against the motions
         run_method(request(table, tmp_path / "run"))
-    predictions = Predictions.open(tmp_path / "run/predictions")
+    predictions = Predictions.open(tmp_path / "run/synthetic-adt/predictions")
     rows = predictions.motions(predictions.ids[:2], 0)
     assert rows.gaze is not None
     assert np.allclose(rows.gaze[:, 0], rows.values[:, 15] + (0, 0, 0.1), atol=1e-5)
@@ -98,9 +100,9 @@ def test_agreement_counts_the_sequences_whose_recorded_gaze_decides(tmp_path, se
 
     monkeypatch.setattr("tests.fakes.fake_sequence", with_gaps)
     run_method(request(fake_dataset(tmp_path / "data", 60), tmp_path / "run"))
-    scores = read_scores(tmp_path / "run/scores.parquet")
+    scores = read_scores(tmp_path / "run/synthetic-adt/scores.parquet")
     ids = set(scores["sequence_id"].to_pylist())
-    agreement = DatasetAgreement.read(tmp_path / "run")
+    agreement = DatasetAgreement.read(tmp_path / "run/synthetic-adt")
     counted = {rate.metric: rate.sequences for rate in agreement.rates}
     assert counted["prime_success"] == len(ids)
     assert 0 < counted["prime_success_gaze"] < len(ids)
@@ -126,7 +128,7 @@ def test_a_leaderboard_shows_it_as_a_row_of_its_own_and_ranks_it_nowhere(table, 
 
 def test_finished_motions_with_gaze_are_scored_like_those_of_a_run(table, tmp_path, seeing, capsys):
     run_method(request(table, tmp_path / "run"))
-    parts = shutil.copytree(tmp_path / "run/predictions", tmp_path / "handed-in")
+    parts = shutil.copytree(tmp_path / "run/synthetic-adt/predictions", tmp_path / "handed-in")
     assert main(["score", str(parts), "--data", str(table.folder), "--condition", "goal-loc", "--json"]) == 0
     (entry,) = json.loads(capsys.readouterr().out)["report"]
     found = entry["scores"]
@@ -137,11 +139,11 @@ def test_finished_motions_with_gaze_are_scored_like_those_of_a_run(table, tmp_pa
 
 def test_finished_gaze_from_elsewhere_than_the_head_is_refused(table, tmp_path, seeing):
     run_method(request(table, tmp_path / "run"))
-    part = sorted((tmp_path / "run/predictions").iterdir())[0]
+    part = sorted((tmp_path / "run/synthetic-adt/predictions").iterdir())[0]
     rows = pq.read_table(part)
     moved = [[[x, y + 1.0, z] for x, y, z in frames] for frames in rows["gaze_origin"].to_pylist()]
     place = rows.schema.get_field_index("gaze_origin")
     pq.write_table(rows.set_column(place, rows.field(place), pa.array(moved, rows.field(place).type)), part)
-    finished = ScoreRequest(predictions=tmp_path / "run/predictions", data=(table.folder,))
+    finished = ScoreRequest(predictions=tmp_path / "run/synthetic-adt/predictions", data=(table.folder,))
     with pytest.raises(PredictionsError, match=r"gaze, frame 0: expected eyes within 0\.3 m of the head joint"):
         score_predictions(finished)

@@ -184,9 +184,9 @@ def test_a_file_of_recorded_motions_is_marked_and_the_control_is_not(table, tmp_
     file = write(tmp_path / "mine.parquet", motions)
     (report,) = score_predictions(ScoreRequest(predictions=file, data=(table.folder,), out=tmp_path / "scores"))
     assert report.summary.recorded_motions == 15
-    kept = DatasetSummary.read(tmp_path / "scores")
+    kept = DatasetSummary.read(tmp_path / "scores/synthetic-adt")
     assert kept.mark == "†† equals the recorded motion in 15 of 15 motions; never ranked"
-    rows = read_scores(tmp_path / "scores/scores.parquet").to_pylist()
+    rows = read_scores(tmp_path / "scores/synthetic-adt/scores.parquet").to_pylist()
     flagged = {(row["metric"], row["flag"]) for row in rows if "recorded_motion" in (row["flag"] or "")}
     assert flagged == {("mpjpe", "recorded_motion")}
     for control in ("ground-truth", "ground-truth-resampled", "scripted", "static"):

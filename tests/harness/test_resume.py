@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import msgspec
 import pyarrow.parquet as pq
 import pytest
 
+from prbench.cli.main import main
 from prbench.contract import Condition
 from prbench.errors import RunError
 from prbench.harness.run import run_method
@@ -62,9 +64,9 @@ def test_a_run_killed_at_random_moments_ends_with_the_same_bytes(table, tmp_path
         process.send_signal(signal.SIGKILL)
         process.wait()
         process.stdout.close()
-        interrupted += not (killed / "summary.json").exists()
+        interrupted += not (killed / "synthetic-adt/summary.json").exists()
     assert interrupted >= 2
-    assert any((killed / "predictions").glob("part-*.parquet"))
+    assert any((killed / "synthetic-adt/predictions").glob("part-*.parquet"))
     report = run_method(request(table, killed, "made", batch_size=1, samples=2))
     assert 0 < report.batches_found < 15
     assert reproducible_bytes(killed) == reproducible_bytes(whole)
@@ -108,8 +110,8 @@ def test_what_a_killed_process_left_half_written_is_removed_and_never_read(table
     install("made", adapter_source())
     run_method(request(table, tmp_path / "out", "made"))
     before = reproducible_bytes(tmp_path / "out")
-    (tmp_path / "out/summary.json").unlink()
-    (tmp_path / "out/predictions/.part-00000-x.partial.parquet").write_bytes(b"half")
+    (tmp_path / "out/synthetic-adt/summary.json").unlink()
+    (tmp_path / "out/synthetic-adt/predictions/.part-00000-x.partial.parquet").write_bytes(b"half")
     run_method(request(table, tmp_path / "out", "made"))
     assert reproducible_bytes(tmp_path / "out") == before
 
@@ -124,14 +126,34 @@ def test_a_finished_run_is_not_run_again(table, tmp_path, install):
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")} == before
 
 
+def test_a_run_of_earlier_versions_goes_on_and_is_read_where_it_lies(table, tmp_path, install, capsys):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "new", "made"))
+    old = tmp_path / "old"
+    shutil.copytree(tmp_path / "new/synthetic-adt", old)
+    shutil.copy(tmp_path / "new/run.json", old)
+    (old / "summary.json").unlink()
+    (old / "predictions/part-00001.parquet").unlink()
+    assert run_method(request(table, old, "made")).batches_made == 1
+    assert reproducible_bytes(old) == {
+        name.removeprefix("synthetic-adt/"): content for name, content in reproducible_bytes(tmp_path / "new").items()
+    }
+    run_method(request(table, tmp_path / "new/synthetic-adt", "made"))  # means the run that the folder is part of
+    data = ("--data", str(table.folder))
+    assert main(["leaderboard", "compare", str(old), str(tmp_path / "new/synthetic-adt"), *data]) == 0
+    assert "made" in capsys.readouterr().out
+    assert main(["score", str(old), *data, "--out", str(tmp_path / "scored")]) == 0
+    assert (tmp_path / "scored/synthetic-adt/scores.parquet").read_bytes() == (old / "scores.parquet").read_bytes()
+
+
 @pytest.mark.parametrize("lost", ["predictions/part-00002.parquet", "scores.parquet", "summary.json", "cost.json"])
 def test_what_is_missing_is_made_again(table, tmp_path, install, lost):
     install("made", adapter_source())
     run_method(request(table, tmp_path / "out", "made"))
     before = reproducible_bytes(tmp_path / "out")
-    (tmp_path / "out" / lost).unlink()
+    (tmp_path / "out/synthetic-adt" / lost).unlink()
     if lost == "predictions/part-00002.parquet":
-        (tmp_path / "out/summary.json").unlink()
+        (tmp_path / "out/synthetic-adt/summary.json").unlink()
     run_method(request(table, tmp_path / "out", "made"))
     assert reproducible_bytes(tmp_path / "out") == before
 
@@ -140,17 +162,17 @@ def test_what_is_missing_is_made_again(table, tmp_path, install, lost):
 def test_what_was_measured_survives_the_loss_of_scores(table, tmp_path, install, lost):
     install("made", adapter_source())
     run_method(request(table, tmp_path / "out", "made"))
-    cost = (tmp_path / "out/cost.json").read_bytes()
-    (tmp_path / "out" / lost).unlink()
+    cost = (tmp_path / "out/synthetic-adt/cost.json").read_bytes()
+    (tmp_path / "out/synthetic-adt" / lost).unlink()
     run_method(request(table, tmp_path / "out", "made"))
-    assert (tmp_path / "out/cost.json").read_bytes() == cost
+    assert (tmp_path / "out/synthetic-adt/cost.json").read_bytes() == cost
 
 
 def test_damaged_scores_are_made_again(table, tmp_path, install):
     install("made", adapter_source())
     run_method(request(table, tmp_path / "out", "made"))
     before = reproducible_bytes(tmp_path / "out")
-    scores = tmp_path / "out/scores.parquet"
+    scores = tmp_path / "out/synthetic-adt/scores.parquet"
     scores.write_bytes(scores.read_bytes()[:-20])
     run_method(request(table, tmp_path / "out", "made"))
     assert reproducible_bytes(tmp_path / "out") == before
@@ -159,7 +181,7 @@ def test_damaged_scores_are_made_again(table, tmp_path, install):
 def test_a_file_that_is_no_part_of_the_plan_is_never_scored(table, tmp_path, install):
     install("made", adapter_source())
     run_method(request(table, tmp_path / "out", "made"))
-    parts = tmp_path / "out/predictions"
+    parts = tmp_path / "out/synthetic-adt/predictions"
     (parts / "part-00099.parquet").write_bytes((parts / "part-00000.parquet").read_bytes())
     with pytest.raises(RunError, match=r"part-00099.parquet: expected the 4 parts of this run only"):
         run_method(request(table, tmp_path / "out", "made"))
@@ -170,9 +192,9 @@ def test_a_damaged_part_is_made_again(table, tmp_path, install, damage):
     install("made", adapter_source())
     run_method(request(table, tmp_path / "out", "made"))
     before = reproducible_bytes(tmp_path / "out")
-    (tmp_path / "out/summary.json").unlink()
-    part = tmp_path / "out/predictions/part-00001.parquet"
-    other = tmp_path / "out/predictions/part-00002.parquet"
+    (tmp_path / "out/synthetic-adt/summary.json").unlink()
+    part = tmp_path / "out/synthetic-adt/predictions/part-00001.parquet"
+    other = tmp_path / "out/synthetic-adt/predictions/part-00002.parquet"
     flipped = bytearray(part.read_bytes())
     flipped[len(flipped) // 2] ^= 1
     damaged = {"truncated": part.read_bytes()[:-20], "of another batch": other.read_bytes(), "one bit": bytes(flipped)}
@@ -240,9 +262,9 @@ def test_cost_counts_every_batch_once_and_keeps_warm_up_apart(table, tmp_path, i
     declaring = "return Motions(joints, n_frames, Cost(7))"
     install("made", adapter_source(body=body).replace("return Motions(joints, n_frames)", declaring))
     run_method(request(table, tmp_path / "out", "made", samples=2))
-    cost = msgspec.json.decode((tmp_path / "out/cost.json").read_bytes(), type=RunCost)
+    cost = msgspec.json.decode((tmp_path / "out/synthetic-adt/cost.json").read_bytes(), type=RunCost)
     assert cost.motions + cost.warm_up_motions == 30
     assert cost.warm_up_motions == 8
     assert cost.seconds > 0
     assert cost.network_passes_declared == 7 * 2 * 8
-    assert pq.read_table(tmp_path / "out/predictions").num_rows == 30
+    assert pq.read_table(tmp_path / "out/synthetic-adt/predictions").num_rows == 30

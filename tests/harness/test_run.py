@@ -27,7 +27,7 @@ from tests.method_fixtures import adapter_source
 def reproducible_bytes(folder) -> dict[str, bytes]:
     files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
     assert not [name for name in files if "partial" in name or ".costs" in name]
-    return {name: path.read_bytes() for name, path in files.items() if name != "cost.json"}
+    return {name: path.read_bytes() for name, path in files.items() if not name.endswith("cost.json")}
 
 
 def request(table, out, method="static", **changes) -> RunRequest:
@@ -45,11 +45,11 @@ def request(table, out, method="static", **changes) -> RunRequest:
 
 def test_static_on_a_dataset_leaves_the_run_folder_of_the_design(table, tmp_path):
     report = run_method(request(table, tmp_path / "out", samples=2, seed=5))
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"run.json", "synthetic-adt"}
+    assert sorted(path.name for path in (tmp_path / "out/synthetic-adt").iterdir()) == [
         "agreement.json",
         "cost.json",
         "predictions",
-        "run.json",
         "scores.parquet",
         "summary.json",
     ]
@@ -63,7 +63,7 @@ def test_static_on_a_dataset_leaves_the_run_folder_of_the_design(table, tmp_path
     assert (run["seed"], run["samples"], run["threads"], run["split"]) == (5, 2, 1, "test")
     assert report.batches_made == 4
 
-    scores = read_scores(tmp_path / "out/scores.parquet")
+    scores = read_scores(tmp_path / "out/synthetic-adt/scores.parquet")
     names = [info.id for info in METRICS_OF_MOTIONS]
     ids = [name for chunk in table.chunks(split="test", columns=[]) for name in chunk.sequence_ids]
     expected = [(name, sample, metric) for name in ids for sample in (0, 1) for metric in names]
@@ -84,7 +84,7 @@ def test_static_on_a_dataset_leaves_the_run_folder_of_the_design(table, tmp_path
 
 def test_nothing_personal_stands_in_the_reproducible_files(table, tmp_path):
     run_method(request(table, tmp_path / "out"))
-    for name in ("run.json", "summary.json"):
+    for name in ("run.json", "synthetic-adt/summary.json"):
         text = (tmp_path / "out" / name).read_text()
         assert str(tmp_path) not in text
         assert str(table.folder) not in text
@@ -94,7 +94,7 @@ def test_nothing_personal_stands_in_the_reproducible_files(table, tmp_path):
 def test_predictions_hold_every_sequence_and_sample_with_its_seed(table, tmp_path, install):
     install("made", adapter_source())
     run_method(request(table, tmp_path / "out", "made", samples=2, seed=9))
-    predictions = Predictions.open(tmp_path / "out/predictions")
+    predictions = Predictions.open(tmp_path / "out/synthetic-adt/predictions")
     columns = ["sequence_id", "sample", "seed"]
     rows = [row for path in predictions.paths for row in pq.read_table(path, columns=columns).to_pylist()]
     assert all(row["seed"] == noise_seed(9, row["sequence_id"], row["sample"]) for row in rows)
@@ -119,7 +119,9 @@ def test_the_batch_size_changes_no_score_of_a_method_that_follows_the_contract(t
     install("made", adapter_source())
     run_method(request(table, tmp_path / "one", "made", batch_size=1))
     run_method(request(table, tmp_path / "two", "made", batch_size=7))
-    assert (tmp_path / "one/scores.parquet").read_bytes() == (tmp_path / "two/scores.parquet").read_bytes()
+    assert (tmp_path / "one/synthetic-adt/scores.parquet").read_bytes() == (
+        tmp_path / "two/synthetic-adt/scores.parquet"
+    ).read_bytes()
     assert (tmp_path / "one/run.json").read_bytes() != (tmp_path / "two/run.json").read_bytes()
 
 
@@ -127,7 +129,9 @@ def test_scores_do_not_depend_on_the_window(table, tmp_path, monkeypatch):
     run_method(request(table, tmp_path / "one", "scripted"))
     monkeypatch.setattr(planning, "WINDOW", 6)
     run_method(request(table, tmp_path / "two", "scripted"))
-    assert read_scores(tmp_path / "one/scores.parquet").equals(read_scores(tmp_path / "two/scores.parquet"))
+    assert read_scores(tmp_path / "one/synthetic-adt/scores.parquet").equals(
+        read_scores(tmp_path / "two/synthetic-adt/scores.parquet")
+    )
 
 
 def test_several_datasets_have_a_folder_each(table, tmp_path):
@@ -136,7 +140,7 @@ def test_several_datasets_have_a_folder_each(table, tmp_path):
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["run.json", "synthetic-adt", "synthetic-gimo"]
     assert [summary.dataset for summary in report.summaries] == ["synthetic-adt", "synthetic-gimo"]
     run_method(request(table, tmp_path / "single"))
-    single = (tmp_path / "single/scores.parquet").read_bytes()
+    single = (tmp_path / "single/synthetic-adt/scores.parquet").read_bytes()
     assert (tmp_path / "out/synthetic-adt/scores.parquet").read_bytes() == single
 
 
@@ -150,7 +154,9 @@ def test_static_is_fitted_once_a_table(table, tmp_path, own_cache):
     (fit,) = own_cache.rglob("mean_pose.json")
     fit.write_text(json.dumps(np.full((22, 3), 0.5).tolist()))  # a refit would put it right
     run_method(request(table, tmp_path / "two"))
-    assert Predictions.open(tmp_path / "two/predictions").motions([ids(table)[0]], 0).values[0, 0, 0] == 0.5
+    assert (
+        Predictions.open(tmp_path / "two/synthetic-adt/predictions").motions([ids(table)[0]], 0).values[0, 0, 0] == 0.5
+    )
     run_method(request(fake_dataset(tmp_path / "other", 30), tmp_path / "three"))
     assert len(list(own_cache.rglob("mean_pose.json"))) == 2
 
@@ -211,10 +217,10 @@ def test_a_failure_later_on_keeps_the_whole_batches_and_writes_no_scores(table, 
     install("made", adapter_source(body="if n_frames.max() > 100: joints[0, 3, 5] = np.nan"))
     with pytest.raises(AdapterError, match=r"expected finite"):
         run_method(request(table, tmp_path / "out", "made"))
-    left = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.*")}
+    left = {path.relative_to(tmp_path / "out/synthetic-adt").as_posix() for path in (tmp_path / "out").rglob("*/*.*")}
     assert "predictions/part-00000.parquet" in left
     assert not left & {"scores.parquet", "summary.json", "cost.json"}
-    for part in (tmp_path / "out/predictions").iterdir():
+    for part in (tmp_path / "out/synthetic-adt/predictions").iterdir():
         assert pq.read_table(part).num_rows == 4
 
 
@@ -306,11 +312,13 @@ def test_a_disk_that_is_full_when_scores_are_written_keeps_only_whole_files(tabl
         patch.setattr(pq.ParquetWriter, "write_table", full_for_scores)
         with pytest.raises(StorageError, match=r"no space left"):
             run_method(request(table, tmp_path / "out", "scripted"))
-    assert not (tmp_path / "out/scores.parquet").exists()
+    assert not (tmp_path / "out/synthetic-adt/scores.parquet").exists()
     assert not list((tmp_path / "out").rglob("*partial*"))
     run_method(request(table, tmp_path / "out", "scripted"))
     run_method(request(table, tmp_path / "whole", "scripted"))
-    assert (tmp_path / "out/scores.parquet").read_bytes() == (tmp_path / "whole/scores.parquet").read_bytes()
+    assert (tmp_path / "out/synthetic-adt/scores.parquet").read_bytes() == (
+        tmp_path / "whole/synthetic-adt/scores.parquet"
+    ).read_bytes()
 
 
 def test_a_folder_with_other_things_in_it_is_not_touched(table, tmp_path):

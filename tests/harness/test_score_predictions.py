@@ -220,15 +220,16 @@ def test_missing_and_damaged_files_are_named(table, tmp_path):
         score(table, tmp_path / "empty")
 
 
-@pytest.mark.parametrize("part", ["", "predictions"])
+@pytest.mark.parametrize("part", ["", "synthetic-adt", "synthetic-adt/predictions"])
 @pytest.mark.parametrize("changes", [{}, {"control": "shuffled-goal"}, {"limit": 6, "samples": 2}])
 def test_a_run_scores_as_it_scored_itself(table, tmp_path, part, changes):
     run_method(request(table, tmp_path / "run", "ground-truth", **changes))
     report = score(table, tmp_path / "run" / part, out=tmp_path / "scores")
-    assert report.scores.equals(read_scores(tmp_path / "run/scores.parquet"))
+    assert report.scores.equals(read_scores(tmp_path / "run/synthetic-adt/scores.parquet"))
     for name in ("scores.parquet", "summary.json"):
-        assert (tmp_path / "scores" / name).is_file()
-    assert DatasetSummary.read(tmp_path / "scores") == DatasetSummary.read(tmp_path / "run")
+        assert (tmp_path / "scores/synthetic-adt" / name).is_file()
+    scored, own = (DatasetSummary.read(tmp_path / run / "synthetic-adt") for run in ("scores", "run"))
+    assert scored == own
 
 
 def test_a_run_that_stands_still_is_remembered_as_such(table, recorded, tmp_path):
@@ -252,7 +253,7 @@ def test_sequences_that_the_method_could_not_generate_are_not_missed(table, tmp_
 
 def test_a_run_that_was_interrupted_is_told_how_to_go_on(table, tmp_path):
     run_method(request(table, tmp_path / "run", "scripted"))
-    (tmp_path / "run/predictions/part-00001.parquet").unlink()
+    (tmp_path / "run/synthetic-adt/predictions/part-00001.parquet").unlink()
     with pytest.raises(PredictionsError, match=r"found 11: missing 4 .* Run the same command again: it resumes\."):
         score(table, tmp_path / "run")
 

@@ -45,9 +45,9 @@ def test_scores_equal_those_of_each_sequence_by_hand(table, tmp_path, monkeypatc
     install("made", adapter_source())
     monkeypatch.setattr(planning, "WINDOW", 6)
     run_method(request(table, tmp_path / "out", method))
-    predictions = Predictions.open(tmp_path / "out/predictions")
+    predictions = Predictions.open(tmp_path / "out/synthetic-adt/predictions")
     found: dict[str, dict[str, float]] = {}
-    for row in read_scores(tmp_path / "out/scores.parquet").to_pylist():
+    for row in read_scores(tmp_path / "out/synthetic-adt/scores.parquet").to_pylist():
         found.setdefault(row["sequence_id"], {})[row["metric"]] = row["value"]
     assert len(found) == 15
     for name, values in found.items():
@@ -60,7 +60,7 @@ def test_recorded_motion_is_scored_against_the_goals_that_were_dealt(table, tmp_
     selection = select(table, split="test", limit=None)
     order = derangement(selection, seed=2)
     sequences = [fake_sequence(int(name.split("/obj")[1].split("/")[0])) for name in selection.sequence_ids]
-    rows = read_scores(tmp_path / "out/scores.parquet").to_pylist()
+    rows = read_scores(tmp_path / "out/synthetic-adt/scores.parquet").to_pylist()
     reached = {row["sequence_id"]: row["value"] for row in rows if row["metric"] == "reach_success"}
     for row, other in zip(sequences, order):
         distance = np.linalg.norm(row.joints[:, [20, 21]] - sequences[other].goal_location, axis=-1).min()
@@ -72,14 +72,16 @@ def test_motions_at_the_tables_rate_are_not_scored_as_motions_at_half_of_it(tabl
     selection = select(table, split="test", limit=None)
     fps = fake_sequence(0).fps
     rules = ScoringRules(load_protocol().metrics, native_fps=fps / 2)
-    found = score_selection(selection, tmp_path / "out/predictions", samples=[0], rules=rules, engine=InProcess())
+    found = score_selection(
+        selection, tmp_path / "out/synthetic-adt/predictions", samples=[0], rules=rules, engine=InProcess()
+    )
     with pytest.raises(PredictionsError, match=f"motions at {fps:g} frames per second where {fps / 2:g} are asked for"):
         list(found)
 
 
 def test_flags_of_single_sequences_reach_scores_and_summary(table, tmp_path):
     report = run_method(request(table, tmp_path / "out", "ground-truth"))
-    rows = read_scores(tmp_path / "out/scores.parquet").to_pylist()
+    rows = read_scores(tmp_path / "out/synthetic-adt/scores.parquet").to_pylist()
     for metric in report.summaries[0].metrics:
         flagged = [
             flag for row in rows if row["metric"] == metric.metric and row["flag"] for flag in row["flag"].split(";")

@@ -101,7 +101,9 @@ def test_every_cheat_can_be_run_and_is_the_same_in_any_batch(table, tmp_path, na
     run_method(request(table, tmp_path / "one", name, batch_size=1))
     run_method(request(table, tmp_path / "all", name, batch_size=64, seed=5))
     ids = [row for chunk in table.chunks(split="test", columns=[]) for row in chunk.sequence_ids]
-    one, together = (Predictions.open(tmp_path / run / "predictions").motions(ids, 0).values for run in ("one", "all"))
+    one, together = (
+        Predictions.open(tmp_path / run / "synthetic-adt/predictions").motions(ids, 0).values for run in ("one", "all")
+    )
     assert np.array_equal(one, together)
 
 

@@ -52,7 +52,7 @@ def test_any_number_of_shards_gives_the_same_bytes(table, tmp_path, install, cou
     run_method(asked(tmp_path / "whole"))
     folders = make_shards(tmp_path, count, asked)
     assert run_bytes(merged(folders[::-1], tmp_path / "merged")) == run_bytes(tmp_path / "whole")
-    assert (tmp_path / "merged" / "cost.json").is_file()
+    assert (tmp_path / "merged" / "synthetic-adt/cost.json").is_file()
 
 
 @pytest.mark.parametrize(
@@ -184,11 +184,11 @@ def test_a_shard_that_was_interrupted_goes_on_and_is_not_merged_before(table, tm
 def test_a_damaged_batch_is_named_and_the_merge_goes_on_when_it_is_mended(table, tmp_path):
     run_method(request(table, tmp_path / "whole"))
     folders = make_shards(tmp_path, 2, lambda out: request(table, out))
-    part = folders[1] / "predictions" / "part-00002.parquet"
+    part = folders[1] / "synthetic-adt/predictions" / "part-00002.parquet"
     part.write_bytes(part.read_bytes()[:-20])
     with pytest.raises(ShardError, match=r"part-00002.parquet: expected a whole batch of shard 2/2, found a damaged"):
         merged(folders, tmp_path / "merged")
-    assert not (tmp_path / "merged" / "scores.parquet").exists()
+    assert not (tmp_path / "merged" / "synthetic-adt/scores.parquet").exists()
     run_shard(request(table, folders[1]), Shard(2, 2))
     report = merge_run_shards(require_whole(folders), tmp_path / "merged")
     assert report.batches_found == 2
@@ -272,7 +272,7 @@ def test_a_merge_finds_a_table_at_the_url_that_its_shards_name(table, tmp_path, 
 def test_workers_change_nothing_of_a_shard(table, tmp_path):
     run_shard(request(table, tmp_path / "one"), Shard(1, 2))
     run_shard(request(table, tmp_path / "two"), Shard(1, 2), engine=ProcessPool(2))
-    parts = [sorted((tmp_path / name / "predictions").iterdir()) for name in ("one", "two")]
+    parts = [sorted((tmp_path / name / "synthetic-adt/predictions").iterdir()) for name in ("one", "two")]
     assert [path.read_bytes() for path in parts[0]] == [path.read_bytes() for path in parts[1]]
 
 

@@ -50,16 +50,18 @@ def checked(folder: Path, data: Path | None):
 
 
 def edit_scores(folder: Path, change: Callable[[np.ndarray], np.ndarray], metric: str = "mpjpe") -> None:
-    scores = pq.read_table(folder / "scores.parquet")
+    scores = pq.read_table(folder / "synthetic-adt/scores.parquet")
     values = scores["value"].to_numpy().copy()
     chosen = np.array(scores["metric"].to_pylist()) == metric
     values[chosen] = change(values[chosen])
     index = scores.schema.get_field_index("value")
-    pq.write_table(scores.set_column(index, scores.schema.field(index), pa.array(values)), folder / "scores.parquet")
+    pq.write_table(
+        scores.set_column(index, scores.schema.field(index), pa.array(values)), folder / "synthetic-adt/scores.parquet"
+    )
 
 
 def edit_summary(folder: Path, **changes: object) -> None:
-    path = folder / "summary.json"
+    path = folder / "synthetic-adt/summary.json"
     summary = json.loads(path.read_text())
     entry = next(metric for metric in summary["metrics"] if metric["metric"] == "prime_success")
     entry.update(changes)
@@ -69,9 +71,11 @@ def edit_summary(folder: Path, **changes: object) -> None:
 def fit_summary_to_scores(folder: Path) -> None:
     """The summary that fits the scores, as a careful forger leaves it."""
     run = RunFolder.open(folder)
-    scores = read_scores(folder / "scores.parquet")
+    scores = read_scores(folder / "synthetic-adt/scores.parquet")
     names = set(scores["sequence_id"].to_pylist())
-    summary_of(run.record, run.record.tables[0], scores, {name: recording_key(name) for name in names}).write(folder)
+    summary_of(run.record, run.record.tables[0], scores, {name: recording_key(name) for name in names}).write(
+        folder / "synthetic-adt"
+    )
 
 
 NEWER = ("prime_success_arrival", "prime_success_angle", "plausible", "first_step", "largest_speed")
@@ -79,9 +83,9 @@ NEWER = ("prime_success_arrival", "prime_success_angle", "plausible", "first_ste
 
 def without_newer_metrics(folder: Path) -> None:
     """Leave scores and summary as a version wrote them that did not know some of the metrics."""
-    scores = pq.read_table(folder / "scores.parquet")
+    scores = pq.read_table(folder / "synthetic-adt/scores.parquet")
     older = ~np.isin(scores["metric"].to_pylist(), NEWER)
-    pq.write_table(scores.filter(pa.array(older)), folder / "scores.parquet")
+    pq.write_table(scores.filter(pa.array(older)), folder / "synthetic-adt/scores.parquet")
     fit_summary_to_scores(folder)
 
 
@@ -109,7 +113,7 @@ def test_the_motions_of_a_run_of_an_older_protocol_are_scored_by_todays(runs: Pa
     out = runs / "again"
     assert main(["score", str(runs / "scripted"), "--data", str(runs / "table"), "--out", str(out)]) == 0
     assert "Prime Success (arrival)" in capsys.readouterr().out
-    means = read_scores(out / "scores.parquet").group_by("metric").aggregate([("value", "mean")])
+    means = read_scores(out / "synthetic-adt/scores.parquet").group_by("metric").aggregate([("value", "mean")])
     assert dict(zip(means["metric"].to_pylist(), means["value_mean"].to_pylist())) == pytest.approx(before)
 
 
@@ -165,10 +169,10 @@ def test_edited_scores_with_a_summary_that_fits_are_refused_on_the_table(runs: P
 
 def test_scores_without_the_worst_sequence_are_refused(runs: Path) -> None:
     folder = runs / "scripted"
-    scores = pq.read_table(folder / "scores.parquet")
+    scores = pq.read_table(folder / "synthetic-adt/scores.parquet")
     gone = scores["sequence_id"][0].as_py()
     kept = scores.filter(pc.field("sequence_id") != gone)
-    pq.write_table(kept, folder / "scores.parquet")
+    pq.write_table(kept, folder / "synthetic-adt/scores.parquet")
     with pytest.raises(RunError, match=r"summary\.json, unsupported: expected 1"):
         checked(folder, None)
     fit_summary_to_scores(folder)
@@ -177,8 +181,10 @@ def test_scores_without_the_worst_sequence_are_refused(runs: Path) -> None:
 
 
 def test_motions_from_elsewhere_are_refused(runs: Path) -> None:
-    shutil.rmtree(runs / "scripted" / "predictions")
-    shutil.copytree(runs / "ground-truth" / "predictions", runs / "scripted" / "predictions")
+    shutil.rmtree(runs / "scripted" / "synthetic-adt/predictions")
+    shutil.copytree(
+        runs / "ground-truth" / "synthetic-adt/predictions", runs / "scripted" / "synthetic-adt/predictions"
+    )
     with pytest.raises(RunError, match=r"mpjpe, recorded_motion from the motions and their table, found"):
         checked(runs / "scripted", runs / "table")
 
@@ -192,13 +198,13 @@ def test_a_finished_run_that_is_run_again_does_not_print_edited_results(runs: Pa
     edit_scores(runs / "scripted", lambda values: values + 1)
     with pytest.raises(RunError, match=r"scores\.parquet, row"):
         run_method(again)
-    (runs / "scripted" / "scores.parquet").unlink()  # as the message says
+    (runs / "scripted" / "synthetic-adt/scores.parquet").unlink()  # as the message says
     run_method(again)
     assert checked(runs / "scripted", runs / "table").unverified == ""
 
 
 def test_without_motions_or_table_every_export_says_unverified(runs: Path, capsys) -> None:
-    shutil.rmtree(runs / "scripted" / "predictions")
+    shutil.rmtree(runs / "scripted" / "synthetic-adt/predictions")
     folders = [str(runs / "scripted"), str(runs / "ground-truth")]
     told = {}
     for format in ("md", "csv", "json"):

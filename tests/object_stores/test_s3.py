@@ -56,7 +56,7 @@ def test_commands_read_and_write_there_and_show_urls_in_place_of_local_copies(bu
     assert main(["leaderboard", "compare", run, run, "--json"]) == 0
     unverified = json.loads(capsys.readouterr().out)["report"]["unverified"]
     assert unverified[0].startswith(f"{run}: ")
-    assert {FINISHED, "run.json", "summary.json"} <= set(contents(run))
+    assert {FINISHED, "run.json", "synthetic-adt/summary.json"} <= set(contents(run))
     assert b"s3:" not in contents(run)["run.json"]
     assert main([*RUN, "--seed", "1", "--data", stored_table, "--out", run]) == RunError.exit_code
     said = capsys.readouterr().err
@@ -162,14 +162,14 @@ def test_sigterm_uploads_what_is_finished(bucket, table, tmp_path, monkeypatch):
     kept = contents(f"{bucket}/run")
     assert UNFINISHED in kept
     assert FINISHED not in kept
-    assert len([name for name in kept if name.startswith("predictions/")]) == 2
+    assert len([name for name in kept if name.startswith("synthetic-adt/predictions/")]) == 2
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "another machine"))
     assert main(arguments) == 0
     assert main([*arguments[:-1], str(tmp_path / "whole")]) == 0
     _require_equal(f"{bucket}/run", tmp_path / "whole")
 
 
-def _require_equal(url: str, folder: Path, *, varies: tuple[str, ...] = ("cost.json",)) -> None:
+def _require_equal(url: str, folder: Path, *, varies: tuple[str, ...] = ("synthetic-adt/cost.json",)) -> None:
     there = contents(url)
     del there[FINISHED]
     here = local_contents(folder)

@@ -175,9 +175,9 @@ def test_merged_scores_stand_beside_others_and_are_held_against_their_runs(table
     out = tmp_path / "merged"
     merge = ["merge", *map(str, fold_runs), "--out", str(out)]
     assert len(reported(merge, capsys, kind="of runs").runs) == 1
-    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    before = {path: path.read_bytes() for path in out.rglob("*.*")}
     assert main(merge) == 0, "the same again changes nothing"
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert {path: path.read_bytes() for path in out.rglob("*.*")} == before
     (board,) = collect_runs([out]).rows
     assert "name them, too" in board.unverified
     assert board.summary.sequences == table.scalars().num_rows
@@ -191,17 +191,17 @@ def test_merged_scores_stand_beside_others_and_are_held_against_their_runs(table
 def test_forged_merged_scores_are_refused(fold_runs, tmp_path, capsys):
     out = tmp_path / "merged"
     merge_folds(fold_runs).write(out)
-    summary = DatasetSummary.read(out)
+    summary = DatasetSummary.read(out / "synthetic-adt")
     better = msgspec.structs.replace(summary.metrics[0], mean=0.99)
-    msgspec.structs.replace(summary, metrics=(better, *summary.metrics[1:])).write(out)
+    msgspec.structs.replace(summary, metrics=(better, *summary.metrics[1:])).write(out / "synthetic-adt")
     with pytest.raises(RunError, match="follows from"):
         collect_runs([out])
-    scores = read_scores(out / "scores.parquet")
+    scores = read_scores(out / "synthetic-adt/scores.parquet")
     scores = scores.set_column(4, scores.schema.field("value"), pa.array(0.5 * scores["value"].to_numpy()))
-    write_scores(out / "scores.parquet", [scores])
+    write_scores(out / "synthetic-adt/scores.parquet", [scores])
     record = RunFolder.open(out).record
     names = {name: recording_key(name) for name in scores["sequence_id"].to_pylist()}
-    summary_of(record, record.tables[0], scores, names).write(out)
+    summary_of(record, record.tables[0], scores, names).write(out / "synthetic-adt")
     assert collect_runs([out]).rows[0].unverified, "alone it cannot be known, and is not called verified"
     with pytest.raises(RunError, match="does not follow from the runs"):
         collect_runs([out, *fold_runs])

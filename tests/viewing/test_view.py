@@ -57,7 +57,7 @@ def test_recorded_and_generated_motion_of_the_same_sequence_stand_side_by_side(p
     scenes = scenes_of(_request(place, "scripted", limit=2))
     assert len(scenes) == 2
     table = SequenceTable.open(place / "table")
-    predictions = Predictions.open(place / "scripted" / "predictions")
+    predictions = Predictions.open(place / "scripted" / "synthetic-adt/predictions")
     for scene in scenes:
         chunk = next(table.chunks(ids=frozenset({scene.sequence_id})))
         recorded, generated = scene.motions
@@ -72,7 +72,7 @@ def test_recorded_and_generated_motion_of_the_same_sequence_stand_side_by_side(p
 
 def test_the_scores_shown_are_those_of_the_run(place):
     scenes = scenes_of(_request(place, "scripted", limit=3))
-    rows = read_scores(place / "scripted" / "scores.parquet").to_pylist()
+    rows = read_scores(place / "scripted" / "synthetic-adt/scores.parquet").to_pylist()
     for scene in scenes:
         for metric in ("prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe"):
             (value,) = [r["value"] for r in rows if (r["sequence_id"], r["metric"]) == (scene.sequence_id, metric)]
@@ -81,7 +81,7 @@ def test_the_scores_shown_are_those_of_the_run(place):
 
 def test_the_recorded_motion_is_scored_as_the_ground_truth_run_scores_it(place):
     scenes = scenes_of(_request(place, "scripted", limit=4))
-    rows = read_scores(place / "truth" / "scores.parquet").to_pylist()
+    rows = read_scores(place / "truth" / "synthetic-adt/scores.parquet").to_pylist()
     values = {(row["sequence_id"], row["metric"]): row["value"] for row in rows}
     for scene in scenes:
         for metric in ("prime_success", "reach_success", "prime_success_gaze"):
@@ -95,7 +95,9 @@ def test_a_ground_truth_run_is_not_drawn_twice(place):
 
 def test_several_runs_show_what_they_have_in_common(place):
     scenes = scenes_of(_request(place, "scripted", "few"))
-    assert {scene.sequence_id for scene in scenes} == set(Predictions.open(place / "few" / "predictions").ids)
+    assert {scene.sequence_id for scene in scenes} == set(
+        Predictions.open(place / "few" / "synthetic-adt/predictions").ids
+    )
     assert [motion.label for motion in scenes[0].motions[1:]] == [
         "scripted, goal-loc (scripted)",
         "scripted, goal-loc (few)",
@@ -140,7 +142,7 @@ def test_a_sequence_that_the_run_left_out_is_told_with_the_reason(place):
     ids = SequenceTable.open(place / "table").scalars(split="train")["sequence_id"].to_pylist()
     with pytest.raises(UsageError, match="the run was of split 'test'"):
         scenes_of(_request(place, "scripted", sequences=(ids[0],)))
-    held = set(Predictions.open(place / "few" / "predictions").ids)
+    held = set(Predictions.open(place / "few" / "synthetic-adt/predictions").ids)
     test = SequenceTable.open(place / "table").scalars(split="test")["sequence_id"].to_pylist()
     missing = next(name for name in test if name not in held)
     with pytest.raises(UsageError, match="with --limit 3"):
@@ -157,10 +159,10 @@ def test_a_run_without_predictions_is_told(place, tmp_path):
 
 def test_an_interrupted_run_is_shown_without_scores(place, tmp_path):
     run = tmp_path / "unscored"
-    (run / "predictions").mkdir(parents=True)
+    (run / "synthetic-adt/predictions").mkdir(parents=True)
     (run / "run.json").write_bytes((place / "scripted" / "run.json").read_bytes())
-    part = place / "scripted" / "predictions" / "part-00000.parquet"
-    (run / "predictions" / part.name).write_bytes(part.read_bytes())
+    part = place / "scripted" / "synthetic-adt/predictions" / "part-00000.parquet"
+    (run / "synthetic-adt/predictions" / part.name).write_bytes(part.read_bytes())
     (scene,) = scenes_of(ViewRequest(out=Path("a.png"), runs=(run,), data=(place / "table",), limit=1))
     assert score_row(scene, scene.motions[1])[1:3] == ("–", "–")
 
@@ -193,10 +195,10 @@ def _as_method(run: Path, folder: Path) -> Path:
     """The same run as if an adapter had made it."""
     record = RunFolder.open(run).record
     method = msgspec.structs.replace(record.method, name="made-up", kind="adapter")
-    (folder / "predictions").mkdir(parents=True)
+    (folder / "synthetic-adt/predictions").mkdir(parents=True)
     msgspec.structs.replace(record, method=method).write(folder)
-    for path in (run / "predictions").iterdir():
-        (folder / "predictions" / path.name).write_bytes(path.read_bytes())
+    for path in (run / "synthetic-adt/predictions").iterdir():
+        (folder / "synthetic-adt/predictions" / path.name).write_bytes(path.read_bytes())
     return folder
 
 

@@ -25,10 +25,13 @@ from prbench.protocol.own_protocol import protocol_beside, write_protocol
 from prbench.sequences.dataset_info import NOTICE_FILE
 from prbench.shown import quoted
 
+# A dataset's folder holds one of these as soon as it holds anything.
+_FIRST_FILES = ("predictions", ".costs", "scores.parquet", summary.FILE_NAME)
+
 
 @dataclass(frozen=True)
 class DatasetFolder:
-    """The files of one dataset's part of a run; the run folder itself if the run has one dataset only."""
+    """The files of one dataset's part of a run: ``<run>/<dataset>``."""
 
     path: Path
 
@@ -132,6 +135,7 @@ class RunFolder:
             RunError: if the folder belongs to other inputs; names the key that differs.
             StorageError: if it holds something else, or cannot be written.
         """
+        path = run_folder_of(path)
         remove_leftovers(path / record.FILE_NAME)  # of a process that was killed before the file stood there
         if (path / record.FILE_NAME).is_file():
             wanted.require_same(RunRecord.read(path), path)
@@ -155,13 +159,13 @@ class RunFolder:
         """Open a run for reading.
 
         Args:
-            path: The folder.
+            path: The folder, or the folder in it of one of the run's datasets.
             any_benchmark: The caller works on runs of every benchmark; without it, those of the default one alone.
 
         Raises:
             RunError: if the folder holds no run, or one of a benchmark that the caller does not know.
         """
-        path = Path(path)
+        path = run_folder_of(Path(path))
         if (path / shards.FILE_NAME).is_file():
             raise RunError(f"{path}: is a shard of a run; `prbench merge` puts all of them together.")
         record = RunRecord.read(path)
@@ -192,7 +196,12 @@ class RunFolder:
         known = [table.dataset for table in self.record.tables]
         if name not in known:
             raise RunError(f"{self.path}: the run is of {', '.join(known)}, not of {name}.")
-        return DatasetFolder(self.path if len(known) == 1 else inside(self.path, name))
+        inside(self.path, name)
+        own = self.path / name
+        # Up to 0.10 the files of a run's only dataset lay beside run.json. Such a run is read and resumed as it lies.
+        if len(known) == 1 and not own.is_dir() and any((self.path / file).exists() for file in _FIRST_FILES):
+            return DatasetFolder(self.path)
+        return DatasetFolder(own)
 
     def discard_if_empty(self) -> None:
         """Remove the folder if not a single batch was finished, so that a failed first step leaves nothing behind."""
@@ -208,6 +217,19 @@ class RunFolder:
         (self.path / record.FILE_NAME).unlink(missing_ok=True)
         if self.path.is_dir() and not any(self.path.iterdir()):
             self.path.rmdir()
+
+
+def run_folder_of(path: Path) -> Path:
+    """Return the run folder that a path means: the path itself, or its parent where that holds a run on the dataset.
+
+    Raises:
+        RunError: if the parent's ``run.json`` is damaged.
+    """
+    parent = path.parent if path.name else path.absolute().parent
+    if (path / record.FILE_NAME).is_file() or not (parent / record.FILE_NAME).is_file():
+        return path
+    datasets = [table.dataset for table in RunRecord.read(parent).tables]
+    return parent if path.absolute().name in datasets else path
 
 
 FOLDS_FILE = "folds.json"

@@ -117,7 +117,7 @@ def test_a_run_predicts_every_sequence_and_ends_at_its_goal(weights, tmp_path, m
                 out=out,
             )
         )
-        predictions = Predictions.open(out / "predictions")
+        predictions = Predictions.open(out / "synthetic-adt/predictions")
         ids = sorted(predictions.ids)
         found = [predictions.motions([name], 0).values[-1, 0, ::2] for name in ids]
         recorded = {row.sequence_id: row.joints[-1, 0, ::2] for row in map(fake_sequence, range(24))}

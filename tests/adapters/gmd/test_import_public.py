@@ -272,7 +272,7 @@ def test_imported_weights_run_and_end_at_their_goals(files, tmp_path, monkeypatc
         out=tmp_path / "run",
     )
     run_method(request)
-    predictions = Predictions.open(tmp_path / "run" / "predictions")
+    predictions = Predictions.open(tmp_path / "run" / "synthetic-adt/predictions")
     recorded = {row.sequence_id: row.joints[-1, 0, ::2] for row in map(fake_sequence, range(24))}
     assert len(list(predictions.ids)) == 2
     for name in predictions.ids:

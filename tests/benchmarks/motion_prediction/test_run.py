@@ -143,7 +143,7 @@ def test_a_run_goes_on_where_it_was_stopped_and_ends_with_the_same_bytes(windows
     run(windows, tmp_path / "whole", "noise")
     shutil.copytree(tmp_path / "whole", tmp_path / "part")
     for name in ("predictions/part-00001.parquet", "scores.parquet", "summary.json", "cost.json"):
-        (tmp_path / "part" / name).unlink()
+        (tmp_path / "part/synthetic-walks" / name).unlink()
     report = run(windows, tmp_path / "part", "noise")
     assert (report.batches_made, report.batches_found) == (1, 4)
     assert reproducible_bytes(tmp_path / "part") == reproducible_bytes(tmp_path / "whole")
@@ -264,10 +264,10 @@ def test_single_windows_can_be_run(windows, tmp_path):
 
 def test_scores_that_were_edited_are_refused(windows, tmp_path):
     run(windows, tmp_path / "out")
-    path = tmp_path / "out" / "scores.parquet"
+    path = tmp_path / "out" / "synthetic-walks/scores.parquet"
     shutil.copy(path, tmp_path / "kept.parquet")
     run(windows, tmp_path / "other", "zero-velocity")
-    shutil.copy(tmp_path / "other" / "scores.parquet", path)
+    shutil.copy(tmp_path / "other" / "synthetic-walks/scores.parquet", path)
     with pytest.raises(RunError, match=r"scores\.parquet, row"):
         run(windows, tmp_path / "out")
 
@@ -285,6 +285,6 @@ def test_ids_of_windows_tell_their_recording():
 
 def test_windows_without_a_score_have_no_row(windows, tmp_path):
     run(windows, tmp_path / "out")
-    scores = read_scores(tmp_path / "out" / "scores.parquet")
+    scores = read_scores(tmp_path / "out" / "synthetic-walks/scores.parquet")
     assert "wrist_to_goal" not in set(scores["metric"].to_pylist()), "sliding windows have no goal"
     assert np.isfinite(scores["value"].to_numpy()).all()

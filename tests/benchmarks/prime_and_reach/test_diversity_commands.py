@@ -70,7 +70,9 @@ def test_recorded_motion_drawn_several_times_has_no_spread(table, tmp_path, caps
 def test_a_fan_is_drawn_and_the_same_bytes_again(table, tmp_path, install, capsys, name):
     install("made", adapter_source(body=GENTLE))
     run = made_run(table, tmp_path / "run")
-    sequence = pq.read_table(tmp_path / "run/predictions", columns=["sequence_id"])["sequence_id"][0].as_py()
+    sequence = pq.read_table(tmp_path / "run/synthetic-adt/predictions", columns=["sequence_id"])["sequence_id"][
+        0
+    ].as_py()
     pictures = []
     for folder in ("one", "two"):
         out = tmp_path / folder / name
@@ -98,7 +100,7 @@ def test_a_run_that_cannot_be_measured_is_refused_with_what_to_do(table, tmp_pat
     assert "written as .png or .svg" in capsys.readouterr().err
     assert main(["analyse", "diversity", run, *data, "--fan", str(tmp_path / "fan.png"), "--sequence", "nowhere"]) == 2
     assert "nowhere" in capsys.readouterr().err
-    for part in (tmp_path / "run/predictions").iterdir():
+    for part in (tmp_path / "run/synthetic-adt/predictions").iterdir():
         part.unlink()
     assert main(["analyse", "diversity", run, *data]) != 0
     assert "expected the predictions of a run, found none" in capsys.readouterr().err

@@ -118,7 +118,7 @@ def test_a_run_without_table_or_motions_is_refused(folder, tmp_path, capsys):
     refused(["analyse", "errors", str(folder / "run")], capsys, code=4, message="Name it with --data DIR")
     bare = tmp_path / "bare"
     shutil.copytree(folder / "run", bare)
-    shutil.rmtree(bare / "predictions")
+    shutil.rmtree(bare / "synthetic-adt/predictions")
     words = ["analyse", "errors", str(bare), "--data", str(folder / "table")]
     refused(words, capsys, code=7, message="expected the motions of the run, found none")
 

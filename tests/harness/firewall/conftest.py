@@ -73,7 +73,7 @@ class Playground:
         done = subprocess.run(words, cwd=self.home, env=self._environment(column), capture_output=True, text=True)
         survivors = _ended(mark)
         assert done.returncode == 0, done.stderr
-        summary = DatasetSummary.read(out)
+        summary = DatasetSummary.read(out / "synthetic-adt")
         reach = next(item.mean for item in summary.metrics if item.metric == "reach_success")
         return Outing(*_brought_home(out), reach, survivors, out, done.stderr)
 
@@ -86,7 +86,7 @@ class Playground:
 
 
 def _brought_home(out: Path) -> tuple[dict[str, dict[str, bytes | None]], dict[str, int]]:
-    rows = pq.read_table(out / "predictions", columns=["sequence_id", "joints"])
+    rows = pq.read_table(out / "synthetic-adt/predictions", columns=["sequence_id", "joints"])
     claims: dict[str, dict[str, bytes | None]] = {name: {} for name in ATTEMPTS}
     n_frames = {}
     for name, joints in zip(rows["sequence_id"].to_pylist(), rows["joints"]):

@@ -78,14 +78,14 @@ def test_scoring_a_file_refuses_millimetres_and_names_file_sequence_and_frame(ta
 
 def spoil_part(folder, change) -> None:
     """Rewrite the first part of a run and forget its scores."""
-    part = sorted((folder / "predictions").glob("*.parquet"))[0]
+    part = sorted((folder / "synthetic-adt/predictions").glob("*.parquet"))[0]
     rows = pq.read_table(part)
     joints = [change(np.array(row)).tolist() for row in rows["joints"].to_pylist()]
     column = rows.schema.get_field_index("joints")
     field = rows.schema.field(column)
     spoilt = rows.set_column(column, field, pa.array(joints, field.type))
     pq.write_table(spoilt, part, write_page_checksum=True)
-    (folder / "scores.parquet").unlink()
+    (folder / "synthetic-adt/scores.parquet").unlink()
 
 
 @pytest.mark.parametrize(

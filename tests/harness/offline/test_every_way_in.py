@@ -23,7 +23,7 @@ GLIDE = Path(__file__).parents[3] / "docs/examples/glide.py"
 def run(table, out, name, **changes) -> bytes:
     asked = {"condition": Condition.GOAL_LOCATION, "seed": 3, "samples": 2, "batch_size": 4, **changes}
     run_method(RunRequest(method=name, data=(table.folder,), out=out, **asked))
-    return (out / "scores.parquet").read_bytes()
+    return (out / "synthetic-adt/scores.parquet").read_bytes()
 
 
 def offline(table, folder, make) -> bytes:
@@ -36,7 +36,7 @@ def offline(table, folder, make) -> bytes:
     score_predictions(
         ScoreRequest(predictions=made, data=(table.folder,), conditions=path, out=folder / "offline", name="x")
     )
-    return (folder / "offline/scores.parquet").read_bytes()
+    return (folder / "offline/synthetic-adt/scores.parquet").read_bytes()
 
 
 def test_in_process_isolated_and_offline(table, tmp_path, install):

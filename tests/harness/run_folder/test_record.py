@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -166,12 +167,34 @@ def test_missing_files_and_newer_versions_are_refused(tmp_path):
         DatasetSummary.read(tmp_path)
 
 
-def test_one_dataset_lies_flat_and_several_in_folders_of_their_own(tmp_path):
+def test_every_dataset_lies_in_a_folder_of_its_own(tmp_path):
     assert RunFolder(tmp_path, RECORD).dataset("synthetic-gimo") == DatasetFolder(tmp_path / "synthetic-gimo")
     single = msgspec.structs.replace(RECORD, tables=(TABLE,))
-    assert RunFolder(tmp_path, single).dataset("synthetic-adt") == DatasetFolder(tmp_path)
+    assert RunFolder(tmp_path, single).dataset("synthetic-adt") == DatasetFolder(tmp_path / "synthetic-adt")
     with pytest.raises(RunError, match=r"the run is of synthetic-adt, not of gimo"):
         RunFolder(tmp_path, single).dataset("gimo")
+
+
+@pytest.mark.parametrize("file", ["predictions/part-00000.parquet", ".costs/batch-00000.json", "scores.parquet"])
+def test_a_run_of_earlier_versions_has_the_files_of_its_only_dataset_beside_its_record(tmp_path, file):
+    single = msgspec.structs.replace(RECORD, tables=(TABLE,))
+    single.write(tmp_path)
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).write_bytes(b"x")
+    assert RunFolder.open(tmp_path).dataset("synthetic-adt") == DatasetFolder(tmp_path)
+    assert RunFolder.prepare(tmp_path, single).dataset("synthetic-adt") == DatasetFolder(tmp_path)
+
+
+def test_the_folder_of_a_dataset_means_the_run_that_it_is_part_of(tmp_path, monkeypatch):
+    RECORD.write(tmp_path)
+    part = tmp_path / "synthetic-gimo"
+    part.mkdir()
+    assert RunFolder.open(part) == RunFolder.prepare(part, RECORD) == RunFolder(tmp_path, RECORD)
+    monkeypatch.chdir(part)
+    assert RunFolder.open(Path()).path.samefile(tmp_path)
+    (tmp_path / "notes").mkdir()
+    with pytest.raises(RunError, match=r"notes: expected a run folder"):
+        RunFolder.open(tmp_path / "notes")
 
 
 def test_a_run_without_a_single_batch_is_discarded_and_any_other_is_not(tmp_path):

@@ -125,18 +125,18 @@ def _copied(folder: Path, to: Path) -> Path:
 
 def test_a_run_with_edited_scores_is_not_drawn(runs, table, tmp_path):
     folder = _copied(runs["scripted"], tmp_path / "forged")
-    scores = pq.read_table(folder / "scores.parquet")
+    scores = pq.read_table(folder / "synthetic-adt/scores.parquet")
     rows = scores.to_pylist()
     for row in rows:
         row["value"] = 1.0 if row["metric"] == "prime_success" else row["value"]
-    pq.write_table(pa.Table.from_pylist(rows, schema=scores.schema), folder / "scores.parquet")
+    pq.write_table(pa.Table.from_pylist(rows, schema=scores.schema), folder / "synthetic-adt/scores.parquet")
     with pytest.raises(PrbenchError):
         genuine_runs([folder], [table.folder], InProcess())
 
 
 def test_a_run_without_motions_is_not_drawn(runs, table, tmp_path):
     folder = _copied(runs["scripted"], tmp_path / "bare")
-    for part in (folder / "predictions").glob("*.parquet"):
+    for part in (folder / "synthetic-adt/predictions").glob("*.parquet"):
         part.unlink()
     with pytest.raises(RunError, match="holds no motions"):
         genuine_runs([folder], [table.folder], InProcess())
@@ -213,13 +213,14 @@ def test_tables_are_made_by_their_commands(runs, table, tmp_path, capsys):
 def test_a_synthetic_run_that_claims_real_recordings_is_refused(runs, table, tmp_path, capsys):
     """The record of a run says which dataset it is of, and a forger may write what he likes there."""
     folder = _copied(runs["scripted"], tmp_path / "forged")
-    for name in ("run.json", "summary.json"):
+    (folder / "synthetic-adt").rename(folder / "adt")
+    for name in ("run.json", "adt/summary.json"):
         text = (folder / name).read_text()
         text = text.replace('"synthetic-adt"', '"adt"').replace('"synthetic": true', '"synthetic": false')
         (folder / name).write_text(text.replace(" (synthetic)", ""))
-    scores = pq.read_table(folder / "scores.parquet")
+    scores = pq.read_table(folder / "adt/scores.parquet")
     rows = [row | {"dataset": "adt"} for row in scores.to_pylist()]
-    pq.write_table(pa.Table.from_pylist(rows, schema=scores.schema), folder / "scores.parquet")
+    pq.write_table(pa.Table.from_pylist(rows, schema=scores.schema), folder / "adt/scores.parquet")
     words = ["study", "table-2", str(folder), "--data", str(table.folder), "--with-published"]
     assert main(words) != 0
     assert main(["leaderboard", "export", str(folder), "--data", str(table.folder)]) != 0

@@ -109,7 +109,7 @@ def test_a_row_that_fails_leaves_nothing_behind_and_is_tried_again(small_tables,
 
 def test_cells_hold_what_the_runs_say(small_tables, tmp_path):
     found = rows(run_table(request(small_tables[0], out=tmp_path / "t")))
-    summary = json.loads((tmp_path / "t/rows/goal-loc-reacher-finetuned/summary.json").read_text())
+    summary = json.loads((tmp_path / "t/rows/goal-loc-reacher-finetuned/synthetic-adt/summary.json").read_text())
     means = {metric["metric"]: metric["mean"] for metric in summary["metrics"]}
     assert cell(found["Reacher"], "reach_success").value == 100.0
     assert cell(found["Reacher"], "mpjpe").value == means["mpjpe"]
@@ -200,7 +200,7 @@ def test_every_line_is_scored_on_the_sequences_that_all_can_generate(large_table
     common = set(scalars.filter(pc.field("n_frames") <= lengths[-2])["sequence_id"].to_pylist())
     labels = {"goal-loc-reacher-pretrained": "Reacher †", "goal-loc-reacher-finetuned": "Reacher"}
     for name, label in {**labels, "ground-truth": "ground-truth"}.items():
-        scores = read_scores(tmp_path / "t" / "rows" / name / "scores.parquet").to_pylist()
+        scores = read_scores(tmp_path / "t" / "rows" / name / "synthetic-adt/scores.parquet").to_pylist()
         values = [row["value"] for row in scores if row["metric"] == "mpjpe" and row["sequence_id"] in common]
         assert len(values) == short
         assert cell(found[label], "mpjpe").value == pytest.approx(sum(values) / short)

@@ -27,7 +27,7 @@ def test_after_a_crash_the_same_command_resumes(own, table, tmp_path, monkeypatc
     assert message.startswith("method 'drawn': its program ended with exit status 134")
     assert "It was asked for the batch of 4 sequences from synthetic-adt/rec" in message
     assert message.endswith("    CUDA error: an illegal memory access")
-    assert len(list((tmp_path / "twice/predictions").glob("part-*.parquet"))) == 1
+    assert len(list((tmp_path / "twice/synthetic-adt/predictions").glob("part-*.parquet"))) == 1
 
     own.write()
     assert run_method(request(table, tmp_path / "twice", own.method)).batches_found == 1

@@ -63,8 +63,8 @@ def test_the_record_holds_what_the_program_says_and_no_path_of_the_machine(own, 
     assert (record.weights, record.weights_digest, record.isolation) == ("w.npz", "0" * 64, None)
     assert record.options == {"a": "1"}
     assert report.summaries[0].method == "drawn"
-    assert DatasetSummary.read(tmp_path / "out").method == "drawn"
-    written = (tmp_path / "out/run.json").read_text() + (tmp_path / "out/summary.json").read_text()
+    assert DatasetSummary.read(tmp_path / "out/synthetic-adt").method == "drawn"
+    written = (tmp_path / "out/run.json").read_text() + (tmp_path / "out/synthetic-adt/summary.json").read_text()
     assert str(tmp_path) not in written
     assert "cmd:" not in written
 
@@ -83,7 +83,7 @@ def test_a_program_and_the_same_method_in_process_give_the_same_bytes(own, table
     install("made", adapter_source(body="joints = joints.astype(np.float32)"))
     run_method(request(table, tmp_path / "in", "made", samples=2))
     run_method(request(table, tmp_path / "out", own.method, samples=2), engine=ProcessPool(2))
-    predictions = {name: content for name, content in parts(tmp_path / "in").items() if name != "summary.json"}
+    predictions = {name: content for name, content in parts(tmp_path / "in").items() if "summary" not in name}
     assert len(predictions) == 6
     assert {name: parts(tmp_path / "out")[name] for name in predictions} == predictions
 
@@ -91,7 +91,7 @@ def test_a_program_and_the_same_method_in_process_give_the_same_bytes(own, table
 def test_seconds_passes_and_the_programs_memory_stand_in_the_cost(own, table, tmp_path):
     own.write(hello="ballast = np.ones(50_000_000)")
     run_method(request(table, tmp_path / "out", own.method))
-    cost = json.loads((tmp_path / "out/cost.json").read_text())
+    cost = json.loads((tmp_path / "out/synthetic-adt/cost.json").read_text())
     assert cost["network_passes_declared"] == 3 * 4
     assert cost["seconds"] > 0
     assert cost["peak_process_bytes"] > 400_000_000
@@ -185,7 +185,7 @@ def test_wrong_lengths_and_late_answers_end_the_run_and_keep_what_was_finished(o
     own.write(body='if header["batch"] == 2: joints[0] = joints[0][66:]')
     with pytest.raises(AdapterError, match=r"method 'drawn', sequence synthetic-adt.*: expected \d+ frames, found \d+"):
         run_method(request(table, tmp_path / "out", own.method))
-    assert len(list((tmp_path / "out/predictions").glob("part-*.parquet"))) == 2
+    assert len(list((tmp_path / "out/synthetic-adt/predictions").glob("part-*.parquet"))) == 2
     own.write(body="time.sleep(60)")
     with pytest.raises(AdapterError, match="--timeout"):
         run_method(request(table, tmp_path / "out", own.method, timeout=0.5))
