@@ -1,6 +1,6 @@
-"""The exchange shown in docs/wire-protocol.md: its bytes, and the listing that explains them.
+"""The exchange of docs/wire-protocol.md: its bytes, and the listing that explains them.
 
-``python -m tests.docs.exchange`` writes docs/examples/exchange/ and the listing on the page anew.
+``python -m tests.docs.exchange`` writes docs/examples/exchange/ anew.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tests.fakes import STANDING
 
 PAGE = ROOT / "docs" / "wire-protocol.md"
 FOLDER = EXAMPLES / "exchange"
-BEGIN, END = "<!-- exchange: begin -->\n```\n", "```\n<!-- exchange: end -->\n"
+LISTING = FOLDER / "listing.txt"
 
 
 @dataclass(frozen=True)
@@ -126,21 +126,13 @@ def _buffer_names(kind: pa.DataType) -> list[str]:
     return [f"values ({kind.value_type if pa.types.is_fixed_size_list(kind) else kind})"]
 
 
-def page_with(listing: str) -> str:
-    """The page with this listing in its place."""
-    page = PAGE.read_text(encoding="utf-8")
-    before, _, rest = page.partition(BEGIN)
-    assert rest, "the page has no place for the exchange"
-    return before + BEGIN + listing + END + rest.partition(END)[2]
-
-
 def main() -> None:
-    """Write the exchange and the page."""
+    """Write the exchange."""
     exchange = Exchange.made()
     FOLDER.mkdir(exist_ok=True)
     (FOLDER / "stdin.bin").write_bytes(exchange.stdin)
     (FOLDER / "stdout.bin").write_bytes(exchange.stdout)
-    PAGE.write_text(page_with(exchange.listing()), encoding="utf-8", newline="\n")
+    LISTING.write_text(exchange.listing(), encoding="utf-8", newline="\n")
 
 
 if __name__ == "__main__":

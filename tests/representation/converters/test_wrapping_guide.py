@@ -15,9 +15,11 @@ from prbench.checking.doctor import Expected, diagnose
 from prbench.cli import main
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.errors import InputFileError
+from prbench.files.storage import file_digest
 from prbench.geometry.skeleton import Joint, z_up
 from prbench.geometry.timelines import interpolate
 from prbench.harness.methods.motions import at_native_rate, at_table_rate
+from prbench.harness.run_folder.record import RunRecord
 from prbench.representation import canonicalise, encode
 from prbench.representation.converters import (
     JointMap,
@@ -28,6 +30,7 @@ from prbench.representation.converters import (
     to_canonical,
 )
 from prbench.representation.encoding import MIRRORED_JOINTS, retarget
+from tests.fakes import fake_dataset
 from tests.representation.converters.bodies import mean_error, person, person_rotations, write_body_model
 from tests.representation.converters.foreign import known_motion, seen_as
 from tests.representation.converters.test_smpl_joints import written
@@ -77,6 +80,38 @@ def errors(found: Motions, motions: list[np.ndarray]) -> list[float]:
 def two_motions() -> list[np.ndarray]:
     joints, _ = known_motion()
     return [canonicalise(joints[:80].astype(np.float32)), canonicalise(joints[100:221].astype(np.float32))]
+
+
+NETWORK = """
+import torch
+
+class Network(torch.nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.speed = torch.nn.Parameter(torch.zeros(()))
+
+    def forward(self, initial, goal, n_frames, noise):
+        steps = self.speed * torch.arange(n_frames)[:, None, None] * torch.randn(3, generator=noise)
+        return initial + steps + 0 * goal.float()
+"""
+
+
+def test_a_network_of_ones_own_is_checked_and_run(tmp_path, monkeypatch, capsys) -> None:
+    (tmp_path / "mine.py").write_text(block("A model with 22 joints"), encoding="utf-8")
+    (tmp_path / "my_model.py").write_text(NETWORK, encoding="utf-8")
+    torch.save({"speed": torch.tensor(0.001)}, tmp_path / "mine.pt")
+    table = fake_dataset(tmp_path / "table", 24)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
+    method = ["./mine.py:Mine", "--weights", "mine.pt"]
+    assert main(["adapters", "check", *method]) == 0
+    assert "failed" not in capsys.readouterr().out.replace("0 failed", "")
+    run = ["run", "--method", *method, "--condition", "goal-loc", "--data", str(table.folder), "--out", "run"]
+    assert main(run) == 0
+    assert "mine (package mine.py" in capsys.readouterr().out
+    assert RunRecord.read(tmp_path / "run").method.weights_digest == file_digest(tmp_path / "mine.pt")
+    assert main(["adapters", "check", "./mine.py:Mine"]) == 5
+    assert "mine needs --weights FILE and has no options" in capsys.readouterr().out
 
 
 class FeatureModel:
@@ -264,32 +299,6 @@ def test_the_converter_says_what_the_table_says(mistake) -> None:
 def test_what_an_adapter_needs_it_says(heading, message, monkeypatch) -> None:
     with pytest.raises(ValueError, match=message):
         load(heading, object(), monkeypatch)
-
-
-def test_features_are_converted_offline(tmp_path, monkeypatch) -> None:
-    motions = two_motions()
-    mean, std = np.zeros(263, dtype=np.float32), np.full(263, 0.1, dtype=np.float32)
-    (tmp_path / "model").mkdir()
-    (tmp_path / "features").mkdir()
-    np.save(tmp_path / "model" / "Mean.npy", mean)
-    np.save(tmp_path / "model" / "Std.npy", std)
-    batch = batch_of(motions)
-    output = FeatureModel(motions, mean, std).sample(batch.text, None, batch.n_frames, batch.noise_seed)
-    for row, frames in enumerate(batch.n_frames):
-        np.save(tmp_path / "features" / f"{row:010d}.npy", output[row, :, 0, :frames].T)
-    np.savez(
-        tmp_path / "conditions.npz",
-        opaque_id=np.array(["a", "b"]),
-        sample=np.zeros(2, dtype=np.int32),
-        n_frames=batch.n_frames,
-        initial_joints=batch.initial_joints,
-    )
-    monkeypatch.chdir(tmp_path)
-    offline = re.search(r'^```python\n("""convert.py.*?)^```', GUIDE, re.MULTILINE | re.DOTALL)
-    exec(compile(offline[1], "docs/wrapping.md", "exec"), {})
-    with np.load("predictions.npz") as file:
-        assert file["opaque_id"].tolist() == ["a", "b"]
-        assert max(errors(Motions(file["joints"], file["n_frames"]), motions)) < 1e-3
 
 
 def test_a_program_converts_features_with_the_one_file(tmp_path, monkeypatch) -> None:

@@ -8,12 +8,12 @@ import textwrap
 import uuid
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import psutil
 
-from prbench.contract import Condition, ConditionBatch, Motions
+from prbench.contract import GIVEN, Condition, ConditionBatch, Motions
 from prbench.harness.methods.messages import motions_payload
 from prbench.harness.methods.process import Program
 from prbench.harness.methods.remote import RemoteAdapter
@@ -81,6 +81,14 @@ def standard_batch(rows: int = 3) -> ConditionBatch:
         previous_joints=joints[1],
         goal_location=generator.normal(size=(rows, 3)),
     )
+
+
+def under(condition: Condition, batch: ConditionBatch) -> ConditionBatch:
+    """The same sequences under another condition; goal poses are the initial ones."""
+    given: dict[str, Any] = dict.fromkeys(("text", "initial_joints", "previous_joints", "goal_location"))
+    given |= {name: getattr(batch, name) for name in GIVEN[condition] if name != "goal_joints"}
+    goal = batch.initial_joints if condition is Condition.GOAL_POSE else None
+    return replace(batch, condition=condition, goal_joints=goal, **given)
 
 
 def standing_motions(batch: ConditionBatch) -> Motions:
