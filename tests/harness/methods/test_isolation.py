@@ -454,7 +454,7 @@ def test_prints_of_a_method_and_of_its_libraries_do_no_harm(no_bubblewrap, table
     run_method(request(table, tmp_path / "out", "made", isolate=True))
     install("quiet", adapter_source())
     run_method(request(table, tmp_path / "quiet", "quiet"))
-    names = [name for name in results(tmp_path / "out") if name.startswith("predictions")]
+    names = [name for name in results(tmp_path / "out") if "predictions/" in name]
     assert len(names) == 4
     for name in names:
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "quiet" / name).read_bytes()
