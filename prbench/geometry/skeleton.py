@@ -147,6 +147,42 @@ def invert_rigid(a_from_b: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]
     return b_from_a
 
 
+def rotation_matrices(quaternions: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Rotation matrices of unit quaternions, w x y z."""
+    w, x, y, z = np.moveaxis(quaternions, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def forward_kinematics(
+    offsets: Float[np.ndarray, "joints 3"],
+    root: Float[np.ndarray, "n 3"],
+    local: Float[np.ndarray, "n joints 3 3"],
+    parents: Sequence[int],
+) -> tuple[Float[np.ndarray, "n joints 3"], Float[np.ndarray, "n joints 3 3"]]:
+    """Positions and world rotations of a skeleton whose joints turn in their parents.
+
+    Args:
+        offsets: Place of each joint in its parent's frame; that of joint 0 is not used.
+        root: Position of joint 0 in the world, same unit.
+        local: Rotation of each joint in its parent; that of joint 0 in the world. NaN gives NaN.
+        parents: Parent of each joint, parents before children.
+    """
+    positions = np.empty((*local.shape[:2], 3))
+    rotations = np.empty(local.shape)
+    positions[:, 0] = root
+    rotations[:, 0] = local[:, 0]
+    for joint in range(1, len(offsets)):
+        parent = parents[joint]
+        positions[:, joint] = positions[:, parent] + rotations[:, parent] @ offsets[joint]
+        rotations[:, joint] = rotations[:, parent] @ local[:, joint]
+    return positions, rotations
+
+
 def head_forward(
     joints: Float[np.ndarray, "*batch 22 3"],
     head_tilt_deg: float | Float[np.ndarray, "*batch"],

@@ -1,4 +1,4 @@
-"""EgoAllo: names in its output files, the SMPL-H body's rest joints, and forward kinematics.
+"""EgoAllo: names in its output files, and what they hold.
 
 Source: docs/specification/egoallo.md.
 
@@ -12,9 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
-
-from prbench.geometry.skeleton import N_JOINTS, PARENTS
 
 OUTPUT_FOLDER = "egoallo_outputs"
 POSES_FOLDER = "egoallo"
@@ -77,28 +74,3 @@ class EgoAlloBody:
     """World of the trajectory that the outputs were made from, metres."""
     messages: tuple[str, ...] = ()
     """Messages for the user about them."""
-
-
-def forward_kinematics(
-    rest: Float[np.ndarray, "22 3"],
-    root_position: Float[np.ndarray, "t 3"],
-    root_rotation: Float[np.ndarray, "t 4"],
-    body_quats: Float[np.ndarray, "t 21 4"],
-) -> Float[np.ndarray, "t 22 3"]:
-    """Joint positions from local rotations (docs/specification/egoallo.md#joints).
-
-    Args:
-        rest: Joints in the rest pose; only their differences matter, since joint 0 is placed by ``root_position``.
-        root_position: The pelvis joint in the world, metres.
-        root_rotation: Its orientation, w x y z.
-        body_quats: Rotations of the joints 1 to 21 in their parents, w x y z.
-    """
-    world = [Rotation.from_quat(root_rotation, scalar_first=True)]
-    joints = np.empty((len(root_position), N_JOINTS, 3))
-    joints[:, 0] = root_position
-    # PARENTS has parents before children, so that the rotation of a parent is known here.
-    for child in range(1, N_JOINTS):
-        parent = PARENTS[child]
-        joints[:, child] = joints[:, parent] + world[parent].apply(rest[child] - rest[parent])
-        world.append(world[parent] * Rotation.from_quat(body_quats[:, child - 1], scalar_first=True))
-    return joints

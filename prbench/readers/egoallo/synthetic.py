@@ -198,7 +198,14 @@ def sense_egoallo(
     rotations = model_rotations(segments)
     pelvis = interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
     rest = synthetic_smplh().of(shape_of(performance))
-    joints = ego.forward_kinematics(rest, pelvis, rotations[:, Joint.PELVIS], _local(rotations))
+    # SciPy's own products along the tree: their last bits are those of the files.
+    local = _local(rotations)
+    world = [Rotation.from_quat(rotations[:, Joint.PELVIS], scalar_first=True)]
+    joints = np.repeat(pelvis[:, None], len(Joint), axis=1)
+    for child in range(1, len(Joint)):
+        parent = PARENTS[child]
+        joints[:, child] = joints[:, parent] + world[parent].apply(rest[child] - rest[parent])
+        world.append(world[parent] * Rotation.from_quat(local[:, child - 1], scalar_first=True))
     joints, rotations = _estimate(sensing, joints, rotations, times, number)
     # The root pose in the native world, and local rotations; float32, as the files hold them.
     turn = Rotation.from_matrix(native_from_world[:3, :3])

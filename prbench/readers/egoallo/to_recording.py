@@ -17,6 +17,7 @@ from prbench.geometry.timelines import covered
 from prbench.readers.egoallo import format as ego
 from prbench.recording.streams import BodyStream, PoseStream, hold_neighbours, plausible_body_frames
 from prbench.representation.converters import RestJoints
+from prbench.representation.converters.smpl import pose_body
 
 NO_OUTPUTS = "no EgoAllo outputs: no body (`prbench poses egoallo` says how to make them)"
 """Message about a recording without outputs."""
@@ -69,10 +70,11 @@ def body_from_outputs(outputs: Sequence[ego.EgoAlloOutput], rest: RestJoints) ->
 
 
 def _window_joints(output: ego.EgoAlloOutput, rest: RestJoints) -> Float[np.ndarray, "t 22 3"]:
-    root, quats = (array[0].astype(np.float64) for array in (output.world_from_root, output.body_quats))
-    root_rotation, body_quats = (part / np.linalg.norm(part, axis=-1, keepdims=True) for part in (root[:, :4], quats))
+    root = output.world_from_root[0].astype(np.float64)
+    rotations = np.concatenate([root[:, None, :4], output.body_quats[0].astype(np.float64)], axis=1)
+    rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
     shaped = rest.of(output.betas[0].astype(np.float64).mean(axis=0))
-    return ego.forward_kinematics(shaped, root[:, 4:], root_rotation, body_quats).astype(np.float32)
+    return pose_body(shaped, root[:, 4:], rotations)[0].astype(np.float32)
 
 
 def body_stream(

@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
 from prbench.files.bounded import require
-from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
-from prbench.readers.egoallo.format import forward_kinematics
+from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.readers.files import missing_file
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.pickles import load_tensors
+from prbench.representation.converters.smpl import pose_body
 
 _SLOPE = 0.2  # of the leaky rectifiers
 _N_BODY_ROTATIONS = 21
@@ -169,17 +169,11 @@ def joints_from_parameters(
         rest: See :func:`read_rest_joints`.
     """
     local = Rotation.from_matrix(decoder.rotations(poses.latent).reshape(-1, 3, 3)).as_quat(scalar_first=True)
-    local = local.reshape(len(poses.frames), -1, 4)
     root = Rotation.from_rotvec(poses.orient.astype(np.float64)).as_quat(scalar_first=True)
-    joints = forward_kinematics(rest[:N_JOINTS], poses.trans.astype(np.float64) + rest[0], root, local)
+    rotations = np.concatenate([root[:, None], local.reshape(len(root), -1, 4)], axis=1)
+    joints, turned = pose_body(rest[:N_JOINTS], poses.trans.astype(np.float64) + rest[0], rotations)
     jaw = None
     if len(rest) > N_JOINTS:
         # The jaw's own pose is zero in every file, so that it moves with the head.
-        chain = [int(Joint.HEAD)]
-        while PARENTS[chain[0]] > 0:
-            chain.insert(0, PARENTS[chain[0]])
-        head = Rotation.from_quat(root, scalar_first=True)
-        for joint in chain:
-            head = head * Rotation.from_quat(local[:, joint - 1], scalar_first=True)
-        jaw = joints[:, Joint.HEAD] + head.apply(rest[N_JOINTS] - rest[Joint.HEAD])
+        jaw = joints[:, Joint.HEAD] + turned[:, Joint.HEAD] @ (rest[N_JOINTS] - rest[Joint.HEAD])
     return gimo.LocalJoints(poses.frames, joints, jaw)

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.geometry.skeleton import forward_kinematics
+
 RATE = 120.0
 """Frames a second; all streams of a recording share one frame index, and frame 0 is time 0."""
 
@@ -204,7 +206,7 @@ def link_offsets(fixed: Mapping[str, float]) -> Float[np.ndarray, "21 3"]:
     return offsets
 
 
-def forward_kinematics(
+def link_poses(
     state: Float[np.ndarray, "n 66"], offsets: Float[np.ndarray, "21 3"]
 ) -> tuple[Float[np.ndarray, "n 21 3"], Float[np.ndarray, "n 21 3 3"]]:
     """Positions (metres) and rotations of the 21 links in the dataset's world (Z up).
@@ -214,15 +216,8 @@ def forward_kinematics(
         offsets: See :func:`link_offsets`.
     """
     local = intrinsic_xyz(state[:, 3:].reshape(-1, _N_LINKS, 3))
-    positions = np.empty((len(state), _N_LINKS, 3))
-    rotations = np.empty((len(state), _N_LINKS, 3, 3))
-    positions[:, 0] = state[:, :3]
-    rotations[:, 0] = local[:, 0]
-    for index, link in enumerate(LINKS[1:], start=1):
-        parent = LINKS.index(PARENT_LINKS[link])
-        positions[:, index] = positions[:, parent] + rotations[:, parent] @ offsets[index]
-        rotations[:, index] = rotations[:, parent] @ local[:, index]
-    return positions, rotations
+    parents = [-1, *(LINKS.index(PARENT_LINKS[link]) for link in LINKS[1:])]
+    return forward_kinematics(offsets, state[:, :3], local, parents)
 
 
 def intrinsic_xyz(angles: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:

@@ -46,7 +46,7 @@ def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *
         dataset: Name that the recording carries: the manifest's, or ``synthetic-`` before it.
     """
     times = np.arange(len(readings.state)) / mogaze.RATE
-    links, turned = mogaze.forward_kinematics(readings.state, mogaze.link_offsets(readings.fixed))
+    links, turned = mogaze.link_poses(readings.state, mogaze.link_offsets(readings.fixed))
     native_joints = mogaze.body_joints(links, manifest.body.joint_mapping)
     plausible = plausible_body_frames(times, native_joints)
     remarks = []
@@ -306,7 +306,7 @@ def published_tracks(
         recording: What was made of them.
         least_confidence: Of a gaze sample.
     """
-    links, _ = mogaze.forward_kinematics(readings.state, mogaze.link_offsets(readings.fixed))
+    links, _ = mogaze.link_poses(readings.state, mogaze.link_offsets(readings.fixed))
     assert recording.body is not None
     body = recording.body
     joints = hold_neighbours(transform_points(recording.world_from_source, links), body.valid)

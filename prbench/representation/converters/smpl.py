@@ -20,7 +20,7 @@ from jaxtyping import Float
 from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.files.arrays import Archive
 from prbench.files.bounded import foreign_input
-from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
+from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint, forward_kinematics, rotation_matrices
 
 RotationForm = Literal[
     "axis-angle", "matrix", "quaternion-wxyz", "quaternion-xyzw", "6d-columns", "6d-rows", "6d-interleaved"
@@ -57,17 +57,6 @@ def from_matrices(matrices: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray
     largest = np.diagonal(outer, axis1=-2, axis2=-1).argmax(axis=-1)
     chosen = np.take_along_axis(outer, largest[..., None, None], axis=-2)[..., 0, :]
     return chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
-
-
-def to_matrices(quaternions: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rotation matrices of unit quaternions."""
-    w, x, y, z = np.moveaxis(quaternions, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _axis_angle(values: np.ndarray, source: Path | str) -> np.ndarray:
@@ -410,6 +399,22 @@ def read_rest_joints(path: Path, *, joints: int | None = None, how_to_get: str =
     return RestJoints(body @ template, np.einsum("jv,vck->jck", body, shapes))
 
 
+def pose_body(
+    rest: Float[np.ndarray, "22 3"],
+    pelvis: Float[np.ndarray, "frames 3"],
+    rotations: Float[np.ndarray, "frames 22 4"],
+) -> tuple[Float[np.ndarray, "frames 22 3"], Float[np.ndarray, "frames 22 3 3"]]:
+    """Positions and world rotations of the 22 joints.
+
+    Args:
+        rest: Joints in the rest pose; only their differences matter, because the pelvis is placed by ``pelvis``.
+        pelvis: Position of the pelvis joint in the world, metres.
+        rotations: Unit quaternions, w x y z: of the pelvis in the world, of the others in their parents.
+    """
+    offsets = rest - rest[list(PARENTS)]
+    return forward_kinematics(offsets, pelvis, rotation_matrices(rotations), PARENTS)
+
+
 def smpl_joints(parameters: SmplParameters, rest: RestJoints) -> Float[np.ndarray, "frames 22 3"]:
     """Joints as the body model has them; blend shapes of the surface move none of them, so this is exact.
 
@@ -427,11 +432,4 @@ def smpl_joints(parameters: SmplParameters, rest: RestJoints) -> Float[np.ndarra
         InputFileError: if there are more shape numbers than the model knows.
     """
     body = rest.of(parameters.betas)
-    local = to_matrices(parameters.rotations)
-    world = [local[:, Joint.PELVIS]]
-    joints = [parameters.transl + body[Joint.PELVIS]]
-    for joint in range(1, N_JOINTS):
-        parent = PARENTS[joint]
-        joints.append(joints[parent] + world[parent] @ (body[joint] - body[parent]))
-        world.append(world[parent] @ local[:, joint])
-    return np.stack(joints, axis=1)
+    return pose_body(body, parameters.transl + body[Joint.PELVIS], parameters.rotations)[0]

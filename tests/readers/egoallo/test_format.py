@@ -1,4 +1,4 @@
-"""Forward kinematics of the SMPL-H body against hand-worked poses and a slow recomputation."""
+"""Forward kinematics of a posed body against hand-worked poses and a slow recomputation."""
 
 from __future__ import annotations
 
@@ -7,27 +7,26 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths
-from prbench.readers.egoallo.format import forward_kinematics
 from prbench.readers.egoallo.synthetic import synthetic_smplh
+from prbench.representation.converters.smpl import pose_body
 
 IDENTITY = np.array([1.0, 0, 0, 0])
 
 
-def _pose(seed: int, n: int = 3) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _pose(seed: int, n: int = 3) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     quats = Rotation.random(n * 22, rng).as_quat(scalar_first=True).reshape(n, 22, 4)
-    return rng.normal(size=(22, 3)), rng.normal(size=(n, 3)), quats[:, 0], quats[:, 1:]
+    return rng.normal(size=(22, 3)), rng.normal(size=(n, 3)), quats
 
 
-def _slow(rest, position, root, local):
+def _slow(rest, position, rotations):
     """One frame, one joint, 4x4 matrices."""
     frames = []
     for frame in range(len(position)):
         world = []
         for joint in range(22):
             matrix = np.eye(4)
-            quaternion = root[frame] if joint == 0 else local[frame, joint - 1]
-            matrix[:3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+            matrix[:3, :3] = Rotation.from_quat(rotations[frame, joint], scalar_first=True).as_matrix()
             matrix[:3, 3] = position[frame] if joint == 0 else rest[joint] - rest[PARENTS[joint]]
             world.append(matrix if joint == 0 else world[PARENTS[joint]] @ matrix)
         frames.append([matrix[:3, 3] for matrix in world])
@@ -36,16 +35,16 @@ def _slow(rest, position, root, local):
 
 def test_the_pelvis_is_where_the_root_is_and_the_rest_pose_is_carried_along():
     rest = synthetic_smplh().template
-    joints = forward_kinematics(rest, np.array([[1.0, 2.0, 3.0]]), IDENTITY[None], np.tile(IDENTITY, (1, 21, 1)))
+    joints, _ = pose_body(rest, np.array([[1.0, 2.0, 3.0]]), np.tile(IDENTITY, (1, 22, 1)))
     np.testing.assert_allclose(joints[0] - joints[0, 0], rest - rest[0], atol=1e-12)
     np.testing.assert_array_equal(joints[0, Joint.PELVIS], [1.0, 2.0, 3.0])
 
 
 def test_bending_one_knee_moves_the_ankle_and_the_foot_behind_it_and_nothing_else():
     rest = synthetic_smplh().template
-    local = np.tile(IDENTITY, (1, 21, 1))
-    local[0, Joint.LEFT_KNEE - 1] = Rotation.from_euler("x", np.pi / 2).as_quat(scalar_first=True)
-    joints = forward_kinematics(rest, np.zeros((1, 3)), IDENTITY[None], local)[0] + rest[0]
+    local = np.tile(IDENTITY, (1, 22, 1))
+    local[0, Joint.LEFT_KNEE] = Rotation.from_euler("x", np.pi / 2).as_quat(scalar_first=True)
+    joints = pose_body(rest, np.zeros((1, 3)), local)[0][0] + rest[0]
     moved = np.linalg.norm(joints - rest, axis=1) > 1e-9
     assert set(np.flatnonzero(moved)) == {Joint.LEFT_ANKLE, Joint.LEFT_FOOT}
     shin = np.linalg.norm(rest[Joint.LEFT_ANKLE] - rest[Joint.LEFT_KNEE])
@@ -55,14 +54,15 @@ def test_bending_one_knee_moves_the_ankle_and_the_foot_behind_it_and_nothing_els
 @pytest.mark.parametrize("seed", range(3))
 def test_it_agrees_with_chained_matrices(seed):
     pose = _pose(seed)
-    np.testing.assert_allclose(forward_kinematics(*pose), _slow(*pose), atol=1e-12)
+    np.testing.assert_allclose(pose_body(*pose)[0], _slow(*pose), atol=1e-12)
 
 
 def test_turning_the_root_turns_the_body_about_the_pelvis():
-    rest, position, root, local = _pose(7)
+    rest, position, rotations = _pose(7)
     turn = Rotation.from_rotvec([0.3, -0.8, 0.2])
-    turned = (turn * Rotation.from_quat(root, scalar_first=True)).as_quat(scalar_first=True)
-    straight = forward_kinematics(rest, position, root, local) - position[:, None]
-    other = forward_kinematics(rest, position, turned, local) - position[:, None]
+    turned = rotations.copy()
+    turned[:, 0] = (turn * Rotation.from_quat(rotations[:, 0], scalar_first=True)).as_quat(scalar_first=True)
+    straight = pose_body(rest, position, rotations)[0] - position[:, None]
+    other = pose_body(rest, position, turned)[0] - position[:, None]
     np.testing.assert_allclose(other, turn.apply(straight.reshape(-1, 3)).reshape(other.shape), atol=1e-12)
     np.testing.assert_allclose(bone_lengths(other), bone_lengths(straight), atol=1e-12)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from prbench.readers.egoallo.bodies import read_output, read_smplh_rest
-from prbench.readers.egoallo.format import EgoAlloBody, forward_kinematics
+from prbench.readers.egoallo.format import EgoAlloBody
 from prbench.readers.egoallo.to_recording import body_from_outputs
+from prbench.representation.converters.smpl import pose_body
 
 NAME = "egoallo/egoallo_outputs/20240101-120000_0-12.npz"
 MODEL = "egoallo/mock_smplh/neutral/model.npz"
@@ -29,12 +30,9 @@ def test_shape(samples, reference_values):
 def test_joints_of_the_first_frame_with_its_own_shape(samples, reference_values):
     item = reference_values["egoallo-joints-0"]
     output, rest = read_output(samples / NAME), read_smplh_rest(samples / MODEL)
-    joints = forward_kinematics(
-        rest.of(output.betas[0, 0]),
-        output.world_from_root[0, :1, 4:].astype(np.float64),
-        output.world_from_root[0, :1, :4].astype(np.float64),
-        output.body_quats[0, :1].astype(np.float64),
-    )
+    root = output.world_from_root[0, :1].astype(np.float64)
+    rotations = np.concatenate([root[:, None, :4], output.body_quats[0, :1]], axis=1)
+    joints, _ = pose_body(rest.of(output.betas[0, 0]), root[:, 4:], rotations)
     np.testing.assert_allclose(joints[0], item["expect"]["joints"], atol=1e-6)
 
 

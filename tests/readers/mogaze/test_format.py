@@ -20,9 +20,9 @@ from prbench.readers.mogaze.format import (
     PARENT_LINKS,
     STATE_COLUMNS,
     body_joints,
-    forward_kinematics,
     intrinsic_xyz,
     link_offsets,
+    link_poses,
 )
 
 GOLDEN = ("golden_zero", "golden_smooth_a", "golden_smooth_b", "golden_random_angles")
@@ -41,7 +41,7 @@ def _offsets(golden) -> np.ndarray:
 def test_positions_rotations_and_head_are_the_golden_ones(golden) -> None:
     assert tuple(golden["description"].tolist()) == STATE_COLUMNS
     assert tuple(golden["joint_names"].tolist()) == LINKS
-    positions, rotations = forward_kinematics(golden["state"], _offsets(golden))
+    positions, rotations = link_poses(golden["state"], _offsets(golden))
     assert positions == pytest.approx(golden["positions"], abs=1e-9)
     assert rotations == pytest.approx(golden["rotations"], abs=1e-9)
     assert rotations[:, LINKS.index("head")] @ np.array(HEAD_FORWARD) == pytest.approx(golden["head_forward"], abs=1e-9)
@@ -110,7 +110,7 @@ def test_offsets_are_neither_clamped_nor_taken_from_joints_that_the_model_lacks(
 
 def test_the_zero_pose_faces_forward_with_its_left_on_the_left(samples) -> None:
     with np.load(samples / "mogaze" / "golden" / "golden_zero.npz") as golden:
-        positions, _ = forward_kinematics(golden["state"], _offsets(golden))
+        positions, _ = link_poses(golden["state"], _offsets(golden))
     joints = body_joints(positions, load_manifest("mogaze").body.joint_mapping) @ Y_UP_FROM_Z_UP[:3, :3].T
     assert joints[0, Joint.LEFT_WRIST, 0] > 0.5 > -0.5 > joints[0, Joint.RIGHT_WRIST, 0]
     assert joints[0, Joint.HEAD, 1] > joints[0, Joint.PELVIS, 1] > joints[0, Joint.LEFT_FOOT, 1]

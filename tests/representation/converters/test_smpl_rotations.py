@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.readers.egoallo.format import forward_kinematics
-from prbench.representation.converters import RestJoints, SmplParameters, smpl_joints
-from prbench.representation.converters.smpl import from_axis_angle, from_matrices, to_matrices
+from prbench.geometry.skeleton import rotation_matrices
+from prbench.representation.converters.smpl import from_axis_angle, from_matrices
 
 RNG = np.random.default_rng(0)
 VECTORS = np.concatenate(
@@ -23,21 +22,13 @@ def test_axis_angles_become_the_quaternions_of_scipy() -> None:
 
 def test_matrices_there_and_back_lose_nothing_at_half_turns_either() -> None:
     matrices = Rotation.from_rotvec(VECTORS).as_matrix()
-    assert np.allclose(to_matrices(from_matrices(matrices)), matrices, rtol=0, atol=1e-14)
-    assert np.allclose(to_matrices(from_axis_angle(VECTORS)), matrices, rtol=0, atol=1e-14)
+    assert np.allclose(rotation_matrices(from_matrices(matrices)), matrices, rtol=0, atol=1e-14)
+    assert np.allclose(rotation_matrices(from_axis_angle(VECTORS)), matrices, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("shape", [(30,), (6, 5)])
 def test_any_leading_axes_will_do(shape) -> None:
     vectors = RNG.normal(size=(*shape, 3))
-    matrices = to_matrices(from_axis_angle(vectors))
+    matrices = rotation_matrices(from_axis_angle(vectors))
     assert matrices.shape == (*shape, 3, 3)
     assert from_matrices(matrices).shape == (*shape, 4)
-
-
-def test_joints_are_those_of_the_forward_kinematics_with_scipy() -> None:
-    rotations = from_axis_angle(RNG.normal(size=(8, 22, 3)))
-    rest = RNG.normal(size=(22, 3))
-    transl = RNG.normal(size=(8, 3))
-    expected = forward_kinematics(rest, transl + rest[0], rotations[:, 0], rotations[:, 1:])
-    assert np.allclose(smpl_joints(SmplParameters(rotations, transl), RestJoints.fixed(rest)), expected, atol=1e-12)

@@ -14,7 +14,7 @@ from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze import read_readings
-from prbench.readers.mogaze.format import MODEL_OFFSETS, body_joints, forward_kinematics, link_offsets
+from prbench.readers.mogaze.format import MODEL_OFFSETS, body_joints, link_offsets, link_poses
 from prbench.readers.mogaze.synthetic import LAYOUT, body_names, gaze_bias, sense, solve_body
 from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.people import perform
@@ -45,7 +45,7 @@ def recording(performance):
 
 def test_solved_joints_are_exact_below_the_chest_and_those_of_the_back_within_centimetres(performance) -> None:
     state, fixed = solve_body(performance.joints, performance.rotations)
-    positions, rotations = forward_kinematics(state, link_offsets(fixed))
+    positions, rotations = link_poses(state, link_offsets(fixed))
     world = Y_UP_FROM_Z_UP[:3, :3]
     joints = body_joints(positions, load_manifest("mogaze").body.joint_mapping) @ world.T
     error = np.linalg.norm(joints - performance.joints, axis=-1)
