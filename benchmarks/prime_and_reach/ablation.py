@@ -36,14 +36,14 @@ from prbench_benchmarks.prime_and_reach.study.methods import (
     published_rows,
 )
 
+# Tables of ablations, as the study numbers them.
 TABLES = tuple(dict.fromkeys(row.table for row in load_ablations()))
-"""Tables of ablations, as the study numbers them."""
+# Configuration of a few steps: shows that everything runs, and learns nothing.
 SMOKE = "smoke"
-"""Configuration of a few steps: shows that everything runs, and learns nothing."""
 PAPER = "paper"
 _RUNS = "runs"
+# Options of an optimisation at smoke size.
 _FEW_ITERATIONS = {"iterations": "2", "ddim-steps": "2"}
-"""Options of an optimisation at smoke size."""
 _COLUMNS = (
     Column(key="condition", title="Condition", text=True),
     Column(key="method", title="Variant", text=True),
@@ -57,20 +57,22 @@ class AblationRequest:
 
     Raises:
         UsageError: for a table without rows, or a row that nothing can be pre-trained on.
+
+    Attributes:
+        table: ``3``, ``4`` or ``S4`` to ``S7``.
+        data: Built dataset folders: their training split is learnt from, their test split is run.
+        corpora: Maps ``nymeria`` and ``humanml3d`` to built corpus folders.
+        limit: Sequences of each dataset that are run.
     """
 
     table: str
-    """``3``, ``4`` or ``S4`` to ``S7``."""
     data: tuple[Path, ...]
-    """Built dataset folders: their training split is learnt from, their test split is run."""
     out: Path
     corpora: Mapping[str, Path] = field(default_factory=dict)
-    """Maps ``nymeria`` and ``humanml3d`` to built corpus folders."""
     configuration: str = PAPER
     device: str = "cpu"
     threads: int = 1
     limit: int | None = None
-    """Sequences of each dataset that are run."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -105,8 +107,8 @@ class AblationRequest:
         return options
 
 
+# Called with a line for every step that begins.
 Say = Callable[[str], None]
-"""Called with a line for every step that begins."""
 
 
 def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> tuple[list[Path], dict[str, str]]:

@@ -88,12 +88,12 @@ def _errors(runs: tuple[Path, ...], *, beside: Path | None, data: tuple[Path, ..
     return _answer(AnalysisReport(tables=tables, out=out), *lines)
 
 
+# The function of each kind, and the options that it takes (``--out`` beside them).
 _KINDS = {
     "agreement": (_agreement, ("data", "workers")),
     "diversity": (_diversity, ("data", "fan", "sequence", "permission")),
     "errors": (_errors, ("data", "beside", "out")),
 }
-"""The function of each kind, and the options that it takes (``--out`` beside them)."""
 
 
 def _report_file(ctx: click.Context, _: click.Parameter, value: Path | Remote | None) -> Path | Remote | None:

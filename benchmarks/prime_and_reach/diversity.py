@@ -28,8 +28,8 @@ from prbench.viewing.fan import Fan, FanGroup
 from prbench.viewing.replay.read import RunMotions, run_labels
 from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED_COLOUR
 
+# Called with finished sequences, all of them, and the dataset.
 Progress = Callable[[int, int, str], None]
-"""Called with finished sequences, all of them, and the dataset."""
 _COLUMNS = ["joints", "goal_location", "head_tilt_deg", "fps", "recording_id"]
 
 

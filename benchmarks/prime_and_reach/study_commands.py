@@ -247,12 +247,12 @@ def _drawn(
     return _answer([table], numbers, out[0])
 
 
+# Title of each picture of motions, and how many sequences of each dataset it shows.
 _PICTURES = {
     "figure-1": ("Prime-and-reach sequences: people look at a goal before they reach it", 2),
     "figure-2": ("Examples of curated prime-and-reach sequences", 1),
     "figure-5": ("Recorded and generated motion at the first frame, the prime and the reach", 3),
 }
-"""Title of each picture of motions, and how many sequences of each dataset it shows."""
 
 
 def _motions(

@@ -25,15 +25,15 @@ from prbench_adapters.diffusion.model import MotionModel, TextVectors
 from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings, Targets, keyframes
 from prbench_adapters.diffusion.optimised_generation import optimise_noise
 
+# Beginnings of the names of operations that multiply matrices.
 _PRODUCTS = ("mm", "addmm", "bmm", "baddbmm", "_scaled_dot_product")
-"""Beginnings of the names of operations that multiply matrices."""
 _PROMPT = "The person moves across and picks an object."
 _DIFFUSION_STEPS = 50
+# Of the deterministic chain, in one iteration of noise optimisation.
 _OPTIMISATION_STEPS = 10
-"""Of the deterministic chain, in one iteration of noise optimisation."""
 _GUIDANCE = 2.5
+# Of the prompt in DistilBERT's vocabulary, its two special ones included.
 _WORD_PIECES = 11
-"""Of the prompt in DistilBERT's vocabulary, its two special ones included."""
 SIZES = {
     "paper": {"width": 512, "heads": 4, "layers": 8, "feed_forward": 1024},
     "small": {"width": 128, "heads": 4, "layers": 4, "feed_forward": 448},

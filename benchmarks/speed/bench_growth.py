@@ -31,6 +31,7 @@ from prbench.harness.first_run import default_tables
 
 _LARGEST_GROWTH = 1.05
 _RUNS = "{out}/truth {out}/scripted"
+# Words after ``prbench``, or a function of measured_child.py with its arguments, by the name for ``--works``.
 WORKS = {
     "score": "score {motions} --data {table} --out {out}/scores",
     "run": "run --method ground-truth --data {table} --out {out}/truth",
@@ -48,7 +49,6 @@ WORKS = {
     "build": "build-dataset mogaze --root {recordings} --out {out}/built",
     "build windows": "build-windows mogaze --root {recordings} --out {out}/windows",
 }
-"""Words after ``prbench``, or a function of measured_child.py with its arguments, by the name for ``--works``."""
 
 
 def main() -> None:

@@ -144,8 +144,8 @@ def store(folder: str, cache: str) -> None:
     print(sum(len(data[index].features) for index in range(len(data))))
 
 
+# What a child can do besides the commands of prbench, by name.
 WORKS = {work.__name__: work for work in (repeat_table, repeat_motions, iterate, find_one, rewrite, store)}
-"""What a child can do besides the commands of prbench, by name."""
 
 
 def main() -> int:

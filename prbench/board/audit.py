@@ -25,32 +25,38 @@ from prbench.metrics import METRICS, MetricInfo
 
 _ONLY_METHOD = "--method"
 
+# Called with finished runs, all of them, and the one that was finished last.
 Progress = Callable[[int, int, str], None]
-"""Called with finished runs, all of them, and the one that was finished last."""
 
 
 @dataclass(frozen=True)
 class AuditedControl:
-    """What one control earned on one table."""
+    """What one control earned on one table.
+
+    Attributes:
+        name: Name of the control; ``ground-truth, shuffled-goal`` is scored against other sequences' goals.
+        use: Sentence on what it does.
+        is_recorded: The motions are the recorded ones, through another form at most.
+        summary: Its scores, as in ``summary.json``.
+        agreement: Agreement with recorded people, and rates by the goal's place.
+    """
 
     name: str
-    """Name of the control; ``ground-truth, shuffled-goal`` is scored against other sequences' goals."""
     use: str
-    """Sentence on what it does."""
     is_recorded: bool
-    """The motions are the recorded ones, through another form at most."""
     summary: DatasetSummary
-    """Its scores, as in ``summary.json``."""
     agreement: DatasetAgreement
-    """Agreement with recorded people, and rates by the goal's place."""
 
 
 @dataclass(frozen=True)
 class TableAudit:
-    """All controls on one table."""
+    """All controls on one table.
+
+    Attributes:
+        controls: The controls, recorded motion last.
+    """
 
     controls: tuple[AuditedControl, ...]
-    """The controls, recorded motion last."""
 
     @property
     def recorded(self) -> DatasetSummary:
@@ -65,14 +71,17 @@ class TableAudit:
 
 @dataclass(frozen=True)
 class ControlMeans:
-    """Means of one control, over one dataset or over several that count alike."""
+    """Means of one control, over one dataset or over several that count alike.
+
+    Attributes:
+        name: Name of the control.
+        is_recorded: The motions are the recorded ones, through another form at most.
+        means: By metric id; without those that a dataset lacks.
+    """
 
     name: str
-    """Name of the control."""
     is_recorded: bool
-    """The motions are the recorded ones, through another form at most."""
     means: Mapping[str, MeanOverDatasets]
-    """By metric id; without those that a dataset lacks."""
 
 
 def means_of_controls(tables: Sequence[TableAudit]) -> tuple[ControlMeans, ...]:

@@ -25,15 +25,15 @@ from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
 from prbench.harness.verification import CheckedSummary, RunChecker, ScoredSequences
 from prbench.protocol.manifests import benchmarks, find_benchmark
 
+# Titles of the numbers of :func:`cost_of`.
 COSTS = {
     "seconds": "s/motion",
     "network_passes": "Passes/motion",
     "memory_mebibytes": "Memory (MiB)",
     "parameters": "Parameters",
 }
-"""Titles of the numbers of :func:`cost_of`."""
+# Of controls, whose motions the harness makes, and of motions that came as a file.
 UNMEASURED: dict[str, float | None] = dict.fromkeys(COSTS)
-"""Of controls, whose motions the harness makes, and of motions that came as a file."""
 
 
 def cost_of(files: DatasetFolder) -> dict[str, float | None]:
@@ -64,25 +64,28 @@ def cost_of(files: DatasetFolder) -> dict[str, float | None]:
 
 @dataclass(frozen=True)
 class LeaderboardRow:
-    """A run on one dataset."""
+    """A run on one dataset.
+
+    Attributes:
+        run: Name of the run folder.
+        unverified: The reason why its scores were not checked against its motions; empty where they were.
+        sequences: What its numbers on some of the sequences are made from.
+        protocol: Name and version of a user's own protocol; empty for prbench's.
+        scores: Its ``scores.parquet``.
+        only: Ids of the sequences that its summary is of, and that it is compared on; None for all that were scored.
+        cost: Of a motion; see :func:`cost_of`.
+    """
 
     run: str
-    """Name of the run folder."""
     record: RunRecord
     table: TableRecord
     summary: DatasetSummary
     unverified: str = ""
-    """The reason why its scores were not checked against its motions; empty where they were."""
     sequences: ScoredSequences | None = None
-    """What its numbers on some of the sequences are made from."""
     protocol: str = ""
-    """Name and version of a user's own protocol; empty for prbench's."""
     scores: Path | None = None
-    """Its ``scores.parquet``."""
     only: frozenset[str] | None = None
-    """Ids of the sequences that its summary is of, and that it is compared on; None for all that were scored."""
     cost: Mapping[str, float | None] = field(default_factory=lambda: UNMEASURED)
-    """Of a motion; see :func:`cost_of`."""
 
     @property
     def method(self) -> str:
@@ -135,8 +138,8 @@ class CollectedRuns:
     left_out: tuple[str, ...]
 
 
+# Reads the summary of one dataset of a run, and says whether it could be verified.
 Check = Callable[[RunFolder, TableRecord], CheckedSummary]
-"""Reads the summary of one dataset of a run, and says whether it could be verified."""
 
 
 @foreign_input()

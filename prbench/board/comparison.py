@@ -27,46 +27,55 @@ from prbench.metrics import MetricInfo
 
 @dataclass(frozen=True)
 class ComparedMetric:
-    """A metric on one dataset, over the same sequences; the difference is first - second."""
+    """A metric on one dataset, over the same sequences; the difference is first - second.
+
+    Attributes:
+        dataset: Name of the dataset.
+        info: The metric; differences of rates lie between -1 and 1.
+        comparison: The difference, and whether the data support one.
+        conclusion: ``higher``, ``lower``, ``not supported by the data`` or ``cannot be tested``: of the first run.
+    """
 
     dataset: str
-    """Name of the dataset."""
     info: MetricInfo
-    """The metric; differences of rates lie between -1 and 1."""
     comparison: Comparison
-    """The difference, and whether the data support one."""
     conclusion: str
-    """``higher``, ``lower``, ``not supported by the data`` or ``cannot be tested``: of the first run."""
 
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """One of two runs."""
+    """One of two runs.
+
+    Attributes:
+        path: Its folder.
+        method: Name of the method.
+        origin: Whose method it is, in words.
+        marks: Maps datasets to remarks about the motions that readers must know.
+    """
 
     path: Path
-    """Its folder."""
     method: str
-    """Name of the method."""
     origin: str
-    """Whose method it is, in words."""
     marks: dict[str, str]
-    """Maps datasets to remarks about the motions that readers must know."""
 
 
 @dataclass(frozen=True)
 class RunComparison:
-    """Two runs, compared sequence by sequence."""
+    """Two runs, compared sequence by sequence.
+
+    Attributes:
+        first: The first run.
+        second: The second run.
+        metrics: One entry for each metric and dataset.
+        left_out: A line for each dataset of which only the sequences that both methods generated are compared.
+        unverified: A line for each run and dataset whose scores could not be held against the motions, with the reason.
+    """
 
     first: ComparedRun
-    """The first run."""
     second: ComparedRun
-    """The second run."""
     metrics: tuple[ComparedMetric, ...]
-    """One entry for each metric and dataset."""
     left_out: tuple[str, ...]
-    """A line for each dataset of which only the sequences that both methods generated are compared."""
     unverified: tuple[str, ...]
-    """A line for each run and dataset whose scores could not be held against the motions, with the reason."""
 
 
 def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker | None = None) -> RunComparison:
@@ -152,8 +161,8 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
     return RunComparison(compared[0], compared[1], tuple(metrics), tuple(left_out), tuple(unverified))
 
 
+# Maps each metric to the sequences that have it, sorted, and to the mean over the samples of each.
 SequenceScores = dict[str, tuple[list[str], np.ndarray]]
-"""Maps each metric to the sequences that have it, sorted, and to the mean over the samples of each."""
 
 
 def sequence_scores(path: Path, benchmark: Benchmark, *, only: frozenset[str] | None = None) -> SequenceScores:
@@ -207,10 +216,10 @@ def paired_values(
     return PairedValues(values, other_values, recordings, rate=info.unit == "rate")
 
 
+# Maps a row (by its position) and a metric to the rows that are better there, by a supported difference.
 Beaten = Mapping[tuple[int, str], frozenset[int]]
-"""Maps a row (by its position) and a metric to the rows that are better there, by a supported difference."""
+# Finds out which of several rows, ranked together, are better than which.
 Separate = Callable[[Sequence[LeaderboardRow], Sequence[MetricInfo]], Beaten]
-"""Finds out which of several rows, ranked together, are better than which."""
 
 
 def separate_by_comparison(rows: Sequence[LeaderboardRow], metrics: Sequence[MetricInfo]) -> Beaten:

@@ -172,77 +172,89 @@ def _csv_row(cell: Cell, benchmark: Benchmark) -> dict[str, Any]:
 
 
 class BoardRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One run in the table of a dataset."""
+    """One run in the table of a dataset.
+
+    Attributes:
+        run: Name of the run folder.
+        record: The content of its ``run.json``: method, version, weights, condition, seed.
+        summary: Its scores, as in ``summary.json``; of the table's sequences alone.
+        cost: Cost of a motion, on the machine of the run: ``seconds``, ``network_passes``, ``memory_mebibytes``,
+            ``parameters``; null where nothing was measured or declared.
+        origin: Whose method it is, in words; a record that claims a method for prbench without right is not believed.
+        mark: A remark about its motions that readers must know; empty if there is none.
+        unverified: Why the scores were not held against the motions; empty if they were.
+        variant: Control, weights, options and the like, by which rows of one method differ.
+        ranks: Maps ids of metrics to ranks: one more than the number of methods that are better by a supported
+            difference.
+        leads: Ids of metrics in which it is better than every other method, each by a supported difference.
+        says_nothing: Ids of metrics that say nothing about this method, because it stands still.
+    """
 
     run: str
-    """Name of the run folder."""
     record: RunRecord
-    """The content of its ``run.json``: method, version, weights, condition, seed."""
     summary: DatasetSummary
-    """Its scores, as in ``summary.json``; of the table's sequences alone."""
     cost: dict[str, float | None]
-    """Cost of a motion, on the machine of the run: ``seconds``, ``network_passes``, ``memory_mebibytes``,
-    ``parameters``; null where nothing was measured or declared."""
     origin: str
-    """Whose method it is, in words; a record that claims a method for prbench without right is not believed."""
     mark: str
-    """A remark about its motions that readers must know; empty if there is none."""
     unverified: str
-    """Why the scores were not held against the motions; empty if they were."""
     variant: str
-    """Control, weights, options and the like, by which rows of one method differ."""
     ranks: dict[str, int]
-    """Maps ids of metrics to ranks: one more than the number of methods that are better by a supported difference."""
     leads: list[str]
-    """Ids of metrics in which it is better than every other method, each by a supported difference."""
     says_nothing: list[str]
-    """Ids of metrics that say nothing about this method, because it stands still."""
 
 
 class BoardTable(msgspec.Struct, frozen=True, kw_only=True):
-    """Runs on one dataset that compare: protocol, table, split and sequences agree."""
+    """Runs on one dataset that compare: protocol, table, split and sequences agree.
+
+    Attributes:
+        dataset: Name of the dataset.
+        title: The same for readers; holds the word "synthetic" where the data are.
+        benchmark: Name of the benchmark.
+        synthetic: Whether the data are synthetic.
+        redistribution: Whether the licence lets recorded motion be passed on.
+        split: Split of the table.
+        digests: Of the ``protocol``, of the table's ``identity`` and ``content``, and of the ``selection`` of
+            sequences.
+        own_protocol: Name and version of a protocol of the user's own; empty for prbench's.
+        sequences: Number of sequences.
+        recordings: Number of recordings that they come from.
+        chosen_sequences: Number of the chosen sequences; above ``sequences`` where the table is of those that every
+            method generated.
+        left_sequences_out: Methods that left chosen sequences out, with how many.
+        undecided: Sentences on what the data cannot decide, and the smallest differences that they can.
+        rows: The runs, sorted by condition, controls last.
+    """
 
     dataset: str
-    """Name of the dataset."""
     title: str
-    """The same for readers; holds the word "synthetic" where the data are."""
     benchmark: str
-    """Name of the benchmark."""
     synthetic: bool
-    """Whether the data are synthetic."""
     redistribution: str
-    """Whether the licence lets recorded motion be passed on."""
     split: str
-    """Split of the table."""
     digests: dict[str, str]
-    """Of the ``protocol``, of the table's ``identity`` and ``content``, and of the ``selection`` of sequences."""
     own_protocol: str
-    """Name and version of a protocol of the user's own; empty for prbench's."""
     sequences: int
-    """Number of sequences."""
     recordings: int
-    """Number of recordings that they come from."""
     chosen_sequences: int
-    """Number of the chosen sequences; above ``sequences`` where the table is of those that every method generated."""
     left_sequences_out: tuple[str, ...]
-    """Methods that left chosen sequences out, with how many."""
     undecided: tuple[str, ...]
-    """Sentences on what the data cannot decide, and the smallest differences that they can."""
     rows: list[BoardRow]
-    """The runs, sorted by condition, controls last."""
 
 
 class Board(msgspec.Struct, frozen=True, kw_only=True):
-    """A leaderboard; ``--format json`` writes the same."""
+    """A leaderboard; ``--format json`` writes the same.
+
+    Attributes:
+        schema_version: Version of this shape.
+        tables: One table for each dataset and way of scoring it.
+        macro_means: Means over datasets, for each protocol with two datasets or more.
+        notes: What was left out, and which tables must not be compared.
+    """
 
     schema_version: int = 2
-    """Version of this shape."""
     tables: list[BoardTable]
-    """One table for each dataset and way of scoring it."""
     macro_means: tuple[MacroTable, ...]
-    """Means over datasets, for each protocol with two datasets or more."""
     notes: tuple[str, ...]
-    """What was left out, and which tables must not be compared."""
 
 
 def as_board(leaderboard: Leaderboard) -> Board:

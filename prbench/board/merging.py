@@ -27,17 +27,20 @@ from prbench.sequences.sequence import recording_key
 
 @dataclass(frozen=True, eq=False)
 class MergedRun:
-    """The runs on all folds as one."""
+    """The runs on all folds as one.
+
+    Attributes:
+        record: As of one run; digests are those of the folds' digests.
+        scores: Of all folds, in their order.
+        folds: In the order of the folds.
+        unverified: A sentence for each run whose scores could not be verified.
+    """
 
     record: RunRecord
-    """As of one run; digests are those of the folds' digests."""
     summary: DatasetSummary
     scores: pa.Table
-    """Of all folds, in their order."""
     folds: tuple[RunFolder, ...]
-    """In the order of the folds."""
     unverified: tuple[str, ...]
-    """A sentence for each run whose scores could not be verified."""
 
     def write(self, out: Path) -> None:
         """Write a run folder that ``prbench leaderboard export`` shows beside others, whole or not at all.

@@ -33,22 +33,36 @@ _KEYS = ("protocol", "table identity", "table content", "split", "chosen sequenc
 
 @dataclass(frozen=True)
 class TableRow:
-    """A line of a dataset's table."""
+    """A line of a dataset's table.
+
+    Attributes:
+        variant: Unique among the rows of one method and condition in one table.
+        ranks: Maps ranked metrics to ranks, which methods share that the data cannot separate; empty where none is
+            ranked.
+        leads: Ranked metrics in which it is better than every other method, each by a supported difference.
+        beaten_by: Maps ranked metrics to the places of the rows in the table that are better by a supported difference.
+    """
 
     entry: LeaderboardRow
     variant: str
-    """Unique among the rows of one method and condition in one table."""
     ranks: dict[str, int]
-    """Maps ranked metrics to ranks, which methods share that the data cannot separate; empty where none is ranked."""
     leads: frozenset[str] = frozenset()
-    """Ranked metrics in which it is better than every other method, each by a supported difference."""
     beaten_by: Mapping[str, frozenset[int]] = field(default_factory=dict)
-    """Maps ranked metrics to the places of the rows in the table that are better by a supported difference."""
 
 
 @dataclass(frozen=True)
 class DatasetTable:
-    """All comparable runs on one dataset."""
+    """All comparable runs on one dataset.
+
+    Attributes:
+        key: Values of ``_KEYS``, on which the rows agree.
+        rows: Sorted by condition, controls last.
+        of: Number of the chosen sequences where the table is of the common ones alone; 0 where it is of all.
+        shortest: Methods that left sequences out, with how many, where the table is of the common ones.
+        common: Ids of the common sequences; None where the table is of all.
+        protocol: Name and version of a user's own protocol; empty for prbench's.
+        earlier_version: Version of prbench's own protocol where it is not the present one.
+    """
 
     dataset: str
     title: str
@@ -58,19 +72,12 @@ class DatasetTable:
     synthetic: bool
     redistribution: str
     key: tuple[str, ...]
-    """Values of ``_KEYS``, on which the rows agree."""
     rows: tuple[TableRow, ...]
-    """Sorted by condition, controls last."""
     of: int = 0
-    """Number of the chosen sequences where the table is of the common ones alone; 0 where it is of all."""
     shortest: tuple[str, ...] = ()
-    """Methods that left sequences out, with how many, where the table is of the common ones."""
     common: frozenset[str] | None = None
-    """Ids of the common sequences; None where the table is of all."""
     protocol: str = ""
-    """Name and version of a user's own protocol; empty for prbench's."""
     earlier_version: int | None = None
-    """Version of prbench's own protocol where it is not the present one."""
 
     @property
     def benchmark(self) -> Benchmark:
@@ -80,46 +87,52 @@ class DatasetTable:
 
 @dataclass(frozen=True)
 class MacroRow:
-    """Means of one method over the datasets."""
+    """Means of one method over the datasets.
+
+    Attributes:
+        method: Name of the method.
+        origin: Origin of the method, in words.
+        mark: A remark about its motions that readers must know, of the first dataset that has one; empty without.
+        symbols: The signs of the mark.
+        is_control: Made by the harness: shown, never ranked.
+        condition: What the method was given.
+        variant: Control, weights, options and the like, by which rows of one method differ.
+        means: Maps ids of metrics to means, each dataset counting alike; empty if the method lacks a dataset.
+        ranks: Maps ids of metrics to ranks, from 1; empty where nothing is ranked.
+        missing: Datasets that the method lacks.
+        unverified: Scores on one of the datasets or more were not held against the motions.
+    """
 
     method: str
-    """Name of the method."""
     origin: str
-    """Origin of the method, in words."""
     mark: str
-    """A remark about its motions that readers must know, of the first dataset that has one; empty without."""
     symbols: str
-    """The signs of the mark."""
     is_control: bool
-    """Made by the harness: shown, never ranked."""
     condition: str
-    """What the method was given."""
     variant: str
-    """Control, weights, options and the like, by which rows of one method differ."""
     means: dict[str, MeanOverDatasets]
-    """Maps ids of metrics to means, each dataset counting alike; empty if the method lacks a dataset."""
     ranks: dict[str, int]
-    """Maps ids of metrics to ranks, from 1; empty where nothing is ranked."""
     missing: tuple[str, ...]
-    """Datasets that the method lacks."""
     unverified: bool
-    """Scores on one of the datasets or more were not held against the motions."""
 
 
 @dataclass(frozen=True)
 class MacroTable:
-    """Methods over all datasets of one protocol."""
+    """Methods over all datasets of one protocol.
+
+    Attributes:
+        datasets: Names of the datasets.
+        synthetic: One of them is synthetic.
+        rows: The methods.
+        benchmark: Name of the benchmark.
+        earlier_version: Version of prbench's own protocol where it is not the present one.
+    """
 
     datasets: tuple[str, ...]
-    """Names of the datasets."""
     synthetic: bool
-    """One of them is synthetic."""
     rows: tuple[MacroRow, ...]
-    """The methods."""
     benchmark: str
-    """Name of the benchmark."""
     earlier_version: int | None = None
-    """Version of prbench's own protocol where it is not the present one."""
 
 
 @dataclass(frozen=True)
@@ -347,8 +360,8 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
         )
 
 
+# Sequences below which no method is ranked.
 FEWEST_RANKED = 50
-"""Sequences below which no method is ranked."""
 
 
 def undecided(

@@ -181,8 +181,8 @@ def _event(sequence: Sequence, event_id: str) -> Event:
 NO_OPTIONS = ImportOptions()
 _ROWS = 64  # sequences that are converted at once
 _STUDY_TERMS = "Prime and Reach release (its page states no licence known to prbench; ask its authors)"
+# Our assumption, since the study states no terms of its own contribution: the terms of most of its datasets.
 _STUDY_REDISTRIBUTION = "non-commercial"
-"""Our assumption, since the study states no terms of its own contribution: the terms of most of its datasets."""
 
 
 @foreign_input()

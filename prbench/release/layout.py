@@ -94,10 +94,10 @@ def letters(name: str) -> str:
 TARGETS = "target_information.json"
 MOTIONS = "motions"
 GAZES = "gazes"
+# Folder that only this toolkit writes: arrays that the layout has no place for.
 FURTHER = "further"
-"""Folder that only this toolkit writes: arrays that the layout has no place for."""
+# Record that our exporter writes beside the targets: the table and its terms.
 EXPORT_RECORD = "prbench_export.json"
-"""Record that our exporter writes beside the targets: the table and its terms."""
 
 _ENDS = re.compile(r"^\D+|\D+$")
 
@@ -229,6 +229,7 @@ def _require_inside(root: Path, path: Path) -> None:
         )
 
 
+# Columns for whose arrays the authors' layout has no place, and their shapes; -1 is the number of frames.
 FURTHER_ARRAYS = {
     "previous_joints": (22, 3),
     "next_joints": (22, 3),
@@ -238,7 +239,6 @@ FURTHER_ARRAYS = {
     "head_position": (-1, 3),
     "head_rotation": (-1, 4),
 }
-"""Columns for whose arrays the authors' layout has no place, and their shapes; -1 is the number of frames."""
 _HEAD = ("head_position", "head_rotation")  # both or none
 _REMEDY = "Copy or download the file again."
 

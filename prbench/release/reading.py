@@ -41,50 +41,57 @@ UNKNOWN = "unknown"
 POSE_SOURCE = "release"
 _SUBSETS = {"train": "train", "training": "train", "test": "test", "testing": "test", "val": "validation",
             "validation": "validation"}  # fmt: skip
+# Seconds before the prime at which a sequence begins (Prime and Reach, section 3.2).
 _LEAD = 2.0
-"""Seconds before the prime at which a sequence begins (Prime and Reach, section 3.2)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
-    """Statements of a user about a release."""
+    """Statements of a user about a release.
+
+    Attributes:
+        fps: Frame rate, where the release does not tell it.
+        field_map: Field of the release by canonical name, where its name is not a known one.
+        on_error: Leave out sequences (and datasets) that cannot be read, or fail at the first.
+        replace: Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.write`).
+    """
 
     fps: float | None = None
-    """Frame rate, where the release does not tell it."""
     field_map: Mapping[str, str] = field(default_factory=dict)
-    """Field of the release by canonical name, where its name is not a known one."""
     on_error: Literal["skip", "fail"] = "skip"
-    """Leave out sequences (and datasets) that cannot be read, or fail at the first."""
     replace: bool = False
-    """Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.write`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReleasedSequence:
-    """One sequence whose entry and arrays are whole; positions are metres in the frame of its motion."""
+    """One sequence whose entry and arrays are whole; positions are metres in the frame of its motion.
+
+    Attributes:
+        fields: The fields of its entry, by the names that the release gives them.
+        gaze: None where there is no usable file.
+        further: None where there is none, or the block that belongs to it no longer fits.
+        block: What our exporter wrote of it, if it still fits.
+        digest: Digest of the bytes of its files.
+        pelvis_to_head: Median distance over the frames.
+        motion_from_canonical: Pose of the canonical frame of its first frame; exactly the unit matrix where its motion
+            is given in it.
+        goal_to_wrist: Distance of the goal from the nearer wrist in the last frame.
+    """
 
     fields: Mapping[str, Any]
-    """The fields of its entry, by the names that the release gives them."""
     index: int
     motion: Path
     gaze: Path | None
-    """None where there is no usable file."""
     further: Path | None
-    """None where there is none, or the block that belongs to it no longer fits."""
     block: dict[str, Any] | None
-    """What our exporter wrote of it, if it still fits."""
     n_frames: int
     goal: Float[np.ndarray, "3"]
     subset: str
     primed_frame: int
     digest: str
-    """Digest of the bytes of its files."""
     pelvis_to_head: float
-    """Median distance over the frames."""
     motion_from_canonical: Float[np.ndarray, "4 4"]
-    """Pose of the canonical frame of its first frame; exactly the unit matrix where its motion is given in it."""
     goal_to_wrist: float
-    """Distance of the goal from the nearer wrist in the last frame."""
     sequence_id: str
     event_id: str
     recording_id: str
@@ -94,16 +101,19 @@ class ReleasedSequence:
 
 @dataclass
 class ReleasedDataset:
-    """One dataset of a release, measured; problems and warnings are collected while it is read."""
+    """One dataset of a release, measured; problems and warnings are collected while it is read.
+
+    Attributes:
+        files: Arrays by kind (``motions`` …) and number.
+        mapping: Field of the release by canonical name.
+        unmapped: Fields that stand for no canonical one.
+    """
 
     dataset: str
     folder: Path
     files: dict[str, dict[int, Path]]
-    """Arrays by kind (``motions`` …) and number."""
     mapping: dict[str, str]
-    """Field of the release by canonical name."""
     unmapped: list[str]
-    """Fields that stand for no canonical one."""
     fps: float
     inferences: list[Inference]
     sequences: list[ReleasedSequence] = field(default_factory=list)

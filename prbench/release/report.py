@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from prbench.release.layout import KnownDataset
 
 FILE_NAME = "import_report.json"
+# In this order: stated and confirmed; measured with room for doubt; taken for granted; not found out.
 Certainty = Literal["certain", "likely", "assumed", "unknown"]
-"""In this order: stated and confirmed; measured with room for doubt; taken for granted; not found out."""
 
 
 class Inference(msgspec.Struct, frozen=True, kw_only=True):

@@ -35,11 +35,12 @@ from prbench_benchmarks.prime_and_reach.error_budget.motions import (
 FindTable = Callable[[TableRecord], SequenceTable | None]
 Progress = Callable[[int, int, str], None]
 
+# Maps the column of each rate's outcomes to its title.
 RATES = {"primed": "Prime Success", "reached": "Reach Success"}
-"""Maps the column of each rate's outcomes to its title."""
+# Seconds, upper ends of the bins but the last: about quarters of the study's gaps, of which few exceed 8.
 _PRIME_GAPS = (2.0, 4.0, 6.0)
-"""Seconds, upper ends of the bins but the last: about quarters of the study's gaps, of which few exceed 8."""
 _UNITS = {"bearing": "°", "distance": " m", "height": " m", "prime gap": " s"}
+# Titles of the columns of causes, where they are not the causes' own.
 _SHORT = {
     "does not slow": "slow",
     "does not stay": "stay",
@@ -51,7 +52,7 @@ _SHORT = {
     "comes and leaves": "leaves",
     "stops short": "short",
 }
-"""Titles of the columns of causes, where they are not the causes' own."""
+# Where the successes of a rate are lost, and the titles of the columns (docs/error-budget.md#parts).
 _PARTS = {
     "always": "always",
     "noise": "noise",
@@ -60,7 +61,6 @@ _PARTS = {
     "not_learnt": "not learnt",
     "nor_people": "nobody",
 }
-"""Where the successes of a rate are lost, and the titles of the columns (docs/error-budget.md#parts)."""
 _Numbers = dict[str, float | None]
 
 

@@ -18,12 +18,12 @@ LATE = "looks late"
 MISS = "misses"
 NEVER = "never looks"
 UNDEFINED = "undefined"
+# In the order in which they are asked for: the first that holds is the motion's cause.
 CAUSES = (PRIMED, SLOW, STAY, EARLY, LATE, MISS, NEVER, UNDEFINED)
-"""In the order in which they are asked for: the first that holds is the motion's cause."""
 
+# Degrees beyond which a head is not said to look towards a goal: eyes alone turn that far from where a head points,
+# which is why the protocol's breakdown calls goals of a smaller bearing "ahead".
 _NEVER_LOOKS_DEG = 30.0
-"""Degrees beyond which a head is not said to look towards a goal: eyes alone turn that far from where a head points,
-which is why the protocol's breakdown calls goals of a smaller bearing "ahead"."""
 
 
 def diagnose_looking(motion: MotionBatch, targets: ScoringTargets, constants: MetricConstants) -> dict[str, np.ndarray]:

@@ -26,24 +26,24 @@ from prbench_benchmarks.prime_and_reach.error_budget.looking import PRIMED, diag
 METHOD = "method"
 BESIDE = "beside"
 PEOPLE = "people"
+# Recorded motion through the features that models learn from, and back.
 FEATURES = "features"
-"""Recorded motion through the features that models learn from, and back."""
 
 REACHED = "reached"
 FAR = "stands too far"
 LEAVES = "comes and leaves"
 UNDER_WAY = "under way"
 SHORT = "stops short"
+# In the order in which they are asked for.
 REACH_CAUSES = (REACHED, FAR, LEAVES, UNDER_WAY, SHORT)
-"""In the order in which they are asked for."""
 
 _SHOULDERS = (Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER)
 _ELBOWS = (Joint.LEFT_ELBOW, Joint.RIGHT_ELBOW)
 _LEAVES = 0.05  # metres from its nearest place at which a wrist is said to have left it: half of reach_distance
 _APPROACH = 0.1  # m/s towards the goal above which a wrist is said to be under way: standing arms sway below it
 _LAST_SECONDS = 0.25  # of the motion, over which that speed is measured
+# Up to the recorded prime time; from there to the last second; the last second.
 PHASES = ("before", "way", "end")
-"""Up to the recorded prime time; from there to the last second; the last second."""
 _END = 1.0  # seconds: the reach itself, when feet should stand
 
 

@@ -22,8 +22,8 @@ from prbench_benchmarks.prime_and_reach.study.genuine import GenuineRun
 from prbench_benchmarks.prime_and_reach.study.methods import METRIC_COLUMNS
 from prbench_benchmarks.prime_and_reach.study.sizes import origin_of
 
+# What sequences can be grouped by, and the column of the table that says it.
 GROUPINGS = {"action": "action", "hand": "hand", "kind": "prime_kind"}
-"""What sequences can be grouped by, and the column of the table that says it."""
 
 
 def breakdown_table(runs: Sequence[GenuineRun], by: str) -> Table:

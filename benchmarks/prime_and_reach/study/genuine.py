@@ -24,14 +24,17 @@ from prbench.shown import clean
 
 
 class StudySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How Figure S3 is drawn."""
+    """How Figure S3 is drawn.
+
+    Attributes:
+        windows: σ of Figure S3, seconds, one curve each.
+        largest_distance: End of its axis, metres.
+        distance_step: Step of its axis, metres.
+    """
 
     windows: tuple[float, ...]
-    """σ of Figure S3, seconds, one curve each."""
     largest_distance: float
-    """End of its axis, metres."""
     distance_step: float
-    """Step of its axis, metres."""
 
 
 @cache
@@ -42,10 +45,13 @@ def load_study_settings() -> StudySettings:
 
 @dataclass(frozen=True, eq=False)
 class GenuineRun:
-    """One run on one table, whose scores follow from its motions."""
+    """One run on one table, whose scores follow from its motions.
+
+    Attributes:
+        label: Method and condition, with the folder's name where several runs share them.
+    """
 
     label: str
-    """Method and condition, with the folder's name where several runs share them."""
     run: RunFolder
     record: TableRecord
     table: SequenceTable

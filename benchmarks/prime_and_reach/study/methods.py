@@ -35,8 +35,8 @@ from prbench_benchmarks.prime_and_reach.study.sizes import origin_of
 from prbench_benchmarks.prime_and_reach.table_two.request import StudyRow, load_table_two, study_place
 
 _INFOS = {info.id: info for info in METRICS}
+# Columns of the main metrics as the study prints them.
 METRIC_COLUMNS = tuple(metric_column(info, in_study=True, with_unit=False) for info in MAIN_METRICS)
-"""Columns of the main metrics as the study prints them."""
 _COLUMNS = (
     Column(key="condition", title="Condition", text=True),
     Column(key="method", title="Method", text=True),
@@ -51,10 +51,10 @@ _STANDS_IN = "small bundled weights, trained on synthetic people alone, stand in
 _UNKNOWN_WEIGHTS = "what its weights were trained on is not known; compared with the study's fine-tuned row"
 _FINE_TUNED = "fine-tuned"
 _PER_DATASET = "fine-tuned per dataset"
+# Ends of the names of weights in Table S1, and what they were trained on.
 _SUFFIXES = {"-egoallo": "EgoAllo poses", "-mocap": "mocap poses"}
-"""Ends of the names of weights in Table S1, and what they were trained on."""
+# Pose source of bodies that were estimated from what the wearer's glasses saw.
 _ESTIMATED = "egoallo"
-"""Pose source of bodies that were estimated from what the wearer's glasses saw."""
 
 
 def methods_table(board: Leaderboard, number: str, *, with_published: bool, named: bool = False) -> list[Table]:

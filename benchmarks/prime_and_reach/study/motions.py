@@ -34,8 +34,8 @@ _ARROW = 0.45  # metres
 _MARGIN = 0.45  # metres
 _GOAL = "tab:cyan"
 _GAZE = "tab:green"
+# Columns of Figure 5.
 MOMENTS = ("first frame", "prime", "reach")
-"""Columns of Figure 5."""
 
 
 def draw_examples(scenes: Sequence[Scene], path: Path, *, title: str, columns: int = 2, dpi: int = 110) -> None:

@@ -32,15 +32,18 @@ _PRINTED_DISTANCES = (0.1, 0.25, 0.5, 1.0)  # metres, columns of the printed tab
 
 @dataclass(frozen=True)
 class Sweep:
-    """Prime Success of one run over both limits."""
+    """Prime Success of one run over both limits.
+
+    Attributes:
+        windows: σ, seconds.
+        distances: δ, metres.
+        rates: From 0 to 1, mean over sequences (of the mean over samples).
+    """
 
     run: GenuineRun
     windows: tuple[float, ...]
-    """σ, seconds."""
     distances: tuple[float, ...]
-    """δ, metres."""
     rates: Float[np.ndarray, "windows distances"]
-    """From 0 to 1, mean over sequences (of the mean over samples)."""
     sequences: int
 
 

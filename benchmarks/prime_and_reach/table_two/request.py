@@ -28,45 +28,54 @@ from prbench.protocol.own_protocol import read_protocol
 from prbench.protocol.published import DATASETS
 from prbench.sequences import SequenceTable
 
+# Sequences of each dataset where nothing is said: all rows on five datasets take half an hour on two cores.
 LIMIT = 5
-"""Sequences of each dataset where nothing is said: all rows on five datasets take half an hour on two cores."""
+# Controls that always stand beside the rows.
 CONTROLS = (GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED)
-"""Controls that always stand beside the rows."""
+# Controls that stand there if asked for: what the metrics give a body that cheats, and a training motion.
 MORE_CONTROLS = (*CHEATS, NEAREST_NEIGHBOUR)
-"""Controls that stand there if asked for: what the metrics give a body that cheats, and a training motion."""
 GOALS = (Condition.GOAL_POSE, Condition.GOAL_LOCATION)
 
 
 class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Rows under one condition."""
+    """Rows under one condition.
+
+    Attributes:
+        title: Title as printed.
+    """
 
     condition: Condition
     title: str
-    """Title as printed."""
 
 
 class RowWeights(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The weights of a row in the study."""
+    """The weights of a row in the study.
+
+    Attributes:
+        state: Pre-trained ones were never shown a prime-and-reach sequence: zero-shot.
+        trained_on: ``all`` training sequences, or the corpus.
+        variant: The row's variant in the published tables in long form.
+    """
 
     state: Literal["none", "pretrained", "finetuned"]
-    """Pre-trained ones were never shown a prime-and-reach sequence: zero-shot."""
     trained_on: str
-    """``all`` training sequences, or the corpus."""
     variant: str
-    """The row's variant in the published tables in long form."""
 
 
 class StudyRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One printed row."""
+    """One printed row.
+
+    Attributes:
+        label: Label as printed.
+        weights: Key in :attr:`TableTwo.weights`, and the name under which a user's own are found.
+        bundled: Name of the weights that come with prbench for it; empty if there are none, or the method needs none.
+    """
 
     label: str
-    """Label as printed."""
     method: str
     weights: str
-    """Key in :attr:`TableTwo.weights`, and the name under which a user's own are found."""
     condition: Condition
     bundled: str = ""
-    """Name of the weights that come with prbench for it; empty if there are none, or the method needs none."""
 
     @property
     def name(self) -> str:
@@ -124,35 +133,38 @@ class TableRequest:
 
     Raises:
         UsageError: if parts of it do not fit together.
+
+    Attributes:
+        data: Dataset folders.
+        method: The method; None for all.
+        condition: The condition; None for all.
+        weights: Folder with weights by the names of ``table_2.toml``; those that come with prbench take the place of
+            others.
+        options: Maps ``method.key`` to a value; a table of one method takes plain keys too.
+        limit: Sequences of each dataset.
+        batch_size: Sequences of a batch.
+        protocol: The user's own protocol; None for prbench's.
+        shuffled_goal: True if every goal row stands there with other sequences' goals, too.
+        more_controls: True if :data:`MORE_CONTROLS` stand beside the rows, too.
+        out: Folder of the table; by default one under ``runs`` whose name says what was asked.
     """
 
     data: tuple[Path, ...]
-    """Dataset folders."""
     method: str | None = None
-    """The method; None for all."""
     condition: Condition | None = None
-    """The condition; None for all."""
     weights: Path | None = None
-    """Folder with weights by the names of ``table_2.toml``; those that come with prbench take the place of others."""
     options: Mapping[str, str] = field(default_factory=dict)
-    """Maps ``method.key`` to a value; a table of one method takes plain keys too."""
     split: str = "test"
     limit: int = LIMIT
-    """Sequences of each dataset."""
     seed: int = 0
     samples: int = 1
     batch_size: int = DEFAULT_BATCH_SIZE
-    """Sequences of a batch."""
     device: str = "cpu"
     threads: int = 1
     protocol: Path | None = None
-    """The user's own protocol; None for prbench's."""
     shuffled_goal: bool = False
-    """True if every goal row stands there with other sequences' goals, too."""
     more_controls: bool = False
-    """True if :data:`MORE_CONTROLS` stand beside the rows, too."""
     out: Path | None = None
-    """Folder of the table; by default one under ``runs`` whose name says what was asked."""
 
     def __post_init__(self) -> None:
         if not self.data:
@@ -255,15 +267,18 @@ def study_place(dataset: str) -> tuple[int, str]:
 
 @dataclass(frozen=True)
 class PlannedRow:
-    """One line of the table."""
+    """One line of the table.
+
+    Attributes:
+        name: Unique; the name of its run folder.
+        label: Label as printed.
+        skipped: The reason why it is not run; None for a row that is.
+    """
 
     name: str
-    """Unique; the name of its run folder."""
     label: str
-    """Label as printed."""
     run: RunRequest
     skipped: str | None = None
-    """The reason why it is not run; None for a row that is."""
 
     @property
     def condition(self) -> Condition:

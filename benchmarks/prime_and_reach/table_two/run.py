@@ -37,13 +37,16 @@ JSON = "table_2.json"
 
 @dataclass(frozen=True)
 class TableReport:
-    """A table that is through."""
+    """A table that is through.
+
+    Attributes:
+        tables: A part for each dataset; a table of notes alone where no row has numbers.
+        failed: Maps rows that were to be run and have no numbers to the reason.
+    """
 
     folder: Path
     tables: list[Table]
-    """A part for each dataset; a table of notes alone where no row has numbers."""
     failed: dict[str, str]
-    """Maps rows that were to be run and have no numbers to the reason."""
 
 
 def run_table(
