@@ -1,9 +1,10 @@
-"""Releases as somebody else would write them: with any known names, from the same sequences."""
+"""Releases as somebody else would write them, from the same sequences, and what an import makes of one."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,11 @@ from typing import Any
 import numpy as np
 
 from prbench.geometry.skeleton import transform_points
+from prbench.release.importing import import_release
+from prbench.release.reading import ImportOptions
+from prbench.release.report import ImportReport
 from prbench.sequences import Sequence as Row
+from prbench.sequences import SequenceTable
 from tests.release.tables import looking_sequence
 
 NAMES = {
@@ -35,48 +40,52 @@ def rows(n: int = 12, dataset: str = "synthetic-adt") -> list[Row]:
     return [looking_sequence(index, dataset) for index in range(n)]
 
 
-def plain_entry(row: Row, style: Style) -> dict[str, Any]:
-    """What the layout promises of one sequence, and action."""
-    names = style.names
-    split = "test" if row.split == "validation" else row.split
-    entry = {
-        names["goal"]: style.goal(row.goal_location.tolist()),
-        names["text"]: row.text,
-        names["subset"]: style.subset(split),
-        names["primed_frame"]: row.prime_frame,
-    }
-    if "action" in names:
-        entry[names["action"]] = row.action
-    return entry
+ROWS = rows(6)
 
 
 def write_release(
     folder: Path,
-    sequences: Sequence[Row],
+    sequences: Sequence[Row] = ROWS,
     style: Style | None = None,
     *,
-    entry: Callable[[Row, Style], dict[str, Any]] = plain_entry,
+    fields: Mapping[str, Any] | Callable[[Row], Mapping[str, Any]] | None = None,
     motion: Callable[[Row], np.ndarray] = lambda row: row.joints,
     gaze: Callable[[Row], np.ndarray] = lambda row: np.where(row.gaze_valid[:, None], row.gaze_direction, np.nan),
 ) -> Path:
-    """Write one dataset's folder."""
+    """Write one dataset's folder: what the layout promises of each sequence, its action, and further ``fields``.
+
+    A further field of None leaves the field out.
+    """
     style = style or Style()
     (folder / "motions").mkdir(parents=True)
     (folder / "gazes").mkdir()
-    keyed = []
+    content = {}
     for index, row in enumerate(sequences):
         np.save(folder / "motions" / f"{index:010d}.npy", motion(row).astype(np.float32))
         np.save(folder / "gazes" / f"{index:010d}.npy", gaze(row).astype(np.float32))
-        keyed.append((style.key(index), entry(row, style)))
-    content = dict(keyed)
+        values = {
+            "goal": style.goal(row.goal_location.tolist()),
+            "text": row.text,
+            "subset": style.subset("test" if row.split == "validation" else row.split),
+            "primed_frame": row.prime_frame,
+            "action": row.action,
+        }
+        entry = {name: values[canonical] for canonical, name in style.names.items()}
+        entry |= (fields(row) if callable(fields) else fields) or {}
+        content[style.key(index)] = {name: value for name, value in entry.items() if value is not None}
     (folder / "target_information.json").write_text(json.dumps(content), encoding="utf-8")
     return folder
 
 
+def change_targets(release: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    """Change the content of ``target_information.json``."""
+    path = release / "target_information.json"
+    entries = json.loads(path.read_text("utf-8"))
+    path.write_text(json.dumps(change(entries) or entries), encoding="utf-8")
+
+
 def in_world(row: Row) -> Row:
     """Motion, goal and gaze of a sequence in the world of its recording."""
-    import dataclasses
-
     turn = row.world_from_canonical.copy()
     turn[:3, 3] = 0.0
     return dataclasses.replace(
@@ -85,3 +94,30 @@ def in_world(row: Row) -> Row:
         goal_location=transform_points(row.world_from_canonical, row.goal_location),
         gaze_direction=transform_points(turn, row.gaze_direction),
     )
+
+
+def imported(
+    folder: Path,
+    sequences: Sequence[Row] = ROWS,
+    style: Style | None = None,
+    *,
+    spoil: Callable[[Path], object] = lambda release: None,
+    options: ImportOptions | None = None,
+    **kinds: Any,
+) -> ImportReport:
+    """Write a release into a folder, damage it, import it as ``table`` beside it, and return the report."""
+    release = write_release(folder / "release", sequences, style, **kinds)
+    spoil(release)
+    result = import_release(release, folder / "table", dataset="synthetic-adt", options=options or ImportOptions())
+    return result.tables[0]
+
+
+def table_of(folder: Path) -> SequenceTable:
+    """Open what :func:`imported` made."""
+    return SequenceTable.open(folder / "table")
+
+
+def value(report: ImportReport, name: str) -> tuple[str, str]:
+    """Return what was inferred, and how surely."""
+    found = next(each for each in report.inferred if each.name == name)
+    return found.value, found.how_surely
