@@ -15,7 +15,7 @@ from prbench_benchmarks.prime_and_reach.study.methods import (
     published_variant,
     why_not_beside,
 )
-from tests.board.test_tables import as_stored, by_means, write_run
+from tests.board.runs import as_stored, by_means, write_run
 
 REAL = {"synthetic": False, "title": "Aria Digital Twin"}
 
@@ -25,7 +25,7 @@ def write_real(folder, method="pr", *, dataset="adt", condition="goal-loc", weig
     write_run(
         folder,
         method,
-        kind="built-in",
+        about={"kind": "built-in", "weights": weights},
         datasets=(dataset,),
         sequences=more.pop("sequences", load_table_one()[dataset].test),
         record={"condition": condition, **more.pop("record", {})},
@@ -33,9 +33,6 @@ def write_real(folder, method="pr", *, dataset="adt", condition="goal-loc", weig
         summary={**REAL, "condition": condition, **more.pop("summary", {})},
         **more,
     )
-    record = json.loads((folder / "run.json").read_text())
-    record["method"]["weights"] = weights
-    (folder / "run.json").write_text(json.dumps(record))
     return folder
 
 

@@ -21,7 +21,7 @@ from prbench_benchmarks.prime_and_reach.study.sizes import table_one, table_s2
 from prbench_benchmarks.text_to_motion.metrics import Repeated
 from prbench_benchmarks.text_to_motion.report import ResultRow, TextEvaluation, table_s8
 from tests.benchmarks.prime_and_reach.study.test_beside import board_of, write_real
-from tests.board.test_tables import metrics, write_run
+from tests.board.runs import metrics, write_run
 from tests.fakes import fake_dataset
 from tests.tables.test_tables import require_whole_latex
 
@@ -85,7 +85,7 @@ def test_runs_stand_in_the_study_s_places_and_others_beside(tmp_path):
     write_real(tmp_path / "a", "pr")
     write_real(tmp_path / "b", "dno", weights="dno-pretrained")
     write_run(
-        tmp_path / "c", "ground-truth", kind="control", datasets=("adt",), sequences=85,
+        tmp_path / "c", "ground-truth", about={"kind": "control"}, datasets=("adt",), sequences=85,
         table={"synthetic": False}, summary={"synthetic": False, "title": "Aria Digital Twin"},
     )  # fmt: skip
     (table,) = methods_table(board_of(tmp_path), "2", with_published=True)
@@ -101,9 +101,11 @@ def test_runs_stand_in_the_study_s_places_and_others_beside(tmp_path):
 @pytest.mark.parametrize("suffix", [".md", ".tex", ".csv"])
 def test_every_format_says_what_cannot_be_decided_and_what_could_be_found(suffix, tmp_path):
     known = tuple(msgspec.structs.replace(entry, detectable=0.27) for entry in metrics())
-    write_run(tmp_path / "a", "pr", kind="built-in", record={"condition": "goal-loc"}, summary={"metrics": known})
+    write_run(
+        tmp_path / "a", "pr", about={"kind": "built-in"}, record={"condition": "goal-loc"}, summary={"metrics": known}
+    )
     other = {"datasets": ("synthetic-gimo",), "summary": {"recordings": 3}}
-    write_run(tmp_path / "b", "pr", kind="built-in", record={"condition": "goal-loc"}, **other)
+    write_run(tmp_path / "b", "pr", about={"kind": "built-in"}, record={"condition": "goal-loc"}, **other)
     text = FORMATS[suffix](methods_table(board_of(tmp_path), "2", with_published=False))
     if suffix == ".csv":
         rows = list(csv.DictReader(io.StringIO(text)))
@@ -114,7 +116,7 @@ def test_every_format_says_what_cannot_be_decided_and_what_could_be_found(suffix
 
 
 def test_a_synthetic_table_has_no_difference_and_says_so(tmp_path):
-    write_run(tmp_path / "a", "pr", kind="built-in", record={"condition": "goal-loc"})
+    write_run(tmp_path / "a", "pr", about={"kind": "built-in"}, record={"condition": "goal-loc"})
     (table,) = methods_table(board_of(tmp_path), "2", with_published=True)
     titles = [each.title for each in table.blocks]
     assert not any(title.startswith("Measured minus") for title in titles)

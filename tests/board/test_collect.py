@@ -1,19 +1,35 @@
-"""Cost columns of a leaderboard: measured, declared, counted, or a dash."""
+"""Run folders are found and read; cost is measured, declared, counted, or a dash."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from types import SimpleNamespace
 
+import pytest
 import torch
 
-from prbench.board import export
+from prbench.board import collect_runs, export
+from prbench.errors import RunError
 from prbench.harness.methods.loading import count_parameters
 from prbench.harness.run_folder.cost import RunCost, total_cost
 from prbench.harness.run_folder.record import FILE
-from tests.board.test_tables import cells, leaderboard, only, write_run
+from tests.board.runs import by_method, cells, csv_rows, leaderboard, write_run
+
+
+def test_a_run_that_is_not_finished_is_named_and_left_out(tmp_path):
+    write_run(tmp_path / "a", "one")
+    (write_run(tmp_path / "b", "two") / "synthetic-adt/summary.json").unlink()
+    board = leaderboard(tmp_path)
+    assert list(by_method(board)) == ["one"]
+    assert board.notes == ("Left out: b: not finished on synthetic-adt; run it again, it resumes.",)
+    assert "not finished" in export(board, "md")
+
+
+def test_a_folder_without_runs_is_an_error(tmp_path):
+    with pytest.raises(RunError, match=r"expected a run folder .* found none"):
+        collect_runs([tmp_path])
+    with pytest.raises(RunError, match=r"gone"):
+        collect_runs([tmp_path / "gone"])
 
 
 def batch(*, warm_up: bool = False, parameters: int | None = 1_250_000) -> RunCost:
@@ -26,33 +42,30 @@ def batch(*, warm_up: bool = False, parameters: int | None = 1_250_000) -> RunCo
 def test_seconds_without_warm_up_passes_a_motion_memory_and_parameters(tmp_path):
     run = write_run(tmp_path / "a")
     total_cost([batch(warm_up=True), batch(), batch()]).write(run / "synthetic-adt/cost.json")
-    header, _, row = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
+    board = leaderboard(tmp_path)
+    header, _, row = cells(export(board, "md"))
     shown = dict(zip(header, row, strict=True))
     wanted = {"s/motion": "0.250", "Passes/motion": "100", "Memory (MiB)": "512", "Parameters": "1250000"}
     assert {name: shown[name] for name in wanted} == wanted
-    (first, *_) = csv.DictReader(io.StringIO(export(leaderboard(tmp_path), "csv")))
+    first = csv_rows(board)[0]
     assert (first["seconds_per_motion"], first["parameters"]) == ("0.25", "1250000")
-    board = json.loads(export(leaderboard(tmp_path), "json"))
-    assert board["tables"][0]["rows"][0]["cost"] == {
-        "seconds": 0.25,
-        "network_passes": 100.0,
-        "memory_mebibytes": 512.0,
-        "parameters": 1_250_000,
-    }
+    assert json.loads(export(board, "json"))["tables"][0]["rows"][0]["cost"] == {
+        "seconds": 0.25, "network_passes": 100.0, "memory_mebibytes": 512.0, "parameters": 1_250_000,
+    }  # fmt: skip
 
 
 def test_a_single_batch_is_better_than_nothing(tmp_path):
     run = write_run(tmp_path / "a")
     total_cost([batch(warm_up=True, parameters=None)]).write(run / "synthetic-adt/cost.json")
-    entry = only(only(leaderboard(tmp_path).tables).rows).entry
+    entry = by_method(leaderboard(tmp_path))["pr"].entry
     assert (entry.cost["seconds"], entry.cost["parameters"]) == (1.0, None)
 
 
 def test_files_controls_and_lost_measurements_have_dashes(tmp_path):
     write_run(tmp_path / "lost")
-    run = write_run(tmp_path / "file", "mine", kind=FILE)
+    run = write_run(tmp_path / "file", "mine", about={"kind": FILE})
     total_cost([]).write(run / "synthetic-adt/cost.json")
-    _, _, *rows = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
+    _, _, *rows = cells(export(leaderboard(tmp_path), "md"))
     assert [row[11:15] for row in rows] == [["–"] * 4] * 2
 
 
