@@ -90,3 +90,25 @@ def text_batch(n_frames: list[int], *, first_seed: int = 100) -> ConditionBatch:
         noise_seed=tuple(first_seed + i for i in range(n)),
         text=tuple(TEXTS[i % 2] for i in range(n)),
     )
+
+
+class LinearDecoder:
+    """Joints = features 0 … 65 / 10; counts its calls as passes."""
+
+    def __init__(self, counter: list[int] | None = None) -> None:
+        self._counter = [0] if counter is None else counter
+
+    @property
+    def network_passes(self) -> int:
+        return self._counter[0]
+
+    def __call__(self, noise):
+        self._counter[0] += 1
+        return noise[..., :66].unflatten(-1, (22, 3)) / 10.0
+
+    def rows(self, index):
+        return LinearDecoder(self._counter)
+
+
+def noise(batch: int, frames: int, features: int = 70, *, seed: int = 0) -> torch.Tensor:
+    return torch.randn(batch, frames, features, generator=torch.Generator().manual_seed(seed))
