@@ -1,24 +1,15 @@
-"""Training of DART: phases, windows, what each loss is zero for, and that both networks learn."""
+"""Training of DART: windows, phases, and what each loss is zero for."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
-import signal
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from prbench.cli import main
-from prbench.contract import Condition
-from prbench.errors import InputFileError, TrainingStopped, UsageError
-from prbench.files.storage import read_json
-from prbench.harness.methods.loading import load_adapter
 from prbench_adapters.dart.model import DartConfiguration, Frames
 from prbench_adapters.dart.training import (
-    DartTask,
     DartTraining,
     body_losses,
     delta_loss,
@@ -29,44 +20,23 @@ from prbench_adapters.dart.training import (
     window,
 )
 from prbench_adapters.kinematics import rest_offsets
-from prbench_adapters.training import SequenceDataset, collate
-from prbench_adapters.training.configuration import OptimisationConfiguration, TrainingConfiguration
+from prbench_adapters.training import SequenceDataset
+from prbench_adapters.training.configuration import OptimisationConfiguration
 from prbench_adapters.training.dataset import MotionBatch
-from prbench_adapters.training.loop import fit
 from prbench_adapters.training.state import TrainingState
-from prbench_adapters.training.task import TrainingData
-from prbench_adapters.training.weights import write_weights
-from tests.adapters.dart.tiny import SIZES
-from tests.adapters.diffusion.goal_batches import conditions
-from tests.fakes import fake_dataset
+from tests.adapters.trained import batch_of, build, saved, sequences
 
-MODEL = {**SIZES, "diffusion_steps": 2, "vae_share": 0.5, "primitives": 2}
 CONFIGURATION = DartConfiguration()
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("dart-training")
-    fake_dataset(folder / "table", n=24)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def data(folder: Path) -> SequenceDataset:
-    return SequenceDataset([folder / "table"], cache=folder / "cache")
+def data() -> SequenceDataset:
+    return sequences()
 
 
 @pytest.fixture(scope="module")
 def batch(data: SequenceDataset) -> MotionBatch:
-    return collate([data[index] for index in range(4)])
-
-
-def _build(data: SequenceDataset, *, initial: Path | None = None, seed: int = 0, **model: object) -> DartTraining:
-    torch.manual_seed(seed)
-    given = TrainingData(train=data, mode=data.mode, max_frames=data.max_frames, fps=data.fps)
-    module = DartTask().build({**MODEL, **model}, data=given, initial=initial, stage="finetune")
-    module.calls = 100
-    return module
+    return batch_of(data, 4)
 
 
 def _steps(module: DartTraining, batch: MotionBatch, step: int) -> set[str]:
@@ -78,12 +48,6 @@ def _steps(module: DartTraining, batch: MotionBatch, step: int) -> set[str]:
     for optimiser in state.optimisers:
         optimiser.step()
     return {name for name, parameter in module.named_parameters() if not torch.equal(parameter, before[name])}
-
-
-def _saved(module: DartTraining, path: Path) -> Path:
-    tensors, metadata = module.weights()
-    write_weights(path, tensors, metadata, {})
-    return path
 
 
 def test_windows_are_cut_out_where_they_are_asked_for(batch):
@@ -114,7 +78,7 @@ def test_starts_are_drawn_from_all_that_fit():
 
 
 def test_statistics_are_those_of_all_primitives(data):
-    module = _build(data)
+    module = build("dart", data)
     frames = [each.pack().flatten(0, 1) for each in primitives_of(data, range(len(data)), CONFIGURATION)]
     everything = torch.cat(frames).double()
     torch.testing.assert_close(module.mean, everything.mean(dim=0).float())
@@ -148,20 +112,30 @@ def test_divergence_worked_by_hand():
     assert divergence(mean, log_variance).item() == pytest.approx((4 + np.e - 2) / 4)
 
 
+def test_fine_tuning_may_keep_the_vae_with_its_latents_and_otherwise_measures_them_anew(data, batch, tmp_path):
+    before = build("dart", data, seed=1)
+    before(batch, 50)
+    path = saved(before, tmp_path / "before.safetensors")
+    after = build("dart", data, initial=path, vae_share=0.0, seed=2)
+    assert torch.equal(after.latent_std, before.latent_std)
+    assert not after.moment(0)[0]
+    assert build("dart", data, initial=path).latent_std.item() == 0
+
+
 @pytest.mark.parametrize(("progress", "expected"), [(0.0, 0), (0.49, 0), (0.5, 0), (0.625, 0.5), (0.75, 1), (0.99, 1)])
 def test_own_predictions_are_fed_back_ever_more_often(progress, expected):
     assert feedback(progress, (0.5, 0.25, 0.25)) == pytest.approx(expected)
 
 
 def test_the_learning_rate_falls_to_zero_in_each_phase(data):
-    module = _build(data)
+    module = build("dart", data)
     rates = [module.learning_rate_factor(step) for step in (0, 25, 49, 50, 75, 99)]
     assert rates == pytest.approx([1.0, 0.5, 0.02, 1.0, 0.5, 0.02])
 
 
 @pytest.mark.parametrize(("step", "trained"), [(0, "vae"), (49, "vae"), (50, "denoiser"), (99, "denoiser")])
 def test_each_phase_trains_one_network_alone(data, batch, step, trained):
-    module = _build(data)
+    module = build("dart", data)
     module(batch, step)["loss"].backward()
     for name, parameter in module.named_parameters():
         moved = parameter.grad is not None and bool(parameter.grad.abs().max() > 0)
@@ -172,7 +146,7 @@ def test_each_phase_trains_one_network_alone(data, batch, step, trained):
 
 
 def test_latents_are_measured_when_the_denoisers_turn_comes(data, batch):
-    module = _build(data)
+    module = build("dart", data)
     module(batch, 49)
     assert module.latent_std.item() == 0
     module(batch, 50)
@@ -183,115 +157,16 @@ def test_latents_are_measured_when_the_denoisers_turn_comes(data, batch):
     assert module.latent_std.item() == pytest.approx(torch.cat(latents).std().item(), rel=1e-4)
 
 
-def test_a_step_is_a_function_of_its_number(data, batch):
-    module = _build(data)
-    for step in (40, 90):
-        first, again, other = (module(batch, number)["loss"] for number in (step, step, step + 1))
-        assert torch.equal(first, again)
-        assert not torch.equal(first, other)
-
-
-def test_padding_leaves_no_trace(data, batch):
-    module = _build(data)
-    valid = ~batch.padding[..., None, None]
-    spoilt = dataclasses.replace(batch, joints=torch.where(valid, batch.joints, torch.nan))
-    for step in (0, 60):
-        assert torch.equal(module(batch, step)["loss"], module(spoilt, step)["loss"])
-
-
 def test_validation_stays_with_recorded_histories_and_the_present_phase(data, batch):
-    module = _build(data).eval()
+    module = build("dart", data).eval()
     assert module(batch, -1)["latent"].item() == 0
     module.train()(batch, 99)
     assert module.eval()(batch, -1)["latent"].item() > 0
     assert module.moment(-1)[2] == 0
 
 
-def test_both_networks_learn(data):
-    """Without the weight of 1e4 on deltas, which these made-up bodies, with bones that change, cannot meet."""
-    recorded = {"vae_stages": [1.0, 0.0, 0.0], "denoiser_stages": [1.0, 0.0, 0.0], "primitives": 1}
-    module, batch = _build(data, **recorded, denoiser_delta_weight=0.0, text_drop=0.0), collate([data[0]] * 8)
-    for first, name in ((0, "reconstruction"), (50, "latent")):
-        optimiser, seen = torch.optim.Adam(module.parameters(), lr=5e-3), []
-        for step in range(first, first + 30):
-            parts = module(batch, step)
-            optimiser.zero_grad()
-            parts["loss"].backward()
-            optimiser.step()
-            seen.append(float(parts[name]))
-        assert np.mean(seen[-5:]) < 0.85 * np.mean(seen[:5]), name
-
-
-def test_fine_tuning_keeps_statistics_and_may_keep_the_vae(data, batch, tmp_path):
-    before = _build(data, seed=1)
-    before(batch, 50)
-    before.mean += 0.25
-    path = _saved(before, tmp_path / "before.safetensors")
-    after = _build(data, initial=path, vae_share=0.0, seed=2)
-    assert torch.equal(after.mean, before.mean)
-    assert torch.equal(after.latent_std, before.latent_std)
-    assert not after.moment(0)[0]
-    assert torch.equal(after.vae.decoder_head.weight, before.vae.decoder_head.weight)
-    assert "before.safetensors" in after.origin[1]
-    assert _build(data, initial=path).latent_std.item() == 0  # measured anew, because the VAE changes
-    with pytest.raises(InputFileError, match=r"configuration\.layers: expected 3.*Add --set model\.layers=2"):
-        _build(data, initial=path, layers=3)
-
-
-@pytest.mark.parametrize(
-    ("model", "message"),
-    [
-        ({"windth": 3}, "unknown field"),
-        ({"vae_share": 1.0}, "vae_share"),
-        ({"vae_share": 0.0}, r"vae_share: 0 keeps the VAE of initial weights"),
-        ({"vae_stages": [0.5, 0.5, 0.5]}, "vae_stages"),
-        ({"windows": 0}, "windows"),
-        ({"text_dimension": 65}, r"text_dimension: .* vectors of 64 numbers"),
-        ({"fps": 30.0}, "expects 30, found 20"),
-        ({"future_frames": 300}, "a motion primitive takes 302 frames"),
-    ],
-)
-def test_what_does_not_fit_is_refused(model, message, data):
-    with pytest.raises(UsageError, match=message):
-        _build(data, **model)
-
-
-@pytest.mark.parametrize("stopped_after", [2, 4])
-def test_a_stopped_training_goes_on_to_the_same_bits_in_either_phase(data, tmp_path, monkeypatch, stopped_after):
-    settings = OptimisationConfiguration(steps=6, learning_rate=1e-3, ema=0.9, save_every=9, log_every=1)
-    configuration = TrainingConfiguration(model={}, training=settings)
-
-    def trained(out: Path, stop: int | None = None) -> bytes:
-        def batches(start: int):
-            for step in range(start, 6):
-                if step + 1 == stop:
-                    signal.raise_signal(signal.SIGTERM)
-                yield collate([data[step], data[step + 1]])
-
-        fit(_build(data), batches, configuration, out)
-        return (out / "weights.safetensors").read_bytes()
-
-    with pytest.raises(TrainingStopped):
-        trained(tmp_path / "stopped", stopped_after)
-    assert trained(tmp_path / "stopped") == trained(tmp_path / "whole")
-
-
-def test_the_smoke_configuration_trains_and_its_weights_generate(folder, tmp_path, monkeypatch):
-    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
-    command = ["train", "--method", "dart", "--config", "smoke", "--data", str(folder / "table")]
-    assert main([*command, "--out", str(tmp_path / "out")]) == 0
-    card = read_json(tmp_path / "out" / "weights.json")
-    assert (card["method"], card["finished"], card["steps"]) == ("dart", True, 6)
-    rows = card["learning_curve"]
-    assert [row["latent"] > 0 for row in rows] == [False] * 3 + [True] * 3
-    assert json.dumps(card["learned_from"]).count("hashed-ngrams") == 1
-    adapter = load_adapter("dart", tmp_path / "out", {"iterations": "1"}, "cpu")
-    batch = conditions(Condition.GOAL_POSE, 1, frames=(12,))
-    assert np.isfinite(adapter.generate(batch, seed=0).joints).all()
-
-
 def test_muon_moves_the_layers_of_the_network_whose_turn_it_is(data, batch):
-    module = _build(data)
+    module = build("dart", data)
     named = {id(parameter): name for name, parameter in module.named_parameters()}
     matrices = {named[id(matrix)] for matrix in module.hidden_matrices()}
     assert any(name.startswith("vae.") for name in matrices)
