@@ -30,7 +30,7 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     """GazeMoDiff, HumanMAC and what lies between them.
 
     The defaults are those of GazeMoDiff's public program with the decisions of
-    docs/specification/prediction-networks.md#decisions.
+    docs/specification/gazemodiff.md#where-paper-and-code-differ.
 
     Raises:
         ValueError: for sizes that do not fit together.
