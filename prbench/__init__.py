@@ -43,6 +43,7 @@ __all__ = [
     "compare",
     "embedded_tables",
     "measure",
+    "measure_futures",
     "open_run",
     "open_table",
     "run",

@@ -23,6 +23,7 @@ from prbench.api import build_dataset as build_dataset
 from prbench.api import compare as compare
 from prbench.api import embedded_tables as embedded_tables
 from prbench.api import measure as measure
+from prbench.api import measure_futures as measure_futures
 from prbench.api import open_run as open_run
 from prbench.api import open_table as open_table
 from prbench.api import run as run

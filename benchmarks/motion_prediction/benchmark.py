@@ -9,6 +9,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from prbench.errors import UsageError
 from prbench.harness.benchmark import Benchmark
 from prbench.harness.methods.loading import MethodSpec
@@ -22,6 +24,7 @@ from prbench_benchmarks.motion_prediction.metric_infos import prediction_metrics
 from prbench_benchmarks.motion_prediction.predictors import TrainingWindows
 from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol, load_prediction_protocol
 from prbench_benchmarks.motion_prediction.remote import RemotePredictor, serve_futures
+from prbench_benchmarks.motion_prediction.scoring import score_window
 from prbench_benchmarks.motion_prediction.table import FILE_NAME, WindowsTable
 from prbench_benchmarks.motion_prediction.work import FutureWork
 
@@ -139,6 +142,10 @@ class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
         from prbench_benchmarks.motion_prediction import offline
 
         return offline
+
+    def measure(self, predicted: np.ndarray, recorded: np.ndarray, **given: Any) -> dict[str, float]:
+        """See the base class, and :func:`prbench_benchmarks.motion_prediction.scoring.score_window`."""
+        return score_window(predicted, recorded, **given)
 
     def view(self, request: Any) -> FuturesReport:
         """See the base class."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.fft import dct, idct
@@ -16,7 +17,7 @@ from scipy.fft import dct, idct
 from prbench.errors import UsageError
 from prbench_benchmarks.motion_prediction import metrics
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, Predictor, ask
-from prbench_benchmarks.motion_prediction.joint_sets import JointSet, invert_each, transform_each
+from prbench_benchmarks.motion_prediction.joint_sets import JOINT_SETS, JointSet, invert_each, transform_each
 from prbench_benchmarks.motion_prediction.protocol import EvaluationRules, FrameName, load_prediction_protocol
 from prbench_benchmarks.motion_prediction.table import Truth, WindowsTable
 
@@ -223,6 +224,63 @@ def score_batch(
         for name, value in values.items():
             columns.setdefault(name, np.full(len(batch), np.nan))[rows] = value
     return columns
+
+
+def score_window(
+    predicted: Float[np.ndarray, "samples frames joints 3"],
+    recorded: Float[np.ndarray, "frames joints 3"],
+    *,
+    last_observed: Float[np.ndarray, "joints 3"] | None = None,
+    goal: Float[np.ndarray, "3"] | None = None,
+    fps: float | None = None,
+    similar_futures: Float[np.ndarray, "others frames joints 3"] | None = None,
+) -> dict[str, float]:
+    """Score the futures of one window with :func:`score_batch`, as far as the arguments allow; metres, one frame.
+
+    Args:
+        predicted: The futures.
+        recorded: What happened.
+        last_observed: The last observed pose, for the jump of the first frame and the lengths of bones.
+        goal: Where the hand is in the last frame.
+        fps: Frames a second, for the horizons.
+        similar_futures: Futures of other windows with a similar past, for MMADE and MMFDE; the own one is added.
+
+    Raises:
+        UsageError: if no joint set has as many joints.
+    """
+    n_joints = recorded.shape[1]
+    known = {len(each.names): each for each in JOINT_SETS.values()}
+    if n_joints not in known:
+        sets = ", ".join(f"{n} ({each.name})" for n, each in sorted(known.items()))
+        raise UsageError(f"recorded: expected {sets} joints, found {n_joints}.")
+    joints = known[n_joints]
+    rules = load_prediction_protocol().evaluation
+    batch = ObservedBatch(
+        condition=Condition.POSE,
+        fps=np.inf if fps is None else fps,
+        n_future=len(recorded),
+        joint_names=joints.names,
+        observed_joints=(recorded[0] if last_observed is None else last_observed)[None, None],
+        key=(0,),
+    )
+    truth = Truth(
+        **dict.fromkeys(("window_ids", "recording_ids", "participant_ids", "segments", "anchors"), ("",)),
+        n_scored=np.array([len(recorded)]),
+        joints=recorded[None],
+        goal=np.full((1, 3), np.nan) if goal is None else goal[None],
+        room_from_batch=np.eye(4)[None],
+    )
+    if fps is None:
+        rules = msgspec.structs.replace(rules, horizons=())
+    columns = score_batch(batch, Futures(joints=predicted[None]), truth, joints, rules)
+    scores = {name: float(values[0]) for name, values in columns.items() if np.isfinite(values[0])}
+    if last_observed is None:
+        del scores["first_frame_jump"], scores["bone_error_percent"]
+    if similar_futures is not None:
+        futures = np.concatenate([recorded[None], similar_futures])
+        scores["mmade"], scores["mmfde"] = metrics.multimodal_displacements(predicted, futures)
+        scores["similar_pasts"] = float(len(futures))
+    return scores
 
 
 def _at_goal(

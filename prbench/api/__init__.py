@@ -5,7 +5,7 @@ list. Whatever a user can repair is raised as :class:`PrbenchError`, with the sa
 """
 
 from prbench.api.building import Build, SyntheticRecordings, build_dataset, synthesize
-from prbench.api.measuring import Measures, measure
+from prbench.api.measuring import Measures, measure, measure_futures
 from prbench.api.pictures import Picture, Replay
 from prbench.api.runs import Run, open_run, run
 from prbench.api.scoring import Comparison, Scores, compare, score
@@ -53,6 +53,7 @@ __all__ = [
     "compare",
     "embedded_tables",
     "measure",
+    "measure_futures",
     "open_run",
     "open_table",
     "run",

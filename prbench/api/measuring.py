@@ -15,8 +15,17 @@ from jaxtyping import Float
 from prbench.api.pictures import frozen
 from prbench.errors import UsageError, did_you_mean
 from prbench.geometry.skeleton import N_JOINTS
-from prbench.harness.methods.motions import coordinate_problem
-from prbench.metrics import METRICS_OF_MOTIONS, STUDY_METRICS, UNKNOWN_HAND, MotionBatch, ScoringTargets, printed_unit
+from prbench.harness.benchmark import load_benchmark
+from prbench.harness.methods.motions import coordinate_problem, spread_poses, wrong_unit
+from prbench.metrics import (
+    METRICS_OF_MOTIONS,
+    STUDY_METRICS,
+    UNKNOWN_HAND,
+    MetricInfo,
+    MotionBatch,
+    ScoringTargets,
+    printed_unit,
+)
 from prbench.metrics import score as score_metrics
 from prbench.protocol.manifests import load_protocol
 from prbench.shown import html
@@ -56,6 +65,7 @@ class Measures(Mapping[str, Any]):
     left_out: dict[str, str]
     flags: dict[str, list[str | None]] = field(default_factory=dict)
     _one: bool = False
+    _infos: tuple[MetricInfo, ...] = METRICS_OF_MOTIONS  # what text shows of them
 
     def __getitem__(self, metric: str) -> Any:
         if metric in self.left_out:
@@ -86,13 +96,12 @@ class Measures(Mapping[str, Any]):
         return "<br>".join(html(line) for line in self._lines())
 
     def _lines(self) -> list[str]:
-        infos = {info.id: info for info in METRICS_OF_MOTIONS}
         over = "" if self._one else "mean "
-        lines = []
-        for metric, mean in self.mean().items():
-            info = infos[metric]
-            lines.append(f"{info.title}: {over}{mean * info.scale:.4g}{printed_unit(info.unit)}")
-        return lines + [f"{infos[metric].title} left out: {why}" for metric, why in self.left_out.items()]
+        means = self.mean()
+        shown = [info for info in self._infos if info.id in means]
+        lines = [f"{info.title}: {over}{means[info.id] * info.scale:.4g}{printed_unit(info.unit)}" for info in shown]
+        left_out = [info for info in self._infos if info.id in self.left_out]
+        return lines + [f"{info.title} left out: {self.left_out[info.id]}" for info in left_out]
 
 
 def measure(
@@ -241,6 +250,98 @@ def measure(
         raise UsageError(f"measure: {error}.") from error
     flags = {metric: found.flag for metric, found in values.items() if any(found.flag)}
     return Measures({metric: frozen(found.value) for metric, found in values.items()}, left_out, flags, one)
+
+
+def measure_futures(
+    predicted: ArrayLike,
+    recorded: ArrayLike,
+    *,
+    last_observed: ArrayLike | None = None,
+    goal: ArrayLike | None = None,
+    fps: float | None = None,
+    similar_futures: ArrayLike | None = None,
+) -> Measures:
+    """Score K predicted futures of one window of the benchmark motion-prediction.
+
+    The arithmetic is that of ``prbench run`` and of :func:`prbench.score`: one function of the benchmark scores the
+    windows of all of them (docs/specification/motion-prediction.md#metrics). A metric whose arguments are not given is
+    left out and named in :attr:`Measures.left_out`.
+
+    All positions are in metres and in one frame. The joints are the 22 of :class:`prbench.Joint`, MoGaze's 21, or
+    GIMO's 23 (docs/specification/motion-prediction.md#joint-sets).
+
+    Args:
+        predicted: Positions (k, frames, joints, 3) of the K futures, without the observed frames.
+        recorded: Positions (frames, joints, 3) of what happened in the same frames.
+        last_observed: The last observed pose (joints, 3). ``first_frame_jump`` and ``bone_error_percent`` need it.
+        goal: Where the hand is in the last frame, (3,). ``wrist_to_goal`` and ``pelvis_at_event`` need it.
+        fps: Frames per second. The errors at horizons, such as ``ade@0.5s``, need it.
+        similar_futures: Futures (m, frames, joints, 3) of other windows with a similar past, in the same frame.
+            ``mmade`` and ``mmfde`` need them; the recorded future is added to them.
+
+    Returns:
+        A number for each metric by its id: ``ade``, ``fde``, ``apd`` and the others that a run on the window scores.
+
+    Raises:
+        UsageError: if a shape does not fit, a coordinate is not finite, or bodies look like another unit than metres.
+
+    Examples:
+        One future stands 10 cm aside in all frames, another one is right until the last frame:
+
+        >>> import numpy as np
+        >>> import prbench
+        >>> recorded = np.zeros((60, 22, 3))
+        >>> predicted = np.zeros((2, 60, 22, 3))
+        >>> predicted[0, :, :, 0] = 0.1
+        >>> predicted[1, -1, :, 1] = 0.3
+        >>> measures = prbench.measure_futures(predicted, recorded)
+        >>> round(measures["ade"], 4), round(measures["fde"], 4), round(measures["mpjpe"], 4)
+        (0.0235, 0.469, 0.005)
+        >>> measures.left_out["mmade"]
+        'needs similar_futures'
+    """
+    futures = _array("predicted", predicted)
+    happened = _array("recorded", recorded)
+    if happened.ndim != 3 or happened.shape[2] != 3 or not len(happened):
+        raise UsageError(f"recorded: expected (frames, joints, 3), found the shape {happened.shape}.")
+    if futures.ndim != 4 or futures.shape[1:] != happened.shape or not len(futures):
+        raise UsageError(
+            f"predicted: expected (k, {', '.join(map(str, happened.shape))}), k futures of the recorded frames, found"
+            f" the shape {futures.shape}."
+        )
+    given = {
+        "last_observed": None if last_observed is None else _array("last_observed", last_observed),
+        "goal": None if goal is None else _array("goal", goal),
+        "similar_futures": None if similar_futures is None else _array("similar_futures", similar_futures),
+    }
+    for name, shape in (("last_observed", happened.shape[1:]), ("goal", (3,)), ("similar_futures", happened.shape)):
+        array = given[name]
+        several = name == "similar_futures"  # any number of them
+        if array is not None and (array.ndim != len(shape) + several or array.shape[several:] != shape):
+            words = ", ".join(map(str, ("m", *shape) if several else shape))
+            raise UsageError(f"{name}: expected the shape ({words}), found {array.shape}.")
+    if fps is not None and not 0 < fps < np.inf:
+        raise UsageError(f"fps: expected frames per second above 0, found {fps}.")
+    poses = {"predicted": futures, "recorded": happened, **given}
+    for name, array in poses.items():
+        if array is None or not array.size:
+            continue
+        if not np.isfinite(array).all():
+            place = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+            raise UsageError(f"{name}{list(place)}: expected finite positions, found {array[place]}.")
+        unit = None if name == "goal" else wrong_unit(spread_poses(array.reshape(-1, *happened.shape[1:])))
+        # A network that has learnt little may answer with bodies of any size; what is 50 times as large is a unit.
+        if unit is not None and (name != "predicted" or unit.metres_per_unit < 0.02):
+            raise UsageError(f"{name}: {unit.evidence}: {unit.cause}. {unit.remedy}")
+    benchmark = load_benchmark("motion-prediction")
+    scores = benchmark.measure(futures, happened, fps=fps, **given)
+    needs = {"last_observed": ("first_frame_jump", "bone_error_percent"), "fps": ()}
+    needs |= {"goal": ("wrist_to_goal", "pelvis_at_event"), "similar_futures": ("mmade", "mmfde")}
+    if fps is None:
+        needs["fps"] = tuple(info.id for info in benchmark.metrics if info.id.endswith("s") and "@" in info.id)
+    left_out = {id: f"needs {name}" for name, ids in needs.items() for id in ids if id not in scores}
+    values = {info.id: frozen(np.array([scores[info.id]])) for info in benchmark.metrics if info.id in scores}
+    return Measures(values, left_out, {}, True, benchmark.main_metrics)
 
 
 def _motions(name: str, value: Any, n_frames: Any) -> tuple[list[Float[np.ndarray, "_ 22 3"]], bool]:

@@ -229,6 +229,10 @@ class Benchmark(ABC, Generic[Table, Chosen]):
         """Return the module that writes what a method may see and scores what was made elsewhere."""
         raise NotImplementedError(self.name)
 
+    def measure(self, predicted: np.ndarray, recorded: np.ndarray, **given: Any) -> dict[str, float]:
+        """Return the scores of one answer that is given as arrays, as a run computes them."""
+        raise NotImplementedError(self.name)
+
     def view(self, request: Any) -> Any:
         """Draw what methods answered; request and report are those of :func:`prbench.viewing.view.view`."""
         raise NotImplementedError(self.name)
