@@ -60,6 +60,14 @@ def some_sources(n: int = 5, seconds: float = 0.0) -> list[SceneSource]:
     return [SceneSource(f"room_{index}", version=index, seconds=seconds) for index in range(n)]
 
 
+def short_of_memory(folder: Path, times: int) -> list[SceneSource]:
+    """Two recordings; for one the memory will not suffice so many times."""
+    folder.mkdir()
+    for index in range(times):
+        (folder / str(index)).touch()
+    return [some_sources(1)[0], replace(some_sources(2)[1], short=folder)]
+
+
 def folder_bytes(folder: Path) -> dict[str, bytes]:
     """Every file below a folder."""
     return {

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import errno
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from prbench.curation import BuildOptions, CurationOptions, build_from_sources, funnel_rows
+from prbench.curation import BuildOptions, CurationOptions, build_dataset, build_from_sources, funnel_rows, plan_build
+from prbench.curation.build import build_all, found_datasets
 from prbench.curation.job import chosen_ids, funnel_counts
-from prbench.engine import InProcess, ProcessPool
 from prbench.errors import InputFileError, MemoryFullError, PrbenchError, StorageError, UsageError
+from prbench.files.storage import read_json
 from prbench.sequences import SequenceTable
-from tests.curation.sources import SceneSource, folder_bytes, some_sources
+from prbench.synthetic.write_tree import synthesize_tree
+from tests.curation.sources import SceneSource, folder_bytes, short_of_memory, some_sources
+from tests.fakes import fake_dataset
 
 
 def test_a_build_holds_all_sequences_in_order_and_leaves_nothing_beside_it(tmp_path: Path) -> None:
@@ -94,12 +98,6 @@ def test_a_folder_that_is_no_dataset_is_refused_before_any_work(tmp_path: Path) 
     assert (tmp_path / "thesis.tex").exists()
 
 
-def test_an_earlier_dataset_is_replaced(tmp_path: Path) -> None:
-    build_from_sources(some_sources(1), tmp_path / "adt")
-    build_from_sources(some_sources(3), tmp_path / "adt")
-    assert len(SequenceTable.open(tmp_path / "adt").recordings()) == 3
-
-
 def test_synthetic_recordings_are_never_called_by_the_datasets_name(tmp_path: Path) -> None:
     sources = [replace(source, dataset="synthetic-adt", split="test") for source in some_sources(2)]
     info = build_from_sources(sources, tmp_path / "out").info
@@ -135,22 +133,6 @@ def test_an_unknown_rule_is_answered_with_the_known_ones(tmp_path: Path) -> None
         build_from_sources(some_sources(1), tmp_path / "adt", options=options)
 
 
-def short_of_memory(folder: Path, times: int) -> list[SceneSource]:
-    """Two recordings; for one the memory will not suffice so many times."""
-    folder.mkdir()
-    for index in range(times):
-        (folder / str(index)).touch()
-    return [some_sources(1)[0], replace(some_sources(2)[1], short=folder)]
-
-
-@pytest.mark.parametrize("engine", [InProcess(), ProcessPool(2)], ids=["in process", "pool"])
-def test_a_recording_for_which_the_memory_did_not_suffice_once_changes_no_byte(engine, tmp_path: Path) -> None:
-    build_from_sources(some_sources(2), tmp_path / "undisturbed")
-    build_from_sources(short_of_memory(tmp_path / "times", 1), tmp_path / "adt", engine=engine)
-    assert not list((tmp_path / "times").iterdir())
-    assert folder_bytes(tmp_path / "adt") == folder_bytes(tmp_path / "undisturbed")
-
-
 def test_one_for_which_it_does_not_suffice_alone_either_is_told_and_the_build_goes_on(tmp_path: Path) -> None:
     report = build_from_sources(short_of_memory(tmp_path / "times", 2), tmp_path / "adt")
     assert [record.status for record in report.records] == ["read", "failed"]
@@ -160,3 +142,129 @@ def test_one_for_which_it_does_not_suffice_alone_either_is_told_and_the_build_go
     options = BuildOptions(on_error="fail")
     with pytest.raises(MemoryFullError, match="room_1"):
         build_from_sources(short_of_memory(tmp_path / "again", 2), tmp_path / "other", options=options)
+
+
+@pytest.fixture
+def root(tmp_path, adt_tree) -> Path:
+    shutil.copytree(adt_tree, tmp_path / "copies" / "ADT")
+    return tmp_path / "copies"
+
+
+def test_what_is_found_is_built_under_its_name_and_equals_a_build_by_itself(root, tmp_path, adt_tree) -> None:
+    from prbench.curation import build_dataset
+
+    steps = []
+    (report,), broken = build_all(root, tmp_path / "out", progress=lambda done, total, last: steps.append(done))
+    assert (report.info.counts.recordings_failed, broken) == (0, [])
+    assert steps == [1, 2]
+    alone = build_dataset("adt", adt_tree, tmp_path / "alone")
+    assert SequenceTable.open(tmp_path / "out" / "synthetic-adt").info == alone.info
+
+
+def test_the_dry_run_names_folders_and_recordings(root) -> None:
+    (found,), _ = found_datasets(root, BuildOptions())
+    plan = plan_build(found.dataset, found.root)
+    assert (found.name, plan.root, len(plan.recordings)) == ("synthetic-adt", root / "ADT", 2)
+
+
+def test_a_recording_that_fails_is_reported_and_the_dataset_is_not_complete(root, tmp_path) -> None:
+    victim = sorted(folder for folder in (root / "ADT").iterdir() if (folder / "metadata.json").is_file())[0]
+    (victim / "scene_objects.csv").unlink()
+    (report,), _ = build_all(root, tmp_path / "out")
+    assert report.info.counts.recordings_failed == 1
+    with pytest.raises(InputFileError, match=r"scene_objects\.csv"):
+        build_all(root, tmp_path / "out2", options=BuildOptions(on_error="fail"))
+
+
+def test_two_copies_of_one_dataset_are_refused_by_their_places(root, tmp_path, adt_tree) -> None:
+    shutil.copytree(adt_tree, root / "ADT-backup")
+    with pytest.raises(UsageError, match=r"ADT and .*ADT-backup"):
+        build_all(root, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "options", [BuildOptions(reader=(("colour", "red"),)), BuildOptions(CurationOptions(in_hand="wrist"))]
+)
+def test_options_that_fit_no_dataset_are_refused_before_anything_is_built(root, tmp_path, options) -> None:
+    with pytest.raises(UsageError):
+        build_all(root, tmp_path / "out", options=options)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("native") / "tree"
+    synthesize_tree("adt", root, recordings=2, seed=8, size="tiny", n_events=4)
+    return root
+
+
+def test_a_synthetic_tree_is_named_and_split_as_its_mark_says(tree: Path, tmp_path: Path) -> None:
+    build_dataset("adt", tree, tmp_path / "table")
+    table = SequenceTable.open(tmp_path / "table")
+    assert (table.info.dataset, table.info.synthetic) == ("synthetic-adt", True)
+    splits = dict(zip(*(table.recordings()[name].to_pylist() for name in ("recording_id", "split")), strict=True))
+    mark = read_json(tree / "synthetic.json")
+    assert isinstance(mark, dict)
+    assert splits == mark["split"]
+
+
+def test_where_the_files_lie_leaves_no_trace(tree: Path, tmp_path: Path) -> None:
+    shutil.copytree(tree, tmp_path / "elsewhere" / "copy")
+    build_dataset("adt", tree, tmp_path / "one")
+    build_dataset("adt", tmp_path / "elsewhere" / "copy", tmp_path / "two")
+    assert folder_bytes(tmp_path / "one") == folder_bytes(tmp_path / "two")
+    assert str(tmp_path).encode() not in b"".join(folder_bytes(tmp_path / "one").values())
+
+
+def test_the_dry_run_counts_and_writes_nothing(tree: Path, tmp_path: Path) -> None:
+    before = sorted(tree.rglob("*"))
+    plan = plan_build("adt", tree)
+    assert len(plan.recordings) == 2
+    assert plan.input_bytes > 1e6
+    assert plan.estimated_seconds > 0
+    assert sorted(tree.rglob("*")) == before
+    assert len(plan_build("adt", tree, BuildOptions(recordings="*seq001*")).recordings) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_known_bad_and_damaged_recordings_are_named_and_the_others_built(tree: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "tree"
+    shutil.copytree(tree, copy)
+    good, other = sorted(path for path in copy.iterdir() if path.name.startswith("Apartment"))
+    other.rename(copy / "Apartment_release_clean_seq139_M1292")
+    shutil.copytree(good, copy / "Apartment_release_cut_M1292")
+    objects = copy / "Apartment_release_cut_M1292" / "scene_objects.csv"
+    objects.write_bytes(objects.read_bytes()[:-7])
+    report = build_dataset("adt", copy, tmp_path / "table")
+    problems = {item.recording_id: item for item in report.info.quarantine}
+    assert problems["Apartment_release_clean_seq139_M1292"].status == "skipped"
+    assert "IMU" in problems["Apartment_release_clean_seq139_M1292"].message
+    assert problems["Apartment_release_cut_M1292"].status == "failed"
+    assert problems["Apartment_release_cut_M1292"].message.startswith("Apartment_release_cut_M1292/scene_objects.csv")
+    assert report.info.counts.recordings_read == 1
+    assert plan_build("adt", copy).skipped == ("Apartment_release_clean_seq139_M1292",)
+
+
+def test_a_wrong_root_and_an_unknown_dataset_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputFileError, match="no such folder"):
+        build_dataset("adt", tmp_path / "nowhere", tmp_path / "table")
+    with pytest.raises(UsageError, match="adt"):
+        build_dataset("adtt", tmp_path, tmp_path / "table")
+
+
+def test_invented_recordings_without_their_mark_are_refused(tmp_path) -> None:
+    tree = synthesize_tree("adt", tmp_path / "tree", recordings=1, seed=3, n_events=2)
+    (tree.root / "synthetic.json").unlink()
+    with pytest.raises(InputFileError, match=r"synthetic\.json"):
+        build_dataset("adt", tree.root, tmp_path / "table")
+    assert not (tmp_path / "table").exists()
+
+
+def test_a_table_of_another_dataset_is_not_replaced(tmp_path) -> None:
+    tree = synthesize_tree("adt", tmp_path / "tree", recordings=1, seed=3, n_events=2)
+    fake_dataset(tmp_path / "table", n=3, dataset="synthetic-mogaze")
+    before = (tmp_path / "table" / "dataset.json").read_bytes()
+    with pytest.raises(StorageError, match="synthetic-mogaze"):
+        build_dataset("adt", tree.root, tmp_path / "table")
+    assert (tmp_path / "table" / "dataset.json").read_bytes() == before

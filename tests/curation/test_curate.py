@@ -11,12 +11,24 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.curation import CurationOptions, curate_recording
-from prbench.curation.curate import CuratedRecording, hash_fraction, split_of
+from prbench.curation.curate import CuratedRecording, hash_fraction, scene_boxes, split_of
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import Joint, transform_points
-from prbench.recording import BodyStream, Recording
+from prbench.recording import BodyStream, ObjectTrack, Recording
 from prbench.sequences.sequence import sequence_batch
-from tests.curation.scenes import DURATION, LOOK_A, LOOK_B, MANIFEST, PLACE_A, PROTOCOL, body, clock, gaze, scene
+from tests.curation.scenes import (
+    DURATION,
+    LOOK_A,
+    LOOK_B,
+    MANIFEST,
+    PLACE_A,
+    PROTOCOL,
+    UPRIGHT,
+    body,
+    clock,
+    gaze,
+    scene,
+)
 
 SLOW, FAST = clock(30), clock(120)
 
@@ -211,12 +223,16 @@ def test_splits_depend_on_the_group_alone_and_lists_win() -> None:
     splits = [split_of(name, name, MANIFEST, PROTOCOL.splits) for name in names]
     assert splits.count("test") / 2000 == pytest.approx(0.30, abs=0.03)
     assert splits.count("validation") / 2000 == pytest.approx(0.07, abs=0.02)
-    assert split_of("twin_b", "twin_a", MANIFEST, PROTOCOL.splits) == split_of(
-        "twin_a", "twin_a", MANIFEST, PROTOCOL.splits
-    )
+    for number in range(20):
+        twins = [split_of(f"{name}{number}", f"a{number}", MANIFEST, PROTOCOL.splits) for name in "ab"]
+        assert twins[0] == twins[1], "concurrent twins share their group"
     listed = msgspec.structs.replace(MANIFEST, test_recordings=("rec0",), train_recordings=("rec1",))
     assert split_of("rec0", "rec0", listed, PROTOCOL.splits) == "test"
     assert split_of("rec1", "rec1", listed, PROTOCOL.splits) == "train"
+    # Twins of listed recordings go with them, whatever the hash of their group says.
+    assert split_of("twin_of_rec0", "rec0", listed, PROTOCOL.splits) == "test"
+    assert split_of("twin_of_rec1", "rec1", listed, PROTOCOL.splits) == "train"
+    assert split_of("rec0", "rec0", MANIFEST, PROTOCOL.splits) != "test"
 
 
 def test_the_hash_fraction_of_a_known_name() -> None:
@@ -228,3 +244,51 @@ def test_a_synthetic_tree_brings_its_own_split() -> None:
     result = curate_recording(scene(), MANIFEST, PROTOCOL, split="test")
     assert {row.split for row in result.sequences} == {"test"}
     assert result.record.split == "test"
+
+
+def piece(object_id: str, centre, half, **changes) -> ObjectTrack:
+    """Something that stands in its place."""
+    still = ObjectTrack(
+        object_id, f"piece {object_id}", "table", np.zeros(1), np.array([centre], dtype=float), UPRIGHT[None],
+        np.ones(1, dtype=bool), -np.array(half, dtype=float), np.array(half, dtype=float), False,
+    )  # fmt: skip
+    return dataclasses.replace(still, **changes)
+
+
+def test_only_what_stands_still_is_kept():
+    recording = scene()
+    moving = piece(
+        "13",
+        (0, 0, 5),
+        (1, 1, 1),
+        times=np.array([0.0, 9.0]),
+        position=np.array([[0, 0, 5.0], [0, 0, 6.0]]),
+        rotation=np.repeat(UPRIGHT[None], 2, axis=0),
+        valid=np.ones(2, dtype=bool),
+    )
+    others = (
+        piece("12", (0, 0.4, 3), (0.5, 0.4, 0.3)),
+        moving,
+        piece("14", (0, 1, 5), (1, 0, 1)),
+        piece("15", (2, 1, 5), (1, 1, 0.02)),
+    )
+    recording = dataclasses.replace(recording, objects=(*recording.objects, *others), hinged_objects=frozenset({"15"}))
+    assert [box.object_id for box in scene_boxes(recording)] == ["12"], "cup, mover, flat box and door are left out"
+
+
+def test_a_box_tells_how_deep_the_person_came_into_it():
+    recording = scene()
+    pelvis = recording.body.joints[0, Joint.PELVIS]
+    around = piece("12", pelvis, (0.08, 0.08, 0.08))
+    apart = piece("13", pelvis + np.array([0.0, 0.0, 9.0]), (0.5, 0.5, 0.5))
+    boxes = scene_boxes(dataclasses.replace(recording, furniture=(around, apart)))
+    assert [box.entered for box in boxes] == [pytest.approx(0.08), 0.0]
+    bodiless = dataclasses.replace(recording, body=None, furniture=(around,))
+    assert scene_boxes(bodiless)[0].entered is None
+
+
+def test_a_box_beside_its_own_origin_gets_its_middle():
+    chest = piece("12", (1.0, 0.0, 2.0), (0.4, 0.3, 0.2), box_min=np.array([-0.4, 0.0, -0.2]))
+    box = scene_boxes(dataclasses.replace(scene(), furniture=(chest,)))[0]
+    assert box.centre == pytest.approx([1.0, 0.15, 2.0])
+    assert box.half_extents == pytest.approx([0.4, 0.15, 0.2])

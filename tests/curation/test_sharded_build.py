@@ -14,13 +14,6 @@ from prbench.errors import RecordingsWouldBeLost, ShardError, StorageError
 from tests.crashes import tried_by
 from tests.curation.sources import SceneSource, folder_bytes, some_sources
 
-MIXED = [
-    *some_sources(4),
-    SceneSource("broken", problem="file"),
-    SceneSource("bad", skip_reason="known to be bad"),
-    SceneSource("other_split", split="train"),
-]
-
 
 def make_shards(folder: Path, sources, count: int, **settings) -> list[Path]:
     folders = [folder / f"shard-{number}" for number in range(1, count + 1)]
@@ -32,22 +25,6 @@ def make_shards(folder: Path, sources, count: int, **settings) -> list[Path]:
 def merged(folders: list[Path], out: Path, *, replace: bool = False) -> Path:
     merge_dataset_shards(require_whole(folders), out, replace=replace)
     return out
-
-
-@pytest.mark.parametrize("count", [1, 3, 16])
-def test_any_number_of_shards_gives_the_same_bytes(tmp_path, count):
-    build_from_sources(MIXED, tmp_path / "whole")
-    folders = make_shards(tmp_path, MIXED, count)
-    # Neither the order in which shards are named nor that of recordings on a node's disk matters.
-    assert folder_bytes(merged(folders[::-1], tmp_path / "merged")) == folder_bytes(tmp_path / "whole")
-
-
-def test_options_travel_with_the_shards(tmp_path):
-    options = BuildOptions(CurationOptions(minimum_movement="pelvis_displacement"), recordings="room_*", limit=3)
-    sources = some_sources(3)
-    build_from_sources(sources, tmp_path / "whole", options=options)
-    folders = make_shards(tmp_path, sources, 2, options=options)
-    assert folder_bytes(merged(folders, tmp_path / "merged")) == folder_bytes(tmp_path / "whole")
 
 
 def test_a_shard_that_was_interrupted_goes_on(tmp_path):

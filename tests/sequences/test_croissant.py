@@ -54,9 +54,3 @@ def test_every_column_is_a_field_and_every_file_has_its_digest(folder) -> None:
     assert joints["dataType"] == "sc:Float"
     assert {entry["@id"] for entry in document["distribution"]} >= {"sequences.parquet", "events.parquet"}
     assert all(len(entry["sha256"]) == 64 for entry in document["distribution"])
-
-
-def test_equal_datasets_have_equal_bytes(tmp_path) -> None:
-    for name in ("one", "two"):
-        fake_dataset(tmp_path / name, n=5)
-    assert (tmp_path / "one" / "croissant.json").read_bytes() == (tmp_path / "two" / "croissant.json").read_bytes()

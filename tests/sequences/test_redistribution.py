@@ -98,7 +98,7 @@ def test_a_run_folder_carries_the_notice(kind, tmp_path) -> None:
     table = fake_dataset(tmp_path / "table", 24)
     with_terms(table.folder, kind)
     report = run_method(RunRequest(method="ground-truth", data=(table.folder,), out=tmp_path / "run"))
-    file = report.folder.path / NOTICE_FILE
+    file = report.folder.dataset("synthetic-adt").path / NOTICE_FILE
     assert file.is_file() == (kind != "yes")
     if kind == "none":
         assert "must not leave your machine" in file.read_text("utf-8")

@@ -2,20 +2,40 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+import json
+import re
 from collections import Counter
+from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from prbench.cli.main import main
 from prbench.errors import StorageError, TableError, UsageError
+from prbench.protocol.published import QUANTITIES, load_table_one
+from prbench.recording.streams import HandSource
 from prbench.sequences import SequenceTable
-from prbench.sequences.schema import SEQUENCES, with_metadata
-from prbench.sequences.sequence import sequence_batch
-from prbench.sequences.table import by_share, find_sequence_id
-from prbench.sequences.write import write_table_in_parts
-from tests.fakes import fake_dataset, fake_sequence
+from prbench.sequences.folds import write_fold
+from prbench.sequences.schema import identity_of_rows, with_metadata
+from prbench.sequences.sequence import (
+    EVENTS,
+    OUTCOMES,
+    RECORDINGS,
+    SCENES,
+    SEQUENCES,
+    event_batch,
+    recording_batch,
+    sequence_batch,
+)
+from prbench.sequences.table import by_share, find_sequence_id, table_statistics
+from prbench.sequences.write import write_dataset, write_table_in_parts
+from tests.fakes import fake_box, fake_dataset, fake_info, fake_sequence
+from tests.laws.curation_cases import edit
 
 
 def test_every_column_comes_back_as_it_was_written(tmp_path):
@@ -80,12 +100,6 @@ def test_content_digest_sees_a_tenth_of_a_millimetre_and_identity_does_not(tmp_p
         SequenceTable.open(table.folder)
 
 
-def test_equal_rows_give_equal_bytes(tmp_path):
-    first, second = fake_dataset(tmp_path / "a", 12), fake_dataset(tmp_path / "b", 12)
-    for name in ("sequences.parquet", "events.parquet", "recordings.parquet", "dataset.json"):
-        assert (first.folder / name).read_bytes() == (second.folder / name).read_bytes()
-
-
 def test_encoding_is_byte_stream_split_and_zstd(tmp_path):
     table = fake_dataset(tmp_path / "d", 300)
     metadata = pq.ParquetFile(table.folder / "sequences.parquet").metadata
@@ -98,38 +112,6 @@ def test_encoding_is_byte_stream_split_and_zstd(tmp_path):
     assert "BYTE_STREAM_SPLIT" in joints.encodings
 
 
-def test_an_unknown_schema_version_is_refused_with_both_versions(tmp_path):
-    table = fake_dataset(tmp_path / "d", 4)
-    path = table.folder / "sequences.parquet"
-    data = pq.read_table(path)
-    pq.write_table(data.replace_schema_metadata({**data.schema.metadata, b"prbench_schema_version": b"9"}), path)
-    with pytest.raises(TableError, match=r"sequences\.parquet: expected schema version 3, found 9"):
-        SequenceTable.open(table.folder)
-
-
-def test_a_missing_column_is_named(tmp_path):
-    table = fake_dataset(tmp_path / "d", 4)
-    path = table.folder / "sequences.parquet"
-    pq.write_table(pq.read_table(path).drop_columns(["prime_kind"]), path)
-    with pytest.raises(TableError, match="expected a column 'prime_kind'"):
-        SequenceTable.open(table.folder)
-
-
-@pytest.mark.parametrize("name", ["sequences", "events", "recordings"])
-def test_damage_anywhere_in_a_table_is_an_error_that_names_the_file(tmp_path, name):
-    fake_dataset(tmp_path / "d")
-    path = tmp_path / "d" / f"{name}.parquet"
-    content = path.read_bytes()
-    damaged = bytes(byte ^ 0xFF for byte in content[4 : len(content) // 3])  # the footer stays whole
-    path.write_bytes(content[:4] + damaged + content[len(content) // 3 :])
-    with pytest.raises(TableError, match=name):
-        _read_everything(SequenceTable.open(tmp_path / "d"))
-
-
-def _read_everything(table):
-    return table.scalars(), table.content, table.events(), table.recordings()
-
-
 def test_a_table_is_opened_by_the_name_of_its_folder(tmp_path):
     fake_dataset(tmp_path / "d", 3)
     table = SequenceTable.open(str(tmp_path / "d"))
@@ -137,11 +119,6 @@ def test_a_table_is_opened_by_the_name_of_its_folder(tmp_path):
     assert table.with_sequences().scalars().num_rows == 3
     with pytest.raises(TableError, match="expected a built dataset"):
         SequenceTable.open(str(tmp_path / "nowhere"))
-
-
-def test_a_folder_without_dataset_is_refused(tmp_path):
-    with pytest.raises(TableError, match="expected a built dataset"):
-        SequenceTable.open(tmp_path)
 
 
 def test_a_folder_of_several_datasets_is_answered_with_their_names(tmp_path):
@@ -223,3 +200,174 @@ def test_an_unknown_id_gets_the_nearest():
 def test_nothing_typed_is_nothing_found():
     with pytest.raises(UsageError, match="no sequence ''"):
         find_sequence_id("", IDS, among="adt")
+
+
+def test_every_command_that_opens_a_table_refuses_an_edited_one(tmp_path: Path, capsys) -> None:
+    table = fake_dataset(tmp_path / "d", 6)
+    edit(table.folder / "events.parquet", "event_time")
+    data = str(table.folder)
+    np.savez(tmp_path / "p.npz", joints=np.zeros((1, 40, 22, 3), dtype=np.float32))
+    event = table.scalars()["sequence_id"][0].as_py()
+    for command in (
+        ["inspect", data],
+        ["explain", event, "--data", data],
+        ["diff", data, data],
+        ["view", "--data", data, "--out", str(tmp_path / "x.png")],
+        ["run", "--method", "static", "--condition", "none", "--data", data, "--out", str(tmp_path / "run")],
+        ["export-conditions", "--condition", "none", "--data", data, "--out", str(tmp_path / "c.npz")],
+        ["score", str(tmp_path / "p.npz"), "--data", data],
+        ["doctor", str(tmp_path / "p.npz"), "--data", data],
+        ["train", "--method", "mdm", "--config", "smoke", "--data", data, "--out", str(tmp_path / "trained")],
+        ["export-release", data, "--out", str(tmp_path / "released")],
+        ["datasets", "--cite", data],
+    ):
+        assert main(command) == TableError.exit_code, command
+        assert "events.parquet: expected the file that dataset.json describes" in capsys.readouterr().err, command
+
+
+def test_a_main_table_written_anew_with_equal_values_is_the_same(tmp_path: Path) -> None:
+    table = fake_dataset(tmp_path / "d", 6)
+    path = table.folder / "sequences.parquet"
+    pq.write_table(pq.read_table(path), path, compression="snappy")
+    assert SequenceTable.open(table.folder).content == table.content
+
+
+@pytest.mark.parametrize("version", ["1", "2", "4"])
+def test_a_table_of_another_version_is_refused(tmp_path, version) -> None:
+    table = fake_dataset(tmp_path / "d", 6)
+    path = table.folder / "events.parquet"
+    data = pq.read_table(path)
+    pq.write_table(data.replace_schema_metadata({**data.schema.metadata, b"prbench_schema_version": version}), path)
+    with pytest.raises(TableError, match=f"expected schema version 3, found {version}"):
+        table.events()
+
+
+def test_the_identity_of_sequences_outlives_columns_of_other_tables() -> None:
+    of_version_1 = hashlib.sha256(b"prbench schema 1 protocol 1\nd/r/o/pick/1/egoallo\ttest\tpick\t7\n").hexdigest()
+    rows = pa.table({"sequence_id": ["d/r/o/pick/1/egoallo"], "split": ["test"], "action": ["pick"], "n_frames": [7]})
+    assert identity_of_rows(rows, protocol_version=1) == of_version_1
+
+
+BOXES = (fake_box("rec000", entered=None), fake_box("rec001", entered=0.3))
+
+
+@pytest.fixture
+def table(tmp_path):
+    return fake_dataset(tmp_path / "table", 24, boxes=BOXES)
+
+
+def test_boxes_come_back_as_they_were_written(table):
+    rows = table.scenes().to_pylist()
+    assert [row["recording_id"] for row in rows] == ["rec000", "rec001"]
+    assert rows[0]["half_extents"] == [2.0, 0.45, 2.0]
+    assert [row["entered"] for row in rows] == [None, 0.3]
+    described = json.loads((table.folder / "croissant.json").read_text())
+    assert {record["name"] for record in described["recordSet"]} >= {"scenes"}
+
+
+def test_a_table_without_boxes_has_no_such_file_and_the_same_digests(table, tmp_path):
+    plain = fake_dataset(tmp_path / "plain", 24)
+    assert not plain.has_scenes
+    assert plain.scenes().num_rows == 0
+    assert not (plain.folder / "scenes.parquet").exists()
+    assert (plain.identity, plain.content) == (table.identity, table.content)
+
+
+def test_folds_keep_the_boxes(table, tmp_path):
+    write_fold(table, tmp_path / "fold", fold=1, folds=2)
+    assert SequenceTable.open(tmp_path / "fold").scenes().equals(table.scenes())
+
+
+def statistics_of(folder, rows):
+    rows = sorted(rows, key=lambda row: row.sequence_id)
+    write_dataset(
+        folder,
+        fake_info(),
+        sequences=[sequence_batch(rows)],
+        events=[event_batch([])],
+        recordings=[recording_batch([])],
+    )
+    return table_statistics(SequenceTable.open(folder))
+
+
+def test_the_study_kept_23728_sequences_of_which_the_splits_are_parts() -> None:
+    rows = load_table_one()
+    assert sum(row.sequences for row in rows.values()) == 23728
+    assert all(row.train + row.test == row.sequences for row in rows.values())
+
+
+def test_means_and_spreads_are_those_of_the_columns(tmp_path) -> None:
+    table = fake_dataset(tmp_path / "t", n=20)
+    statistics, scalars = table_statistics(table), table.scalars()
+    assert statistics.sequences == 20
+    assert statistics.by_split == {s: scalars["split"].to_pylist().count(s) for s in ("train", "validation", "test")}
+    for name in QUANTITIES:
+        assert statistics.spread(name).mean == pytest.approx(float(np.mean(getattr(statistics, name))))
+    assert statistics.spread("prime_gap").mean == pytest.approx(np.mean(scalars["prime_gap"].to_pylist()))
+
+
+def test_people_on_both_sides_of_the_split_are_counted(tmp_path) -> None:
+    rows = [
+        dataclasses.replace(fake_sequence(index), split=split, participant_id=person)
+        for index, (split, person) in enumerate([("train", "a"), ("test", "a"), ("train", "b"), ("validation", "b")])
+    ]
+    assert statistics_of(tmp_path / "t", rows).participants_in_two_splits == 1
+
+
+def test_the_goal_is_seen_from_the_pelvis_of_the_first_frame(tmp_path) -> None:
+    row = fake_sequence(0)
+    pelvis = row.joints[0, 0]
+    left_and_up = pelvis + np.array([2.0, np.sqrt(8.0), 2.0])
+    statistics = statistics_of(tmp_path / "t", [dataclasses.replace(row, goal_location=left_and_up)])
+    assert statistics.goal_distance == pytest.approx([4.0])
+    assert statistics.goal_elevation_deg == pytest.approx([45.0])
+    assert statistics.goal_azimuth_deg == pytest.approx([45.0])
+
+
+def test_gaze_on_the_goal_has_no_shift_and_invalid_gaze_does_not_count(tmp_path) -> None:
+    row = fake_sequence(0)
+    towards = row.goal_location - row.gaze_origin
+    towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    after = np.arange(row.n_frames) / row.fps >= row.preroll
+    aside = np.cross(towards, np.array([0.0, 1.0, 0.0]))
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    direction = np.where(after[:, None], towards, aside)
+    valid = np.arange(row.n_frames) >= 4  # at 20 frames a second two frames fall into each tenth of a second
+    statistics = statistics_of(tmp_path / "t", [dataclasses.replace(row, gaze_direction=direction, gaze_valid=valid)])
+    median = statistics.gaze_shift_deg[:, 1]
+    assert median[(statistics.gaze_shift_times >= 0) & np.isfinite(median)] == pytest.approx(0.0, abs=0.1)
+    before = median[(statistics.gaze_shift_times < -0.2) & np.isfinite(median)]
+    assert before == pytest.approx(90.0, abs=0.1)
+    first_bin = int(np.floor((-row.preroll + 2.0) / 0.1 + 1e-6))
+    assert np.isnan(median[first_bin])
+    assert np.isfinite(median[first_bin + 3])
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "table.md").read_text(encoding="utf-8")
+
+
+def _columns(section: str) -> set[str]:
+    text = PAGE.split(f"\n## {section}\n", 1)[1].split("\n## ")[0]
+    cells = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
+    return {name for cell in cells for name in re.findall(r"`(\w+)`", cell)}
+
+
+@pytest.mark.parametrize(
+    ("section", "columns"),
+    [
+        ("sequences", set(SEQUENCES.names)),
+        ("events", set(EVENTS.names)),
+        ("scenes", set(SCENES.names)),
+        ("recordings", set(RECORDINGS.names) - set(OUTCOMES) | {OUTCOMES[0], OUTCOMES[-1]}),
+    ],
+)
+def test_every_column_is_explained(section, columns):
+    assert _columns(section) == columns
+
+
+def test_every_outcome_is_listed():
+    assert all(f"`{outcome}`" in PAGE for outcome in OUTCOMES)
+
+
+def test_everything_that_tells_a_hand_is_explained():
+    assert _columns("Which hand reached") == set(get_args(HandSource)) | {"hand_source"}
