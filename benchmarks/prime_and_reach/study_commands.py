@@ -327,7 +327,6 @@ _ITEMS = {
     "figure-s2": _Item("where goals lie, how far people move, when they look", "DIR", ("out",), _distributions),
     "figure-s3": _Item("Prime Success over its distance and window", "RUN", _OF_SCORES, _drawn),
 }
-_HELP = "\n".join(["\b", *(f"{name:<11}{item.inputs + '...':<8} {item.title}" for name, item in _ITEMS.items())])
 
 
 class _OutType(PlaceType):
@@ -345,18 +344,8 @@ class _OutType(PlaceType):
     section="board",
     example="prbench study table-2 runs/table-2 --data tables/adt --with-published --out table_2.tex table_2.csv",
     report=StudyReport,
-    first=(
-        "item",
-        "inputs",
-        "--data",
-        "--with-published",
-        "--out",
-        "--numbers",
-        "--by",
-        "--workers",
-        "--train",
-        "--json",
-    ),
+    first=("--data", "--with-published", "--out", "--numbers", "--by", "--workers", "--train", "--json"),
+    items={name: f"{item.inputs}...: {item.title}" for name, item in _ITEMS.items()},
 )
 @click.argument("item", type=click.Choice(list(_ITEMS)), metavar="ITEM")
 @click.argument("inputs", type=PATH, nargs=-1, metavar="[DIR|RUN|FILE]...")
@@ -419,7 +408,11 @@ class _OutType(PlaceType):
 @workers_option()
 @click.pass_context
 def study(ctx: click.Context, item: str, inputs: tuple[Path, ...], train: bool, **given: Any) -> Answer:
-    """Find the item, refuse options that it does not take, and make it; the help stands below, with the items."""
+    """Make a table or figure of the study from your own tables and runs (docs/study.md).
+
+    DIR are built tables, for ablations the folder of one configuration, such as ablations/paper; RUN are run folders,
+    or folders that hold some, such as that of `prbench run --method all`. ITEM is one of:
+    """
     row = _ITEMS[item]
     name = f"study {item} --train" if train else f"study {item}"
     if train and not row.trains:
@@ -448,10 +441,3 @@ def study(ctx: click.Context, item: str, inputs: tuple[Path, ...], train: bool, 
             raise UsageError(f"{name}: --out FILE is needed, the picture: .png or .svg.")
         require_drawable(given["out"][0])
     return row.make(item, inputs, **{option: given[option] for option in taken})
-
-
-study.help = (
-    "Make a table or figure of the study from your own tables and runs (docs/study.md).\n\n"
-    "DIR are built tables, for ablations the folder of one configuration, such as ablations/paper; RUN are run folders,"
-    f" or folders that hold some, such as that of `prbench run --method all`. ITEM is one of:\n\n{_HELP}"
-)

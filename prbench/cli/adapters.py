@@ -138,8 +138,10 @@ def _print_details(described: list[Description], *, with_controls: bool) -> None
     "--condition",
     "conditions",
     type=click.Choice(opt.ALL_CONDITIONS),
+    metavar="CONDITION",
     multiple=True,
-    help="What the method is given (default goal-loc; motion-prediction pose); repeatable.",
+    help=f"What the method is given: {opt.conditions_by_benchmark()} (default goal-loc; of motion-prediction pose);"
+    " repeatable.",
 )
 @click.option("--trainable", is_flag=True, help="Write fit(), too: a method that learns from a table.")
 @click.option(

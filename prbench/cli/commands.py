@@ -22,7 +22,8 @@ from typing import Any
 
 import click
 
-from prbench.cli.places import PlaceType, Remote, has_urls, local_places, showing
+from prbench.cli.places import PlaceType, Remote, local_places
+from prbench.cli.terminal import renamed_output
 from prbench.entry_points import InstalledEntry, installed_entries
 from prbench.errors import did_you_mean
 from prbench.progress_bar import ProgressCallback, progress_bar
@@ -93,17 +94,19 @@ class Command(click.Command):
     """A command with an example, the options of all commands, and options that take several values.
 
     Args:
-        name: What it is called by.
+        name: Name on the command line.
         example: A command line of it.
-        resumes: It takes up what an interruption has left.
+        resumes: The command takes up what an interruption has left.
         report: Data class or msgspec struct that it prints with ``--json``, or ``module:class`` of one whose module
             takes long to import; a list of one, where it prints a list; one for each value of the first argument or
             option that chooses it; None for no report.
         writes_report: ``--out FILE`` writes that JSON; False where the command has an ``--out`` of its own.
-        section: For a command that a package registers: the section of ``prbench --help`` in which it is listed, by
-            the word before its colon, such as ``train``.
+        section: Section of ``prbench --help`` that lists the command of another package, named by the word before its
+            colon, such as ``train``.
         first: Options that help shows first, for a command with many; the others follow under "advanced".
-        settings: Of :class:`click.Command`.
+        former: Maps options of earlier versions, or those that people write for another, to the present ones.
+        items: Maps values of the first argument to what they mean, which help lists behind its text.
+        settings: Further arguments of :class:`click.Command`.
     """
 
     def __init__(
@@ -116,12 +119,16 @@ class Command(click.Command):
         writes_report: bool = False,
         section: str = "",
         first: Collection[str] = (),
+        former: Mapping[str, str] | None = None,
+        items: Mapping[str, str] | None = None,
         **settings: Any,
     ) -> None:
         super().__init__(name, **settings)
         self.example = example
         self.section = section
         self.first = first
+        self.former = former or {}
+        self.items = items or {}
         self.resumes = resumes
         self.report = report
         if report is not None:
@@ -138,8 +145,11 @@ class Command(click.Command):
         several = {name for option in self.params if getattr(option, "several", False) for name in option.opts}
         try:
             return super().parse_args(ctx, _one_value_an_option(args, several))
-        except click.UsageError as error:  # click forgets here and there which command it was
-            error.ctx = error.ctx or ctx
+        except click.UsageError as error:
+            if isinstance(error, click.NoSuchOption) and error.option_name in self.former:
+                now = self.former[error.option_name]
+                raise click.UsageError(f"No such option '{error.option_name}'. Did you mean '{now}'?", ctx) from error
+            error.ctx = error.ctx or ctx  # click forgets here and there which command it was
             raise
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -147,21 +157,27 @@ class Command(click.Command):
         now = session()
         now.command = " ".join(ctx.command_path.split()[1:])
         now.resumes = self.resumes
-        if not has_urls(ctx.params):
-            return super().invoke(ctx)
-        # Run on local copies of what lies at URLs.
         with local_places(ctx.params, note) as places:
             ctx.params = places.values
             now.shown_place = places.renamed
             answer = super().invoke(ctx)
             # A number comes from a command that was run in another process, or that had nothing to write.
             places.finished = isinstance(answer, Answer) or not answer
-        if isinstance(answer, Answer):
-            return replace(answer, show=showing(answer.show, places))
-        return answer
+        if not isinstance(answer, Answer) or not places.shown:
+            return answer
+
+        def show_urls() -> None:
+            with renamed_output(places.renamed):
+                answer.show()
+
+        return replace(answer, show=show_urls)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options that are shown first, and under a second heading those of seldom use."""
+        """Write the values of the first argument, the options that are shown first, and those of seldom use."""
+        if self.items:
+            formatter.write_paragraph()
+            with formatter.indentation():
+                formatter.write_dl(list(self.items.items()))
         parts: dict[str, list[tuple[str, str]]] = {"Options": [], "advanced": []}
         for option in self.get_params(ctx):
             record = option.get_help_record(ctx)
@@ -174,7 +190,7 @@ class Command(click.Command):
                     formatter.write_dl(records)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the example, folded as a shell reads it."""
+        """Write the example."""
         _write_example(self.example, formatter)
 
 
@@ -191,15 +207,15 @@ class Group(click.Group):
     """Commands in sections, each imported when it is asked for.
 
     Args:
-        name: What the group is called by.
+        name: Name of the group on the command line.
         sections: The title of each section, and the commands in it: name and where its function stands
             (``module:function``).
-        example: A command line of one of them; empty for none.
-        section: As that of :class:`Command`.
-        renamed: Former command lines, without ``prbench``, and what to write in their place.
+        example: Command lines, and comments that begin with ``#``, a line each.
+        section: Section of ``prbench --help`` that lists the group of another package.
+        renamed: Maps former command lines, without ``prbench``, to what to write in their place.
         plugins: Entry-point group whose commands stand beside those of ``sections``; empty for none.
-        closing: Text at the end of its help.
-        settings: Of :class:`click.Group`.
+        closing: Paragraph at the end of its help.
+        settings: Further arguments of :class:`click.Group`.
     """
 
     def __init__(
@@ -207,7 +223,7 @@ class Group(click.Group):
         name: str | None = None,
         *,
         sections: Mapping[str, Mapping[str, str]],
-        example: str = "",
+        example: str,
         section: str = "",
         renamed: Mapping[str, str] | None = None,
         plugins: str = "",
@@ -310,11 +326,11 @@ class Group(click.Group):
                     formatter.write_dl([(name, summary(self.get_command(ctx, name))) for name in commands])
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the example, folded as a shell reads it."""
-        if self.example:
-            _write_example(self.example, formatter)
+        """Write the examples and the last paragraph."""
+        _write_example(self.example, formatter)
         if self.closing:
-            formatter.write(f"\n{self.closing}")
+            formatter.write_paragraph()
+            formatter.write_text(self.closing)
 
     def walk(self, ctx: click.Context) -> Iterator[tuple[str, click.Command]]:
         """Yield every command of the group and of the groups in it, with its name, such as ``leaderboard export``."""
@@ -335,19 +351,21 @@ def command(name: str, *, example: str, **settings: Any) -> Callable[[Callable[.
     """Turn a function into a :class:`Command`; its docstring becomes the help, its parameters are the options.
 
     Args:
-        name: What it is called by.
+        name: Name on the command line.
         example: A command line of it.
-        settings: Of :class:`Command`.
+        settings: Further arguments of :class:`Command`.
     """
     widest = {"max_content_width": _WIDEST_HELP}
     return click.command(name, cls=Command, example=example, context_settings=widest, **settings)
 
 
 def _write_example(example: str, formatter: click.HelpFormatter) -> None:
-    """Write a command line, folded as a shell reads it."""
+    """Write command lines and comments, folded as a shell reads them."""
     settings = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": "      "}
-    lines = textwrap.wrap(example, formatter.width - 2, initial_indent="  ", **settings)
-    formatter.write("\nexample:\n" + " \\\n".join(lines) + "\n")
+    formatter.write("\nexample:\n")
+    for line in example.splitlines():
+        parts = textwrap.wrap(line, formatter.width - 2, initial_indent="  ", **settings)
+        formatter.write(" \\\n".join(parts) + "\n")
 
 
 def _one_value_an_option(words: Sequence[str], several: set[str]) -> list[str]:

@@ -1,6 +1,6 @@
 """``prbench``: find the command, run it, show its answer, and turn an error into one message and an exit code.
 
-JSON documents: what ``--json`` prints and ``--out`` writes, in one envelope for all commands.
+The answer of every command has one JSON envelope, which ``--json`` prints and ``--out`` writes.
 """
 
 from __future__ import annotations
@@ -23,18 +23,13 @@ from prbench.cli.terminal import clean_output
 from prbench.entry_points import COMMANDS
 from prbench.errors import PrbenchError, UsageError
 
-_EXAMPLES = """\
-examples:
-  prbench run --method static --condition none
-      score a method on embedded synthetic data
-  prbench build-dataset adt --root ADT --out tables/adt
-      turn licensed recordings into a table
-  prbench run --method static --data tables/adt --out runs/static
-  prbench leaderboard export runs/* --format md
-
-`prbench COMMAND --help` explains a command, docs/exit-codes.md the exit codes, docs/command-line.md the completion of
-commands and options in a shell.
-"""
+_EXAMPLE = """\
+# score a method on embedded synthetic data
+prbench run --method static --condition none
+# turn licensed recordings into a table, and use it
+prbench build-dataset adt --root ADT --out tables/adt
+prbench run --method static --data tables/adt --out runs/static
+prbench leaderboard export runs/* --format md"""
 _COMMANDS = {
     "data: from recordings to tables": {
         "datasets": "prbench.cli.datasets:datasets",
@@ -93,7 +88,9 @@ program = Group(
     sections=_COMMANDS,
     renamed=_RENAMED,
     plugins=COMMANDS,
-    closing=_EXAMPLES,
+    example=_EXAMPLE,
+    closing="`prbench COMMAND --help` explains a command, docs/exit-codes.md the exit codes, docs/command-line.md the"
+    " completion of commands and options in a shell.",
     help="Prime-and-reach motion benchmark: curate sequences, run motion generators, score them.",
     context_settings={"max_content_width": 100},
 )
@@ -148,8 +145,19 @@ def _present(answer: Any, now: Session) -> int:
         return int(answer or 0)
     if now.as_json or now.report_file is not None:
         document = document_of(answer, now)
-        if now.report_file is not None:  # saved first, then printed: a report that could not be written is a failure
-            write_document(document, now.report_file)
+        place = now.report_file
+        if place is not None:  # saved first, then printed: a report that could not be written is a failure
+            from prbench.files.storage import sole_writer, write_json
+
+            content = msgspec.json.decode(_encoded(document))
+            if isinstance(place, Remote):
+                from prbench.object_stores.outputs import written_file
+
+                with written_file(place.url) as copy:
+                    write_json(copy, content)
+            else:
+                with sole_writer(place):
+                    write_json(place, content)
         if now.as_json:
             print_document(document)
     if not now.as_json:
@@ -207,24 +215,6 @@ def print_document(document: Document) -> None:
     """Print a document on standard output."""
     print(_encoded(document).decode("utf-8"))
     sys.stdout.flush()
-
-
-def write_document(document: Document, path: Path | Remote) -> None:
-    """Write a document to a file, here or at a URL, whole or not at all.
-
-    Raises:
-        StorageError: if it cannot be written.
-    """
-    from prbench.files.storage import sole_writer, write_json
-
-    if isinstance(path, Remote):
-        from prbench.object_stores.outputs import written_file
-
-        with written_file(path.url) as copy:
-            write_json(copy, msgspec.json.decode(_encoded(document)))
-        return
-    with sole_writer(path):
-        write_json(path, msgspec.json.decode(_encoded(document)))
 
 
 def _encoded(document: Document) -> bytes:

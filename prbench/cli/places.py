@@ -1,4 +1,4 @@
-"""Options and arguments that take a path or a URL; a command only ever sees paths (docs/object-stores.md)."""
+"""Options and arguments that take a path or a URL, of which a command sees a local path (docs/object-stores.md)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 import click
 
-from prbench.cli.terminal import renamed_output
 from prbench.errors import PrbenchError, WorkStopped
 
 # What a command does there: read something finished, read a dataset's own files, write a folder or a file; or what has
@@ -86,7 +85,7 @@ class Places:
 
 @contextlib.contextmanager
 def local_places(values: Mapping[str, Any], tell: Tell) -> Iterator[Places]:
-    """Fetch what is read at URLs, and publish what the block writes at some when it ends well.
+    """Fetch what is read at URLs, and publish what the block writes at some when it ends well; paths stay as they are.
 
     Args:
         values: Values of a command's options by name.
@@ -96,10 +95,13 @@ def local_places(values: Mapping[str, Any], tell: Tell) -> Iterator[Places]:
         WorkStopped: after SIGTERM, where something is written at a URL.
         PrbenchError: whatever fetching and uploading raise, and errors of the block with URLs in place of paths.
     """
+    places = Places(dict(values), {})
+    if not any(map(_remotes, values.values())):
+        yield places
+        return
     from prbench.object_stores.inputs import fetched, fetched_native
     from prbench.object_stores.outputs import written_file, written_folder
 
-    places = Places(dict(values), {})
     outcomes: list[Any] = []
     with contextlib.ExitStack() as held:
         if any(remote.use in ("folder", "file") for value in values.values() for remote in _remotes(value)):
@@ -134,11 +136,6 @@ def local_places(values: Mapping[str, Any], tell: Tell) -> Iterator[Places]:
             outcome.finished = places.finished
 
 
-def has_urls(values: Mapping[str, Any]) -> bool:
-    """Return True if a URL was given for any option."""
-    return any(map(_remotes, values.values()))
-
-
 def _remotes(value: Any) -> list[Remote]:
     several = value if isinstance(value, tuple | list) else [value]
     return [each for each in several if isinstance(each, Remote)]
@@ -164,13 +161,3 @@ def _stopped_by_sigterm() -> Iterator[None]:
         ) from None
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def showing(show: Callable[[], None], places: Places) -> Callable[[], None]:
-    """Print a report with URLs in place of local copies."""
-
-    def renamed() -> None:
-        with renamed_output(places.renamed):
-            show()
-
-    return renamed

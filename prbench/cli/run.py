@@ -64,6 +64,7 @@ _FIRST_RUN_WORKERS = 2
 @click.option(
     "--condition",
     type=click.Choice([*opt.ALL_CONDITIONS, ALL]),
+    metavar="CONDITION",
     help=f"What the method is given (default: the only condition that it takes): {opt.conditions_by_benchmark()}; all:"
     " every row that Table 2 has of it.",
 )

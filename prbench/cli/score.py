@@ -156,7 +156,13 @@ def _print(scored: Sequence[ScoredMotions], out: Path | None) -> None:
 )
 @opt.data_option(required=True)
 @opt.benchmark_option
-@click.option("--condition", type=click.Choice(opt.ALL_CONDITIONS), required=True, help="What the method is given.")
+@click.option(
+    "--condition",
+    type=click.Choice(opt.ALL_CONDITIONS),
+    metavar="CONDITION",
+    required=True,
+    help=f"What the method is given: {opt.conditions_by_benchmark()}.",
+)
 @opt.out_file_option(".npz", required=True)
 @opt.seed_option("behind opaque ids and noise seeds")
 @click.option(

@@ -31,7 +31,7 @@ class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         folder: The native files, or the table.
         recordings: The recordings in them; empty with ``--table``.
-        built: With ``--table``: as in the report of ``build-dataset``.
+        built: Maps the folder of the table to its ``dataset.json``, with ``--table``.
     """
 
     folder: Path
@@ -43,6 +43,7 @@ class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
     "synthesize",
     example="prbench synthesize adt --count 4 --seed 1 --out synthetic/adt",
     report=SynthesizeReport,
+    former={"--recordings": "--count", "--recording": "--count"},
 )
 @click.argument("layout")
 @opt.out_folder_option("Folder of the recordings, or of the table.")

@@ -38,6 +38,14 @@ def test_every_command_has_help_with_an_example_that_parses(name, capsys):
         parsed(shlex.split(all_commands()[name].example)[1:])
 
 
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_help_is_no_wider_than_the_terminal(width, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(width))
+    for name in ["", *all_commands(), "leaderboard", "adapters"]:
+        assert main([*name.split(), "--help"]) == 0
+        assert [line for line in capsys.readouterr().out.splitlines() if len(line) > width] == [], name
+
+
 def test_the_same_option_has_the_same_meaning_everywhere():
     """Where two commands have an option of one name, its value has one form."""
     forms: dict[str, set[str]] = {}
@@ -67,6 +75,7 @@ def test_nothing_asked_shows_the_commands_in_sections_and_fails(capsys):
         (["leaderboard", "exprot"], "Did you mean 'export'?"),
         (["run", "--methd", "static"], "No such option '--methd'. (Did you mean one of: '--method'"),
         (["run", "--meth", "static"], "No such option '--meth'."),
+        (["synthesize", "adt", "--recordings", "4"], "No such option '--recordings'. Did you mean '--count'?"),
         (["help", "inspect"], "`prbench COMMAND --help`"),
         (["run", "--condition", "goal-lok"], "is not one of 'none', 'text'"),
         (["run", "--method"], "requires an argument"),
