@@ -100,9 +100,10 @@ def score(
 ) -> Scores:
     """Score finished motions against the recorded ones, as ``prbench score`` does.
 
-    Every sequence of the split needs its motion, with as many frames as the recorded one; else the error counts the
-    sequences that are missing, repeated or unknown and names the first of each. All that are missing:
-    ``set(table.sequence_ids(split="test")) - set(motions)``.
+    The test split is scored unless you name another one with ``split``. Every sequence of it needs its motion, with as
+    many frames as the recorded one; ``table.sequence_ids(split="test")`` lists them. Else the error counts the
+    sequences that are missing, repeated or unknown and names the first of each. Score a table's sequences of all splits
+    with one call a split.
 
     Args:
         motions: A dictionary from ``sequence_id`` to an array (n, 22, 3) of joint positions in the canonical frame of
@@ -113,8 +114,9 @@ def score(
             samples and condition, and is checked.
         name: Name of the method, for summaries and leaderboards; by default that of the file, ``motions`` for a
             dictionary.
-        split: By default that of the run or the conditions, else ``test``.
-        limit: At most so many sequences of each dataset: those of ``table.sequence_ids(split=…, limit=…)``.
+        split: The split to score: by default that of the run or the conditions, else ``test``.
+        limit: Number of sequences of each dataset to score, those of ``table.sequence_ids(split=…, limit=…)``; None
+            for all.
         seed: Seed behind opaque ids, where the motions have those.
         condition: What the method was given; leaderboards need it.
         control: ``shuffled-goal`` if the method was given other sequences' goals.

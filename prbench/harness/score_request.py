@@ -234,7 +234,10 @@ def require_complete(
     elif repeated and len(repeated) == len(set(predictions.ids)):
         remedy = "Where a sequence has several motions, number them from 0 in 'sample', as the conditions file does."
     else:
-        remedy = "Hand in every sequence exactly once for each sample."
+        remedy = (
+            "Hand in every sequence exactly once for each sample, or name the split that the motions are of (--split,"
+            f" split=; {selections[0].split} is scored) or a part of it (--limit, limit=)."
+        )
     raise PredictionsError(
         f"{request.predictions}: expected the {expected}{each}, found {len(there - set(missing))}:"
         f" missing {_listed(missing)}, repeated {_listed(repeated)}, unknown {_listed(sorted(unknown))}"

@@ -113,7 +113,8 @@ def test_missing_repeated_and_unknown_sequences_are_named(table, recorded, tmp_p
     assert str(caught.value) == (
         f"{tmp_path}/predictions.parquet: expected the 15 test sequences of synthetic-adt, found 14:"
         f" missing 1 ({names[0]}), repeated 1 ({names[2]}), unknown 1 (nobody)."
-        " Hand in every sequence exactly once for each sample."
+        " Hand in every sequence exactly once for each sample, or name the split that the motions are of (--split,"
+        " split=; test is scored) or a part of it (--limit, limit=)."
     )
 
 
