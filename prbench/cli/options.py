@@ -154,7 +154,7 @@ _RAY_OPTIONS = (
         type=click.Choice([LOCAL, RAY]),
         default=LOCAL,
         help="Where to work: here (default), or on a Ray cluster, such as --engine ray --address 10.0.0.1:6379"
-        " (docs/ray.md); changes no result.",
+        " (docs/cluster.md#ray); changes no result.",
     ),
 )
 

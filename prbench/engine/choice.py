@@ -20,7 +20,7 @@ DEFAULT_SPILL_LIMIT_GB = 4.0
 
 @dataclass(frozen=True)
 class Cluster:
-    """A Ray cluster, in place of a number of ``workers`` (docs/ray.md); needs the extra ``ray``.
+    """A Ray cluster, in place of a number of ``workers`` (docs/cluster.md#ray); needs the extra ``ray``.
 
     Give it to :func:`prbench.build_dataset`, :func:`prbench.run` or :func:`prbench.score`. Results have the bytes of
     one process. Every node sees the same files under the same absolute paths.
