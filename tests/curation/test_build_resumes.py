@@ -14,7 +14,6 @@ import pytest
 
 from prbench.curation import build_from_sources
 from prbench.sequences.parts import work_folder
-from tests.crashes import tried_by
 from tests.curation.sources import SceneSource, folder_bytes, some_sources
 
 ROOT = Path(__file__).parents[2]
@@ -38,11 +37,6 @@ def kill_after(process: subprocess.Popen, out: Path, parts: int, delay: float) -
     time.sleep(delay)
     process.send_signal(signal.SIGKILL)
     process.wait()
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="crashes are tried in forked processes")
-def test_killed_before_any_of_its_file_operations_it_ends_with_the_same_bytes(tmp_path: Path) -> None:
-    assert tried_by("tests.curation.killed_builds", tmp_path) > 50
 
 
 def test_killed_while_its_parts_are_removed_it_builds_again_with_the_same_bytes(tmp_path: Path, monkeypatch) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,6 @@ from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.curation.build import build_shard_from_sources, merge_dataset_shards
 from prbench.engine.shards import Shard, require_whole
 from prbench.errors import RecordingsWouldBeLost, ShardError, StorageError
-from tests.crashes import tried_by
 from tests.curation.sources import SceneSource, folder_bytes, some_sources
 
 
@@ -116,9 +114,3 @@ def test_a_merge_never_replaces_a_table_by_less(tmp_path):
     assert folder_bytes(tmp_path / "table") == before
     merged(folders, tmp_path / "table", replace=True)
     assert folder_bytes(tmp_path / "table") != before
-
-
-@pytest.mark.fuzz
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="crashes are tried in forked processes")
-def test_killed_before_some_of_their_file_operations_shards_and_merge_end_with_the_same_bytes(tmp_path):
-    assert tried_by("tests.curation.killed_shards", tmp_path) > 15

@@ -10,8 +10,8 @@ import pytest
 
 from prbench.engine.on_ray import RayEngine
 from tests.engine.work import visible_gpus
+from tests.laws.killed_cases import WRITING, make_inputs, run
 from tests.parsing import all_commands
-from tests.writing import WRITING, Inputs, run
 
 pytest.importorskip("ray", reason="Ray is not installed (pip install -c constraints.txt -e '.[ray]')")
 pytestmark = [
@@ -38,7 +38,7 @@ CASES = [writing for writing in WRITING if writing.name in _NAMES]
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory):
-    return Inputs.make(tmp_path_factory.mktemp("inputs"))
+    return make_inputs(tmp_path_factory.mktemp("inputs"))
 
 
 @pytest.mark.parametrize("writing", CASES, ids=lambda each: each.name)
@@ -47,7 +47,7 @@ def test_a_command_writes_on_two_nodes_what_it_writes_in_one_process(writing, co
     for name, engine in (("one", ()), ("two", ("--engine", "ray", "--address", connected.address))):
         folder = tmp_path / name
         folder.mkdir()
-        run(folder, *writing.arguments(inputs, folder / writing.result), *engine, expected=writing.exit_code)
+        run(folder, *writing.words(inputs, folder / writing.result), *engine)
         results.append(writing.same(folder))
     assert results[0] == results[1]
 
@@ -59,7 +59,7 @@ def test_each_worker_sees_the_gpu_that_it_was_given_and_a_run_keeps_its_bytes(co
     for name, more in (("one", ()), ("two", ("--engine", "ray", "--gpus-per-worker", 0.5))):
         folder = tmp_path / name
         folder.mkdir()
-        words = ("run", "--method", "pr", "--condition", "goal-loc", "--data", inputs.table, "--split", "train")
+        words = ("run", "--method", "pr", "--condition", "goal-loc", "--data", inputs / "table", "--split", "train")
         where = ("--address", connected.address) if more else ()
         run(folder, *words, "--batch-size", 1, *more, *where, "--out", folder / "run")
         results.append({path.name: path.read_bytes() for path in (folder / "run").rglob("part-*.parquet")})

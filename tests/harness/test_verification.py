@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -159,8 +160,9 @@ def test_edited_scores_beside_the_old_summary_are_refused_without_a_table(runs: 
         checked(runs / "scripted", None)
 
 
-def test_edited_scores_with_a_summary_that_fits_are_refused_on_the_table(runs: Path) -> None:
-    edit_scores(runs / "scripted", lambda values: values * 0)
+@pytest.mark.parametrize("edit", [lambda values: values * 0, lambda values: values * 0.996], ids=["all", "0.4 %"])
+def test_edited_scores_with_a_summary_that_fits_are_refused_on_the_table(runs: Path, edit: Any) -> None:
+    edit_scores(runs / "scripted", edit)
     fit_summary_to_scores(runs / "scripted")
     assert checked(runs / "scripted", None).unverified
     with pytest.raises(RunError, match=r"scores\.parquet, row \d+ .*mpjpe.*: expected 0\.\d+, which the motion"):

@@ -1,7 +1,7 @@
 """What the three laws are tried on: results that keep their bytes, input that is refused, commands that are killed.
 
 A module ``tests/laws/<area>_cases.py`` lists cases in ``SAME_BYTES`` and ``BAD_INPUT``; nothing else registers them.
-Commands that are killed and resumed are the rows of ``tests/writing.py``.
+What is killed and resumed are the rows of ``tests/laws/killed_cases.py``.
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ import os
 import pytest
 
 from prbench.object_stores.store import FINISHED, describe
+from tests.laws.killed_cases import WRITING, Writing, make_inputs, run
 from tests.object_stores.conftest import contents
 from tests.object_stores.test_s3 import put_folder
-from tests.writing import WRITING, Inputs, Writing, run
 
 pytestmark = [
     pytest.mark.fuzz,
@@ -25,7 +25,7 @@ CASES = [
     writing
     for writing in WRITING
     if not writing.heavy
-    and writing.before is None
+    and not writing.before
     and not writing.name.startswith("poses")  # which writes beside the videos, on this machine
     and writing.name not in _ELSEWHERE
 ]
@@ -42,20 +42,10 @@ class Url(str):
         return Url(self.rpartition("/")[0])
 
 
-class InputsThere:
-    """As :class:`tests.writing.Inputs`, at a URL."""
-
-    def __init__(self, here: Inputs, folder: Url) -> None:
-        self.here, self.folder = here, folder
-
-    def __getattr__(self, name: str) -> Url:
-        return self.folder / name
-
-
 @pytest.fixture(scope="module")
 def here(tmp_path_factory):
-    made = Inputs.make(tmp_path_factory.mktemp("inputs") / "inputs")
-    for folder in made.folder.iterdir():
+    made = make_inputs(tmp_path_factory.mktemp("inputs") / "inputs")
+    for folder in made.iterdir():
         if folder.is_dir() and folder.name not in _NATIVE:
             describe(folder)
     return made
@@ -63,15 +53,14 @@ def here(tmp_path_factory):
 
 @pytest.mark.parametrize("writing", CASES, ids=lambda each: each.name)
 def test_a_command_reads_and_writes_there_what_it_does_here(writing: Writing, bucket, here, tmp_path):
-    put_folder(here.folder, f"{bucket}/inputs")
+    put_folder(here, f"{bucket}/inputs")
     local, remote = tmp_path / "local", tmp_path / "remote"
     for folder in (local, remote):
         folder.mkdir()
-    run(local, *writing.arguments(here, local / writing.result), expected=writing.exit_code)
+    run(local, *writing.words(here, local / writing.result))
     said = io.StringIO()
     out = Url(f"{bucket}/out/{writing.result}")
-    code = run(remote, *writing.arguments(InputsThere(here, Url(f"{bucket}/inputs")), out), expected=None, said=said)
-    assert code == writing.exit_code, said.getvalue()
+    run(remote, *writing.words(Url(f"{bucket}/inputs"), out), said=said)
     varies = writing.varies or ("\0",)
     wanted = {name: content for name, content in writing.same(local).items() if (local / name).is_file()}
     found = {
@@ -81,7 +70,7 @@ def test_a_command_reads_and_writes_there_what_it_does_here(writing: Writing, bu
     }
     assert sorted(found) == sorted(wanted)
     there = f"{bucket}/inputs".encode()  # reports and shards name what they were given
-    renamed = {name: found[name].replace(there, str(here.folder).encode()) for name in found}
+    renamed = {name: found[name].replace(there, str(here).encode()) for name in found}
     assert [name for name in wanted if _untold(wanted[name]) != _untold(renamed[name])] == []
 
 
