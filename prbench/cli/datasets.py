@@ -21,7 +21,7 @@ from prbench.cli.commands import Answer, SeveralValues, command, note, progress
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
-    from prbench.checking.catalogue import Catalogue, CatalogueEntry
+    from prbench.checking.catalogue import CatalogueEntry
     from prbench.checking.hd_epic import Validation
     from prbench.checking.inspection import InspectedDataset, InspectedTable
 
@@ -54,24 +54,25 @@ def datasets(*, name: str | None, root: Path | None, cite: tuple[Path, ...]) -> 
         text = citation_text(cite)
         return Answer(Catalogue(bibtex=text), lambda: print(text))
     report = Catalogue(datasets=catalogue(root, name), unusable_readers=usable_readers()[1])
-    return Answer(report, lambda: _print_list(report) if name is None else print(_everything(report.datasets[0])))
 
-
-def _print_list(report: Catalogue) -> None:
-    print_table(
-        "datasets",
-        ("name", "for", "title", "licence", "redistribution", "found"),
-        [
+    def show() -> None:
+        if name is not None:
+            print(_everything(report.datasets[0]))
+            return
+        header = ("name", "for", "title", "licence", "redistribution", "found")
+        rows = [
             (each.name, each.kind, each.title, each.licence, each.redistribution, each.found or "–")
             for each in report.datasets
-        ],
-    )
-    for each in report.datasets:
-        for line in each.missing:
-            print(f"{each.name}: {line}")
-    for line in report.unusable_readers:
-        print(f"! {line}")
-    print("`prbench datasets NAME` tells how to obtain one and which files it consists of.")
+        ]
+        print_table("datasets", header, rows)
+        for each in report.datasets:
+            for line in each.missing:
+                print(f"{each.name}: {line}")
+        for line in report.unusable_readers:
+            print(f"! {line}")
+        print("`prbench datasets NAME` tells how to obtain one and which files it consists of.")
+
+    return Answer(report, show)
 
 
 def _everything(entry: CatalogueEntry) -> str:

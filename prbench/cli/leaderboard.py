@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +13,7 @@ import click
 from prbench.cli import options as opt
 from prbench.cli.commands import Answer, Group, command, note, progress, session
 from prbench.cli.summaries import phi_cell
-from prbench.cli.terminal import print_table, shown_width
+from prbench.cli.terminal import print_table
 from prbench.datasets import ON_SYNTHETIC_DATA, SYNTHETIC_PREFIX
 
 if TYPE_CHECKING:
@@ -196,7 +198,9 @@ def _print_all_metrics(title: str, controls: Sequence[ControlMeans], *, only_mai
     from prbench.metrics import printed_unit
 
     metrics = metrics_of(controls)
-    columns = _COLUMNS if shown_width() >= _WIDE else _COLUMNS // 2
+    # Files and pipes have no width.
+    narrow = sys.stdout.isatty() and shutil.get_terminal_size().columns < _WIDE
+    columns = _COLUMNS // 2 if narrow else _COLUMNS
     for kind, infos in (
         (f"{title}; the main metrics", [info for info in metrics if info.main]),
         ("beside them", [info for info in metrics if not info.main and not only_main]),

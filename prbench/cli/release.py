@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import click
 
@@ -12,9 +12,6 @@ from prbench.cli import options as opt
 from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.commands import Answer, command, note, session
 from prbench.cli.terminal import print_table
-
-if TYPE_CHECKING:
-    from prbench.release.report import ExportReleaseReport, ImportReleaseReport
 
 
 @command(
@@ -55,8 +52,13 @@ def import_release(
 
     if fps is not None and not 1 <= fps <= 1000:
         raise UsageError(f"--fps: expected 1 to 1000, found {fps:g}.")
+
+    def tell(dataset: str, step: str) -> None:
+        if not session().quiet:
+            print(f"{dataset}: {step}", file=sys.stderr, flush=True)
+
     options = ImportOptions(fps=fps, field_map=dict(field_map), on_error=on_error, replace=replace)
-    report = import_files(root, out, dataset=dataset, options=options, progress=_tell_step)
+    report = import_files(root, out, dataset=dataset, options=options, progress=tell)
     for table in report.tables:
         for warning in table.warnings:
             note(f"warning: {warning}")
@@ -66,25 +68,21 @@ def import_release(
             note(f"warning: metrics will be refused: {table.why_not_scored}")
     for name, message in report.failed.items():
         note(f"failed: {name}: {message}")
-    return Answer(report, lambda: _print_imported(report), 0 if report.complete else NOT_EVERYTHING)
 
+    def show() -> None:
+        for table in report.tables:
+            rows = [
+                (each.name.replace("_", " "), each.value, each.how_surely, each.evidence) for each in table.inferred
+            ]
+            rows += [(f"field {meaning.replace('_', ' ')}", name, "", "") for meaning, name in table.fields.items()]
+            print_table(f"{table.title}: what was inferred", ("", "value", "how surely", "evidence"), rows)
+            counts = [(row.split, str(row.found), "" if row.study is None else str(row.study)) for row in table.counts]
+            print_table("sequences", ("split", "found", "study"), counts, numbers=(1, 2))
+            if table.fields_kept_in_extra:
+                print(f"fields kept in extra: {', '.join(table.fields_kept_in_extra)}")
+            print(f"table: {table.folder}")
 
-def _tell_step(dataset: str, step: str) -> None:
-    """Say what the import is doing now."""
-    if not session().quiet:
-        print(f"{dataset}: {step}", file=sys.stderr, flush=True)
-
-
-def _print_imported(report: ImportReleaseReport) -> None:
-    for table in report.tables:
-        rows = [(each.name.replace("_", " "), each.value, each.how_surely, each.evidence) for each in table.inferred]
-        rows += [(f"field {meaning.replace('_', ' ')}", name, "", "") for meaning, name in table.fields.items()]
-        print_table(f"{table.title}: what was inferred", ("", "value", "how surely", "evidence"), rows)
-        counts = [(row.split, str(row.found), "" if row.study is None else str(row.study)) for row in table.counts]
-        print_table("sequences", ("split", "found", "study"), counts, numbers=(1, 2))
-        if table.fields_kept_in_extra:
-            print(f"fields kept in extra: {', '.join(table.fields_kept_in_extra)}")
-        print(f"table: {table.folder}")
+    return Answer(report, show, 0 if report.complete else NOT_EVERYTHING)
 
 
 @command(
@@ -100,11 +98,11 @@ def export_release(*, data: tuple[Path, ...], out: Path, permission: tuple[str, 
     from prbench.release.exporting import export_release as export_tables
 
     report = export_tables(data, out, permitted=permission)
-    return Answer(report, lambda: _print_exported(report))
 
+    def show() -> None:
+        for each in report.datasets:
+            print(f"{each.dataset}: {each.sequences} sequences in {each.folder}")
+            if each.notice:
+                print(f"notice: {each.notice}")
 
-def _print_exported(report: ExportReleaseReport) -> None:
-    for each in report.datasets:
-        print(f"{each.dataset}: {each.sequences} sequences in {each.folder}")
-        if each.notice:
-            print(f"notice: {each.notice}")
+    return Answer(report, show)

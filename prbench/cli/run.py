@@ -21,7 +21,7 @@ import msgspec
 
 from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, note, progress, session
-from prbench.cli.summaries import RunAnswer, run_answer, shards_answer
+from prbench.cli.summaries import RunAnswer, run_answer
 from prbench.engine import end_with_parent
 from prbench.engine.choice import Cluster
 from prbench.entry_points import ADAPTERS, STUDY_ITEMS, load_built_in
@@ -209,7 +209,9 @@ def _run_all(
     if view is not None and len(requests) > 1:
         raise UsageError("--view: belongs to one run; `prbench view RUN RUN … --out FILE` shows several.")
     if shard is not None:
-        return shards_answer(_generated_shard(request, shard, engine) for request in requests)
+        made = [_generated_shard(request, shard, engine) for request in requests]
+        answers = [opt.shard_answer(each, each, unit="batches") for each in made]
+        return Answer(RunAnswer(shards=made), lambda: [answer.show() for answer in answers])
     reports = [_generated(request, engine) for request in requests]
     folder = reports[0].folder
     if repeated is not None and folder.path.resolve() != repeated.path.resolve():

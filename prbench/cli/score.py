@@ -20,7 +20,6 @@ from prbench.protocol.manifests import default_benchmark
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
-    from prbench.harness.offline import ExportReport
     from prbench.harness.run_folder.agreement import DatasetAgreement
     from prbench.harness.run_folder.summary import DatasetSummary
 
@@ -29,7 +28,7 @@ class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
     """The finished motions of one dataset.
 
     Attributes:
-        origin: Where the motions come from, in words.
+        origin: Origin of the motions, in words.
         motionless: They are declared to stand still, so that some metrics, such as Foot Skating, say nothing.
         scores: Their scores, as in ``summary.json``.
         agreement: Agreement with recorded people, and rates by the goal's place; null for futures.
@@ -133,20 +132,21 @@ def score(
                 progress=lambda step: show(step.done, step.total, step.dataset),
             )
         made = [ScoredMotions(origin=origin, motionless=False, scores=summary, agreement=None)]
-    return Answer(made, lambda: _print(made, out))
 
+    def show_scores() -> None:
+        from prbench.harness.score_predictions import UNSTATED
 
-def _print(scored: Sequence[ScoredMotions], out: Path | None) -> None:
-    from prbench.harness.score_predictions import UNSTATED
+        for each in made:
+            print_summary(each.scores, origin=each.origin, motionless=each.motionless)
+            print_agreement(each.agreement)
+            print_scene([each.scores], [each.agreement])
+        if out is not None:
+            print(f"scores: {out}")
+            if any(each.scores.condition == UNSTATED for each in made):
+                unstated = "the condition is not stated (--condition or --conditions)"
+                print(f"{unstated}: a leaderboard will not rank these scores")
 
-    for each in scored:
-        print_summary(each.scores, origin=each.origin, motionless=each.motionless)
-        print_agreement(each.agreement)
-        print_scene([each.scores], [each.agreement])
-    if out is not None:
-        print(f"scores: {out}")
-        if any(each.scores.condition == UNSTATED for each in scored):
-            print("the condition is not stated (--condition or --conditions): a leaderboard will not rank these scores")
+    return Answer(made, show_scores)
 
 
 @command(
@@ -222,16 +222,17 @@ def export_conditions(
         report = load_benchmark(about.name).offline.export_windows(condition=condition, **given)
     answers = "PREDICTIONS" if about.default else "FUTURES.npz"
     note(f"then: prbench score {answers} --conditions {shlex.quote(str(report.out))} --data …")
-    return Answer(report, lambda: _print_export_conditions(report, "sequences" if about.default else "windows"))
 
+    def show() -> None:
+        case = "sequences" if about.default else "windows"
+        for dataset, count in report.sequences.items():
+            longer = report.left_out.get(dataset, 0)
+            print(f"{dataset}: {count} {case}{f' ({longer} longer ones left out)' if longer else ''}")
+        for line in report.notices:
+            print(f"notice: {line}")
+        print(f"{report.rows} motions to generate: {report.out}")
 
-def _print_export_conditions(report: ExportReport, case: str) -> None:
-    for dataset, count in report.sequences.items():
-        longer = report.left_out.get(dataset, 0)
-        print(f"{dataset}: {count} {case}{f' ({longer} longer ones left out)' if longer else ''}")
-    for line in report.notices:
-        print(f"notice: {line}")
-    print(f"{report.rows} motions to generate: {report.out}")
+    return Answer(report, show)
 
 
 @command(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from prbench.cli.commands import Answer
-from prbench.cli.options import MadeShard, shard_answer
+from prbench.cli.options import MadeShard
 from prbench.cli.terminal import print_table
 from prbench.datasets import ON_SYNTHETIC_DATA, SYNTHETIC_PREFIX
 
@@ -85,8 +85,12 @@ def print_summary(
         elif metric.metric not in details:
             flags = [f"{count} × {name}" for name, count in sorted(metric.flags.items())]
             remarks = "; ".join([*metric.marks, *flags]).replace("_", " ")
-            mean = f"{metric.mean * printed_scale(metric.unit):.2f}{printed_unit(metric.unit)}"
-            rows.append((metric.title, mean, _bounds(metric), remarks))
+            scale = printed_scale(metric.unit)
+            mean = f"{metric.mean * scale:.2f}{printed_unit(metric.unit)}"
+            bounds = _DASH
+            if metric.low is not None and metric.high is not None:
+                bounds = f"[{metric.low * scale:.2f}, {metric.high * scale:.2f}]"
+            rows.append((metric.title, mean, bounds, remarks))
     title = (
         f"{summary.title}: {_method(summary, origin)}; {summary.sequences} sequences of"
         f" {summary.recordings} recording{'' if summary.recordings == 1 else 's'}, split {summary.split}"
@@ -226,15 +230,6 @@ def _mean(found: MetricSummary | MeanOverDatasets | None, info: MetricInfo, *, h
     return _DASH if found is None or hidden else f"{found.mean * printed_scale(info.unit):.2f}"
 
 
-def _bounds(metric: MetricSummary) -> str:
-    from prbench.metrics import printed_scale
-
-    if metric.low is None or metric.high is None:
-        return _DASH
-    scale = printed_scale(metric.unit)
-    return f"[{metric.low * scale:.2f}, {metric.high * scale:.2f}]"
-
-
 def _print_sequence_scores(run: RunFolder, metrics: Sequence[MetricInfo]) -> None:
     """Print what every motion of a run scored, sequence by sequence."""
     from prbench.harness.run_folder import read_scores
@@ -266,7 +261,7 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         folder: The run folder.
         method: Name of the method.
-        origin: Where the method comes from, in words.
+        origin: Origin of the method, in words.
         condition: What it was given.
         seed: Seed of the run.
         batches_found: Number of batches that an earlier call had left.
@@ -322,18 +317,6 @@ def run_answer(reports: Sequence[RunReport], companions: Sequence[RunReport] = (
             print(f"run folder: {report.folder.path}")
 
     return Answer(RunAnswer(runs=list(map(_made, reports)), companions=list(map(_made, companions))), show)
-
-
-def shards_answer(made: Iterable[MadeShard]) -> Answer:
-    """Answer a command that has made one shard of each run."""
-    report = RunAnswer(shards=list(made))
-    answers = [shard_answer(report, each, unit="batches") for each in report.shards]
-
-    def show() -> None:
-        for answer in answers:
-            answer.show()
-
-    return Answer(report, show)
 
 
 def _made(report: RunReport) -> MadeRun:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import shutil
 import sys
@@ -84,11 +83,6 @@ def console(*, stderr: bool = False, **settings: Any) -> Console:
     return Console(
         file=stream.raw if isinstance(stream, _CleanStream) else stream, highlight=False, markup=False, **settings
     )
-
-
-def shown_width() -> float:
-    """Return the columns of the terminal; files and pipes have no width."""
-    return shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
 
 
 def print_table(
@@ -188,7 +182,7 @@ def print_tables(tables: Iterable[Table], *, between: str = " ") -> None:
     """Print tables of the table engine block by block, with their notes.
 
     Args:
-        tables: In printed order.
+        tables: The tables, in printed order.
         between: Stands between a number and its interval; a line break makes columns narrower.
     """
     from prbench.tables import grid

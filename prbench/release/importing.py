@@ -198,7 +198,7 @@ def import_release(
 
     Args:
         root: The release (folders HD-EPIC, MoGaze …), or the folder of one dataset.
-        out: With ``dataset`` the table's folder, else a folder in which each dataset gets one of its own.
+        out: The table's folder if ``dataset`` is given, else a folder in which each dataset gets one of its own.
         dataset: Name of the only dataset to import.
         options: Statements of the user.
         progress: Called with the dataset and the step that begins.

@@ -175,8 +175,17 @@ def read_targets(path: Path) -> dict[str, dict[str, Any]]:
     Raises:
         InputFileError: if it is missing, no JSON, no object by sequence, or two keys mean one sequence.
     """
+
+    def without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) != len(pairs):
+            names = [name for name, _ in pairs]
+            repeated = next(name for name in names if names.count(name) > 1)
+            raise ValueError(f"the key '{repeated}' twice in one object")
+        return found
+
     try:
-        content = json.loads(read_text(path, largest=LARGEST_JSON), object_pairs_hook=_without_repeats)
+        content = json.loads(read_text(path, largest=LARGEST_JSON), object_pairs_hook=without_repeats)
     except FileNotFoundError as error:
         raise InputFileError(path, "", expected="a JSON file", found="no file") from error
     except RecursionError as error:
@@ -199,15 +208,6 @@ def read_targets(path: Path) -> dict[str, dict[str, Any]]:
         if index is not None and first.setdefault(index, key) != key:
             raise InputFileError(path, f"sequence {index}", expected="one key", found=f"'{first[index]}' and '{key}'")
     return content
-
-
-def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
-        names = [name for name, _ in pairs]
-        repeated = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"the key '{repeated}' twice in one object")
-    return found
 
 
 def index_of(key: str) -> int | None:
@@ -315,19 +315,19 @@ _COLUMNS = [each for each in SEQUENCES if not is_bulky(each.type) and each.name 
 _JSON = {pa.string(): str, pa.float64(): float, pa.int32(): int}
 
 
-def _json_type(column: pa.Field) -> Any:
-    if pa.types.is_fixed_size_list(column.type):
-        size = column.type.list_size
-        return Annotated[list[float], msgspec.Meta(min_length=size, max_length=size)]
-    # JSON has no NaN, so None stands for it.
-    nullable = column.nullable or column.name == "prime_time_uncertainty"
-    return _JSON[column.type] | None if nullable else _JSON[column.type]
-
-
+_TYPES: dict[str, Any] = {}
+for _column in _COLUMNS:
+    if pa.types.is_fixed_size_list(_column.type):
+        _size = msgspec.Meta(min_length=_column.type.list_size, max_length=_column.type.list_size)
+        _TYPES[_column.name] = Annotated[list[float], _size]
+    elif _column.nullable or _column.name == "prime_time_uncertainty":  # JSON has no NaN, so None stands for it
+        _TYPES[_column.name] = _JSON[_column.type] | None
+    else:
+        _TYPES[_column.name] = _JSON[_column.type]
 _Block = msgspec.defstruct(
     "_Block",
     [
-        *((each.name, _json_type(each)) for each in _COLUMNS),
+        *_TYPES.items(),
         ("extra", dict[str, str]),
         ("event_id", str),
         ("motion_frame", Literal["canonical", "world"]),

@@ -265,7 +265,9 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
     def value(canonical: str) -> Any:
         return fields.get(found.mapping.get(canonical, ""))
 
-    goal = parse_point(value("goal"))
+    point = value("goal")
+    numbers = [_number(part) for part in point] if isinstance(point, list) and len(point) == 3 else [None]
+    goal = None if None in numbers else np.array(numbers, dtype=np.float64)
     subset = _SUBSETS.get(str(value("subset")).strip().lower())
     primed = _number(value("primed_frame"))
     for name, expected, read in (
@@ -432,14 +434,6 @@ def clean_gaze(gaze: np.ndarray | None, n_frames: int) -> tuple[Float[np.ndarray
     unit = np.abs(length - 1) <= rules.unit_gaze_tolerance
     scale = np.where(valid & ~unit, length, 1.0)[:, None]
     return np.where(valid[:, None], directions / scale, [0.0, 0.0, 1.0]), valid
-
-
-def parse_point(value: Any) -> Float[np.ndarray, "3"] | None:
-    """Return a list of three finite numbers as an array, None for anything else."""
-    if not isinstance(value, list) or len(value) != 3:
-        return None
-    numbers = [_number(part) for part in value]
-    return None if None in numbers else np.array(numbers, dtype=np.float64)
 
 
 def _number(value: Any) -> float | None:

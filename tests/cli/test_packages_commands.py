@@ -80,7 +80,11 @@ def test_a_former_command_names_the_present_one(former, capsys):
 
 
 def test_a_section_without_commands_is_left_out():
-    group = Group("g", sections={"empty: nothing here": {}, "data: one": {"diff": "prbench.cli.view:diff"}})
+    group = Group(
+        "g",
+        example="prbench diff a b",
+        sections={"empty: nothing here": {}, "data: one": {"diff": "prbench.cli.view:diff"}},
+    )
     text = group.get_help(click.Context(group, info_name="g"))
     assert "empty" not in text
     assert "data: one" in text
