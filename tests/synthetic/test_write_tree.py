@@ -10,11 +10,8 @@ import pytest
 
 from prbench.errors import UsageError
 from prbench.readers import read_synthetic_tree, reader_for
-from prbench.readers.adt.synthetic import LAYOUT, sense
-from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.people import perform
 from prbench.synthetic.write_tree import WrittenTree, objects_table, synthesize_tree
-from tests.comparing import differences
 from tests.synthetic.true_clips import read_truth
 
 TRUTH_OF_A_FRAME = ("recording_id", "t", "joints", "rotations", "eye", "gaze", "head_forward", "planted")
@@ -30,20 +27,10 @@ def _digests(root: Path) -> dict[str, str]:
     return {str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
-def test_two_processes_write_the_same_bytes_as_one(tree, tmp_path) -> None:
-    again = synthesize_tree("adt", tmp_path / "again", recordings=2, seed=4, n_events=2, workers=2)
-    assert _digests(again.root) == _digests(tree.root)
-
-
 def test_a_recording_does_not_depend_on_how_many_there_are(tree, tmp_path) -> None:
     alone = synthesize_tree("adt", tmp_path / "alone", recordings=1, seed=4, n_events=2)
     name = alone.recordings[0].recording_id
     assert _digests(alone.root / name) == _digests(tree.root / name)
-
-
-def test_another_seed_gives_another_world(tree, tmp_path) -> None:
-    other = synthesize_tree("adt", tmp_path / "other", recordings=1, seed=5, n_events=2)
-    assert other.recordings[0].recording_id != tree.recordings[0].recording_id
 
 
 def test_the_tree_says_that_it_is_synthetic_and_how_it_is_split(tree) -> None:
@@ -54,14 +41,6 @@ def test_the_tree_says_that_it_is_synthetic_and_how_it_is_split(tree) -> None:
     found = reader_for("adt").find(tree.root)
     assert {recording.recording_id for recording in found} == mark.split.keys()
     assert {recording.dataset for recording in found} == {"synthetic-adt"}
-
-
-def test_files_of_the_tree_and_the_recording_exit_agree_bit_for_bit(tree) -> None:
-    reader = reader_for("adt")
-    for index, found in enumerate(reader.find(tree.root)):
-        performance = perform("adt", seed=4, index=index, n_events=2)
-        assert list(differences(reader.read(found), synthetic_recording(performance))) == []
-        assert LAYOUT.recording(sense(performance)).dataset == "synthetic-adt"
 
 
 def test_truth_events_are_on_the_recording_s_clock_after_adding_its_offset(tree) -> None:
@@ -98,7 +77,8 @@ def test_truth_tables_hold_what_the_page_lists(tree) -> None:
     assert read_truth(tree.root, "fixations").num_rows > 10
 
 
-def test_object_truth_keeps_rows_while_moving_and_both_ends(performance) -> None:
+def test_object_truth_keeps_rows_while_moving_and_both_ends() -> None:
+    performance = perform("adt", seed=11, index=3, n_events=2, provocations={})
     table = objects_table(performance)
     moved = {motion.object_id for motion in performance.objects if len(motion.position) > 1}
     still = [motion for motion in performance.objects if len(motion.position) == 1]

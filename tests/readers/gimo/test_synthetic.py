@@ -10,8 +10,6 @@ import pytest
 from prbench.geometry.skeleton import WRISTS
 from prbench.geometry.timelines import interpolate
 from prbench.readers import reader_for
-from prbench.readers.gimo import GimoOptions, read_readings
-from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.synthetic import LAYOUT, sense
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
@@ -32,16 +30,6 @@ def tree(tmp_path_factory):
     return root
 
 
-def test_files_and_memory_give_the_same_recording_bit_for_bit(tree, performance) -> None:
-    reader = reader_for("gimo")
-    found = reader.find(tree)
-    assert [each.recording_id for each in found] == ["gimo_synthetic_seed11_0000", "gimo_synthetic_seed11_0001"]
-    assert {each.dataset for each in found} == {"synthetic-gimo"}
-    readings = sense(performance)
-    assert list(differences(read_readings(found[0], GimoOptions()), readings)) == []
-    assert list(differences(reader.read(found[0]), LAYOUT.recording(readings))) == []
-
-
 def test_the_table_is_as_real_copies_have_it(tree) -> None:
     content = (tree / "dataset.csv").read_bytes()
     assert content.startswith(b"\xef\xbb\xbfsequence_path,")
@@ -51,21 +39,6 @@ def test_the_table_is_as_real_copies_have_it(tree) -> None:
     assert lines[-1] == lines[-2], "one row is repeated"
     reader = reader_for("gimo")
     assert "line 3 of dataset.csv is repeated in line 4" in reader.read(reader.find(tree)[1]).messages[0]
-
-
-def test_two_writings_give_the_same_bytes(performance, tmp_path) -> None:
-    short = sense(performance)
-    poses = short.body.poses  # type: ignore[union-attr]
-    few = replace(poses, **{name: getattr(poses, name)[:5] for name in ("frames", "orient", "trans", "latent")})
-    short = replace(
-        short, body=replace(short.body, poses=few), gaze=gimo.GazePoints(short.gaze.frames[:5], short.gaze.points[:5])
-    )
-    for name in ("first", "second"):
-        LAYOUT.write(short, tmp_path / name)
-        LAYOUT.finish(tmp_path / name)
-    for path in sorted((tmp_path / "first").rglob("*")):
-        other = tmp_path / "second" / path.relative_to(tmp_path / "first")
-        assert path.is_dir() or path.read_bytes() == other.read_bytes(), path.name
 
 
 def test_with_ideal_sensors_the_body_is_the_truth(performance) -> None:

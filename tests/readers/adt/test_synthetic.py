@@ -1,57 +1,98 @@
-"""Sensors: ideal ones say the truth, every error stands alone, and twice the noise is twice the error."""
+"""ADT's synthetic sensors and files: ideal sensors say the truth, what is written comes back."""
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.geometry.skeleton import Joint, bone_lengths
+from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.readers.adt import format as adt
+from prbench.readers.adt import synthetic as layout
 from prbench.readers.adt.synthetic import LAYOUT, native_object_id, sense
 from prbench.readers.aria_mps.synthetic import gaze_bias
 from prbench.synthetic.layouts import synthetic_recording
+from prbench.synthetic.people import perform
+from prbench.synthetic.performance import OtherPerson, Performance
 from prbench.synthetic.sensors import Switches, device_start_us
+from tests.comparing import differences
 from tests.synthetic.plausibility import recorded_bone_change
 
-TOUCHED = {
-    "pose_noise": {"glasses.position", "glasses.rotation", "glasses.quality"},
-    "pose_losses": {"glasses.quality"},
-    "gaze_bias": {"gaze.yaw", "gaze.pitch", "gaze.yaw_range", "gaze.pitch_range"},
-    "gaze_jitter": {"gaze.yaw", "gaze.pitch", "gaze.yaw_range", "gaze.pitch_range"},
-    "gaze_losses": {f"gaze.{field.name}" for field in fields(adt.GazeAngles)},
-    "blinks": {"gaze.yaw", "gaze.pitch", "gaze.yaw_range", "gaze.pitch_range"},
-    "gaze_clock": {"gaze.time_us"},
-    "body_noise": {"skeletons.joints", "skeletons.markers"},
-    "body_wobble": {"skeletons.joints", "skeletons.markers"},
-    "body_losses": {"skeletons.joints", "skeletons.markers"},
-    "object_noise": {"objects.position", "objects.rotation"},
-}
+
+@pytest.fixture(scope="module")
+def performance() -> Performance:
+    """One pick and one put."""
+    return perform("adt", seed=11, index=3, n_events=2, provocations={})
 
 
-OTHER_SENSORS = {
-    "egoallo": {"limb_wobble", "foot_slip", "root_height"},
-    "aria_mps": {"pose_drift", "pose_clock", "hand_noise", "hand_losses"},
-    "hot3d": {"hand_start", "object_gaps", "clock_drift"},
-    "hd_epic": {"video_clock", "annotated_times", "annotated_points", "mask_losses"},
-}
-"""Switches of errors that ADT's sensors do not have, by the module whose own test covers them."""
+@pytest.fixture(scope="module")
+def performance_for_two(performance) -> Performance:
+    """The same with a second person a metre beside the first."""
+    beside = (1.0, 0.0, 0.0)
+    other = OtherPerson("S777", performance.joints + beside, performance.finger_bases + beside)
+    return replace(performance, other_people=(other,))
 
 
-def test_every_switch_is_covered_by_the_next_test_or_that_of_another_sensor() -> None:
-    assert set(TOUCHED).union(*OTHER_SENSORS.values()) == {field.name for field in fields(Switches)}
+@pytest.fixture(scope="module")
+def readings(performance) -> adt.AdtReadings:
+    return _first_seconds(sense(performance, noise=5.0))  # bad frames, blinks and losses included
 
 
-@pytest.mark.parametrize("switch", TOUCHED)
-def test_switching_one_error_off_leaves_everything_else_bit_identical(performance, switch) -> None:
-    noise = 200.0 if switch == "body_losses" else 1.0  # bad frames are one in ten thousand at the default
-    everything = _columns(sense(performance, noise=noise))
-    without = _columns(sense(performance, noise=noise, switches=replace(Switches(), **{switch: False})))
-    changed = {name for name in everything if not _equal(everything[name], without[name])}
-    assert changed, "the error is on by default and visible"
-    assert changed <= TOUCHED[switch]
+def _first_seconds(readings: adt.AdtReadings, seconds: float = 4.0) -> adt.AdtReadings:
+    """The beginning of a recording: quick to write."""
+    end_us = int(readings.glasses.time_us[0] + seconds * 1e6)
+
+    def cut(stream: Any, times: np.ndarray, end: int) -> Any:
+        kept = times <= end
+        columns = {field.name: getattr(stream, field.name) for field in fields(stream)}
+        return replace(stream, **{k: v[kept] for k, v in columns.items() if np.shape(v)[:1] == kept.shape})
+
+    return replace(
+        readings,
+        glasses=cut(readings.glasses, readings.glasses.time_us, end_us),
+        gaze=cut(readings.gaze, readings.gaze.time_us, end_us),
+        objects=tuple(
+            cut(entry, entry.time_ns, end_us * 1000) if entry.dynamic else entry for entry in readings.objects
+        ),
+        skeletons=tuple(cut(person, person.time_ns, end_us * 1000) for person in readings.skeletons),
+    )
+
+
+def test_the_twin_with_the_smaller_id_names_the_split_group(readings, tmp_path) -> None:
+    for twin, group in (("A_before", "A_before"), ("Z_after", readings.recording_id)):
+        layout.write(replace(readings, concurrent=twin), tmp_path / twin / readings.recording_id)
+        (found,) = find_recordings(tmp_path / twin)
+        assert read_recording(found).split_group == group
+
+
+def test_without_a_skeleton_there_is_no_body_and_nothing_is_refused(readings, tmp_path) -> None:
+    layout.write(replace(readings, skeletons=()), tmp_path / "alone")
+    recording = read_recording(find_recordings(tmp_path / "alone")[0])
+    assert recording.body is None
+    assert recording.hands == ()
+    assert recording.pose_source == "none"
+    assert recording.participant_id == "unknown"
+
+
+def test_a_skeleton_without_glasses_is_somebody_else(readings, tmp_path) -> None:
+    stranger = replace(readings.skeletons[0], serial="NONE", name="Skeleton_C")
+    layout.write(replace(readings, skeletons=(stranger,)), tmp_path / "stranger")
+    recording = read_recording(find_recordings(tmp_path / "stranger")[0])
+    assert recording.body is None
+    assert [person.person_id for person in recording.other_people] == ["Skeleton_C"]
+
+
+def test_readings_survive_the_text(readings, tmp_path) -> None:
+    layout.write(readings, tmp_path / readings.recording_id)
+    back = read_readings(find_recordings(tmp_path)[0])
+    # Gravity and world frames, which the file holds, are not sensed.
+    back = replace(back, glasses=replace(back.glasses, up=np.zeros(3), graph_uids=()))
+    markers_are_not_read = tuple(replace(person, markers=None) for person in readings.skeletons)
+    assert list(differences(back, replace(readings, skeletons=markers_are_not_read))) == []
 
 
 def test_lost_gaze_rows_leave_the_others_as_they_are(performance) -> None:
@@ -66,11 +107,6 @@ def test_a_second_person_changes_nothing_that_the_first_one_measures(performance
     alone, together = sense(performance), sense(performance_for_two)
     assert np.array_equal(alone.skeletons[0].joints, together.skeletons[0].joints)
     assert np.array_equal(alone.gaze.yaw, together.gaze.yaw, equal_nan=True)
-
-
-def test_equal_performances_give_equal_readings(performance) -> None:
-    first, second = _columns(sense(performance)), _columns(sense(performance))
-    assert all(_equal(first[name], second[name]) for name in first)
 
 
 @pytest.mark.parametrize("ideal", [{"noise": 0.0}, {"switches": Switches.ideal()}], ids=["no noise", "all off"])
@@ -201,25 +237,3 @@ def test_two_wearers(performance_for_two) -> None:
     beside = next(stream for stream in recording.other_people[0].hands if stream.contact == "wrist")
     own = next(stream for stream in recording.hands if stream.contact == "wrist")
     assert beside.points - own.points == pytest.approx(np.broadcast_to((1.0, 0.0, 0.0), own.points.shape), abs=3e-6)
-
-
-def _equal(first: np.ndarray, second: np.ndarray) -> bool:
-    return np.array_equal(first, second, equal_nan=first.dtype.kind == "f")
-
-
-def _columns(readings: adt.AdtReadings) -> dict[str, np.ndarray]:
-    """Every array and number of the readings, by path; objects and skeletons one after the other."""
-    parts: dict[str, list] = {}
-
-    def collect(value: object, path: str) -> None:
-        if is_dataclass(value):
-            for field in fields(value):
-                collect(getattr(value, field.name), f"{path}.{field.name}".strip("."))
-        elif isinstance(value, tuple):
-            for entry in value:
-                collect(entry, path)
-        elif value is not None:
-            parts.setdefault(path, []).append(np.ravel(np.asarray(value)))
-
-    collect(readings, "")
-    return {name: np.concatenate(values) for name, values in parts.items()}

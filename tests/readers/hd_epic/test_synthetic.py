@@ -39,14 +39,6 @@ def tree(tmp_path_factory) -> Path:
     return root
 
 
-def test_written_and_read_equals_in_memory_bit_for_bit(tree, performances) -> None:
-    reader = reader_for("hd-epic")
-    found = reader.find(tree)
-    assert [each.recording_id for each in found] == [each.recording_id for each in performances]
-    for files, performance in zip(found, performances, strict=True):
-        assert not list(differences(reader.read(files), LAYOUT.recording(LAYOUT.sense(performance))))
-
-
 def test_the_tree_has_the_datasets_folders_and_no_leftovers(tree) -> None:
     assert {path.name for path in tree.iterdir()} == {
         "HD-EPIC", "hd-epic-annotations", "egoallo", "smplh", "synthetic.json", "truth",
@@ -105,15 +97,6 @@ def test_masks_are_lost_as_often_as_the_noise_says() -> None:
     assert set(kept) == {0}, "20 times 5 %"
     ideal = sensors._annotated_tracks(Sensing(performance, 20.0, Switches.ideal()), clock)
     assert {len(track.masks) for track in ideal} <= {2, 3}
-
-
-@pytest.mark.parametrize("name", ["video_clock", "annotated_times", "annotated_points", "mask_losses"])
-def test_switching_an_annotation_error_off_leaves_every_other_stream_as_it_was(performances, name) -> None:
-    performance = performances[0]
-    one = LAYOUT.sense(performance)
-    other = LAYOUT.sense(performance, switches=dataclasses.replace(Switches(), **{name: False}))
-    changed = {path.split(".")[1] + "." + path.split(".")[2].split("[")[0] for path in differences(one, other)}
-    assert changed <= {"readings.clock", "readings.tracks", "readings.priming"}
 
 
 def test_repeated_and_skipped_images() -> None:
