@@ -33,13 +33,13 @@ class Condition(StrEnum):
     GOAL_LOCATION = "goal-loc"
 
 
+# Fields of a :class:`ConditionBatch` that each condition fills; all the others are None.
 GIVEN: dict[Condition, frozenset[str]] = {
     Condition.NONE: frozenset(),
     Condition.TEXT: frozenset({"text"}),
     Condition.GOAL_POSE: frozenset({"text", "goal_joints"}) | _INITIAL_STATE,
     Condition.GOAL_LOCATION: frozenset({"text", "goal_location"}) | _INITIAL_STATE,
 }
-"""Fields of a :class:`ConditionBatch` that each condition fills; all the others are None."""
 
 
 @dataclass(frozen=True, kw_only=True)

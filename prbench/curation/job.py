@@ -366,8 +366,8 @@ def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> F
     )
 
 
+# Name of a stage, how many passed it, how many of those that came to it did not, and counts of these by reason.
 FunnelRow = tuple[str, int, int, str]
-"""Name of a stage, how many passed it, how many of those that came to it did not, and counts of these by reason."""
 
 
 def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:

@@ -22,26 +22,26 @@ from prbench.metrics.registry import (
 from prbench.protocol.manifests import MetricConstants
 
 FAMILIES: tuple[MetricFamily, ...] = find_families(__name__, __path__)
+# All metrics in the order in which they are printed.
 METRICS: tuple[MetricInfo, ...] = tuple(
     sorted((info for family in FAMILIES for info in family.metrics), key=lambda info: info.position)
 )
-"""All metrics in the order in which they are printed."""
+# Ids of the metrics that only motions with gaze have.
 GAZE_METRICS: frozenset[str] = frozenset(info.id for family in FAMILIES if family.needs_gaze for info in family.metrics)
-"""Ids of the metrics that only motions with gaze have."""
+# Ids of the metrics that need the boxes of the scene.
 SCENE_METRICS: frozenset[str] = frozenset(
     info.id for family in FAMILIES if family.needs_scene for info in family.metrics
 )
-"""Ids of the metrics that need the boxes of the scene."""
+# The metrics of any motion: those that need neither gaze nor the boxes of the scene.
 METRICS_OF_MOTIONS: tuple[MetricInfo, ...] = tuple(
     info for info in METRICS if info.id not in GAZE_METRICS | SCENE_METRICS
 )
-"""The metrics of any motion: those that need neither gaze nor the boxes of the scene."""
+# The columns of leaderboards.
 MAIN_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.main)
-"""The columns of leaderboards."""
+# The main metrics by which methods are ranked and compared.
 RANKED_METRICS: tuple[MetricInfo, ...] = tuple(info for info in MAIN_METRICS if info.ranked)
-"""The main metrics by which methods are ranked and compared."""
+# The six columns of the study's Table 2.
 STUDY_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.in_study)
-"""The six columns of the study's Table 2."""
 
 __all__ = [
     "FAMILIES",

@@ -17,14 +17,16 @@ from prbench.geometry.skeleton import N_JOINTS, WRISTS
 class MotionBatch:
     """Ragged batch: the frames of all sequences one after the other, and where each sequence begins.
 
+    Attributes:
+        values: Joint positions, canonical frame, metres; float32 or float64.
+        offsets: Row of the first frame of each sequence, then the number of all frames.
+
     Raises:
         ValueError: if the offsets do not start at 0, do not end at the number of frames, or leave a sequence empty.
     """
 
     values: Float[np.ndarray, "frames 22 3"]
-    """Joint positions, canonical frame, metres; float32 or float64."""
     offsets: Int[np.ndarray, " sequences_and_1"]
-    """Row of the first frame of each sequence, then the number of all frames."""
 
     def __post_init__(self) -> None:
         if self.values.shape[1:] != (N_JOINTS, 3):
@@ -181,18 +183,21 @@ def moving_sum(values: Float[np.ndarray, "k frames"], batch: MotionBatch, window
     return total[:, spaced_row - half]
 
 
+# Value of :attr:`ScoringTargets.hand` where the recording does not say which hand reached.
 UNKNOWN_HAND = -1
-"""Value of :attr:`ScoringTargets.hand` where the recording does not say which hand reached."""
 
 
 @dataclass(frozen=True, eq=False)
 class GazeRays:
-    """Gaze, one ray a frame of the predicted motions, in the same order."""
+    """Gaze, one ray a frame of the predicted motions, in the same order.
+
+    Attributes:
+        origin: Between the eyes, canonical frame, metres.
+        direction: Unit vectors, canonical frame.
+    """
 
     origin: Float[np.ndarray, "frames 3"]
-    """Between the eyes, canonical frame, metres."""
     direction: Float[np.ndarray, "frames 3"]
-    """Unit vectors, canonical frame."""
     valid: Bool[np.ndarray, " frames"]
 
     def rows(self, begin: int, end: int) -> GazeRays:
@@ -204,24 +209,26 @@ class GazeRays:
 class ScoringTargets:
     """The goals of n sequences, all in the canonical frame of their sequence.
 
+    Attributes:
+        goal_location: Centre of the object (o_3D), metres.
+        prime_time: Recorded prime time, seconds after frame 0 (``prime_time - start_time`` of the table).
+        hand: Reaching hand of the recording: 0 left, 1 right, -1 unknown.
+        head_tilt_deg: Rest tilt of the neck-head bone of the skeleton that the pose came from.
+        fps: Frames per second, one for all or one a sequence.
+        gaze: Gaze of the predicted motions: recorded gaze for recorded motion, generated gaze for methods that have it.
+        scene: What stands around each sequence and is solid, canonical frames; None where nobody knows.
+
     Raises:
         ValueError: if goal, prime time, head tilt or frame rate is not finite, or a hand is none of 0, 1 and -1.
     """
 
     goal_location: Float[np.ndarray, "n 3"]
-    """Centre of the object (o_3D), metres."""
     prime_time: Float[np.ndarray, " n"]
-    """Recorded prime time, seconds after frame 0 (``prime_time - start_time`` of the table)."""
     hand: Int[np.ndarray, " n"]
-    """Reaching hand of the recording: 0 left, 1 right, -1 unknown."""
     head_tilt_deg: Float[np.ndarray, " n"]
-    """Rest tilt of the neck-head bone of the skeleton that the pose came from."""
     fps: float | Float[np.ndarray, " n"]
-    """Frames per second, one for all or one a sequence."""
     gaze: GazeRays | None = None
-    """Gaze of the predicted motions: recorded gaze for recorded motion, generated gaze for methods that have it."""
     scene: Boxes | None = None
-    """What stands around each sequence and is solid, canonical frames; None where nobody knows."""
 
     def __post_init__(self) -> None:
         columns = {"goal location": self.goal_location, "prime time": self.prime_time, "head tilt": self.head_tilt_deg}

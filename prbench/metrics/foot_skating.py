@@ -17,14 +17,17 @@ Fps = float | Float[np.ndarray, " n"]
 
 @dataclass(frozen=True, eq=False)
 class ToeSteps:
-    """The steps of both toes from each frame to the next; a sequence's last frame has none and holds zeros."""
+    """The steps of both toes from each frame to the next; a sequence's last frame has none and holds zeros.
+
+    Attributes:
+        speed: Horizontal, m/s.
+        averaged_speed: Moving average of ``speed`` with zeros beyond both ends.
+        contact: Toe below ``foot_height`` before and after the step.
+    """
 
     speed: Float[np.ndarray, "2 frames"]
-    """Horizontal, m/s."""
     averaged_speed: Float[np.ndarray, "2 frames"]
-    """Moving average of ``speed`` with zeros beyond both ends."""
     contact: Bool[np.ndarray, "2 frames"]
-    """Toe below ``foot_height`` before and after the step."""
 
 
 def foot_skating(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> Float[np.ndarray, " n"]:

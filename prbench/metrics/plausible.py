@@ -19,24 +19,27 @@ _FEET = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, *TOES)
 
 @dataclass(frozen=True, eq=False)
 class BodyNumbers:
-    """What decides whether each motion is plausible (docs/specification/metrics.md#plausible)."""
+    """What decides whether each motion is plausible (docs/specification/metrics.md#plausible).
+
+    Attributes:
+        lowest_pelvis: Metres above the floor.
+        trunk_tilt: Largest, degrees from the vertical.
+        floating: Greatest height of the lower foot, metres.
+        penetration: Greatest depth below the floor, metres.
+        bone_change: Largest relative change of a bone's length; infinite where frame 0 has a bone without length.
+        slow_slides: Share of frame transitions.
+        jerk: Largest, m/s³.
+        speed: Largest of a joint, m/s.
+    """
 
     lowest_pelvis: Float[np.ndarray, " n"]
-    """Metres above the floor."""
     trunk_tilt: Float[np.ndarray, " n"]
-    """Largest, degrees from the vertical."""
     floating: Float[np.ndarray, " n"]
-    """Greatest height of the lower foot, metres."""
     penetration: Float[np.ndarray, " n"]
-    """Greatest depth below the floor, metres."""
     bone_change: Float[np.ndarray, " n"]
-    """Largest relative change of a bone's length; infinite where frame 0 has a bone without length."""
     slow_slides: Float[np.ndarray, " n"]
-    """Share of frame transitions."""
     jerk: Float[np.ndarray, " n"]
-    """Largest, m/s³."""
     speed: Float[np.ndarray, " n"]
-    """Largest of a joint, m/s."""
 
 
 def largest_speed(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:

@@ -53,8 +53,8 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
     )
 
 
+# Flag of a sequence with a frame without gaze among those that decide.
 INVALID = "invalid_gaze_samples"
-"""Flag of a sequence with a frame without gaze among those that decide."""
 
 FAMILY = MetricFamily(
     (

@@ -20,15 +20,17 @@ class CandidateFrames:
 
     Frames around the prime time, of which frames 0 and 1 (whose head direction has no acceleration) and the last
     ``hold`` frames (whose stay on the target cannot be seen to its end) are left out.
+
+    Attributes:
+        last: Inclusive; before ``first`` where a sequence has no candidate.
+        hold: K: the ray must stay on the target in frame t and the K frames after it.
+        before: Frames before t that an arrival may have begun in: those of ``prime_window`` seconds.
     """
 
     first: Int[np.ndarray, " n"]
     last: Int[np.ndarray, " n"]
-    """Inclusive; before ``first`` where a sequence has no candidate."""
     hold: Int[np.ndarray, " n"]
-    """K: the ray must stay on the target in frame t and the K frames after it."""
     before: Int[np.ndarray, " n"]
-    """Frames before t that an arrival may have begun in: those of ``prime_window`` seconds."""
 
     @property
     def count(self) -> Int[np.ndarray, " n"]:
@@ -53,23 +55,26 @@ def candidate_frames(
 
 @dataclass(frozen=True, eq=False)
 class RayTrack:
-    """Distance and turning speed of a ray in the frames that the candidates of each sequence depend on."""
+    """Distance and turning speed of a ray in the frames that the candidates of each sequence depend on.
+
+    Attributes:
+        distance: From the goal to the ray (not the line), metres.
+        angle: Between the ray and the direction from its origin to the goal, degrees.
+        speed: Turn since the frame before, rad/s; NaN where that is unknown.
+        usable: False where the ray itself is not to be trusted; such a frame is off target.
+        direction: Unit vectors of the ray, canonical frame.
+        to_goal: From the ray's origin to the goal, canonical frame, metres.
+        row_of_frame_0: ``row_of_frame_0[i] + t`` is the row of frame t of sequence i, where the track holds that frame.
+    """
 
     distance: Float[np.ndarray, " rows"]
-    """From the goal to the ray (not the line), metres."""
     angle: Float[np.ndarray, " rows"]
-    """Between the ray and the direction from its origin to the goal, degrees."""
     speed: Float[np.ndarray, " rows"]
-    """Turn since the frame before, rad/s; NaN where that is unknown."""
     usable: Bool[np.ndarray, " rows"]
-    """False where the ray itself is not to be trusted; such a frame is off target."""
     direction: Float[np.ndarray, "rows 3"]
-    """Unit vectors of the ray, canonical frame."""
     to_goal: Float[np.ndarray, "rows 3"]
-    """From the ray's origin to the goal, canonical frame, metres."""
     sequence: Int[np.ndarray, " rows"]
     row_of_frame_0: Int[np.ndarray, " n"]
-    """``row_of_frame_0[i] + t`` is the row of frame t of sequence i, where the track holds that frame."""
 
 
 def head_track(

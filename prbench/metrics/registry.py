@@ -21,47 +21,45 @@ from prbench.protocol.manifests import MetricConstants
 
 @dataclass(frozen=True)
 class MetricInfo:
-    """One column of a score table: all that tables, intervals and controls need to know of a metric."""
+    """One column of a score table: all that tables, intervals and controls need to know of a metric.
+
+    Attributes:
+        id: Name in ``scores.parquet``, ``summary.json`` and exports; never printed.
+        title: Name in printed tables.
+        unit: ``rate``, ``ratio``, or a unit such as ``m``. A rate lies between 0 and 1, is printed in % and gets the
+            interval of a share. All others are printed as they are.
+        higher_is_better: None where neither direction is a merit.
+        main: Stands in leaderboards and other tables of several methods; the others stand in the scores of single runs.
+        position: Place in a printed table.
+        compares_with_recorded: The value compares the predicted motion with the recorded one. Recorded motion compared
+            with itself says nothing, so such a metric is left out where recorded motion is scored against another
+            sequence's goal. Every metric has to say this; a forgotten one would print a perfect 0.
+        can_be_negative: True if a value may be below 0; otherwise no interval reaches below 0.
+        irrelevant_if_motionless: The value says nothing of a body that stands still: tables print a dash and rank
+            nobody.
+        carries_copy_remark: The remark on motions that are copies of the recorded one stands beside this metric.
+        in_study: One of the six columns of the study's Table 2.
+        title_in_study: Title in the study's Table 2; empty where it is ``title``.
+        ranked: Methods are ranked and compared by this metric, if it is a main one. False for a condition that a motion
+            has to meet, which no method meets better than a body that stands still.
+        is_detail: Stands in files and reports alone, not in printed tables.
+    """
 
     id: str
-    """Name in ``scores.parquet``, ``summary.json`` and exports; never printed."""
     title: str
-    """Name in printed tables."""
     unit: str
-    """``rate``, ``ratio``, or a unit such as ``m``.
-
-    A rate lies between 0 and 1, is printed in % and gets the interval of a share. All others are printed as they are.
-    """
     _: KW_ONLY
     higher_is_better: bool | None
-    """None where neither direction is a merit."""
     main: bool
-    """Stands in leaderboards and other tables of several methods; the others stand in the scores of single runs."""
     position: int
-    """Place in a printed table."""
     compares_with_recorded: bool
-    """The value compares the predicted motion with the recorded one.
-
-    Recorded motion compared with itself says nothing, so such a metric is left out where recorded motion is scored
-    against another sequence's goal. Every metric has to say this; a forgotten one would print a perfect 0.
-    """
     can_be_negative: bool = False
-    """True if a value may be below 0; otherwise no interval reaches below 0."""
     irrelevant_if_motionless: bool = False
-    """The value says nothing of a body that stands still: tables print a dash and rank nobody."""
     carries_copy_remark: bool = False
-    """The remark on motions that are copies of the recorded one stands beside this metric."""
     in_study: bool = False
-    """One of the six columns of the study's Table 2."""
     title_in_study: str = ""
-    """Title in the study's Table 2; empty where it is ``title``."""
     ranked: bool = True
-    """Methods are ranked and compared by this metric, if it is a main one.
-
-    False for a condition that a motion has to meet, which no method meets better than a body that stands still.
-    """
     is_detail: bool = False
-    """Stands in files and reports alone, not in printed tables."""
 
     @property
     def scale(self) -> float:
@@ -114,12 +112,15 @@ def exported_unit(unit: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class MetricValues:
-    """One metric of every sequence."""
+    """One metric of every sequence.
+
+    Attributes:
+        flags: Remarks such as ``no_candidate_frames``, each with the sequences that it holds for.
+    """
 
     metric: str
     value: Float[np.ndarray, " n"]
     flags: Mapping[str, Bool[np.ndarray, " n"]]
-    """Remarks such as ``no_candidate_frames``, each with the sequences that it holds for."""
 
     @property
     def flag(self) -> list[str | None]:
@@ -133,16 +134,19 @@ class MetricValues:
 
 @dataclass(frozen=True, eq=False)
 class MetricFamily:
-    """A metric and its variants, computed together because they share their work."""
+    """A metric and its variants, computed together because they share their work.
+
+    Attributes:
+        compute: One result for each of ``metrics``, in that order.
+        needs_gaze: Computed only where the predicted motions have gaze: recorded motion, and methods that generate it.
+        needs_scene: Computed only where the boxes of the scene are handed in.
+    """
 
     metrics: tuple[MetricInfo, ...]
     compute: Callable[[ScoringPair, MetricConstants], tuple[MetricValues, ...]]
-    """One result for each of ``metrics``, in that order."""
     minimum_frames: int = 2
     needs_gaze: bool = False
-    """Computed only where the predicted motions have gaze: recorded motion, and methods that generate it."""
     needs_scene: bool = False
-    """Computed only where the boxes of the scene are handed in."""
 
 
 def find_families(package: str, path: Iterable[str]) -> tuple[MetricFamily, ...]:

@@ -17,22 +17,25 @@ from prbench.files.bounded import foreign_input
 from prbench.shown import quoted
 
 Redistribution = Literal["none", "non-commercial", "yes"]
+# Name of the rules that come with prbench; a user's own have another one (:mod:`prbench.protocol.own_protocol`).
 PROTOCOL_NAME = "prime-and-reach"
-"""Name of the rules that come with prbench; a user's own have another one (:mod:`prbench.protocol.own_protocol`)."""
 
 
 class BodySource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The source of a dataset's body poses and their mapping to the 22 joints."""
+    """The source of a dataset's body poses and their mapping to the 22 joints.
+
+    Attributes:
+        joint_mapping: Native joint of each of the 22 joints; ``a+b`` is the mean of two, ``0.6 a + 0.4 b`` a point
+            between them. Empty where the joints are native already.
+        other_mappings: Further mappings by the name under which a reader's option chooses them.
+        citation: BibTeX of the method that estimated the poses, where they are not the dataset's own.
+    """
 
     pose_source: str
     head_tilt_deg: float
     joint_mapping: tuple[str, ...] = ()
-    """Native joint of each of the 22 joints; ``a+b`` is the mean of two, ``0.6 a + 0.4 b`` a point between them. Empty
-    where the joints are native already."""
     other_mappings: dict[str, tuple[str, ...]] = {}
-    """Further mappings by the name under which a reader's option chooses them."""
     citation: str = ""
-    """BibTeX of the method that estimated the poses, where they are not the dataset's own."""
 
 
 class InHandRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -51,7 +54,25 @@ class InHandRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One dataset: origin, licence, layout, and every number that its curation uses."""
+    """One dataset: origin, licence, layout, and every number that its curation uses.
+
+    Attributes:
+        required_roles: Role under which the reader finds each required file (``a|b``: one of the two, ``a*``: any), and
+            how a user knows it.
+        wanted_roles: The same for files without which a recording is read, and yields less.
+        estimate: The figures that ``--dry-run`` reckons with, measured with one core on synthetic recordings: input
+            files read and curated, and bytes of table (and as many of the parts that it is made from) a byte of input.
+            Empty for corpora.
+        kind: A table of prime-and-reach sequences, or a text-motion corpus for pre-training.
+        other_bodies: Further sources of bodies by the name under which ``--poses`` chooses them (``egoallo``).
+        in_hand: The in-hand rule; None where the dataset annotates its events.
+        publishes_priming: True if the dataset's own files say when events were primed (``--priming published``).
+        thresholds: Numbers of the reader that the dataset's page leaves to choose, by name.
+        known_bad: Name (or beginning of the name) of a recording that must be skipped, and why.
+        excluded: Recording that is left out unless the reader's option ``include_excluded`` is on, and why.
+        object_extents: Boxes of kinds of objects whose meshes may be missing: lower and upper end along x, y, z,
+            metres.
+    """
 
     schema: Literal[1]
     name: str
@@ -64,32 +85,19 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     required_files: tuple[str, ...]
     optional_files: tuple[str, ...]
     required_roles: dict[str, str] = {}
-    """Role under which the reader finds each required file (``a|b``: one of the two, ``a*``: any), and how a user
-    knows it."""
     wanted_roles: dict[str, str] = {}
-    """The same for files without which a recording is read, and yields less."""
     estimate: dict[Literal["megabytes_per_second", "table_share"], float] = {}
-    """The figures that ``--dry-run`` reckons with, measured with one core on synthetic recordings: input files read and
-    curated, and bytes of table (and as many of the parts that it is made from) a byte of input. Empty for corpora."""
     rates_hz: dict[str, float]
     kind: Literal["benchmark", "corpus"] = "benchmark"
-    """A table of prime-and-reach sequences, or a text-motion corpus for pre-training."""
     body: BodySource
     other_bodies: dict[str, BodySource] = {}
-    """Further sources of bodies by the name under which ``--poses`` chooses them (``egoallo``)."""
     in_hand: InHandRule | None = None
-    """The in-hand rule; None where the dataset annotates its events."""
     in_hand_alternatives: dict[str, InHandRule] = {}
     publishes_priming: bool = False
-    """True if the dataset's own files say when events were primed (``--priming published``)."""
     thresholds: dict[str, float] = {}
-    """Numbers of the reader that the dataset's page leaves to choose, by name."""
     known_bad: dict[str, str] = {}
-    """Name (or beginning of the name) of a recording that must be skipped, and why."""
     excluded: dict[str, str] = {}
-    """Recording that is left out unless the reader's option ``include_excluded`` is on, and why."""
     object_extents: dict[str, tuple[tuple[float, float], tuple[float, float], tuple[float, float]]] = {}
-    """Boxes of kinds of objects whose meshes may be missing: lower and upper end along x, y, z, metres."""
     test_recordings: tuple[str, ...] = ()
     validation_recordings: tuple[str, ...] = ()
     train_recordings: tuple[str, ...] = ()
@@ -121,7 +129,11 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 class CurationConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Numbers of the path from event to sequence; metres and seconds."""
+    """Numbers of the path from event to sequence; metres and seconds.
+
+    Attributes:
+        minimum_prime: Seconds that a look must last to prime; 0 = a single gaze sample primes.
+    """
 
     priming_window: float
     near_miss_distance: float
@@ -130,7 +142,6 @@ class CurationConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     ray_origin: Literal["eye", "camera"]
     largest_interpolated_gap: float
     minimum_prime: float
-    """Seconds that a look must last to prime; 0 = a single gaze sample primes."""
 
 
 class SplitRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -186,17 +197,20 @@ class BreakdownConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
 
 class BenchmarkProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One version of the benchmark's rules."""
+    """One version of the benchmark's rules.
+
+    Attributes:
+        name: ``prime-and-reach``, which stands in no file and no digest, or the name of a user's own rules.
+        text: The text condition of each action.
+    """
 
     name: str = PROTOCOL_NAME
-    """``prime-and-reach``, which stands in no file and no digest, or the name of a user's own rules."""
     version: int
     fps: float
     conditions: tuple[str, ...]
     curation: CurationConstants
     splits: SplitRule
     text: dict[Literal["pick", "put"], str]
-    """The text condition of each action."""
     metrics: MetricConstants
     breakdown: BreakdownConstants
 
@@ -298,34 +312,38 @@ _FILE = "benchmark.toml"
 
 
 class AboutBenchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The description of one benchmark."""
+    """The description of one benchmark.
+
+    Attributes:
+        case: What one case is, in words.
+        answer: What a method answers to it, in words.
+        judges: What judges the answers, in words.
+        conditions: What a method may know, in words, by the name of the condition; in the order in which tables show
+            them.
+        build: Command that makes its tables.
+        samples: Number of answers to each case, unless the user says another.
+        batch_size: Number of cases a batch, unless the user says another.
+        entry_points: Entry-point group in which packages offer its methods.
+        methods: Methods that come with prbench, installed or not; no other package may use these names in the group.
+        value: ``module:object`` of the benchmark's value.
+        checks: ``module:function`` that returns the checks of its methods; empty where they cannot be checked.
+        default: The benchmark that is meant where none is named.
+    """
 
     name: str
     title: str
     case: str
-    """What one case is, in words."""
     answer: str
-    """What a method answers to it, in words."""
     judges: str
-    """What judges the answers, in words."""
     conditions: dict[str, str]
-    """What a method may know, in words, by the name of the condition; in the order in which tables show them."""
     build: str
-    """Command that makes its tables."""
     samples: int
-    """Number of answers to each case, unless the user says another."""
     batch_size: int
-    """Number of cases a batch, unless the user says another."""
     entry_points: str
-    """Entry-point group in which packages offer its methods."""
     methods: tuple[str, ...]
-    """Methods that come with prbench, installed or not; no other package may use these names in the group."""
     value: str
-    """``module:object`` of the benchmark's value."""
     checks: str = ""
-    """``module:function`` that returns the checks of its methods; empty where they cannot be checked."""
     default: bool = False
-    """The benchmark that is meant where none is named."""
 
 
 @cache

@@ -27,15 +27,15 @@ from prbench.files.storage import write_text
 from prbench.limits import HARMLESS_SIZE
 from prbench.protocol.manifests import PROTOCOL_NAME, BenchmarkProtocol, load_protocol
 
+# Name of the copy in the folder of a table or run.
 FILE_NAME = "protocol.toml"
-"""Name of the copy in the folder of a table or run."""
+# Key of ``dataset.json``, ``options``, that names a user's own protocol.
 OPTION = "protocol"
-"""Key of ``dataset.json``, ``options``, that names a user's own protocol."""
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 _ABOVE_ZERO = ("fps", "curation.priming_window", "metrics.prime_window")
 _SHARES = ("splits.test_from", "splits.validation_below")
+# Parts that may differ between a table's protocol and a run's: nothing of the table depends on them.
 _SCORING = ("name", "version", "metrics", "breakdown")
-"""Parts that may differ between a table's protocol and a run's: nothing of the table depends on them."""
 _START = "Start from a copy of benchmarks/prime_and_reach/protocol.toml and give it a name."
 
 
@@ -213,13 +213,16 @@ def protocol_for(file: Path | None, tables: Iterable[DescribedTable]) -> Benchma
 
 @dataclass(frozen=True)
 class DescribedTable:
-    """What a table says of its protocol."""
+    """What a table says of its protocol.
+
+    Attributes:
+        digest: Of the protocol that it was built with.
+        options: Of ``dataset.json``, where a table of one's own protocol names it.
+    """
 
     folder: Path
     digest: str
-    """Of the protocol that it was built with."""
     options: Mapping[str, str]
-    """Of ``dataset.json``, where a table of one's own protocol names it."""
 
     def protocol(self) -> BenchmarkProtocol | None:
         """Return the protocol; None for prbench's own of another version.

@@ -14,24 +14,27 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
+# The five datasets in the study's order.
 DATASETS = ("hd-epic", "mogaze", "hot3d", "adt", "gimo")
-"""The five datasets in the study's order."""
 _PACKAGE = "prbench_benchmarks.prime_and_reach.published"
 _ABLATED_METRICS = ("prime_success", "reach_success", "location_error", "mpjpe")
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Mean and standard deviation over sequences."""
+    """Mean and standard deviation over sequences.
+
+    Attributes:
+        mean: Their mean.
+        sd: Their standard deviation.
+    """
 
     mean: float
-    """Their mean."""
     sd: float
-    """Their standard deviation."""
 
 
+# The four quantities of Table 1 and their units.
 QUANTITIES = {"duration": "s", "prime_gap": "s", "body_movement": "m", "hand_movement": "m"}
-"""The four quantities of Table 1 and their units."""
 
 
 @dataclass(frozen=True)
@@ -49,25 +52,28 @@ class PublishedRow:
 
 @dataclass(frozen=True)
 class PublishedNumber:
-    """One cell of a table of the study."""
+    """One cell of a table of the study.
+
+    Attributes:
+        table: Number of the table, such as ``S3``.
+        condition: A condition of the protocol or, in Table 3, the study's words for what the model is given.
+        method: Id of the method; ``real`` for recorded motion in Table S8.
+        variant: What tells two rows of one method apart, in words.
+        metric: Id of the metric.
+        printed: The digits as printed: rates in %, lengths in metres; empty for a dash.
+        plus_minus: The number after ±, in Table S8 only.
+        note: What is known to be odd about the cell.
+    """
 
     table: str
-    """Number of the table, such as ``S3``."""
     dataset: str
     condition: str
-    """A condition of the protocol or, in Table 3, the study's words for what the model is given."""
     method: str
-    """Id of the method; ``real`` for recorded motion in Table S8."""
     variant: str
-    """What tells two rows of one method apart, in words."""
     metric: str
-    """Id of the metric."""
     printed: str
-    """The digits as printed: rates in %, lengths in metres; empty for a dash."""
     plus_minus: str = ""
-    """The number after ±, in Table S8 only."""
     note: str = ""
-    """What is known to be odd about the cell."""
 
     @property
     def value(self) -> float | None:

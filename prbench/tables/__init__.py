@@ -26,22 +26,25 @@ _ARROWS = {"": "", "higher": " ↑", "lower": " ↓"}
 
 
 class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One column and the format of its numbers."""
+    """One column and the format of its numbers.
+
+    Attributes:
+        key: Metric of the cells that stand in it, or key of the rows' words.
+        title: Title as printed.
+        better: Direction of the better values: an arrow behind the title.
+        unit: Unit in parentheses behind the title; empty for none.
+        text: Holds words: set to the left.
+        digits: Digits behind the point.
+        missing: Stands where a row has neither words nor a cell: by default a dash, nothing in a column of words.
+    """
 
     key: str
-    """Metric of the cells that stand in it, or key of the rows' words."""
     title: str
-    """Title as printed."""
     better: Literal["", "higher", "lower"] = ""
-    """Direction of the better values: an arrow behind the title."""
     unit: str = ""
-    """Unit in parentheses behind the title; empty for none."""
     text: bool = False
-    """Holds words: set to the left."""
     digits: int = 2
-    """Digits behind the point."""
     missing: str | None = None
-    """Stands where a row has neither words nor a cell: by default a dash, nothing in a column of words."""
 
     @property
     def heading(self) -> str:
@@ -97,44 +100,54 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One row: words by the key of their column, and cells, each in the column of its metric."""
+    """One row: words by the key of their column, and cells, each in the column of its metric.
+
+    Attributes:
+        text: Words as printed. Where a column of numbers has words too, these are printed in place of the cell's
+            number.
+        cells: Its numbers; those without a column stand in CSV and JSON alone.
+    """
 
     text: Mapping[str, str]
-    """Words as printed. Where a column of numbers has words too, these are printed in place of the cell's number."""
     cells: tuple[Cell, ...] = ()
-    """Its numbers; those without a column stand in CSV and JSON alone."""
 
 
 class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Rows of one origin: measured and published ones never stand in the same block."""
+    """Rows of one origin: measured and published ones never stand in the same block.
+
+    Attributes:
+        title: Says where the numbers come from; empty in a table of one block.
+        rows: Rows in printed order.
+        signed: The numbers are differences: their signs are printed.
+    """
 
     title: str = ""
-    """Says where the numbers come from; empty in a table of one block."""
     rows: tuple[Row, ...]
-    """Rows in printed order."""
     signed: bool = False
-    """The numbers are differences: their signs are printed."""
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A table, or what a figure draws; blocks without rows are left out."""
+    """A table, or what a figure draws; blocks without rows are left out.
+
+    Attributes:
+        number: Number in the study, such as ``2`` or ``S3``; empty for a table that no study has.
+        title: What it shows.
+        columns: Printed columns.
+        blocks: Rows, by where they come from.
+        dataset: Dataset of one part of a table that has several.
+        part: The part in words: dataset, and how much data stand behind it.
+        stamp: A warning that has to stand with the numbers, such as that they come from a smoke configuration.
+        notes: What a reader of the table needs to know.
+    """
 
     number: str = ""
-    """Number in the study, such as ``2`` or ``S3``; empty for a table that no study has."""
     title: str = ""
-    """What it shows."""
     columns: tuple[Column, ...] = ()
-    """Printed columns."""
     blocks: tuple[Block, ...] = ()
-    """Rows, by where they come from."""
     dataset: str = ""
-    """Dataset of one part of a table that has several."""
     part: str = ""
-    """The part in words: dataset, and how much data stand behind it."""
     stamp: str = ""
-    """A warning that has to stand with the numbers, such as that they come from a smoke configuration."""
     notes: tuple[str, ...] = ()
-    """What a reader of the table needs to know."""
 
     def __post_init__(self) -> None:
         msgspec.structs.force_setattr(self, "blocks", tuple(block for block in self.blocks if block.rows))
