@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -129,7 +129,7 @@ class Motions:
     Row i is valid up to ``n_frames[i]``; what stands behind is padding and is never looked at.
 
     Attributes:
-        gaze: Of a method that declares ``gaze``; None for all others.
+        gaze: Generated gaze of a method that declares ``gaze``; None for all others.
     """
 
     joints: Float[np.ndarray, "batch frames 22 3"]
@@ -224,10 +224,12 @@ def sequence_noise(noise_seed: int) -> Iterator[None]:
     sequence at a time.
 
     Args:
-        noise_seed: Of the sequence (``batch.noise_seed[row]``), 63 bits. Torch takes the lower 32 of them on the CPU:
-            of 10,000 sequences two draw the same noise with a probability of 1 %.
+        noise_seed: Seed of the sequence (``batch.noise_seed[row]``), 63 bits. On the CPU torch takes the lower 32 of
+            them: of 10,000 sequences two draw the same noise with a probability of 1 %.
     """
-    torch = _torch()
+    torch: Any = None
+    with suppress(ImportError):
+        import torch
     python_state = random.getstate()
     numpy_state = np.random.get_state()  # noqa: NPY002 - the generator that other people's samplers draw from
     with ExitStack() as stack:
@@ -257,7 +259,7 @@ def batch_noise(noise_seeds: Sequence[int]) -> Iterator[None]:
     then (:func:`sequence_noise`).
 
     Args:
-        noise_seeds: Of the sequences (``batch.noise_seed``).
+        noise_seeds: Seeds of the sequences (``batch.noise_seed``).
 
     Raises:
         ImportError: if there is no torch.
@@ -299,12 +301,3 @@ def batch_noise(noise_seeds: Sequence[int]) -> Iterator[None]:
         finally:
             for name, function in kept.items():
                 setattr(torch, name, function)
-
-
-def _torch() -> Any:
-    """The module, or None where it is not installed."""
-    try:
-        import torch
-    except ImportError:
-        return None
-    return torch

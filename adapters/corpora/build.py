@@ -28,9 +28,7 @@ from prbench.sequences.corpus import (
     CORPUS_SCHEMA_VERSION,
     CORPUS_TABLES,
     CorpusRecord,
-    annotation_batch,
-    clip_batch,
-    corpus_recording_batch,
+    corpus_batch,
     write_corpus,
 )
 from prbench.sequences.dataset_info import CORPUS_FILE, CorpusCounts, CorpusInfo, QuarantinedRecording
@@ -102,9 +100,9 @@ class CorpusJob:
         clips = [clip for read, _ in done for clip in sorted(read.clips, key=lambda clip: clip.sequence_id)]
         records = tuple(record for _, record in done)
         batches = {
-            "clips": clip_batch(clips),
-            "annotations": annotation_batch(row for read, _ in done for row in read.annotations),
-            "recordings": corpus_recording_batch(records),
+            "clips": corpus_batch("clips", clips),
+            "annotations": corpus_batch("annotations", (row for read, _ in done for row in read.annotations)),
+            "recordings": corpus_batch("recordings", records),
         }
         receipt = GroupReceipt(
             name=name,

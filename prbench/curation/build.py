@@ -62,7 +62,7 @@ def build_dataset(
         out: Folder of the new dataset; an earlier dataset there is replaced when everything is ready, and
             only by one that holds its recordings.
         options: What to read, and how to curate it.
-        engine: Where recordings are worked on.
+        engine: Runs the work on recordings, in this process or in others.
         progress: Called after each recording, in order.
 
     Raises:
@@ -292,8 +292,8 @@ def build_all(
     Args:
         root: Folder that holds copies of datasets, or one of them.
         out: Folder of the tables.
-        options: As for one dataset, without a rule or reader's option, which are those of one dataset.
-        engine: Where recordings are worked on.
+        options: Options of every build; in-hand rules and reader's options belong to one dataset and are refused.
+        engine: Runs the work on recordings, in this process or in others.
         progress: Called after each recording.
 
     Returns:

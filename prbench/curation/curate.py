@@ -57,7 +57,7 @@ def curate_recording(
 
     Args:
         recording: What a reader yields.
-        manifest: In-hand rule and split lists of the dataset.
+        manifest: The dataset's in-hand rule and split lists.
         protocol: Constants of the path from event to sequence.
         options: What the user chose.
         split: The split, where the recording carries its own (synthetic trees); None = by the split rule.

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from prbench.curation.in_hand import LONGEST_SURE_GAP, Departure, Holding, contact_streams, find_holdings, nearest_hand
 from prbench.protocol.manifests import InHandRule
-from prbench.recording import AnnotatedEvent, PublishedPriming, Recording
+from prbench.recording import PublishedPriming, Recording
 from prbench.recording.streams import Action, HandSource, Side, reaching_hand, wrists_at
 
 
@@ -77,10 +77,39 @@ def find_events(recording: Recording, rule: InHandRule | None) -> tuple[list[Pic
     Returns:
         The events, and remarks that a user should see.
     """
-    if rule is None or recording.annotated_events:
-        events = [_annotated(recording, event) for event in recording.annotated_events]
-    else:
-        events = [event for holding in find_holdings(recording, rule) for event in _events_of(recording, holding, rule)]
+    events = []
+    for listed in recording.annotated_events:
+        place = None
+        if listed.location is not None:
+            corners = (listed.location, listed.location)
+            if listed.box_min is not None and listed.box_max is not None:
+                corners = (listed.box_min, listed.box_max)
+            place = Place(listed.location, *corners)
+        events.append(
+            PickPutEvent(
+                event_id=event_id(recording, listed.object_id, listed.action, listed.event_time),
+                object_id=listed.object_id,
+                object_name=listed.object_name,
+                action=listed.action,
+                event_time=listed.event_time,
+                place=place,
+                hand=listed.hand,
+                hand_source=listed.hand_source,
+                displacement=None,
+                published_priming=listed.published_priming,
+                rejected=Decision("no_location", "location") if place is None else None,
+            )
+        )
+    holdings = [] if rule is None or recording.annotated_events else find_holdings(recording, rule)
+    for holding in holdings:
+        assert rule is not None, "holdings are found by a rule"
+        # A pick before the recording began, or a put after its end, is none.
+        if holding.pick is not None:
+            events.append(_event(recording, holding, "pick", holding.pick.time, holding.pick, rule))
+        if holding.put is not None:
+            events.append(_event(recording, holding, "put", holding.put.time, holding.put, rule))
+        elif holding.vanished is not None:
+            events.append(_event(recording, holding, "put", holding.vanished, None, rule))
     events.sort(key=lambda event: (event.event_time, event.event_id))
     # One event an id: a dataset that lists one event twice gets a remark, not two sequences.
     unique = list({event.event_id: event for event in reversed(events)}.values())[::-1]
@@ -92,40 +121,6 @@ def find_events(recording: Recording, rule: InHandRule | None) -> tuple[list[Pic
 def event_id(recording: Recording, object_id: str, action: Action, event_time: float) -> str:
     """Built from native keys, so that equal inputs give equal ids whatever else is in the build; time in µs."""
     return f"{recording.dataset}/{recording.recording_id}/{object_id}/{action}/{round(event_time * 1e6)}"
-
-
-def _annotated(recording: Recording, event: AnnotatedEvent) -> PickPutEvent:
-    place = None
-    if event.location is not None:
-        corners = (event.location, event.location)
-        if event.box_min is not None and event.box_max is not None:
-            corners = (event.box_min, event.box_max)
-        place = Place(event.location, *corners)
-    return PickPutEvent(
-        event_id=event_id(recording, event.object_id, event.action, event.event_time),
-        object_id=event.object_id,
-        object_name=event.object_name,
-        action=event.action,
-        event_time=event.event_time,
-        place=place,
-        hand=event.hand,
-        hand_source=event.hand_source,
-        displacement=None,
-        published_priming=event.published_priming,
-        rejected=Decision("no_location", "location") if place is None else None,
-    )
-
-
-def _events_of(recording: Recording, holding: Holding, rule: InHandRule) -> list[PickPutEvent]:
-    """The pick and the put of one holding; a pick before the recording began, or a put after its end, is none."""
-    events = []
-    if holding.pick is not None:
-        events.append(_event(recording, holding, "pick", holding.pick.time, holding.pick, rule))
-    if holding.put is not None:
-        events.append(_event(recording, holding, "put", holding.put.time, holding.put, rule))
-    elif holding.vanished is not None:
-        events.append(_event(recording, holding, "put", holding.vanished, None, rule))
-    return events
 
 
 def _event(

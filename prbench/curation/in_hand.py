@@ -143,7 +143,7 @@ def placed_in_gap(departure: Departure, hands: tuple[HandStream, ...], distance:
     given and the departure marked as not placed.
 
     Args:
-        departure: With its gap: from the sample at rest to the one away from it (backwards for a put).
+        departure: The instant and its gap, from the sample at rest to the one away from it (backwards for a put).
         hands: Contact points that may have held the object.
         distance: Metres.
     """
@@ -288,7 +288,7 @@ def close_to(
     """Samples at which one hand is close: nearer than the rule's distance, or unseen between two such samples.
 
     Args:
-        distance: Of that hand; inf where it was not measured.
+        distance: Distance of that hand, metres; inf where it was not measured.
         times: Seconds.
         rule: The distance.
     """

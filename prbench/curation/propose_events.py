@@ -66,7 +66,7 @@ def propose_pick(recording: Recording, *, hint: float | None = None) -> Candidat
     """The most probable pick of a recording that should hold one.
 
     Args:
-        recording: With a body.
+        recording: A recording that has a body.
         hint: Time at which the dataset hints at a contact, seconds; the proposal stays within half a second of it.
 
     Returns:
@@ -175,7 +175,7 @@ def write_candidates(
         root: Its folder.
         out: A file that does not exist yet: annotations are never overwritten.
         options: Options of the reader.
-        engine: Where segments are read.
+        engine: Reads the segments, in this process or in others.
         progress: Called after each segment.
 
     Returns:

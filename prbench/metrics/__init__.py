@@ -85,7 +85,7 @@ def score(
         predicted: Canonical frame, metres.
         recorded: The recorded motions of the same sequences, in the same order.
         targets: Their goals.
-        constants: Of the protocol.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
         metrics: Ids of the wanted metrics; all by default, those of gaze and of the scene only where ``targets`` hold
             gaze and boxes.
         allow_length_mismatch: Accept motions of another length than the recorded one: the final frame is then each

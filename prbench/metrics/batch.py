@@ -122,7 +122,7 @@ class MotionBatch:
         """Refuse NaN and infinity.
 
         Args:
-            name: Of the motion, for the error.
+            name: Name of the motion, for the error.
             counted_from: Number of this batch's first sequence, for the error.
 
         Raises:
@@ -154,14 +154,6 @@ def ranges(starts: Int[np.ndarray, " n"], counts: Int[np.ndarray, " n"]) -> Int[
     """``starts[i], starts[i] + 1, …`` (``counts[i]`` numbers), one range after the other."""
     ends = np.cumsum(counts)
     return np.arange(ends[-1] if len(ends) else 0) + np.repeat(starts - (ends - counts), counts)
-
-
-def sum_rows(rows: Float[np.ndarray, "k n"]) -> Float[np.ndarray, " n"]:
-    """Sum over the first axis in a fixed order; ``rows.sum(axis=0)`` rounds differently when n is 1."""
-    total = rows[0].copy()
-    for row in rows[1:]:
-        total += row
-    return total
 
 
 def odd_window(seconds: float, fps: float) -> int:

@@ -39,7 +39,7 @@ def foot_skating(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> F
     Args:
         motion: Canonical frame, metres, two frames or more.
         fps: Frames per second.
-        constants: Of the protocol; ``foot_window`` is 5 frames at 20 fps and any other odd number at other rates.
+        constants: Thresholds of the protocol; ``foot_window`` is 5 frames at 20 fps and another odd number elsewhere.
     """
     steps = toe_steps(motion, fps, constants)
     return _share_of_transitions(_sliding(steps, constants), motion)
@@ -59,7 +59,7 @@ def slow_slides(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> Fl
     Args:
         motion: Canonical frame, metres, two frames or more.
         fps: Frames per second.
-        constants: Of the protocol.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
     """
     steps = toe_steps(motion, fps, constants)
     sliding = steps.contact & (steps.speed > constants.slide_speed + constants.foot_tolerance)

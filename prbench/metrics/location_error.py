@@ -21,7 +21,7 @@ def location_error(
     Args:
         predicted: Canonical frame, metres.
         recorded: Same frame and unit.
-        constants: Of the protocol.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
         horizontal: Compare x and z only, as Guided Motion Diffusion does.
     """
     axes = [0, 2] if horizontal else [0, 1, 2]

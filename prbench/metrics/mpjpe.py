@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.geometry.skeleton import N_JOINTS
-from prbench.metrics.batch import MotionBatch, ScoringPair, require_equal_lengths, sum_rows
+from prbench.metrics.batch import MotionBatch, ScoringPair, require_equal_lengths
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.protocol.manifests import MetricConstants
 
@@ -30,7 +30,11 @@ def mpjpe(predicted: MotionBatch, recorded: MotionBatch) -> Float[np.ndarray, " 
     squared = error[:, 0]
     squared += error[:, 1]
     squared += error[:, 2]
-    per_frame = sum_rows(np.sqrt(squared))
+    distance = np.sqrt(squared)
+    # Joint by joint, because ``distance.sum(axis=0)`` rounds differently for a single frame.
+    per_frame = distance[0].copy()
+    for row in distance[1:]:
+        per_frame += row
     return np.add.reduceat(per_frame, predicted.first) / (N_JOINTS * predicted.n_frames)
 
 

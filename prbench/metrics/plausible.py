@@ -120,7 +120,7 @@ def body_numbers(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> B
     Args:
         motion: Canonical frame, metres, two frames or more.
         fps: Frames per second.
-        constants: Of the protocol; heights and speeds that count as a slide.
+        constants: Thresholds of the protocol: heights and speeds that count as a slide.
     """
     change, missing = bone_length_change(motion)
     return BodyNumbers(
@@ -139,7 +139,7 @@ def broken_limits(numbers: BodyNumbers, constants: MetricConstants) -> dict[str,
     """Return which motions break which limit; a motion is plausible if it breaks none.
 
     Args:
-        numbers: Of :func:`body_numbers`.
+        numbers: Measurements of :func:`body_numbers`.
         constants: The limits; a number within ``threshold_tolerance`` of its limit, in its own unit, keeps it.
 
     Returns:
@@ -165,7 +165,7 @@ def plausible(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> Floa
     Args:
         motion: Canonical frame, metres, two frames or more.
         fps: Frames per second.
-        constants: Of the protocol.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
     """
     return _keeps_all(broken_limits(body_numbers(motion, fps, constants), constants))
 

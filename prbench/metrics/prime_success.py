@@ -34,7 +34,7 @@ def prime_success(
     Args:
         motion: Canonical frame, metres.
         targets: Goal, prime time, head tilt and frame rate of each sequence.
-        constants: Of the protocol.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
         variant: Which of the readings.
     """
     candidates, track = _evidence(motion, targets, constants)
@@ -47,9 +47,9 @@ def primed(
     """Apply the conditions of :func:`prime_success` to the track of any ray.
 
     Args:
-        track: Of the ray.
+        track: Distance and turning speed of the ray, frame by frame.
         candidates: Frames at which priming may begin.
-        constants: Of the protocol.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
         variant: Which of the readings.
         margin: Metres beyond ``prime_distance`` from which on a ray counts as having been elsewhere (``arrival``).
     """

@@ -19,8 +19,8 @@ def prime_success_gaze(
 
     Args:
         motion: The motion that the gaze belongs to; its lengths only.
-        targets: With the gaze of that motion, recorded or generated.
-        constants: Of the protocol.
+        targets: Goals, prime times and the gaze of that motion, recorded or generated.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
         variant: Which of the readings.
 
     Raises:

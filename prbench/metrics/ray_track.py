@@ -58,12 +58,12 @@ class RayTrack:
     """Distance and turning speed of a ray in the frames that the candidates of each sequence depend on.
 
     Attributes:
-        distance: From the goal to the ray (not the line), metres.
-        angle: Between the ray and the direction from its origin to the goal, degrees.
+        distance: Distance between goal and ray (not the line), metres.
+        angle: Angle between the ray and the direction from its origin to the goal, degrees.
         speed: Turn since the frame before, rad/s; NaN where that is unknown.
         usable: False where the ray itself is not to be trusted; such a frame is off target.
         direction: Unit vectors of the ray, canonical frame.
-        to_goal: From the ray's origin to the goal, canonical frame, metres.
+        to_goal: Vector from the ray's origin to the goal, canonical frame, metres.
         row_of_frame_0: ``row_of_frame_0[i] + t`` is the row of frame t of sequence i, where the track holds that frame.
     """
 
@@ -93,7 +93,7 @@ def head_track(
         goal_location: Same frame and unit.
         head_tilt_deg: See :func:`prbench.geometry.skeleton.head_forward`.
         fps: Frames per second.
-        constants: Of the protocol; with ``head_smoothing`` above 0 the joints are averaged over time first.
+        constants: Thresholds of the protocol; with ``head_smoothing`` above 0 the joints are averaged over time first.
     """
     rows, sequence, row_of_frame_0 = _rows_looked_at(motion, candidates)
     values = motion.values
@@ -159,15 +159,18 @@ def _track(
     speed = np.full(len(direction), np.nan)
     speed[1:] = fps[sequence[1:]] * np.arctan2(sine, cosine)
     speed[1:][sequence[1:] != sequence[:-1]] = np.nan
+    to_goal = goal - origin
+    across = np.linalg.norm(np.cross(direction, to_goal), axis=-1)
+    along = (direction * to_goal).sum(axis=-1)
     return RayTrack(
-        ray_distance(origin, direction, goal),
-        ray_angle_deg(origin, direction, goal),
-        speed,
-        usable,
-        direction,
-        goal - origin,
-        sequence,
-        row_of_frame_0,
+        distance=ray_distance(origin, direction, goal),
+        angle=np.rad2deg(np.arctan2(across, along)),
+        speed=speed,
+        usable=usable,
+        direction=direction,
+        to_goal=to_goal,
+        sequence=sequence,
+        row_of_frame_0=row_of_frame_0,
     )
 
 
@@ -179,16 +182,6 @@ def ray_distance(
     to_point = point - origin
     along = np.maximum((to_point * direction).sum(axis=-1, keepdims=True), 0.0)
     return np.linalg.norm(to_point - along * direction, axis=-1)
-
-
-def ray_angle_deg(
-    origin: Float[np.ndarray, "rows 3"], direction: Float[np.ndarray, "rows 3"], point: Float[np.ndarray, "rows 3"]
-) -> Float[np.ndarray, " rows"]:
-    """Angle between each ray and the direction from its origin to its point, degrees; 0 for a point at the origin."""
-    to_point = point - origin
-    sine = np.linalg.norm(np.cross(direction, to_point), axis=-1)
-    cosine = (direction * to_point).sum(axis=-1)
-    return np.rad2deg(np.arctan2(sine, cosine))
 
 
 def _rows_looked_at(motion: MotionBatch, candidates: CandidateFrames) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ def reach_success(
     Args:
         predicted: Canonical frame, metres.
         goal_location: Same frame and unit.
-        constants: Of the protocol.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
         final: Only the last frame counts, instead of any.
     """
     squared = _squared_wrist_distance(predicted, goal_location)
@@ -43,7 +43,7 @@ def reach_wrist(
         recorded: Same frame and unit.
         goal_location: Same frame and unit; decides between the wrists where the hand is unknown.
         hand: 0 left, 1 right, -1 unknown.
-        constants: Of the protocol.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
     """
     return reach_success(predicted, final_reaching_wrist(recorded, goal_location, hand), constants)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from prbench.geometry.shapes import Boxes, deepest
+from prbench.geometry.shapes import deepest
 from prbench.metrics.batch import MotionBatch, ScoringPair, ScoringTargets
 from prbench.metrics.registry import MetricFamily, MetricValues, detail
 from prbench.protocol.manifests import MetricConstants, load_scene_constants
@@ -23,7 +23,7 @@ def scene_penetration(
 
     Args:
         motion: Canonical frame, metres.
-        targets: With the boxes of the scene.
+        targets: Goals and the boxes of the scene.
         depth: Metres inside a box from which a joint penetrates it.
 
     Returns:
@@ -38,20 +38,13 @@ def scene_penetration(
     largest = np.zeros(motion.n_sequences)
     for row in range(motion.n_sequences):
         joints = motion.values[motion.offsets[row] : motion.offsets[row + 1]].astype(np.float64)
-        in_frame = deepest(joints, without_goal(targets.scene.part(row, row + 1), targets.goal_location[row]))
+        boxes = targets.scene.part(row, row + 1)
+        # A box in which the goal lies is open.
+        around = boxes.chosen(boxes.depth(targets.goal_location[row][None])[0] <= 0)
+        in_frame = deepest(joints, around)
         share[row] = (in_frame > depth).mean()
         largest[row] = in_frame.max()
     return share, largest
-
-
-def without_goal(boxes: Boxes, goal: Float[np.ndarray, "3"]) -> Boxes:
-    """The boxes of one sequence without those in which its goal lies.
-
-    Args:
-        boxes: Canonical frame, metres.
-        goal: Goal location, likewise.
-    """
-    return boxes.chosen(boxes.depth(goal[None])[0] <= 0)
 
 
 def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, MetricValues]:  # noqa: ARG001

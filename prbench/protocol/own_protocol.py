@@ -77,7 +77,11 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
     splits = protocol.splits
     fewest = protocol.breakdown.fewest_recordings
     numbers = [item for item in _leaves(msgspec.to_builtins(protocol)) if isinstance(item[1], int | float)]
-    ends = {f"breakdown.{key}": getattr(protocol.breakdown, key) for key in ("bearing", "distance", "height")}
+    bins = []
+    for key in ("bearing", "distance", "height"):
+        ends = getattr(protocol.breakdown, key)
+        ascend = all(0 < end < math.inf for end in ends) and list(ends) == sorted(set(ends))
+        bins.append((ascend, f"breakdown.{key}", "finite numbers above 0, ascending", list(ends)))
     checks: list[tuple[Any, str, str, object]] = [
         (is_name, "name", name, f"'{protocol.name}'"),
         (protocol.version >= 1, "version", "1 or more", protocol.version),
@@ -90,7 +94,7 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
         *((0 <= value <= 1, key, "a share from 0 to 1", f"{value:g}") for key, value in numbers if key in _SHARES),
         *((value > 0, key, "a finite number above 0", f"{value:g}") for key, value in numbers if key in _ABOVE_ZERO),
         *((0 <= value < math.inf, key, "a finite number 0 or more", f"{value:g}") for key, value in numbers),
-        *((_ascend(each), key, "finite numbers above 0, ascending", list(each)) for key, each in ends.items()),
+        *bins,
         (fewest >= 2, "breakdown.fewest_recordings", "2 or more", fewest),
         (
             splits.validation_below <= splits.test_from,
@@ -101,10 +105,6 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
     ]
     require(path, *((*check, "") for check in checks))
     return protocol
-
-
-def _ascend(ends: tuple[float, ...]) -> bool:
-    return all(0 < end < math.inf for end in ends) and list(ends) == sorted(set(ends))
 
 
 @cache
@@ -140,7 +140,7 @@ def protocol_beside(folder: Path, *, digest: str, wrong: type[PrbenchError]) -> 
     """Return the protocol that a table or run follows; None where it is one of prbench's own of another version.
 
     Args:
-        folder: Of the table or run.
+        folder: Folder of the table or run.
         digest: Digest of the protocol that the table or run records.
         wrong: Error to raise.
 
@@ -160,39 +160,6 @@ def protocol_beside(folder: Path, *, digest: str, wrong: type[PrbenchError]) -> 
     return protocol
 
 
-def require_fits_table(wanted: BenchmarkProtocol, table: BenchmarkProtocol | None, *, folder: Path) -> None:
-    """Refuse to run or score on a table that was made by other rules; the metrics' numbers may differ.
-
-    Args:
-        wanted: Protocol of the run.
-        table: Protocol of the table; None for one of prbench's own of another version, whose values are not known.
-        folder: Of the table.
-
-    Raises:
-        UsageError: naming the first key that differs, with both values.
-    """
-    if not wanted.is_own:
-        # Tables of earlier versions stay usable; their digests keep them in blocks of their own.
-        if table is not None and table.is_own:
-            raise UsageError(
-                f"{folder}: follows a protocol of its own, {table.label}. Name it: --protocol {folder / FILE_NAME}"
-            )
-        return
-    if table is None:
-        raise UsageError(
-            f"--protocol {wanted.label}: {folder} was built under a protocol of another version of prbench, which"
-            " cannot be compared with it. Build the table again, with --protocol."
-        )
-    found = {key: value for key, value in _leaves(_all_values(table)) if key.partition(".")[0] not in _SCORING}
-    for key, value in _leaves(_all_values(wanted)):
-        if key in found and found[key] != value:
-            raise UsageError(
-                f"--protocol {wanted.label}, {key}: {value!r}, but the table {folder} was built with"
-                f" {found[key]!r}. Build it again with the same --protocol; only [metrics] and [breakdown] may"
-                " differ."
-            )
-
-
 def protocol_for(file: Path | None, tables: Iterable[DescribedTable]) -> BenchmarkProtocol:
     """Return the protocol of a run on some tables: the user's own, or prbench's.
 
@@ -206,8 +173,29 @@ def protocol_for(file: Path | None, tables: Iterable[DescribedTable]) -> Benchma
         TableError: if the copy beside a table is missing or another one.
     """
     wanted = load_protocol() if file is None else read_protocol(file)
-    for table in tables:
-        require_fits_table(wanted, table.protocol(), folder=table.folder)
+    for described in tables:
+        folder = described.folder
+        table = described.protocol()
+        if not wanted.is_own:
+            # Tables of earlier versions stay usable; their digests keep them in blocks of their own.
+            if table is not None and table.is_own:
+                raise UsageError(
+                    f"{folder}: follows a protocol of its own, {table.label}. Name it: --protocol {folder / FILE_NAME}"
+                )
+            continue
+        if table is None:
+            raise UsageError(
+                f"--protocol {wanted.label}: {folder} was built under a protocol of another version of prbench, which"
+                " cannot be compared with it. Build the table again, with --protocol."
+            )
+        found = {key: value for key, value in _leaves(_all_values(table)) if key.partition(".")[0] not in _SCORING}
+        for key, value in _leaves(_all_values(wanted)):
+            if key in found and found[key] != value:
+                raise UsageError(
+                    f"--protocol {wanted.label}, {key}: {value!r}, but the table {folder} was built with"
+                    f" {found[key]!r}. Build it again with the same --protocol; only [metrics] and [breakdown] may"
+                    " differ."
+                )
     return wanted
 
 
@@ -216,8 +204,8 @@ class DescribedTable:
     """What a table says of its protocol.
 
     Attributes:
-        digest: Of the protocol that it was built with.
-        options: Of ``dataset.json``, where a table of one's own protocol names it.
+        digest: Digest of the protocol that it was built with.
+        options: Options in ``dataset.json``; those of a table of one's own protocol name it.
     """
 
     folder: Path

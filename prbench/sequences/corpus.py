@@ -182,19 +182,10 @@ def check_corpus_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) 
     check_columns(schema, expected, source=source, what="corpus")
 
 
-def clip_batch(clips: Iterable[Clip]) -> pa.RecordBatch:
-    """Arrow rows of clips, in the order given."""
-    return row_batch(clips, CLIPS)
-
-
-def annotation_batch(annotations: Iterable[Annotation]) -> pa.RecordBatch:
-    """Arrow rows of annotations, in the order given."""
-    return row_batch(annotations, ANNOTATIONS)
-
-
-def corpus_recording_batch(records: Iterable[CorpusRecord]) -> pa.RecordBatch:
-    """Arrow rows of recordings, in the order given."""
-    return row_batch(records, CORPUS_RECORDINGS, counted=ANNOTATION_OUTCOMES)
+def corpus_batch(table: str, rows: Iterable[Clip | Annotation | CorpusRecord]) -> pa.RecordBatch:
+    """Return Arrow rows of a corpus table (``clips``, ``annotations`` or ``recordings``), in the order given."""
+    counted = ANNOTATION_OUTCOMES if table == "recordings" else ()
+    return row_batch(rows, CORPUS_TABLES[table], counted=counted)
 
 
 class CorpusTable(BuiltTable[CorpusInfo]):

@@ -139,14 +139,6 @@ def _found(folder: Path) -> str:
     return "a file" if folder.is_file() else "no such folder"
 
 
-def counts_stated(path: Path) -> dict[str, int]:
-    """Return the counts in a file that describes a dataset or corpus of any version; none where it cannot be read."""
-    try:
-        return msgspec.convert(msgspec.json.decode(path.read_bytes(), type=dict)["counts"], dict[str, int])
-    except (OSError, KeyError, msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError):
-        return {}
-
-
 class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):
     """Numbers of candidates that each stage left.
 
@@ -259,7 +251,7 @@ def may_pass_on(terms: _HasTerms, permitted: Collection[str] = ()) -> bool:
     """Return True if recorded motion and goal poses may stand in a view or export.
 
     Args:
-        terms: Of the dataset.
+        terms: Terms of the dataset.
         permitted: Datasets for which the user has the licensor's permission, by name.
     """
     return _known(terms.redistribution) != "none" or terms.dataset in permitted
@@ -269,7 +261,7 @@ def require_may_pass_on(terms: _HasTerms, what: str, permitted: Collection[str] 
     """Refuse to write what the licence keeps.
 
     Args:
-        terms: Of the dataset.
+        terms: Terms of the dataset.
         what: What would be written, for the message.
         permitted: See :func:`may_pass_on`.
 
@@ -301,7 +293,7 @@ def run_notice(terms: _HasTerms, *, recorded_motion: bool) -> str:
     A run stays with whoever has the data, so nothing is refused; passing the folder on is the user's act.
 
     Args:
-        terms: Of the dataset that was run on.
+        terms: Terms of the dataset that was run on.
         recorded_motion: The predictions are the recorded motion itself (the ground-truth control).
     """
     kind = _known(terms.redistribution)

@@ -121,7 +121,7 @@ def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> Dat
     Args:
         table: The whole table.
         out: Folder of the copy.
-        fold: From 1 to ``folds``.
+        fold: Number of the fold, from 1 to ``folds``.
         folds: Number of folds.
 
     Raises:

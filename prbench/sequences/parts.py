@@ -183,7 +183,7 @@ def finish_shard(out: Path, record: ShardRecord, folders: Sequence[Path]) -> Non
     Args:
         out: The shard.
         record: What it is.
-        folders: Of its parts, in the order of its items.
+        folders: Folders of its parts, in the order of its items.
     """
     kept = []
     for place, folder in zip(record.shard.places(len(record.plan)), folders, strict=True):

@@ -270,7 +270,7 @@ class Sequence:
         goal_box_world_max: Upper end of that box along x, y and z of the world, metres.
         body_movement: Largest distance of the pelvis from its first position, metres.
         hand_movement: Largest displacement of the reaching wrist relative to the pelvis, metres.
-        pose_source: Where the body comes from.
+        pose_source: Source of the body.
         head_tilt_deg: Rest tilt of the neck-head bone of the body's skeleton, degrees; Prime Success needs it.
         joints: Positions (n, 22, 3) of the 22 joints (:class:`prbench.Joint`) in every frame, metres.
         previous_joints: The pose (22, 3) one frame before the first, metres.

@@ -229,7 +229,7 @@ class SequenceTable(BuiltTable[DatasetInfo]):
         return found
 
     def with_sequences(self) -> SequenceTable:
-        """The same table, for whoever needs sequences.
+        """Return this table if it has sequences, else say why it has none.
 
         Raises:
             TableError: if it holds none, saying what became of its recordings and events.

@@ -9,6 +9,7 @@ loaders understand. It is JSON-LD of the Croissant vocabulary 1.1 (https://docs.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
@@ -24,7 +25,7 @@ from prbench.errors import RecordingsWouldBeLost, TableError
 from prbench.files.storage import atomic_folder, atomic_path, file_digest, require_replaceable, write_json
 from prbench.protocol.manifests import BenchmarkProtocol
 from prbench.protocol.own_protocol import write_protocol
-from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo, counts_stated
+from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.schema import (
     DATASET_TABLES,
     OPTIONAL_TABLES,
@@ -179,7 +180,7 @@ def require_no_loss(
     listed is replaced by one in which every recording could be read.
 
     Args:
-        folder: Where the new one would stand.
+        folder: Folder in which the new one would stand.
         marker: Name of the file that describes what stands there.
         recordings: Rows of ``recordings`` of the new one.
         outcome: Column of ``recordings`` that counts its sequences or clips.
@@ -198,7 +199,10 @@ def require_no_loss(
         tables = [read_parquet(path, columns) for path in table_parts(folder, "recordings")]
     except TableError:
         # What cannot be listed cannot be compared. A complete build mends it, as long as that does not go wrong itself.
-        before = counts_stated(folder / marker).get("recordings_read", 0)
+        before = 0
+        with contextlib.suppress(OSError, KeyError, msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError):
+            described = msgspec.json.decode((folder / marker).read_bytes(), type=dict)  # of any version
+            before = msgspec.convert(described["counts"], dict[str, int]).get("recordings_read", 0)
         failed = any(reason.startswith("failed") for reason in reasons.values())
         if new and not failed and len(new) >= before:
             return

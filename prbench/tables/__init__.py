@@ -303,35 +303,33 @@ def as_markdown(tables: Sequence[Table]) -> str:
 
 def as_latex(tables: Sequence[Table]) -> str:
     """Return one ``table`` environment each, with rules of the package booktabs."""
-    return _PACKAGES + "\n".join(map(_latex_table, tables))
-
-
-def _latex_table(table: Table) -> str:
-    part = f": {table.part}" if table.part else ""
-    stamp = f" [{table.stamp}]" if table.stamp else ""
-    label = "-".join(re.findall(r"[a-z0-9]+", f"table {table.number} {table.dataset}".lower()))
-    lines = [
-        r"\begin{table}",
-        r"\centering",
-        rf"\caption{{{latex(table.title + part + stamp)}}}",
-        rf"\label{{tab:{label}}}",
-        r"\small",
-        rf"\begin{{tabular}}{{{''.join('l' if column.text else 'r' for column in table.columns)}}}",
-        r"\toprule",
-        " & ".join(latex(column.heading) for column in table.columns) + r" \\",
-    ]
-    for block in table.blocks:
-        lines.append(r"\midrule")
-        if block.title:
-            lines.append(rf"\multicolumn{{{len(table.columns)}}}{{l}}{{\textit{{{latex(block.title)}}}}} \\")
-        for row in grid(table, block, escape=latex, bold=lambda number: rf"\textbf{{{number}}}"):
-            # A bracket or a star at the beginning of a row would be read as an argument of the line break before it.
-            guard = "{}" if row[0].startswith(("[", "*")) else ""
-            lines.append(guard + " & ".join(row) + r" \\")
-    lines += [r"\bottomrule", r"\end{tabular}"]
-    lines += [rf"\par\footnotesize {latex(note)}" for note in table.notes]
-    lines.append(r"\end{table}")
-    return "\n".join(lines) + "\n"
+    texts = []
+    for table in tables:
+        part = f": {table.part}" if table.part else ""
+        stamp = f" [{table.stamp}]" if table.stamp else ""
+        label = "-".join(re.findall(r"[a-z0-9]+", f"table {table.number} {table.dataset}".lower()))
+        lines = [
+            r"\begin{table}",
+            r"\centering",
+            rf"\caption{{{latex(table.title + part + stamp)}}}",
+            rf"\label{{tab:{label}}}",
+            r"\small",
+            rf"\begin{{tabular}}{{{''.join('l' if column.text else 'r' for column in table.columns)}}}",
+            r"\toprule",
+            " & ".join(latex(column.heading) for column in table.columns) + r" \\",
+        ]
+        for block in table.blocks:
+            lines.append(r"\midrule")
+            if block.title:
+                lines.append(rf"\multicolumn{{{len(table.columns)}}}{{l}}{{\textit{{{latex(block.title)}}}}} \\")
+            for row in grid(table, block, escape=latex, bold=lambda number: rf"\textbf{{{number}}}"):
+                # A bracket or a star at the beginning of a row would be read as an argument of the line break before.
+                guard = "{}" if row[0].startswith(("[", "*")) else ""
+                lines.append(guard + " & ".join(row) + r" \\")
+        lines += [r"\bottomrule", r"\end{tabular}"]
+        lines += [rf"\par\footnotesize {latex(note)}" for note in table.notes]
+        texts.append("\n".join([*lines, r"\end{table}"]) + "\n")
+    return _PACKAGES + "\n".join(texts)
 
 
 def as_csv(tables: Sequence[Table]) -> str:

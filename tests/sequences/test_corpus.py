@@ -17,9 +17,7 @@ from prbench.sequences.corpus import (
     Caption,
     Clip,
     CorpusRecord,
-    annotation_batch,
-    clip_batch,
-    corpus_recording_batch,
+    corpus_batch,
     write_corpus,
 )
 from prbench.sequences.dataset_info import CorpusCounts, CorpusInfo
@@ -63,9 +61,9 @@ def write(folder, clips) -> CorpusInfo:
     annotation = Annotation("a", "seq", None, "atomic_action", "", 0.0, 1.0, "no_text")
     record = CorpusRecord("seq", "p", "train", "p", 60.0, {"no_text": 1}, "file", None, "read", "", {"k": "v"})
     tables = {
-        "clips": [clip_batch(clips)] if clips else [],
-        "annotations": [annotation_batch([annotation])],
-        "recordings": [corpus_recording_batch([record])],
+        "clips": [corpus_batch("clips", clips)] if clips else [],
+        "annotations": [corpus_batch("annotations", [annotation])],
+        "recordings": [corpus_batch("recordings", [record])],
     }
     return write_corpus(folder, fake_info(), tables)
 
@@ -96,9 +94,9 @@ def test_what_is_written_is_read(tmp_path):
 def test_the_content_digest_sees_values_and_captions_and_no_batches(tmp_path):
     clips = [fake_clip(number) for number in range(4)]
     first = write(tmp_path / "a", clips).content_digest
-    batches = [clip_batch(clips[:1]), clip_batch(clips[1:])]
+    batches = [corpus_batch("clips", clips[:1]), corpus_batch("clips", clips[1:])]
     record = CorpusRecord("seq", "p", "train", "p", 60.0, {}, "file", None, "read", "")
-    tables = {"clips": batches, "annotations": [], "recordings": [corpus_recording_batch([record])]}
+    tables = {"clips": batches, "annotations": [], "recordings": [corpus_batch("recordings", [record])]}
     assert write_corpus(tmp_path / "b", fake_info(), tables).content_digest == first
     clips[2].joints[7, 3, 1] += 0.001
     assert write(tmp_path / "c", clips).content_digest != first

@@ -11,7 +11,7 @@ import pytest
 
 from prbench.errors import RecordingsWouldBeLost
 from prbench.sequences import CorpusInfo, Recording
-from prbench.sequences.corpus import CorpusRecord, corpus_recording_batch, write_corpus
+from prbench.sequences.corpus import CorpusRecord, corpus_batch, write_corpus
 from prbench.sequences.dataset_info import CORPUS_FILE, FILE_NAME
 from prbench.sequences.parts import plain
 from prbench.sequences.sequence import recording_batch
@@ -61,7 +61,7 @@ def test_a_corpus_is_no_more_replaced_by_less_than_a_table(tmp_path) -> None:
         recording_id="rec", participant_id="P0", split="train", split_group="rec", duration=0.0, outcomes={},
         clock_method="none", clock_quality=None, status="failed", message="no such file",
     )  # fmt: skip
-    tables = {"clips": [], "annotations": [], "recordings": [corpus_recording_batch([failed])]}
+    tables = {"clips": [], "annotations": [], "recordings": [corpus_batch("recordings", [failed])]}
     before = folder_bytes(folder)
     with pytest.raises(RecordingsWouldBeLost, match=r"rec \(failed: no such file\)"):
         write_corpus(folder, info, tables)

@@ -226,7 +226,7 @@ def pose_states(
         root: The dataset's folder.
         dataset: A dataset of Aria glasses; found out from the folder if None.
         recordings: Pattern of names.
-        limit: At most so many recordings.
+        limit: Largest number of recordings.
         poses_root: Folder of outputs by recording; ``root/egoallo`` if None.
 
     Raises:

@@ -15,8 +15,7 @@ from prbench.sequences.corpus import (
     Caption,
     Clip,
     CorpusRecord,
-    clip_batch,
-    corpus_recording_batch,
+    corpus_batch,
     write_corpus,
 )
 from prbench.sequences.dataset_info import CorpusCounts
@@ -51,7 +50,11 @@ def corpus_table(folder: Path, lengths: tuple[int, ...] = (60, 90, 130), *, fps:
         outcomes=dict.fromkeys(ANNOTATION_OUTCOMES, 0), clock_method="same", clock_quality=None, status="read",
         message="",
     )  # fmt: skip
-    tables = {"clips": [clip_batch(clips)], "annotations": [], "recordings": [corpus_recording_batch([record])]}
+    tables = {
+        "clips": [corpus_batch("clips", clips)],
+        "annotations": [],
+        "recordings": [corpus_batch("recordings", [record])],
+    }
     return CorpusTable(folder, write_corpus(folder, _corpus_info(len(clips)), tables))
 
 

@@ -13,8 +13,7 @@ from prbench.sequences.corpus import (
     Caption,
     Clip,
     CorpusRecord,
-    clip_batch,
-    corpus_recording_batch,
+    corpus_batch,
     write_corpus,
 )
 from prbench.sequences.dataset_info import CorpusCounts
@@ -48,7 +47,11 @@ def made_up_corpus(folder: Path, n: int = 44) -> CorpusTable:
         clips=len(clips), captions=2 * len(clips), approximate_clips=0, frames=0,
     )  # fmt: skip
     info = CorpusInfo(**(msgspec.structs.asdict(fake_info("made-up")) | {"counts": counts}))
-    tables = {"clips": [clip_batch(clips)], "annotations": [], "recordings": [corpus_recording_batch(records)]}
+    tables = {
+        "clips": [corpus_batch("clips", clips)],
+        "annotations": [],
+        "recordings": [corpus_batch("recordings", records)],
+    }
     return CorpusTable(folder, write_corpus(folder, info, tables))
 
 
