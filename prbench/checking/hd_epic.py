@@ -25,46 +25,52 @@ RULE_OUTCOMES: tuple[str, ...] = ("primed", "not_primed", "no_location")
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of the dataset and the rule, for one action or both together."""
+    """Agreement of the dataset and the rule, for one action or both together.
+
+    Attributes:
+        action: ``pick``, ``put`` or both together.
+        events: Number of events.
+        located: Number of those that have a place.
+        counts: Events by what the dataset says of them (``primed``, ``not_primed``, ``excluded`` or ``not in the
+            file``) and by what the rule says (``primed``, ``not_primed`` or ``no_location``).
+        tested_share: Share of the published events that the dataset tested ("feasible").
+        primed_share: Share of the tested events that the dataset found primed.
+        agreement: Share of the events that both tested with the same answer.
+        difference: Prime time by the rule minus the published one, where both find one, seconds.
+        published_gap: Mean and standard deviation of the time between the published prime and the event, seconds.
+        rule_gap: Mean and standard deviation of the time between the rule's prime and the event, seconds.
+    """
 
     action: str
-    """``pick``, ``put`` or both together."""
     events: int
-    """Number of events."""
     located: int
-    """Number of those that have a place."""
     counts: dict[str, dict[str, int]]
-    """Events by what the dataset says of them (``primed``, ``not_primed``, ``excluded`` or ``not in the file``) and by
-    what the rule says (``primed``, ``not_primed`` or ``no_location``)."""
     tested_share: float
-    """Share of the published events that the dataset tested ("feasible")."""
     primed_share: float
-    """Share of the tested events that the dataset found primed."""
     agreement: float
-    """Share of the events that both tested with the same answer."""
     difference: Spread
-    """Prime time by the rule minus the published one, where both find one, seconds."""
     published_gap: tuple[float, float]
-    """Mean and standard deviation of the time between the published prime and the event, seconds."""
     rule_gap: tuple[float, float]
-    """Mean and standard deviation of the time between the rule's prime and the event, seconds."""
 
 
 @dataclass(frozen=True)
 class Validation:
-    """A dataset's own priming beside the rule's."""
+    """A dataset's own priming beside the rule's.
+
+    Attributes:
+        recordings: Number of videos that were read.
+        synthetic: True for synthetic videos: nothing published is shown beside their numbers.
+        agreements: Picks, puts, both.
+        outcomes: Number of events by outcome of the rule.
+        published_shares: By action, the shares that the dataset's paper names: tested, and primed of the tested; empty
+            for synthetic videos.
+    """
 
     recordings: int
-    """Number of videos that were read."""
     synthetic: bool
-    """True for synthetic videos: nothing published is shown beside their numbers."""
     agreements: tuple[Agreement, ...]
-    """Picks, puts, both."""
     outcomes: dict[str, int]
-    """Number of events by outcome of the rule."""
     published_shares: dict[str, tuple[float, float]]
-    """By action, the shares that the dataset's paper names: tested, and primed of the tested; empty for synthetic
-    videos."""
 
 
 def validate_build(folder: Path) -> Validation:

@@ -40,64 +40,77 @@ def look(root: Path) -> tuple[Discovery, tuple[Any, ...]]:
 
 @dataclass(frozen=True)
 class InspectedRecording:
-    """One recording and what is wrong with it."""
+    """One recording and what is wrong with it.
+
+    Attributes:
+        recording_id: Its name.
+        state: The worst of what was found; ``left out`` for a recording that is known to be bad.
+        size: Bytes of all files that reading it depends on.
+        remarks: Missing and damaged files, streams that end early, or what reading said.
+    """
 
     recording_id: str
-    """Its name."""
     state: State
-    """The worst of what was found; ``left out`` for a recording that is known to be bad."""
     size: int
-    """Bytes of all files that reading it depends on."""
     remarks: tuple[str, ...]
-    """Missing and damaged files, streams that end early, or what reading said."""
 
 
 @dataclass(frozen=True)
 class InspectedDataset:
-    """One dataset below the folder."""
+    """One dataset below the folder.
+
+    Attributes:
+        name: Name of the dataset; ``synthetic-`` stands before that of synthetic people.
+        title: Its title.
+        root: Its folder.
+        recordings: All of its recordings.
+    """
 
     name: str
-    """Name of the dataset; ``synthetic-`` stands before that of synthetic people."""
     title: str
-    """Its title."""
     root: Path
-    """Its folder."""
     recordings: tuple[InspectedRecording, ...]
-    """All of its recordings."""
 
 
 @dataclass(frozen=True)
 class InspectedTable:
-    """One built table."""
+    """One built table.
+
+    Attributes:
+        folder: The table.
+        dataset: Name of the dataset.
+        sequences: Number of sequences.
+        by_split: Number of sequences of each split.
+        participants_in_two_splits: People with sequences in both train and test.
+        pose_sources: Where the bodies come from.
+        quantities: Mean and standard deviation of ``duration``, ``prime_gap`` (s), ``body_movement`` and
+            ``hand_movement`` (m).
+        remarks: Why there are no sequences, and recordings that are cut short.
+    """
 
     folder: Path
-    """The table."""
     dataset: str
-    """Name of the dataset."""
     sequences: int
-    """Number of sequences."""
     by_split: dict[str, int]
-    """Number of sequences of each split."""
     participants_in_two_splits: int
-    """People with sequences in both train and test."""
     pose_sources: tuple[str, ...]
-    """Where the bodies come from."""
     quantities: dict[str, Spread]
-    """Mean and standard deviation of ``duration``, ``prime_gap`` (s), ``body_movement`` and ``hand_movement`` (m)."""
     remarks: tuple[str, ...]
-    """Why there are no sequences, and recordings that are cut short."""
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """Everything that was found."""
+    """Everything that was found.
+
+    Attributes:
+        datasets: Datasets that were found.
+        broken: Folders that are recognised and cannot be listed.
+        tables: Built tables among the folders.
+    """
 
     datasets: tuple[InspectedDataset, ...]
-    """Datasets that were found."""
     broken: tuple[BrokenDataset, ...]
-    """Folders that are recognised and cannot be listed."""
     tables: tuple[InspectedTable, ...] = ()
-    """Built tables among the folders."""
 
     @property
     def all_complete(self) -> bool:

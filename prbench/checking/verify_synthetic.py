@@ -12,18 +12,19 @@ from prbench.sequences import Event
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import Performance, TrueEvent
 
-_LARGEST_DIFFERENCE = 0.5
-"""Seconds between a found and a true event that may be the same."""
-PRIMED_STAGES = ("priming", "clipping", "body", "filters")
-"""Stages at which it is known whether an event was primed."""
+_LARGEST_DIFFERENCE = 0.5  # Seconds between a found and a true event that may be the same
+PRIMED_STAGES = ("priming", "clipping", "body", "filters")  # Stages at which it is known whether an event was primed
 
 
 @dataclass(frozen=True)
 class Match:
-    """One true event beside the found one; either may be missing."""
+    """One true event beside the found one; either may be missing.
+
+    Attributes:
+        true: Times on the recording's clock.
+    """
 
     true: TrueEvent | None
-    """Times on the recording's clock."""
     found: Event | None
 
     @property
@@ -67,18 +68,21 @@ def match_events(true: Sequence[TrueEvent], found: Sequence[Event]) -> list[Matc
 
 @dataclass(frozen=True)
 class Spread:
-    """A sample of differences, summarised; NaN for an empty one."""
+    """A sample of differences, summarised; NaN for an empty one.
+
+    Attributes:
+        n: Size of the sample.
+        bias: Mean.
+        median: Median of the absolute values.
+        p95: 95th percentile of the absolute values.
+        largest: Largest absolute value.
+    """
 
     n: int
-    """Size of the sample."""
     bias: float
-    """Mean."""
     median: float
-    """Median of the absolute values."""
     p95: float
-    """95th percentile of the absolute values."""
     largest: float
-    """Largest absolute value."""
 
     @classmethod
     def of(cls, values: Iterable[float]) -> Spread:
@@ -92,6 +96,7 @@ class Spread:
         )
 
 
+# Maps the columns of the truth record that hold times to the fields of an event
 TIMES = {
     "contact_s": "contact_time",
     "event_s": "event_time",
@@ -102,7 +107,6 @@ TIMES = {
     "prime_s": "prime_time",
     "prime_first_s": "prime_first",
 }
-"""Maps the columns of the truth record that hold times to the fields of an event."""
 
 
 def true_events(preset: str, performance: Performance) -> list[TrueEvent]:

@@ -29,10 +29,10 @@ from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import may_pass_on, notice
 
 FORMAT_VERSION = 1
-METADATA_KEY = "prbench_conditions"
-"""Name of the array that holds the information as JSON."""
+METADATA_KEY = "prbench_conditions"  # Name of the array that holds the information as JSON
 _LARGEST_ARRAY = 8 * 1024**3
 _POSE = (N_JOINTS, 3)
+# Kind of each array, and the shape of one row of it
 _FORMS: dict[str, tuple[str, tuple[int, ...]]] = {
     "opaque_id": ("U", ()),
     "sample": ("<i4", ()),
@@ -45,30 +45,32 @@ _FORMS: dict[str, tuple[str, tuple[int, ...]]] = {
     "goal_joints": ("<f4", _POSE),
     "goal_location": ("<f8", (3,)),
 }
-"""Kind of each array, and the shape of one row of it."""
 _ALWAYS = ("opaque_id", "sample", "noise_seed", "n_frames", "fps")
 _RECORDED_MOTION = frozenset({"initial_joints", "previous_joints", "goal_joints", "goal_location"})
 GOALS = frozenset({"goal_joints", "goal_location"})
 
 
 class ConditionsInfo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Settings that the rows of a conditions file were made with. A method may see them as it may see the rows."""
+    """Settings that the rows of a conditions file were made with. A method may see them as it may see the rows.
+
+    Attributes:
+        seed: The run's seed, behind opaque ids and noise seeds.
+        samples: Rows of each sequence, with noise of their own.
+        max_frames: Longer sequences, at the rate of the file, were left out.
+        native_fps: Rate that ``n_frames`` and ``fps`` are given at; None for the table's own.
+        tables: Fingerprints of the tables, sorted.
+    """
 
     format_version: int = FORMAT_VERSION
     condition: Condition
     seed: int
-    """The run's seed, behind opaque ids and noise seeds."""
     samples: int
-    """Rows of each sequence, with noise of their own."""
     split: str
     limit: int | None
     max_frames: int | None
-    """Longer sequences, at the rate of the file, were left out."""
     native_fps: float | None
-    """Rate that ``n_frames`` and ``fps`` are given at; None for the table's own."""
     protocol_version: int
     tables: tuple[str, ...]
-    """Fingerprints of the tables, sorted."""
 
 
 def _info_of(text: str, path: Path) -> ConditionsInfo:
@@ -199,26 +201,28 @@ class ExportRequest:
 
     Raises:
         UsageError: if parts of it do not fit together.
+
+    Attributes:
+        data: Dataset folders.
+        out: An ``.npz``.
+        limit: Number of sequences of each dataset, as `prbench run --limit` has it.
+        max_frames: Leave out longer sequences; they count as unsupported when the motions are scored.
+        native_fps: Ask for motions at this rate; they are brought back to the table's when they are scored.
+        control: ``shuffled-goal`` or None. Stands nowhere in the file: whoever scores finds it out from the goals.
+        permitted: Datasets whose licensor lets the user pass on recorded motion.
     """
 
     data: tuple[Path, ...]
-    """Dataset folders."""
     condition: Condition
     out: Path
-    """An ``.npz``."""
     seed: int = 0
     samples: int = 1
     split: str = "test"
     limit: int | None = None
-    """Number of sequences of each dataset, as `prbench run --limit` has it."""
     max_frames: int | None = None
-    """Leave out longer sequences; they count as unsupported when the motions are scored."""
     native_fps: float | None = None
-    """Ask for motions at this rate; they are brought back to the table's when they are scored."""
     control: str | None = None
-    """``shuffled-goal`` or None. Stands nowhere in the file: whoever scores finds it out from the goals."""
     permitted: Collection[str] = ()
-    """Datasets whose licensor lets the user pass on recorded motion."""
 
     def __post_init__(self) -> None:
         turn_into_paths(self, "data", "out")
@@ -233,18 +237,21 @@ class ExportRequest:
 
 @dataclass(frozen=True)
 class ExportReport:
-    """Counts of what was written."""
+    """Counts of what was written.
+
+    Attributes:
+        out: The conditions file.
+        rows: Motions to be generated.
+        sequences: Sequences by dataset.
+        left_out: Sequences longer than ``max_frames``, by dataset.
+        notices: Notice that the datasets' terms ask for; it stands beside the file as ``*.NOTICE.txt``.
+    """
 
     out: Path
-    """The conditions file."""
     rows: int
-    """Motions to be generated."""
     sequences: dict[str, int]
-    """Sequences by dataset."""
     left_out: dict[str, int]
-    """Sequences longer than ``max_frames``, by dataset."""
     notices: tuple[str, ...]
-    """Notice that the datasets' terms ask for; it stands beside the file as ``*.NOTICE.txt``."""
 
 
 def export_conditions(request: ExportRequest) -> ExportReport:

@@ -24,12 +24,15 @@ from jaxtyping import Bool, Float
 
 @dataclass(frozen=True, eq=False)
 class EncodedText:
-    """The token vectors of some texts."""
+    """The token vectors of some texts.
+
+    Attributes:
+        tokens: float32; zero where there is padding.
+        padding: True where a text has no token. Every text has at least one token.
+    """
 
     tokens: Float[np.ndarray, "texts tokens dimension"]
-    """float32; zero where there is padding."""
     padding: Bool[np.ndarray, "texts tokens"]
-    """True where a text has no token. Every text has at least one token."""
 
 
 @runtime_checkable
@@ -68,8 +71,7 @@ def padded(texts: Sequence[Float[np.ndarray, "_ dimension"]], dimension: int) ->
 
 NAME = "hashed-ngrams"
 DIMENSION = 64
-MOST_WORDS = 32
-"""Later words of a text are dropped."""
+MOST_WORDS = 32  # Later words of a text are dropped
 _NGRAMS = (3, 4, 5)
 _WORD = re.compile(r"[^\W_]+")
 _DIGESTS = DIMENSION * 2 // hashlib.sha256().digest_size

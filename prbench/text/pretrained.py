@@ -24,15 +24,13 @@ from prbench.errors import InputFileError, MissingExtraError
 from prbench.text.built_in import EncodedText, padded
 
 CLIP = "clip-vit-b32"
-CLIP_VARIABLE = "PRBENCH_CLIP"
-"""Environment variable: a local folder or a hub id."""
+CLIP_VARIABLE = "PRBENCH_CLIP"  # Environment variable: a local folder or a hub id
 DISTILBERT = "distilbert"
-DISTILBERT_VARIABLE = "PRBENCH_DISTILBERT"
-"""Likewise."""
+DISTILBERT_VARIABLE = "PRBENCH_DISTILBERT"  # Likewise
 _CLIP_HUB_ID = "openai/clip-vit-base-patch32"
 _DISTILBERT_HUB_ID = "distilbert/distilbert-base-uncased"
+# Distinct texts whose vectors are kept in memory (2 kB each of CLIP, about 35 kB each of DistilBERT)
 _MOST_KEPT = 65536
-"""Distinct texts whose vectors are kept in memory (2 kB each of CLIP, about 35 kB each of DistilBERT)."""
 _OF_IMAGES = [r"vision_model\.", r"visual_projection\.", r"logit_scale", r"position_ids"]
 _HUB_ID = re.compile(r"[\w.-]+(/[\w.-]+)?")
 
@@ -45,6 +43,9 @@ class _Pretrained:
 
     Raises:
         MissingExtraError: if transformers is not installed.
+
+    Attributes:
+        _expected: Content of the files, as a message says it.
     """
 
     name: str
@@ -52,7 +53,6 @@ class _Pretrained:
     _variable: str
     _hub_id: str
     _expected: str
-    """Content of the files, as a message says it."""
     _remedy: str
     _most_pieces: int
 

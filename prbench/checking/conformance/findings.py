@@ -10,10 +10,9 @@ from typing import Any
 
 from prbench.protocol.manifests import default_benchmark
 
-TIME_LIMIT = 600.0
-"""Default limit of each call of the method, seconds."""
+TIME_LIMIT = 600.0  # Default limit of each call of the method, seconds
+# Default limit of importing and of loading a method, seconds; programs have the same for their hello
 START_LIMIT = 120.0
-"""Default limit of importing and of loading a method, seconds; programs have the same for their hello."""
 
 
 class Outcome(StrEnum):
@@ -27,30 +26,36 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One sentence about a method, and what its author can do about it."""
+    """One sentence about a method, and what its author can do about it.
+
+    Attributes:
+        check: Name of the check; one check may find several things.
+        outcome: How it came out.
+        said: The observation with its numbers; for a skipped check, the reason.
+        remedy: The change to make; empty where there is none.
+        numbers: Maps names that end in their unit to measured numbers.
+    """
 
     check: str
-    """Name of the check; one check may find several things."""
     outcome: Outcome
-    """How it came out."""
     said: str
-    """The observation with its numbers; for a skipped check, the reason."""
     remedy: str = ""
-    """The change to make; empty where there is none."""
     numbers: Mapping[str, float] = field(default_factory=dict)
-    """Maps names that end in their unit to measured numbers."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """All findings about one method."""
+    """All findings about one method.
+
+    Attributes:
+        method: The method, as it was named.
+        findings: In the order of the checks. The exit code is 5 if one failed.
+        seconds: How long the checks took.
+    """
 
     method: str
-    """The method, as it was named."""
     findings: tuple[Finding, ...]
-    """In the order of the checks. The exit code is 5 if one failed."""
     seconds: float
-    """How long the checks took."""
 
     @property
     def failed(self) -> tuple[Finding, ...]:
@@ -80,23 +85,26 @@ class Remedy(str):
 
 @dataclass(frozen=True)
 class CheckRequest:
-    """A method, and how to check it."""
+    """A method, and how to check it.
+
+    Attributes:
+        method: Installed name, ``cmd:`` and a command, or a TOML file.
+        benchmark: The benchmark that it is a method of.
+        data: A table whose test cases are asked about; None for synthetic people.
+        time_limit: Seconds for each call of the method.
+        start_limit: Seconds for importing it, and for loading it; a program's own are in its TOML file.
+    """
 
     method: str
-    """Installed name, ``cmd:`` and a command, or a TOML file."""
     weights: Path | None = None
     options: Mapping[str, str] = field(default_factory=dict)
     device: str = "cpu"
     threads: int = 1
     isolate: bool = False
     benchmark: str = default_benchmark().name
-    """The benchmark that it is a method of."""
     data: Path | None = None
-    """A table whose test cases are asked about; None for synthetic people."""
     time_limit: float = TIME_LIMIT
-    """Seconds for each call of the method."""
     start_limit: float = START_LIMIT
-    """Seconds for importing it, and for loading it; a program's own are in its TOML file."""
 
     def as_json(self) -> dict[str, object]:
         """Return the request as plain values, for another process."""
@@ -132,24 +140,27 @@ def failed(said: str, remedy: str, **numbers: float) -> Finding:
 
 
 _Examine = Callable[[Any], Iterable[Finding]]
+# Checks without which there is nothing to look at
 FORM = ("generates", "predicts", "shapes", "dtype", "finite", "past")
-"""Checks without which there is nothing to look at."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """One question to a method."""
+    """One question to a method.
+
+    Attributes:
+        title: The question, for lists and headings.
+        needs: Checks that must not have failed; a fault that explains others is reported alone.
+        of_motions: True if it needs a condition under which the method generates motions that the harness accepts.
+        fresh: True if it looks at a method in a process that has done nothing else.
+    """
 
     name: str
     title: str
-    """The question, for lists and headings."""
     examine: _Examine
     needs: tuple[str, ...] = ()
-    """Checks that must not have failed; a fault that explains others is reported alone."""
     of_motions: bool = False
-    """True if it needs a condition under which the method generates motions that the harness accepts."""
     fresh: bool = False
-    """True if it looks at a method in a process that has done nothing else."""
 
 
 def check(

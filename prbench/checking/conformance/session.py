@@ -51,13 +51,16 @@ from prbench.protocol.manifests import benchmarks, find_benchmark
 
 @dataclass(frozen=True)
 class Judge:
-    """The checks of one benchmark."""
+    """The checks of one benchmark.
+
+    Attributes:
+        subject: Makes the method under examination: how to make it, the request, the folder of the check.
+        require_table: Refuses a folder that holds no cases.
+    """
 
     checks: tuple[Check, ...]
     subject: Callable[[MethodSpec, CheckRequest, Path], MethodSubject]
-    """Makes the method under examination: how to make it, the request, the folder of the check."""
     require_table: Callable[[Path], object]
-    """Refuses a folder that holds no cases."""
 
 
 def _motions(spec: MethodSpec, request: CheckRequest, folder: Path) -> Subject:
@@ -126,8 +129,7 @@ _LOST = (
     " code under this input."
 )
 _SLOW_START = "If it is only slow, move the work into the first generate(), or raise --start-timeout."
-_Announce = Callable[[str, int, int], None]
-"""Called before each check with its name, its place and how many there are."""
+_Announce = Callable[[str, int, int], None]  # Called before each check with its name, its place and how many there are
 
 
 class _Lost(Exception):

@@ -72,31 +72,35 @@ def generators_set_to(seed: int) -> Iterator[None]:
             torch.random.set_rng_state(drawn)
 
 
+# Seed of the global generators before every call. Only the check of global generators uses another one.
 STATE_SEED = 20_240_607
-"""Seed of the global generators before every call. Only the check of global generators uses another one."""
+# Metres by which a motion may change where only rounding differs (docs/specification/protocol.md#reproducibility)
 TOLERANCE = 1e-4
-"""Metres by which a motion may change where only rounding differs (docs/specification/protocol.md#reproducibility)."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The answer of a method to a batch, of whichever benchmark."""
+    """The answer of a method to a batch, of whichever benchmark.
+
+    Attributes:
+        batch: What it was asked, at the table's rate.
+        motions: Motions or futures, float32, as the harness accepts them (but for their distance from the origin); else
+            None.
+        error: The reason, as the harness words it.
+        returned: The object that the method itself returned.
+        answered: True if the method returned without raising.
+        drew_from: Global generators whose state moved.
+        n_samples: Futures of each window that a predictor was asked for.
+    """
 
     batch: Any
-    """What it was asked, at the table's rate."""
     motions: Any
-    """Motions or futures, float32, as the harness accepts them (but for their distance from the origin); else None."""
     error: str = ""
-    """The reason, as the harness words it."""
     returned: object = None
-    """The object that the method itself returned."""
     answered: bool = False
-    """True if the method returned without raising."""
     seconds: float = 0.0
     drew_from: tuple[str, ...] = ()
-    """Global generators whose state moved."""
     n_samples: int = 1
-    """Futures of each window that a predictor was asked for."""
 
     def motion(self, row: int) -> Float[np.ndarray, "*frames joints 3"]:
         """Return what was answered to one row without padding, metres."""
@@ -226,32 +230,33 @@ class MethodSubject(ABC):
     Args:
         spec: How to make the method.
         folder: Where a method that learns may leave what it learnt.
+
+    Attributes:
+        case: What it is asked about, for messages: ``sequence`` or ``window``.
+        things: What it answers.
+        asks: Name of the check that asks it under every condition.
+        shape: The shape that is asked for, in words.
+        shape_remedy: How an answer has that shape.
+        own_generators: How a method draws so that nothing decides but what may.
+        own_row: How the rows of a batch are kept apart.
     """
 
     case: ClassVar[str]
-    """What it is asked about, for messages: ``sequence`` or ``window``."""
     things: ClassVar[str] = "motions"
-    """What it answers."""
     asks: ClassVar[str]
-    """Name of the check that asks it under every condition."""
     shape: ClassVar[str]
-    """The shape that is asked for, in words."""
     shape_remedy: ClassVar[str]
-    """How an answer has that shape."""
     own_generators: ClassVar[Remedy]
-    """How a method draws so that nothing decides but what may."""
     own_row: ClassVar[str]
-    """How the rows of a batch are kept apart."""
 
     def __init__(self, spec: MethodSpec, folder: Path) -> None:
         self.spec = spec
         self.folder = folder
-        self.drew_from: set[str] = set()
-        """Global generators whose state it moved."""
+        self.drew_from: set[str] = set()  # Global generators whose state it moved
+        # Called before each call of the method, with a text that describes it
         self.asking: Callable[[str], None] = lambda _text: None
-        """Called before each call of the method, with a text that describes it."""
+        # Called with a text that describes the work before the first call
         self.starting: Callable[[str], None] = lambda _text: None
-        """Called with a text that describes the work before the first call."""
         self._answers: dict[StrEnum, Any] = {}
 
     @property
@@ -394,8 +399,8 @@ def working_folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="prbench-check-", ignore_cleanup_errors=True)
 
 
+# The condition that most checks use is the first of these that works
 RICHEST_FIRST = (Condition.GOAL_LOCATION, Condition.GOAL_POSE, Condition.TEXT, Condition.NONE)
-"""The condition that most checks use is the first of these that works."""
 _SALT = run_salt(0, "conformance")
 OWN_GENERATORS = Remedy(
     "Draw from one generator a sequence, made of its noise_seed alone:"

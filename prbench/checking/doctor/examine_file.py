@@ -46,12 +46,12 @@ from prbench.representation import N_FEATURES
 from prbench.sequences import SequenceTable
 
 _LIMIT = 200  # motions that are looked at, so that a large run takes seconds
-_DEFAULT_FPS = 20.0
-"""The protocol's rate, for files that nothing else is known of."""
+_DEFAULT_FPS = 20.0  # The protocol's rate, for files that nothing else is known of
 _LARGEST = 8 * 1024**3  # bytes of one array
 _IDS = ("sequence_id", "opaque_id")
 _FORMS = "an .npy or .npz file, Parquet, a folder of .npy or Parquet files, or a run folder"
 _POSE_SIZE = N_JOINTS * 3
+# In the order in which faults hide one another
 _EXAMINATIONS = (
     examine_empty,
     examine_shape,
@@ -73,7 +73,6 @@ _EXAMINATIONS = (
     examine_rhythm,
     examine_frame_rate,
 )
-"""In the order in which faults hide one another."""
 
 
 def diagnose(
@@ -129,22 +128,25 @@ class DoctorRequest:
 
 @dataclass(frozen=True)
 class DoctorReport:
-    """The result of examining a file."""
+    """The result of examining a file.
+
+    Attributes:
+        path: The file, or the folder.
+        total: Motions in the file.
+        examined: Number of motions that were looked at.
+        compared: Number of motions that were compared with what was asked for.
+        shapes: Different shapes of the arrays, in the order of the file; at most five.
+        fps: Frame rate by which the motions were read, in frames per second.
+        diagnoses: Findings; empty if there are none. Where one is certain, the exit code is 1.
+    """
 
     path: Path
-    """The file, or the folder."""
     total: int
-    """Motions in the file."""
     examined: int
-    """Number of motions that were looked at."""
     compared: int
-    """Number of motions that were compared with what was asked for."""
     shapes: tuple[str, ...]
-    """Different shapes of the arrays, in the order of the file; at most five."""
     fps: float
-    """Frame rate by which the motions were read, in frames per second."""
     diagnoses: tuple[Diagnosis, ...]
-    """Findings; empty if there are none. Where one is certain, the exit code is 1."""
 
     @property
     def certain(self) -> bool:
@@ -226,8 +228,8 @@ def _from_conditions(names: Sequence[str], path: Path) -> dict[str, Expected]:
     return found
 
 
+# Sequence id, opaque id, number or the file's name of a motion, and its array of any shape
 _Named = tuple[str, np.ndarray]
-"""Sequence id, opaque id, number or the file's name of a motion, and its array of any shape."""
 
 
 @foreign_input()

@@ -16,32 +16,38 @@ from prbench.representation import REST_OFFSETS
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """One thing that is wrong with motions, or may be."""
+    """One thing that is wrong with motions, or may be.
+
+    Attributes:
+        kind: ``unit``, ``up-axis``, ``facing`` …: docs/doctor.md lists them all.
+        certain: True if the motions are wrong for sure, False if they are only suspicious.
+        evidence: The measured numbers, in a sentence.
+        cause: The most frequent reason for such numbers.
+        remedy: The change to make, with the converter where there is one.
+    """
 
     kind: str
-    """``unit``, ``up-axis``, ``facing`` …: docs/doctor.md lists them all."""
     certain: bool
-    """True if the motions are wrong for sure, False if they are only suspicious."""
     evidence: str
-    """The measured numbers, in a sentence."""
     cause: str
-    """The most frequent reason for such numbers."""
     remedy: str
-    """The change to make, with the converter where there is one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """Expectations about one motion; canonical frame, metres. None means unknown and is not examined."""
+    """Expectations about one motion; canonical frame, metres. None means unknown and is not examined.
+
+    Attributes:
+        initial_joints: The frame that the motion should begin with.
+        previous_joints: The frame before that one.
+        n_frames: Number of frames that were asked for.
+        fps: Frames a second that were asked for.
+    """
 
     initial_joints: Float[np.ndarray, "22 3"] | None = None
-    """The frame that the motion should begin with."""
     previous_joints: Float[np.ndarray, "22 3"] | None = None
-    """The frame before that one."""
     n_frames: int | None = None
-    """Number of frames that were asked for."""
     fps: float | None = None
-    """Frames a second that were asked for."""
 
 
 NOTHING_KNOWN = Expected()
@@ -49,15 +55,18 @@ NOTHING_KNOWN = Expected()
 
 @dataclass(frozen=True, eq=False)
 class MotionSet:
-    """Motions, freed from the faults that were found so far."""
+    """Motions, freed from the faults that were found so far.
+
+    Attributes:
+        motions: Each (frames, joints, 3) float64, once the shape is known.
+        expected: One expectation for each motion.
+        pinned: True if a fault keeps the pelvis in place, so that nothing can be said about place and floor.
+    """
 
     motions: tuple[np.ndarray, ...]
-    """Each (frames, joints, 3) float64, once the shape is known."""
     expected: tuple[Expected, ...]
-    """One expectation for each motion."""
     fps: float
     pinned: bool = False
-    """True if a fault keeps the pelvis in place, so that nothing can be said about place and floor."""
 
     def __len__(self) -> int:
         return len(self.motions)
@@ -102,13 +111,16 @@ class MotionSet:
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """What one examination found; an examination that found nothing returns None."""
+    """What one examination found; an examination that found nothing returns None.
+
+    Attributes:
+        motion_set: The motions with the fault undone, so that it leads to no second diagnosis.
+        unreadable: True if the fault cannot be undone and hides everything that would be looked at later.
+    """
 
     diagnoses: tuple[Diagnosis, ...]
     motion_set: MotionSet
-    """The motions with the fault undone, so that it leads to no second diagnosis."""
     unreadable: bool = False
-    """True if the fault cannot be undone and hides everything that would be looked at later."""
 
 
 def on_straight_lines(poses: np.ndarray, frames: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -218,6 +230,8 @@ def _depth_first_orders() -> Iterator[tuple[str, tuple[str, ...]]]:
                 yield name, ("pelvis", *rest)
 
 
+# Joints of full orders other than HumanML3D's own; the first with the right side first and the legs first is that of
+# its kinematic chains
 ORDERS_OF_22: dict[str, tuple[str, ...]] = {
     **dict(_depth_first_orders()),
     "alphabetical order (left_ankle, left_collar …)": tuple(sorted(_NAMES)),
@@ -227,8 +241,6 @@ ORDERS_OF_22: dict[str, tuple[str, ...]] = {
     ),
     "pelvis at the end": (*_NAMES[1:], "pelvis"),
 }
-"""Joints of full orders other than HumanML3D's own; the first with the right side first and the legs first is that of
-its kinematic chains."""
 
 
 def index_of(joints: Sequence[str]) -> list[int]:

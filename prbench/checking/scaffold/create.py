@@ -35,8 +35,8 @@ _MODULES = frozenset({"numpy", "pyarrow", "prbench_converters"})  # beside a pro
 _PACKAGE = "prbench.checking.scaffold.templates"
 _MARK = re.compile(r"<<(\w+)>>")
 _PREDICTION = "motion-prediction"
+# The condition of a new method of which nothing is said, by benchmark
 _USUAL = {default_benchmark().name: Condition.GOAL_LOCATION.value, _PREDICTION: "pose"}
-"""The condition of a new method of which nothing is said, by benchmark."""
 _ROW_FIELDS = {
     "text": 'text=("The person walks to the table and picks the cup.",),',
     "initial_joints": "initial_joints=POSE,",
@@ -63,10 +63,13 @@ _NO_WEIGHTS = (
 
 @dataclass(frozen=True)
 class MethodNames:
-    """The names of a method and its package."""
+    """The names of a method and its package.
+
+    Attributes:
+        method: The name that ``--method`` is given.
+    """
 
     method: str
-    """The name that ``--method`` is given."""
 
     @property
     def distribution(self) -> str:
@@ -152,19 +155,22 @@ def filled(template: str, values: Mapping[str, str], flags: Collection[str]) -> 
 
 @dataclass(frozen=True)
 class ScaffoldRequest:
-    """The method that is to be written."""
+    """The method that is to be written.
+
+    Attributes:
+        name: Name of the method.
+        conditions: Conditions that it takes; none for the benchmark's usual one.
+        out: The new folder; None for one in the current folder, named after the package or the program.
+        program: A program of its own instead of an installable package.
+        benchmark: The benchmark that it is a method of: the default one, or motion-prediction.
+    """
 
     name: str
-    """Name of the method."""
     conditions: tuple[str, ...] = ()
-    """Conditions that it takes; none for the benchmark's usual one."""
     out: Path | None = None
-    """The new folder; None for one in the current folder, named after the package or the program."""
     trainable: bool = False
     program: bool = False
-    """A program of its own instead of an installable package."""
     benchmark: str = default_benchmark().name
-    """The benchmark that it is a method of: the default one, or motion-prediction."""
 
     def __post_init__(self) -> None:
         if self.benchmark not in _USUAL:
@@ -192,14 +198,17 @@ class ScaffoldRequest:
 
 @dataclass(frozen=True)
 class ScaffoldReport:
-    """The files that were written."""
+    """The files that were written.
+
+    Attributes:
+        folder: The new folder.
+        files: Relative to the folder, sorted.
+        next_steps: Commands to try, in order.
+    """
 
     folder: Path
-    """The new folder."""
     files: tuple[Path, ...]
-    """Relative to the folder, sorted."""
     next_steps: tuple[str, ...]
-    """Commands to try, in order."""
 
 
 def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:

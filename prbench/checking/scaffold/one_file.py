@@ -23,6 +23,7 @@ _PACKAGES = ("prbench",)
 _FOR_TYPES_ONLY = "jaxtyping"
 
 _CONVERTERS = "prbench.representation.converters"
+# Names that the file offers besides the converters
 _ROOTS: Mapping[str, tuple[str, ...]] = {
     "prbench.errors": ("PrbenchError", "InputFileError", "UsageError"),
     "prbench.geometry.skeleton": ("Joint", "PARENTS", "y_up", "z_up"),
@@ -30,7 +31,6 @@ _ROOTS: Mapping[str, tuple[str, ...]] = {
     "prbench.contract": ("batch_noise", "sequence_noise"),
     "prbench.representation": ("Statistics", "UniformSkeleton", "canonicalise", "rest_offsets", "retarget"),
 }
-"""Names that the file offers besides the converters."""
 
 _MARK = "functions are those of prbench.representation.converters"
 _HEADER = '''# ruff: noqa
@@ -55,13 +55,16 @@ class _Statement:
 
 @dataclass
 class _Module:
-    """One module, taken apart."""
+    """One module, taken apart.
+
+    Attributes:
+        inside: Imported from prbench: maps a name to the module that it comes from.
+        outside: Imported from elsewhere: maps a name to the line that imports it.
+    """
 
     statements: list[_Statement] = field(default_factory=list)
     inside: dict[str, str] = field(default_factory=dict)
-    """Imported from prbench: maps a name to the module that it comes from."""
     outside: dict[str, str] = field(default_factory=dict)
-    """Imported from elsewhere: maps a name to the line that imports it."""
 
 
 def converters_file() -> str:

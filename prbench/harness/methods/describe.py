@@ -20,24 +20,27 @@ _LONGEST_LINE = 300  # characters
 
 @dataclass(frozen=True)
 class Description:
-    """One installed method, imported and asked, or the reason why it could not be."""
+    """One installed method, imported and asked, or the reason why it could not be.
+
+    Attributes:
+        method: Its package metadata.
+        conditions: Conditions that it can be given, of those of its benchmark.
+        fitted: It learns from a table (``fit``), so a run fits it by itself when it is given no weights.
+        max_frames: Longest motion that it generates, in frames; None if there is no limit.
+        native_fps: Rate of its motions in frames per second; None if it takes any.
+        motionless: Its motions stand still.
+        weights: Files or folders that it brings, over all its conditions.
+        error: Reason in one line; empty if there is none.
+    """
 
     method: InstalledEntry
-    """Its package metadata."""
     conditions: tuple[str, ...] = ()
-    """Conditions that it can be given, of those of its benchmark."""
     fitted: bool = False
-    """It learns from a table (``fit``), so a run fits it by itself when it is given no weights."""
     max_frames: int | None = None
-    """Longest motion that it generates, in frames; None if there is no limit."""
     native_fps: float | None = None
-    """Rate of its motions in frames per second; None if it takes any."""
     motionless: bool = False
-    """Its motions stand still."""
     weights: tuple[str, ...] = ()
-    """Files or folders that it brings, over all its conditions."""
     error: str = ""
-    """Reason in one line; empty if there is none."""
 
 
 def describe_adapters(names: Iterable[str] | None = None, *, benchmark: str = PROTOCOL_NAME) -> list[Description]:

@@ -38,6 +38,7 @@ FLOAT = "float"
 NEAREST_NEIGHBOUR = "nearest-neighbour"
 SHUFFLED_GOAL = "shuffled-goal"
 
+# Controls that ``--method`` takes
 METHOD_CONTROLS = (
     GROUND_TRUTH,
     GROUND_TRUTH_RESAMPLED,
@@ -51,16 +52,14 @@ METHOD_CONTROLS = (
     FLOAT,
     NEAREST_NEIGHBOUR,
 )
-"""Controls that ``--method`` takes."""
+# Methods of the default benchmark that come with prbench, installed or not
 BUILT_IN_METHODS = default_benchmark().methods
-"""Methods of the default benchmark that come with prbench, installed or not."""
 
-_WORDS = ("all", "prbench", "shuffled", "t2m-evaluator")
-"""Words that mean something else in commands and tables."""
+_WORDS = ("all", "prbench", "shuffled", "t2m-evaluator")  # Words that mean something else in commands and tables
 _LONGEST = 100
 _FORM = re.compile(r"[A-Za-z0-9]([A-Za-z0-9 ._+()-]*[A-Za-z0-9.+)])?")
+# Form of a name, in words. Other alphabets hold letters that look like these and are not.
 NAME_FORM = f"1 to {_LONGEST} characters of A to Z, a to z, 0 to 9, space and . _ + - ( ), first a letter or a digit"
-"""Form of a name, in words. Other alphabets hold letters that look like these and are not."""
 
 
 def has_form(name: object) -> bool:
@@ -227,8 +226,8 @@ def python_loader(method: str) -> Callable[..., Any]:
 
 
 ENTRY_POINT_GROUP = "prbench.training_tasks"
+# The callable without arguments that makes the task of a method, in the module of the method's ``load``
 _BESIDE_THE_METHOD = "training_task"
-"""The callable without arguments that makes the task of a method, in the module of the method's ``load``."""
 
 _DEFINITION = re.compile(rf"^def {_BESIDE_THE_METHOD}\b", re.MULTILINE)
 

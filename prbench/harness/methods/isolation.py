@@ -31,23 +31,29 @@ _SYSTEM_FOLDERS = tuple(
 
 @dataclass(frozen=True)
 class Shown:
-    """A file or folder that a method needs."""
+    """A file or folder that a method needs.
+
+    Attributes:
+        essential: Shown even inside a hidden folder, such as the weights that the user named.
+    """
 
     path: Path
     writable: bool = False
     essential: bool = False
-    """Shown even inside a hidden folder, such as the weights that the user named."""
 
 
 @dataclass(frozen=True)
 class Mount:
-    """``source`` appears at ``place``; without a source nothing is to be seen there."""
+    """``source`` appears at ``place``; without a source nothing is to be seen there.
+
+    Attributes:
+        file: A file is to be hidden.
+    """
 
     source: Path | None
     place: Path
     writable: bool = False
     file: bool = False
-    """A file is to be hidden."""
 
 
 def arrange(shown: Sequence[Shown], hidden: Sequence[Path]) -> list[Mount]:
@@ -89,12 +95,15 @@ def _inside_any(path: Path, folders: Sequence[Path]) -> bool:
 
 @dataclass(frozen=True)
 class Fence:
-    """The isolation that works on this machine."""
+    """The isolation that works on this machine.
+
+    Attributes:
+        program: Path of bubblewrap; None where the file system cannot be withheld.
+        reason: Reason why it cannot.
+    """
 
     program: str | None
-    """Path of bubblewrap; None where the file system cannot be withheld."""
     reason: str = ""
-    """Reason why it cannot."""
 
     @property
     def notice(self) -> str:

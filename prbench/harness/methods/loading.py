@@ -186,26 +186,30 @@ def _cause(error: BaseException) -> str:
 
 @dataclass(frozen=True)
 class MethodSpec:
-    """Enough to make a method in any process."""
+    """Enough to make a method in any process.
+
+    Attributes:
+        name: Name of the installed adapter, or of the program's file until the program has introduced itself.
+        fit_folder: Folder of the fit, if the method is fitted by the run.
+        table_folder: The dataset that it is fitted to.
+        program: Program that runs the method in a process of its own; None to call it in this one.
+        group: The methods of the run's benchmark.
+        fit: Fits the method, once it is made in this process, to ``table_folder``; importable, since it goes to
+            workers.
+    """
 
     name: str
-    """Name of the installed adapter, or of the program's file until the program has introduced itself."""
     weights: Path | None
     options: tuple[tuple[str, str], ...]
     device: str
     threads: int
     fit_folder: Path | None = None
-    """Folder of the fit, if the method is fitted by the run."""
     table_folder: Path | None = None
-    """The dataset that it is fitted to."""
     program: Program | None = None
-    """Program that runs the method in a process of its own; None to call it in this one."""
     timeout: float | None = None
     hidden: tuple[Path, ...] = ()
     group: MethodGroup = MOTIONS
-    """The methods of the run's benchmark."""
     fit: Callable[[Any, MethodSpec], None] | None = None
-    """Fits the method, once it is made in this process, to ``table_folder``; importable, since it goes to workers."""
 
     @property
     def package(self) -> str | None:
@@ -229,12 +233,15 @@ class MethodSpec:
 
 @dataclass
 class LoadedMethod:
-    """A method in this process, or the program that this process has started for it."""
+    """A method in this process, or the program that this process has started for it.
+
+    Attributes:
+        warmed_up: True once it has generated a batch, and with it loaded whatever loads on first use.
+    """
 
     name: str
     adapter: Any
     warmed_up: bool = False
-    """True once it has generated a batch, and with it loaded whatever loads on first use."""
 
     @property
     def is_trainable(self) -> bool:

@@ -25,19 +25,22 @@ from prbench.limits import FARTHEST_COORDINATE, FARTHEST_EYES
 
 @dataclass(frozen=True)
 class Declared:
-    """The attributes of an adapter that the harness honours."""
+    """The attributes of an adapter that the harness honours.
+
+    Attributes:
+        conditions: Of the benchmark's own type.
+        max_frames: Longest motion at its own rate, in frames; None for no limit.
+        native_fps: Frames per second that it generates; None for the table's rate.
+        gaze: True if its motions bring gaze.
+        one_design: The K futures of a window are one design: fewer are no part of more.
+    """
 
     conditions: frozenset[Any]
-    """Of the benchmark's own type."""
     max_frames: int | None = None
-    """Longest motion at its own rate, in frames; None for no limit."""
     native_fps: float | None = None
-    """Frames per second that it generates; None for the table's rate."""
     motionless: bool = False
     gaze: bool = False
-    """True if its motions bring gaze."""
     one_design: bool = False
-    """The K futures of a window are one design: fewer are no part of more."""
 
     @classmethod
     def by(cls, adapter: Any, *, origin: str, conditions: type[StrEnum] = Condition) -> Declared:
@@ -115,13 +118,16 @@ _UNITS = (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254), ("de
 
 
 class WrongUnit(NamedTuple):
-    """Bodies that are not of human size in metres."""
+    """Bodies that are not of human size in metres.
+
+    Attributes:
+        metres_per_unit: Factor that the numbers have to be multiplied by.
+    """
 
     evidence: str
     cause: str
     remedy: str
     metres_per_unit: float
-    """Factor that the numbers have to be multiplied by."""
 
 
 def spread_poses(motion: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "poses joints 3"]:

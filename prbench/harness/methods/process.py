@@ -108,42 +108,42 @@ def _signal_name(number: int) -> str:
     return names.get(number, "unknown")
 
 
-EXIT_SECONDS = 5.0
-"""Time for a program to end after its stdin was closed."""
-TERM_SECONDS = 2.0
-"""Time for it to end after SIGTERM."""
+EXIT_SECONDS = 5.0  # Time for a program to end after its stdin was closed
+TERM_SECONDS = 2.0  # Time for it to end after SIGTERM
 _KEPT_LOGS = 100
 _TAIL_BYTES = 8192
 _CHUNK = 1 << 16
-_SLICE = 0.2
-"""Seconds after which a wait looks whether the program still runs."""
+_SLICE = 0.2  # Seconds after which a wait looks whether the program still runs
 _REMEDY = "Its stdout belongs to the protocol: print to stderr"
 
 
 @dataclass(frozen=True)
 class Program:
-    """A method's program. Picklable, so that every worker can start its own; it knows nothing about tables."""
+    """A method's program. Picklable, so that every worker can start its own; it knows nothing about tables.
+
+    Attributes:
+        name: Name in messages until it has introduced itself.
+        words: The whole command: a fence, ``conda run`` and the like included.
+        directory: Folder that it starts in; None for an empty temporary folder of its own.
+        environment: The whole environment; nothing is inherited beside it.
+        start_timeout: Seconds until it has introduced itself.
+        batch_timeout: Seconds until a batch is answered.
+        fence: ``process``, ``bubblewrap`` or ``container`` for what is kept at a distance; None for what is not.
+        package: Command and environment of the user's own program, for the record: without the folders of this machine.
+        expected_name: Name that it must introduce itself by; any name if None.
+        readable: Files and folders that it needs beside the system's.
+    """
 
     name: str
-    """Name in messages until it has introduced itself."""
     words: tuple[str, ...]
-    """The whole command: a fence, ``conda run`` and the like included."""
     directory: Path | None
-    """Folder that it starts in; None for an empty temporary folder of its own."""
     environment: tuple[tuple[str, str], ...]
-    """The whole environment; nothing is inherited beside it."""
     start_timeout: float = 120.0
-    """Seconds until it has introduced itself."""
     batch_timeout: float = 600.0
-    """Seconds until a batch is answered."""
     fence: str | None = None
-    """``process``, ``bubblewrap`` or ``container`` for what is kept at a distance; None for what is not."""
     package: str | None = None
-    """Command and environment of the user's own program, for the record: without the folders of this machine."""
     expected_name: str | None = None
-    """Name that it must introduce itself by; any name if None."""
     readable: tuple[Path, ...] = ()
-    """Files and folders that it needs beside the system's."""
     in_container: bool = False
 
 
@@ -191,8 +191,7 @@ class ProgramProcess:
         self._written = self._total = 0
         self._has_answered = False
         self._seconds = self._end = 0.0
-        self.over = False
-        """It was closed or killed."""
+        self.over = False  # It was closed or killed
 
     def log_tail(self, lines: int = 10) -> list[str]:
         """Return the last lines of stderr, overlong ones cut, without what would move the cursor of a terminal."""

@@ -99,44 +99,53 @@ _OF_CONTAINERS = ("engine", "gpus", "user", "volumes")
 
 
 class _MethodTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[method]``: what is started, and where."""
+    """``[method]``: what is started, and where.
+
+    Attributes:
+        command: Program and arguments: a list, or one text that is split into words.
+        name: Name that the program must introduce itself by; any name if absent.
+        directory: Folder that it starts in, relative to the file.
+    """
 
     command: _Text | Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
-    """Program and arguments: a list, or one text that is split into words."""
     name: _Text | None = None
-    """Name that the program must introduce itself by; any name if absent."""
     directory: str = "."
-    """Folder that it starts in, relative to the file."""
 
 
 class EnvironmentTable(msgspec.Struct, frozen=True, kw_only=True, rename="kebab", forbid_unknown_fields=True):
-    """``[environment]``: in what the command runs. At most one of the first three."""
+    """``[environment]``: in what the command runs. At most one of the first three.
+
+    Attributes:
+        virtual_environment: Folder of a Python virtual environment.
+        conda: Name or folder of a conda environment.
+        container: Image, best named by its digest.
+        engine: Program that runs the container; by default the first of these that is installed.
+        gpus: True if the container sees the machine's NVIDIA GPUs.
+        user: ``uid:gid`` inside the container.
+        volumes: Further folders that the container sees, read-only: ``FOLDER`` or ``FOLDER:PLACE``.
+        variables: Further environment variables.
+    """
 
     virtual_environment: _Text | None = None
-    """Folder of a Python virtual environment."""
     conda: _Text | None = None
-    """Name or folder of a conda environment."""
     container: _Text | None = None
-    """Image, best named by its digest."""
     engine: Literal["podman", "docker"] | None = None
-    """Program that runs the container; by default the first of these that is installed."""
     gpus: bool = False
-    """True if the container sees the machine's NVIDIA GPUs."""
     user: _Text | None = None
-    """``uid:gid`` inside the container."""
     volumes: tuple[_Text, ...] = ()
-    """Further folders that the container sees, read-only: ``FOLDER`` or ``FOLDER:PLACE``."""
     variables: dict[str, str] = {}
-    """Further environment variables."""
 
 
 class _LimitsTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """``[limits]``: time limits, seconds."""
+    """``[limits]``: time limits, seconds.
+
+    Attributes:
+        start_s: Until the program has introduced itself.
+        batch_s: Until a batch is answered.
+    """
 
     start_s: _Seconds = 120.0
-    """Until the program has introduced itself."""
     batch_s: _Seconds = 600.0
-    """Until a batch is answered."""
 
 
 class MethodDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

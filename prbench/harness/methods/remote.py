@@ -120,15 +120,18 @@ def error_text(header: Header) -> str:
 
 @dataclass(frozen=True)
 class Introduction:
-    """A program's hello."""
+    """A program's hello.
+
+    Attributes:
+        weights: Name and SHA-256 of the weights that it says it uses under each condition.
+        trainable: True if the installed method can be fitted to a table; only prbench's own worker says so.
+    """
 
     name: str
     version: str
     declared: Declared
     weights: Mapping[StrEnum, tuple[str, str]] = field(default_factory=dict)
-    """Name and SHA-256 of the weights that it says it uses under each condition."""
     trainable: bool = False
-    """True if the installed method can be fitted to a table; only prbench's own worker says so."""
 
     @classmethod
     def read(cls, header: Mapping[str, Any], *, origin: str, conditions: type[StrEnum] = Condition) -> Introduction:
@@ -218,12 +221,14 @@ class RemoteMethod:
 
     A program that crashes, misses a time limit or breaks the protocol fails its batch. It ends with :meth:`close`, with
     the interpreter, or when nobody holds this object any more.
+
+    Attributes:
+        all_conditions: The conditions of the benchmark.
+        said: What the hello says besides.
     """
 
     all_conditions: ClassVar[type[StrEnum]]
-    """The conditions of the benchmark."""
     said: ClassVar[Mapping[str, Any]] = {}
-    """What the hello says besides."""
 
     def __init__(self, program: Program, hello: Header) -> None:
         self._program, self._hello = program, hello
@@ -235,8 +240,8 @@ class RemoteMethod:
         self.motionless = introduction.declared.motionless
         self.gaze = introduction.declared.gaze
         self.one_design = introduction.declared.one_design
+        # Name and SHA-256 of the weights that it says it uses under each condition; empty if it says nothing
         self.weights: Mapping[StrEnum, tuple[str, str]] = introduction.weights
-        """Name and SHA-256 of the weights that it says it uses under each condition; empty if it says nothing."""
         self.trainable = introduction.trainable
 
     @classmethod
@@ -396,26 +401,29 @@ def serve_motions(name: str, adapter: Adapter, header: Header, payload: bytes) -
 
 @dataclass(frozen=True)
 class MethodGroup:
-    """What loading a method needs to know of its benchmark; picklable, so that every worker can load it."""
+    """What loading a method needs to know of its benchmark; picklable, so that every worker can load it.
+
+    Attributes:
+        entry_points: Entry-point group.
+        interface: Protocol that a loaded method has to satisfy.
+        members: What the protocol asks for, in words.
+        conditions: The conditions that a method may name.
+        remote: A method of the group behind the wire protocol.
+        serve: Answers a request for an installed method in ``harness.methods.worker``: name, method, header, payload.
+    """
 
     entry_points: str
-    """Entry-point group."""
     interface: type
-    """Protocol that a loaded method has to satisfy."""
     members: str
-    """What the protocol asks for, in words."""
     conditions: type[StrEnum]
-    """The conditions that a method may name."""
     remote: type[RemoteMethod]
-    """A method of the group behind the wire protocol."""
     serve: Callable[[str, Any, dict[str, Any], bytes], tuple[dict[str, Any], bytes]]
-    """Answers a request for an installed method in ``harness.methods.worker``: name, method, header, payload."""
 
 
+# The methods of prime-and-reach
 MOTIONS = MethodGroup(
     ENTRY_POINT_GROUP, Adapter, "name, conditions and generate()", Condition, RemoteAdapter, serve_motions
 )
-"""The methods of prime-and-reach."""
 
 
 def group_of(benchmark: str) -> MethodGroup:

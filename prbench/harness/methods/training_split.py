@@ -19,8 +19,8 @@ from prbench.sequences.schema import DATASET_TABLES, SEQUENCES
 from prbench.sequences.sequence import SequenceChunk
 from prbench.sequences.write import write_table
 
+# Seed of a method that a run fits by itself; the run's own seed varies what is generated, not what is learnt
 FIT_SEED = 0
-"""Seed of a method that a run fits by itself; the run's own seed varies what is generated, not what is learnt."""
 _SPLIT = "train"
 _PREFIX = "prbench-train-"
 
