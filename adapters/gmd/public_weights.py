@@ -27,7 +27,7 @@ from prbench.files.arrays import load_array
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest
 from prbench.representation.features import N_FEATURES
-from prbench.text.pretrained import CLIP
+from prbench.text import CLIP
 from prbench_adapters.gmd.model import KIND, N_ROOT, ROOT_XZ, FeatureSpace, GMDConfiguration, TemporalUNet
 from prbench_adapters.training.weights import representation_entry, weights_header, write_weights
 

@@ -20,7 +20,7 @@ from prbench.files.bounded import foreign_input, read_text
 from prbench.files.storage import bytes_digest, text_digest
 from prbench.representation import N_FEATURES, Mode
 from prbench.representation.features import FOOT_CONTACTS
-from prbench.text.built_in import EncodedText, padded
+from prbench.text import EncodedText, padded
 
 WORD_DIMENSION = 300
 MOST_WORDS = 20

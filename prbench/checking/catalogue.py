@@ -49,7 +49,7 @@ class CatalogueEntry(msgspec.Struct, frozen=True, kw_only=True):
         rates_hz: Samples a second of each of its streams.
         known_bad: Recordings that are left out, and why.
         citation: What to cite, as BibTeX.
-        body_poses: Where its bodies can come from.
+        body_poses: Sources that its bodies can come from.
         reader_options: Options of its reader, with their defaults.
         found: Places and counts of recordings below ``--root``; empty where nothing was looked for or found.
         missing: Required files that recordings below ``--root`` lack, and what else is wrong with them.
@@ -79,7 +79,7 @@ class Catalogue(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         datasets: One entry for each dataset, or the one that was named.
         unusable_readers: Installed packages whose reader cannot be used, and why.
-        bibtex: With ``--cite``: BibTeX entries; the licence terms of each dataset stand above them as comments.
+        bibtex: BibTeX entries, with ``--cite``; the licence terms of each dataset stand above them as comments.
     """
 
     datasets: tuple[CatalogueEntry, ...] = ()

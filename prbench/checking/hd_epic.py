@@ -62,8 +62,8 @@ class Validation:
         synthetic: True for synthetic videos: nothing published is shown beside their numbers.
         agreements: Picks, puts, both.
         outcomes: Number of events by outcome of the rule.
-        published_shares: By action, the shares that the dataset's paper names: tested, and primed of the tested; empty
-            for synthetic videos.
+        published_shares: Shares that the dataset's paper names, by action: tested, and primed of the tested; empty for
+            synthetic videos.
     """
 
     recordings: int

@@ -82,7 +82,7 @@ class InspectedTable:
         sequences: Number of sequences.
         by_split: Number of sequences of each split.
         participants_in_two_splits: People with sequences in both train and test.
-        pose_sources: Where the bodies come from.
+        pose_sources: Sources of the bodies.
         quantities: Mean and standard deviation of ``duration``, ``prime_gap`` (s), ``body_movement`` and
             ``hand_movement`` (m).
         remarks: Why there are no sequences, and recordings that are cut short.

@@ -73,23 +73,6 @@ class ConditionsInfo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     tables: tuple[str, ...]
 
 
-def _info_of(text: str, path: Path) -> ConditionsInfo:
-    """Read the information about a file.
-
-    Raises:
-        InputFileError: if it is of a newer version or not what the format asks for.
-    """
-    try:
-        version = msgspec.json.decode(text, type=dict[str, Any]).get("format_version")
-        if version == FORMAT_VERSION:
-            return msgspec.json.decode(text, type=ConditionsInfo)
-        expected, found = f"format version {FORMAT_VERSION}", str(version)
-    except (msgspec.ValidationError, msgspec.DecodeError) as error:
-        expected, found = "what prbench wrote about the file", str(error)
-    remedy = "Export the conditions again with `prbench export-conditions`."
-    raise InputFileError(path, METADATA_KEY, expected=expected, found=found, remedy=remedy)
-
-
 def fingerprints(identities: Iterable[str]) -> tuple[str, ...]:
     """One digest a table, sorted. Whoever has the table recognises it; the key of the opaque ids does not follow.
 
@@ -173,7 +156,16 @@ def read_conditions_file(path: Path) -> ConditionsFile:
             found=f"the arrays {', '.join(sorted(archive.members)[:10])} without it",
             remedy="Export it with `prbench export-conditions`.",
         )
-    info = _info_of(str(archive.read(METADATA_KEY, largest=1024**2)), path)
+    text = str(archive.read(METADATA_KEY, largest=1024**2))
+    try:
+        version = msgspec.json.decode(text, type=dict[str, Any]).get("format_version")
+        info = msgspec.json.decode(text, type=ConditionsInfo) if version == FORMAT_VERSION else None
+        expected, found = f"format version {FORMAT_VERSION}", str(version)
+    except (msgspec.ValidationError, msgspec.DecodeError) as error:
+        info, expected, found = None, "what prbench wrote about the file", str(error)
+    if info is None:
+        remedy = "Export the conditions again with `prbench export-conditions`."
+        raise InputFileError(path, METADATA_KEY, expected=expected, found=found, remedy=remedy)
     names = (*_ALWAYS, *given_columns(info.condition))
     if set(archive.members) != {METADATA_KEY, *names}:
         found = ", ".join(sorted(set(archive.members) - {METADATA_KEY}))

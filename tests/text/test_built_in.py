@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import UsageError
-from prbench.text import TextEncoder, text_encoder
-from prbench.text.built_in import DIMENSION, HashedNgrams, ngrams, words
+from prbench.text import DIMENSION, HashedNgrams, TextEncoder, ngrams, text_encoder, words
 
 SENTENCES = (
     "The person moves across and picks an object.",

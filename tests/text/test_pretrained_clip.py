@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError, MissingExtraError
+from prbench.text import CLIP_VARIABLE as VARIABLE
 from prbench.text import TextEncoder, text_encoder
-from prbench.text.pretrained import CLIP_VARIABLE as VARIABLE
 from tests.text import tiny_clip
 from tests.text.tiny_clip import END, START, VOCABULARY
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError, MissingExtraError
+from prbench.text import DISTILBERT_VARIABLE as VARIABLE
 from prbench.text import TextEncoder, text_encoder
-from prbench.text.pretrained import DISTILBERT_VARIABLE as VARIABLE
 
 WORDS = ["[PAD]", "[UNK]", "[CLS]", "[SEP]", "[MASK]", "the", "person", "moves", "and", "pick", "##s", "puts", "."]
 

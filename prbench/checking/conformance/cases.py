@@ -49,7 +49,7 @@ def synthetic_cases(folder: Path, limit: int = SEQUENCES) -> Cases:
     The first process of a check acts them out, with ideal sensors, and later ones read their table.
 
     Args:
-        folder: Of this check alone.
+        folder: Folder of this check alone.
         limit: Number of sequences.
     """
     table = folder / "table"

@@ -49,7 +49,7 @@ class Report:
 
     Attributes:
         method: The method, as it was named.
-        findings: In the order of the checks. The exit code is 5 if one failed.
+        findings: All findings, in the order of the checks. The exit code is 5 if one failed.
         seconds: How long the checks took.
     """
 

@@ -39,7 +39,7 @@ from prbench.checking.conformance.findings import (
     skipped,
     worst_of,
 )
-from prbench.checking.conformance.subject import MethodSubject, Subject, working_folder
+from prbench.checking.conformance.subject import MethodSubject, Subject
 from prbench.errors import UsageError
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.methods.installed import METHOD_CONTROLS
@@ -172,12 +172,13 @@ def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
     findings: list[Finding] = []
     lost: list[str] = []
     announced = itertools.count(1)
-    with working_folder() as folder:
+    with tempfile.TemporaryDirectory(prefix="prbench-check-", ignore_cleanup_errors=True) as folder:
         for fresh in (False, True):
             left = [one for one in judge.checks if one.fresh is fresh]
             while left:
                 # A new child knows nothing of its predecessors, and checks depend on one another.
-                known = {name: worst_of(each for each in findings if each.check == name) for name in _names(findings)}
+                made = dict.fromkeys(finding.check for finding in findings)
+                known = {name: worst_of(each for each in findings if each.check == name) for name in made}
                 blocking = [name for name in lost if name in (*_STARTS, *FORM)]
                 blocking += ["load"] * (known.get("load") is Outcome.FAILED)
                 if blocking:
@@ -209,10 +210,6 @@ def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
     places = {one.name: place for place, one in enumerate(judge.checks)}
     findings.sort(key=lambda finding: places[finding.check])
     return Report(request.method, tuple(findings), time.perf_counter() - started)
-
-
-def _names(findings: list[Finding]) -> list[str]:
-    return list(dict.fromkeys(finding.check for finding in findings))
 
 
 def _events_of_child(order: Mapping[str, object], limits: Mapping[str, float]) -> Iterator[dict[str, Any]]:

@@ -6,7 +6,6 @@ import dataclasses
 import math
 import random
 import sys
-import tempfile
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
@@ -153,8 +152,8 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
         adapter: The method.
         batch: What it is asked, at the table's rate.
         seed: The run's seed.
-        state_seed: Of the global generators.
-        threads: Of NumPy's and torch's libraries.
+        state_seed: Seed of the global generators.
+        threads: Threads of NumPy's and torch's libraries.
     """
     watched = _Watched(adapter)
     motions = None
@@ -190,7 +189,7 @@ def largest_changes(first: Answer, second: Answer, rows: list[int] | None = None
     Args:
         first: Any answer with motions.
         second: Answers rows of the same lengths.
-        rows: Where in ``first`` each row of ``second`` stands; None for the same order.
+        rows: Row of ``first`` that each row of ``second`` belongs to; None for the same order.
     """
     places = range(len(second.batch)) if rows is None else rows
     return np.array(
@@ -229,7 +228,7 @@ class MethodSubject(ABC):
 
     Args:
         spec: How to make the method.
-        folder: Where a method that learns may leave what it learnt.
+        folder: Folder in which a method that learns may leave what it learnt.
 
     Attributes:
         case: What it is asked about, for messages: ``sequence`` or ``window``.
@@ -394,11 +393,6 @@ class MethodSubject(ABC):
         return self._answers[condition]
 
 
-def working_folder() -> tempfile.TemporaryDirectory[str]:
-    """Return a folder for what a method learns, gone with the check."""
-    return tempfile.TemporaryDirectory(prefix="prbench-check-", ignore_cleanup_errors=True)
-
-
 # The condition that most checks use is the first of these that works
 RICHEST_FIRST = (Condition.GOAL_LOCATION, Condition.GOAL_POSE, Condition.TEXT, Condition.NONE)
 _SALT = run_salt(0, "conformance")
@@ -424,7 +418,7 @@ class Subject(MethodSubject):
     Args:
         spec: How to make the method.
         cases: What it is asked about.
-        folder: Where a method that learns may leave what it learnt.
+        folder: Folder in which a method that learns may leave what it learnt.
     """
 
     case = "sequence"

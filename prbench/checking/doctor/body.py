@@ -69,7 +69,14 @@ def examine_shape(motion_set: MotionSet) -> Finding | None:
     shapes = list(dict.fromkeys(str(motion.shape) for motion in motion_set.motions))
     more = f" and {len(shapes) - 3} more" if len(shapes) > 3 else ""
     evidence = f"expected (frames, 22, 3), found {', '.join(shapes[:3])}{more}"
-    squeezed = motion_set.changed(_squeezed)
+
+    def without_single_axes(motion: np.ndarray) -> np.ndarray:
+        # A motion of one frame keeps its first axis.
+        if motion.shape[-2:] == (N_JOINTS, 3):
+            return motion.reshape(-1, N_JOINTS, 3) if motion.ndim <= 3 or 1 in motion.shape[:-2] else motion
+        return motion if motion.ndim == 2 else np.squeeze(motion)
+
+    squeezed = motion_set.changed(without_single_axes)
     if all(motion.ndim == 2 and N_FEATURES in motion.shape for motion in squeezed.motions):
         return _features(squeezed, evidence)
     first = squeezed.motions[0].shape
@@ -92,13 +99,6 @@ def examine_shape(motion_set: MotionSet) -> Finding | None:
         cause = "no known way to write the joints of a body"
         remedy = f"Give positions of the 22 joints of HumanML3D, (frames, 22, 3); {_CONVERT} holds what helps."
     return Finding((Diagnosis("shape", True, evidence, cause, remedy),), motion_set, unreadable=True)
-
-
-def _squeezed(motion: np.ndarray) -> np.ndarray:
-    """Drop axes of length one, except where a motion has a single frame."""
-    if motion.shape[-2:] == (N_JOINTS, 3):
-        return motion.reshape(-1, N_JOINTS, 3) if motion.ndim <= 3 or 1 in motion.shape[:-2] else motion
-    return motion if motion.ndim == 2 else np.squeeze(motion)
 
 
 def _features(motion_set: MotionSet, evidence: str) -> Finding:

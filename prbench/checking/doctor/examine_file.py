@@ -248,25 +248,23 @@ def read_motions(path: Path) -> list[_Named]:
         folders = [folder / "predictions" for folder in runs] or [plain]
         inside = [file for folder in folders for file in sorted(folder.iterdir())]
         files = [file for file in inside if file.suffix in (".npy", ".parquet") and file.name[0] != "."]
-    motions = [named for file in files for named in _from_file(file)]
+    motions: list[_Named] = []
+    for file in files:
+        suffix = file.suffix.lower()
+        if suffix == ".npy":
+            with open_regular(file) as stream:
+                header = read_header(stream, file, "")
+            motions += _unbatched(file.stem, _numbers(map_array(file, header), file, ""))
+        elif suffix == ".npz":
+            motions += _npz(Archive(file))
+        elif suffix in (".parquet", ".pq"):
+            motions += _parquet(file)
+        else:
+            remedy = "Save the joints with np.save: pickles (.pkl, .pt, .pth) are never opened, they can run programs."
+            raise InputFileError(file, "", expected=_FORMS, found=f"a file named *{suffix}", remedy=remedy)
     if not motions:
         raise InputFileError(path, "", expected="motions", found="none")
     return motions
-
-
-def _from_file(path: Path) -> Iterator[_Named]:
-    suffix = path.suffix.lower()
-    if suffix == ".npy":
-        with open_regular(path) as stream:
-            header = read_header(stream, path, "")
-        yield from _unbatched(path.stem, _numbers(map_array(path, header), path, ""))
-    elif suffix == ".npz":
-        yield from _npz(Archive(path))
-    elif suffix in (".parquet", ".pq"):
-        yield from _parquet(path)
-    else:
-        remedy = "Save the joints with np.save: pickles (.pkl, .pt, .pth) are never opened, they can run programs."
-        raise InputFileError(path, "", expected=_FORMS, found=f"a file named *{suffix}", remedy=remedy)
 
 
 def _numbers(values: np.ndarray, path: Path, where: str) -> np.ndarray:

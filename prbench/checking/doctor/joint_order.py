@@ -77,7 +77,7 @@ def _another_number(motion_set: MotionSet, n_joints: int) -> Finding:
         found = Diagnosis("joint-order", True, evidence, "a skeleton of its own", remedy)
         return Finding((found,), motion_set, unreadable=True)
     evidence += f"; as '{best}', bones miss people's lengths by {misfits[best]:.0%}"
-    remedy = f"Convert them: prbench.representation.converters.named_skeletons('{best}').to_22(joints)."
+    remedy = f"Convert them: prbench.representation.converters.joint_map('{best}').to_22(joints)."
     if best.startswith("smpl"):
         remedy += " That is joints[:, :22]."
     found = Diagnosis("joint-order", True, evidence, f"the joints are those of the skeleton '{best}'", remedy)

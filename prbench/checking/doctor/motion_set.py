@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -169,7 +169,7 @@ def fit(distances: tuple[np.ndarray, np.ndarray], index: Sequence[int] = range(N
     """Compare the bones of joints in some order with those of people; the size is fitted away.
 
     Args:
-        distances: Of :func:`joint_distances`.
+        distances: Median and spread that :func:`joint_distances` returns.
         index: ``joints[:, index]`` stands in HumanML3D's order.
 
     Returns:
@@ -216,7 +216,8 @@ def sidedness(poses: np.ndarray, part: str = "HIP") -> np.ndarray:
     return (np.cross(left, body_up(poses)) * front(poses)).sum(axis=-1)
 
 
-def _depth_first_orders() -> Iterator[tuple[str, tuple[str, ...]]]:
+def _orders_of_22() -> dict[str, tuple[str, ...]]:
+    orders = {}
     trunk = ("spine1", "spine2", "spine3")
     for sides in (("left", "right"), ("right", "left")):
         legs = tuple(f"{side}_{part}" for side in sides for part in ("hip", "knee", "ankle", "foot"))
@@ -226,21 +227,19 @@ def _depth_first_orders() -> Iterator[tuple[str, tuple[str, ...]]]:
             ("arms before the head", (*trunk, *arms, "neck", "head")),
         ):
             for start, rest in (("legs", legs + upper), ("trunk", upper + legs)):
+                # With the right side first and the legs first it is the order of HumanML3D's kinematic chains.
                 name = f"depth-first order, as in BVH files ({start} first, {sides[0]} side first, {top})"
-                yield name, ("pelvis", *rest)
-
-
-# Joints of full orders other than HumanML3D's own; the first with the right side first and the legs first is that of
-# its kinematic chains
-ORDERS_OF_22: dict[str, tuple[str, ...]] = {
-    **dict(_depth_first_orders()),
-    "alphabetical order (left_ankle, left_collar …)": tuple(sorted(_NAMES)),
-    "reversed order": _NAMES[::-1],
-    "all left joints, then all right ones, behind those of the middle": tuple(
+                orders[name] = ("pelvis", *rest)
+    orders["alphabetical order (left_ankle, left_collar …)"] = tuple(sorted(_NAMES))
+    orders["reversed order"] = _NAMES[::-1]
+    orders["all left joints, then all right ones, behind those of the middle"] = tuple(
         sorted(_NAMES, key=lambda name: ("left" in name) + 2 * ("right" in name))
-    ),
-    "pelvis at the end": (*_NAMES[1:], "pelvis"),
-}
+    )
+    orders["pelvis at the end"] = (*_NAMES[1:], "pelvis")
+    return orders
+
+
+ORDERS_OF_22 = _orders_of_22()  # joints of full orders other than HumanML3D's own
 
 
 def index_of(joints: Sequence[str]) -> list[int]:

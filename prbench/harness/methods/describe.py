@@ -47,7 +47,7 @@ def describe_adapters(names: Iterable[str] | None = None, *, benchmark: str = PR
     """Import the installed methods and say what each declares; one that cannot be imported costs one line.
 
     Args:
-        names: Of methods; None for all.
+        names: Names of methods; None for all.
         benchmark: Whose methods are meant.
 
     Returns:

@@ -16,7 +16,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from prbench.entry_points import ADAPTERS, PREDICTORS, InstalledEntry, installed_entries
@@ -71,7 +70,7 @@ def name_problem(name: object, *, own: Collection[str] = ()) -> str | None:
     """Say what is wrong with the name that a package, a program or a file gives its method.
 
     Args:
-        name: As it was given.
+        name: The name that was given.
         own: Further methods of prbench itself: those of the benchmark in question.
 
     Returns:
@@ -126,7 +125,7 @@ def packages_of(names: Collection[str], entry_points: str = ADAPTERS) -> tuple[s
     """Return the distributions that offer some methods, without prbench itself.
 
     Args:
-        names: Of methods; those that are not installed are passed over.
+        names: Names of methods; those that are not installed are passed over.
         entry_points: See :func:`list_adapters`.
     """
     installed = list_adapters(entry_points)
@@ -165,10 +164,10 @@ def _source(method: str) -> tuple[Path, str]:
 
 
 def find_python_method(method: str) -> InstalledEntry:
-    """Return what is known of such a method without importing it.
+    """Return what is known of a method in a Python file without importing it.
 
     Args:
-        method: As given by ``--method``.
+        method: Text behind ``--method``: path of a Python file, with or without ``:NAME``.
 
     Raises:
         AdapterError: if the file is no Python, or has no such function.
@@ -194,16 +193,16 @@ def find_python_method(method: str) -> InstalledEntry:
     return InstalledEntry(method, path.name, file_digest(path)[:_SHOWN_DIGEST], f"{path}:{name}")
 
 
-def import_python_method(method: str) -> ModuleType:
-    """Import the module of such a method; what it imports from beside itself is found, as for a script.
+def import_python_method(method: str) -> Callable[..., Any]:
+    """Import the function that makes such a method; what its file imports from beside itself is found, as for a script.
 
     Args:
-        method: As given by ``--method``.
+        method: Text behind ``--method``: path of a Python file, with or without ``:NAME``.
     """
-    path, _ = _source(method)
+    path, function = _source(method)
     name = f"prbench_method_{path.stem}_{file_digest(path)[:_SHOWN_DIGEST]}"
     if name in sys.modules:
-        return sys.modules[name]
+        return getattr(sys.modules[name], function)
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))
     spec = importlib.util.spec_from_file_location(name, path)
@@ -217,12 +216,7 @@ def import_python_method(method: str) -> ModuleType:
     except BaseException:
         del sys.modules[name]
         raise
-    return module
-
-
-def python_loader(method: str) -> Callable[..., Any]:
-    """Import such a method, and return the function that makes it."""
-    return getattr(import_python_method(method), _source(method)[1])
+    return getattr(module, function)
 
 
 ENTRY_POINT_GROUP = "prbench.training_tasks"

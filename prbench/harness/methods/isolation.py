@@ -16,7 +16,7 @@ from pathlib import Path
 import prbench
 from prbench.errors import UsageError
 from prbench.harness.methods.process import Program, users_environment
-from prbench.text.pretrained import CLIP_VARIABLE, DISTILBERT_VARIABLE
+from prbench.text import CLIP_VARIABLE, DISTILBERT_VARIABLE
 
 BUBBLEWRAP = "bubblewrap"
 HOME = "/tmp/home"  # inside the fence, where /tmp is empty and its own
@@ -142,7 +142,7 @@ def bubblewrap_words(
         program: Path of bubblewrap.
         shown: Files and folders beside the system's.
         hidden: Folders that stay invisible even inside what is shown.
-        directory: Where the command starts; None for an empty folder.
+        directory: Folder in which the command starts; None for an empty one.
     """
     words = [program, *_NAMESPACES]
     for folder in _SYSTEM_FOLDERS:
@@ -283,9 +283,9 @@ def worker_program(
         name: Name of the method.
         target: ``module:callable`` of its entry point.
         weights: A file or folder, or a name that the method knows.
-        options: For the method; files that their values name by absolute paths are shown to it.
+        options: Options of the method; files that their values name by absolute paths are shown to it.
         hidden: Folders to withhold where that is possible.
-        fit: For a method that is fitted by the run: the folders of a copy of the training rows, and of the result.
+        fit: Folders of a copy of the training rows and of the result, if the run fits the method; else None.
         timeout: Seconds for a batch.
         benchmark: Name of its benchmark.
     """

@@ -24,16 +24,16 @@ from prbench.harness.methods.installed import (
     METHOD_CONTROLS,
     InstalledEntry,
     find_python_method,
+    import_python_method,
     is_python_method,
     list_adapters,
     name_problem,
     no_such_method,
-    python_loader,
 )
 from prbench.harness.methods.isolation import fenced, isolated_environment, worker_program
 from prbench.harness.methods.motions import Declared
 from prbench.harness.methods.process import Program, users_environment
-from prbench.harness.methods.programs import is_program, own_environment, program_of, short_name
+from prbench.harness.methods.programs import is_program, program_of, short_name
 from prbench.harness.methods.remote import MOTIONS, MethodGroup, RemoteMethod
 from prbench.harness.methods.training_split import FIT_SEED, TrainingSplit, temporary_training_copy
 from prbench.protocol.manifests import benchmark_of_group, benchmarks
@@ -47,7 +47,7 @@ def find_adapter(name: str, *, also_known: Iterable[str] = (), entry_points: str
     (:mod:`prbench.harness.methods.installed`).
 
     Args:
-        name: As given by ``--method``.
+        name: Text behind ``--method``.
         also_known: Further names that may be meant, such as those of controls.
         entry_points: Entry-point group, which is that of one benchmark.
 
@@ -99,7 +99,7 @@ def load_adapter(
     point = EntryPoint(installed.name, installed.target, group.entry_points)
     origin = f"adapter '{name}' (package {installed.package} {installed.version}, {installed.target})"
     try:
-        load = python_loader(name) if is_python_method(name) else point.load()
+        load = import_python_method(name) if is_python_method(name) else point.load()
     except (Exception, SystemExit) as error:
         raise AdapterError(
             f"{origin}: cannot be imported: {_cause(error)}. Repair or reinstall the package."
@@ -226,7 +226,17 @@ class MethodSpec:
         if _HELD.loaded is None or _HELD.spec != self:
             # One method at a time: two networks may not fit in the memory of a GPU.
             unload_method()
-            _HELD.loaded = _loaded_here(self) if self.program is None else _loaded_program(self, self.program)
+            if self.program is not None:
+                _HELD.loaded = _loaded_program(self, self.program)
+            else:
+                adapter = load_adapter(self.name, self.weights, dict(self.options), self.device, group=self.group)
+                if self.fit is not None:
+                    self.fit(adapter, self)
+                name = self.name
+                if is_python_method(name):  # nobody has given it a name but its author
+                    name = adapter.name
+                    _require_own_name(name, self, f"'{short_name(self.name)}'", "Give it another attribute 'name'.")
+                _HELD.loaded = LoadedMethod(name, adapter)
             _HELD.spec = self
         return _HELD.loaded
 
@@ -287,16 +297,6 @@ def unload_method() -> None:
     if _HELD.loaded is not None and isinstance(_HELD.loaded.adapter, RemoteMethod):
         _HELD.loaded.adapter.close()
     _HELD.spec = _HELD.loaded = None
-
-
-def _loaded_here(spec: MethodSpec) -> LoadedMethod:
-    adapter = load_adapter(spec.name, spec.weights, dict(spec.options), spec.device, group=spec.group)
-    if spec.fit is not None:
-        spec.fit(adapter, spec)
-    if not is_python_method(spec.name):
-        return LoadedMethod(spec.name, adapter)
-    _require_own_name(adapter.name, spec, f"'{short_name(spec.name)}'", "Give it another attribute 'name'.")
-    return LoadedMethod(adapter.name, adapter)
 
 
 def _loaded_program(spec: MethodSpec, program: Program) -> LoadedMethod:
@@ -408,8 +408,12 @@ def method_spec(
         group=group,
     )
     if is_program(method):
-        users = users_environment()
-        environment = isolated_environment(users) if isolate else own_environment(users)
+        environment = users_environment()
+        if isolate:
+            environment = isolated_environment(environment)
+        else:  # a program of the user's own gets all of their variables, and none of the harness's
+            withheld = [name for name in environment if name.upper().startswith("PRBENCH_")]
+            environment = {name: value for name, value in environment.items() if name not in withheld}
         program = program_of(method, environment=environment, weights=weights, timeout=timeout, hidden=hidden)
         if isolate and program.in_container:  # it shows no more than its mounts, and has no network
             program = replace(program, fence="container")

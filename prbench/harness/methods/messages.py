@@ -75,7 +75,7 @@ def numbers_by_id(payload: bytes, asked: Sequence[str], *, name: str, size: int)
     """Read rows of as many numbers each, in the order asked for.
 
     Args:
-        payload: As received.
+        payload: Payload as it was received.
         asked: Opaque id of each row.
         name: The column of the numbers, in lists of any nesting.
         size: Numbers in each row.
@@ -225,8 +225,8 @@ def batch_of(header: Mapping[str, Any], payload: bytes) -> ConditionBatch:
     """The batch that a ``generate`` message asks for; its arrays may be written to.
 
     Args:
-        header: With ``condition`` and ``fps``.
-        payload: Of :func:`conditions_payload`.
+        header: Header of the message, which holds ``condition`` and ``fps``.
+        payload: Payload that :func:`conditions_payload` made.
     """
     with pa.ipc.open_stream(payload) as reader:
         rows = reader.read_next_batch()

@@ -28,7 +28,7 @@ class Declared:
     """The attributes of an adapter that the harness honours.
 
     Attributes:
-        conditions: Of the benchmark's own type.
+        conditions: Conditions that it takes, of the benchmark's own type.
         max_frames: Longest motion at its own rate, in frames; None for no limit.
         native_fps: Frames per second that it generates; None for the table's rate.
         gaze: True if its motions bring gaze.
@@ -165,7 +165,7 @@ def impossible_frames(
     """Return True for each frame with a coordinate that is not finite, or farther out than any motion goes.
 
     Args:
-        joints: In metres.
+        joints: Joint positions, metres.
         farthest: Metres from the origin; infinity to look for what is not finite alone.
     """
     return np.logical_not(_possible(joints, farthest).all(axis=(-2, -1)))
@@ -210,7 +210,7 @@ def gaze_problem(
     Args:
         motion: The joints of the same frames, metres.
         origin: Between the eyes, same frame and unit.
-        direction: Of the ray.
+        direction: Direction of the ray, of length one.
 
     Returns:
         ``frame …`` and the rest of a message, or None if every frame has a ray from its head.
@@ -280,7 +280,8 @@ def generate_checked(
             " gaze=Gaze(origin, direction)) and set gaze = True on the adapter, or leave both out."
         )
     if native_fps is not None:
-        motions = at_table_rate(motions, batch, native_fps=native_fps)
+        # The last native frame lies at or after the end, so nothing is extrapolated.
+        motions = resampled(motions, batch.n_frames, step=native_fps / batch.fps)
     return motions, halvings
 
 
@@ -304,23 +305,11 @@ def at_native_rate(batch: ConditionBatch, native_fps: float) -> ConditionBatch:
     return dataclasses.replace(batch, **changed)
 
 
-def at_table_rate(motions: Motions, batch: ConditionBatch, *, native_fps: float) -> Motions:
-    """Interpolate native motions linearly at the times of the table's frames.
-
-    Args:
-        motions: At ``native_fps``, of the lengths of :func:`native_frames`.
-        batch: At the table's rate.
-        native_fps: Frames per second of ``motions``.
-    """
-    # The last native frame lies at or after the end, so nothing is extrapolated.
-    return resampled(motions, batch.n_frames, step=native_fps / batch.fps)
-
-
 def resampled(motions: Motions, n_frames: Int[np.ndarray, " n"], *, step: float) -> Motions:
     """Interpolate motions linearly at evenly spaced times; times after their end show their last frame.
 
     Args:
-        motions: At their own rate.
+        motions: Motions at their own rate.
         n_frames: Frames that each shall have.
         step: Frames of ``motions`` from one new frame to the next.
     """

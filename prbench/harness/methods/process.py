@@ -179,7 +179,16 @@ class ProgramProcess:
                 )
         except (OSError, ValueError) as error:
             self._clear()
-            raise AdapterError(_cannot_start(program, error)) from error
+            command = f"'{program.words[0]}'"
+            problem = f"{error}. Correct the command."
+            if isinstance(error, PermissionError):
+                problem = f"{command} may not be executed. Make it executable, or name its interpreter first."
+            elif isinstance(error, FileNotFoundError | NotADirectoryError):
+                problem = f"expected the command {command}, found none on PATH. Correct it or give its path."
+                if program.directory is not None and not program.directory.is_dir():
+                    problem = f"expected the folder {program.directory} to start in, found none."
+            origin = f"method '{program.name}': its program cannot be started"
+            raise AdapterError(f"{origin}: {problem}") from error
         self._owner = os.getpid()
         self._known_kin: list[psutil.Process] = []
         self._chunks: queue.Queue[bytes] = queue.Queue(maxsize=16)
@@ -443,17 +452,6 @@ def _runs(process: psutil.Process) -> bool:
         return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
     except psutil.Error:
         return False
-
-
-def _cannot_start(program: Program, error: Exception) -> str:
-    origin = f"method '{program.name}': its program cannot be started"
-    if isinstance(error, FileNotFoundError | NotADirectoryError):
-        if program.directory is not None and not program.directory.is_dir():
-            return f"{origin}: expected the folder {program.directory} to start in, found none."
-        return f"{origin}: expected the command '{program.words[0]}', found none on PATH. Correct it or give its path."
-    if isinstance(error, PermissionError):
-        return f"{origin}: '{program.words[0]}' may not be executed. Make it executable, or name its interpreter first."
-    return f"{origin}: {error}. Correct the command."
 
 
 def _new_log(name: str) -> Path:

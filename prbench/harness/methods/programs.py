@@ -29,8 +29,8 @@ def split_command(text: str, *, where: str, windows: bool = os.name == "nt") -> 
     """Split a command line into words; no shell takes part, so there are no pipes and no variables.
 
     Args:
-        text: As the user wrote it.
-        where: What to call its source in messages.
+        text: The command as the user wrote it.
+        where: Name of the command's source in messages.
         windows: Backslashes are separators of paths, as on Windows, instead of a POSIX shell's escapes.
 
     Raises:
@@ -181,33 +181,25 @@ def read_description(path: Path) -> MethodDescription:
         raise InputFileError(
             path, where, expected="what docs/environments.md describes", found=reason[:1].lower() + reason[1:]
         ) from error
-    _require_fitting(path, description)
-    return description
-
-
-def _require_fitting(path: Path, description: MethodDescription) -> None:
-    """Refuse keys that do not fit the others."""
+    # Keys that are right by themselves may not fit the others.
     environment = description.environment
     name = description.method.name
     named = [place.replace("_", "-") for place in _PLACES if getattr(environment, place) is not None]
     stray = [key for key in _OF_CONTAINERS if getattr(environment, key) and environment.container is None]
     own = [variable for variable in environment.variables if variable.upper().startswith("PRBENCH_")]
     problem = None if name is None else name_problem(name)
-    wrong: list[tuple[bool, str, str, str, str]] = [
-        (len(named) > 1, f"environment.{''.join(named[1:2])}", "one kind of environment", " and ".join(named[:2]), ""),
-        (bool(stray), f"environment.{''.join(stray[:1])}", "it beside 'container' only", "no container", ""),
-        (
-            bool(own),
-            f"environment.variables.{''.join(own[:1])}",
-            "no variable of the harness",
-            "".join(own[:1]),
-            "Programs never get variables that begin with PRBENCH_.",
-        ),
-        (bool(problem), "method.name", "a name of the method's own", str(name), f"{problem}."),
-    ]
-    for is_wrong, where, expected, found, remedy in wrong:
-        if is_wrong:
-            raise InputFileError(path, where, expected=expected, found=found, remedy=remedy)
+    if len(named) > 1:
+        where, expected, found, remedy = f"environment.{named[1]}", "one kind of environment", " and ".join(named), ""
+    elif stray:
+        where, expected, found, remedy = f"environment.{stray[0]}", "it beside 'container' only", "no container", ""
+    elif own:
+        where, expected, found = f"environment.variables.{own[0]}", "no variable of the harness", own[0]
+        remedy = "Programs never get variables that begin with PRBENCH_."
+    elif problem:
+        where, expected, found, remedy = "method.name", "a name of the method's own", str(name), f"{problem}."
+    else:
+        return description
+    raise InputFileError(path, where, expected=expected, found=found, remedy=remedy)
 
 
 _METHOD_FOLDER = "/method"  # where a container finds the program's folder
@@ -219,7 +211,7 @@ def find_executable(word: str, *, directory: Path, path: str, where: str) -> str
 
     Args:
         word: A name that is looked up in ``path``, or a path, relative to ``directory``.
-        directory: Where the program starts.
+        directory: Folder in which the program starts.
         path: Folders, joined as in the variable ``PATH``.
         where: Name of the command's source in messages.
 
@@ -254,11 +246,6 @@ def runs_in_container(method: str) -> bool:
     return is_description(method) and read_description(Path(method).expanduser()).environment.container is not None
 
 
-def own_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """Return the user's environment as a program of their own gets it: without the harness's variables."""
-    return {name: value for name, value in environment.items() if not name.upper().startswith("PRBENCH_")}
-
-
 def program_of(
     method: str,
     *,
@@ -270,7 +257,7 @@ def program_of(
     """Make out what a ``cmd:`` or a TOML file asks for.
 
     Args:
-        method: As given by ``--method``.
+        method: Text behind ``--method``: ``cmd:`` and a command, or the path of a TOML file.
         environment: Environment variables of the program.
         weights: A file or folder that the user gave, which a container has to be shown.
         timeout: Seconds for a batch; by default the description's.

@@ -40,8 +40,8 @@ def motions_in(
     """Return the motions of an answer, in the order of the batch.
 
     Args:
-        header: As received.
-        payload: As received.
+        header: Header as it was received.
+        payload: Payload as it was received.
         batch: What was asked for.
         number: Number of the request.
         gaze: The program declares gaze.
@@ -65,8 +65,8 @@ def answer_in(
     """Return what an answer holds.
 
     Args:
-        header: As received.
-        payload: As received.
+        header: Header as it was received.
+        payload: Payload as it was received.
         number: Number of the request.
         due: The message that answers it, ``motions`` or ``futures``.
         read: Turns the payload into the answer; raises ValueError where it cannot.
@@ -138,7 +138,7 @@ class Introduction:
         """Read the header of a ``hello``.
 
         Args:
-            header: As received.
+            header: Header as it was received.
             origin: Name of the program in messages.
             conditions: The conditions of its benchmark.
 
@@ -277,8 +277,8 @@ class RemoteMethod:
         """Ask the program.
 
         Args:
-            header: Of the request, without the number of the batch.
-            payload: Of the request.
+            header: Header of the request, without the number of the batch.
+            payload: Payload of the request.
             read: Turns header, payload and the number of the batch into the answer.
             largest: Most bytes of the answer's payload.
             ids: Names of the rows, for messages.
@@ -386,8 +386,8 @@ def serve_motions(name: str, adapter: Adapter, header: Header, payload: bytes) -
     Args:
         name: Name of the method.
         adapter: The method.
-        header: As received.
-        payload: As received.
+        header: Header as it was received.
+        payload: Payload as it was received.
 
     Returns:
         Header, without the number of the batch, and payload of the answer.

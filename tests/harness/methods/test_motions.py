@@ -14,10 +14,10 @@ from prbench.contract import Condition, ConditionBatch, Cost, Gaze, Motions
 from prbench.errors import AdapterError, InputFileError, PredictionsError, TableError
 from prbench.harness.methods.motions import (
     at_native_rate,
-    at_table_rate,
     coordinate_problem,
     generate_checked,
     native_frames,
+    resampled,
 )
 from prbench.harness.planning import select
 from prbench.harness.run import run_method
@@ -255,7 +255,7 @@ def test_a_motion_of_constant_velocity_survives_any_native_rate(native):
     time = np.arange(frames.max()) / native
     joints = np.broadcast_to(time[None, :, None, None] * [1.0, 2.0, -1.0], (2, len(time), 22, 3)).copy()
     joints[0, frames[0] :] = np.nan  # padding must leave no trace
-    back = at_table_rate(Motions(joints, frames), asked, native_fps=native)
+    back = resampled(Motions(joints, frames), asked.n_frames, step=native / 20.0)
     for row, n in enumerate(asked.n_frames):
         expected = np.arange(n)[:, None] / 20.0 * [1.0, 2.0, -1.0]
         inside = np.arange(n) / 20.0 <= (frames[row] - 1) / native + 1e-9

@@ -18,7 +18,7 @@ from prbench.errors import InputFileError
 from prbench.files.storage import file_digest
 from prbench.geometry.skeleton import Joint, z_up
 from prbench.geometry.timelines import interpolate
-from prbench.harness.methods.motions import at_native_rate, at_table_rate
+from prbench.harness.methods.motions import at_native_rate, resampled
 from prbench.harness.run_folder.record import RunRecord
 from prbench.representation import canonicalise, encode
 from prbench.representation.converters import (
@@ -200,7 +200,7 @@ def test_situation_2_smpl_parameters(smplx_motions, monkeypatch) -> None:
     adapter = load("2. SMPL", model, monkeypatch, weights=path.parent, options={"smplx_model": str(path)})
     batch = batch_of(motions)
     native = adapter.generate(at_native_rate(batch, adapter.native_fps), seed=0)
-    found = at_table_rate(native, batch, native_fps=adapter.native_fps)
+    found = resampled(native, batch.n_frames, step=adapter.native_fps / batch.fps)
     assert max(errors(found, motions)) < 1e-4
     assert np.allclose(model.goals, z_up(batch.goal_location))
 

@@ -1,32 +1,140 @@
-"""The text encoders with weights of their own, through transformers: DistilBERT and CLIP's.
+"""Text encoders: captions to frozen token vectors, padded to the longest text of the batch.
 
-Source: docs/specification/mdm.md#network.
+``hashed-ngrams`` is built in: nothing learned, nothing to download. A word's vector is the scaled sum of a random
+vector of its own and one for each of its character 3- to 5-grams, so that *pick* and *picks* are neighbours. The random
+vectors come from SHA-256 in whole numbers; the only roundings are those of single IEEE operations. So the vectors are
+the same bytes on every machine. The bundled weights are trained on them: **nothing of it may change**; another recipe
+is another encoder with another name.
 
-Weights are read from safetensors files only, and no code of a repository is run. Nothing is imported or loaded before
-the first text. Texts go through a network one by one and their vectors are kept, so that a vector depends on its text
-alone, to the last bit.
+``distilbert`` and ``clip-vit-b32`` have weights of their own and run through transformers
+(docs/specification/mdm.md#network). Weights are read from safetensors files only, and no code of a repository is run.
+torch and transformers are imported, and weights loaded, with the first text. Texts go through a network one by one and
+their vectors are kept, so that a vector depends on its text alone, to the last bit.
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import os
 import re
+import unicodedata
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from prbench.errors import InputFileError, MissingExtraError
-from prbench.text.built_in import EncodedText, padded
+from prbench.errors import InputFileError, MissingExtraError, UsageError, did_you_mean
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedText:
+    """The token vectors of some texts.
+
+    Attributes:
+        tokens: float32; zero where there is padding.
+        padding: True where a text has no token. Every text has at least one token.
+    """
+
+    tokens: Float[np.ndarray, "texts tokens dimension"]
+    padding: Bool[np.ndarray, "texts tokens"]
+
+
+@runtime_checkable
+class TextEncoder(Protocol):
+    """Frozen: the same text always has the same vectors, whatever stands beside it in a batch."""
+
+    @property
+    def name(self) -> str:
+        """Name by which weights that were trained with these vectors call them."""
+        ...
+
+    @property
+    def dimension(self) -> int:
+        """Length of a token vector."""
+        ...
+
+    def encode(self, texts: Sequence[str]) -> EncodedText:
+        """The token vectors of some texts (at least one)."""
+        ...
+
+
+def padded(texts: Sequence[Float[np.ndarray, "_ dimension"]], dimension: int) -> EncodedText:
+    """Stack the token vectors of texts of different lengths.
+
+    Args:
+        texts: The vectors of each text (tokens, dimension); at least one token each.
+        dimension: Length of a vector.
+    """
+    lengths = np.array([len(vectors) for vectors in texts], dtype=np.int64)
+    longest = int(lengths.max(initial=1))
+    tokens = np.zeros((len(texts), longest, dimension), dtype=np.float32)
+    for row, vectors in enumerate(texts):
+        tokens[row, : len(vectors)] = vectors
+    return EncodedText(tokens, np.arange(longest) >= lengths[:, None])
+
+
+HASHED_NGRAMS = "hashed-ngrams"
+DIMENSION = 64
+MOST_WORDS = 32  # Later words of a text are dropped
+_NGRAMS = (3, 4, 5)
+_WORD = re.compile(r"[^\W_]+")
+_DIGESTS = DIMENSION * 2 // hashlib.sha256().digest_size
+_UNIT = np.sqrt(3.0 / (65536.0**2 - 1.0))  # of the odd numbers -65535, -65533 … 65535: makes their variance 1
+
+
+class HashedNgrams:
+    """One token a word; words know nothing of each other or of their place. An empty text is one zero token."""
+
+    name = HASHED_NGRAMS
+    dimension = DIMENSION
+
+    def encode(self, texts: Sequence[str]) -> EncodedText:
+        """The vectors of the first 32 words of each text (see :class:`TextEncoder`)."""
+        vectors = []
+        for text in texts:
+            found = words(text)
+            empty = np.zeros((1, DIMENSION), dtype=np.float32)
+            vectors.append(np.stack([_word_vector(word) for word in found]) if found else empty)
+        return padded(vectors, DIMENSION)
+
+
+def words(text: str) -> list[str]:
+    """The lower-case runs of letters and digits of a text, at most 32."""
+    return _WORD.findall(unicodedata.normalize("NFC", text).lower())[:MOST_WORDS]
+
+
+@lru_cache(maxsize=65536)
+def _word_vector(word: str) -> Float[np.ndarray, " 64"]:
+    """Sum of the parts over the root of their number: mean 0 and variance 1 over words."""
+    grams = ngrams(word)
+    integers = sum((_random_integers("ngram", gram) for gram in grams), start=_random_integers("word", word))
+    vector = (integers * (_UNIT / np.sqrt(1.0 + len(grams)))).astype(np.float32)
+    vector.flags.writeable = False
+    return vector
+
+
+def ngrams(word: str) -> tuple[str, ...]:
+    """The distinct runs of 3, 4 and 5 characters of ``<word>``, in the order in which they are met."""
+    marked = f"<{word}>"
+    return tuple(dict.fromkeys(marked[at : at + n] for n in _NGRAMS for at in range(len(marked) - n + 1)))
+
+
+def _random_integers(kind: str, text: str) -> np.ndarray:
+    """The odd numbers from -65535 to 65535 that belong to a text (64,), int64."""
+    seeds = (f"prbench/{HASHED_NGRAMS}/{kind}/{part}/{text}" for part in range(_DIGESTS))
+    digest = b"".join(hashlib.sha256(seed.encode("utf-8")).digest() for seed in seeds)
+    return 2 * np.frombuffer(digest, dtype="<u2").astype(np.int64) - 65535
+
 
 CLIP = "clip-vit-b32"
-CLIP_VARIABLE = "PRBENCH_CLIP"  # Environment variable: a local folder or a hub id
+CLIP_VARIABLE = "PRBENCH_CLIP"  # environment variable: a local folder or a hub id
 DISTILBERT = "distilbert"
-DISTILBERT_VARIABLE = "PRBENCH_DISTILBERT"  # Likewise
+DISTILBERT_VARIABLE = "PRBENCH_DISTILBERT"  # environment variable: a local folder or a hub id
 _CLIP_HUB_ID = "openai/clip-vit-base-patch32"
 _DISTILBERT_HUB_ID = "distilbert/distilbert-base-uncased"
 # Distinct texts whose vectors are kept in memory (2 kB each of CLIP, about 35 kB each of DistilBERT)
@@ -64,7 +172,7 @@ class _Pretrained:
         self._vectors = lru_cache(maxsize=_MOST_KEPT)(self._encode_one)
 
     def encode(self, texts: Sequence[str]) -> EncodedText:
-        """The token vectors of each text (see :class:`prbench.text.TextEncoder`).
+        """The token vectors of each text (see :class:`TextEncoder`).
 
         Raises:
             InputFileError: if the model's files cannot be found or are those of another model.
@@ -184,3 +292,30 @@ class Clip(_Pretrained):
         # Silent about the parts of a whole CLIP that it does not need.
         silent = {"_keys_to_ignore_on_load_unexpected": _OF_IMAGES}
         return CLIPTokenizerFast, type("TextTower", (CLIPTextModelWithProjection,), silent)
+
+
+NAMES = (HASHED_NGRAMS, DISTILBERT, CLIP)
+
+
+def text_encoder(name: str, path: Path | str | None = None) -> TextEncoder:
+    """The frozen text encoder of this name.
+
+    Args:
+        name: ``hashed-ngrams`` (built in), ``distilbert`` (the paper's; extra ``text``) or ``clip-vit-b32`` (one
+            vector a text, for released weights of MDM and GMD; extra ``text``).
+        path: A local folder or a hub id of a pretrained encoder; by default what ``PRBENCH_DISTILBERT`` or
+            ``PRBENCH_CLIP`` names, else the public id. Weights are loaded when the first text is encoded.
+
+    Raises:
+        UsageError: if there is no such encoder, or it has no files to be found under a path.
+    """
+    if name == HASHED_NGRAMS:
+        if path is not None:
+            raise UsageError(f"the text encoder '{name}' is built in and reads no files. Leave its path away.")
+        return HashedNgrams()
+    if name == DISTILBERT:
+        return DistilBert(path)
+    if name == CLIP:
+        return Clip(path)
+    hint = did_you_mean(name, NAMES)
+    raise UsageError(f"there is no text encoder '{name}'.{hint} Known: {', '.join(NAMES)}.")
