@@ -10,7 +10,7 @@ import numpy as np
 from prbench.randomness import named_generator
 from prbench.sequences import DatasetInfo, Event, Recording, Sequence, SequenceTable
 from prbench.sequences.dataset_info import FunnelCounts
-from prbench.sequences.sequence import SceneBox, event_batch, recording_batch, scene_batch, sequence_batch
+from prbench.sequences.sequence import SCENES, SceneBox, event_batch, recording_batch, row_batch, sequence_batch
 from prbench.sequences.write import write_dataset
 
 STANDING = np.array(
@@ -172,6 +172,6 @@ def fake_dataset(
         sequences=[sequence_batch(rows)] if rows else [],
         events=[event_batch(events)],
         recordings=[recording_batch(records)],
-        scenes=[scene_batch(boxes)],
+        scenes=[row_batch(boxes, SCENES)],
     )
     return SequenceTable.open(folder)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from prbench.curation.clipping import Clip, clip
 from prbench.curation.events import Decision, PickPutEvent, Place, find_events
 from prbench.curation.options import DEFAULTS, CurationOptions, minimum_movement
-from prbench.curation.priming import Prime, find_prime, gaze_rays, published_prime
+from prbench.curation.priming import PUBLISHED_STAGE, Prime, find_prime, gaze_rays
 from prbench.errors import RecordingUnusable
 from prbench.geometry.shapes import Boxes, deepest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
@@ -142,10 +142,18 @@ def _follow(
     """One event through the stages, until one of them says no."""
     if event.rejected is not None or event.place is None:
         return event.rejected or Decision("no_location", "location"), None, None
-    if options.priming == "published":
-        prime = published_prime(event.published_priming)
-    else:
+    prime: Prime | Decision
+    if options.priming != "published":
         prime = find_prime(*rays, event.place, event.event_time, protocol.curation)
+    elif event.published_priming is None:
+        prime = Decision("not_published", PUBLISHED_STAGE)  # nothing in the dataset's file belongs to this event
+    elif event.published_priming.outcome == "excluded":
+        prime = Decision("excluded_by_dataset", PUBLISHED_STAGE)  # it was never tested
+    elif event.published_priming.outcome == "not_primed" or event.published_priming.prime_time is None:
+        prime = Decision("not_primed", PUBLISHED_STAGE)
+    else:
+        told = event.published_priming
+        prime = Prime(told.prime_time, "published", float("nan"), told.uncertainty)
     if isinstance(prime, Decision):
         return prime, None, None
     piece = clip(recording, prime_time=prime.time, event_time=event.event_time, protocol=protocol)

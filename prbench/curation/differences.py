@@ -130,26 +130,24 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
 
 
 def _sequence_rows(table: SequenceTable) -> dict[str, Row]:
-    """Every column of every sequence, by ``sequence_id``."""
+    """Every column of every sequence, by ``sequence_id``; of long ones the digest of their numbers in 10 µm."""
     found: dict[str, Row] = {}
     short = [name for name in SEQUENCES.names if name not in _DIGESTED]
     for chunk in table.chunks():
         for index, row in enumerate(chunk.batch.select(short).to_pylist()):
-            digests = {name: _digest(chunk.batch.column(name).slice(index, 1)) for name in _DIGESTED}
-            found[row["sequence_id"]] = row | digests
+            for name in _DIGESTED:
+                column = chunk.batch.column(name).slice(index, 1)
+                row[name] = b""
+                if column.null_count:
+                    continue
+                while pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
+                    column = column.flatten()
+                values = column.to_numpy(zero_copy_only=False)
+                if values.dtype != bool:
+                    values = np.rint(values.astype(np.float64) / _WITHIN).astype(np.int64)
+                row[name] = hashlib.sha256(values.tobytes()).digest()
+            found[row["sequence_id"]] = row
     return found
-
-
-def _digest(column: pa.Array) -> bytes:
-    """Digest of one row's numbers, rounded to 10 µm."""
-    if column.null_count:
-        return b""
-    while pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
-        column = column.flatten()
-    values = column.to_numpy(zero_copy_only=False)
-    if values.dtype != bool:
-        values = np.rint(values.astype(np.float64) / _WITHIN).astype(np.int64)
-    return hashlib.sha256(values.tobytes()).digest()
 
 
 def _pairs(before: list[Row], after: list[Row]) -> Iterator[tuple[Row | None, Row | None]]:

@@ -40,7 +40,7 @@ from prbench.recording import Recording
 from prbench.sequences import parts
 from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
 from prbench.sequences.schema import SCHEMA_VERSION
-from prbench.sequences.sequence import OUTCOMES, event_batch, recording_batch, scene_batch, sequence_batch
+from prbench.sequences.sequence import OUTCOMES, SCENES, event_batch, recording_batch, row_batch, sequence_batch
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.shown import quoted
 
@@ -264,7 +264,7 @@ class CurationJob:
             "sequences": sequence_batch(curated.sequences),
             "events": event_batch(curated.events),
             "recordings": recording_batch([curated.record]),
-            "scenes": scene_batch(curated.boxes),
+            "scenes": row_batch(curated.boxes, SCENES),
         }
         parts.write_part(folder, batches, {"input_digest": input_digest, "record": parts.plain(curated.record)})
         return PartReceipt(folder, input_digest, curated.record, reused=False)

@@ -12,7 +12,7 @@ from prbench.curation.events import Decision, Place
 from prbench.geometry.shapes import near_miss, slab_test
 from prbench.geometry.timelines import interpolate
 from prbench.protocol.manifests import CurationConstants
-from prbench.recording import PublishedPriming, Recording
+from prbench.recording import Recording
 
 RAY_ORIGINS = ("eye", "camera")
 PUBLISHED_STAGE = "published priming"
@@ -139,19 +139,3 @@ def in_lasting_look(
     # A nanosecond of slack: times of gaze samples are rounded, and 0.1 s of 30 Hz must count as 0.1 s.
     lasting = last_of - first_of >= shortest - _SLACK
     return seen & lasting[np.maximum(look_of, 0)]
-
-
-def published_prime(published: PublishedPriming | None) -> Prime | Decision:
-    """Return the dataset's own prime of an event (``--priming published``).
-
-    Returns:
-        The prime; or a decision at the stage ``published priming``: ``not_primed``, ``excluded_by_dataset`` (it was
-        never tested), or ``not_published`` (nothing in the dataset's file belongs to this event).
-    """
-    if published is None:
-        return Decision("not_published", PUBLISHED_STAGE)
-    if published.outcome == "excluded":
-        return Decision("excluded_by_dataset", PUBLISHED_STAGE)
-    if published.outcome == "not_primed" or published.prime_time is None:
-        return Decision("not_primed", PUBLISHED_STAGE)
-    return Prime(published.prime_time, "published", float("nan"), published.uncertainty)

@@ -43,7 +43,7 @@ from prbench.protocol.own_protocol import protocol_for
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.folds import fold_table
-from prbench.sequences.sequence import names_its_recording, recording_key
+from prbench.sequences.sequence import recording_key
 
 
 @dataclass(frozen=True)
@@ -248,7 +248,8 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
 
     def ids_tell_recordings(self, sequence_ids: Sequence[str]) -> bool:
         """Return True where ids have all six parts; those of an imported release have three."""
-        return names_its_recording(sequence_ids)
+        parts = {name.count("/") + 1 for name in sequence_ids}
+        return len(parts) == 1 and min(parts) >= 6
 
 
 PRIME_AND_REACH = PrimeAndReach()

@@ -486,11 +486,6 @@ def recording_batch(recordings: Iterable[Recording]) -> pa.RecordBatch:
     return row_batch(recordings, RECORDINGS, counted=OUTCOMES)
 
 
-def scene_batch(boxes: Iterable[SceneBox]) -> pa.RecordBatch:
-    """Return Arrow rows of boxes, in the order given."""
-    return row_batch(boxes, SCENES)
-
-
 def sequences_in(batch: pa.RecordBatch) -> Iterator[Sequence]:
     """Yield the sequences of rows with all columns; their arrays are views of the rows."""
     columns = [row_values(batch.column(name)) for name in SEQUENCES.names]
@@ -513,9 +508,3 @@ def recording_of(recordings: pa.Table, row: int) -> Recording:
 def recording_key(sequence_id: str) -> str:
     """Dataset and recording of a sequence: its id without object, action, event and pose source."""
     return sequence_id.rsplit("/", 4)[0]
-
-
-def names_its_recording(sequence_ids: SequenceOf[str]) -> bool:
-    """Return True where ids have all six parts; those of an imported release have three."""
-    parts = {name.count("/") + 1 for name in sequence_ids}
-    return len(parts) == 1 and min(parts) >= 6
