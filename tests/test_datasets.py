@@ -116,10 +116,7 @@ def test_a_name_that_two_packages_offer_is_used_by_neither(install) -> None:
     [
         ("import nowhere_at_all", "cannot be imported: ModuleNotFoundError: No module named 'nowhere_at_all'"),
         ("raise SystemExit(3)", "cannot be imported: SystemExit: 3"),
-        (
-            "READER = 3",
-            "expected an instance of a frozen data class .* found int",
-        ),
+        ("READER = 3", "expected an instance of a frozen data class .* found int"),
         (READER.format(dataset="another"), "it reads 'another'; both names must be the same"),
     ],
 )

@@ -322,13 +322,7 @@ def column_vectors(table: pa.Table, names: tuple[str, ...]) -> Float[np.ndarray,
 
 
 def require_increasing(
-    path: Source,
-    times: Int[np.ndarray, " n"],
-    *,
-    unit: str,
-    place: str = "line",
-    first: int = 2,
-    remedy: str = _SORT,
+    path: Source, times: Int[np.ndarray, " n"], *, unit: str, place: str = "line", first: int = 2, remedy: str = _SORT
 ) -> None:
     """Refuse a clock that stands still or runs backwards.
 

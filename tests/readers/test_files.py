@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -16,17 +15,12 @@ from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
 from prbench.readers import reader_for
 from prbench.readers.discover import discover
 from prbench.readers.extents import damage
-from prbench.readers.gimo.bvh import read_bvh
-from prbench.readers.gimo.gaze import read_vertices
 from prbench.readers.gimo.table import read_segments
-from prbench.readers.hot3d import hands as umetrack
-from prbench.readers.hot3d.hands import read_profile
 from prbench.readers.mogaze.files import dataset, numbers, opened
-from prbench.readers.mogaze.synthetic import write
 from prbench.sequences import SequenceTable
 from prbench_adapters.corpora.humanml3d.files import read_joints
 from tests.bombs import empty_rows
-from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, still_life
+from tests.recording.mogaze_scene import write_scene
 
 DEEP = b'{"unknown":' + b"[" * 100_000 + b"]" * 100_000 + b"}"
 
@@ -56,14 +50,6 @@ def _nothing(path: Path) -> None:
 DAMAGES = (_folder, _looping_link, _deep, _text, _nothing)
 
 
-def _mogaze(folder: Path) -> None:
-    """One recording with the names of its bodies."""
-    write(still_life(), folder)
-    names = {CUP: "cup_red", PLATE: "plate_red", GOGGLES: "goggles", TABLE: "table"}
-    bodies = [f'<body id="{key}" name="{name}"/>' for key, name in names.items()]
-    (folder / "scene.xml").write_text("\n".join(["<scene>", *bodies, "</scene>"]))
-
-
 def _refusals(dataset_name: str, root: Path) -> list[PrbenchError]:
     """What finding and reading every recording below a root was refused with."""
     reader, refusals = reader_for(dataset_name), []
@@ -82,7 +68,7 @@ def _refusals(dataset_name: str, root: Path) -> list[PrbenchError]:
 @pytest.mark.parametrize("damaged", DAMAGES, ids=lambda damaged: damaged.__name__[1:])
 def test_no_file_of_a_recording_can_be_replaced_by_something_that_nobody_foresaw(folder, tmp_path, damaged):
     """ADT for CSV and JSON, MoGaze for HDF5; the marker ``fuzz`` stands for the other layouts."""
-    _mogaze(tmp_path / "mogaze")
+    write_scene(tmp_path)
     for name, root in (("adt", folder), ("mogaze", tmp_path / "mogaze")):
         for path in sorted(path for path in root.rglob("*") if path.is_file()):
             kept = path.read_bytes()
@@ -132,14 +118,6 @@ def test_a_root_that_is_a_looping_link_is_one_message(tmp_path):
         assert not isinstance(caught.value, UnforeseenInput)
 
 
-@pytest.mark.parametrize("frame", ["nan", "inf", "-inf", "1e300", "2.5", "text", ""])
-def test_a_frame_number_of_gimo_is_a_frame_number(tmp_path, frame):
-    path = tmp_path / "dataset.csv"
-    path.write_text(f"sequence_path,start_frame,end_frame,scene,transformation,training\nS,{frame},50,room,t.json,1\n")
-    with pytest.raises(InputFileError, match=r"dataset\.csv, line 2: expected a whole number 'start_frame'"):
-        read_segments(path)
-
-
 @pytest.mark.parametrize("hint", ["nan", "inf", "1e300"])
 def test_a_hint_of_gimo_that_is_no_frame_is_no_hint(tmp_path, hint):
     path = tmp_path / "dataset.csv"
@@ -150,62 +128,14 @@ def test_a_hint_of_gimo_that_is_no_frame_is_no_hint(tmp_path, hint):
     assert read_segments(path)[0].segment.hint is None
 
 
-def test_a_property_twice_and_a_number_of_vertices_that_is_none_are_refused(tmp_path):
-    path = tmp_path / "a.ply"
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "element vertex 1",
-        *(["property float x"] * 2),
-        "end_header",
-        "",
-    ]
-    path.write_bytes("\n".join(lines).encode() + bytes(8))
-    with pytest.raises(InputFileError, match=r"a\.ply, header: expected each vertex property once, found x, x"):
-        read_vertices(path)
-    path.write_text("\n".join(lines).replace("vertex 1", f"vertex {'9' * 5000}"))
-    with pytest.raises(InputFileError, match=r"a\.ply, header: expected a number of vertices"):
-        read_vertices(path)
-
-
-def _profile() -> dict:
-    bones = [[1.0] + [0.0] * (umetrack.N_BONES - 1)] * 3
-    return {
-        "mesh_vertices": [[0, 0, 0], [10, 0, 0], [0, 10, 0]],
-        "dense_bone_weights": bones,
-        "joint_rest_positions": [[0, 0, 0]] * umetrack.N_JOINTS,
-        "joint_rotation_axes": [[1, 0, 0]] * umetrack.N_JOINTS,
-    }
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "where"),
-    [
-        ("dense_bone_weights", [[1.0], [0.5, 0.5], [1.0]], "dense_bone_weights, row 0"),
-        ("dense_bone_weights", [], "dense_bone_weights"),
-        ("dense_bone_weights", [[1e308] * umetrack.N_BONES] * 3, "dense_bone_weights, row 0"),
-        ("mesh_vertices", [[1e300, 0, 0]] * 3, "mesh_vertices"),
-    ],
-)
-def test_a_ragged_or_huge_hand_of_hot3d_is_named_by_its_key(tmp_path, key, value, where):
-    path = tmp_path / "profile.json"
-    path.write_text(json.dumps({"hand_model": _profile()}))
-    read_profile(path)
-    path.write_text(json.dumps({"hand_model": {**_profile(), key: value}}))
-    with pytest.raises(InputFileError, match=rf"profile\.json, {where}: expected") as caught:
-        read_profile(path)
-    assert not isinstance(caught.value, UnforeseenInput)
-
-
 def test_rows_of_mogaze_that_are_declared_and_not_stored_are_refused(tmp_path):
-    _mogaze(tmp_path)
-    (human,) = tmp_path.glob("*_human_data.hdf5")
+    (human,) = write_scene(tmp_path).glob("*_human_data.hdf5")
     with h5py.File(human, "r") as file:
         (name,) = (key for key in file if isinstance(file[key], h5py.Dataset))
         columns = file[name].shape[1]
     for rows in (150_000, 40_000_000, 2**38):
         empty_rows(human, name, rows, columns)
-        (refusal,) = _refusals("mogaze", tmp_path)
+        (refusal,) = _refusals("mogaze", human.parent)
         assert f"expected at most 67,108,864 bytes of values, for 0 that are stored, found shape ({rows}" in str(
             refusal
         )
@@ -248,14 +178,6 @@ def test_text_where_an_array_is_expected_is_refused(tmp_path):
     with pytest.raises(InputFileError, match=r"a\.npy: expected numbers of the shape") as caught:
         read_joints(tmp_path / "a.npy")
     assert not isinstance(caught.value, UnforeseenInput)
-
-
-@pytest.mark.parametrize("count", ["inf", "1e300", "2.5", "-1"])
-def test_a_number_of_channels_is_one(tmp_path, count):
-    path = tmp_path / "a.bvh"
-    path.write_text(f"HIERARCHY\nROOT hips\n{{\nOFFSET 0 0 0\nCHANNELS {count} Xposition\n}}\nMOTION\nFrames: 1\n")
-    with pytest.raises(InputFileError, match=r"a\.bvh, HIERARCHY, at hips: expected .*CHANNELS with as many names"):
-        read_bvh(path)
 
 
 def test_inspection_tells_what_is_no_file_and_goes_on(folder):

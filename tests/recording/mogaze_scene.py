@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 import numpy as np
 
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.format import OFFSET_KEYS, STATE_COLUMNS
+from prbench.readers.mogaze.synthetic import box_mesh, write
 
 N = 480
 PICK, PUT = 120, 240
@@ -36,11 +40,7 @@ def still_life() -> mogaze.MogazeReadings:
     state[:, STATE_COLUMNS.index("baseTransZ")] = STANDING_HEIGHT
     share = np.clip((np.arange(N) - PICK) / (PUT - PICK), 0.0, 1.0)
     cup = np.array((0.0, -0.5, 0.8)) + share[:, None] * (0.5, 0.0, 0.0)
-    places = {
-        GOGGLES: (0.0, -0.1, 1.6),
-        TABLE: (0.0, -0.6, 0.6),
-        PLATE: (-0.4, -0.5, 0.8),
-    }
+    places = {GOGGLES: (0.0, -0.1, 1.6), TABLE: (0.0, -0.6, 0.6), PLATE: (-0.4, -0.5, 0.8)}
     fixed = {key: np.tile(place, (N, 1)) for key, place in places.items()}
     return mogaze.MogazeReadings(
         recording_id="p1_1",
@@ -62,3 +62,26 @@ def still_life() -> mogaze.MogazeReadings:
             mogaze.Segment(PUT + 1, N, "null"),
         ),
     )
+
+
+NAMES = {CUP: "cup_red", PLATE: "plate_red", GOGGLES: "goggles", TABLE: "table"}
+
+
+def write_names(folder: Path, names: Mapping[int, str] = NAMES, meshes: Mapping[int, str] | None = None) -> None:
+    """Write ``scene.xml``: a name for each body's number, and a mesh for some."""
+    lines = ["<scene>"]
+    for key, name in names.items():
+        lines.append(f'<body id="{key}" name="{name}"><color>1 0 0 0</color>')
+        lines += [f'<meshfile src="{meshes[key]}"/>'] if meshes and key in meshes else []
+        lines.append("</body>")
+    (folder / "scene.xml").write_text("\n".join([*lines, "</scene>"]))
+
+
+def write_scene(root: Path) -> Path:
+    """Write one recording with a scene, and a mesh of the cup alone; return its folder."""
+    folder = root / "mogaze"
+    write(still_life(), folder)
+    (folder / "meshfiles").mkdir()
+    (folder / "meshfiles" / "cup.obj").write_text(box_mesh(np.array([-0.1, -0.2, -0.3]), np.array([0.1, 0.2, 0.4])))
+    write_names(folder, meshes={CUP: "mogaze/meshfiles/cup.obj", PLATE: "mogaze/meshfiles/plate.obj"})
+    return folder

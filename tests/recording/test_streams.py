@@ -9,7 +9,10 @@ import pytest
 
 from prbench.errors import InputFileError, RecordingUnusable
 from prbench.files.arrays import first_repeated, require_column, require_near
+from prbench.geometry.skeleton import N_JOINTS, WRISTS
+from prbench.recording.streams import BodyStream, HandStream, plausible_body_frames, reaching_hand, wrists_at
 from tests.curation.scenes import scene
+from tests.readers.conftest import STANDING
 
 
 def _changed(stream, field: str, row: int, value: float):
@@ -64,3 +67,114 @@ def test_a_column_of_a_file_names_line_and_column() -> None:
 def test_the_first_repeated_id_is_found() -> None:
     assert first_repeated(["a", "b", "b", "a"]) == "b"
     assert first_repeated(["a", "b"]) is None
+
+
+RATE = 120.0
+
+
+def _walk(n: int) -> tuple[np.ndarray, np.ndarray]:
+    times = np.arange(n) / RATE
+    return times, STANDING + times[:, None, None] * np.array([1.5, 0.0, 0.0])
+
+
+def _bad(times: np.ndarray, joints: np.ndarray) -> list[int]:
+    return np.flatnonzero(~plausible_body_frames(times, joints)).tolist()
+
+
+def test_a_walk_is_believed() -> None:
+    assert _bad(*_walk(240)) == []
+
+
+@pytest.mark.parametrize("jumped", [[50], [50, 51, 52], [0, 1], [238, 239]], ids=str)
+def test_a_whole_body_that_jumps_away_for_some_frames_is_not(jumped) -> None:
+    times, joints = _walk(240)
+    joints[jumped] += (0.0, 0.0, 0.4)
+    assert _bad(times, joints) == jumped
+
+
+def test_a_body_that_jumps_and_stays_is_believed_on_both_sides() -> None:
+    times, joints = _walk(240)
+    joints[100:] += (0.0, 0.0, 0.4)
+    assert _bad(times, joints) == []
+
+
+def test_zeros_and_other_bones_are_not_believed() -> None:
+    times, joints = _walk(240)
+    joints[30] = 0.0
+    joints[60:90, 20] += (0.3, 0.0, 0.0)
+    joints[120, 3, 1] = np.nan
+    assert _bad(times, joints) == [30, *range(60, 90), 120]
+
+
+def test_a_speed_just_below_ten_metres_a_second_is_a_movement() -> None:
+    times, joints = _walk(240)
+    fast, slow = joints.copy(), joints.copy()
+    fast[50] += (0.0, 0.0, 10.2 / RATE)
+    slow[50] += (0.0, 0.0, 9.5 / RATE)
+    assert _bad(times, fast) == [50]
+    assert _bad(times, slow) == []
+
+
+def test_two_frames_are_too_few_to_tell_a_jump() -> None:
+    times, joints = _walk(2)
+    joints[1] += 1.0
+    assert _bad(times, joints) == []
+
+
+PLACE = np.zeros(3)
+
+
+def at(side, distance: float, source="tracked"):
+    return side, (np.array([distance, 0.0, 0.0]), source)
+
+
+@pytest.mark.parametrize(
+    ("wrists", "hand"),
+    [
+        ((), None),  # nothing is known
+        ((at("left", 0.19),), "left"),
+        ((at("left", 0.21),), None),  # the hand that nobody saw may be nearer
+        ((at("left", 0.39), at("right", 0.60)), "left"),
+        ((at("left", 0.41), at("right", 0.60)), None),  # neither is there
+        ((at("left", 0.125), at("right", 0.10)), "right"),
+        ((at("left", 0.115), at("right", 0.10)), None),  # closer to each other than places are exact
+    ],
+)
+def test_the_nearest_wrist_counts_where_it_is_near_and_clearly_nearer(wrists, hand) -> None:
+    assert reaching_hand(dict(wrists), PLACE)[0] == hand
+
+
+def test_the_source_is_that_of_the_nearest_wrist() -> None:
+    wrists = dict((at("left", 0.5), at("right", 0.1, "body")))
+    assert reaching_hand(wrists, PLACE) == ("right", "body")
+
+
+def _tracked(side, x: float, unseen: tuple[float, float] = (0.0, 0.0)) -> HandStream:
+    times = np.arange(0, 10, 0.1)
+    valid = (times < unseen[0]) | (times > unseen[1])
+    return HandStream(side, "wrist", times, np.tile([x, 0.0, 0.0], (len(times), 1, 1)), valid)
+
+
+def _body(left: float, right: float) -> BodyStream:
+    times = np.arange(0, 10, 1 / 30)
+    joints = np.zeros((len(times), N_JOINTS, 3))
+    joints[:, WRISTS, 0] = [left, right]
+    return BodyStream(times, joints, np.ones(len(times), dtype=bool))
+
+
+def test_a_wrist_is_the_tracked_one_and_the_bodys_only_where_tracking_lost_it() -> None:
+    hands = (_tracked("right", 2.0), _tracked("left", 1.0, unseen=(4.9, 5.2)))
+    wrists = wrists_at(hands, _body(1.1, 2.1), 5.05)
+    found = [(side, source, position[0]) for side, (position, source) in wrists.items()]
+    assert found == [("left", "body", pytest.approx(1.1)), ("right", "tracked", pytest.approx(2.0))]
+
+
+def test_a_wrist_that_neither_source_knows_is_left_out() -> None:
+    hands = (_tracked("left", 1.0, unseen=(4.9, 5.2)), _tracked("right", 2.0))
+    assert list(wrists_at(hands, None, 5.05)) == ["right"]
+    assert wrists_at((), _body(1.0, 2.0), 11.0) == {}, "after the end of the body"
+
+
+def test_other_contact_points_are_no_wrists() -> None:
+    fingers = HandStream("left", "middle_finger_base", np.arange(3.0), np.zeros((3, 1, 3)), np.ones(3, dtype=bool))
+    assert wrists_at((fingers,), None, 1.0) == {}

@@ -201,10 +201,7 @@ def read_objects(
     upper = column_vectors(table, adt.BOX_MAX)
     bad = ~(np.isfinite(lower) & np.isfinite(upper) & (lower <= upper)).all(axis=1)
     require_rows(
-        boxes_path,
-        bad,
-        "a lower and an upper corner",
-        lambda row: f"{lower[row].tolist()} … {upper[row].tolist()}",
+        boxes_path, bad, "a lower and an upper corner", lambda row: f"{lower[row].tolist()} … {upper[row].tolist()}"
     )
     boxes = dict(zip(table[adt.OBJECT_ID].to_pylist(), zip(lower, upper, strict=True), strict=True))
     known = {key for key, instance in instances.items() if instance.instance_type != "human"}

@@ -311,7 +311,5 @@ def read_wrists(path: Source) -> mps.WristPositions:
     # A hand without a wrist is not seen, whatever its confidence says.
     seen = (confidence > 0) & np.isfinite(wrists).all(axis=2)
     return mps.WristPositions(
-        time_us,
-        np.where(seen, confidence, np.minimum(confidence, 0.0)),
-        np.where(seen[..., None], wrists, np.nan),
+        time_us, np.where(seen, confidence, np.minimum(confidence, 0.0)), np.where(seen[..., None], wrists, np.nan)
     )

@@ -178,9 +178,7 @@ def _sense_gaze(sensing: Sensing, start_us: int, gaze_kind: mps.GazeKind) -> mps
     gaze = gaze_rows(sensing, times, start_us + since_start, depth, gaze_kind)
     # Of two equal eyes, as the files hold them: combining them costs the last bit.
     return replace(
-        gaze,
-        yaw=mps.combined_yaw(gaze.yaw, gaze.yaw),
-        yaw_range=mps.combined_yaw(gaze.yaw_range, gaze.yaw_range),
+        gaze, yaw=mps.combined_yaw(gaze.yaw, gaze.yaw), yaw_range=mps.combined_yaw(gaze.yaw_range, gaze.yaw_range)
     )
 
 
@@ -268,15 +266,7 @@ def _steps(performance: Performance, first_us: int, rate: int) -> Int[np.ndarray
     return np.arange(first_us, int(performance.duration * 1e6) - 50, 1_000_000 // rate)
 
 
-_ROLES = (
-    mps.TRAJECTORY,
-    mps.GAZE,
-    mps.CALIBRATION,
-    mps.WRISTS,
-    mps.SLAM_SUMMARY,
-    mps.GAZE_SUMMARY,
-    mps.HAND_SUMMARY,
-)
+_ROLES = (mps.TRAJECTORY, mps.GAZE, mps.CALIBRATION, mps.WRISTS, mps.SLAM_SUMMARY, mps.GAZE_SUMMARY, mps.HAND_SUMMARY)
 _VELOCITIES = tuple(
     f"{quantity}_{axis}_device" for quantity in ("device_linear_velocity", "angular_velocity") for axis in "xyz"
 )
@@ -327,10 +317,7 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
                 "Calibrated": True,
                 "SerialNumber": "",
                 "T_Device_Camera": _pose_record(pose),
-                "Projection": {
-                    "Name": "FisheyeRadTanThinPrism",
-                    "Params": [*pixels[label], *[0.0] * 12],
-                },
+                "Projection": {"Name": "FisheyeRadTanThinPrism", "Params": [*pixels[label], *[0.0] * 12]},
             }
             for label, pose in poses.items()
         ]

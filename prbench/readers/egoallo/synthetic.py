@@ -35,11 +35,7 @@ _UNIT = 0.05  # a shape number of 1 is this share of the template's length
 # Bones by the joint they end at, as shares of stature: x left, y up, z forward; a T pose. Left side; the right one is
 # its mirror image. Each group is one shape direction.
 _GROUPS: tuple[dict[Joint, tuple[float, float, float]], ...] = (
-    {
-        Joint.LEFT_HIP: (0.036, 0.0, 0.0),
-        Joint.LEFT_COLLAR: (0.041, 0.0, 0.0),
-        Joint.LEFT_SHOULDER: (0.0695, 0.0, 0.0),
-    },
+    {Joint.LEFT_HIP: (0.036, 0.0, 0.0), Joint.LEFT_COLLAR: (0.041, 0.0, 0.0), Joint.LEFT_SHOULDER: (0.0695, 0.0, 0.0)},
     {
         Joint.LEFT_HIP: (0.0, -0.048, -0.006),
         Joint.LEFT_COLLAR: (0.0, 0.0, -0.010),

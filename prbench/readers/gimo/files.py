@@ -156,12 +156,7 @@ def _files(
     transform = inside(folder, segment.transformation)
     if transform.suffix != ".json":  # some copies of the table leave out the ending
         transform = transform.with_name(f"{transform.name}.json")
-    paths = {
-        TABLE: root / gimo.TABLE_FILE,
-        EVENTS: events_path,
-        NORM: scene / gimo.NORM_FILE,
-        TRANSFORM: transform,
-    }
+    paths = {TABLE: root / gimo.TABLE_FILE, EVENTS: events_path, NORM: scene / gimo.NORM_FILE, TRANSFORM: transform}
     gaze = by_frame(folder / gimo.GAZE_FOLDER)
     kinds = {
         POSE: by_frame(folder / gimo.POSE_FOLDER).get(".pkl", {}),

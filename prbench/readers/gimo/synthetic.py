@@ -156,9 +156,7 @@ def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> 
 
 
 def looked_at(
-    performance: Performance,
-    origin: Float[np.ndarray, "n 3"],
-    direction: Float[np.ndarray, "n 3"],
+    performance: Performance, origin: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """Return where rays meet the scanned room: its walls, furniture and objects as they stood in the beginning.
 

@@ -67,9 +67,7 @@ def _swapped_clock(root: Path, video: str) -> None:
 def _nan_gaze(root: Path, video: str) -> None:
     angles = (mps.LEFT_YAW, mps.RIGHT_YAW, mps.PITCH)
     _change_member(
-        _gaze_archive(root, video),
-        _GAZE_FILE,
-        lambda rows: [row | dict.fromkeys(angles, "nan") for row in rows],
+        _gaze_archive(root, video), _GAZE_FILE, lambda rows: [row | dict.fromkeys(angles, "nan") for row in rows]
     )
 
 

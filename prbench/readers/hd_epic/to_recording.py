@@ -153,9 +153,7 @@ def annotated_events(
     return tuple(events), (*unplaced, "boxes: zero-size, at the annotated points", *remarks)
 
 
-def masks_of_sides(
-    track: hd_epic.ObjectTrack,
-) -> tuple[hd_epic.ObjectMask | None, hd_epic.ObjectMask | None]:
+def masks_of_sides(track: hd_epic.ObjectTrack) -> tuple[hd_epic.ObjectMask | None, hd_epic.ObjectMask | None]:
     """The masks that show a movement's start and its end, by nearest frame and whatever their order in the list.
 
     A single mask serves the nearer side. Of two or more, each side gets one of its own, with the least total distance.

@@ -41,12 +41,7 @@ SLAM_STREAMS = ("1201-1", "1201-2")
 HAND_KEYS: dict[Side, str] = {"left": "0", "right": "1"}
 
 MaskName = Literal["qa_pass", "headset_pose_available", "object_pose_available", "hand_pose_available"]
-MASK_NAMES: tuple[MaskName, ...] = (
-    "qa_pass",
-    "headset_pose_available",
-    "object_pose_available",
-    "hand_pose_available",
-)
+MASK_NAMES: tuple[MaskName, ...] = ("qa_pass", "headset_pose_available", "object_pose_available", "hand_pose_available")
 """Masks that curation honours; their files are ``masks/mask_<name>.csv``."""
 
 _PAIR_NS = 1_000_000

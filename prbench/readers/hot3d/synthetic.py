@@ -306,18 +306,13 @@ def _sense_hand(
 
 
 def _native_rows(
-    time_ns: Int[np.ndarray, " n"],
-    position: Float[np.ndarray, "n 3"],
-    rotation: Rotation,
-    seen: Bool[np.ndarray, " n"],
+    time_ns: Int[np.ndarray, " n"], position: Float[np.ndarray, "n 3"], rotation: Rotation, seen: Bool[np.ndarray, " n"]
 ) -> hot3d.PoseRows:
     """Return those poses that were seen, in the native world, rounded."""
     turned = Rotation.from_matrix(NATIVE_FROM_WORLD[:3, :3]) * rotation
     quaternion = turned.as_quat(canonical=True, scalar_first=True)
     return hot3d.PoseRows(
-        time_ns[seen],
-        np.round(z_up(position), _METRES)[seen],
-        np.round(quaternion, _QUATERNION)[seen],
+        time_ns[seen], np.round(z_up(position), _METRES)[seen], np.round(quaternion, _QUATERNION)[seen]
     )
 
 

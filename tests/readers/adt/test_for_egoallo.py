@@ -60,11 +60,7 @@ def _read(root: Path, **options: str) -> Recording:
 
 def test_only_the_body_differs_from_the_suits(root):
     suit, estimated = _read(root), _read(root, poses="egoallo")
-    assert {path.split(".")[1] for path in differences(suit, estimated)} == {
-        "body",
-        "pose_source",
-        "head_tilt_deg",
-    }
+    assert {path.split(".")[1] for path in differences(suit, estimated)} == {"body", "pose_source", "head_tilt_deg"}
     assert (suit.pose_source, suit.head_tilt_deg) == ("adt-optitrack", 7.4)
     assert (estimated.pose_source, estimated.head_tilt_deg) == ("egoallo", 38.3)
 

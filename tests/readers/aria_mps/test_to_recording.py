@@ -10,7 +10,7 @@ import pytest
 from prbench.geometry.skeleton import Y_UP_FROM_Z_UP
 from prbench.geometry.timelines import interpolate
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.files import find_mps_files, read_gaze_angles, read_size_and_camera, read_wrists
+from prbench.readers.aria_mps.files import read_gaze_angles, read_size_and_camera, read_wrists
 from prbench.readers.aria_mps.synthetic import sense_mps, with_slam_gaps
 from prbench.readers.aria_mps.to_recording import MpsStreams, mps_streams
 from prbench.readers.aria_mps.trajectory import read_trajectory
@@ -162,8 +162,3 @@ def _closest_approach(found: MpsStreams, *, seconds: float) -> np.ndarray:
             np.linalg.norm(np.einsum("nij,nj->ni", across, point - found.gaze.origin[rows]), axis=1).mean()
         )
     return np.sort(distances)[:5]
-
-
-def test_the_sample_folder_is_complete(samples) -> None:
-    roles = {file.role for file in find_mps_files(samples / "mps" / "mps_sample")}
-    assert {"trajectory", "gaze", "calibration", "wrists", "slam_summary", "gaze_summary"} <= roles

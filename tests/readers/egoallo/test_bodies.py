@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.readers.egoallo.bodies import read_bodies
+from prbench.readers.egoallo.bodies import read_bodies, read_output
 from prbench.readers.egoallo.files import find_outputs, poses_folder
 from prbench.readers.egoallo.format import EgoAlloBody
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS
@@ -164,3 +164,18 @@ def test_without_model_it_is_asked_for(root):
     (root / "smplh/neutral/model.npz").unlink()
     with pytest.raises(InputFileError, match=r"Extended SMPL\+H model"):
         read_bodies(_found(root), cpf=walk())
+
+
+@pytest.fixture
+def path(tmp_path):
+    return write(tmp_path, output())
+
+
+def test_contacts_and_fingers_may_be_absent(path):
+    rewrite(path, contacts=None, left_hand_quats=None, right_hand_quats=None, frame_nums=None)
+    assert len(read_output(path).time_ns) == 12
+
+
+def test_a_slightly_long_quaternion_is_taken(path):
+    rewrite(path, body_quats=(output().body_quats * np.float32(1.0005)))
+    assert len(read_output(path).time_ns) == 12

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.readers.gimo.bvh import joint_positions, read_bvh
+from prbench.readers.gimo.bvh import BvhMotion, joint_positions, place_skeleton, read_bvh
 from prbench.readers.gimo.synthetic import write_bvh
 from tests.comparing import differences
-from tests.readers.gimo_sample import skeleton
+from tests.fakes import STANDING
+from tests.readers.gimo_sample import LEAD, N_FRAMES, path_of_pelvis, skeleton
 
 ARM = """HIERARCHY
 ROOT Hips
@@ -73,24 +76,49 @@ def test_writing_and_reading_change_nothing(tmp_path) -> None:
     assert list(differences(read_bvh(tmp_path / "s.bvh"), motion)) == []
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (
-            ("MOTION", "MOVEMENT"),
-            r"sections HIERARCHY and MOTION, found 'HIERARCHY.* and no MOTION\. The file may be truncated",
-        ),
-        (("CHANNELS 0", "CHANNELS 1 Wrotation"), "at Other: expected a channel such as"),
-        (("OFFSET 0 0 3", "OFFSET 0 0 x"), "at Other: expected a number, found 'x'"),
-        (("}\nMOTION", "MOTION"), "expected closed braces"),
-        (("Frames: 2", "Frames: 3"), "MOTION: expected 3 frames of 9 numbers"),
-        (("Frame Time: 0.0083333", "Frame Time: 0"), "more than 0 s apart"),
-        (("1 2 3", "1 2 three"), "MOTION: expected frames of numbers"),
-    ],
-)
-def test_a_damaged_file_says_where(tmp_path, change, says) -> None:
-    path = written(tmp_path)
-    assert change[0] in path.read_text()
-    path.write_text(path.read_text().replace(*change))
-    with pytest.raises(InputFileError, match=says):
-        read_bvh(path)
+SECONDS = 7.0 + np.arange(N_FRAMES) / 30
+
+
+def laid(motion: BvhMotion, pelvis: np.ndarray | None = None):
+    track = path_of_pelvis(SECONDS - 7.0) if pelvis is None else pelvis
+    return place_skeleton(motion, SECONDS, track, name="skeleton.bvh", largest_error=0.05)
+
+
+@pytest.mark.parametrize("unit", [1.0, 100.0, 1000.0])
+def test_time_and_unit_are_found(unit) -> None:
+    joints, remarks = laid(skeleton(unit=unit))
+    assert LEAD / 60 == 0.5
+    assert remarks == [
+        "limbs from skeleton.bvh, which begins 0.500 s before the segment and follows the fitted pelvis within 0 mm"
+    ]
+    expected = STANDING - STANDING[0] + path_of_pelvis(SECONDS - 7.0)[:, None]
+    np.testing.assert_allclose(joints, expected, atol=1e-5)
+
+
+def test_an_offset_of_the_hips_is_taken_away() -> None:
+    shifted = skeleton()
+    shifted.values[:, :3] += (30.0, -20.0, 5.0)  # centimetres
+    np.testing.assert_allclose(laid(shifted)[0], laid(skeleton())[0], atol=1e-4)
+
+
+def test_another_walk_is_refused() -> None:
+    backwards = replace(skeleton(), values=skeleton().values[::-1].copy())
+    with pytest.raises(InputFileError, match="expected hips within 5 cm of the fitted pelvis"):
+        laid(backwards)
+
+
+def test_a_short_file_is_refused() -> None:
+    short = replace(skeleton(), values=skeleton().values[:60])
+    with pytest.raises(InputFileError, match=r"at least the 1\.47 s of the segment, found 0\.98 s"):
+        laid(short)
+
+
+def test_legs_of_no_human_length_are_refused() -> None:
+    with pytest.raises(InputFileError, match=r"expected legs of 0\.5 to 1\.2 m"):
+        laid(skeleton(unit=7.0))
+
+
+def test_who_stands_still_is_aligned_by_guess() -> None:
+    standing = replace(skeleton(), values=np.tile(skeleton().values[0], (200, 1)))
+    _, remarks = laid(standing, np.tile(path_of_pelvis(np.zeros(1)), (N_FRAMES, 1)))
+    assert remarks[-1] == "the pelvis hardly moves, so the skeleton's start is a guess"

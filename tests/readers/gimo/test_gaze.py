@@ -7,7 +7,6 @@ import struct
 import numpy as np
 import pytest
 
-from prbench.errors import InputFileError
 from prbench.readers.gimo.gaze import read_gaze, read_vertices
 from prbench.readers.gimo.synthetic import ply_bytes
 
@@ -61,11 +60,3 @@ def test_vertices_of_every_format_with_properties_in_any_order(tmp_path, form) -
     path = tmp_path / "a.ply"
     path.write_bytes(header.encode() + body)
     np.testing.assert_array_equal(read_vertices(path), [[-2.5, 1.5, 4.0], [8.0, 0.5, 0.25]])
-
-
-@pytest.mark.parametrize("content", [b"", b"solid\n", b"ply\nformat ascii 1.0\nelement vertex 1\n"])
-def test_what_is_no_ply_is_refused(tmp_path, content) -> None:
-    path = tmp_path / "a.ply"
-    path.write_bytes(content)
-    with pytest.raises(InputFileError, match="expected a PLY file"):
-        read_vertices(path)

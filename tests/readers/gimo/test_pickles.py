@@ -228,21 +228,3 @@ def test_the_hostile_pickles_are_hostile(tmp_path, monkeypatch) -> None:
     pickle.loads(HOSTILE["exec by the oldest opcodes"]())
     assert TRACE == ["run"]
     assert (tmp_path / "hacked").exists()
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"\x80\x04\x95\x10", b"hello", pickle.dumps([1, 2]), pickle.dumps({"a": "b"})]
-)
-def test_what_is_no_dictionary_of_tensors_is_refused(tmp_path, content) -> None:
-    path = tmp_path / "0.pkl"
-    path.write_bytes(content)
-    with pytest.raises(InputFileError, match="expected a pickled dictionary of torch tensors"):
-        load_tensors(path)
-
-
-def test_a_huge_file_is_not_even_read(tmp_path) -> None:
-    path = tmp_path / "0.pkl"
-    with open(path, "wb") as file:
-        file.truncate(2 << 20)
-    with pytest.raises(InputFileError, match="found 2,097,152"):
-        load_tensors(path)

@@ -70,32 +70,6 @@ def test_names_of_recordings_hold_no_character_that_files_forbid(tmp_path) -> No
     assert row.segment.name == "living-room_2022-01-x_1-2"
 
 
-@pytest.mark.parametrize(
-    ("line", "says"),
-    [
-        ("S,50,10,room,t.json,1", "line 2: expected a start_frame that is not behind the end_frame, found 50 to 10"),
-        ("S,10,50,room,t.json,3", "line 2: expected training 1 .*, found 3"),
-        ("S,10,50,room,t.json,", "line 2: expected a whole number 'training', found ''"),
-        ("S,ten,50,room,t.json,1", "line 2: expected a whole number 'start_frame', found 'ten'"),
-        ("S,10.5,50,room,t.json,1", "line 2: expected a whole number 'start_frame', found '10.5'"),
-        ("S,10,50,,t.json,1", "line 2: expected a 'scene', found nothing"),
-    ],
-)
-def test_a_bad_row_is_named(tmp_path, line, says) -> None:
-    with pytest.raises(InputFileError, match=says):
-        read_segments(table(tmp_path, line))
-
-
-def test_one_segment_with_two_splits_is_refused(tmp_path) -> None:
-    with pytest.raises(InputFileError, match="line 3: expected the same split and transformation as line 2"):
-        read_segments(table(tmp_path, "S,1,9,room,t.json,1", "S,1,9,room,t.json,0"))
-
-
-def test_a_missing_column_is_named(tmp_path) -> None:
-    with pytest.raises(InputFileError, match="header: expected a column 'training'"):
-        read_segments(table(tmp_path, header="sequence_path,start_frame,end_frame,scene,transformation"))
-
-
 def test_overlapping_segments_know_each_other(tmp_path) -> None:
     rows = read_segments(
         table(tmp_path, "S,1,10,a,t.json,1", "S,10,20,a,t.json,1", "S,21,30,a,t.json,1", "T,1,10,a,t.json,1")
@@ -132,26 +106,6 @@ def test_puts_are_left_out_with_a_word(tmp_path) -> None:
     assert found == ((), remarks, "only puts are annotated for it")
 
 
-@pytest.mark.parametrize(
-    ("line", "says"),
-    [
-        ("a,S,1,90,95,pick,left", "line 2, column 'event_frame': expected a frame from 1 to 90, found 95"),
-        ("a,S,1,90,,pick,left", "line 2, column 'event_frame': expected a frame number, found ''"),
-        ("a,S,x,90,4,pick,left", "line 2, column 'start_frame': expected a frame number, found 'x'"),
-        ("a,S,1,90,4,grab,left", "line 2, column 'action': expected pick or put, found 'grab'"),
-        ("a,S,1,90,4,pick,both", "line 2, column 'hand': expected left, right, or nothing, found 'both'"),
-    ],
-)
-def test_a_bad_event_names_row_and_column(tmp_path, line, says) -> None:
-    with pytest.raises(InputFileError, match=says):
-        read_events(events(tmp_path, line))
-
-
-def test_an_unclear_confirmation_is_refused(tmp_path) -> None:
-    with pytest.raises(InputFileError, match="line 2, column 'confirmed': expected yes, no, or nothing"):
-        read_events(events(tmp_path, "a,S,1,90,4,pick,,maybe", header=f"{EVENTS},confirmed"))
-
-
 def test_an_event_in_both_splits_is_refused_with_both_lines(tmp_path) -> None:
     rows = read_segments(table(tmp_path, "S,1,50,a,t.json,1", "S,40,90,a,t.json,0", "T,40,90,a,t.json,0"))
     path = events(tmp_path, "a,S,1,50,45,pick,", "a,T,40,90,45,pick,", "a,S,40,90,45,pick,")
@@ -163,13 +117,7 @@ def test_an_event_in_both_splits_is_refused_with_both_lines(tmp_path) -> None:
 
 def test_hints_that_collide_are_found(tmp_path) -> None:
     rows = read_segments(
-        table(
-            tmp_path,
-            "S,1,50,a,t.json,1,x,45",
-            "S,40,90,a,t.json,0,x,45",
-            "S,41,91,a,t.json,0,x,60",
-            header=FULL,
-        )
+        table(tmp_path, "S,1,50,a,t.json,1,x,45", "S,40,90,a,t.json,0,x,45", "S,41,91,a,t.json,0,x,60", header=FULL)
     )
     assert hints_in_both_splits(rows) == {rows[0].segment.key, rows[1].segment.key}
 

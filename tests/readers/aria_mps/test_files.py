@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import zipfile
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,7 @@ from prbench.readers.aria_mps.synthetic import sense_mps, write_mps
 from prbench.readers.files import ZippedFile
 from prbench.readers.found import RecordingFiles
 from prbench.synthetic.people import perform
-from tests.readers.mps_files import gaze_lines, write_lines
+from tests.comparing import differences
 
 
 @pytest.fixture(scope="module")
@@ -42,17 +42,6 @@ def root(readings, tmp_path) -> Path:
 
 def found(root: Path) -> RecordingFiles:
     return RecordingFiles("test", "recording", root, find_mps_files(root))
-
-
-def assert_same(one, other, where: str = "") -> None:
-    for field in fields(one):
-        a, b = getattr(one, field.name), getattr(other, field.name)
-        if is_dataclass(a):
-            assert_same(a, b, f"{where}{field.name}.")
-        elif isinstance(a, np.ndarray):
-            assert np.array_equal(a, b, equal_nan=True), f"{where}{field.name}"
-        else:
-            assert a == b, f"{where}{field.name}"
 
 
 def as_read(readings: mps.MpsReadings) -> mps.MpsReadings:
@@ -80,8 +69,8 @@ def test_every_role_is_found(root) -> None:
 
 
 def test_what_was_written_is_read_thinned(root, readings) -> None:
-    assert_same(read_mps(found(root), thin=False), as_read(readings))
-    assert_same(read_mps(found(root)), mps.thinned(as_read(readings)))
+    assert list(differences(read_mps(found(root), thin=False), as_read(readings))) == []
+    assert list(differences(read_mps(found(root)), mps.thinned(as_read(readings)))) == []
     assert len(mps.thinned(readings).trajectory.time_us) < len(readings.trajectory.time_us) / 8
 
 
@@ -90,7 +79,7 @@ def test_an_archive_reads_as_its_folder_would_and_leaves_nothing_on_the_disk(roo
     archive = archived(root)
     files = found(archive.parent if inside else archive)
     assert all(file.path == archive and file.member for file in files.files)
-    assert_same(read_mps(files), mps.thinned(as_read(readings)))
+    assert list(differences(read_mps(files), mps.thinned(as_read(readings)))) == []
     assert list(archive.parent.iterdir()) == [archive]
 
 
@@ -184,14 +173,10 @@ def test_gaze_of_the_three_schemas_reads_from_archives_too(samples, tmp_path) ->
         path = samples / "mps" / name
         with zipfile.ZipFile(tmp_path / "gaze.zip", "w") as archive:
             archive.write(path, "x/gaze.csv")
-        assert_same(read_gaze_angles(ZippedFile(tmp_path / "gaze.zip", "x/gaze.csv")), read_gaze_angles(path))
-
-
-@pytest.mark.parametrize("times", [[10, 30, 20], [10, 20, 20]], ids=["backwards", "repeated"])
-def test_gaze_rows_out_of_order_are_refused_with_their_line(tmp_path, times) -> None:
-    path = write_lines(tmp_path / "eyegaze.csv", gaze_lines(np.array(times)))
-    with pytest.raises(InputFileError, match="line 4: expected a time after"):
-        read_gaze_angles(path)
+        assert (
+            list(differences(read_gaze_angles(ZippedFile(tmp_path / "gaze.zip", "x/gaze.csv")), read_gaze_angles(path)))
+            == []
+        )
 
 
 def test_wrists_of_the_sample(samples, reference_values) -> None:
@@ -210,11 +195,6 @@ def test_a_wrist_of_the_sample(samples, reference_values) -> None:
     assert wrists.time_us[109] == expected["timestamp_us"]
     assert wrists.confidence[109, 1] == pytest.approx(expected["confidence"], abs=1e-6)
     assert wrists.wrist[109, 1] == pytest.approx(expected["wrist_device"], abs=1e-6)
-
-
-def test_newer_calibration_keys_are_welcome(samples) -> None:
-    newer, _ = read_size_and_camera(samples / "mps/mps_sample/trajectory/online_calibration_v1_1_0.jsonl")
-    assert newer == "DVT-S"
 
 
 def test_large_glasses_are_recognised(readings, tmp_path) -> None:

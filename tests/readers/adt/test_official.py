@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.geometry.shapes import slab_test
 from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps.format import device_from_cpf, gaze_directions_cpf
@@ -122,87 +120,8 @@ def test_names_categories_and_motion_types(both) -> None:
     assert str(adt.SCENE_BOX_ID) not in tracks
 
 
-def _official_boxes(both: Both, time_ns: int) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Object-from-scene transform and box corners by id, at the official reader's nearest object time."""
-    answer = both.official.get_object_3d_boundingboxes_by_timestamp_ns(time_ns, CLOSEST).data()
-    return {
-        str(key): (np.linalg.inv(box.transform_scene_object.to_matrix()), *np.reshape(box.aabb, (3, 2)).T)
-        for key, box in answer.items()
-    }
-
-
-def _entry(local_origin: np.ndarray, local_direction: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
-    """Where a ray enters a box, one slab after the other; inf if it misses."""
-    near, far = -np.inf, np.inf
-    for k in range(3):
-        first, last = sorted(
-            ((low[k] - local_origin[k]) / local_direction[k], (high[k] - local_origin[k]) / local_direction[k])
-        )
-        near, far = max(near, first), min(far, last)
-    return near if near < far and far >= 0 else np.inf
-
-
-def test_what_each_gaze_ray_hits_and_where(both) -> None:
-    gaze, rays, tracks = both.readings.gaze, both.recording.gaze, both.recording.objects
-    compared = 0
-    for row in _some(len(gaze.time_us))[:: 1 + len(gaze.time_us) // 40]:
-        time_ns = int(gaze.time_us[row]) * 1000
-        nearest = both.official.get_aria_3d_pose_by_timestamp_ns(time_ns, CLOSEST).data()
-        if not rays.valid[row] or nearest.quality_score == 0:
-            continue
-        eye = both.official.get_eyegaze_by_timestamp_ns(time_ns, CLOSEST).data()
-        scene_cpf = nearest.transform_scene_device.to_matrix() @ device_from_cpf("DVT-L")
-        looking = scene_cpf[:3, :3] @ gaze_directions_cpf(np.array([eye.yaw]), np.array([eye.pitch]))[0]
-        boxes = _official_boxes(both, time_ns)
-        for track in tracks:
-            local_from_scene, low, high = boxes[track.object_id]
-            local_origin = local_from_scene[:3, :3] @ scene_cpf[:3, 3] + local_from_scene[:3, 3]
-            expected = _entry(local_origin, local_from_scene[:3, :3] @ looking, low, high)
-            position, rotation = track.pose_at(rays.times[row : row + 1])
-            turn = Rotation.from_quat(rotation, scalar_first=True).inv()
-            hits = slab_test(
-                turn.apply(rays.origin[row] - position),
-                turn.apply(rays.direction[row]),
-                track.box_min[None],
-                track.box_max[None],
-            )
-            found = float(hits.near[0, 0]) if hits.hit[0, 0] else np.inf
-            if np.isfinite(expected) != np.isfinite(found):
-                grazes = abs(float(hits.far[0, 0] - hits.near[0, 0])) < 0.01
-                assert grazes, f"row {row}, {track.name}: {expected} or {found}"
-                continue
-            assert found == pytest.approx(expected, abs=0.002), f"row {row}, {track.name}"
-            compared += np.isfinite(expected)
-    assert compared >= 5
-
-
-def test_distances_of_wrists_and_finger_bases_to_what_moves(both) -> None:
-    (person,) = both.readings.skeletons
-    contacts = {"wrist": adt.WRIST_JOINTS, "middle_finger_base": adt.MIDDLE_FINGER_BASES}
-    moving = [track for track in both.recording.objects if track.movable]
-    boxes_at = cache(partial(_official_boxes, both))
-    for row in _some(len(person.time_ns))[:: 1 + len(person.time_ns) // 20]:
-        joints = both.official.get_skeleton_by_timestamp_ns(int(person.time_ns[row]), person.skeleton_id, CLOSEST)
-        for contact, pair in contacts.items():
-            for hand, index in zip(both.recording.hand_streams(contact), pair, strict=True):
-                if not hand.valid[row]:
-                    continue
-                expected_point = np.array(joints.data().joints)[index]
-                assert hand.points[row, 0] == pytest.approx(expected_point, abs=1e-6)
-                for track in moving:
-                    own_time = int(np.abs(track.times - hand.times[row]).argmin())
-                    boxes = boxes_at(round(track.times[own_time] * 1e9))
-                    local_from_scene, low, high = boxes[track.object_id]
-                    local = local_from_scene[:3, :3] @ expected_point + local_from_scene[:3, 3]
-                    expected = np.linalg.norm(local - np.clip(local, low, high))
-                    turn = Rotation.from_quat(track.rotation[own_time], scalar_first=True).inv()
-                    ours = turn.apply(hand.points[row, 0] - track.position[own_time])
-                    outside = np.maximum(np.maximum(track.box_min - ours, ours - track.box_max), 0.0)
-                    assert np.linalg.norm(outside) == pytest.approx(expected, abs=1e-5)
-
-
 def test_the_other_wearers_glasses_and_skeleton(tmp_path) -> None:
-    from tests.readers.adt.test_readings_rules import two_wearers
+    from tests.readers.adt.test_files import two_wearers
 
     two_wearers(tmp_path)
     for found in find_recordings(tmp_path):

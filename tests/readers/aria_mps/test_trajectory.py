@@ -9,7 +9,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from prbench.errors import InputFileError
 from prbench.readers import files
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.trajectory import read_near, read_trajectory
@@ -92,39 +91,6 @@ def test_the_grid_begins_with_the_trajectory_and_covers_its_end() -> None:
     assert (later - START).tolist() == [66_667, 100_000]
 
 
-def test_a_repeated_row_is_refused_with_its_line(folder) -> None:
-    lines = trajectory_lines(steady())
-    lines.insert(1501, lines[1500])  # line 1502 of the file repeats line 1501
-    path = write_lines(folder / "repeated.csv", lines)
-    with pytest.raises(InputFileError, match=r"line 1502: expected a time after 5001499000 us"):
-        read_near(path, np.array([START + 1_498_500, START + 1_499_500]))
-
-
-@pytest.mark.parametrize("block", [2**14, 2**20])
-@pytest.mark.parametrize(
-    ("column", "value", "message"),
-    [
-        ("tx_world_device", "nan", "expected a pose of finite numbers"),
-        ("qw_world_device", "2.0", "length"),
-        ("qx_world_device", "x", ""),
-        ("tracking_timestamp_us", "5", "expected a time after 5001998000"),
-        ("qz_world_device", "0.5,0.5", ""),
-    ],
-    ids=["no number", "no rotation", "text", "time runs back", "too many cells"],
-)
-def test_a_damaged_row_is_refused_with_its_line_wherever_it_stands(
-    folder, block, column, value, message, monkeypatch
-) -> None:
-    monkeypatch.setattr(files, "_BLOCK", block)
-    lines = trajectory_lines(steady())
-    cells = lines[2000].split(",")
-    cells[lines[0].split(",").index(column)] = value
-    lines[2000] = ",".join(cells)
-    path = write_lines(folder / "damaged.csv", lines)
-    with pytest.raises(InputFileError, match=rf"line 2001.*{message}"):
-        read_near(path, np.array([START + 100_000, START + 2_900_000]))
-
-
 def test_rows_without_a_world_or_of_a_shorter_one_are_left_out(folder) -> None:
     worlds = [WORLD] * 2000 + [mps.UNDEFINED_GRAPH] * 400 + [OTHER_WORLD] * 600
     path = write_lines(folder / "worlds.csv", trajectory_lines(steady(), worlds=worlds))
@@ -139,23 +105,3 @@ def test_quoted_text_is_read_too(folder) -> None:
     quoted = [lines[0], *(line.replace(WORLD, f'"{WORLD}"', 1) for line in lines[1:])]
     path = write_lines(folder / "quoted.csv", quoted)
     assert read_near(path, steady(50)).time_us.tolist() == steady(50).tolist()
-
-
-def test_a_cut_last_line_is_refused(folder) -> None:
-    columns_end = trajectory_lines(steady(100))
-    cut = [line.rpartition(",")[0] for line in columns_end]  # the last column is one that is read
-    path = write_lines(folder / "cut.csv", cut, last_end="")
-    with pytest.raises(InputFileError, match="last line"):
-        read_near(path, np.array([START]))
-    path = write_lines(folder / "cut.csv", [*columns_end[:-1], columns_end[-1][:60]], last_end="")
-    with pytest.raises(InputFileError, match="line 101"):
-        read_near(path, np.array([START]))
-
-
-def test_an_empty_file_and_one_without_rows_are_refused(folder) -> None:
-    with pytest.raises(InputFileError, match="a column 'graph_uid'"):
-        read_near(write_lines(folder / "empty.csv", [], end="", last_end=""), steady())
-    with pytest.raises(InputFileError, match="at least one pose"):
-        read_near(write_lines(folder / "header.csv", trajectory_lines(steady(0))), steady())
-    with pytest.raises(InputFileError, match="no such file"):
-        read_near(folder / "missing.csv", steady())

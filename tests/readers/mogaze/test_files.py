@@ -16,31 +16,14 @@ from prbench.readers import reader_for
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.files import extents, find_mesh, read_mesh, read_scene
 from prbench.readers.mogaze.format import STATE_COLUMNS
-from prbench.readers.mogaze.synthetic import box_mesh, write
+from prbench.readers.mogaze.synthetic import box_mesh
 from prbench.recording import Recording
-from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, N, still_life
-
-NAMES = {CUP: "cup_red", PLATE: "plate_red", GOGGLES: "goggles", TABLE: "table"}
-
-
-def _scene(folder: Path, meshes: dict[int, str], names: dict[int, str] = NAMES) -> None:
-    lines = ["<scene>"]
-    for key, name in names.items():
-        lines.append(f'<body id="{key}" name="{name}"><color>1 0 0 0</color>')
-        lines += [f'<meshfile src="{meshes[key]}"/>'] if key in meshes else []
-        lines.append("</body>")
-    (folder / "scene.xml").write_text("\n".join([*lines, "</scene>"]))
+from tests.recording.mogaze_scene import CUP, NAMES, PLATE, TABLE, N, write_names, write_scene
 
 
 @pytest.fixture
 def root(tmp_path) -> Path:
-    """One recording with a scene, and a mesh of the cup alone."""
-    folder = tmp_path / "mogaze"
-    write(still_life(), folder)
-    (folder / "meshfiles").mkdir()
-    (folder / "meshfiles" / "cup.obj").write_text(box_mesh(np.array([-0.1, -0.2, -0.3]), np.array([0.1, 0.2, 0.4])))
-    _scene(folder, {CUP: "mogaze/meshfiles/cup.obj", PLATE: "mogaze/meshfiles/plate.obj"})
-    return folder
+    return write_scene(tmp_path)
 
 
 def _read(root: Path, **options: str) -> Recording:
@@ -81,7 +64,7 @@ def test_a_folder_without_recordings_is_told_what_was_looked_for(tmp_path) -> No
 
 
 def test_boxes_come_from_meshes_then_from_the_table_then_are_points(root) -> None:
-    _scene(root, {CUP: "mogaze/meshfiles/cup.obj"}, NAMES | {TABLE: "spaceship"})
+    write_names(root, NAMES | {TABLE: "spaceship"}, {CUP: "mogaze/meshfiles/cup.obj"})
     recording = _read(root)
     cup, plate, ship = (recording.object(str(key)) for key in (CUP, PLATE, TABLE))
     assert (cup.box_min.tolist(), cup.box_max.tolist()) == ([-0.1, -0.2, -0.3], [0.1, 0.2, 0.4])
@@ -128,43 +111,15 @@ def test_a_mesh_is_read_again_after_it_changed(root) -> None:
     assert read_mesh(path)[0].max() == 0.125
 
 
-@pytest.mark.parametrize("content", ["", "v 0 0 0\n", "v 0 0 0\nv 1 0 0\nv 0 x 0\nf 1 2 3\n"])
-def test_a_file_that_is_no_mesh_is_refused(root, content) -> None:
-    (root / "meshfiles" / "cup.obj").write_text(content)
-    with pytest.raises(InputFileError, match=r"cup\.obj.*triangles"):
-        _read(root)
-
-
-def test_without_a_scene_nobody_knows_which_body_is_what(root) -> None:
-    (root / "scene.xml").unlink()
-    with pytest.raises(InputFileError, match=r"scene\.xml: expected this file"):
-        _read(root)
-
-
 def test_a_body_without_a_name_keeps_its_number(root) -> None:
-    _scene(root, {}, {key: name for key, name in NAMES.items() if key != PLATE})
+    write_names(root, {key: name for key, name in NAMES.items() if key != PLATE})
     assert _read(root).object(str(PLATE)).name == f"body_{PLATE}"
 
 
 def test_a_scene_that_knows_bodies_that_were_not_tracked_changes_nothing(root) -> None:
     before = _read(root)
-    _scene(root, {CUP: "mogaze/meshfiles/cup.obj"}, NAMES | {99: "blue_chair"})
+    write_names(root, NAMES | {99: "blue_chair"}, {CUP: "mogaze/meshfiles/cup.obj"})
     assert [track.name for track in _read(root).objects] == [track.name for track in before.objects]
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("<scene><body", "XML"),
-        ('<scene><body id="x" name="cup"/></scene>', "id 'x'"),
-        ('<scene><body id="4"/></scene>', "name ''"),
-    ],
-)
-def test_a_damaged_scene_is_refused_when_a_recording_is_read(root, text, words) -> None:
-    (root / "scene.xml").write_text(text)
-    (found,) = reader_for("mogaze").find(root)
-    with pytest.raises(InputFileError, match=words):
-        reader_for("mogaze").read(found)
 
 
 def test_names_may_be_bytes_or_text_and_columns_in_any_order(root) -> None:
@@ -180,64 +135,6 @@ def test_names_may_be_bytes_or_text_and_columns_in_any_order(root) -> None:
     assert before.body is not None
     assert after.body is not None
     assert np.array_equal(before.body.joints, after.body.joints)
-
-
-@pytest.mark.parametrize("part", mogaze.PARTS)
-def test_each_of_the_four_files_is_needed(root, part) -> None:
-    (root / f"p1_1_{part}.hdf5").unlink()
-    with pytest.raises(InputFileError, match=f"p1_1_{part}"):
-        _read(root)
-
-
-@pytest.mark.parametrize("part", mogaze.PARTS)
-def test_a_truncated_file_is_named(root, part) -> None:
-    path = root / f"p1_1_{part}.hdf5"
-    path.write_bytes(path.read_bytes()[:700])
-    with pytest.raises(InputFileError, match=f"p1_1_{part}.*complete HDF5 file"):
-        _read(root)
-
-
-@pytest.mark.parametrize(
-    ("part", "name", "rows", "words"),
-    [
-        ("human_data", "data", np.zeros((N, 65)), "at least 66 numbers, found shape"),
-        ("human_data", "data", np.zeros((N, 67)), "a name for each of the 67 columns"),
-        ("gaze_data", "gaze", np.zeros((N, 5)), "at least 6 numbers"),
-        ("gaze_data", "gaze", np.zeros((N - 40, 7)), "440 frames of gaze_data, 480"),
-        ("object_data", f"bodies/body {CUP}", np.zeros((N, 6)), "at least 7 numbers"),
-        ("segmentations", "segments", np.zeros((3, 3)), "start, end and label"),
-    ],
-)
-def test_tables_of_another_shape_are_refused(root, part, name, rows, words) -> None:
-    _change(root, part, name, rows)
-    with pytest.raises(InputFileError, match=words):
-        _read(root)
-
-
-@pytest.mark.parametrize(
-    ("part", "name", "attribute", "value", "words"),
-    [
-        ("human_data", "data", "description", None, "'description'"),
-        ("human_data", "data", "keys_fixed", np.array([b"lHipTransX"]), "'headTransY' and .* more"),
-        ("gaze_data", "gaze", "calibration", None, "'calibration'"),
-        ("gaze_data", "gaze", "calibration", np.zeros(4), "a quaternion of length 1"),
-    ],
-)
-def test_missing_and_impossible_attributes_are_refused(root, part, name, attribute, value, words) -> None:
-    with h5py.File(root / f"p1_1_{part}.hdf5", "r+") as file:
-        del file[name].attrs[attribute]
-        if value is not None:
-            file[name].attrs[attribute] = value
-    with pytest.raises(InputFileError, match=words):
-        _read(root)
-
-
-def test_a_column_that_is_missing_is_named(root) -> None:
-    names = ["somethingElse" if name == "lKneeRotX" else name for name in STATE_COLUMNS]
-    with h5py.File(root / "p1_1_human_data.hdf5", "r+") as file:
-        file["data"].attrs["description"] = np.array(names, dtype="S")
-    with pytest.raises(InputFileError, match="'lKneeRotX'"):
-        _read(root)
 
 
 def test_streams_are_cut_to_the_shortest_with_a_word_beyond_two_frames(root) -> None:
