@@ -1,13 +1,174 @@
-"""What holds for any weights: sizes, seeds, conditions, layouts, bad input."""
+"""GazeMoDiff and HumanMAC: the values of the published programs, check values, and what holds for any weights."""
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import pytest
 import torch
+from torch.nn import functional
 
 from prbench.randomness import noise_seed
-from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion, PreparedCondition, held, padded
+from prbench_adapters.diffusion.sampling import CosineSchedule
+from prbench_adapters.prediction.coefficient_diffusion import (
+    CoefficientDiffusion,
+    GraphAttention,
+    PreparedCondition,
+    Whitening,
+    WindowDCT,
+    dct_rows,
+    held,
+    padded,
+)
 from prbench_adapters.prediction.configuration import PRESETS, preset
+from tests.adapters.prediction.golden import largest_difference, load, load_denoiser, load_encoder, tensor, weights
+
+
+def test_rows_of_constant_and_rising_values():
+    rows = dct_rows(4, 75)
+    assert (rows @ torch.ones(75).double()).tolist() == pytest.approx([8.660254, 0, 0, 0], abs=1e-6)
+    rising = rows @ torch.arange(75).double()
+    assert rising.tolist() == pytest.approx([320.429399, -186.125290, 0, -20.668473], abs=1e-6)
+
+
+@pytest.mark.parametrize(("hertz", "share"), [(0.5, 0.9995), (1.0, 0.9934), (2.0, 0.7442), (2.5, 0.2233)])
+def test_ten_coefficients_keep_slow_movements_only(hertz, share):
+    wave = torch.sin(2 * math.pi * hertz * torch.arange(75).double() / 30)
+    assert float((dct_rows(10, 75) @ wave).norm() / wave.norm()) == pytest.approx(share, abs=1e-4)
+
+
+def test_a_walking_body_is_off_by_centimetres_after_truncation():
+    transform = WindowDCT(10, 15, 75)
+    walk = torch.zeros(1, 75, 1, 3).double()
+    walk[0, :, 0, 0] = 1.4 / 30 * torch.arange(75)
+    error = (transform.inverse(transform(walk)) - walk).norm(dim=-1)[0, :, 0]
+    assert float(error[15:].mean()) == pytest.approx(0.0074, abs=1e-4)
+    assert float(error[-1]) == pytest.approx(0.0494, abs=1e-4)
+    frozen = padded(walk[:, :15], 75)
+    assert float((transform.inverse(transform(frozen)) - frozen)[0, 14, 0, 0].abs()) == pytest.approx(0.031, abs=1e-3)
+
+
+def test_completion_equals_the_exchange_of_frames():
+    transform = WindowDCT(10, 15, 75)
+    own, known = torch.randn(3, 2, 10, 6).double(), torch.randn(3, 1, 10, 6).double()
+    frames = transform.inverse(own).clone()
+    frames[:, :, :15] = transform.inverse(known)[:, :, :15]
+    torch.testing.assert_close(transform.completed(own, known), transform(frames))
+
+
+def test_padding_repeats_the_last_frame_and_the_last_measured_gaze():
+    observed = torch.arange(4.0).view(1, 4, 1, 1).expand(1, 4, 2, 3)
+    filled = padded(held(observed, torch.tensor([[False, True, False, False]])), 6)
+    assert filled[0, :, 0, 0].tolist() == [0, 1, 2, 3, 3, 3]
+    assert filled[0, :, 1, 0].tolist() == [1] * 6
+    with pytest.raises(ValueError, match="4 frames does not fit into a window of 3"):
+        padded(observed, 3)
+
+
+def test_schedule_of_1500_steps():
+    schedule = CosineSchedule(1500)
+    for index, value in ((0, 2.698328e-5), (750, 2.103810e-3), (1499, 0.999)):
+        assert schedule.betas[index] == pytest.approx(value, rel=1e-6)
+    for index, value in ((0, 0.9999730167), (1, 0.9999438753), (16, 0.9992478880), (751, 0.4917657159)):
+        assert schedule.alphas_cumprod[index] == pytest.approx(value, abs=1e-10)
+    assert schedule.alphas_cumprod[1486] == pytest.approx(1.824164e-4, rel=1e-6)
+
+
+@pytest.fixture
+def layer():
+    found = GraphAttention(1, 1, 2, 2, 1)
+    with torch.no_grad():
+        for parameter in found.parameters():
+            parameter.zero_()
+        found.channels.fill_(1.0)
+    return found.requires_grad_(False)
+
+
+GRAPH = torch.tensor([[[[1.0, 3.0], [5.0, 9.0]]]])
+
+
+def test_without_scores_every_entry_is_the_mean(layer):
+    assert torch.equal(layer(GRAPH), torch.full((1, 1, 2, 2), 4.5))
+
+
+def test_scores_of_the_token_that_is_looked_at(layer):
+    layer.over_steps[0, 1, 0] = 1.0
+    layer.over_nodes[0, 1, 0] = 1.0
+    torch.testing.assert_close(layer(GRAPH), torch.full((1, 1, 2, 2), 8.5051), rtol=0, atol=1e-4)
+
+
+def test_sums_of_two_dot_products_equal_scores_of_pairs():
+    torch.manual_seed(1)
+    layer = GraphAttention(3, 4, 5, 6, 2)
+    stream = torch.randn(2, 3, 5, 6)
+
+    def of_pairs(tokens, weights):
+        n = tokens.shape[1]
+        pairs = torch.cat([tokens[:, :, None].expand(-1, -1, n, -1), tokens[:, None].expand(-1, n, -1, -1)], dim=-1)
+        scores = functional.leaky_relu(torch.einsum("bijf,hf->bhij", pairs, weights.flatten(1)), 0.2)
+        return scores.softmax(dim=-1).mean(dim=1)
+
+    steps = stream.permute(0, 3, 2, 1)
+    mixed = torch.einsum("bij,bjnc->binc", of_pairs(steps.flatten(2), layer.over_steps), steps) @ layer.channels
+    nodes = mixed.transpose(1, 2)
+    expected = torch.einsum("bij,bjsc->bisc", of_pairs(nodes.flatten(2), layer.over_nodes), nodes).permute(0, 3, 1, 2)
+    torch.testing.assert_close(layer(stream), expected + layer.bias)
+
+
+@pytest.fixture
+def coefficients() -> torch.Tensor:
+    generator = torch.Generator().manual_seed(0)
+    mixed = torch.randn((500, 4, 9), generator=generator) @ torch.randn((9, 9), generator=generator)
+    return mixed * torch.tensor([4.0, 2.0, 1.0, 0.5])[:, None]
+
+
+def test_whitened_numbers_have_unit_spread_and_go_back_to_metres(coefficients):
+    whitening = Whitening(4, 9)
+    whitening.take(coefficients)
+    whitened = whitening(coefficients)
+    torch.testing.assert_close(whitened.square().mean(dim=0), torch.ones(4, 9))
+    assert (whitened.flatten(0, 1).T @ whitened.flatten(0, 1) / 2000 - torch.eye(9)).abs().max() < 0.1  # by chance 0.07
+    torch.testing.assert_close(whitening.inverse(whitened), coefficients, atol=1e-4, rtol=1e-4)
+
+
+def test_directions_in_half_precision_are_still_undone_exactly(coefficients):
+    whitening = Whitening(4, 9)
+    whitening.take(coefficients)
+    whitening.directions.copy_(whitening.directions.half())
+    whitening.spread.copy_(whitening.spread.half())
+    torch.testing.assert_close(whitening.inverse(whitening(coefficients)), coefficients, atol=1e-4, rtol=1e-4)
+
+
+def test_a_direction_without_spread_is_not_divided_by_zero():
+    whitening = Whitening(2, 3)
+    whitening.take(torch.zeros(5, 2, 3))
+    assert whitening(torch.zeros(1, 2, 3)).isfinite().all()
+
+
+def test_observed_frames_are_put_back_in_metres(coefficients):
+    """Whatever the network answers, the observed frames end up where they were."""
+    shape = preset(
+        "humanmac", n_joints=3, observed=6, predicted=4, coefficients=10, width=8, heads=2, layers=2, feed_forward=8,
+        diffusion_steps=20, sampling_steps=10, predicts="velocity", residual=True, whitened=True,
+    )  # fmt: skip
+    model = CoefficientDiffusion(shape).eval()
+    assert model.whitening is not None
+    generator = torch.Generator().manual_seed(1)
+    model.whitening.take(torch.randn((50, 10, 9), generator=generator) @ torch.randn((9, 9), generator=generator))
+    known = torch.zeros(1, 10, 9)
+    noise = torch.randn((1, 2, 10, 9), generator=generator)
+    *_, state = model.states(known, torch.zeros(1, 10, 9), lambda: noise)
+    residual = model.transform.inverse(model.whitening.inverse(state))[:, :, :6]
+    level = float(model.schedule.alphas_cumprod[0])
+    expected = model.transform.inverse(model.whitening.inverse((1.0 - level) ** 0.5 * noise))[:, :, :6]
+    torch.testing.assert_close(residual, expected, atol=1e-4, rtol=1e-4)
+
+
+def test_whitening_needs_residuals():
+    with pytest.raises(ValueError, match="'whitened' needs 'residual' true"):
+        preset("humanmac", n_joints=3, whitened=True)
+
 
 TINY = {
     "n_joints": 4,
@@ -236,3 +397,192 @@ def test_whoever_knows_the_future_has_no_loss(predicts, residual):
     model.denoiser = _Oracle(clean, model.schedule.alphas_cumprod, predicts)
     loss = model.loss(motion, torch.tensor([7]), torch.randn(clean.shape))
     assert float(loss) < 1e-8
+
+
+LAYOUTS = ("corrected", "legacy")
+
+
+def _gazemodiff(arrays, layout, encoder="", denoiser="", **changes):
+    """A model of the sizes that a file tells; parts that are not in the file stay tiny."""
+    torch.manual_seed(0)
+    sizes = {"width": 16, "feed_forward": 24, "encoder_width": 8, "heads": int(arrays.get("heads", 8))}
+    found = weights(arrays, encoder)
+    if "start_gcn.bias" in found:
+        sizes["encoder_width"] = found["start_gcn.feature_weights"].shape[1]
+        sizes["encoder_heads"] = len(found["start_gcn.attention_weights"])
+        sizes["fusion_blocks"] = len({name.split(".")[1] for name in found if name.startswith("residual_gcns")})
+    found = weights(arrays, denoiser)
+    if "joint_embed.weight" in found:
+        sizes["width"] = len(found["joint_embed.weight"])
+        sizes["feed_forward"] = len(found["temporal_decoder_blocks.0.ffn.linear1.weight"])
+        sizes["layers"] = len({name.split(".")[1] for name in found if name.startswith("temporal")})
+    return CoefficientDiffusion(
+        preset(
+            "gazemodiff",
+            n_joints=int(arrays["n_joints"]),
+            observed=int(arrays["n_observed"]),
+            predicted=int(arrays["n_predicted"]),
+            coefficients=int(arrays["n_coefficients"]),
+            legacy_layout=layout == "legacy",
+            dropped="vector",
+            **{**sizes, **changes},
+        )
+    ).eval()
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_encoder(samples, layout):
+    arrays = load(samples, "gazemodiff_encoder")
+    model = _gazemodiff(arrays, layout)
+    load_encoder(model.encoder, arrays)
+    observed = tensor(arrays["observed"])
+    coefficients = model.transform(padded(observed, model.configuration.frames))
+    assert largest_difference(coefficients, arrays["coefficients"]) < 2e-5
+    given = tensor(arrays["coefficients"])
+    nodes = model.encoder.nodes(given)
+    joints = model.configuration.n_joints
+    assert largest_difference(nodes, arrays[f"encoder_input_{layout}"]) == 0.0
+    pose = model.encoder.pose(nodes[:, :, :joints])
+    gaze = model.encoder.gaze(nodes[:, :, joints])
+    assert largest_difference(pose, arrays[f"pose_features_{layout}"]) < 2e-6
+    assert largest_difference(gaze, arrays[f"gaze_features_{layout}"]) < 2e-6
+    start = model.encoder.fusion.start(torch.cat([pose, gaze[:, :, None]], dim=2))
+    assert largest_difference(start, arrays[f"fusion_start_{layout}"]) < 2e-6
+    block = model.encoder.fusion.blocks[0](torch.cat([start, start], dim=-1))
+    assert largest_difference(block, arrays[f"fusion_block0_{layout}"]) < 2e-6
+    condition = model.condition(given)
+    assert largest_difference(model.encoder.nodes(condition), arrays[f"encoder_output_{layout}"]) < 2e-6
+    assert largest_difference(condition, arrays[f"condition_{layout}"]) < 2e-6
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_denoiser_and_loss(samples, layout):
+    arrays = load(samples, "gazemodiff_denoiser")
+    model = _gazemodiff(arrays, layout, diffusion_steps=int(arrays["noise_steps"]))
+    load_denoiser(model.denoiser, arrays)
+    step, noise = tensor(arrays["t"]), tensor(arrays["training_noise"])
+    levels = model.schedule.alphas_cumprod[arrays["t"]]
+    np.testing.assert_allclose(levels, arrays["alpha_bar_t"], rtol=0, atol=1e-6)
+    assert largest_difference(model.denoiser.sinusoid[step], arrays["sinusoid"]) < 2e-5
+    level = torch.from_numpy(levels).float()[:, None, None]
+    noisy = level.sqrt() * tensor(arrays["coefficients"]) + (1 - level).sqrt() * noise
+    assert largest_difference(noisy, arrays["x_t"]) < 5e-5
+    condition = tensor(arrays[f"condition_{layout}"])
+    noisy = tensor(arrays["x_t"])[:, None]
+    predicted = model.denoiser(noisy, step, model.denoiser.prepare(condition))[:, 0]
+    assert largest_difference(predicted, arrays[f"epsilon_{layout}"]) < 5e-6
+    loss = (predicted - noise).square().mean()
+    assert largest_difference(loss, arrays[f"loss_{layout}"]) < 5e-6
+    none = torch.zeros(len(step), 1, dtype=torch.bool)
+    predicted = model.denoiser(noisy, step, model.denoiser.prepare(condition, none))[:, 0]
+    assert largest_difference(predicted, arrays[f"epsilon_vector_zeroed_{layout}"]) < 5e-6
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_sampling(samples, layout):
+    arrays = load(samples, "gazemodiff_sampling")
+    model = _gazemodiff(
+        arrays,
+        layout,
+        "encoder/",
+        "denoiser/",
+        diffusion_steps=int(arrays["noise_steps"]),
+        sampling_steps=len(arrays["sampling_steps"]),
+    )
+    load_encoder(model.encoder, arrays, "encoder/")
+    load_denoiser(model.denoiser, arrays, "denoiser/")
+    assert largest_difference(model.transform.rows, arrays["dct_rows"]) < 1e-12
+    np.testing.assert_allclose(model.schedule.alphas_cumprod, arrays["alpha_bar"], rtol=0, atol=1e-6)
+    steps = [(step, previous) for step, previous in zip(arrays["sampling_steps"], arrays["sampling_steps_previous"])]
+    levels = model.schedule.alphas_cumprod
+    assert list(model.moves()) == [(s, levels[s], levels[p]) for s, p in reversed(steps)]
+    motion = tensor(arrays["motion"])
+    full = model.transform(motion)
+    assert largest_difference(full, arrays["coefficients_full"]) < 2e-5
+    truncated = model.transform.inverse(tensor(arrays["coefficients_full"]))
+    assert largest_difference(truncated, arrays["motion_truncated"]) < 2e-6
+    known = model.transform(padded(motion[:, : model.configuration.observed], motion.shape[1]))
+    assert largest_difference(known, arrays["coefficients_observed"]) < 2e-5
+    condition = model.condition(known)
+    assert largest_difference(condition, arrays[f"condition_{layout}"]) < 2e-5
+    # Samples in front of windows there, behind them here.
+    draws = [arrays["start_noise"], *arrays["completion_noise"].swapaxes(0, 1)]
+    noise = iter([tensor(draw).transpose(0, 1) for draw in draws])
+    states = list(model.states(known, condition, lambda: next(noise)))
+    found = torch.stack(states).permute(2, 0, 1, 3, 4)
+    assert largest_difference(found, arrays[f"x_{layout}"]) < 1e-4
+    prediction = model.transform.inverse(states[-1]).transpose(0, 1)
+    assert largest_difference(prediction, arrays[f"prediction_{layout}"]) < 1e-4
+
+
+def _humanmac(arrays):
+    sizes = ("n_joints", "heads", "layers", "width")
+    torch.manual_seed(0)
+    model = CoefficientDiffusion(
+        preset(
+            "humanmac",
+            **{name: int(arrays[name]) for name in sizes},
+            observed=int(arrays["n_observed"]),
+            predicted=int(arrays["n_predicted"]),
+            coefficients=int(arrays["n_coefficients"]),
+            feed_forward=int(arrays["width_feed_forward"]),
+            diffusion_steps=int(arrays["noise_steps"]),
+            sampling_steps=len(arrays["sampling_steps"]),
+        )
+    ).eval()
+    load_denoiser(model.denoiser, arrays)
+    return model
+
+
+def test_humanmac_transform_and_schedule(samples):
+    arrays = load(samples, "humanmac")
+    model = _humanmac(arrays)
+    motion = tensor(arrays["motion"])
+    filled = padded(motion[:, : model.configuration.observed], motion.shape[1])
+    assert largest_difference(filled, arrays["padded"]) == 0.0
+    assert largest_difference(model.transform.rows, arrays["dct_rows"]) < 1e-12
+    assert largest_difference(model.transform(motion), arrays["coefficients"]) < 3e-5
+    assert largest_difference(model.condition(model.transform(filled)), arrays["condition"]) < 3e-5
+    for key, value in (("coefficients", "motion_truncated"), ("condition", "condition_motion")):
+        assert largest_difference(model.transform.inverse(tensor(arrays[key])), arrays[value]) < 5e-6
+    np.testing.assert_allclose(model.schedule.alphas_cumprod, arrays["alpha_bar"], rtol=0, atol=1e-6)
+    table = model.denoiser.sinusoid[tensor(arrays["t"])]
+    assert largest_difference(table, arrays["sinusoid"]) < 3e-5
+    assert largest_difference(model.denoiser.time(table), arrays["time_embedding"]) < 3e-5
+    level = torch.from_numpy(model.schedule.alphas_cumprod[arrays["t"]]).float()[:, None, None]
+    noisy = level.sqrt() * tensor(arrays["coefficients"]) + (1 - level).sqrt() * tensor(arrays["training_noise"])
+    assert largest_difference(noisy, arrays["x_t"]) < 3e-5
+
+
+def test_humanmac_denoiser_loss_and_gradient(samples):
+    arrays = load(samples, "humanmac")
+    model = _humanmac(arrays)
+    step, noise, condition = (tensor(arrays[name]) for name in ("t", "training_noise", "condition"))
+    noisy = tensor(arrays["x_t"])[:, None]
+    predicted = model.denoiser(noisy, step, model.denoiser.prepare(condition))[:, 0]
+    assert largest_difference(predicted, arrays["epsilon"]) < 2e-5
+    loss = (predicted - noise).square().mean()
+    assert loss.item() == pytest.approx(float(arrays["loss"]), abs=1e-5)
+    loss.backward()
+    norm = torch.stack([parameter.grad.norm() for parameter in model.parameters()]).norm()
+    assert norm.item() == pytest.approx(float(arrays["grad_norm"]), rel=1e-4)
+    none = torch.zeros(len(step), 1, dtype=torch.bool)
+    without = model.denoiser(noisy, step, model.denoiser.prepare(condition, none))[:, 0]
+    assert largest_difference(without, arrays["epsilon_unconditioned"]) < 2e-5
+    loss = (without - noise).square().mean()
+    assert loss.item() == pytest.approx(float(arrays["loss_unconditioned"]), abs=1e-5)
+    whole = model.loss(tensor(arrays["motion"]), step, noise)
+    assert whole.item() == pytest.approx(float(arrays["loss"]), abs=1e-5)
+
+
+@pytest.mark.parametrize("suffix", ["", "_unconditioned"])
+def test_humanmac_sampling(samples, suffix):
+    arrays = load(samples, "humanmac")
+    model = _humanmac(arrays)
+    known = tensor(arrays["condition"])
+    noise = iter([tensor(draw)[:, None] for draw in (arrays["start_noise"], *arrays["completion_noise"])])
+    kept = torch.zeros(len(known), 1, dtype=torch.bool) if suffix else None
+    states = list(model.states(known, model.condition(known), lambda: next(noise), kept))
+    assert largest_difference(torch.stack(states)[:, :, 0], arrays[f"x{suffix}"]) < 5e-4
+    prediction = model.transform.inverse(states[-1])[:, 0]
+    assert largest_difference(prediction, arrays[f"prediction{suffix}"]) < 2e-4

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 from pathlib import Path
 
@@ -11,9 +12,10 @@ import pytest
 import torch
 
 from prbench.errors import AdapterError, InputFileError, PrbenchError, TrainingStopped, UsageError
+from prbench.geometry.skeleton import BONES, Joint
 from prbench.harness.methods.installed import load_task
 from prbench_adapters.prediction.adapter import LearnedPredictor, load_predictor
-from prbench_adapters.prediction.training import RateCourse
+from prbench_adapters.prediction.training import RateCourse, augmented, mirror_partners
 from prbench_adapters.training.batches import WindowChoice, WindowsDataset
 from prbench_adapters.training.run import TrainRequest, train
 from prbench_benchmarks.motion_prediction.batch import Condition, ObservedBatch, ask
@@ -300,3 +302,43 @@ def test_the_head_takes_the_place_of_gaze(trained):
 def test_the_learning_rate_follows_its_course():
     course = RateCourse(milestones=(0.25, 0.5), linear_from=0.6)
     assert [course.at(place) for place in (0.0, 0.25, 0.5, 0.8)] == pytest.approx([1.0, 0.9, 0.81, 0.405])
+
+
+NAMES = [joint.name.lower() for joint in Joint]
+STILL, NEVER = torch.zeros(2), torch.zeros(2, dtype=torch.bool)
+
+
+@pytest.fixture
+def motion():
+    return torch.randn(2, 7, 23, 3, generator=torch.Generator().manual_seed(1))
+
+
+def test_partners_are_found_by_either_spelling():
+    partners = mirror_partners(NAMES)
+    assert partners[Joint.LEFT_WRIST] == Joint.RIGHT_WRIST
+    assert partners[Joint.HEAD] == Joint.HEAD
+    assert [partners[partner] for partner in partners] == list(range(22))
+    assert mirror_partners(["base", "lHip", "linnerShoulder", "rHip", "rinnerShoulder"]) == (0, 3, 4, 1, 2)
+    with pytest.raises(ValueError, match="'left_eye' has no partner"):
+        mirror_partners(["head", "left_eye"])
+
+
+def test_a_mirror_exchanges_left_and_right(motion):
+    found = augmented(motion, mirror_partners(NAMES), turn=STILL, mirrored=torch.tensor([True, False]))
+    assert torch.equal(found[1], motion[1])
+    expected = motion[0, :, Joint.RIGHT_WRIST] * torch.tensor([-1.0, 1.0, 1.0])
+    assert torch.equal(found[0, :, Joint.LEFT_WRIST], expected)
+    assert torch.equal(found[0, :, 22, 0], -motion[0, :, 22, 0])
+
+
+def test_a_turn_is_about_the_vertical_and_keeps_bones(motion):
+    turn = torch.tensor([math.pi / 2, 0.3])
+    found = augmented(motion, mirror_partners(NAMES), turn=turn, mirrored=NEVER)
+    torch.testing.assert_close(found[0, ..., 0], motion[0, ..., 2])
+    assert torch.equal(found[..., 1], motion[..., 1])
+    parents, children = map(list, zip(*BONES))
+    torch.testing.assert_close(
+        (found[:, :, parents] - found[:, :, children]).norm(dim=-1),
+        (motion[:, :, parents] - motion[:, :, children]).norm(dim=-1),
+    )
+    torch.testing.assert_close(found[:, :, 22].norm(dim=-1), motion[:, :, 22].norm(dim=-1))

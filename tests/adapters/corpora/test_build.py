@@ -1,9 +1,11 @@
-"""From written files to a corpus: clocks found, the joints of the in-memory exit, the same bytes for any workers."""
+"""From written files to a corpus: clocks found, equal joints without files, defects, the page."""
 
 from __future__ import annotations
 
 import json
+import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +14,16 @@ from prbench.engine import ProcessPool
 from prbench.errors import InputFileError, UsageError
 from prbench.protocol.manifests import load_manifest
 from prbench.sequences import CorpusTable
+from prbench.sequences.corpus import ANNOTATION_OUTCOMES, ANNOTATIONS, CLIPS, CORPUS_RECORDINGS
+from prbench.synthetic.layouts import Defect
 from prbench_adapters.corpora.build import build_corpus, plan_corpus
+from prbench_adapters.corpora.humanml3d.synthetic import DEFECTS as HUMANML3D_DEFECTS
 from prbench_adapters.corpora.nymeria.files import find_sequences
 from prbench_adapters.corpora.nymeria.format import participant_of
 from prbench_adapters.corpora.nymeria.source import CORPUS, split_by_participant
+from prbench_adapters.corpora.nymeria.synthetic import DEFECTS as NYMERIA_DEFECTS
 from prbench_adapters.corpora.sources import CorpusOptions
+from prbench_adapters.corpora.synthetic import synthesize_corpus_tree
 from tests.adapters.corpora.conftest import SEED
 
 
@@ -201,3 +208,81 @@ def test_a_failure_can_end_the_build(nymeria_tree, tmp_path):
     assert str(tmp_path) not in report.info.quarantine[0].message
     with pytest.raises(InputFileError, match=r"xdata\.npz"):
         build_corpus("nymeria", tree, tmp_path / "strict", options=CorpusOptions(on_error="fail"))
+
+
+def damaged(tree, tmp_path, defect: Defect):
+    copy = tmp_path / "tree"
+    shutil.copytree(tree, copy)
+    first = next(iter(json.loads((copy / "synthetic.json").read_text())["split"]))
+    defect.apply(copy, first)
+    return copy, first
+
+
+def check_defect(name: str, tree, tmp_path, defect: Defect) -> None:
+    copy, first = damaged(tree, tmp_path, defect)
+    (record,) = build_corpus(name, copy, tmp_path / "out", options=CorpusOptions(recordings=first)).records
+    assert record.status == defect.outcome, record.message
+    assert defect.says in record.message
+    if defect.outcome == "read" and not defect.says:
+        assert record.outcomes["clip"] > 0
+
+
+@pytest.mark.parametrize("defect", NYMERIA_DEFECTS, ids=lambda defect: defect.name)
+def test_defects_of_nymeria(nymeria_tree, tmp_path, defect):
+    check_defect("nymeria", nymeria_tree, tmp_path, defect)
+
+
+@pytest.mark.parametrize("defect", HUMANML3D_DEFECTS, ids=lambda defect: defect.name)
+def test_defects_of_humanml3d(humanml3d_tree, tmp_path, defect):
+    check_defect("humanml3d", humanml3d_tree, tmp_path, defect)
+
+
+@pytest.mark.parametrize("name", ["unsorted-rows", "no-byte-order-mark", "nested", "by-group", "repeated-row"])
+def test_harmless_defects_change_no_clip(nymeria_tree, tmp_path, name):
+    defect = next(each for each in NYMERIA_DEFECTS if each.name == name)
+    copy, first = damaged(nymeria_tree, tmp_path, defect)
+    options = CorpusOptions(recordings=first)
+    one = build_corpus("nymeria", nymeria_tree, tmp_path / "one", options=options).info
+    other = build_corpus("nymeria", copy, tmp_path / "other", options=options).info
+    if name == "repeated-row":
+        assert other.outcomes["duplicate"] == 1
+    if name == "by-group":  # the trajectory stays with the sequence's name
+        assert one.counts == other.counts
+    assert one.content_digest == other.content_digest
+
+
+def test_defects_are_done_by_name(tmp_path):
+    synthesize_corpus_tree("nymeria", tmp_path / "tree", recordings=1, defects=["missing-suit"])
+    assert not list((tmp_path / "tree").glob("*/body/xdata.npz"))
+    with pytest.raises(UsageError, match="Did you mean 'missing-suit'"):
+        synthesize_corpus_tree("nymeria", tmp_path / "other", recordings=1, defects=["missing-suits"])
+    with pytest.raises(UsageError, match="nymeria, humanml3d"):
+        synthesize_corpus_tree("motionx", tmp_path / "other", recordings=1)
+
+
+PAGE = (Path(__file__).parents[3] / "docs" / "corpus.md").read_text(encoding="utf-8")
+
+
+def _columns(section: str) -> set[str]:
+    text = PAGE.split(f"\n## {section}\n", 1)[1].split("\n## ")[0]
+    cells = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
+    return {name for cell in cells for name in re.findall(r"`(\w+)`", cell)}
+
+
+@pytest.mark.parametrize(
+    ("section", "columns"),
+    [
+        ("clips", set(CLIPS.names)),
+        ("annotations", set(ANNOTATIONS.names)),
+        (
+            "recordings",
+            set(CORPUS_RECORDINGS.names) - set(ANNOTATION_OUTCOMES) | {ANNOTATION_OUTCOMES[0], ANNOTATION_OUTCOMES[-1]},
+        ),
+    ],
+)
+def test_every_column_is_explained(section, columns):
+    assert _columns(section) == columns
+
+
+def test_every_outcome_is_listed():
+    assert all(f"`{outcome}`" in PAGE for outcome in ANNOTATION_OUTCOMES)

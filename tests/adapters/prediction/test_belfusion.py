@@ -1,4 +1,4 @@
-"""BeLFusion's autoencoders and diffusion give the values of the published program."""
+"""BeLFusion: the values of the published program, sizes, and what holds for any weights."""
 
 from __future__ import annotations
 
@@ -13,14 +13,7 @@ from prbench_adapters.prediction.belfusion import (
     PastAutoencoder,
     UNetConfiguration,
 )
-from tests.adapters.prediction.golden import (
-    largest_difference,
-    load,
-    load_behaviour,
-    load_past,
-    load_unet,
-    tensor,
-)
+from tests.adapters.prediction.golden import largest_difference, load, load_behaviour, load_past, load_unet, tensor
 
 AUTOENCODER, DENOISER = 5e-6, 1e-5
 

@@ -1,17 +1,112 @@
+"""The tables of the study: printed numbers, estimates, and rows that are scored."""
+
 from __future__ import annotations
 
+from collections import Counter
+
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from prbench.cli.main import main
 from prbench.errors import RunError, UsageError
+from prbench.harness.intervals import compare
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.tables import Block, as_json, as_markdown
 from prbench_benchmarks.motion_prediction.charts import draw_prediction
-from prbench_benchmarks.motion_prediction.study_tables import prediction_tables, scores_of_runs
+from prbench_benchmarks.motion_prediction.scoring import Scores
+from prbench_benchmarks.motion_prediction.study_tables import (
+    PUBLISHED_METRICS,
+    TABLES,
+    estimates,
+    load_tables,
+    paired,
+    prediction_tables,
+    published_scores,
+    scores_of_runs,
+)
 from prbench_benchmarks.motion_prediction.table import WindowsTable
 from tests.benchmarks.motion_prediction.windows import walking, write
+
+
+@pytest.mark.parametrize(("name", "cells"), [("table_1", 56), ("table_2", 24), ("table_3", 20), ("apd", 4)])
+def test_a_table_has_all_its_cells_once(name, cells):
+    numbers = published_scores(name)
+    assert len(numbers) == cells
+    keys = Counter((each["dataset"], each["method"], each["variant"], each["metric"]) for each in numbers)
+    assert max(keys.values()) == 1
+    assert all(float(each["value"]) > 0 for each in numbers)
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_every_printed_number_belongs_to_a_row(table):
+    rows = {(row.method, row.variant) for row in load_tables().rows if table in row.tables}
+    numbers = published_scores(f"table_{table}")
+    assert {(each["method"], each["variant"]) for each in numbers} <= rows
+    assert {each["metric"] for each in numbers} == set(PUBLISHED_METRICS)
+
+
+def test_the_gain_over_humanmac_is_the_one_that_the_text_claims():
+    ade = {
+        each["method"]: float(each["value"])
+        for each in published_scores("table_1")
+        if (each["dataset"], each["metric"]) == ("mogaze", "ade") and each["variant"] in ("full", "without gaze")
+    }
+    full = next(
+        float(each["value"])
+        for each in published_scores("table_1")
+        if (each["dataset"], each["metric"], each["variant"]) == ("mogaze", "ade", "full")
+    )
+    assert 1 - full / ade["humanmac"] == pytest.approx(0.128, abs=0.001)
+
+
+def test_names_of_rows_are_unique():
+    names = [row.name for row in load_tables().rows]
+    assert len(set(names)) == len(names)
+
+
+def scores(shift: float = 0.0, recordings: int = 8) -> Scores:
+    rng = np.random.default_rng(0)
+    found = Scores()
+    for number in range(recordings):
+        values = 20 + rng.normal(size=5) + 3 * rng.normal()
+        names = [f"{number}/{place}" for place in range(5)]
+        ade = values + shift + 0.01 * rng.normal()
+        found.add({"window_id": names, "recording_id": [str(number)] * 5, "ade": ade, "wrist_to_goal": [np.nan] * 5})
+    return found
+
+
+def test_intervals_are_over_recordings():
+    estimate = estimates(scores())["ade"]
+    assert (estimate.n_recordings, estimate.n_sequences) == (8, 40)
+    assert estimate.low is not None
+    assert estimate.high is not None
+    of_windows = 1.96 * np.std(scores().columns["ade"]) / np.sqrt(40)
+    assert estimate.high - estimate.low > 2 * 2 * of_windows
+    assert "wrist_to_goal" not in estimates(scores())
+
+
+def test_no_interval_of_a_distance_reaches_below_zero():
+    few = Scores()
+    for number in range(8):
+        values = [0.0, 0.0, 6.0 if number == 0 else 0.0]
+        few.add({"window_id": [f"{number}/{k}" for k in range(3)], "recording_id": [str(number)] * 3, "mmade": values})
+    assert estimates(few)["mmade"].low == 0.0
+
+
+def test_differences_are_paired():
+    pair = paired(scores(-0.1), scores(), "ade")
+    assert pair is not None
+    found = compare({"ade": pair})["ade"]
+    assert found.difference.mean == pytest.approx(-0.1)
+    assert found.difference.high is None  # the differences are equal: they show no spread
+    assert paired(scores(-0.1), scores(), "wrist_to_goal") is None
+
+
+def test_scores_of_other_windows_are_refused():
+    with pytest.raises(UsageError, match="same windows"):
+        paired(scores(), scores(recordings=7), "ade")
 
 
 @pytest.fixture(scope="module")
