@@ -1,4 +1,4 @@
-"""Synthetic trees of the two datasets, written once."""
+"""Synthetic trees of the two datasets."""
 
 from __future__ import annotations
 
@@ -6,22 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from prbench_adapters.corpora.synthetic import synthesize_corpus_tree
-
-SEED = 5
+from tests.adapters.corpora.suits import corpus_tree
 
 
 @pytest.fixture(scope="session")
-def nymeria_tree(tmp_path_factory) -> Path:
-    """Three sequences, the last one without the glasses' trajectory."""
-    root = tmp_path_factory.mktemp("nymeria") / "tree"
-    synthesize_corpus_tree("nymeria", root, recordings=3, seed=SEED)
-    return root
+def nymeria_tree() -> Path:
+    return corpus_tree("nymeria")
 
 
 @pytest.fixture(scope="session")
-def humanml3d_tree(tmp_path_factory) -> Path:
-    """Two recordings cut into captioned motions, with mirrored copies."""
-    root = tmp_path_factory.mktemp("humanml3d") / "tree"
-    synthesize_corpus_tree("humanml3d", root, recordings=2, seed=SEED)
-    return root
+def humanml3d_tree() -> Path:
+    return corpus_tree("humanml3d")

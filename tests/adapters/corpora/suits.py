@@ -1,4 +1,4 @@
-"""Small suit recordings made by hand."""
+"""Small suit recordings made by hand, and synthetic trees of both datasets that are made once a run."""
 
 from __future__ import annotations
 
@@ -10,10 +10,19 @@ import numpy as np
 from prbench.geometry.skeleton import XSENS_SEGMENTS
 from prbench.protocol.manifests import load_manifest
 from prbench_adapters.corpora.nymeria.format import Suit
+from prbench_adapters.corpora.synthetic import synthesize_corpus_tree
 from tests.fakes import STANDING
+from tests.shared import made_once
 
 THRESHOLDS = load_manifest("nymeria").thresholds
 START_US = 5_000_000
+SEED = 5
+
+
+def corpus_tree(layout: str) -> Path:
+    """Three sequences of Nymeria, the last one without trajectory, or two recordings of HumanML3D."""
+    count = 3 if layout == "nymeria" else 2
+    return made_once(f"corpus-{layout}", lambda path: synthesize_corpus_tree(layout, path, recordings=count, seed=SEED))
 
 
 def walking_suit(n: int = 1200, *, speed: float = 0.8) -> Suit:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
-from prbench.errors import InputFileError
 from prbench_adapters.corpora.nymeria.files import read_narrations
 
 HEADER = "request_id,gaia_id,start_time,end_time,annotator,creation_time,"
@@ -41,26 +38,3 @@ def test_an_empty_file_has_no_rows_and_empty_answers_are_kept(tmp_path):
     assert read_narrations(write(tmp_path, f"{HEADER}Describe my activity\n"), "atomic_action") == ()
     (row,) = read_narrations(write(tmp_path, f"{HEADER}Describe my activity\n1,2,3,7,a,x,\n\n"), "atomic_action")
     assert row.texts == (("activity", ""),)
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("gaia_id,end_time,Describe my activity\n", "a column 'start_time'"),
-        ("start_time,end_time,activity\n1,2,x\n", "begins with 'Describe my'"),
-        (f"{HEADER}Describe my activity\n1,2,three,4,a,x,text\n", "row 2.*'three'"),
-        (f"{HEADER}Describe my activity\n1,2,nan,4,a,x,text\n", "row 2.*'nan'"),
-        (f"{HEADER}Describe my activity\n1,2,3,4,a\n", "row 2.*7 cells, found 5"),
-        (f"{HEADER}Describe my activity\n1,2,3000,6000,a,x,t\n1,2,9000,12500,a,x,t\n", "milliseconds"),
-    ],
-)
-def test_files_that_break_a_promise_are_refused_with_the_place(tmp_path, text, says):
-    with pytest.raises(InputFileError, match=says):
-        read_narrations(write(tmp_path, text), "atomic_action")
-
-
-def test_other_bytes_than_utf8_are_refused(tmp_path):
-    path = tmp_path / "atomic_action.csv"
-    path.write_bytes(b"start_time,end_time,Describe my activity\n1,2,\xff\xfe\n")
-    with pytest.raises(InputFileError, match="UTF-8"):
-        read_narrations(path, "atomic_action")

@@ -7,12 +7,11 @@ import shutil
 import numpy as np
 import pytest
 
-from prbench.engine import ProcessPool
 from prbench.errors import InputFileError, UsageError
 from prbench.sequences import CorpusTable
 from prbench_adapters.corpora.build import build_corpus
 from prbench_adapters.corpora.humanml3d import files as layout
-from prbench_adapters.corpora.humanml3d.files import read_joints, read_texts
+from prbench_adapters.corpora.humanml3d.files import read_texts
 from prbench_adapters.corpora.humanml3d.source import HumanML3DSource
 from prbench_adapters.corpora.sources import CorpusOptions
 from tests.fakes import smooth_motion
@@ -90,27 +89,6 @@ def test_captions_with_the_separator_inside_and_nan_times_are_read(tmp_path):
     assert (second.kind, start, end) == ("sub_caption", 0.5, 2.0)
 
 
-@pytest.mark.parametrize(("line", "says"), [("only text", "line 1"), ("a#b#c#d", "a time"), ("a#b#0#inf", "finite")])
-def test_broken_lines_are_named(tmp_path, line, says):
-    path = tmp_path / "t.txt"
-    path.write_text(line)
-    with pytest.raises(InputFileError, match=says):
-        read_texts(path)
-
-
-def test_joints_of_other_shapes_and_units_are_refused(tmp_path):
-    path = tmp_path / "j.npy"
-    for wrong, says in (
-        (np.zeros((5, 21, 3)), "22, 3"),
-        (smooth_motion("a", 5) * 1000, "metres"),
-        (np.zeros((5, 22, 3)), "a body"),
-        (np.where(np.arange(5)[:, None, None] == 3, np.nan, smooth_motion("a", 5)), "frame 3"),
-    ):
-        np.save(path, wrong)
-        with pytest.raises(InputFileError, match=says):
-            read_joints(path)
-
-
 def test_mirrored_copies_stay_with_their_motion(built):
     rows = CorpusTable.open(built.folder).scalars().to_pylist()
     by_id = {row["recording_id"]: row for row in rows if row["kind"] == "caption"}
@@ -126,12 +104,6 @@ def test_the_official_lists_are_the_splits(built, humanml3d_tree):
     for split, name in layout.SPLIT_FILES.items():
         listed = set((humanml3d_tree / name).read_text().split())
         assert listed == {row["recording_id"] for row in rows if row["split"] == split}
-
-
-def test_workers_change_no_byte(built, humanml3d_tree, tmp_path):
-    again = build_corpus("humanml3d", humanml3d_tree, tmp_path / "out", engine=ProcessPool(2))
-    for path in built.folder.iterdir():
-        assert path.read_bytes() == (again.folder / path.name).read_bytes(), path.name
 
 
 def test_features_alone_are_answered_with_what_is_missing(humanml3d_tree, tmp_path):

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -11,13 +13,22 @@ from prbench_benchmarks.motion_prediction.batch import Condition
 from prbench_benchmarks.motion_prediction.predictors import NearestPast, ZeroVelocity
 from prbench_benchmarks.motion_prediction.scoring import score_predictor
 from prbench_benchmarks.motion_prediction.table import WindowsTable
-from tests.fakes import fake_dataset
+from tests.fakes import fake_dataset, fake_sequence
 
 
 @pytest.fixture(scope="module")
 def tables(tmp_path_factory) -> tuple[SequenceTable, WindowsTable]:
     folder = tmp_path_factory.mktemp("anchored")
-    fake_dataset(folder / "table", 6)
+
+    def looking_about(index, **more):
+        row = fake_sequence(index, **more)
+        frames = np.arange(row.n_frames)
+        directions = np.stack([np.sin(frames / 9), 0 * frames, np.cos(frames / 9)], axis=1)
+        return dataclasses.replace(row, gaze_direction=directions, gaze_valid=frames % 7 > 0)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tests.fakes.fake_sequence", looking_about)
+        fake_dataset(folder / "table", 6)
     build_anchored_windows(folder / "table", folder / "windows")
     return SequenceTable.open(folder / "table"), WindowsTable.open(folder / "windows")
 
@@ -39,6 +50,24 @@ def test_the_last_observed_frame_is_the_prime_or_lies_before_the_event(tables):
             np.testing.assert_allclose(batch.observed_joints[row, -1], expected, atol=1e-5)
     assert all(last == of_prime for last, of_prime, _ in lasts["prime"])
     assert all(last == event - 20 for last, _, event in lasts["event-1"])
+
+
+def test_gaze_is_that_of_a_tenth_of_a_second_before(tables):
+    sequences, table = tables
+    chunk = next(sequences.chunks())
+    looks = np.split(chunk.frames("gaze_direction"), chunk.offsets[1:-1])
+    seen = np.split(chunk.frames("gaze_valid"), chunk.offsets[1:-1])
+    compared = 0
+    for batch, truth in table.batches(Condition.POSE_GAZE, table.chosen(with_excluded=True), frame="room"):
+        for row, name in enumerate(truth.window_ids):
+            sequence, _, start = name.rsplit("/", 2)
+            place = chunk.sequence_ids.index(sequence)
+            frames = np.arange(int(start), int(start) + 10) - 2  # at 20 frames a second
+            there = (frames >= 0) & seen[place][np.maximum(frames, 0)].astype(bool)
+            np.testing.assert_array_equal(batch.gaze_valid[row], there)
+            np.testing.assert_allclose(batch.gaze[row][there], looks[place][frames[there]], atol=1e-6)
+            compared += int(there.sum())
+    assert compared > 100
 
 
 def test_a_predictor_is_not_told_when_the_event_happens(tables):

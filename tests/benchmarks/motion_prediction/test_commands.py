@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from prbench.cli.main import main
-from prbench.readers.mogaze.format import Segment
-from prbench.readers.mogaze.synthetic import write
+from tests.benchmarks.motion_prediction.windows import mogaze
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
-from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, N, still_life
 
 
-@pytest.fixture
-def root(tmp_path):
-    write(replace(still_life(), segments=(Segment(0, N, "null"),)), tmp_path / "mogaze")
-    names = {CUP: "cup_red", PLATE: "plate_red", GOGGLES: "goggles", TABLE: "table"}
-    bodies = "".join(f'<body id="{key}" name="{name}"/>' for key, name in names.items())
-    (tmp_path / "mogaze" / "scene.xml").write_text(f"<scene>{bodies}</scene>")
-    return tmp_path / "mogaze"
-
-
-def test_recordings_become_windows(root, tmp_path, capsys):
-    words = ["build-windows", "mogaze", "--root", str(root), "--out", str(tmp_path / "w")]
+def test_recordings_become_windows(tmp_path, capsys):
+    words = ["build-windows", "mogaze", "--root", str(mogaze()), "--out", str(tmp_path / "w")]
     report = reported(words, capsys)
     assert report.built is not None
-    assert (report.built.joint_set, report.built.outcomes) == ("mogaze21", {"window": 3})
+    assert (report.built.joint_set, report.built.outcomes) == ("mogaze21", {"window": 6})
 
 
 def test_a_table_becomes_anchored_windows(tmp_path, capsys):

@@ -29,6 +29,9 @@ def test_the_best_sample_counts_for_each_metric_by_itself():
     found = metrics.displacements(metrics.frame_errors(PREDICTED, TRUTH))
     assert (found["ade"][0], found["fde"][0]) == (1.0, 1.0)
     assert (found["ade_mean"][0], found["fde_mean"][0]) == (1.25, 2.0)
+    # Backwards B ends where it should, and A has the smaller error on average.
+    backwards = metrics.displacements(metrics.frame_errors(PREDICTED[:, :, ::-1], TRUTH))
+    assert (backwards["ade"][0], backwards["fde"][0]) == (1.0, 0.0)
 
 
 def test_diversity_is_over_the_flattened_motion():

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.engine import ProcessPool
 from prbench.errors import AdapterError, PrbenchError, RunError, UsageError
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.request import RunRequest
@@ -177,12 +176,6 @@ def test_samples_of_one_design_have_no_scores_of_fewer(windows, tmp_path, predic
     methods = [json.loads((tmp_path / name / "run.json").read_text())["method"] for name in ("drawn", "designed")]
     assert "one_design" not in methods[0]
     assert methods[1]["one_design"] is True
-
-
-def test_workers_leave_no_trace(windows, tmp_path):
-    run_method(asked(windows, tmp_path / "one"))
-    run_method(asked(windows, tmp_path / "two"), engine=ProcessPool(2))
-    assert reproducible_bytes(tmp_path / "one") == reproducible_bytes(tmp_path / "two")
 
 
 def test_the_nearest_past_learns_from_the_training_split(windows, tmp_path):

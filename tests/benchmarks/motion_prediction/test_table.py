@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from prbench.errors import StorageError, TableError, UsageError
+from prbench.errors import TableError, UsageError
 from prbench_benchmarks.motion_prediction.batch import Condition, ask
 from prbench_benchmarks.motion_prediction.predictors import ConstantVelocity, ZeroVelocity
 from prbench_benchmarks.motion_prediction.table import WindowsTable
@@ -115,22 +115,3 @@ def test_a_table_that_was_edited_is_refused(tmp_path, name):
     pq.write_table(pq.read_table(path).slice(1), path)
     with pytest.raises(TableError, match=name):
         WindowsTable.open(folder)
-
-
-def test_captured_bodies_never_stand_beside_estimated_ones(tmp_path):
-    estimated = replace(windows.walking("b", 120), pose_source="egoallo")
-    with pytest.raises(TableError, match="found both: a and b"):
-        windows.write(tmp_path / "w", windows.walking("a", 120), estimated)
-    assert not (tmp_path / "w").exists()
-
-
-def test_equal_runs_make_equal_bytes(tmp_path):
-    one, other = windows.write(tmp_path / "one"), windows.write(tmp_path / "other")
-    for name in ("streams.parquet", "windows.parquet", "windows.json"):
-        assert (one / name).read_bytes() == (other / name).read_bytes()
-
-
-def test_a_folder_of_something_else_is_not_replaced(tmp_path):
-    (tmp_path / "thesis.txt").write_text("dear")
-    with pytest.raises(StorageError, match="no table of windows"):
-        windows.write(tmp_path)

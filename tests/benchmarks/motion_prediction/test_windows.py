@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import pickle
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from prbench.errors import InputFileError, StorageError, TableError
-from prbench.readers.mogaze.format import Segment
+from prbench.errors import InputFileError, PrbenchError, TableError
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze.synthetic import write
 from prbench.recording.streams import BodyStream, GazeStream, PoseStream, PublishedTrack, Recording
 from prbench_benchmarks.motion_prediction.batch import Condition
@@ -23,8 +23,9 @@ from prbench_benchmarks.motion_prediction.windows import (
     runs_of_tracks,
     window_starts,
 )
+from tests.benchmarks.motion_prediction.windows import mogaze
 from tests.fakes import STANDING
-from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, N, still_life
+from tests.recording.mogaze_scene import still_life
 
 RULES = load_prediction_protocol().windows
 
@@ -124,20 +125,8 @@ def test_a_published_segment_stays_whole_and_says_which_windows_are_not_scored()
     assert [window.n_gaze_valid for window in cut.windows] == [12] * 4  # of five frames the fifth is older than 0.12 s
 
 
-@pytest.fixture
-def root(tmp_path):
-    """Three recordings, each one segment of 120 frames at 30 frames a second."""
-    for name in ("p1_1", "p7_1", "p7_2"):
-        readings = replace(still_life(), recording_id=name, participant_id=name[:2], segments=(Segment(0, N, "null"),))
-        write(readings, tmp_path / "mogaze")
-    names = {CUP: "cup_red", PLATE: "plate_red", GOGGLES: "goggles", TABLE: "table"}
-    bodies = "".join(f'<body id="{key}" name="{name}"/>' for key, name in names.items())
-    (tmp_path / "mogaze" / "scene.xml").write_text(f"<scene>{bodies}</scene>")
-    return tmp_path / "mogaze"
-
-
-def test_published_segments_have_native_joints_and_published_splits(root, tmp_path):
-    report = build_windows(plan_windows("mogaze", root), tmp_path / "windows")
+def test_published_segments_have_native_joints_and_published_splits(tmp_path):
+    report = build_windows(plan_windows("mogaze", mogaze()), tmp_path / "windows")
     table = WindowsTable.open(tmp_path / "windows")
     assert report.info.joint_set == "mogaze21"
     assert report.info.outcomes == {"window": 6}  # ceil((120 - 75) / 15) = 3 of each of the two
@@ -147,30 +136,53 @@ def test_published_segments_have_native_joints_and_published_splits(root, tmp_pa
     assert batch.observed_joints.shape == (3, 15, 21, 3)
 
 
-def test_every_dataset_has_the_22_joints(root, tmp_path):
-    info = build_windows(plan_windows("mogaze", root, joints="smpl22"), tmp_path / "windows").info
+def test_every_dataset_has_the_22_joints(tmp_path):
+    info = build_windows(plan_windows("mogaze", mogaze(), joints="smpl22"), tmp_path / "windows").info
     assert (info.joint_set, info.runs, info.outcomes) == ("smpl22", 2, {"window": 6})
     assert info.options["joints"] == "smpl22"
-    native = build_windows(plan_windows("mogaze", root), tmp_path / "native")
+    native = build_windows(plan_windows("mogaze", mogaze()), tmp_path / "native")
     same = [WindowsTable.open(tmp_path / name).windows["window_id"].to_pylist() for name in ("windows", "native")]
     assert native.info.joint_set == "mogaze21"
     assert same[0] == same[1]
 
 
-class _Elsewhere:
-    """Sends work and results through pickle, as processes do."""
+def test_the_description_says_what_was_asked_for_and_every_recording_is_told(tmp_path):
+    told = []
+    plan = plan_windows("mogaze", mogaze(), recordings="p*_1", limit=1)
+    info = build_windows(plan, tmp_path / "w", progress=lambda *each: told.append(each)).info
+    assert told == [(1, 1, "p1_1")]
+    assert info.options == {"joints": "native", "recordings": "p*_1", "limit": "1"}
+    assert (info.fps, info.observed_frames, info.future_frames, info.fewest_gaze_frames) == (30.0, 15, 60, 12)
+    manifest = load_manifest("mogaze")
+    assert (info.dataset, info.synthetic, info.licence, info.citation) == (
+        "mogaze",
+        False,
+        manifest.licence,
+        manifest.citation,
+    )
+    everything = build_windows(plan_windows("mogaze", mogaze()), tmp_path / "all").info
+    assert everything.options["limit"] == "all"
+    assert everything.input_digest != info.input_digest
 
-    def map(self, function, items, *, if_full=None):
-        for item in items:
-            there = pickle.loads(pickle.dumps((function, item)))
-            yield pickle.loads(pickle.dumps(there[0](there[1])))
 
+def test_what_failed_before_a_kill_is_tried_again_and_what_does_not_fit_in_memory_is_told(tmp_path):
+    root = shutil.copytree(mogaze(), tmp_path / "mogaze")
+    gaze = root / "p1_1_gaze_data.hdf5"
+    sound = gaze.read_bytes()
+    gaze.write_bytes(b"\x89HDF")
+    with pytest.raises(KeyboardInterrupt):
+        build_windows(plan_windows("mogaze", root), tmp_path / "w", engine=_Killed())
+    gaze.write_bytes(sound)
+    report = build_windows(plan_windows("mogaze", root), tmp_path / "w")
+    assert (report.reused, report.info.recordings) == (0, 2)
 
-def test_other_processes_change_nothing(root, tmp_path):
-    build_windows(plan_windows("mogaze", root), tmp_path / "one")
-    build_windows(plan_windows("mogaze", root), tmp_path / "two", engine=_Elsewhere())
-    for name in ("streams.parquet", "windows.parquet", "windows.json"):
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    class Full:
+        def map(self, function, items, *, if_full=None):
+            for number, item in enumerate(items):
+                yield function(item) if number else if_full(item, PrbenchError("8 GB wanted"))
+
+    info = build_windows(plan_windows("mogaze", root), tmp_path / "w", engine=Full()).info
+    assert (info.quarantine[0].recording_id, info.quarantine[0].message) == ("p1_1", "8 GB wanted")
 
 
 class _Killed:
@@ -181,19 +193,20 @@ class _Killed:
         raise KeyboardInterrupt
 
 
-def test_a_build_that_was_killed_goes_on_and_ends_in_equal_bytes(root, tmp_path):
-    build_windows(plan_windows("mogaze", root), tmp_path / "whole")
+def test_a_build_that_was_killed_goes_on_and_ends_in_equal_bytes(tmp_path):
+    build_windows(plan_windows("mogaze", mogaze()), tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):
-        build_windows(plan_windows("mogaze", root), tmp_path / "windows", engine=_Killed())
+        build_windows(plan_windows("mogaze", mogaze()), tmp_path / "windows", engine=_Killed())
     assert not (tmp_path / "windows").exists()
-    report = build_windows(plan_windows("mogaze", root), tmp_path / "windows")
+    report = build_windows(plan_windows("mogaze", mogaze()), tmp_path / "windows")
     assert report.reused == 1
     for name in ("streams.parquet", "windows.parquet", "windows.json"):
         assert (tmp_path / "windows" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
-    assert {path.name for path in tmp_path.iterdir()} <= {"mogaze", "whole", "windows"}
+    assert {path.name for path in tmp_path.iterdir()} <= {"whole", "windows"}
 
 
-def test_a_damaged_recording_is_left_out_and_named(root, tmp_path):
+def test_a_damaged_recording_is_left_out_and_named(tmp_path):
+    root = shutil.copytree(mogaze(), tmp_path / "mogaze")
     (root / "p7_1_gaze_data.hdf5").write_bytes(b"\x89HDF")
     info = build_windows(plan_windows("mogaze", root), tmp_path / "windows").info
     assert info.recordings == 1
@@ -221,9 +234,3 @@ def test_segments_shorter_than_a_window_make_no_table(tmp_path):
     with pytest.raises(TableError, match="0 windows"):
         build_windows(plan_windows("mogaze", tmp_path / "mogaze"), tmp_path / "windows")
     assert not (tmp_path / "windows").exists()
-
-
-def test_a_folder_of_something_else_is_not_replaced(root, tmp_path):
-    (tmp_path / "thesis.txt").write_text("dear")
-    with pytest.raises(StorageError, match="no table of windows"):
-        build_windows(plan_windows("mogaze", root), tmp_path)

@@ -8,16 +8,36 @@ from pathlib import Path
 import numpy as np
 
 from prbench.geometry.skeleton import head_forward
+from prbench.readers.mogaze.format import Segment
+from prbench.readers.mogaze.synthetic import write as write_mogaze
 from prbench_benchmarks.motion_prediction.joint_sets import SMPL22
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
 from prbench_benchmarks.motion_prediction.table import SCHEMA_VERSION, Run, WindowsInfo, write_windows
 from prbench_benchmarks.motion_prediction.windows import sliding_windows
 from tests.fakes import STANDING
+from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, N, still_life
+from tests.shared import made_once
 
 RULES = load_prediction_protocol().windows
 
 
-def walking(name: str, n: int, *, split: str = "test", gaze: bool = True, number: int = 0) -> Run:
+def mogaze() -> Path:
+    """Native files of MoGaze, made once a run: three recordings, each one segment of 120 frames at 30 a second."""
+
+    def make(folder: Path) -> None:
+        for name in ("p1_1", "p7_1", "p7_2"):
+            segments = (Segment(0, N, "null"),)
+            write_mogaze(replace(still_life(), recording_id=name, participant_id=name[:2], segments=segments), folder)
+        names = {CUP: "cup_red", PLATE: "plate_red", GOGGLES: "goggles", TABLE: "table"}
+        bodies = "".join(f'<body id="{key}" name="{name}"/>' for key, name in names.items())
+        (folder / "scene.xml").write_text(f"<scene>{bodies}</scene>")
+
+    return made_once("mogaze-of-one-segment", make)
+
+
+def walking(
+    name: str, n: int, *, split: str = "test", gaze: bool = True, number: int = 0, pose_source: str = "invented"
+) -> Run:
     """A person who walks along a curve and looks about."""
     seconds = np.arange(n) / RULES.fps
     path = np.stack([0.9 * seconds + number, 0.02 * np.sin(9 * seconds), 0.5 * np.sin(seconds + number)], axis=1)
@@ -31,7 +51,7 @@ def walking(name: str, n: int, *, split: str = "test", gaze: bool = True, number
         split=split,
         published_split="",
         segment="0",
-        pose_source="invented",
+        pose_source=pose_source,
         fps=RULES.fps,
         start_time=0.0,
         joints=joints,
