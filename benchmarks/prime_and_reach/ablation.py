@@ -96,7 +96,7 @@ class AblationRequest:
 
     @property
     def folder(self) -> Path:
-        """Where trainings and runs of this configuration go."""
+        """Folder of the trainings and runs of this configuration."""
         return self.out / Path(self.configuration).stem
 
     def options_of(self, row: Ablation) -> dict[str, str]:
@@ -180,7 +180,7 @@ def ablation_table(number: str, folder: Path, check: Check | None, *, with_publi
 
     Args:
         number: ``3``, ``4`` or ``S4`` to ``S7``.
-        folder: Of one configuration.
+        folder: Folder of one configuration.
         check: Holds the scores against the motions.
         with_published: Show the study's rows in a block of their own.
 

@@ -25,8 +25,9 @@ class AnalysisReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         tables: The tables, those of one run one behind the other.
         fan: The picture of diversity; null if none was asked for.
-        fan_sequence: Id of the sequence in it; null likewise.
-        out: Of errors, the folder with one row a motion (``motions.parquet``, ``motions.csv``); null without ``--out``.
+        fan_sequence: Id of the sequence in that picture; null if none was asked for.
+        out: Folder with one row a motion (``motions.parquet``, ``motions.csv``), which ``errors`` writes; null without
+            ``--out``.
     """
 
     tables: list[Table]

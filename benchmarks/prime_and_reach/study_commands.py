@@ -43,7 +43,7 @@ class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
         out: The picture of a figure; null for a table.
         sequences: Ids of the sequences in a picture of motions.
         notices: Sentences that the datasets' terms ask for, as they stand in such a picture.
-        folder: With --train, folder of the configuration, with its trainings and runs; null without.
+        folder: Folder of the configuration, its trainings and runs; null without ``--train``.
         runs: Run folders that are finished, with --train.
         failed: Maps rows that failed to the reason, with --train.
     """
@@ -330,7 +330,7 @@ _ITEMS = {
 
 
 class _OutType(PlaceType):
-    """Of the files that are written or, with ``--train``, of the folder."""
+    """Type of ``--out``: files that are written or, with ``--train``, a folder."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Take a path, or a URL."""

@@ -29,7 +29,7 @@ class TableTwoAnswer(msgspec.Struct, frozen=True, kw_only=True):
     """Table 2 on one's own tables (``--method all``).
 
     Attributes:
-        folder: Where the rows' run folders and the two files of the table are.
+        folder: Folder of the rows' run folders and of the two files of the table.
         failed: Maps rows that were to be run and have no numbers to the reason.
         tables: The content of ``table_2.json``: a part for each dataset.
     """

@@ -40,20 +40,6 @@ def as_path(value: PathLike) -> Path:
     return Path(value).expanduser()
 
 
-def as_native_root(value: PathLike, dataset: str | None = None) -> Path:
-    """Return the folder of a dataset's own files; of a URL a local copy of those that its reader asks for.
-
-    Args:
-        value: See :func:`as_path`, whose errors these are, too.
-        dataset: Name of the dataset; None for any.
-    """
-    if is_url(value):
-        from prbench.object_stores.inputs import fetched_native
-
-        return fetched_native(str(value), dataset)
-    return Path(value).expanduser()
-
-
 @contextlib.contextmanager
 def output_folder(value: PathLike) -> Iterator[Path]:
     """A folder that the block writes; at a URL it is published when the block ends well.
@@ -165,7 +151,7 @@ def local(workers: Workers) -> int:
     """Return the number of processes for work that stays on this machine.
 
     Args:
-        workers: Of the function that was called.
+        workers: Processes, or a cluster, as the public function was given them.
 
     Raises:
         UsageError: for anything but a number of processes or a cluster.
@@ -183,7 +169,7 @@ def engine_of(workers: Workers, **needs: Any) -> Iterator[Engine]:
     """Open the engine that the block works with, and close it after the block.
 
     Args:
-        workers: Of the function that was called.
+        workers: Processes, or a cluster, as the public function was given them.
         needs: What work on a cluster needs of every node: see :func:`prbench.engine.choice.open_engine`.
 
     Raises:

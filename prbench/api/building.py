@@ -12,6 +12,7 @@ from prbench.api import arguments as args
 from prbench.api.pictures import frame_from_rows, notebook_table, progress
 from prbench.api.tables import Table, open_table
 from prbench.errors import UsageError
+from prbench.object_stores.store import is_url
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -118,9 +119,9 @@ def build_dataset(
         out: Folder of the table; an earlier one is replaced once the new one is ready, if that lacks nothing.
         replace: Replace an earlier table even where the new one lacks recordings that it holds.
         recordings: Only recordings whose name matches this pattern; ``*`` stands for any text.
-        max_recordings: At most so many recordings: the first by name.
+        max_recordings: Number of recordings to build, the first by name; None for all.
         in_hand: Another rule of the dataset for "the hand holds the object", for example ``wrist``.
-        ray_origin: Where gaze rays start; the eye by default.
+        ray_origin: Point where gaze rays start; the eye by default.
         priming: Prime times by the study's equations (``rule``), or taken over where the dataset publishes them.
         minimum_movement: What must be at least 20 cm: ``wrist_to_goal``, ``pelvis_displacement`` or
             ``object_displacement``.
@@ -164,7 +165,12 @@ def build_dataset(
         minimum_movement=minimum_movement,
         priming=priming,
     )
-    source = args.as_native_root(root, dataset)
+    if is_url(root):  # a local copy of the files that the dataset's reader asks for
+        from prbench.object_stores.inputs import fetched_native
+
+        source = fetched_native(str(root), dataset)
+    else:
+        source = Path(root).expanduser()
     with (
         args.output_folder(out) as folder,
         args.engine_of(workers, reads=(source,), writes=(folder,), packages=options.packages) as engine,
@@ -233,7 +239,7 @@ def synthesize(
         layout: Dataset whose layout the files have, for example ``adt`` or ``hot3d``.
         out: Folder of the recordings; earlier synthetic ones there are replaced.
         count: Number of recordings to make; by default the size's number (2 or 24).
-        seed: Of everything.
+        seed: Seed of everything that is drawn.
         size: ``tiny`` or ``default``.
         events: Picks and puts a recording; by default the size's number (6 or 10).
         bystander_objects: Objects that never move.

@@ -131,9 +131,9 @@ def measure(
         recorded: The recorded motion(s) in the same form, with the same lengths. Goal MPJPE, MPJPE and Location Error
             compare with it (docs/specification/metrics.md#goal-mpjpe, docs/specification/metrics.md#mpjpe,
             docs/specification/metrics.md#location-error).
-        goal_location: Where the object is, (3,) or (batch, 3), metres. Prime Success and Reach Success need it
+        goal_location: Position of the object, (3,) or (batch, 3), metres. Prime Success and Reach Success need it
             (docs/specification/metrics.md#prime-success, docs/specification/metrics.md#reach-success).
-        goal_box: In place of ``goal_location`` the object's box, of which the centre counts: lower and upper corner
+        goal_box: The object's box in place of ``goal_location``, of which the centre counts: lower and upper corner
             (2, 3) or all corners (8, 3), with a leading axis for several motions; metres.
         prime_time: When the recorded gaze first met the goal, seconds after the first frame
             (``sequence.prime_after``); a number, or (batch,).
@@ -274,7 +274,7 @@ def measure_futures(
         predicted: Positions (k, frames, joints, 3) of the K futures, without the observed frames.
         recorded: Positions (frames, joints, 3) of what happened in the same frames.
         last_observed: The last observed pose (joints, 3). ``first_frame_jump`` and ``bone_error_percent`` need it.
-        goal: Where the hand is in the last frame, (3,). ``wrist_to_goal`` and ``pelvis_at_event`` need it.
+        goal: Position of the hand in the last frame, (3,). ``wrist_to_goal`` and ``pelvis_at_event`` need it.
         fps: Frames per second. The errors at horizons, such as ``ade@0.5s``, need it.
         similar_futures: Futures (m, frames, joints, 3) of other windows with a similar past, in the same frame.
             ``mmade`` and ``mmfde`` need them; the recorded future is added to them.

@@ -354,7 +354,7 @@ def run(
         out: Run folder; by default one below ``runs`` whose name says what was run.
         split: The sequences to run; ``participants`` goes with ``fold``, ``published`` with motion prediction.
         fold: Such as ``2/6``: the participants of this fold are tested on.
-        limit: At most so many sequences of each dataset, of every recording its share; without ``data``
+        limit: Number of sequences of each dataset, of every recording its share; without ``data``
             10 by default.
         sequence: Run these only: ids, or parts of ids that fit one sequence only.
         weights: Bundled weights of the method by name, a file or a folder.

@@ -121,13 +121,13 @@ class Sequence(sequences.Sequence):
 
     @cached_property
     def goal(self) -> Goal:
-        """Where the object is at the event."""
+        """Position and box of the object at the event."""
         box = self.goal_box_world_min, self.goal_box_world_max
         return Goal(self.goal_location, *box, self.world_from_canonical)
 
     @cached_property
     def gaze(self) -> Gaze:
-        """Where the eyes look in every frame."""
+        """Origin, direction and validity of the gaze in every frame."""
         return Gaze(self.gaze_origin, self.gaze_direction, self.gaze_valid)
 
     @cached_property
@@ -371,7 +371,7 @@ class Table:
 
         Args:
             split: ``train``, ``validation`` or ``test``; all by default.
-            limit: At most so many, of every recording its share: with ``split`` the same that ``limit`` means for
+            limit: Number of sequences, of every recording its share: with ``split`` the same that ``limit`` means for
                 :func:`prbench.run` and :func:`prbench.score`.
 
         Raises:

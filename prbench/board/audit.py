@@ -21,7 +21,7 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.agreement import DatasetAgreement
 from prbench.harness.run_folder.summary import DatasetSummary, MeanOverDatasets, means_over_datasets
-from prbench.metrics import METRICS, MetricInfo
+from prbench.metrics import MetricInfo
 
 _ONLY_METHOD = "--method"
 
@@ -76,7 +76,7 @@ class ControlMeans:
     Attributes:
         name: Name of the control.
         is_recorded: The motions are the recorded ones, through another form at most.
-        means: By metric id; without those that a dataset lacks.
+        means: Maps metric ids to means; without metrics that a dataset lacks.
     """
 
     name: str
@@ -126,7 +126,7 @@ def audit(
         split: Split of the tables.
         limit: Sequences of each table; None for all.
         out: Folder that keeps the run folders; without it they are thrown away.
-        engine: Where the work is done.
+        engine: Engine that runs the controls.
         progress: Called after every run.
 
     Returns:
@@ -170,9 +170,3 @@ def audit(
                 audited.append(AuditedControl(label, use, name in RECORDED_MOTION, summary, agreement))
             progress(done + 1, len(wanted), label)
     return tuple(TableAudit(tuple(audited)) for audited in by_table)
-
-
-def metrics_of(controls: Sequence[ControlMeans]) -> list[MetricInfo]:
-    """Return the metrics that any control has a value of, in printed order."""
-    present = {name for control in controls for name in control.means}
-    return [info for info in METRICS if info.id in present]

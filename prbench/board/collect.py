@@ -32,7 +32,7 @@ COSTS = {
     "memory_mebibytes": "Memory (MiB)",
     "parameters": "Parameters",
 }
-# Of controls, whose motions the harness makes, and of motions that came as a file.
+# The cost of controls, whose motions the harness makes, and of motions that came as a file.
 UNMEASURED: dict[str, float | None] = dict.fromkeys(COSTS)
 
 
@@ -73,7 +73,7 @@ class LeaderboardRow:
         protocol: Name and version of a user's own protocol; empty for prbench's.
         scores: Its ``scores.parquet``.
         only: Ids of the sequences that its summary is of, and that it is compared on; None for all that were scored.
-        cost: Of a motion; see :func:`cost_of`.
+        cost: Cost of a motion; see :func:`cost_of`.
     """
 
     run: str
@@ -147,8 +147,8 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_bench
     """Read run folders, or all run folders below a folder.
 
     Args:
-        paths: In any order; a run that is named twice counts once.
-        check: By default a checker without tables, which leaves all runs unverified.
+        paths: Run folders in any order; a run that is named twice counts once.
+        check: Function that verifies a run; the default has no tables and leaves all runs unverified.
         any_benchmark: The caller shows runs of every benchmark; without it, those of the default one alone.
 
     Raises:

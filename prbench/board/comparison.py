@@ -226,7 +226,7 @@ def separate_by_comparison(rows: Sequence[LeaderboardRow], metrics: Sequence[Met
     """Compare every pair of rows sequence by sequence, on all metrics, corrected together after Holm.
 
     Args:
-        rows: On the same sequences of one dataset; where a row has ``only``, its other sequences do not count.
+        rows: Rows on the same sequences of one dataset; where a row has ``only``, its other sequences do not count.
         metrics: The metrics that are ranked; those without a better direction are left out.
 
     Raises:

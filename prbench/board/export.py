@@ -69,7 +69,7 @@ def export(leaderboard: Leaderboard, format: str) -> str:
     """The leaderboard as text that ends in a newline.
 
     Args:
-        leaderboard: Of :func:`prbench.board.tables.make_leaderboard`.
+        leaderboard: Result of :func:`prbench.board.tables.make_leaderboard`.
         format: ``md``; ``csv``, with rates in %, and an empty value where Markdown has a dash; or ``json``.
 
     Raises:
@@ -90,7 +90,7 @@ def measured_cells(row: TableRow, table: DatasetTable, **about: Any) -> tuple[Ce
 
     Args:
         row: The run.
-        table: It stands in this table.
+        table: Table in which the run stands.
         about: Other fields of each cell.
     """
     entry = row.entry
@@ -208,12 +208,12 @@ class BoardTable(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         dataset: Name of the dataset.
-        title: The same for readers; holds the word "synthetic" where the data are.
+        title: Title for readers; holds the word "synthetic" where the data are.
         benchmark: Name of the benchmark.
         synthetic: Whether the data are synthetic.
         redistribution: Whether the licence lets recorded motion be passed on.
         split: Split of the table.
-        digests: Of the ``protocol``, of the table's ``identity`` and ``content``, and of the ``selection`` of
+        digests: Digests of the ``protocol``, of the table's ``identity`` and ``content``, and of the ``selection`` of
             sequences.
         own_protocol: Name and version of a protocol of the user's own; empty for prbench's.
         sequences: Number of sequences.

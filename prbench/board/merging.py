@@ -30,9 +30,9 @@ class MergedRun:
     """The runs on all folds as one.
 
     Attributes:
-        record: As of one run; digests are those of the folds' digests.
-        scores: Of all folds, in their order.
-        folds: In the order of the folds.
+        record: Record as of one run, with digests of the folds' digests.
+        scores: Scores of all folds, in their order.
+        folds: Runs in the order of the folds.
         unverified: A sentence for each run whose scores could not be verified.
     """
 

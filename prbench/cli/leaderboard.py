@@ -194,10 +194,10 @@ def _print_dataset(each: TableAudit) -> None:
 
 def _print_all_metrics(title: str, controls: Sequence[ControlMeans], *, only_main: bool = False) -> None:
     """Print what every control earns, and in which metrics it does no worse than recorded people."""
-    from prbench.board.audit import metrics_of, not_worse_than_people
-    from prbench.metrics import printed_unit
+    from prbench.board.audit import not_worse_than_people
+    from prbench.metrics import METRICS, printed_unit
 
-    metrics = metrics_of(controls)
+    metrics = [info for info in METRICS if any(info.id in control.means for control in controls)]
     # Files and pipes have no width.
     narrow = sys.stdout.isatty() and shutil.get_terminal_size().columns < _WIDE
     columns = _COLUMNS // 2 if narrow else _COLUMNS

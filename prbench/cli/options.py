@@ -372,7 +372,7 @@ def shard_answer(report: Any, made: MadeShard, *, unit: str, exit_code: int = 0)
         report: The command's report.
         made: The shard.
         unit: What it consists of.
-        exit_code: Of the command.
+        exit_code: Exit code of the command.
     """
 
     def show() -> None:

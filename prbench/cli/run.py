@@ -438,9 +438,9 @@ def supervised(command: _Command, arguments: Sequence[str], *, method: str) -> i
     """Run a command in a child process and return its exit code.
 
     Args:
-        command: Importable; called in the child with the arguments.
-        arguments: Of the command line.
-        method: Whose code runs there, for the message.
+        command: Function that is called in the child; it can be imported.
+        arguments: Words of the command line.
+        method: Name of the method whose code runs there, for the message.
 
     Raises:
         AdapterError: if the child ends without having returned from the command.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from prbench.board.audit import TableAudit, audit, metrics_of, not_worse_than_people
+from prbench.board.audit import TableAudit, audit, not_worse_than_people
 from prbench.engine import InProcess
 from prbench.harness.controls import CONTROLS
 from prbench.harness.synthetic_table import build_synthetic_table
@@ -51,7 +51,7 @@ def test_every_control_that_differs_from_the_recorded_motion_is_there(audited):
 
 
 def test_every_metric_of_the_registry_is_there_gaze_of_recorded_people_too(audited):
-    assert metrics_of(audited.means) == list(METRICS)
+    assert all(any(info.id in control.means for control in audited.means) for info in METRICS)
     assert mean(audited, "ground-truth", "prime_success_gaze") > 0.5
 
 

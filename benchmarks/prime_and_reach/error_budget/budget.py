@@ -52,7 +52,7 @@ _SHORT = {
     "comes and leaves": "leaves",
     "stops short": "short",
 }
-# Where the successes of a rate are lost, and the titles of the columns (docs/error-budget.md#parts).
+# Titles of the columns that say where successes of a rate are lost (docs/error-budget.md#parts).
 _PARTS = {
     "always": "always",
     "noise": "noise",
@@ -142,6 +142,10 @@ def _budget(run: RunFolder, other: RunFolder | None, motions: pa.Table) -> list[
     groups = {"recorded people": (people, people)}
     beside = dict(_groups(people, protocol))
     groups |= {name: (own, beside[name]) for name, own in _groups(method, protocol)}
+    worst_bones = {}
+    for name, (own, _) in groups.items():
+        ((bone, count),) = Counter(own["worst_bone"].to_pylist()).most_common(1)
+        worst_bones[name] = {"worst_bone": f"{bone} {100 * count / len(own):.0f}"}
     tables = [
         _table(
             "Prime Success, and why motions are not primed, %",
@@ -185,7 +189,7 @@ def _budget(run: RunFolder, other: RunFolder | None, motions: pa.Table) -> list[
                 "bone_change": "bones",
                 "worst_bone": "worst bone",
             },
-            words={name: {"worst_bone": _worst_bone(own)} for name, (own, _) in groups.items()},
+            words=worst_bones,
         ),
         *(_lost(rate, motions, record.samples) for rate in RATES),
         *([] if other is None else [_gained(other, run, motions)]),
@@ -307,11 +311,6 @@ def _reaching(own: pa.Table, people: pa.Table) -> _Numbers:
 def _bodies(own: pa.Table) -> _Numbers:
     names = ("skating", "slides", *(f"slides_{phase}" for phase in PHASES), "bone_change")
     return {name: _mean(own, name) for name in names}
-
-
-def _worst_bone(own: pa.Table) -> str:
-    ((bone, count),) = Counter(own["worst_bone"].to_pylist()).most_common(1)
-    return f"{bone} {100 * count / len(own):.0f}"
 
 
 def _gains(motions: pa.Table) -> Table:

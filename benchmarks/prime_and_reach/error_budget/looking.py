@@ -41,8 +41,8 @@ def diagnose_looking(motion: MotionBatch, targets: ScoringTargets, constants: Me
 
     Args:
         motion: Canonical frame, metres, two frames or more.
-        targets: Of the sequences.
-        constants: Of the protocol.
+        targets: Goals and times of the sequences.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
 
     Returns:
         Columns of one entry a motion: ``cause``; in the best frame the angle ``miss_deg`` between ray and goal,

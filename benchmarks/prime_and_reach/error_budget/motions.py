@@ -51,7 +51,7 @@ def diagnosed_motions(run: RunFolder, tables: list[SequenceTable], *, who: str =
     """Diagnose every motion of a run; of recorded people too, as they are and through the features.
 
     Args:
-        run: With its motions.
+        run: Run folder that holds its motions.
         tables: The very tables that it was made on; datasets of the run without a table are left out.
         who: What the run's rows are called; people are diagnosed with :data:`METHOD` alone.
 
@@ -129,8 +129,8 @@ def diagnose_reaching(
 
     Args:
         motion: Canonical frame, metres.
-        targets: Of the sequences.
-        constants: Of the protocol.
+        targets: Goals and times of the sequences.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
 
     Returns:
         Columns of one entry a motion: ``cause``; ``smallest``, the smallest distance of either wrist from the goal in
@@ -175,8 +175,8 @@ def diagnose_bodies(motion: MotionBatch, targets: ScoringTargets, constants: Met
 
     Args:
         motion: Canonical frame, metres, two frames or more.
-        targets: Of the sequences.
-        constants: Of the protocol.
+        targets: Goals and times of the sequences.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
 
     Returns:
         Columns of one entry a motion: ``slides_before``, ``slides_way`` and ``slides_end``, the share of the frame

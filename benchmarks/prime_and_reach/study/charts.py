@@ -23,7 +23,7 @@ def draw_breakdown(table: Table, path: Path) -> None:
     """Draw Figure 4: a panel for each metric, groups along the axis, a colour for each run, intervals on the bars.
 
     Args:
-        table: Of :func:`prbench_benchmarks.prime_and_reach.study.breakdown.breakdown_table`.
+        table: Result of :func:`prbench_benchmarks.prime_and_reach.study.breakdown.breakdown_table`.
         path: ``.png`` or ``.svg``; replaced when it exists.
 
     Raises:

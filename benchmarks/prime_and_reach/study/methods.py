@@ -61,7 +61,7 @@ def methods_table(board: Leaderboard, number: str, *, with_published: bool, name
     """Make Table 2 or Table S3, one part for each dataset and way of scoring, in the study's order.
 
     Args:
-        board: Of finished runs.
+        board: Board of finished runs.
         number: ``2`` for one model for all datasets, ``S3`` for a model for each.
         with_published: Show the study's rows in a block of their own and, on real recordings, the differences.
         named: Each run stands for the row of the study after which its folder is named, whatever its weights are.
@@ -76,7 +76,7 @@ def poses_table(
     """Make Table S1: runs by the poses that they were trained and tested on.
 
     Args:
-        board: Of finished runs of P&R on tables of one recording and two pose sources.
+        board: Board of finished runs of P&R on tables of one recording and two pose sources.
         pose_sources: Gives the pose sources of a table of runs; empty where the table is not at hand.
         with_published: Show the study's rows in a block of their own.
     """
@@ -123,8 +123,14 @@ def _part(table: DatasetTable, number: str, *, with_published: bool, named: bool
     taken: set[str] = set()
     for study in load_table_two().rows:
         for row in table.rows:
-            stands = row.entry.run == study.name if named else _stands_for(row, study, number)
-            if stands and row.entry.run not in taken:
+            entry = row.entry
+            stands = entry.run == study.name
+            if not named:
+                # Other weights than the study's have to be bundled ones.
+                variant = published_variant(entry, number) or ("", _UNKNOWN_WEIGHTS)
+                same = (entry.method, entry.record.condition) == (study.method, study.condition.value)
+                stands = same and variant[1] != _UNKNOWN_WEIGHTS and variant[0] == _variant_in(study, number)
+            if stands and entry.run not in taken:
                 placed.append((study, row))
                 taken.add(row.entry.run)
     rows = []
@@ -187,15 +193,6 @@ def _part(table: DatasetTable, number: str, *, with_published: bool, named: bool
     )
 
 
-def _stands_for(row: TableRow, study: StudyRow, number: str) -> bool:
-    """Return True if a run is of this row of the study; other weights than the study's have to be bundled ones."""
-    entry = row.entry
-    if (entry.method, entry.record.condition) != (study.method, study.condition.value):
-        return False
-    named = published_variant(entry, number)
-    return named is not None and named[1] != _UNKNOWN_WEIGHTS and named[0] == _variant_in(study, number)
-
-
 def _variant_in(study: StudyRow, number: str) -> str:
     """Return the variant of a row in the words of a published table."""
     variant = load_table_two().weights[study.weights].variant
@@ -209,10 +206,10 @@ def measured_row(
 
     Args:
         row: The run.
-        table: It stands in this table.
-        condition: As printed.
+        table: Table in which the run stands.
+        condition: Name of the condition as printed.
         label: Name of the row as printed.
-        note: Stands before the notes of each cell.
+        note: Text before the notes of each cell.
         about: Other fields of each cell.
     """
     marks = ", ".join(filter(None, (row.entry.summary.symbols, "unverified" if row.entry.unverified else "")))
@@ -227,7 +224,7 @@ def published_rows(numbers: Sequence[PublishedNumber], label: Callable[[Publishe
     """Return the study's rows, with their digits as printed.
 
     Args:
-        numbers: In printed order.
+        numbers: Published numbers in printed order.
         label: Gives the label of a number's row.
     """
     found: dict[tuple[str, str], list[PublishedNumber]] = {}
@@ -351,7 +348,7 @@ def differences(rows: Iterable[TableRow], table: str = "2") -> list[tuple[Cell, 
     """Compare measured rows with the published ones.
 
     Args:
-        rows: Of a leaderboard.
+        rows: Rows of a leaderboard.
         table: ``2`` or ``S3``.
 
     Returns:

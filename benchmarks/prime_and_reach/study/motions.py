@@ -105,9 +105,13 @@ def draw_moments(scenes: Sequence[Scene], path: Path, *, title: str, dpi: int = 
         reach = [_drawn(scene, motion, [*frames]) for motion in scene.motions]
         for moment, frame, place in zip(MOMENTS, frames, row, strict=True):
             for motion in scene.motions:
-                last = min(frame, len(motion.joints) - 1)
-                _draw_pose(place, scene, motion.joints[last], colour=motion.colour, alpha=0.95)
-                _draw_arrow(place, scene, motion.joints[last], colour=motion.colour)
+                joints = motion.joints[min(frame, len(motion.joints) - 1)]
+                _draw_pose(place, scene, joints, colour=motion.colour, alpha=0.95)
+                head = joints[Joint.HEAD]
+                points = np.stack([head, head + _ARROW * head_forward(joints, scene.head_tilt_deg)[0]])
+                begin, end = _flat(scene, points)
+                style = {"arrowstyle": "-|>", "color": motion.colour, "linewidth": 1.4}
+                place.annotate("", end, begin, arrowprops=style)
             _draw_goal(place, scene)
             _frame_panel(place, np.concatenate(reach))
             place.set_title(figure_text(f"{moment}, {frame / scene.fps:.2f} s"), fontsize=8, loc="left")
@@ -160,13 +164,6 @@ def _draw_pose(axes: Axes, scene: Scene, joints: Float[np.ndarray, "22 3"], *, c
     for chain in CHAINS:
         axes.plot(*flat[list(chain)].T, color=colour, alpha=alpha, linewidth=1.8, solid_capstyle="round")
     axes.plot(*flat[Joint.HEAD], "o", color=colour, alpha=alpha, markersize=5.5)
-
-
-def _draw_arrow(axes: Axes, scene: Scene, joints: Float[np.ndarray, "22 3"], *, colour: str) -> None:
-    forward, _ = head_forward(joints, scene.head_tilt_deg)
-    head = joints[Joint.HEAD]
-    begin, end = _flat(scene, np.stack([head, head + _ARROW * forward]))
-    axes.annotate("", end, begin, arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.4})
 
 
 def _draw_gaze(axes: Axes, scene: Scene, frame: int) -> None:

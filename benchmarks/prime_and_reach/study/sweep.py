@@ -37,7 +37,7 @@ class Sweep:
     Attributes:
         windows: σ, seconds.
         distances: δ, metres.
-        rates: From 0 to 1, mean over sequences (of the mean over samples).
+        rates: Means over sequences (of the mean over samples), from 0 to 1.
     """
 
     run: GenuineRun
@@ -51,8 +51,8 @@ def sweep(run: GenuineRun, *, engine: Engine) -> Sweep:
     """Compute Prime Success for every pair of limits.
 
     Args:
-        run: Whose scores were held against its motions.
-        engine: Where the windows of sequences are worked on.
+        run: Run whose scores were held against its motions.
+        engine: Engine that works on the windows of sequences.
 
     Raises:
         RunError: if the value at the protocol's own limits is not the stored one.

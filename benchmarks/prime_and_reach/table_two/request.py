@@ -295,7 +295,7 @@ def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> li
     Args:
         request: What is asked for.
         data: Its dataset folders, in printed order.
-        folder: Of the table; every row gets a run folder in it.
+        folder: Folder of the table; every row gets a run folder in it.
 
     Raises:
         AdapterError: if a method refuses its options or the device.

@@ -60,7 +60,7 @@ def run_table(
 
     Args:
         request: What to run on what.
-        engine: Where batches are generated and scored; in this process by default.
+        engine: Engine that generates and scores batches; this process by default.
         notice: Called with each line that stays: what is skipped, what has failed, how many sequences there are.
         progress: Shows the progress of one row.
 
