@@ -29,8 +29,8 @@ def test_the_scores_are_those_of_a_run_on_the_window(tmp_path):
     window = 2
     name = truth.window_ids[window]
     run = RunFolder.open(out, any_benchmark=True)
-    part = run.dataset(run.record.tables[0].dataset).part(0)
-    predicted = read_part(part, truth.window_ids, samples=5, joints=22)[window]
+    files = run.dataset(run.record.tables[0].dataset)
+    predicted = read_part(files.part(0), truth.window_ids, samples=5, joints=22)[window]
     # Batches come in the frame of each window's last pose, in which the canonical variant of MMADE compares futures.
     rules = load_prediction_protocol().evaluation
     similar = SimilarPasts.of(table, table.chosen(split="test"), closer_than=rules.similar_past)
@@ -44,7 +44,7 @@ def test_the_scores_are_those_of_a_run_on_the_window(tmp_path):
         fps=30,
         similar_futures=truth.joints[others],
     )
-    scores = read_scores(out / "scores.parquet").to_pylist()
+    scores = read_scores(files.scores).to_pylist()
     expected = {row["metric"]: row["value"] for row in scores if row["sequence_id"] == name}
     for metric in ("mmade", "mmfde", "similar_pasts"):
         expected[metric] = expected.pop(f"{metric}_canonical")
