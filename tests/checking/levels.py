@@ -19,8 +19,7 @@ from prbench.readers import reader_for
 from prbench.synthetic.performance import TrueEvent
 from tests.synthetic.true_clips import read_truth
 
-_SLACK = 1e-4
-"""Seconds by which clocks and rounding may move a sample."""
+_SLACK = 1e-4  # Seconds by which clocks and rounding may move a sample
 
 
 @dataclass(frozen=True)
@@ -29,34 +28,36 @@ class Verification:
 
     Events that are ``thin``, and those around which the object was not tracked, are left out of every number but their
     own count and the hands.
+
+    Attributes:
+        recordings: Number of recordings.
+        true_events: Number of events that were acted out.
+        thin: Number of events within the sensors' resolution of a threshold.
+        recall: Share of the true events that were found.
+        precision: Share of the found events that are true.
+        timing: Found minus true event time, seconds.
+        priming_recall: Share of the matched events with a true prime that were primed.
+        false_primes: Share of the matched events without a true prime that were primed all the same.
+        prime: Found minus true prime time (first look of at least 50 ms), seconds.
+        prime_first: Found minus true first instant of looking there at all, seconds.
+        hands: Counts of located events by the hand that they name: ``right``, ``wrong`` or ``unknown``.
+        expected_sequences: Number of sequences that were acted out.
+        missed_sequences: Id and outcome of those of the expected ones that did not become sequences.
     """
 
     recordings: int
-    """Number of recordings."""
     true_events: int
-    """Number of events that were acted out."""
     thin: int
-    """Number of events within the sensors' resolution of a threshold."""
     recall: float
-    """Share of the true events that were found."""
     precision: float
-    """Share of the found events that are true."""
     timing: Spread
-    """Found minus true event time, seconds."""
     priming_recall: float
-    """Share of the matched events with a true prime that were primed."""
     false_primes: float
-    """Share of the matched events without a true prime that were primed all the same."""
     prime: Spread
-    """Found minus true prime time (first look of at least 50 ms), seconds."""
     prime_first: Spread
-    """Found minus true first instant of looking there at all, seconds."""
     hands: dict[str, int]
-    """Counts of located events by the hand that they name: ``right``, ``wrong`` or ``unknown``."""
     expected_sequences: int
-    """Number of sequences that were acted out."""
     missed_sequences: tuple[str, ...]
-    """Id and outcome of those of the expected ones that did not become sequences."""
 
 
 def verification(matches: Sequence[Match], *, recordings: int) -> Verification:
@@ -139,12 +140,16 @@ def verify_tree(root: Path, dataset: str = "adt") -> Verification:
 
 @dataclass(frozen=True)
 class SensorLevel:
-    """One of the conditions under which curation is checked."""
+    """One of the conditions under which curation is checked.
+
+    Attributes:
+        provoked: True if provocations are on, at their default share
+            (docs/specification/synthetic-recordings.md#provocations).
+    """
 
     name: str
     noise: float
     provoked: bool
-    """True if provocations are on, at their default share (docs/specification/synthetic-recordings.md#provocations)."""
 
 
 LEVELS = (
@@ -164,10 +169,10 @@ def verify_level(
     return verification(matches, recordings=recordings)
 
 
+# All levels; the gate runs them all, and other calls the one with default noise and provocations alone
 MOSTLY_SLOW = [
     pytest.param(level, id=level.name, marks=[pytest.mark.slow] if level is not LEVELS[2] else []) for level in LEVELS
 ]
-"""All levels; the gate runs them all, and other calls the one with default noise and provocations alone."""
 
 
 @dataclass(frozen=True)
