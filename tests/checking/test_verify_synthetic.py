@@ -241,7 +241,7 @@ def test_the_sequences_that_curation_misses_are_missed_by_sensors_and_annotators
         missed = _missed(index)
         outcomes.update(missed)
         kept = [outcome for outcome in missed if outcome != "no_location"]
-        )
+        assert _missed(index, *MASKS) == kept, "a lost mask loses its event"
         exact = verification(_matches(index, *MASKS, *GAZE_PLACES_TIMES), recordings=1)
         assert exact.missed_sequences == ()
         assert (exact.priming_recall, exact.false_primes) == (1.0, 0.0)
