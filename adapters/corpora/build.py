@@ -57,16 +57,19 @@ class GroupReceipt(msgspec.Struct, frozen=True, kw_only=True):
     frames: int
 
 
+# A part, where it lies, and True if an earlier, interrupted build had made it.
 _Finished = tuple[Path, GroupReceipt, bool]
-"""A part, where it lies, and True if an earlier, interrupted build had made it."""
 
 
 @dataclass(frozen=True)
 class CorpusJob:
-    """Reads the recordings of a group and writes their part, unless that part is there already."""
+    """Reads the recordings of a group and writes their part, unless that part is there already.
+
+    Attributes:
+        settings: Digest of everything but the input that decides what comes out.
+    """
 
     settings: str
-    """Digest of everything but the input that decides what comes out."""
     stop_on_error: bool
     work: Path
 
@@ -161,8 +164,7 @@ class CorpusJob:
 _IN_PROCESS = InProcess()
 _DEFAULTS = CorpusOptions()
 
-Progress = Callable[[int, int, str], None]
-"""Called with finished recordings, all of them, and what was finished last."""
+Progress = Callable[[int, int, str], None]  # Called with finished recordings, all of them, and what was finished last.
 
 
 def build_corpus(
@@ -182,7 +184,7 @@ def build_corpus(
         out: Folder of the new corpus; an earlier corpus there is replaced when everything is ready, and
             only by one that holds its recordings.
         options: What to read, and how to cut it.
-        engine: Where recordings are worked on.
+        engine: Runs the work, in this process or in several.
         progress: Called after each group of recordings, in order.
 
     Raises:

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from prbench.engine.shards import ShardRecord
     from prbench.sequences.parts import BuildReport
 
-_SYNTHETIC = "synthetic"
-"""Corpus that is generated on the spot."""
+_SYNTHETIC = "synthetic"  # Corpus that is generated on the spot.
 
 
 @command(

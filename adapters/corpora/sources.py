@@ -32,22 +32,25 @@ CORPUS_MODULES = {
 
 @dataclass(frozen=True)
 class CorpusOptions:
-    """Choices about a whole build."""
+    """Choices about a whole build.
+
+    Attributes:
+        fps: Frames a second of the clips; None = the protocol's 20.
+        max_frames: Frames at which longer clips are cut; None = the manifest's longest clip.
+        recordings: Glob over recording ids.
+        limit: Only the first so many recordings, by name.
+        source: Options of the corpus' own reader as name and value, sorted by name.
+        on_error: ``skip`` reports a recording that cannot be read while the others go on, ``fail`` ends the build.
+        replace: Replace a corpus that holds recordings which the new one lacks (:mod:`prbench.sequences.write`).
+    """
 
     fps: float | None = None
-    """Frames a second of the clips; None = the protocol's 20."""
     max_frames: int | None = None
-    """Frames at which longer clips are cut; None = the manifest's longest clip."""
     recordings: str = "*"
-    """Glob over recording ids."""
     limit: int | None = None
-    """Only the first so many recordings, by name."""
     source: tuple[tuple[str, str], ...] = ()
-    """Options of the corpus' own reader as name and value, sorted by name."""
     on_error: Literal["skip", "fail"] = "skip"
-    """``skip`` reports a recording that cannot be read while the others go on, ``fail`` ends the build."""
     replace: bool = False
-    """Replace a corpus that holds recordings which the new one lacks (:mod:`prbench.sequences.write`)."""
 
     def __post_init__(self) -> None:
         if self.max_frames is not None and self.max_frames < 2:
@@ -72,10 +75,13 @@ class ClipLimits:
 
 @dataclass(frozen=True)
 class RecordingIdentity:
-    """The identity of a recording, known before it is read."""
+    """The identity of a recording, known before it is read.
+
+    Attributes:
+        dataset: Name that the clips will carry; ``synthetic-`` before it for synthetic people.
+    """
 
     dataset: str
-    """Name that the clips will carry; ``synthetic-`` before it for synthetic people."""
     recording_id: str
     participant_id: str
     split: str
@@ -84,14 +90,17 @@ class RecordingIdentity:
 
 @dataclass(frozen=True)
 class ReadRecording:
-    """The result of reading one recording."""
+    """The result of reading one recording.
+
+    Attributes:
+        duration: Seconds of usable motion.
+        clock_method: Method that brought text and motion onto one clock; ``same`` where they share one.
+    """
 
     clips: tuple[Clip, ...]
     annotations: tuple[Annotation, ...]
     duration: float
-    """Seconds of usable motion."""
     clock_method: str = "same"
-    """Method that brought text and motion onto one clock; ``same`` where they share one."""
     clock_quality: float | None = None
     message: str = ""
     measured: tuple[tuple[str, str], ...] = ()
@@ -99,18 +108,21 @@ class ReadRecording:
 
 @dataclass(frozen=True)
 class CorpusRecording:
-    """One recording that can be read, here or in another process; instances are picklable."""
+    """One recording that can be read, here or in another process; instances are picklable.
+
+    Attributes:
+        root: The dataset's folder; None for what is generated.
+        skip_reason: The reason why the recording must not be read; None for all that are fine.
+        bytes_a_second: Rate of reading, measured on synthetic files with one core; for the dry run.
+        table_share: Bytes of its rows, in the table and in the parts that the table is made from, a byte of input.
+    """
 
     identity: RecordingIdentity
     limits: ClipLimits
     root: Path | None
-    """The dataset's folder; None for what is generated."""
     skip_reason: str | None
-    """The reason why the recording must not be read; None for all that are fine."""
     bytes_a_second: ClassVar[float]
-    """Rate of reading, measured on synthetic files with one core; for the dry run."""
     table_share: ClassVar[float]
-    """Bytes of its rows, in the table and in the parts that the table is made from, a byte of input."""
 
     @property
     def input_bytes(self) -> int:
@@ -139,18 +151,21 @@ class CorpusRecording:
         return message
 
 
+# Name of recordings that are worked on and kept together, and they: tiny ones by the hundred, large ones alone.
 RecordingGroup = tuple[str, tuple[CorpusRecording, ...]]
-"""Name of recordings that are worked on and kept together, and they: tiny ones by the hundred, large ones alone."""
 
 
 class Corpus:
-    """One kind of corpus."""
+    """One kind of corpus.
+
+    Attributes:
+        options: The corpus' own options.
+        rates: Says which rates there are, for the message; :attr:`native_rate` must be a multiple of them.
+    """
 
     name: str
     options: type[ReaderOptions] = ReaderOptions
-    """The corpus' own options."""
     rates: str
-    """Says which rates there are, for the message; :attr:`native_rate` must be a multiple of them."""
     native_rate: float
 
     @property
@@ -253,8 +268,8 @@ def chosen_recordings(
     return [by_name[name] for name in chosen[: options.limit]]
 
 
+# One corpus in a folder: the name under which it is built, the folder, and its recordings.
 FoundCorpus = tuple[str, Path, tuple[CorpusRecording, ...]]
-"""One corpus in a folder: the name under which it is built, the folder, and its recordings."""
 
 
 def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:

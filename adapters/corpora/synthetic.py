@@ -44,16 +44,19 @@ POSE_SOURCE = "invented-xsens"
 
 
 class SyntheticOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Options of a corpus that is generated when it is read."""
+    """Options of a corpus that is generated when it is read.
+
+    Attributes:
+        recordings: How many; about 13 atomic actions each.
+        seed: Seed of everything; recording i depends on it and on i alone.
+        noise: Multiplies every sensor error.
+        kinds: Which texts become clips.
+    """
 
     recordings: int = 40
-    """How many; about 13 atomic actions each."""
     seed: int = 0
-    """Of everything; recording i depends on it and on i alone."""
     noise: float = 1.0
-    """Multiplies every sensor error."""
     kinds: str = "atomic_action,motion_narration"
-    """Which texts become clips."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,7 @@ class SyntheticSource(CorpusRecording):
 
     @property
     def cost(self) -> tuple[float, float]:
-        """The same for each: seconds, and bytes on the disk."""
+        """Return the cost of one recording, which is the same for each: seconds, and bytes on the disk."""
         return 1.2, 0.5e6
 
     def input_digest(self) -> str:
@@ -132,16 +135,14 @@ class SyntheticCorpus(Corpus):
 CORPUS = SyntheticCorpus()
 
 
+# The layouts that can be written, and what can be done to their files.
 _DEFECTS = {"nymeria": NYMERIA_DEFECTS, "humanml3d": HUMANML3D_DEFECTS}
-"""The layouts that can be written, and what can be done to their files."""
-_TRUTH_FILE = "truth/clock_offsets.json"
-"""Of each sequence: TIME_CODE minus device time. Readers never open it."""
-_WITHOUT_TRAJECTORY = 3
-"""Every so many-th sequence comes without the glasses' trajectory."""
+_TRUTH_FILE = "truth/clock_offsets.json"  # Holds TIME_CODE minus device time of each sequence. Readers never open it.
+_WITHOUT_TRAJECTORY = 3  # Every so many-th sequence comes without the glasses' trajectory.
 
 
+# A recording, its clocks' offset, and the names under which it was written with their splits.
 _Done = tuple[WrittenRecording, float, tuple[tuple[str, str], ...]]
-"""A recording, its clocks' offset, and the names under which it was written with their splits."""
 
 
 def synthesize_corpus_tree(
@@ -161,7 +162,7 @@ def synthesize_corpus_tree(
         layout: ``nymeria`` or ``humanml3d``.
         out: Folder of the tree; an older synthetic tree there is replaced.
         recordings: How many.
-        seed: Of the whole tree.
+        seed: The tree's seed; recording i depends on it and on i alone.
         workers: Processes.
         noise: Multiplies every sensor error.
         defects: Names of defects that are done to the first recording.

@@ -31,14 +31,12 @@ from prbench_adapters.training.weights import read_weights
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, sample_generator
 from prbench_benchmarks.motion_prediction.joint_sets import invert_each, rotations_alone, transform_each
 
-_MOST_TOGETHER = 512
-"""Samples that go through a network together: more take more memory and hardly less time."""
+_MOST_TOGETHER = 512  # Samples that go through a network together: more take more memory and hardly less time.
 _PRECISIONS = {"float32": torch.float32, "float64": torch.float64}
 _SAME_TIME = 1e-6  # seconds
 
 
-Loaded = tuple[Path, SeenWindows, PredictorNetwork]
-"""A weights file in use, what it was trained on, and its network."""
+Loaded = tuple[Path, SeenWindows, PredictorNetwork]  # A weights file in use, what it was trained on, and its network.
 
 
 class LearnedPredictor:
@@ -150,7 +148,7 @@ def load_predictor(name: str, weights: Path | None, *, options: Mapping[str, str
     those of the training, and ``guidance``.
 
     Args:
-        name: Of the method.
+        name: The method's name.
         weights: File, folder or name of bundled weights; None for those that come with prbench, ``<method>-small-…``,
             one for each condition.
         options: See above.

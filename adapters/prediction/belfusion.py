@@ -49,6 +49,11 @@ _LARGEST_BETA = 0.999
 class UNetConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Sizes of the U-Net.
 
+    Attributes:
+        multiples: Channels of each level, in ``channels``; every further level halves height and width.
+        attention_at: Reductions of the resolution at which blocks are followed by attention.
+        condition: Numbers of the code of the past.
+
     Raises:
         ValueError: for sizes that do not fit together.
     """
@@ -57,12 +62,9 @@ class UNetConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     width: int = 8
     channels: int = 32
     multiples: tuple[int, ...] = (1, 2, 4, 8)
-    """Channels of each level, in ``channels``; every further level halves height and width."""
     attention_at: tuple[int, ...] = (4, 8)
-    """Reductions of the resolution at which blocks are followed by attention."""
     head_channels: int = 16
     condition: int = 64
-    """Numbers of the code of the past."""
     steps: int = 10
 
     def __post_init__(self) -> None:
@@ -210,6 +212,13 @@ class _Attention(nn.Module):
 class BehaviourConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Sizes of both autoencoders and weights of the losses; the defaults are those of H36M.
 
+    Attributes:
+        context: Last observed frames that a behaviour is joined to, and that belong to what it describes.
+        past: Width of the code of the past.
+        offsets_summed: Whether decoded offsets of the past are summed over frames, or added to the first pose.
+        beta: Weight of the divergence from the prior.
+        delta: Weight of the auxiliary decoder's error, which the behaviour is to make large: it shall not hold poses.
+
     Raises:
         ValueError: for sizes below 1.
     """
@@ -218,19 +227,14 @@ class BehaviourConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     observed: int = 15
     predicted: int = 60
     context: int = 3
-    """Last observed frames that a behaviour is joined to, and that belong to what it describes."""
     past: int = 64
-    """Width of the code of the past."""
     mlp: tuple[int, ...] = (300, 200)
     offsets_summed: bool = True
-    """Whether decoded offsets of the past are summed over frames, or added to the first pose."""
     behaviour: int = 128
     decoder: int = 128
     context_width: int = 128
     beta: float = 1e-4
-    """Weight of the divergence from the prior."""
     delta: float = 1.05
-    """Weight of the auxiliary decoder's error, which the behaviour is to make large: it shall not hold poses."""
 
     def __post_init__(self) -> None:
         sizes = ("n_joints", "observed", "predicted", "context", "past", "behaviour", "decoder", "context_width")

@@ -24,19 +24,17 @@ from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.prediction.configuration import DiffusionConfiguration
 from prbench_adapters.prediction.recurrent import from_zero
 
-Motion = Float[Tensor, "windows frames nodes 3"]
-"""Joints in metres, and perhaps a direction as the last node."""
+Motion = Float[Tensor, "windows frames nodes 3"]  # Joints in metres, and perhaps a direction as the last node.
+# DCT coefficients of each value; value = 3 · node + coordinate.
 Coefficients = Float[Tensor, "windows coefficients values"]
-"""DCT coefficients of each value; value = 3 · node + coordinate."""
 Samples = Float[Tensor, "windows samples coefficients values"]
 Stream = Float[Tensor, "windows samples coefficients width"]
 Graph = Float[Tensor, "batch channels nodes steps"]
 Kept = Bool[Tensor, "windows samples"]
-Noise = Callable[[], Samples]
-"""The next standard normal noise of every sample."""
+Noise = Callable[[], Samples]  # The next standard normal noise of every sample.
+# What a stream is multiplied with for the scores of all heads, (windows, width, heads · coefficients), and the values,
+# (windows, heads, coefficients, width / heads).
 _Memory = tuple[Tensor, Tensor]
-"""What a stream is multiplied with for the scores of all heads, (windows, width, heads · coefficients), and the values,
-(windows, heads, coefficients, width / heads)."""
 _SMALLEST = 1e-3  # metres; nothing below it matters, and half precision still holds it
 _SLOPE = 0.2
 _GAZE_CHANNELS = 32
@@ -125,7 +123,7 @@ class WindowDCT(nn.Module):
     Args:
         coefficients: How many are kept, L.
         observed: Frames that are known.
-        frames: Of the whole window.
+        frames: Number of frames of the whole window.
     """
 
     def __init__(self, coefficients: int, observed: int, frames: int) -> None:
@@ -163,8 +161,8 @@ class GraphAttention(nn.Module):
     Args:
         inputs: Channels that come in.
         outputs: Channels that go out.
-        nodes: Of the graph.
-        steps: Of each node's sequence.
+        nodes: Number of nodes of the graph.
+        steps: Length of each node's sequence.
         heads: Sets of attention weights, which are averaged.
     """
 
@@ -201,12 +199,12 @@ class GraphEncoder(nn.Module):
     """Graph attention layers with residual blocks on two copies of the sequence, from 3 channels to 3.
 
     Args:
-        nodes: Of the graph.
+        nodes: Number of nodes of the graph.
         steps: Coefficients of each node.
         width: Channels between the first and the last layer.
-        heads: Of each layer.
+        heads: Number of attention heads of each layer.
         blocks: Residual blocks.
-        dropout: In the blocks.
+        dropout: Share of numbers that the blocks drop in training.
     """
 
     def __init__(self, nodes: int, steps: int, width: int, heads: int, blocks: int, dropout: float) -> None:
@@ -300,12 +298,15 @@ class ConditionEncoder(nn.Module):
 
 @dataclass(frozen=True)
 class PreparedCondition:
-    """All that a pass takes from the condition: computed once a window, used in every step and for every sample."""
+    """All that a pass takes from the condition: computed once a window, used in every step and for every sample.
+
+    Attributes:
+        vector: Is added to the embedding of the step; one for all samples, or one for each.
+        memories: What each block's cross-attention makes of the condition.
+    """
 
     vector: Float[Tensor, "windows #samples width"]
-    """Is added to the embedding of the step; one for all samples, or one for each."""
     memories: tuple[_Memory | None, ...]
-    """What each block's cross-attention makes of the condition."""
 
 
 class CoefficientDenoiser(nn.Module):
@@ -412,7 +413,7 @@ class _CrossAttention(nn.Module):
         """Look at the coefficients of the condition, from each coefficient of each sample.
 
         Args:
-            stream: Of the samples.
+            stream: Tokens of the samples.
             time: Embedding of the diffusion step, a row for each sample or one for all.
             memory: See :meth:`memory`.
         """
@@ -501,7 +502,7 @@ class CoefficientDiffusion(nn.Module):
         """Draw continuations of observations; the model must be in evaluation mode.
 
         Args:
-            observed: With the direction as the last node if the model has one.
+            observed: Observed frames; the direction is the last node if the model has one.
             seeds: A seed for each sample of each window (``prbench.randomness.noise_seed``). Nothing else decides
                 about its noise, so five samples are the first five of fifty.
 

@@ -32,17 +32,32 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     The defaults are those of GazeMoDiff's public program with the decisions of
     docs/specification/gazemodiff.md#where-paper-and-code-differ.
 
+    Attributes:
+        gaze: A unit direction as the last node: gaze, or the head's direction in its place.
+        coefficients: DCT coefficients L that a window is described by; all else of its motion is lost.
+        cross_attention: Whether the denoiser looks at each coefficient of the condition besides the condition vector.
+        encoder: Whether the condition is encoded; else it is the DCT of the padded observation, as in HumanMAC.
+        legacy_layout: Scramble the encoder's axes as the public program does, to load or to compare its weights.
+        predicts: What the denoiser's output stands for. Noise is published, and needs a network much wider than a pose
+            has numbers: at the noisiest step an error of 0.01 in the noise is one of 0.75 in the clean coefficients.
+            The velocity √ᾱ ε - √(1 - ᾱ) x0 is for small networks.
+        residual: Diffuse the difference to the padded observation in place of the coefficients themselves.
+        whitened: Diffuse residuals as uncorrelated numbers of equal spread (:mod:`.whitening`); for small networks,
+            too.
+        condition_kept: Share of training windows that keep their condition.
+        condition_kept_sampling: Share of samples that keep it when motions are predicted.
+        dropped: What a window without condition loses: the vector and what cross-attention sees, or the vector alone.
+        guidance: Weight s of the condition, ε = ε_without + s (ε_with - ε_without); any but 1 takes two passes a step.
+
     Raises:
         ValueError: for sizes that do not fit together.
     """
 
     n_joints: int
     gaze: bool = True
-    """A unit direction as the last node: gaze, or the head's direction in its place."""
     observed: int = 15
     predicted: int = 60
     coefficients: int = 10
-    """DCT coefficients L that a window is described by; all else of its motion is lost."""
 
     width: int = 512
     heads: int = 8
@@ -50,10 +65,8 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     feed_forward: int = 1024
     dropout: float = 0.2
     cross_attention: bool = True
-    """Whether the denoiser looks at each coefficient of the condition besides the condition vector."""
 
     encoder: bool = True
-    """Whether the condition is encoded; else it is the DCT of the padded observation, as in HumanMAC."""
     pose_encoder: bool = True
     gaze_encoder: bool = True
     fusion: Literal["graph-attention", "concatenation"] = "graph-attention"
@@ -63,26 +76,16 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     encoder_dropout: float = 0.3
     fusion_dropout: float = 0.2
     legacy_layout: bool = False
-    """Scramble the encoder's axes as the public program does, to load or to compare its weights."""
 
     predicts: Literal["noise", "velocity"] = "noise"
-    """What the denoiser's output stands for. Noise is published, and needs a network much wider than a pose has
-    numbers: at the noisiest step an error of 0.01 in the noise is one of 0.75 in the clean coefficients. The velocity
-    √ᾱ ε - √(1 - ᾱ) x0 is for small networks."""
     residual: bool = False
-    """Diffuse the difference to the padded observation in place of the coefficients themselves."""
     whitened: bool = False
-    """Diffuse residuals as uncorrelated numbers of equal spread (:mod:`.whitening`); for small networks, too."""
     diffusion_steps: int = 1500
     sampling_steps: int = 100
     condition_kept: float = 0.9
-    """Share of training windows that keep their condition."""
     condition_kept_sampling: float = 1.0
-    """Share of samples that keep it when motions are predicted."""
     dropped: Literal["both", "vector"] = "both"
-    """What a window without condition loses: the vector and what cross-attention sees, or the vector alone."""
     guidance: float = 1.0
-    """Weight s of the condition, ε = ε_without + s (ε_with - ε_without); any but 1 takes two passes a step."""
 
     def __post_init__(self) -> None:
         for name in _COUNTS:
@@ -147,8 +150,7 @@ _PRESETS: dict[str, dict[str, Any]] = {
     "humanmac-humaneva": {**_HUMANMAC, "condition_kept": 1.0, "condition_kept_sampling": 0.5},
     "humanmac-h36m": {**_HUMANMAC, "condition_kept": 0.8, "coefficients": 20, "layers": 8},
 }
-PRESETS = tuple(_PRESETS)
-"""Names of the configurations of the tables, the ablations, and the published programs."""
+PRESETS = tuple(_PRESETS)  # Names of the configurations of the tables, the ablations, and the published programs.
 
 
 def preset(name: str, *, n_joints: int, **changes: Any) -> DiffusionConfiguration:

@@ -127,6 +127,7 @@ _NETWORKS: dict[type, type[nn.Module]] = {
     BehaviourConfiguration: Autoencoders,
 }
 AUTOENCODERS = "belfusion-autoencoders"
+# Maps each method, which is the kind of its weights, to what their header holds.
 RECORDS: dict[str, Any] = {
     "gazemodiff": DiffusionRecord,
     "humanmac": DiffusionRecord,
@@ -134,7 +135,6 @@ RECORDS: dict[str, Any] = {
     "dlow": DLowRecord,
     "belfusion": BeLFusionRecord,
 }
-"""Maps each method, which is the kind of its weights, to what their header holds."""
 
 
 def contents(kind: str, record: Record, network: nn.Module) -> tuple[dict[str, torch.Tensor], dict[str, str]]:

@@ -22,10 +22,8 @@ Future = Float[Tensor, "windows predicted joints 3"]
 Futures = Float[Tensor, "windows samples predicted joints 3"]
 Latent = Float[Tensor, "windows latent"]
 Latents = Float[Tensor, "windows samples latent"]
-Losses = dict[str, Float[Tensor, ""]]
-"""Scalars by name; ``loss`` is minimised."""
-Seeds = Sequence[Sequence[int]]
-"""A seed for each sample of each window; nothing else decides about its noise."""
+Losses = dict[str, Float[Tensor, ""]]  # Scalars by name; ``loss`` is minimised.
+Seeds = Sequence[Sequence[int]]  # A seed for each sample of each window; nothing else decides about its noise.
 Layer = TypeVar("Layer", bound=nn.Module)
 _SMALLEST_VARIANCE = 1e-12
 _VALUES_OF_HUMANEVA = 42
@@ -105,6 +103,10 @@ class PoseDecoder(nn.Module):
 class CVAEConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Sizes and weights of the loss.
 
+    Attributes:
+        first_frame: Weight of the first predicted frame's distance from the last observed one.
+        beta: Weight of the divergence from the prior: 0.01 as on HumanEva, 0.1 as on H36M.
+
     Raises:
         ValueError: for sizes below 1 and negative weights.
     """
@@ -115,9 +117,7 @@ class CVAEConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     mlp: tuple[int, ...] = (300, 200)
     latent: int = 128
     first_frame: float = 1000.0
-    """Weight of the first predicted frame's distance from the last observed one."""
     beta: float = 0.01
-    """Weight of the divergence from the prior: 0.01 as on HumanEva, 0.1 as on H36M."""
 
     def __post_init__(self) -> None:
         require_sizes(self, "n_joints", "predicted", "state", "latent")
@@ -190,21 +190,24 @@ class CVAE(nn.Module):
 class DLowConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Sizes of the sampler and weights of its loss.
 
+    Attributes:
+        n_samples: K: the samples are one design, so a model answers with exactly so many.
+        scale: Squared distance, m², over which diversity falls by e, for poses of 42 numbers.
+        scale_by_size: Whether the distance grows with the numbers of a pose; the published program has one for each
+            data set.
+
     Raises:
         ValueError: for sizes below 1.
     """
 
     n_samples: int = 50
-    """K: the samples are one design, so a model answers with exactly so many."""
     state: int = 128
     mlp: tuple[int, ...] = (1024, 512)
     kl: float = 1.0
     diversity: float = 50.0
     best_of_k: float = 2.0
     scale: float = 20.0
-    """Squared distance, m², over which diversity falls by e, for poses of 42 numbers."""
     scale_by_size: bool = True
-    """Whether the distance grows with the numbers of a pose; the published program has one for each data set."""
 
     def __post_init__(self) -> None:
         require_sizes(self, "state")

@@ -38,13 +38,12 @@ from prbench_benchmarks.motion_prediction.batch import Condition
 
 TRAIN = "train"
 STAGES_OF_BELFUSION = ("autoencoders", "diffusion")
+# Whole windows: joints in metres, and the direction as the last node if there is one.
 Motion = Float[Tensor, "windows frames nodes 3"]
-"""Whole windows: joints in metres, and the direction as the last node if there is one."""
 _Struct = TypeVar("_Struct", bound=msgspec.Struct)
 _VALIDATION_SAMPLES = 5
 _TOGETHER = 64
-_MOST_WINDOWS = 4096
-"""Windows that statistics are taken from, spread evenly over the training split."""
+_MOST_WINDOWS = 4096  # Windows that statistics are taken from, spread evenly over the training split.
 _SIDES = (("left", "right"), ("right", "left"), ("l", "r"), ("r", "l"))
 
 
@@ -91,15 +90,17 @@ def augmented(
 class RateCourse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """``[model.rate]``: the published courses of the learning rate, on top of ``training.schedule``.
 
+    Attributes:
+        milestones: Shares of the training after which the rate is multiplied by ``factor``.
+        linear_from: Share of the training after which the rate falls linearly to almost 0.
+
     Raises:
         ValueError: for places outside of the training.
     """
 
     milestones: tuple[float, ...] = ()
-    """Shares of the training after which the rate is multiplied by ``factor``."""
     factor: float = 0.9
     linear_from: float = 1.0
-    """Share of the training after which the rate falls linearly to almost 0."""
 
     def __post_init__(self) -> None:
         if not all(0 < place < 1 for place in self.milestones) or not 0 <= self.linear_from <= 1 or self.factor <= 0:
@@ -118,11 +119,11 @@ class PredictorTraining(TrainingModule):
     """A network with its losses.
 
     Args:
-        kind: Of the weights file.
-        record: For its header.
-        network: In its state before the first step.
+        kind: Kind of the weights file.
+        record: What the header of the weights file says.
+        network: The network in its state before the first step.
         losses: Returns the losses of whole windows by name, given this module, the windows, a generator and the step.
-        course: Of the learning rate.
+        course: Course of the learning rate.
         origin: Lines for the card about what the weights build upon.
     """
 
@@ -271,19 +272,25 @@ def belfusion_losses(noises: int) -> Callable[[PredictorTraining, Motion, torch.
 
 
 class Phases(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Keys of BeLFusion's autoencoders beside their sizes."""
+    """Keys of BeLFusion's autoencoders beside their sizes.
+
+    Attributes:
+        frozen_from: Share of the training after which the coupler alone learns.
+    """
 
     frozen_from: float = 0.5
-    """Share of the training after which the coupler alone learns."""
 
 
 class BestOfNoises(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Keys of BeLFusion's diffusion beside the sizes of the U-Net."""
+    """Keys of BeLFusion's diffusion beside the sizes of the U-Net.
+
+    Attributes:
+        noises: Noises that are tried for each window, of which the best one counts.
+        decoded_weight: Weight of the decoded future beside the behaviour.
+    """
 
     noises: int = 50
-    """Noises that are tried for each window, of which the best one counts."""
     decoded_weight: float = 5.0
-    """Weight of the decoded future beside the behaviour."""
 
 
 @dataclass(frozen=True)

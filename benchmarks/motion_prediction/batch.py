@@ -16,11 +16,14 @@ from prbench.randomness import named_generator
 
 
 class Condition(StrEnum):
-    """What a predictor knows of the observed frames."""
+    """What a predictor knows of the observed frames.
+
+    Attributes:
+        POSE_HEAD: The head's direction, computed from the joints, stands in the place of gaze.
+    """
 
     POSE = "pose"
     POSE_HEAD = "pose+head"
-    """The head's direction, computed from the joints, stands in the place of gaze."""
     POSE_GAZE = "pose+gaze"
 
 
@@ -30,21 +33,25 @@ class ObservedBatch:
 
     There is no target, no event time, no id and no path here, and no array is a view of one that holds more. The number
     of frames to predict is the same for all windows of a table, so that it does not tell when an event happens.
+
+    Attributes:
+        n_future: Frames to predict.
+        observed_joints: Positions in the room, or in the frame of each window's last observed pose.
+        key: One a window, 63 bits: with the seed and the sample's number the only source of randomness.
+        gaze: Unit directions in the frame of the joints: of gaze, or of the head with ``pose+head``; None with
+            ``pose``.
+        gaze_valid: True where ``gaze`` was measured; elsewhere it is the last one measured before, or +Z if there
+            was none.
     """
 
     condition: Condition
     fps: float
     n_future: int
-    """Frames to predict."""
     joint_names: tuple[str, ...]
     observed_joints: Float[np.ndarray, "batch observed joints 3"]
-    """In the room, or in the frame of each window's last observed pose."""
     key: tuple[int, ...]
-    """One a window, 63 bits: with the seed and the sample's number the only source of randomness."""
     gaze: Float[np.ndarray, "batch observed 3"] | None = None
-    """Unit directions in the frame of the joints: of gaze, or of the head with ``pose+head``; None with ``pose``."""
     gaze_valid: Bool[np.ndarray, "batch observed"] | None = None
-    """Where ``gaze`` was measured; elsewhere it is the last one measured before, or +Z if there was none."""
 
     def __post_init__(self) -> None:
         batch, observed, joints, axes = self.observed_joints.shape
@@ -93,10 +100,13 @@ class ObservedBatch:
 
 @dataclass(frozen=True, kw_only=True)
 class Futures:
-    """K possible continuations of each window."""
+    """K possible continuations of each window.
+
+    Attributes:
+        joints: Metres, in the frame of the batch that they answer.
+    """
 
     joints: Float[np.ndarray, "batch samples future joints 3"]
-    """Metres, in the frame of the batch that they answer."""
 
 
 @runtime_checkable

@@ -17,20 +17,22 @@ from prbench.harness.run_folder.folder import DatasetFolder
 from prbench.sequences.table import by_share, find_sequence_id
 from prbench_benchmarks.motion_prediction.table import WindowsTable
 
-PUBLISHED = "published"
-"""Value of ``--split`` that means the test split of the published evaluation."""
+PUBLISHED = "published"  # Value of ``--split`` that means the test split of the published evaluation.
 
 
 @dataclass(frozen=True)
 class WindowCases:
-    """See :class:`prbench.harness.benchmark.Cases`; a window is a case."""
+    """See :class:`prbench.harness.benchmark.Cases`; a window is a case.
+
+    Attributes:
+        places: Places of the windows in the table, ascending.
+        pool: Places of all windows of the split, among which similar pasts are looked for, whatever the limit.
+    """
 
     table: WindowsTable
     split: str
     places: Int[np.ndarray, " n"]
-    """Places of the windows in the table, ascending."""
     pool: Int[np.ndarray, " all"]
-    """Places of all windows of the split, among which similar pasts are looked for, whatever the limit."""
 
     @classmethod
     def of(cls, table: WindowsTable, *, split: str, limit: int | None) -> WindowCases:
@@ -38,7 +40,7 @@ class WindowCases:
 
         Args:
             table: The table.
-            split: Of the dataset, or ``published``.
+            split: A split of the dataset, or ``published``.
             limit: Number of windows at most; None for all.
 
         Raises:
@@ -79,9 +81,9 @@ def single_windows(tables: Sequence[WindowsTable], wanted: Sequence[str], *, spl
     """Choose single windows; tables that hold none of them are left out.
 
     Args:
-        tables: Where to look.
+        tables: The tables to look in.
         wanted: Ids, or parts of ids that fit one window of the split only.
-        split: Of the run.
+        split: The run's split.
 
     Raises:
         UsageError: if none or several fit.

@@ -18,8 +18,8 @@ def draw_prediction(tables: Sequence[Table], path: Path) -> None:
     """Draw the mean error up to each horizon, and how it changes over the time to the event when more is told.
 
     Args:
-        tables: Of :func:`prbench_benchmarks.motion_prediction.study_tables.prediction_tables`. The second panel needs
-            anchored windows and a method under several conditions.
+        tables: Tables of :func:`prbench_benchmarks.motion_prediction.study_tables.prediction_tables`. The second panel
+            needs anchored windows and a method under several conditions.
         path: ``.png`` or ``.svg``; replaced when it exists.
 
     Raises:

@@ -41,33 +41,34 @@ from prbench_benchmarks.motion_prediction.protocol import load_prediction_protoc
 from prbench_benchmarks.motion_prediction.table import FILE_NAME, Run, Window, WindowsTable, write_windows
 
 BENCHMARK = "motion-prediction"
-WINDOWS = 12
-"""Asked about, unless a predictor is slow."""
+WINDOWS = 12  # Asked about, unless a predictor is slow.
+# The condition that most checks use is the first of these that works.
 RICHEST_FIRST = (Condition.POSE_GAZE, Condition.POSE_HEAD, Condition.POSE)
-"""The condition that most checks use is the first of these that works."""
+# Training windows; more than the benchmark's samples, so that a predictor may answer with one of them each.
 _TO_LEARN_FROM = 60
-"""Training windows; more than the benchmark's samples, so that a predictor may answer with one of them each."""
 _BLIND = "windows-without-futures"
 _FEW = 5
 _OTHER_KEYS = 7919
-_FURTHER_KEYS = 104_729
-"""Added to the keys of windows for other ones."""
+_FURTHER_KEYS = 104_729  # Added to the keys of windows for other ones.
 
 
 @dataclass(frozen=True)
 class AskedWindows:
-    """Test windows, each a run of its own, and training runs behind them."""
+    """Test windows, each a run of its own, and training runs behind them.
+
+    Attributes:
+        blind: A copy of the table with NaN in every frame after the observed ones of the test windows.
+    """
 
     table: WindowsTable
     blind: WindowsTable
-    """The same table, with NaN in every frame after the observed ones of the test windows."""
 
 
 def synthetic_windows(folder: Path) -> AskedWindows:
     """Return windows of synthetic people; the first process makes and keeps them, later ones read the same numbers.
 
     Args:
-        folder: Of this check alone.
+        folder: An empty folder that this check alone uses.
     """
     from prbench.checking.conformance.cases import RECORDINGS, write_synthetic_table
 
@@ -84,7 +85,7 @@ def windows_of_table(data: Path, folder: Path) -> AskedWindows:
 
     Args:
         data: Folder of the table.
-        folder: Of this check alone.
+        folder: An empty folder that this check alone uses.
 
     Raises:
         TableError: if there is no such table.
@@ -138,7 +139,7 @@ class PredictorSubject(MethodSubject):
     Args:
         spec: How to make it.
         cases: What it is asked about.
-        folder: Of this check.
+        folder: An empty folder that this check alone uses.
     """
 
     case = "window"
@@ -450,6 +451,7 @@ def _judged(value: float, warn: float, fail: float, text: str, remedy: str, **nu
     return (failed if value > fail else warning)(text, remedy, **numbers)
 
 
+# In the order in which they are made; those that ask for no motions are the checks of any method.
 CHECKS = (
     *form.LOADING,
     predicts,
@@ -469,7 +471,6 @@ CHECKS = (
     *body.RESOURCES,
     reproducibility.process,  # in a process of its own, so last
 )
-"""In the order in which they are made; those that ask for no motions are the checks of any method."""
 
 
 def _futures(spec: MethodSpec, request: CheckRequest, folder: Path) -> PredictorSubject:

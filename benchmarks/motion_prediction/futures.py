@@ -63,15 +63,18 @@ _LINE = 190  # characters of the note below the panels
 
 @dataclass(frozen=True, eq=False)
 class Fan:
-    """The futures of one run in a window."""
+    """The futures of one run in a window.
+
+    Attributes:
+        colour: ``#rrggbb``.
+        joints: Room, metres.
+        scores: ``ade`` and ``fde``, metres.
+    """
 
     label: str
     colour: str
-    """``#rrggbb``."""
     joints: Float[np.ndarray, "samples future joints 3"]
-    """Room, metres."""
     scores: dict[str, float]
-    """``ade`` and ``fde``, metres."""
 
     @property
     def score(self) -> str:
@@ -86,7 +89,14 @@ class Fan:
 
 @dataclass(frozen=True, eq=False)
 class ShownWindow:
-    """One window with the futures that runs hold of it. Room, metres."""
+    """One window with the futures that runs hold of it. Room, metres.
+
+    Attributes:
+        recorded: What happened, up to the last scored frame.
+        look: Line from the head along the gaze of the last observed frame; None where it was not measured.
+        goal: Place of the hand at the event; None where the window does not reach it.
+        notice: Sentence that the dataset's terms ask for; empty where they ask for none.
+    """
 
     sequence_id: str
     dataset: str
@@ -95,14 +105,10 @@ class ShownWindow:
     fps: float
     observed: Float[np.ndarray, "observed joints 3"]
     recorded: Float[np.ndarray, "scored joints 3"]
-    """What happened, up to the last scored frame."""
     look: Float[np.ndarray, "2 3"] | None
-    """From the head to where gaze points in the last observed frame; None where it was not measured."""
     goal: Float[np.ndarray, "3"] | None
-    """Where the hand is at the event; None where the window does not reach it."""
     motions: tuple[Fan, ...]
     notice: str
-    """Sentence that the dataset's terms ask for; empty where they ask for none."""
 
     @property
     def pelvis(self) -> int:

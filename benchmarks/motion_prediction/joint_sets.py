@@ -17,11 +17,14 @@ from prbench.geometry.skeleton import PARENTS, Joint, invert_rigid
 
 @dataclass(frozen=True)
 class JointSet:
-    """Names and parents of some joints, and which of them tell the heading and the wrists."""
+    """Names and parents of some joints, and which of them tell the heading and the wrists.
+
+    Attributes:
+        parents: Parent of each joint by name, in the order of the arrays; empty for the root.
+    """
 
     name: str
     parents: Mapping[str, str]
-    """Parent of each joint by name, in the order of the arrays; empty for the root."""
     pelvis: str
     wrists: tuple[str, str]
     hips: tuple[str, str]
@@ -87,6 +90,7 @@ class JointSet:
 
 
 _NAMES = tuple(joint.name.lower() for joint in Joint)
+# The 22 joints of the sequence table, which every dataset has.
 SMPL22 = JointSet(
     name="smpl22",
     parents={name: _NAMES[parent] if parent >= 0 else "" for name, parent in zip(_NAMES, PARENTS, strict=True)},
@@ -95,8 +99,8 @@ SMPL22 = JointSet(
     hips=("left_hip", "right_hip"),
     shoulders=("left_shoulder", "right_shoulder"),
 )
-"""The 22 joints of the sequence table, which every dataset has."""
 
+# The 21 links of MoGaze (docs/specification/mogaze.md#files).
 MOGAZE21 = JointSet(
     name="mogaze21",
     parents={
@@ -111,10 +115,9 @@ MOGAZE21 = JointSet(
     hips=("lHip", "rHip"),
     shoulders=("lShoulder", "rShoulder"),
 )  # fmt: skip
-"""The 21 links of MoGaze (docs/specification/mogaze.md#files)."""
 
+# The 23 joints that GIMO's study scores: joints 0 to 22 of SMPL-X.
 GIMO23 = replace(SMPL22, name="gimo23", parents={**SMPL22.parents, "jaw": "head"})
-"""The 23 joints that GIMO's study scores: joints 0 to 22 of SMPL-X."""
 
 JOINT_SETS: Mapping[str, JointSet] = {each.name: each for each in (SMPL22, MOGAZE21, GIMO23)}
 
@@ -148,7 +151,7 @@ def invert_each(frames: Float[np.ndarray, "batch 4 4"]) -> Float[np.ndarray, "ba
 
 
 def rotations_alone(frames: Float[np.ndarray, "batch 4 4"]) -> Float[np.ndarray, "batch 4 4"]:
-    """The same turns without moving anything, for directions."""
+    """Return the frames without their translation, for directions."""
     turns = frames.copy()
     turns[:, :3, 3] = 0.0
     return turns

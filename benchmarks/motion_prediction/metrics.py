@@ -14,8 +14,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from prbench.errors import UsageError
 
-_MOST_VALUES = 8_000_000
-"""Float64 values of one block of distances between samples and futures: 64 MB."""
+_MOST_VALUES = 8_000_000  # Float64 values of one block of distances between samples and futures: 64 MB.
 _DEGENERATE_BONE = 1e-6  # metres; shorter bones have no relative error
 
 

@@ -35,8 +35,7 @@ from prbench_benchmarks.motion_prediction.protocol import load_prediction_protoc
 from prbench_benchmarks.motion_prediction.table import WindowsInfo
 
 BENCHMARK = "motion-prediction"
-METADATA_KEY = "prbench_windows"
-"""Name of the array that holds :class:`WindowsFileInfo` as JSON."""
+METADATA_KEY = "prbench_windows"  # Name of the array that holds :class:`WindowsFileInfo` as JSON.
 FORMAT_VERSION = 1
 _ELSEWHERE = "offline"
 _LARGEST = 8 * 1024**3  # bytes of one array
@@ -46,22 +45,25 @@ _REMEDY = "Export the windows again with `prbench export-conditions --benchmark 
 
 
 class WindowsFileInfo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the rows were made with. A predictor may see it as it may see the rows."""
+    """What the rows were made with. A predictor may see it as it may see the rows.
+
+    Attributes:
+        samples: Futures of each window.
+        n_future: Frames to predict.
+        table: Fingerprint of the table: whoever has it recognises it.
+    """
 
     format_version: int = FORMAT_VERSION
     condition: Condition
     seed: int
     samples: int
-    """Futures of each window."""
     split: str
     limit: int | None
     fps: float
     n_future: int
-    """Frames to predict."""
     joint_names: tuple[str, ...]
     protocol_version: int
     table: str
-    """Fingerprint of the table: whoever has it recognises it."""
 
 
 def opaque_ids(batch: ObservedBatch) -> tuple[str, ...]:
@@ -86,9 +88,9 @@ def export_windows(
         data: The folder of one table of windows.
         condition: What the predictor is told.
         out: ``.npz``.
-        seed: Of the run.
+        seed: The run's seed.
         samples: Futures of each window.
-        split: Of the windows.
+        split: The split that windows are taken from.
         limit: Number of windows at most.
         permitted: Datasets whose licensor lets the user pass on recorded motion.
 
@@ -209,10 +211,10 @@ def score_futures(
             joints.
         conditions: The file of `prbench export-conditions` that they were made from.
         data: The folder of the table that it was exported from.
-        name: Of the predictor; by default that of the file.
+        name: Name of the predictor; by default that of the file.
         one_design: The K futures of a window are one design: fewer have no scores.
         out: Run folder to write, which a leaderboard reads; nothing is written without it.
-        engine: Where the work is done; changes no value.
+        engine: Runs the work, in this process or in several; changes no value.
         progress: Called after every scored batch.
 
     Returns:

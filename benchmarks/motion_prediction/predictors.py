@@ -29,7 +29,7 @@ _ALL = frozenset(Condition)
 
 
 def _repeated(joints: Float[np.ndarray, "batch future joints 3"], n_samples: int) -> Futures:
-    """The same future for every sample: these predictors know of no other."""
+    """Repeat a future for every sample: these predictors know of no other."""
     return Futures(joints=np.repeat(joints[:, None], n_samples, axis=1).astype(np.float32))
 
 
@@ -94,13 +94,15 @@ class NearestPast:
 
     Pasts are compared, and futures placed, with the pelvis of the last observed frame over the origin facing +Z. A gaze
     that is given counts as one more joint, a metre from the origin.
+
+    Attributes:
+        _remembered: Maps each condition to the observed frames of the windows, flattened, and their futures.
     """
 
     name: str = "nearest-past"
     conditions: frozenset[Condition] = _ALL
     train: TrainingWindows | None = None
     _remembered: dict[Condition, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
-    """By condition the observed frames of the windows, flattened, and their futures."""
 
     def fit(self, train: TrainingWindows) -> None:
         """Remember which windows may be learnt from; they are read when the condition is known."""

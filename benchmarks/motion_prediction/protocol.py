@@ -9,8 +9,8 @@ import msgspec
 
 from prbench.protocol.manifests import digest_of, read_toml
 
+# ``room``: the recording's world; ``last-pose``: last observed pelvis over the origin, facing +Z.
 FrameName = Literal["room", "last-pose"]
-"""``room``: the recording's world; ``last-pose``: last observed pelvis over the origin, facing +Z."""
 
 
 class WindowRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -31,7 +31,7 @@ class WindowRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return self.observed_frames + self.future_frames
 
     def at(self, fps: float) -> WindowRules:
-        """The same durations at another rate; counts of frames are rounded."""
+        """Return the rules with the same durations at another rate; counts of frames are rounded."""
         factor = fps / self.fps
         return msgspec.structs.replace(
             self,

@@ -75,8 +75,8 @@ def serve_futures(name: str, adapter: Predictor, header: Header, payload: bytes)
     Args:
         name: Name of the predictor.
         adapter: The predictor.
-        header: As received.
-        payload: As received.
+        header: The message's header.
+        payload: The message's bytes behind the header.
 
     Returns:
         Header, without the number of the batch, and payload of the answer.

@@ -28,16 +28,19 @@ Reference = Callable[[ObservedBatch, Truth], Futures]
 
 @dataclass(frozen=True)
 class SimilarPasts:
-    """The windows with similar pasts of every window: one set for all predictors and conditions, joints alone."""
+    """The windows with similar pasts of every window: one set for all predictors and conditions, joints alone.
+
+    Attributes:
+        places: Place of each window by id.
+        sets: Places of each window's set, its own among them.
+        canonical_sets: Places of each window's set where poses are compared each in the frame of its own last pose.
+        futures: Room.
+    """
 
     places: Mapping[str, int]
-    """Place of each window by id."""
     sets: list[np.ndarray]
-    """Places of each window's set, its own among them."""
     canonical_sets: list[np.ndarray]
-    """The same where poses are compared each in its own frame."""
     futures: Float[np.ndarray, "windows future joints 3"]
-    """Room."""
     own_from_room: Float[np.ndarray, "windows 4 4"]
 
     @classmethod
@@ -113,9 +116,9 @@ def score_predictor(
         table: The windows.
         condition: What the predictor knows.
         chosen: Places of windows (:meth:`prbench_benchmarks.motion_prediction.table.WindowsTable.chosen`).
-        similar: For MMADE and MMFDE; these are left out without it.
+        similar: Windows with similar pasts, for MMADE and MMFDE; these are left out without it.
         n_samples: K; smaller ones of the protocol are scored as prefixes.
-        seed: Of the run.
+        seed: The run's seed.
         frame: Frame in which the predictor works; the protocol's by default. Distances do not depend on it.
         size: Windows of a batch.
 
@@ -143,7 +146,7 @@ def score_reference(
         reference: :func:`ground_truth`, or what :func:`truncation_floor` returned.
         table: The windows.
         chosen: Places of windows.
-        similar: For MMADE and MMFDE; these are left out without it.
+        similar: Windows with similar pasts, for MMADE and MMFDE; these are left out without it.
     """
     scores = Scores()
     for batch, truth in table.batches(Condition.POSE, chosen, frame="room"):
@@ -181,7 +184,7 @@ def score_batch(
         truth: What happened.
         joints: The joint set of both.
         rules: Numbers of samples, and horizons.
-        similar: For MMADE and MMFDE.
+        similar: Windows with similar pasts, for MMADE and MMFDE.
         one_design: The samples are one design: fewer than all of them have no scores.
 
     Returns:
@@ -241,7 +244,7 @@ def score_window(
         predicted: The futures.
         recorded: What happened.
         last_observed: The last observed pose, for the jump of the first frame and the lengths of bones.
-        goal: Where the hand is in the last frame.
+        goal: Place of the hand in the last frame.
         fps: Frames a second, for the horizons.
         similar_futures: Futures of other windows with a similar past, for MMADE and MMFDE; the own one is added.
 

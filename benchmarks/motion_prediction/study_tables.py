@@ -42,17 +42,14 @@ from prbench_benchmarks.motion_prediction.scoring import (
 )
 from prbench_benchmarks.motion_prediction.table import WindowsTable
 
-TABLES = ("1", "2", "3")
-"""Numbers of the study's tables of scores."""
-PUBLISHED_METRICS = ("ade", "fde", "mmade", "mmfde")
-"""Ids of the metrics in them, metres, less is better."""
+TABLES = ("1", "2", "3")  # Numbers of the study's tables of scores.
+PUBLISHED_METRICS = ("ade", "fde", "mmade", "mmfde")  # Ids of the metrics in them, metres, less is better.
 PUBLISHED_DATASETS = ("mogaze", "gimo")
 _PACKAGE = "prbench_benchmarks.motion_prediction"
 _WITHOUT_LEARNING = {each.name: each for each in (ZeroVelocity(), ConstantVelocity())}
+# Metrics for which the value of a condition is told; those at the goal exist in anchored windows alone.
 _VALUE_METRICS = ("ade", "fde", "ade_mean", "wrist_to_goal", "wrist_to_goal_mean", "pelvis_at_event")
-"""Metrics for which the value of a condition is told; those at the goal exist in anchored windows alone."""
-_EVERY = "all"
-"""Stands for the windows of all anchors."""
+_EVERY = "all"  # Stands for the windows of all anchors.
 _NUMBERS = tuple(Column(key=name, title=name.upper(), digits=3) for name in PUBLISHED_METRICS)
 _COLUMNS = (Column(key="method", title="Method", text=True), *_NUMBERS)
 _VALUE_COLUMNS = (
@@ -63,15 +60,18 @@ _VALUE_COLUMNS = (
 
 
 class TableRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A row of one or several tables."""
+    """A row of one or several tables.
+
+    Attributes:
+        variant: The row's variant among the published numbers; empty for a row that the study does not have.
+        weights: Name of the configuration and of the weights; empty for what needs none.
+    """
 
     label: str
     method: str
     condition: Condition
     variant: str
-    """The row's variant among the published numbers; empty for a row that the study does not have."""
     weights: str
-    """Name of the configuration and of the weights; empty for what needs none."""
     tables: tuple[str, ...]
 
     @property
@@ -132,8 +132,8 @@ def prediction_tables(
         weights: Folder with the user's weights by the row's name, such as ``no-gaze.safetensors``.
         limit: Largest number of scored windows, of every recording its share.
         samples: K of methods that draw samples.
-        seed: Of the futures.
-        device: Where networks run.
+        seed: Seed that futures are drawn from.
+        device: Device that networks run on.
         progress: Called with finished rows, all rows, and the row that comes next.
 
     Returns:

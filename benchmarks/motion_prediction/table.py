@@ -45,8 +45,7 @@ from prbench_benchmarks.motion_prediction.protocol import FrameName
 
 SCHEMA_VERSION = 1
 FILE_NAME = "windows.json"
-RUNS_AT_ONCE = 8
-"""Runs in a row group: a run may hold 20 minutes, 10 MB."""
+RUNS_AT_ONCE = 8  # Runs in a row group: a run may hold 20 minutes, 10 MB.
 _IDENTITY = ("run_id", "split", "segment", "n_frames")
 
 _TEXTS = ("run_id", "recording_id", "participant_id", "split", "published_split", "segment", "pose_source")
@@ -77,14 +76,19 @@ def streams_schema(joints: JointSet) -> pa.Schema:
 
 @dataclass(frozen=True)
 class Run:
-    """Frames at the table's rate, without a gap in time. Room, metres, Y up."""
+    """Frames at the table's rate, without a gap in time. Room, metres, Y up.
+
+    Attributes:
+        published_split: ``train``, ``test``, ``unused``, or empty where no study published one.
+        gaze: Unit vectors; where ``gaze_valid`` is False the last one measured before, or +Z if there was none.
+        windows: The windows that begin in it; none in a run that was read from ``streams`` alone.
+    """
 
     run_id: str
     recording_id: str
     participant_id: str
     split: str
     published_split: str
-    """``train``, ``test``, ``unused``, or empty where no study published one."""
     segment: str
     pose_source: str
     fps: float
@@ -92,11 +96,9 @@ class Run:
     joints: Float[np.ndarray, "n joints 3"]
     joints_valid: Bool[np.ndarray, " n"]
     gaze: Float[np.ndarray, "n 3"]
-    """Unit vectors; where ``gaze_valid`` is False the last one measured before, or +Z if there was none."""
     gaze_valid: Bool[np.ndarray, " n"]
     head_direction: Float[np.ndarray, "n 3"]
     windows: tuple[Window, ...] = ()
-    """The windows that begin in it; none in a run that was read from ``streams`` alone."""
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -109,19 +111,23 @@ class Run:
 
 @dataclass(frozen=True)
 class Window:
-    """A slice of a run."""
+    """A slice of a run.
+
+    Attributes:
+        n_gaze_valid: Observed frames with measured gaze.
+        n_scored: Frames after the observed ones that are scored; a predictor is asked for as many as every window of
+            the table.
+        exclusion: ``invalid_body``, ``gap_at_border``, or empty.
+        anchor: ``sliding``; ``prime`` or ``event-2`` and the like in an anchored table.
+        goal: Goal location, room; only where the last scored frame is the event. Never given to a predictor.
+    """
 
     start: int
     n_gaze_valid: int
-    """Observed frames with measured gaze."""
     n_scored: int
-    """Frames after the observed ones that are scored; a predictor is asked for as many as every window of the table."""
     exclusion: str = ""
-    """``invalid_body``, ``gap_at_border``, or empty."""
     anchor: str = "sliding"
-    """``sliding``; ``prime`` or ``event-2`` and the like in an anchored table."""
     goal: Float[np.ndarray, "3"] | None = None
-    """Goal location, room; only where the last scored frame is the event. Never given to a predictor."""
 
     def row(self, run: Run, row: int) -> dict[str, object]:
         """Columns of ``windows``."""
@@ -137,34 +143,38 @@ class Window:
 
 
 class WindowsInfo(Provenance, frozen=True, kw_only=True):
-    """Provenance of one table of windows; its outcomes count windows by exclusion (``window`` for the others)."""
+    """Provenance of one table of windows; its outcomes count windows by exclusion (``window`` for the others).
+
+    Attributes:
+        fps: Frames a second.
+        observed_frames: Frames that a predictor is given.
+        future_frames: Frames that it predicts.
+        fewest_gaze_frames: Observed frames with measured gaze that a window has at least.
+        joint_set: ``smpl22``, or native joints such as ``mogaze21``.
+        has_gaze: False where no frame of any recording has measured gaze.
+        estimated_bodies: Bodies were estimated from whole tracks of the head: an observed frame may carry later head
+            motion.
+        participants: Number of participants.
+        recordings: Number of recordings with windows.
+        runs: Number of runs of frames (segments, sequences).
+        frames: Number of frames in all runs.
+    """
 
     file_name = FILE_NAME
     described = "table of windows"
     build_command = "build-windows"
 
     fps: float
-    """Frames a second."""
     observed_frames: int
-    """Frames that a predictor is given."""
     future_frames: int
-    """Frames that it predicts."""
     fewest_gaze_frames: int
-    """Observed frames with measured gaze that a window has at least."""
     joint_set: str
-    """``smpl22``, or native joints such as ``mogaze21``."""
     has_gaze: bool = False
-    """False where no frame of any recording has measured gaze."""
     estimated_bodies: bool = False
-    """Bodies were estimated from whole tracks of the head: an observed frame may carry later head motion."""
     participants: int = 0
-    """Number of participants."""
     recordings: int = 0
-    """Number of recordings with windows."""
     runs: int = 0
-    """Number of runs of frames (segments, sequences)."""
     frames: int = 0
-    """Number of frames in all runs."""
 
 
 def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[Run]) -> WindowsInfo:
@@ -234,7 +244,12 @@ def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[Run]) -> Window
 
 @dataclass(frozen=True)
 class Truth:
-    """What scoring knows of the windows of an :class:`ObservedBatch`, in the batch's frame, and no predictor does."""
+    """What scoring knows of the windows of an :class:`ObservedBatch`, in the batch's frame, and no predictor does.
+
+    Attributes:
+        joints: NaN beyond ``n_scored``.
+        goal: NaN where the event lies beyond the scored frames.
+    """
 
     window_ids: tuple[str, ...]
     recording_ids: tuple[str, ...]
@@ -243,22 +258,23 @@ class Truth:
     anchors: tuple[str, ...]
     n_scored: Int[np.ndarray, " batch"]
     joints: Float[np.ndarray, "batch future joints 3"]
-    """NaN beyond ``n_scored``."""
     goal: Float[np.ndarray, "batch 3"]
-    """NaN where the event lies beyond the scored frames."""
     room_from_batch: Float[np.ndarray, "batch 4 4"]
 
 
 @dataclass(frozen=True)
 class WindowsTable:
-    """A table of windows, opened; runs are read when they are asked for."""
+    """A table of windows, opened; runs are read when they are asked for.
+
+    Attributes:
+        windows: All rows of ``windows``.
+        runs: The short columns of ``streams``.
+    """
 
     folder: Path
     info: WindowsInfo
     windows: pa.Table
-    """All rows of ``windows``."""
     runs: pa.Table
-    """The short columns of ``streams``."""
 
     @classmethod
     @foreign_input()

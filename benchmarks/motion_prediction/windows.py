@@ -58,23 +58,23 @@ from prbench_benchmarks.motion_prediction.table import (
     write_windows,
 )
 
+# ``native``: joints that a study scored, where the reader gives them; ``smpl22``: the 22 joints of every dataset.
 JointChoice = Literal["native", "smpl22"]
-"""``native``: joints that a study scored, where the reader gives them; ``smpl22``: the 22 joints of every dataset."""
 Status = Literal["read", "failed", "skipped"]
 OnError = Literal["skip", "fail"]
+# Called after each recording with how many are done, of how many, and its id.
 Progress = Callable[[int, int, str], None] | None
-"""Called after each recording with how many are done, of how many, and its id."""
 _IN_PROCESS = InProcess()
 _ROUNDING = 1e-6  # seconds
+# Share by which a rate may differ from a multiple of the windows' rate: 29.97 is 30, EgoAllo's 30.3 is not.
 _RATE_TOLERANCE = 0.005
-"""Share by which a rate may differ from a multiple of the windows' rate: 29.97 is 30, EgoAllo's 30.3 is not."""
 
 
 def runs_of_recording(recording: Recording, rules: WindowRules, *, split: str) -> Iterator[Run]:
     """Runs of the 22 joints, cut where the body is missing for longer than the largest gap.
 
     Args:
-        recording: With a body; one without yields nothing.
+        recording: The recording; one without a body yields nothing.
         rules: Rate, lengths and limits.
         split: The recording's split.
     """
@@ -189,7 +189,7 @@ def latest_gaze(
     """The last valid sample not later than each frame; interpolating would read the future across a window's border.
 
     Args:
-        times: Of the samples, seconds.
+        times: Times of the samples, seconds.
         directions: Unit vectors.
         valid: Samples that were measured.
         frames: Seconds.
@@ -232,12 +232,15 @@ def _resampled(
 
 @dataclass(frozen=True)
 class NativeWindows:
-    """A recording of a reader's dataset that can be cut into windows; picklable, so that other processes can do it."""
+    """A recording of a reader's dataset that can be cut into windows; picklable, so that other processes can do it.
+
+    Attributes:
+        native: Whether the joints are those of the study.
+    """
 
     source: NativeSource
     manifest: Manifest
     native: bool
-    """Whether the joints are those of the study."""
 
     @property
     def recording_id(self) -> str:
@@ -297,23 +300,29 @@ class NativeWindows:
 
 
 class WindowsReceipt(msgspec.Struct, frozen=True, kw_only=True):
-    """Description of a finished part, readable without opening its tables."""
+    """Description of a finished part, readable without opening its tables.
+
+    Attributes:
+        message: The reason where there are no runs.
+    """
 
     input_digest: str
     status: Status
     message: str
-    """The reason where there are no runs."""
 
 
 @dataclass(frozen=True)
 class CutRecording:
-    """The runs of one recording as a part, or the reason why there are none."""
+    """The runs of one recording as a part, or the reason why there are none.
+
+    Attributes:
+        reused: True if an earlier, interrupted build had made it.
+    """
 
     recording_id: str
     receipt: WindowsReceipt
     folder: Path
     reused: bool
-    """True if an earlier, interrupted build had made it."""
 
 
 def read_cut_runs(folder: Path) -> Iterator[Run]:
@@ -391,12 +400,15 @@ class WindowsJob:
 
 @dataclass(frozen=True)
 class WindowsPlan:
-    """Recordings of one dataset with one joint set, and what stands in the description of their table."""
+    """Recordings of one dataset with one joint set, and what stands in the description of their table.
+
+    Attributes:
+        dataset: Name that the table bears.
+        sources: One recording or more in table order; each is :class:`NativeWindows` or has its properties and methods.
+    """
 
     dataset: str
-    """Name that the table bears."""
     sources: tuple[Any, ...]
-    """At least one, in table order; each is :class:`NativeWindows` or has its properties and methods."""
     options: dict[str, str]
 
     @property
@@ -470,7 +482,7 @@ def build_windows(
         plan: What to read, of :func:`plan_windows`.
         out: Folder of the table; an earlier table of windows there is replaced when everything is ready.
         on_error: Leave out recordings that cannot be read, or stop at the first.
-        engine: Where recordings are worked on.
+        engine: Runs the work, in this process or in several.
         progress: See :data:`Progress`.
 
     Raises:
@@ -490,7 +502,7 @@ def build_windows_shard(
     """Make one shard of a build, for :func:`merge_windows_shards`; goes on where it was interrupted.
 
     Args:
-        plan: Of the whole build.
+        plan: The plan of the whole build.
         out: Folder of the shard.
         shard: Which one it is.
         on_error: See :func:`build_windows`.

@@ -29,8 +29,7 @@ from prbench_benchmarks.motion_prediction.protocol import EvaluationRules, Predi
 from prbench_benchmarks.motion_prediction.scoring import SimilarPasts, score_batch
 from prbench_benchmarks.motion_prediction.table import Truth
 
-NEAREST_PAST = "nearest-past"
-"""The predictor that answers with recorded motion."""
+NEAREST_PAST = "nearest-past"  # The predictor that answers with recorded motion.
 
 
 @dataclass(frozen=True)

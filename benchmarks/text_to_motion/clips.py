@@ -44,12 +44,15 @@ class Clip:
 
 @dataclass(frozen=True)
 class Pass:
-    """The settings by which one pass draws crops and captions, as a function of these and of a clip's id alone."""
+    """The settings by which one pass draws crops and captions, as a function of these and of a clip's id alone.
+
+    Attributes:
+        name: ``reference``, ``real`` or ``generated``.
+    """
 
     seed: int
     repetition: int
     name: str
-    """``reference``, ``real`` or ``generated``."""
 
     def generator(self, *parts: str) -> np.random.Generator:
         """The pass's own generator for one purpose, or for one clip."""
@@ -59,32 +62,38 @@ class Pass:
 
 @dataclass(frozen=True)
 class Draw:
-    """The crop and caption of a clip in one pass."""
+    """The crop and caption of a clip in one pass.
+
+    Attributes:
+        n_frames: A multiple of 4.
+    """
 
     caption: str
     start: int
     n_frames: int
-    """A multiple of 4."""
 
 
 @dataclass(frozen=True)
 class EvaluatedClips:
-    """The clips of a split that can be evaluated."""
+    """The clips of a split that can be evaluated.
+
+    Attributes:
+        left_out: Number of clips without a caption of the kinds asked for, or shorter than 4 frames.
+    """
 
     table: SequenceTable | CorpusTable
     split: str
     clips: tuple[Clip, ...]
     left_out: int
-    """Number of clips without a caption of the kinds asked for, or shorter than 4 frames."""
 
     @classmethod
     def read(cls, folder: Path, *, split: str, kinds: frozenset[str], fps: float) -> EvaluatedClips:
         """Read the clips of a corpus, or the sequences of a P&R table.
 
         Args:
-            folder: Of the table.
+            folder: The table's folder.
             split: ``train``, ``validation`` or ``test``.
-            kinds: Of captions; empty for all. P&R tables know no kinds.
+            kinds: Kinds of captions; empty for all. P&R tables know no kinds.
             fps: What the evaluator was trained for.
 
         Raises:
@@ -215,7 +224,7 @@ class Extractor:
         text: Encoder of texts.
         statistics: Already weighted for an evaluator (:meth:`prbench.representation.Statistics.for_evaluator`).
         tokens: Vectors of the words of a text.
-        device: Where the networks run.
+        device: Device that the networks run on.
         digest: SHA-256 of the weights.
         words_digest: Digest of the user's word vectors and lists; empty if it needs none.
     """

@@ -54,35 +54,37 @@ _REPETITIONS_WITH_MULTIMODALITY = 5
 _PROMPTS = 1000
 REAL = "real"
 MISMATCHED = "real, texts shuffled"
-Progress = Callable[[int, int, str], None]
-"""Called with finished repetitions, all repetitions, and a word."""
+Progress = Callable[[int, int, str], None]  # Called with finished repetitions, all repetitions, and a word.
 Features = Float[np.ndarray, "n 263"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class TextEvaluationRequest:
-    """One evaluation."""
+    """One evaluation.
+
+    Attributes:
+        evaluator: A trained evaluator's weights.
+        corpus: A built corpus or dataset.
+        kinds: Kinds of captions; empty for all.
+        method: The method whose motions are evaluated; None for recorded motions alone.
+        weights: Weights of the method; None for its default.
+        options: Options of the method.
+        batch_size: Motions that the method makes at once.
+        repetitions: Number of repetitions; by default 20, and 5 with multimodality.
+        prompts: Prompts that a method is given in a repetition; fewer if there are fewer.
+    """
 
     evaluator: Path
-    """A trained evaluator's weights."""
     corpus: Path
-    """A built corpus or dataset."""
     split: str = "test"
     kinds: frozenset[str] = frozenset()
-    """Kinds of captions; empty for all."""
     method: str | None = None
-    """The method whose motions are evaluated; None for recorded motions alone."""
     weights: Path | None = None
-    """Weights of the method; None for its default."""
     options: tuple[tuple[str, str], ...] = ()
-    """Of the method."""
     batch_size: int = 64
-    """Motions that the method makes at once."""
     repetitions: int | None = None
-    """Number of repetitions; by default 20, and 5 with multimodality."""
     multimodality: bool = False
     prompts: int = _PROMPTS
-    """Prompts that a method is given in a repetition; fewer if there are fewer."""
     diversity_pairs: int = DIVERSITY_PAIRS
     seed: int = 0
     device: str = "cpu"
@@ -128,15 +130,18 @@ class _Row:
 
 @dataclass(frozen=True)
 class _Passes:
-    """What all repetitions share."""
+    """What all repetitions share.
+
+    Attributes:
+        supported: Those that the method can generate.
+        texts: Embedded once for all repetitions; only crops change.
+    """
 
     request: TextEvaluationRequest
     evaluator: Extractor
     clips: tuple[Clip, ...]
     supported: tuple[Clip, ...]
-    """Those that the method can generate."""
     texts: dict[str, np.ndarray]
-    """Embedded once for all repetitions; only crops change."""
     adapter: Adapter | None
 
     def embedded(self, drawn: Sequence[Draw], features: Sequence[Features]) -> EmbeddedPairs:

@@ -10,16 +10,12 @@ import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 
-FEWEST = 1000
-"""FID of fewer samples is biased upwards; whoever reports it says so."""
+FEWEST = 1000  # FID of fewer samples is biased upwards; whoever reports it says so.
 DIVERSITY_PAIRS = 300
 MULTIMODALITY_PROMPTS = 100
-MULTIMODALITY_SAMPLES = 30
-"""Motions generated for each prompt."""
-_MULTIMODALITY_PAIRS = 10
-"""Pairs of them that are compared."""
-BATCH = 32
-"""Pairs that are ranked together. Part of the metric: the number means nothing with another one."""
+MULTIMODALITY_SAMPLES = 30  # Motions generated for each prompt.
+_MULTIMODALITY_PAIRS = 10  # Pairs of them that are compared.
+BATCH = 32  # Pairs that are ranked together. Part of the metric: the number means nothing with another one.
 TOP = 3
 FID = "fid"
 _DISTANCE = "multimodal_distance"
@@ -70,7 +66,7 @@ def diversity(motion: Float[np.ndarray, "motions dimension"], pairs: Int[np.ndar
 
     Args:
         motion: Embeddings.
-        pairs: From :func:`draw_diversity_pairs`.
+        pairs: Indices of :func:`draw_diversity_pairs`.
     """
     return _mean_distance(motion[pairs[0]], motion[pairs[1]])
 
@@ -93,7 +89,7 @@ def multimodality(motion: Float[np.ndarray, "prompts samples dimension"], pairs:
 
     Args:
         motion: Embeddings of several motions of each prompt.
-        pairs: From :func:`draw_multimodality_pairs`; the same for all prompts.
+        pairs: Indices of :func:`draw_multimodality_pairs`; the same for all prompts.
     """
     return _mean_distance(motion[:, pairs[0]], motion[:, pairs[1]])
 
@@ -113,16 +109,19 @@ def draw_multimodality_pairs(
 
 @dataclass(frozen=True, eq=False)
 class RPrecision:
-    """R-precision and what it was counted over."""
+    """R-precision and what it was counted over.
+
+    Attributes:
+        top: Share of texts whose own motion is the nearest, among the two nearest, among the three nearest.
+        n_pairs: Pairs that were ranked: whole batches only.
+        n_dropped: Pairs of the last, incomplete batch.
+        n_duplicates: Ranked texts that another text of their batch equals. The other's motion counts as a wrong one.
+    """
 
     top: Float[np.ndarray, " 3"]
-    """Share of texts whose own motion is the nearest, among the two nearest, among the three nearest."""
     n_pairs: int
-    """Pairs that were ranked: whole batches only."""
     n_dropped: int
-    """Pairs of the last, incomplete batch."""
     n_duplicates: int
-    """Ranked texts that another text of their batch equals. The other's motion counts as a wrong one."""
 
 
 def r_precision(
@@ -166,8 +165,8 @@ def _mean_distance(first: Float[np.ndarray, "*rows dimension"], second: Float[np
 
 
 _R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))
+# Ids in the order in which they are shown; R-precision as shares from 0 to 1.
 METRICS = (*_R_PRECISION, FID, _DISTANCE, _DIVERSITY, MULTIMODALITY)
-"""Ids in the order in which they are shown; R-precision as shares from 0 to 1."""
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ from prbench.text import EncodedText, padded
 
 WORD_DIMENSION = 300
 MOST_WORDS = 20
+# Hand-made lists of words; a word of one of them has that class instead of its part of speech.
 LISTS = ("Loc_VIP", "Body_VIP", "Obj_VIP", "Act_VIP", "Desc_VIP")
-"""Hand-made lists of words; a word of one of them has that class instead of its part of speech."""
 POS_CLASSES = ("VERB", "NOUN", "DET", "ADP", "NUM", "AUX", "PRON", "ADJ", "ADV", *LISTS, "OTHER")
 START = "sos"
 END = "eos"
@@ -35,14 +35,17 @@ OTHER = "OTHER"
 
 @dataclass(frozen=True, eq=False)
 class WordVectors:
-    """A vocabulary: a vector a word, and the lists."""
+    """A vocabulary: a vector a word, and the lists.
+
+    Attributes:
+        classes: List of each word that is in one; the first of :data:`LISTS` wins.
+        digest: Digest of everything that decides a number; evaluators are tied to it.
+    """
 
     index: Mapping[str, int]
     vectors: Float[np.ndarray, "words 300"]
     classes: Mapping[str, str]
-    """List of each word that is in one; the first of :data:`LISTS` wins."""
     digest: str
-    """Digest of everything that decides a number; evaluators are tied to it."""
 
     @classmethod
     @foreign_input()
@@ -90,7 +93,7 @@ class GloveCaptions:
     Args:
         vectors: The vocabulary.
         tokens: The tokens of every caption, as the corpus has them.
-        source: Where the captions come from, for messages.
+        source: The origin of the captions, for messages.
     """
 
     name = "glove"
@@ -141,10 +144,9 @@ def _vectors(path: Path, words: int) -> Float[np.ndarray, "words 300"]:
     return vectors.astype(np.float32)
 
 
+# Number of the 263 features that the movement encoder sees: all but the four contacts.
 MOVEMENT_FEATURES = FOOT_CONTACTS.start
-"""Number of the 263 features that the movement encoder sees: all but the four contacts."""
-SNIPPET = 4
-"""Frames that become one snippet."""
+SNIPPET = 4  # Frames that become one snippet.
 GLOVE = "glove"
 _SLOPE = 0.2
 _DROPOUT = 0.2
@@ -157,24 +159,26 @@ class EvaluatorConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     """Defaults are those of the text-to-motion paper.
 
     Source: docs/specification/text-to-motion-eval.md#training-the-extractor.
+
+    Attributes:
+        movement_width: Channels of the movement encoder, and numbers of a snippet.
+        motion_width: Hidden size of the motion encoder's GRU, in each direction.
+        text_width: Hidden size of the text encoder's GRU, in each direction.
+        embedding: Dimension of the space that both encoders map into.
+        text: Name of the word vectors that the text encoder reads. Numbers of different ones never stand in one column.
+        most_tokens: Later tokens of a text are dropped. GloVe's captions are cut to 20 words whatever stands here.
+        max_frames: Longer motions are cropped to this before they are embedded.
     """
 
     movement_width: int = 512
-    """Channels of the movement encoder, and numbers of a snippet."""
     motion_width: int = 1024
-    """Hidden size of the motion encoder's GRU, in each direction."""
     text_width: int = 512
-    """Hidden size of the text encoder's GRU, in each direction."""
     embedding: int = 512
-    """Dimension of the space that both encoders map into."""
     text: Literal["glove", "hashed-ngrams", "distilbert"] = "glove"
-    """Name of the word vectors that the text encoder reads. Numbers of different ones never stand in one column."""
     most_tokens: int = 64
-    """Later tokens of a text are dropped. GloVe's captions are cut to 20 words whatever stands here."""
     representation: Mode = "continuous"
     fps: float = 20.0
     max_frames: int = 196
-    """Longer motions are cropped to this before they are embedded."""
 
     def __post_init__(self) -> None:
         for name in ("movement_width", "motion_width", "text_width", "embedding", "most_tokens"):
@@ -241,9 +245,9 @@ class SequenceEncoder(nn.Module):
     Args:
         inputs: Numbers of one step.
         inner: What each step is mapped to before the GRU.
-        width: Of the GRU in each direction.
-        hidden: Of the head's middle layer.
-        outputs: Of the embedding.
+        width: Width of the GRU in each direction.
+        hidden: Width of the head's middle layer.
+        outputs: Width of the embedding.
     """
 
     def __init__(self, inputs: int, inner: int, width: int, hidden: int, outputs: int) -> None:
@@ -274,8 +278,8 @@ class TextEncoder(nn.Module):
     """Token vectors to an embedding; those of GloVe bring the word's class along, which is added to its vector.
 
     Args:
-        configuration: Of the evaluator.
-        dimension: Of the token vectors.
+        configuration: The evaluator's configuration.
+        dimension: Width of the token vectors.
     """
 
     def __init__(self, configuration: EvaluatorConfiguration, dimension: int) -> None:

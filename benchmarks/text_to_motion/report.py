@@ -104,13 +104,13 @@ class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
         return msgspec.json.decode(read_whole(path), type=cls)
 
 
+# The study's four metrics: title, direction of the better values, stored unit.
 _METRICS: dict[str, tuple[str, Literal["higher", "lower"], str]] = {
     "r_precision_top_3": ("R Precision Top-3", "higher", "rate"),
     "fid": ("FID", "lower", ""),
     "multimodal_distance": ("Multimodal Distance", "lower", ""),
     "diversity": ("Diversity", "higher", ""),
 }
-"""The study's four metrics: title, direction of the better values, stored unit."""
 _NOT_RECOMPUTED = "as reported by the file; motions are not at hand to hold the numbers against"
 
 

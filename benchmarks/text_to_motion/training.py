@@ -36,33 +36,37 @@ from prbench_benchmarks.text_to_motion.networks import (
 Stage = Literal["full", "autoencoder", "contrastive"]
 STAGES: tuple[Stage, ...] = ("full", "autoencoder", "contrastive")
 EVALUATOR_KIND = "t2m-evaluator"
-MOVEMENT_KIND = "t2m-movement"
-"""Kinds of weights files: a whole evaluator, or a trained movement autoencoder alone."""
+MOVEMENT_KIND = "t2m-movement"  # Kinds of weights files: a whole evaluator, or a trained movement autoencoder alone.
+# Probability that a motion loses one more snippet than its length needs (docs/specification/mdm.md#training).
 _SHORTER = 1 / 3
-"""Probability that a motion loses one more snippet than its length needs (docs/specification/mdm.md#training)."""
 
 
 class EvaluatorObjective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Keys of ``[model]`` beside those of the networks. Defaults are those of the text-to-motion paper."""
+    """Keys of ``[model]`` beside those of the networks. Defaults are those of the text-to-motion paper.
+
+    Attributes:
+        autoencoder_batches: Batches of stage ``full`` that train the movement autoencoder, before it is frozen.
+        window: Frames of a clip of the autoencoder.
+        windows: Clips drawn from every motion of a batch.
+        sparsity: Weight of the mean size of the snippets' numbers.
+        smoothness: Weight of the mean difference of neighbouring snippets.
+        margin: Distance beyond which a wrong pair costs nothing.
+        equal_texts_are_negatives: Push a motion away from another one's text even if both have the same text, as the
+            original does.
+        words: Folder of the word vectors and lists, for ``text = "glove"``.
+        text_path: Folder or hub id of the text encoder, for ``text = "distilbert"``; by default that of the
+            environment.
+    """
 
     autoencoder_batches: int = 0
-    """Batches of stage ``full`` that train the movement autoencoder, before it is frozen."""
     window: int = 24
-    """Frames of a clip of the autoencoder."""
     windows: int = 1
-    """Clips drawn from every motion of a batch."""
     sparsity: float = 0.001
-    """Weight of the mean size of the snippets' numbers."""
     smoothness: float = 0.001
-    """Weight of the mean difference of neighbouring snippets."""
     margin: float = 10.0
-    """Distance beyond which a wrong pair costs nothing."""
     equal_texts_are_negatives: bool = True
-    """Push a motion away from another one's text even if both have the same text, as the original does."""
     words: str = ""
-    """Folder of the word vectors and lists, for ``text = "glove"``."""
     text_path: str = ""
-    """Folder or hub id of the text encoder, for ``text = "distilbert"``; by default that of the environment."""
 
     def __post_init__(self) -> None:
         if self.window < 4 or self.window % 4:
@@ -140,12 +144,12 @@ class EvaluatorTraining(TrainingModule):
     ``autoencoder`` and ``contrastive`` are those two halves as trainings of their own.
 
     Args:
-        configuration: Of the networks.
-        objective: Of the losses.
+        configuration: Sizes of the networks.
+        objective: Weights of the losses.
         stage: Which half, or both.
         statistics: Weighted for an evaluator.
         tokens: Vectors of the words of a text.
-        words_digest: Of a vocabulary that the user supplies; empty if there is none.
+        words_digest: Digest of a vocabulary that the user supplies; empty if there is none.
         origin: Lines for the card.
     """
 
@@ -288,8 +292,8 @@ def _require_snippets(counts: Int[torch.Tensor, " batch"], batch: MotionBatch) -
         )
 
 
+# Fields of the configuration that describe the movement encoder, which stage ``contrastive`` takes over.
 _MOVEMENT_ENCODER = frozenset({"movement_width", "representation", "fps"})
-"""Fields of the configuration that describe the movement encoder, which stage ``contrastive`` takes over."""
 
 
 def t2m_evaluator() -> EvaluatorTask:
@@ -388,7 +392,7 @@ def load_evaluator(
     Args:
         path: Its ``.safetensors`` file.
         tables: Whose captions it will be asked about.
-        device: Where its networks run.
+        device: Device that its networks run on.
         words: Folder of the word vectors and lists, for an evaluator of GloVe captions.
         text_path: Folder or hub id of its text encoder, if that has files.
 

@@ -18,24 +18,20 @@ from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.limits import HARMLESS_SIZE
 from prbench.sequences.corpus import Caption
 
-JOINTS_FOLDER = "new_joints"
-"""Joint positions, one (F, 22, 3) array a motion: metres, Y up, 20 fps."""
-FEATURES_FOLDER = "new_joint_vecs"
-"""263 features a frame, one array a motion."""
+JOINTS_FOLDER = "new_joints"  # Joint positions, one (F, 22, 3) array a motion: metres, Y up, 20 fps.
+FEATURES_FOLDER = "new_joint_vecs"  # 263 features a frame, one array a motion.
 TEXTS_FOLDER = "texts"
 TEXTS_ARCHIVE = "texts.zip"
 SPLIT_FILES = {"train": "train.txt", "validation": "val.txt", "test": "test.txt"}
 MIRROR_PREFIX = "M"
 RATE = 20.0
+# ``caption#tokens#from#to``; both times 0.0 mean the whole motion.
 _TEXT_SEPARATOR = "#"
-"""``caption#tokens#from#to``; both times 0.0 mean the whole motion."""
 
 
-WHOLE = "caption"
-"""Kind of a caption of the whole motion; its times count as 0."""
+WHOLE = "caption"  # Kind of a caption of the whole motion; its times count as 0.
 PART = "sub_caption"
-TextLine = tuple[Caption, float, float]
-"""One caption, and the seconds from which and to which it describes the motion."""
+TextLine = tuple[Caption, float, float]  # One caption, and the seconds from which and to which it describes the motion.
 
 _SHORTEST_TRUNK = 0.05  # metres; longer ones are in millimetres
 _LONGEST_TRUNK = 20.0

@@ -42,10 +42,10 @@ def clips_of(
 
     Args:
         identity: Whose clips they are.
-        joints: Of the whole motion, metres, Y up.
+        joints: Joint positions of the whole motion, metres, Y up.
         lines: Captions in file order.
         limits: Lengths of clips.
-        manifest: Of the dataset.
+        manifest: The dataset's manifest.
     """
     clips = []
     annotations = []
@@ -140,10 +140,13 @@ _MAKE_JOINTS = (
 
 @dataclass(frozen=True)
 class HumanML3DSource(CorpusRecording):
-    """One motion."""
+    """One motion.
+
+    Attributes:
+        joints: File of the joints; None where there are features only.
+    """
 
     joints: Path | None
-    """None where there are features only."""
     texts: Path
     bytes_a_second = 3.6e6
     table_share = 2.7

@@ -20,14 +20,13 @@ from prbench.synthetic.activities import NarratedMotion
 from prbench.synthetic.layouts import Defect, removed
 from prbench_adapters.corpora.humanml3d import files as layout
 
-_LONGEST = 9.9
-"""Seconds of a motion in the dataset."""
+_LONGEST = 9.9  # Seconds of a motion in the dataset.
 _SHORTEST = 2.05
 _SIDES = {"left": "right", "right": "left"}
 
 
+# One motion of the dataset, at 20 frames a second, with its text lines: caption, from, to; both 0 for all of it.
 CaptionedMotion = tuple[Float[np.ndarray, "n 22 3"], tuple[tuple[str, float, float], ...]]
-"""One motion of the dataset, at 20 frames a second, with its text lines: caption, from, to; both 0 for all of it."""
 
 
 def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
@@ -125,6 +124,7 @@ def _nan_times(root: Path, name: str) -> None:
     path.write_text(path.read_text().replace("#0.0#0.0", "#nan#nan"))
 
 
+# All defects of the layout.
 DEFECTS = (
     Defect("nan-joints", "a joint of one frame is NaN", _nan_joints, "failed", "frame 5"),
     Defect("features-only", "features without joints", _features_only, "failed", "263 features only"),
@@ -132,4 +132,3 @@ DEFECTS = (
     Defect("not-listed", "the motion stands in no split list", _not_listed, "skipped", "not listed"),
     Defect("nan-times", "nan instead of 0.0 for whole motions", _nan_times, "read", ""),
 )
-"""All defects of the layout."""

@@ -30,13 +30,16 @@ _LONGEST_OF_CORRELATION = 1e7  # samples; a broken clock must not ask for all me
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """The offset that turns text times into suit times: ``TIME_CODE = device time + seconds``."""
+    """The offset that turns text times into suit times: ``TIME_CODE = device time + seconds``.
+
+    Attributes:
+        method: ``known``: synthetic people, whose clocks nobody has to find.
+        quality: Height of the correlation's peak.
+    """
 
     method: Literal["file", "correlation", "start_alignment", "known"]
-    """``known``: synthetic people, whose clocks nobody has to find."""
     seconds: float
     quality: float | None = None
-    """Height of the correlation's peak."""
 
     @property
     def approximate(self) -> bool:
@@ -44,8 +47,8 @@ class ClockOffset:
         return self.method == "start_alignment"
 
 
+# Angular speed on a uniform grid: seconds of the first sample, radians a second, and which samples are valid.
 Signal = tuple[float, Float[np.ndarray, "_"], Bool[np.ndarray, "_"]]
-"""Angular speed on a uniform grid: seconds of the first sample, radians a second, and which samples are valid."""
 
 
 def offset_from_file(path: Path, sequence: str) -> ClockOffset | None:
@@ -75,9 +78,9 @@ def offset_by_correlation(
 
     Args:
         clean: The suit; its longest piece is used.
-        time_us: Of the glasses' poses, microseconds, device clock.
-        rotation: Of the glasses, w x y z.
-        thresholds: Of the manifest.
+        time_us: Times of the glasses' poses, microseconds, device clock.
+        rotation: Rotations of the glasses at these times, w x y z.
+        thresholds: The manifest's thresholds.
 
     Returns:
         The offset, or None and why not.

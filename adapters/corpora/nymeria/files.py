@@ -19,8 +19,7 @@ from prbench_adapters.corpora.nymeria.format import Narration
 
 SUIT = "suit"
 TRAJECTORY = "trajectory"
-OFFSET = "time_offset"
-"""Roles of the files; narrations have the role of their kind."""
+OFFSET = "time_offset"  # Roles of the files; narrations have the role of their kind.
 
 _ROLES = {
     nymeria.SUIT_FILE: SUIT,

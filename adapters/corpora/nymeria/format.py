@@ -11,24 +11,22 @@ from jaxtyping import Float, Int
 from prbench.geometry.skeleton import XSENS_SEGMENTS
 
 SUIT_FILE = "xdata.npz"
-METADATA_FILE = "metadata.json"
-"""Written of synthetic people; nothing is read from it."""
+METADATA_FILE = "metadata.json"  # Written of synthetic people; nothing is read from it.
 TRAJECTORY_FILE = "closed_loop_trajectory.csv"
 HEAD_FOLDER = "recording_head"
+# The user's own, of {sequence: TIME_CODE minus device time in seconds}; made once with the vendor's reader.
 OFFSET_FILE = "time_offset.json"
-"""The user's own, of {sequence: TIME_CODE minus device time in seconds}; made once with the vendor's reader."""
 
+# File of each kind of text.
 NARRATION_FILES = {
     "atomic_action": "atomic_action.csv",
     "motion_narration": "motion_narration.csv",
     "activity_summarization": "activity_summarization.csv",
 }
-"""File of each kind of text."""
 START_COLUMN = "start_time"
 END_COLUMN = "end_time"
 ANNOTATOR_COLUMN = "annotator"
-ANSWER_PREFIX = "describe my"
-"""Beginning of the names of the answer columns, whatever their case."""
+ANSWER_PREFIX = "describe my"  # Beginning of the names of the answer columns, whatever their case.
 NARRATION_HEADER = ("request_id", "gaia_id", START_COLUMN, END_COLUMN, ANNOTATOR_COLUMN, "creation_time")
 ANSWER_COLUMNS = {
     "atomic_action": ("Describe my atomic actions",),
@@ -41,38 +39,43 @@ ANSWER_COLUMNS = {
     "activity_summarization": ("Describe my activity",),
 }
 
-SUIT_RATE = 240.0
-"""Frames per second of the suit."""
+SUIT_RATE = 240.0  # Frames per second of the suit.
 N_SEGMENTS = len(XSENS_SEGMENTS)
 
+# ``<date>_<session>_<name>_<act>_<uid>``; the name itself holds an underscore.
 SEQUENCE_NAME = re.compile(r"\d{8}_s\d+_[^_]+(?:_[^_]+)*_act\d+_[A-Za-z0-9]+")
-"""``<date>_<session>_<name>_<act>_<uid>``; the name itself holds an underscore."""
 
 
 @dataclass(frozen=True)
 class Suit:
-    """One suit recording as its file has it: XSens world, Z up, metres."""
+    """One suit recording as its file has it: XSens world, Z up, metres.
+
+    Attributes:
+        time_us: TIME_CODE clock, microseconds.
+        rotation: w x y z, segment to world; zero where the suit had none.
+        tpose: Positions in the calibration pose.
+    """
 
     time_us: Int[np.ndarray, " n"]
-    """TIME_CODE clock, microseconds."""
     position: Float[np.ndarray, "n 23 3"]
     rotation: Float[np.ndarray, "n 23 4"]
-    """w x y z, segment to world; zero where the suit had none."""
     tpose: Float[np.ndarray, "23 3"] | None
-    """Positions in the calibration pose."""
 
 
 @dataclass(frozen=True)
 class Narration:
-    """One row of a narration file."""
+    """One row of a narration file.
+
+    Attributes:
+        kind: Key of :data:`NARRATION_FILES`.
+        start: Device time of the glasses, seconds.
+        texts: Name of the answer (what follows "Describe my") and the answer; empty answers are kept.
+    """
 
     kind: str
-    """Key of :data:`NARRATION_FILES`."""
     start: float
-    """Device time of the glasses, seconds."""
     end: float
     texts: tuple[tuple[str, str], ...]
-    """Name of the answer (what follows "Describe my") and the answer; empty answers are kept."""
     annotator: str = ""
 
 

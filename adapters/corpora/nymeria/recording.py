@@ -54,9 +54,9 @@ def head_from_device(
 
     Args:
         clean: The suit; its longest piece is used.
-        offset: From the glasses' clock to the suit's.
-        times: Of the glasses' poses, seconds, their own clock.
-        rotation: Of the glasses, w x y z.
+        offset: The offset from the glasses' clock to the suit's.
+        times: Times of the glasses' poses, seconds, their own clock.
+        rotation: Rotations of the glasses at these times, w x y z.
 
     Returns:
         The rotation, or None and why not.
@@ -103,8 +103,8 @@ def gaze_in_suit_world(
     Args:
         clean: The suit.
         head_from_glasses: See :func:`head_from_device`.
-        times: Of the samples, seconds on the suit's clock.
-        angles: Of the samples, in the central pupil frame.
+        times: Times of the samples, seconds on the suit's clock.
+        angles: Angles of the samples, in the central pupil frame.
 
     Returns:
         Unit vectors, +Z where nothing was measured; and where something was.
@@ -130,11 +130,14 @@ def gaze_in_suit_world(
 
 @dataclass(frozen=True)
 class NymeriaWindows:
-    """One sequence without its texts (see :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`)."""
+    """One sequence without its texts (see :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`).
+
+    Attributes:
+        skip_reason: Sequences that are known for bad texts have sound bodies: nothing is left out.
+    """
 
     source: NymeriaSource
     skip_reason: None = None
-    """Sequences that are known for bad texts have sound bodies: nothing is left out."""
     joint_set: str = SMPL22.name
 
     @property

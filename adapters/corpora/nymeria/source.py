@@ -57,7 +57,7 @@ def clips_of(
         identity: Whose clips they are.
         body: The motion.
         narrations: Any order.
-        offset: From text to motion clock; None where none was found.
+        offset: The offset from the text's clock to the motion's; None where none was found.
         limits: Lengths of clips.
         coverage: Smallest share of a span that one piece of the motion must cover.
     """
@@ -173,10 +173,13 @@ def _placed(
 
 
 class NymeriaOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Choices about Nymeria."""
+    """Choices about Nymeria.
+
+    Attributes:
+        kinds: Kinds of texts that become clips.
+    """
 
     kinds: str = "atomic_action,motion_narration"
-    """Kinds of texts that become clips."""
 
     @property
     def chosen_kinds(self) -> tuple[str, ...]:

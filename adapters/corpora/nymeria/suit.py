@@ -20,8 +20,7 @@ from prbench_adapters.corpora.nymeria.format import N_SEGMENTS, SUIT_RATE, Suit
 
 _DOWNLOAD = "The file may be truncated or another version; download it again."
 _NEEDED = ("timestamps_us", "segment_tXYZ", "segment_qWXYZ")
-_SIZES = {"segment_tXYZ": 3, "segment_qWXYZ": 4}
-"""Numbers of a segment in the two large arrays."""
+_SIZES = {"segment_tXYZ": 3, "segment_qWXYZ": 4}  # Numbers of a segment in the two large arrays.
 _SPEED_STEP = 24  # frames; a tenth of a second
 _FEWEST_WALKING = 20  # tenths of a second in which the body walks, before its direction means anything
 _OPTIONAL = ("frameRate", "frameCount", "tpose_segment_tXYZ")
@@ -29,14 +28,17 @@ _OPTIONAL = ("frameRate", "frameCount", "tpose_segment_tXYZ")
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of the suit's frames without a jump of its clock and without a missing position, at 240 Hz."""
+    """A stretch of the suit's frames without a jump of its clock and without a missing position, at 240 Hz.
+
+    Attributes:
+        start: TIME_CODE of the first frame, seconds; frame i of the piece is ``start + i / 240``.
+        joints: Y up, metres.
+        first: Number of its first frame in the file.
+    """
 
     start: float
-    """TIME_CODE of the first frame, seconds; frame i of the piece is ``start + i / 240``."""
     joints: Float[np.ndarray, "n 22 3"]
-    """Y up, metres."""
     first: int = 0
-    """Of the file's frames."""
 
     @property
     def stop(self) -> int:
@@ -51,14 +53,17 @@ class Piece:
 
 @dataclass(frozen=True)
 class CleanSuit:
-    """A suit recording that can be used: pieces of steady time with the 22 joints, and whole rotations."""
+    """A suit recording that can be used: pieces of steady time with the 22 joints, and whole rotations.
+
+    Attributes:
+        head_rotation: Unit quaternions, w x y z, segment to world; of all frames of the file.
+    """
 
     pieces: tuple[Piece, ...]
     pose_source: str
     head_tilt_deg: float
     messages: tuple[str, ...]
     head_rotation: Float[np.ndarray, "n 4"]
-    """Unit quaternions, w x y z, segment to world; of all frames of the file."""
 
     @property
     def span(self) -> tuple[float, float]:
@@ -122,7 +127,7 @@ def clean_suit(suit: Suit, manifest: Manifest, *, path: Path | str, pose_source:
     """Fill missing rotations, cut at jumps, map to the 22 joints, and check that up is up and left is left.
 
     Args:
-        suit: As read.
+        suit: The recording, as :func:`read_suit` returns it.
         manifest: Segment of each joint, thresholds, and the head tilt for a file without calibration pose.
         path: The file, for messages.
         pose_source: Name of the result; the manifest's by default.

@@ -32,26 +32,29 @@ _DEVICE_START = (100.0, 60_000.0)  # s
 _ROUNDED = 1e5  # 10 micrometres
 
 _Z_UP_FROM_Y_UP = Y_UP_FROM_Z_UP[:3, :3].T
+# Segments: x forward, y left, z up; ours: x left, y up, z forward.
 _OURS_FROM_SEGMENT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-"""Segments: x forward, y left, z up; ours: x left, y up, z forward."""
+# Whose position and rotation a segment takes; the Pelvis segment lies between the hips.
 _JOINT_OF_SEGMENT = {
     "Pelvis": Joint.PELVIS,
     **dict(zip(load_manifest("nymeria").body.joint_mapping, Joint, strict=True)),
 }
-"""Whose position and rotation a segment takes; the Pelvis segment lies between the hips."""
 
 
 @dataclass(frozen=True)
 class NymeriaReadings:
-    """All that is written of one recording, and the offset that must be found again."""
+    """All that is written of one recording, and the offset that must be found again.
+
+    Attributes:
+        glasses: Poses of the glasses, device clock, Z up.
+        offset: TIME_CODE minus device time, seconds.
+    """
 
     name: str
     suit: Suit
     narrations: tuple[Narration, ...]
     glasses: mps.AriaTrajectory
-    """Poses of the glasses, device clock, Z up."""
     offset: float
-    """TIME_CODE minus device time, seconds."""
 
 
 def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> NymeriaReadings:
@@ -59,7 +62,7 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
 
     Args:
         motion: The truth, at 240 Hz.
-        seed: Of the corpus.
+        seed: The corpus's seed.
         noise: Multiplies drift and slip; 0 for ideal sensors.
     """
 
@@ -307,6 +310,7 @@ def _another_head(root: Path, recording: str) -> None:
     change_cells(path, lambda rows: [[*row[:2], *other[2:]] for row, other in zip(rows, reversed(rows), strict=True)])
 
 
+# All defects of the layout.
 DEFECTS = (
     Defect("clock-jump", "the suit's clock jumps by 24,003 s", _on_arrays(_jump), "read", "cut at 1 jumps"),
     Defect("zero-quaternions", "a segment loses its rotation", _on_arrays(_no_rotation), "read", "repeat the frame"),
@@ -323,4 +327,3 @@ DEFECTS = (
     Defect("by-group", "one folder for each downloaded group", _by_group, "read", ""),
     Defect("another-trajectory", "the glasses' trajectory is of another recording", _another_head, "read", "agree by"),
 )
-"""All defects of the layout."""
