@@ -201,6 +201,8 @@ class _Pretrained:
         local = Path(self.source).is_dir()
         if not local and _HUB_ID.fullmatch(self.source) is None:
             raise self._unusable("no such folder")
+        if not local:
+            local = self._is_in_the_hubs_cache()
         careful = {"trust_remote_code": False, "local_files_only": local}
         tokenizer_class, model_class = self._classes()
         try:
@@ -219,6 +221,25 @@ class _Pretrained:
         if self.name == CLIP and len(tokenizer) != model.config.vocab_size:
             raise self._unusable(f"a vocabulary of {len(tokenizer)} pieces for a model of {model.config.vocab_size}")
         return tokenizer, model.eval().requires_grad_(False)
+
+    def _is_in_the_hubs_cache(self) -> bool:
+        """Return True if the model was downloaded before; else ask once whether the hub answers.
+
+        Raises:
+            InputFileError: if it does not. Loading would ask six times for each of a dozen files, which takes minutes.
+        """
+        from huggingface_hub import HfApi, try_to_load_from_cache
+
+        wanted = ("config.json", "model.safetensors")
+        if all(isinstance(try_to_load_from_cache(self.source, name), str) for name in wanted):
+            return True
+        try:
+            HfApi().model_info(self.source, timeout=10)
+        except Exception as error:  # of whichever HTTP library the hub's client uses
+            raise self._unusable(
+                f"no answer from the model hub ({str(error)[:200] or type(error).__name__})"
+            ) from error
+        return False
 
     def _unusable(self, found: str) -> InputFileError:
         return InputFileError(self.source, "", expected=self._expected, found=found, remedy=self._remedy)

@@ -341,3 +341,21 @@ def test_without_transformers_the_extra_is_named(name, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"pip install 'prbench\[text\]'"):
         text_encoder(name)
+
+
+def test_a_machine_without_internet_is_told_at_once_and_not_after_minutes_of_attempts(monkeypatch, tmp_path):
+    pytest.importorskip("transformers")
+    import huggingface_hub
+
+    asked = []
+    monkeypatch.delenv("PRBENCH_DISTILBERT", raising=False)
+    monkeypatch.setattr(huggingface_hub, "try_to_load_from_cache", lambda *_: None)
+
+    def unreachable(_self: object, name: str, timeout: float) -> None:
+        asked.append((name, timeout))
+        raise ConnectionError("Name or service not known")
+
+    monkeypatch.setattr(huggingface_hub.HfApi, "model_info", unreachable)
+    with pytest.raises(InputFileError, match=r"no answer from the model hub \(Name or service not known\).*Download"):
+        text_encoder("distilbert").encode(["reach"])
+    assert len(asked) == 1
