@@ -7,7 +7,7 @@ through sensors differs a little.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -60,104 +60,54 @@ def _spread(values: np.ndarray) -> Spread:
     return Spread(float(values.mean()), float(values.std()))
 
 
-LONG_GAP = 9.0
-"""Seconds of a prime gap, in a window of ten."""
-_MOVING = 0.3
-"""Metres per second of the pelvis over the floor, from which on somebody is on their way."""
-_OFF_THE_WAY = 60.0
-"""Degrees between pelvis and direction of travel."""
-_AFTER_PRIME = 0.5
-_SACCADE = 0.12
-"""Seconds."""
-_SAME_LOOK = 10.0
-"""Degrees within which gaze rests on the same place."""
+LONG_GAP = 9.0  # seconds of a prime gap, in a window of ten
+_MOVING = 0.3  # m/s of the pelvis over the floor, from which on somebody is on their way
+_OFF_THE_WAY = 60.0  # degrees between pelvis and direction of travel
+_AFTER_PRIME = 0.5  # seconds
+_SACCADE = 0.12  # seconds
+_SAME_LOOK = 10.0  # degrees within which gaze rests on the same place
 
-
-@dataclass(frozen=True)
-class Behaviour:
-    """Means over the events and frames of some performances of one preset."""
-
-    long_gaps: float
-    """Share of the primed events whose prime gap is above nine seconds."""
-    body_movement: float
-    """(ours - published) / published standard deviation of the mean body movement."""
-    reach_peak: float
-    """Median over reaches: time of the wrist's greatest speed against the pelvis, as a share of the reach."""
-    off_the_way: float
-    """Share of moving frames in which the pelvis faces more than 60 degrees away from the direction of travel."""
-    gaze_to_head: float
-    """Mean angle between gaze and head over the half second after the prime, degrees."""
-    head_share: float
-    """Share of the angle between gaze and head at the prime that the head has made up half a second later, where gaze
-    still rests on the same place."""
-
-
-@dataclass(frozen=True)
-class Range:
-    """Where a number must lie, borders included, and why there."""
-
-    low: float
-    """Smallest value allowed; minus infinity without one."""
-    high: float
-    """Largest value allowed; infinity without one."""
-    source: str
-    """``people:`` and who measured it on people, or ``our limit:`` and what it is for."""
-
-    def holds(self, value: float) -> bool:
-        """Return True where the number lies inside."""
-        return self.low <= value <= self.high
-
-
-RANGES: Mapping[str, Range] = MappingProxyType(
+RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
-        "long_gaps": Range(0.0, 0.08, "our limit: fewer than if all gaps of the window were equally likely"),
-        "body_movement": Range(-1 / 3, 1 / 3, "our limit: presets were fitted to Prime and Reach, Table 1"),
-        "reach_peak": Range(0.30, 0.50, "people: Jeannerod 1984; at most .5, Flash & Hogan 1985"),
-        "off_the_way": Range(0.0, 0.15, "our limit: Handford & Srinivasan 2014 say a step or two, without a number"),
-        "gaze_to_head": Range(10.0, 25.0, "people: Ergonomics 2010 (head share .69), of a shift of 35 degrees"),
-        "head_share": Range(0.50, 0.85, "people: Ergonomics 2010, .69"),
+        "long_gaps": (0.0, 0.08),  # ours: fewer than if all gaps of the window were equally likely
+        "body_movement": (-1 / 3, 1 / 3),  # ours: presets were fitted to Prime and Reach, Table 1
+        "reach_peak": (0.30, 0.50),  # people: Jeannerod 1984; at most .5, Flash & Hogan 1985
+        "off_the_way": (0.0, 0.15),  # ours: Handford & Srinivasan 2014 say a step or two, without a number
+        "gaze_to_head": (10.0, 25.0),  # people: Ergonomics 2010 (head share .69), of a shift of 35 degrees
+        "head_share": (0.50, 0.85),  # people: Ergonomics 2010, .69
     }
 )
-"""Ranges by the names of :class:`Behaviour`."""
-_WITHOUT_WAYS = ("hot3d",)
-"""Presets whose people stay at one table: their ways are steps to the side."""
+"""Ranges of the numbers of :func:`measure_behaviour`, borders included. People of hot3d stay at one table: their ways
+are steps to the side, so ``off_the_way`` is not asked of them."""
 
 
-def ranges(preset: str) -> dict[str, Range]:
-    """Return the range of every number that is asked of a preset."""
-    left_out = ("off_the_way",) if preset in _WITHOUT_WAYS else ()
-    return {name: limit for name, limit in RANGES.items() if name not in left_out}
+def out_of_range(preset: str, numbers: Mapping[str, float]) -> dict[str, float]:
+    """Return the numbers of a preset that lie outside their ranges."""
+    asked = [name for name in RANGES if (preset, name) != ("hot3d", "off_the_way")]
+    return {name: numbers[name] for name in asked if not RANGES[name][0] <= numbers[name] <= RANGES[name][1]}
 
 
-def measure_behaviour(performances: Sequence[Performance]) -> Behaviour:
-    """Measure how people of one preset act, on noise-free motion and gaze.
-
-    Raises:
-        ValueError: if none of them holds an event that should become a sequence.
-    """
-    events = [item for performance in performances for item in _sequence_events(performance)]
-    if not events:
-        raise ValueError("expected at least one primed event in the performances, found none")
+def measure_behaviour(performances: Sequence[Performance]) -> dict[str, float]:
+    """Measure how people of one preset act, on noise-free motion and gaze."""
+    events = [
+        (performance, event, event.prime_time)
+        for performance in performances
+        for event in performance.events
+        if event.expected == "sequence" and event.prime_time is not None
+    ]
     gaps = np.array([event.event_time - prime for _, event, prime in events])
     statistics = sequence_statistics(clips_of(performances))
-    ways = [_off_the_way(performance) for performance in performances]
+    ways = np.array([_off_the_way(performance) for performance in performances])
     looks = np.array([_gaze_to_head(performance, prime) for performance, _, prime in events])
     resting = looks[looks[:, 3] < _SAME_LOOK]
-    return Behaviour(
-        long_gaps=float((gaps > LONG_GAP).mean()),
-        body_movement=statistics.deviations(TARGETS[performances[0].preset])["body"],
-        reach_peak=float(np.median([_reach_peak(performance, event) for performance, event, _ in events])),
-        off_the_way=sum(off for off, _ in ways) / max(sum(moving for _, moving in ways), 1),
-        gaze_to_head=float(looks[:, 0].mean()),
-        head_share=float(1.0 - resting[:, 2].mean() / resting[:, 1].mean()) if len(resting) else float("nan"),
-    )
-
-
-def _sequence_events(performance: Performance) -> Iterator[tuple[Performance, TrueEvent, float]]:
-    """Yield the events that should become sequences, with their prime times."""
-    for event in performance.events:
-        if event.expected == "sequence" and event.prime_time is not None:
-            yield performance, event, event.prime_time
+    return {
+        "long_gaps": float((gaps > LONG_GAP).mean()),
+        "body_movement": statistics.deviations(TARGETS[performances[0].preset])["body"],
+        "reach_peak": float(np.median([_reach_peak(performance, event) for performance, event, _ in events])),
+        "off_the_way": ways[:, 0].sum() / max(ways[:, 1].sum(), 1),
+        "gaze_to_head": float(looks[:, 0].mean()),
+        "head_share": float(1.0 - resting[:, 2].mean() / resting[:, 1].mean()),
+    }
 
 
 def _reach_peak(performance: Performance, event: TrueEvent) -> float:

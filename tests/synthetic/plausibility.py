@@ -5,8 +5,8 @@ Source of the limits: docs/specification/synthetic-recordings.md#plausibility.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float
@@ -43,131 +43,66 @@ def jitter(motion: MotionBatch, fps: float) -> Float[np.ndarray, " n"]:
     return np.array([np.linalg.norm(np.diff(one, n=3, axis=0), axis=-1).mean() * fps**3 for one in motions])
 
 
-@dataclass(frozen=True)
-class Plausibility:
-    """Extremes over some performances. Metres, seconds, degrees."""
-
-    foot_skating_mean: float
-    foot_skating_worst: float
-    contact_share: float
-    """Share of frame transitions with a toe on the floor, mean over sequences."""
-    planted_slide: float
-    """Farthest that a planted ball of the foot moves along the floor while planted."""
-    bone_length_change: float
-    knee_smallest: float
-    knee_largest: float
-    knees_bent_backwards: float
-    """Share of frames."""
-    elbow_smallest: float
-    elbow_largest: float
-    lowest_joint: float
-    foot_to_pelvis_yaw: float
-    head_yaw_rate: float
-    ball_speed: float
-    wrist_speed: float
-    pelvis_speed: float
-    pelvis_jerk: float
-    joint_jerk: float
-    """99.9 % of all joints and frames."""
-    jitter_mean: float
-
-
-@dataclass(frozen=True)
-class Limit:
-    """The range in which one number of :class:`Plausibility` must lie, borders excluded."""
-
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class Check:
-    """One number against its limit."""
-
-    name: str
-    value: float
-    limit: Limit
-
-    @property
-    def holds(self) -> bool:
-        """Return True where the number lies inside its range."""
-        return self.limit.low < self.value < self.limit.high
-
-
 _INF = float("inf")
-
-
-def limits() -> dict[str, Limit]:
-    """Return the range of every number."""
-    return {
-        "foot_skating_mean": Limit(-_INF, 0.02),
-        "foot_skating_worst": Limit(-_INF, 0.10),
-        "contact_share": Limit(0.6, _INF),
-        "planted_slide": Limit(-_INF, 1e-4),
-        "bone_length_change": Limit(-_INF, 1e-6),
-        "knee_smallest": Limit(40.0, _INF),
-        "knee_largest": Limit(-_INF, 178.0),
-        "knees_bent_backwards": Limit(-_INF, 1e-9),
-        "elbow_smallest": Limit(25.0, _INF),
-        "elbow_largest": Limit(-_INF, 175.0),
-        "lowest_joint": Limit(-0.01, _INF),
-        "foot_to_pelvis_yaw": Limit(-_INF, 90.0),
-        "head_yaw_rate": Limit(-_INF, 300.0),
-        "ball_speed": Limit(-_INF, 8.0),
-        "wrist_speed": Limit(-_INF, 4.5),
-        "pelvis_speed": Limit(-_INF, 2.2),
-        "pelvis_jerk": Limit(-_INF, 1500.0),
-        "joint_jerk": Limit(-_INF, 8000.0),
-        "jitter_mean": Limit(5.0, 80.0),
+LIMITS: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "foot_skating_mean": (-_INF, 0.02),
+        "foot_skating_worst": (-_INF, 0.10),
+        "contact_share": (0.6, _INF),  # share of frame transitions with a toe on the floor, mean over sequences
+        "planted_slide": (-_INF, 1e-4),  # metres that a planted ball of the foot moves along the floor
+        "bone_length_change": (-_INF, 1e-6),
+        "knee_smallest": (40.0, _INF),
+        "knee_largest": (-_INF, 178.0),
+        "knees_bent_backwards": (-_INF, 1e-9),  # share of frames
+        "elbow_smallest": (25.0, _INF),
+        "elbow_largest": (-_INF, 175.0),
+        "lowest_joint": (-0.01, _INF),
+        "foot_to_pelvis_yaw": (-_INF, 90.0),
+        "head_yaw_rate": (-_INF, 300.0),
+        "ball_speed": (-_INF, 8.0),
+        "wrist_speed": (-_INF, 4.5),
+        "pelvis_speed": (-_INF, 2.2),
+        "pelvis_jerk": (-_INF, 1500.0),
+        "joint_jerk": (-_INF, 8000.0),  # 99.9 % of all joints and frames
+        "jitter_mean": (5.0, 80.0),
     }
+)
+"""Range of each number, borders excluded. Metres, seconds, degrees."""
 
 
-def checks(numbers: Plausibility) -> list[Check]:
-    """Return every number beside its limit."""
-    ranges = limits()
-    return [Check(item.name, getattr(numbers, item.name), ranges[item.name]) for item in fields(numbers)]
+def implausible(numbers: Mapping[str, float], limits: Mapping[str, tuple[float, float]] = LIMITS) -> dict[str, float]:
+    """Return the numbers that lie outside their ranges."""
+    return {name: numbers[name] for name, (low, high) in limits.items() if not low < numbers[name] < high}
 
 
-def measure(performances: Sequence[Performance]) -> Plausibility:
-    """Measure extremes, means and shares over performances.
-
-    Raises:
-        ValueError: if none of them holds an event that should become a sequence.
-    """
-    clips = [clip.joints for performance in performances for clip in true_clips(performance)]
-    if not clips:
-        raise ValueError("expected at least one primed event in the performances, found none")
-    return measure_motions(performances, clips)
+def measure(performances: Sequence[Performance]) -> dict[str, float]:
+    """Measure extremes, means and shares over performances."""
+    return measure_motions(performances, [clip.joints for each in performances for clip in true_clips(each)])
 
 
-def measure_motions(motions: Sequence[Moving], clips: Sequence[np.ndarray]) -> Plausibility:
+def measure_motions(motions: Sequence[Moving], clips: Sequence[np.ndarray]) -> dict[str, float]:
     """Measure extremes over motions, and means and shares over clips of them at 20 frames a second.
 
     Args:
         motions: Performances, or anything else that moves.
         clips: Joints (n, 22, 3) of each clip, metres, Y up.
     """
-    on_floor = [clip - [0.0, clip[..., 1].min(), 0.0] for clip in clips]
-    batch = MotionBatch.from_motions(on_floor)
+    batch = MotionBatch.from_motions([clip - [0.0, clip[..., 1].min(), 0.0] for clip in clips])
     constants = load_protocol().metrics
     skating = foot_skating(batch, FPS, constants)
     extremes = [_extremes(motion) for motion in motions]
-    combined = {
-        name: (min if name in _SMALLEST else max)(numbers[name] for numbers in extremes) for name in extremes[0]
-    }
     jerk = np.concatenate([_jerk(motion).ravel() for motion in motions])
-    return Plausibility(
-        foot_skating_mean=float(skating.mean()),
-        foot_skating_worst=float(skating.max()),
-        contact_share=float(contact_share(batch, constants).mean()),
-        joint_jerk=float(np.quantile(jerk, 0.999)),
-        jitter_mean=float(jitter(batch, FPS).mean()),
-        **combined,
-    )
+    return {
+        "foot_skating_mean": float(skating.mean()),
+        "foot_skating_worst": float(skating.max()),
+        "contact_share": float(contact_share(batch, constants).mean()),
+        "joint_jerk": float(np.quantile(jerk, 0.999)),
+        "jitter_mean": float(jitter(batch, FPS).mean()),
+        **{name: (min if name in _SMALLEST else max)(each[name] for each in extremes) for name in extremes[0]},
+    }
 
 
 def _extremes(motion: Moving) -> dict[str, float]:
-    """Return the extremes of one motion by the names of :class:`Plausibility`."""
     joints = motion.joints
     rate = motion.rate
     knees = _inner_angle(joints[:, _HIPS], joints[:, _KNEES], joints[:, _ANKLES])
@@ -176,6 +111,13 @@ def _extremes(motion: Moving) -> dict[str, float]:
     pelvis_forward = forward_of(motion.rotations[:, Joint.PELVIS])
     head_forward = forward_of(motion.head_rotation)
     head_yaw = np.unwrap(np.arctan2(head_forward[:, 0], head_forward[:, 2]))
+    foot = joints[:, _BALLS] - joints[:, _ANKLES]
+    cross = foot[..., 0] * pelvis_forward[:, None, 2] - foot[..., 2] * pelvis_forward[:, None, 0]
+    dot = foot[..., 0] * pelvis_forward[:, None, 0] + foot[..., 2] * pelvis_forward[:, None, 2]
+
+    def top_speed(points: np.ndarray) -> float:
+        return float(np.linalg.norm(np.diff(points, axis=0), axis=-1).max() * rate)
+
     return {
         "knee_smallest": float(knees.min()),
         "knee_largest": float(knees.max()),
@@ -185,11 +127,11 @@ def _extremes(motion: Moving) -> dict[str, float]:
         "lowest_joint": float(joints[..., 1].min()),
         "planted_slide": _planted_slide(motion),
         "bone_length_change": float(np.abs(lengths / lengths[0] - 1.0).max()),
-        "foot_to_pelvis_yaw": _foot_to_pelvis_yaw(joints, pelvis_forward),
+        "foot_to_pelvis_yaw": float(np.rad2deg(np.abs(np.arctan2(cross, dot))).max()),
         "head_yaw_rate": float(np.rad2deg(np.abs(np.diff(head_yaw)).max() * rate)),
-        "ball_speed": _top_speed(joints[:, _BALLS], rate),
-        "wrist_speed": _top_speed(joints[:, list(WRISTS)], rate),
-        "pelvis_speed": _top_speed(joints[:, [Joint.PELVIS]], rate),
+        "ball_speed": top_speed(joints[:, _BALLS]),
+        "wrist_speed": top_speed(joints[:, list(WRISTS)]),
+        "pelvis_speed": top_speed(joints[:, [Joint.PELVIS]]),
         "pelvis_jerk": float(_jerk(motion)[:, Joint.PELVIS].max()),
     }
 
@@ -230,17 +172,6 @@ def _share_backwards(joints: np.ndarray, pelvis_forward: np.ndarray) -> float:
     return float(((bulge * forward).sum(axis=-1) < 0.0).mean())
 
 
-def _foot_to_pelvis_yaw(joints: np.ndarray, pelvis_forward: np.ndarray) -> float:
-    foot = joints[:, _BALLS] - joints[:, _ANKLES]
-    cross = foot[..., 0] * pelvis_forward[:, None, 2] - foot[..., 2] * pelvis_forward[:, None, 0]
-    dot = foot[..., 0] * pelvis_forward[:, None, 0] + foot[..., 2] * pelvis_forward[:, None, 2]
-    return float(np.rad2deg(np.abs(np.arctan2(cross, dot))).max())
-
-
-def _top_speed(points: np.ndarray, rate: float) -> float:
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=-1).max() * rate)
-
-
 def _jerk(performance: Moving) -> Float[np.ndarray, "m 22"]:
     """Return the third difference quotient on a 60 Hz grid, m/s³."""
     stride = max(1, round(performance.rate / _JERK_RATE))
@@ -248,18 +179,8 @@ def _jerk(performance: Moving) -> Float[np.ndarray, "m 22"]:
     return np.linalg.norm(np.diff(performance.joints[::stride], n=3, axis=0), axis=-1) * rate**3
 
 
-@dataclass(frozen=True)
-class TruthScores:
-    """Metrics of the truth itself: ceilings for every method (rates from 0 to 1)."""
-
-    prime_equation: float
-    prime_onset: float
-    reach_any: float
-    reach_final: float
-
-
-def truth_scores(clips: Sequence[TrueClip]) -> TruthScores:
-    """Score the true motion of some sequences against their own goals."""
+def truth_scores(clips: Sequence[TrueClip]) -> dict[str, float]:
+    """Score the true motion of some sequences against their own goals: rates from 0 to 1, ceilings of every method."""
     frames = [invert_rigid(canonical_frame(clip.joints)) for clip in clips]
     motions = [transform_points(frame, clip.joints) for frame, clip in zip(frames, clips, strict=True)]
     goals = [transform_points(frame, clip.event.goal) for frame, clip in zip(frames, clips, strict=True)]
@@ -272,12 +193,12 @@ def truth_scores(clips: Sequence[TrueClip]) -> TruthScores:
         head_tilt_deg=np.array([clip.neck_tilt_deg for clip in clips]),
         fps=FPS,
     )
-    return TruthScores(
-        prime_equation=float(prime_success(batch, targets, constants, variant="equation").mean()),
-        prime_onset=float(prime_success(batch, targets, constants, variant="onset").mean()),
-        reach_any=float(reach_success(batch, targets.goal_location, constants).mean()),
-        reach_final=float(reach_success(batch, targets.goal_location, constants, final=True).mean()),
-    )
+    return {
+        "prime_equation": float(prime_success(batch, targets, constants, variant="equation").mean()),
+        "prime_onset": float(prime_success(batch, targets, constants, variant="onset").mean()),
+        "reach_any": float(reach_success(batch, targets.goal_location, constants).mean()),
+        "reach_final": float(reach_success(batch, targets.goal_location, constants, final=True).mean()),
+    }
 
 
 def recorded_bone_change(clips: Sequence[Float[np.ndarray, "n 22 3"]]) -> float:

@@ -1,9 +1,10 @@
-"""Bodies, gait and reaching, piece by piece."""
+"""Who acts where, bodies, gait and reaching, piece by piece."""
 
 from __future__ import annotations
 
 from dataclasses import fields, replace
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -11,73 +12,23 @@ import pytest
 from prbench.geometry.skeleton import bone_lengths
 from prbench.randomness import named_generator
 from prbench.synthetic.people import PRESETS
+from prbench.synthetic.people.body import Head, move_eyes, move_head
+from prbench.synthetic.people.gaze_plan import GazePlan, Look, _draw_gap
 from prbench.synthetic.people.kinematics import (
-    blend,
-    eased_trapezoid,
-    matrix_of,
-    minimum_jerk,
-    quaternion,
-    rotation,
-    rotation_quaternion,
     turn,
-    two_bone,
-    wobble,
 )
 from prbench.synthetic.people.perform import Motion, synthesise
 from prbench.synthetic.people.person import Body, Person, draw_person
 from prbench.synthetic.people.plan import Plan, plan_recording
 from prbench.synthetic.people.reaching import kept_away, solve_posture, take_hold
 from prbench.synthetic.people.walking import BasePose, place_feet, plan_segment, plan_steps, sample_base
-from prbench.synthetic.people.world import draw_room
+from prbench.synthetic.people.world import Source, assign, draw_room
 
 ADT = PRESETS["adt"]
 
 
 def rng(*name: str | int) -> np.random.Generator:
     return named_generator("test", *name)
-
-
-def test_minimum_jerk_passes_through_the_middle_and_stays_at_its_ends() -> None:
-    assert minimum_jerk(np.array([-1.0, 0.0, 0.25, 0.5, 1.0, 2.0])) == pytest.approx([0, 0, 0.103515625, 0.5, 1, 1])
-
-
-def test_a_blend_ends_exactly_on_a_moving_target() -> None:
-    times = np.arange(0.0, 3.0, 0.01)
-    channel, target = np.zeros(times.size), np.sin(times)
-    blend(channel, times, 0.5, 1.0, target)
-    assert np.all(channel[times < 0.5] == 0.0)
-    assert np.all(channel[times >= 1.5] == target[times >= 1.5])
-
-
-def test_an_eased_trapezoid_covers_the_way_without_a_jump_of_speed() -> None:
-    progress = eased_trapezoid(np.linspace(0.0, 1.0, 1001), 0.3, 0.4)
-    assert progress[[0, -1]] == pytest.approx([0.0, 1.0])
-    speed = np.diff(progress) * 1000
-    assert speed.max() == pytest.approx(1.0 / (1.0 - 0.15 - 0.2), rel=1e-6)
-    assert np.abs(np.diff(speed)).max() < 0.02
-
-
-def test_a_wobble_has_the_wanted_size() -> None:
-    assert np.std(wobble(np.arange(0.0, 400.0, 0.02), 0.3, 0.3, 3.0, rng("wobble"))) == pytest.approx(0.3, rel=0.1)
-
-
-def test_two_bone_limbs_keep_their_lengths_and_reach_what_is_within_reach() -> None:
-    root, target = rng("limb").normal(size=(2, 200, 3))
-    pole = np.tile([0.0, -1.0, 0.3], (200, 1))
-    middle, end = two_bone(root, target, (0.9, 1.1), pole, (0.95, 0.995))
-    assert np.linalg.norm(middle - root, axis=1) == pytest.approx(0.9)
-    assert np.linalg.norm(end - middle, axis=1) == pytest.approx(1.1)
-    near = np.linalg.norm(target - root, axis=1) < 0.95 * 2.0
-    near &= np.linalg.norm(target - root, axis=1) > 0.25
-    assert end[near] == pytest.approx(target[near])
-
-
-def test_quaternions_and_matrices_agree() -> None:
-    yaw, pitch = rng("angles").uniform(-7.0, 7.0, (2, 300))
-    matrices = rotation(yaw, pitch)
-    assert matrix_of(quaternion(matrices)) == pytest.approx(matrices)
-    assert rotation_quaternion(yaw, pitch) == pytest.approx(quaternion(matrices))
-    assert matrices @ [0.0, 0.0, 1.0] == pytest.approx(turn(yaw, pitch, np.array([0.0, 0.0, 1.0])))
 
 
 def test_people_differ_in_every_length_and_habit() -> None:
@@ -184,3 +135,88 @@ def test_two_people_of_one_stature_move_differently_on_the_same_plan() -> None:
     one, two = acted(plan), acted(replace(plan, person=twin))
     assert np.linalg.norm(one.joints - two.joints, axis=-1).mean() > 0.01
     assert bone_lengths(two.joints).std(axis=0).max() < 1e-9
+
+
+def test_gaps_do_not_pile_up_at_the_end_of_the_window() -> None:
+    gaps = np.array([_draw_gap(PRESETS["adt"], rng) for rng in [np.random.default_rng(0)] for _ in range(2000)])
+    assert gaps.max() <= 9.7
+    assert (gaps > 9.6).mean() < 0.02
+
+
+def test_a_person_turns_into_a_way_of_half_a_metre_and_back() -> None:
+    habits = draw_person(PRESETS["adt"], "S000", np.random.default_rng(1)).habits
+    start = BasePose(0.0, 0.0, 0.0)
+    segment = plan_segment(habits, 1.0, start, BasePose(0.5, 0.0, 0.0), 0.0)
+    assert segment is not None
+    path = sample_base(start, (segment,), np.arange(0.0, segment.end + 0.5, 0.01))
+    assert np.rad2deg(path.heading.max()) == pytest.approx(45.0, abs=0.5)  # to the left, where the way goes
+    assert path.heading[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("metres", "faces_on"), [(0.2, False), (0.5, True)])
+def test_a_single_step_and_a_person_who_faces_on_do_not_turn(metres: float, faces_on: bool) -> None:
+    habits = draw_person(PRESETS["adt"], "S000", np.random.default_rng(1)).habits
+    goal = BasePose(metres, 0.0, 0.0)
+    segment = plan_segment(habits, 1.0, BasePose(0.0, 0.0, 0.0), goal, 0.0, faces_on=faces_on)
+    assert segment is not None
+    assert segment.turn_into == 0.0
+
+
+"""Who acts where, and on which side of the split."""
+
+
+def castings(count: int, world: Literal["default", "large"] = "default") -> list[tuple[int, int, str]]:
+    """Room, person and split of some recordings."""
+    source = Source(3, "adt", world)
+    return [assign(source, index) for index in range(count)]
+
+
+@pytest.mark.parametrize("world", ["default", "large"])
+def test_no_test_person_and_no_test_room_occurs_in_training(world: Literal["default", "large"]) -> None:
+    drawn = castings(600, world)
+    for kind in (0, 1):
+        test = {casting[kind] for casting in drawn if casting[2] == "test"}
+        assert not test & {casting[kind] for casting in drawn if casting[2] != "test"}
+
+
+def test_validation_people_do_not_train() -> None:
+    drawn = castings(600)
+    people = {split: {person for _, person, own in drawn if own == split} for split in ("train", "validation")}
+    assert not people["validation"] & people["train"]
+
+
+def test_thirty_percent_are_test_recordings() -> None:
+    share = sum(split == "test" for _, _, split in castings(1000)) / 1000
+    assert share == pytest.approx(0.30, abs=0.04)
+
+
+def test_a_small_world_has_24_people_and_12_rooms() -> None:
+    drawn = castings(600)
+    assert len({person for _, person, _ in drawn}) == 24
+    assert len({room for room, _, _ in drawn}) == 12
+
+
+@pytest.mark.parametrize("lag", [-0.06, 0.03])
+def test_the_head_begins_to_turn_a_lag_after_the_eyes(lag: float) -> None:
+    times = np.arange(0.0, 4.0, 1 / 480)
+    eye = np.tile([0.0, 1.6, 0.0], (times.size, 1))
+    look = Look(2.0, 3.5, np.array([2.0, 1.6, 2.0]), is_goal=True, reach=0)
+
+    def half_way(head_lag: float) -> float:
+        habits = replace(draw_person(ADT, "x", rng("head")).habits, head_lag=head_lag)
+        yaw = [
+            move_head(ADT, habits, GazePlan(looks, (), ()), np.zeros(times.size), eye, times, rng("tremor")).yaw
+            for looks in ((), (look,))
+        ]
+        moved = yaw[1] - yaw[0]  # without the tremor
+        return float(times[np.argmax(moved > moved.max() / 2)])
+
+    assert half_way(lag) - half_way(0.0) == pytest.approx(lag, abs=1 / 240)
+
+
+def test_eyes_turn_no_farther_than_eyes_can() -> None:
+    times = np.arange(0.0, 2.0, 1 / 120)
+    still = Head(np.zeros(times.size), np.zeros(times.size))
+    look = Look(0.5, 1.8, np.array([3.0, 0.0, 0.0]), is_goal=True, reach=0)  # 90 degrees to the left
+    gaze = move_eyes((look,), still, np.zeros((times.size, 3)), times, rng("eyes"))
+    assert np.rad2deg(np.arctan2(gaze[:, 0], gaze[:, 2])).max() == pytest.approx(45.0)
