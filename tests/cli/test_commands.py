@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 
 from prbench import errors
 from prbench.cli import main
+from prbench.cli.commands import Group
+from prbench.cli.main import _RENAMED, program
+from prbench.cli.options import FIRST_RUN_SEQUENCES
 from prbench.cli.summaries import RunAnswer
+from prbench.harness import first_run
 from tests.cli.reports import documented
 from tests.fakes import fake_dataset
 from tests.parsing import all_commands, parsed
@@ -143,19 +150,24 @@ def test_json_prints_one_document_whether_it_works_or_not(data, tmp_path, capsys
         assert document["error"]["message"]
 
 
+def completed(kind: str, **words: str) -> str:
+    environment = {**os.environ, "_PRBENCH_COMPLETE": kind, **words}
+    return subprocess.run([sys.executable, "-m", "prbench"], capture_output=True, text=True, env=environment).stdout
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_a_shell_completes_commands_and_options(shell):
-    source = {**os.environ, "_PRBENCH_COMPLETE": f"{shell}_source"}
-    script = subprocess.run([sys.executable, "-m", "prbench"], capture_output=True, text=True, env=source)
-    assert f"_PRBENCH_COMPLETE={shell}_complete" in script.stdout
-    words = (
-        {"COMP_WORDS": "prbench ru", "COMP_CWORD": "1"}
-        if shell != "fish"
-        else {"COMP_WORDS": "prbench ru", "COMP_CWORD": "ru"}
-    )
-    environment = {**os.environ, "_PRBENCH_COMPLETE": f"{shell}_complete", **words}
-    done = subprocess.run([sys.executable, "-m", "prbench"], capture_output=True, text=True, env=environment)
-    assert "run" in done.stdout
+    assert f"_PRBENCH_COMPLETE={shell}_complete" in completed(f"{shell}_source")
+    place = "ru" if shell == "fish" else "1"
+    assert "run" in completed(f"{shell}_complete", COMP_WORDS="prbench ru", COMP_CWORD=place)
+
+
+@pytest.mark.parametrize(
+    ("words", "found"), [("run --method sta", "static"), ("run --sam", "--samples"), ("le", "leaderboard")]
+)
+def test_values_options_and_commands_are_completed(words, found):
+    place = str(len(words.split()))
+    assert f",{found}\n" in completed("bash_complete", COMP_WORDS=f"prbench {words}", COMP_CWORD=place)
 
 
 def test_a_run_prints_scores_with_intervals_and_says_synthetic(data, tmp_path, capsys, monkeypatch):
@@ -227,20 +239,6 @@ def test_a_mistake_gives_one_message_and_its_exit_code(arguments, code, message,
 
 
 @pytest.mark.parametrize(
-    ("words", "found"), [("run --method sta", "static"), ("run --sam", "--samples"), ("le", "leaderboard")]
-)
-def test_values_options_and_commands_are_completed(words, found):
-    environment = {
-        **os.environ,
-        "_PRBENCH_COMPLETE": "bash_complete",
-        "COMP_WORDS": f"prbench {words}",
-        "COMP_CWORD": str(len(words.split())),
-    }
-    done = subprocess.run([sys.executable, "-m", "prbench"], capture_output=True, text=True, env=environment)
-    assert f",{found}\n" in done.stdout
-
-
-@pytest.mark.parametrize(
     ("words", "message"),
     [(["--method", "statc"], "Did you mean 'static'?"), (["--method", "pr"], "Choose one with --condition: goal-loc")],
 )
@@ -253,3 +251,191 @@ def test_a_method_that_cannot_be_run_is_refused_before_the_embedded_table_is_bui
     captured = capsys.readouterr()
     assert message in captured.err
     assert "building" not in captured.err
+
+
+# Where options mean the same, and what quick commands load.
+
+
+def explained(command: str, option: str = "--limit") -> str:
+    """What ``--help`` says about the option."""
+    (found,) = [each for each in all_commands()[command].params if option in each.opts]
+    return str(found.help)
+
+
+def test_commands_that_count_the_same_explain_it_in_the_same_words() -> None:
+    sequences = {explained(name).partition(" (default")[0] for name in ("run", "export-conditions", "score", "view")}
+    assert sequences == {
+        "At most N sequences of each dataset, of every recording its share, for every command the same"
+    }
+    recordings = {explained(name, "--max-recordings") for name in ("build-dataset", "build-corpus", "poses")}
+    assert recordings == {"At most N recordings: the first by name."}
+
+
+def test_the_help_of_a_run_tells_how_many_sequences_it_takes_without_data() -> None:
+    assert first_run.SEQUENCES == FIRST_RUN_SEQUENCES
+    assert f"{FIRST_RUN_SEQUENCES} without --data" in explained("run")
+
+
+SCRIPT = "import sys; from prbench.cli import main; main(sys.argv[1:]); print('MODULES', *sorted(sys.modules))"
+
+
+@pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["run", "--help"], ["adapters", "list"]])
+def test_neither_torch_nor_an_adapter_is_imported(arguments):
+    done = subprocess.run([sys.executable, "-c", SCRIPT, *arguments], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    modules = done.stdout.split("MODULES", 1)[1].split()
+    assert "prbench.cli.main" in modules
+    heavy = {"torch", "matplotlib", "scipy", "prbench_adapters"}
+    light = {  # help shows the commands of packages
+        "prbench_adapters",
+        "prbench_adapters.commands",
+        "prbench_adapters.corpora",
+        "prbench_adapters.corpora.commands",
+        "prbench_adapters.trained_network",
+    }
+    assert not [name for name in modules if name.split(".")[0] in heavy and name not in light]
+    assert not {"numpy", "pyarrow", "pandas"} & set(modules), "help and lists must be quick"
+
+
+# Commands of other packages, and former ones.
+
+
+GREETING = """
+import click
+from prbench.cli.commands import command
+
+@command("greet", example="prbench greet", section="look")
+@click.argument("name")
+def greet(name):
+    '''Greet somebody.'''
+    print("hello", name)
+
+broken = 3
+"""
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A package with a command, one that is none, one whose module is missing, and one that is called as ours."""
+    info = tmp_path / "made-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: made\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[prbench.commands]\ngreet = made_commands:greet\nno-command = made_commands:broken\n"
+        "absent = nowhere_to_be_found:x\nrun = made_commands:greet\nodd\n"
+    )
+    (tmp_path / "made_commands.py").write_text(GREETING)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    importlib.invalidate_caches()
+    program.__dict__.pop("_plugins", None)
+    yield
+    program.__dict__.pop("_plugins", None)
+
+
+def test_a_command_of_a_package_is_listed_in_its_section_and_runs(package, capsys):
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    look = text.partition("look: ")[2].partition("\n\n")[0]
+    assert "greet" in look
+    assert "Greet somebody" in look
+    assert main(["greet", "you"]) == 0
+    assert capsys.readouterr().out == "hello you\n"
+    assert main(["greet"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [("no-command", "expected a Command or Group"), ("absent", "No module named 'nowhere_to_be_found'")],
+)
+def test_a_broken_command_breaks_itself_only(name, problem, package, capsys):
+    assert main(["--help"]) == 0
+    assert name not in capsys.readouterr().out
+    assert main([name]) == 2
+    error = capsys.readouterr().err
+    assert f"the command '{name}' of the package made 1.0 cannot be used: " in error
+    assert problem in error
+
+
+def test_a_package_never_takes_the_place_of_a_command_of_prbench(package):
+    assert all_commands()["run"].callback.__module__.startswith("prbench")
+
+
+@pytest.mark.parametrize("former", _RENAMED)
+def test_a_former_command_names_the_present_one(former, capsys):
+    if former in all_commands() or isinstance(program.get_command(None, former), Group):
+        pytest.skip("not moved yet")
+    assert main([*former.split(), "--json"]) == 2
+    assert f"'prbench {former}' is now `prbench {_RENAMED[former]}`." in capsys.readouterr().err
+
+
+def test_a_section_without_commands_is_left_out():
+    group = Group(
+        "g",
+        example="prbench diff a b",
+        sections={"empty: nothing here": {}, "data: one": {"diff": "prbench.cli.view:diff"}},
+    )
+    text = group.get_help(click.Context(group, info_name="g"))
+    assert "empty" not in text
+    assert "data: one" in text
+
+
+# Commands that pages and help show.
+
+
+PAGES = "\n".join(
+    path.read_text(encoding="utf-8")
+    for path in (
+        ROOT / "README.md",
+        *sorted((ROOT / "docs").glob("*.md")),
+        *sorted((ROOT / "docs" / "methods").glob("*.md")),
+    )
+)
+
+
+def _shown_commands() -> list[str]:
+    blocks = re.findall(r"```bash\n(.*?)```", PAGES, re.DOTALL)
+    shown = [line.split("&&")[-1] for block in blocks for line in block.splitlines()]
+    shown += re.findall(r"`(prbench [^`]+)`", PAGES)
+    shown += [command.example for command in all_commands().values()]
+    commands = (re.split(r" {2,}|#", line.strip())[0].strip() for line in shown)
+    return sorted({command for command in commands if command.startswith("prbench ")})
+
+
+NAMED_ONLY = (
+    ["adapters", "check"],
+    ["analyse", "diversity"],
+    ["analyse", "errors"],
+    ["doctor"],
+    ["view"],
+    ["explain", "--draw"],
+    ["export-release"],
+    ["run"],
+    ["train"],
+    ["run", "--config"],
+    ["COMMAND", "--help"],
+)
+"""Named in running text, without what they need."""
+
+
+def test_commands_are_found() -> None:
+    assert len(_shown_commands()) > 12
+
+
+@pytest.mark.parametrize("command", _shown_commands())
+def test_a_shown_command_parses(command, monkeypatch) -> None:
+    words = shlex.split(command)[1:]
+    if words in NAMED_ONLY or " ".join(words) in all_commands():
+        return
+    parsed(words[: words.index(">")] if ">" in words else words)
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
+def test_help_survives_a_console_that_lacks_characters(encoding) -> None:
+    for words in ([], ["run"], ["score"], ["build-dataset"]):
+        done = subprocess.run(
+            [sys.executable, "-c", "from prbench.cli import main; raise SystemExit(main())", *words, "--help"],
+            capture_output=True,
+            env={**os.environ, "PYTHONIOENCODING": encoding},
+        )
+        assert done.returncode == 0, done.stderr
+        assert b"Usage: prbench" in done.stdout

@@ -1,15 +1,19 @@
-"""``prbench view`` and ``prbench run --sequence`` as a user types them."""
+"""``prbench view``, ``explain`` and ``diff``, and the motions that ``prbench run --sequence`` shows."""
 
 from __future__ import annotations
+
+import json
 
 import pytest
 
 from prbench.cli import main
-from prbench.harness.run_folder import RunRecord
+from prbench.harness.run_folder import Predictions, RunRecord
+from prbench.sequences import SequenceTable
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 
 PNG = b"\x89PNG\r\n\x1a\n"
+RUN = ["run", "--method", "scripted", "--condition", "goal-loc", "--data"]
 
 
 @pytest.fixture(scope="module")
@@ -20,8 +24,7 @@ def data(tmp_path_factory):
 @pytest.fixture(scope="module")
 def run(data, tmp_path_factory):
     out = tmp_path_factory.mktemp("run") / "scripted"
-    words = ["run", "--method", "scripted", "--condition", "goal-loc", "--data", str(data), "--out", str(out)]
-    assert main(words) == 0
+    assert main([*RUN, str(data), "--out", str(out)]) == 0
     return out
 
 
@@ -30,24 +33,19 @@ def test_a_run_becomes_a_picture(run, data, tmp_path, capsys):
     assert main(["view", str(run), "--data", str(data), "--limit", "1", "--out", str(out)]) == 0
     said = capsys.readouterr()
     assert out.read_bytes().startswith(PNG)
-    assert "ground truth: Prime Success" in said.out
-    assert "scripted, goal-loc: Prime Success" in said.out
-    assert f"view: {out}" in said.out
+    for line in ("ground truth: Prime Success", "scripted, goal-loc: Prime Success", f"view: {out}"):
+        assert line in said.out
     assert "drawing view.png: 1/1" in said.err
+    assert main(["view", "--data", str(data), "--sequence", "/obj1/", "--out", str(tmp_path / "table.png")]) == 0
 
 
 def test_what_a_view_shows_is_reported_as_json(run, data, tmp_path, capsys):
     out = tmp_path / "view.png"
-    words = ["view", str(run), "--data", str(data), "--sequence", "/obj5/", "--out", str(out)]
-    report = reported(words, capsys)
+    report = reported(["view", str(run), "--data", str(data), "--sequence", "/obj5/", "--out", str(out)], capsys)
     (sequence,) = report.sequences
     assert report.out == out
     assert "/obj5/" in sequence
     refused(["view", "--out", str(out)], capsys, code=2, message="nothing to view")
-
-
-def test_a_table_becomes_a_picture(data, tmp_path):
-    assert main(["view", "--data", str(data), "--sequence", "/obj1/", "--out", str(tmp_path / "a.png")]) == 0
 
 
 def test_mistakes_are_told_in_one_message(run, data, tmp_path, capsys):
@@ -56,74 +54,64 @@ def test_mistakes_are_told_in_one_message(run, data, tmp_path, capsys):
         (["view", "--out", "a.png"], 2, "nothing to view"),
         (["view", str(data), "--out", "a.png"], 7, "expected a run folder"),
         (["view", str(run), "--data", str(data), "--sequence", "obj1/pikc", "--out", "a.png"], 2, "Near it:"),
+        ([*RUN, str(data), "--sequence", "obj5/pikc"], 2, "Near it:"),
+        ([*RUN, str(data), "--sequence", "/obj0/"], 2, "--split train"),
+        ([*RUN, str(data), "--sequence", "/obj5/", "--limit", "2"], 2, "leave --limit out"),
+        ([*RUN, str(data), "--out", str(tmp_path / "r"), "--view", "a.gif"], 2, ".png, .mp4 or .html"),
     ):
         assert main(words) == code
         assert message in capsys.readouterr().err
+    assert not (tmp_path / "r").exists(), "a view that cannot be written stops before the run"
 
 
 def test_a_single_sequence_is_run_recorded_scored_and_shown(data, tmp_path, capsys):
     out, picture = tmp_path / "one", tmp_path / "one.png"
-    words = ["run", "--method", "scripted", "--condition", "goal-loc", "--data", str(data), "--out", str(out)]
+    words = [*RUN, str(data), "--out", str(out)]
     assert main([*words, "--sequence", "/obj5/", "--view", str(picture)]) == 0
     said = capsys.readouterr().out
     record = RunRecord.read(out)
     (name,) = record.sequences
     assert "/obj5/" in name
-    assert record.tables[0].sequences == 1
-    assert record.limit is None
-    assert name in said
-    assert "Reach Success" in said
-    assert "yes" in said
-    assert f"view: {picture}" in said
+    assert (record.tables[0].sequences, record.limit) == (1, None)
+    for part in (name, "Reach Success", "yes", f"view: {picture}"):
+        assert part in said
     assert picture.read_bytes().startswith(PNG)
-
-
-def test_the_single_sequence_gets_the_motion_that_the_whole_run_gives_it(run, data, tmp_path):
-    from prbench.harness.run_folder import Predictions
-
-    out = tmp_path / "one"
-    words = ["run", "--method", "scripted", "--condition", "goal-loc", "--data", str(data), "--out", str(out)]
-    assert main([*words, "--sequence", "/obj5/", "--sequence", "/obj9/"]) == 0
-    alone, whole = (
-        Predictions.open(out / "synthetic-adt/predictions"),
-        Predictions.open(run / "synthetic-adt/predictions"),
-    )
-    assert len(alone.ids) == 2
-    for name in alone.ids:
-        assert (alone.motions([name], 0).values == whole.motions([name], 0).values).all()
-
-
-def test_a_run_of_single_sequences_is_no_other_run(data, tmp_path, capsys):
-    out = tmp_path / "one"
-    words = ["run", "--method", "scripted", "--condition", "goal-loc", "--data", str(data), "--out", str(out)]
-    assert main([*words, "--sequence", "/obj5/"]) == 0
     assert main([*words, "--sequence", "/obj9/"]) == 7
     assert "run.json, sequences" in capsys.readouterr().err
     assert main(["score", str(out), "--data", str(data)]) == 0
 
 
-def test_a_sequence_to_run_that_does_not_exist_or_is_elsewhere(data, capsys):
-    words = ["run", "--method", "scripted", "--condition", "goal-loc", "--data", str(data)]
-    assert main([*words, "--sequence", "obj5/pikc"]) == 2
-    assert "Near it:" in capsys.readouterr().err
-    assert main([*words, "--sequence", "/obj0/"]) == 2
-    assert "--split train" in capsys.readouterr().err
-    assert main([*words, "--sequence", "/obj5/", "--limit", "2"]) == 2
-    assert "leave --limit out" in capsys.readouterr().err
+def test_the_single_sequence_gets_the_motion_that_the_whole_run_gives_it(run, data, tmp_path):
+    out = tmp_path / "one"
+    assert main([*RUN, str(data), "--out", str(out), "--sequence", "/obj5/", "--sequence", "/obj9/"]) == 0
+    alone, whole = (Predictions.open(each / "synthetic-adt/predictions") for each in (out, run))
+    assert len(alone.ids) == 2
+    for name in alone.ids:
+        assert (alone.motions([name], 0).values == whole.motions([name], 0).values).all()
 
 
-def test_a_view_that_cannot_be_written_stops_before_the_run(data, tmp_path, capsys):
-    words = [
-        "run",
-        "--method",
-        "scripted",
-        "--condition",
-        "goal-loc",
-        "--data",
-        str(data),
-        "--out",
-        str(tmp_path / "r"),
-    ]
-    assert main([*words, "--view", "a.gif"]) == 2
-    assert not (tmp_path / "r").exists()
-    assert ".png, .mp4 or .html" in capsys.readouterr().err
+def test_the_story_of_an_event_is_reported_as_json(data, tmp_path, capsys):
+    event = SequenceTable.open(data).events().to_pylist()[0]
+    picture = tmp_path / "story.png"
+    report = reported(["explain", event["event_id"], "--data", str(data), "--draw", str(picture)], capsys)
+    assert (report.event_id, report.sequence_id) == (event["event_id"], event["sequence_id"])
+    assert report.outcome == "sequence"
+    names = ["in hand", "location", "priming", "clipping", "body", "filters"]
+    assert [(stage.name, stage.verdict) for stage in report.stages] == [(name, "passed") for name in names]
+    assert picture.is_file()
+    refused(["explain", "teapot", "--data", str(data)], capsys, code=2, message="no event 'teapot' among the 24")
+
+
+def test_what_differs_between_builds_is_reported_and_ends_with_one(data, tmp_path, capsys):
+    equal = ["diff", str(data), str(data)]
+    report = reported(equal, capsys)
+    assert (report.changes, report.unchanged_events) == ([], 24)
+    other = str(fake_dataset(tmp_path / "other", 20).folder)
+    assert reported(["diff", str(data), other], capsys, code=1).changes
+    out = tmp_path / "report.json"
+    assert main([*equal, "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "unchanged: 24 events" in printed
+    assert f"report: {out}" in printed
+    assert json.loads(out.read_text())["report"]["changes"] == []
+    refused(["diff", str(data), str(tmp_path / "gone")], capsys, code=4, message="gone")
