@@ -76,10 +76,6 @@ def test_recomputed_activations_give_the_same_gradients_at_the_price_of_counted_
     assert (plain.network_passes, recomputing.network_passes) == (4, 8)
 
 
-def test_weights_ask_for_no_gradients():
-    assert not any(parameter.requires_grad for parameter in tiny.model().denoiser.parameters())
-
-
 def test_some_rows_of_a_chain_give_those_rows():
     chain = _chain()
     whole = chain(_noise())

@@ -1,17 +1,20 @@
-"""Networks of random weights that are quick to run, as a model and as a weights file."""
+"""Networks of random weights, as a model, as a weights file, and as GMD released its own."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 import torch
+from torch import Tensor
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.text import text_encoder
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.gmd.model import FeatureSpace, GMDConfiguration, GMDModel, GMDNetworks, emphasis_projection
+from prbench_adapters.gmd.public_weights import PublicFiles, original_name
 from prbench_adapters.training.weights import write_weights
 from tests.fakes import STANDING
 
@@ -88,3 +91,40 @@ def batch(n_frames: tuple[int, ...] = (24, 17, 30)) -> ConditionBatch:
         previous_joints=standing - np.float32(0.01),
         goal_joints=(standing @ turn.transpose(0, 2, 1) + offset).astype(np.float32),
     )
+
+
+RELEASED_SIZES = {"diffusion_steps": 1000, "text_dimension": 512, "padded_frames": 224, "padding_step": 8}
+
+
+def released_networks(seed: int) -> Any:
+    """Networks with the text vectors and steps of the released ones."""
+    return networks(seed=seed, **RELEASED_SIZES, motion_widths=(16, 8, 8), trajectory_widths=(8, 16))
+
+
+def state(network: torch.nn.Module) -> dict[str, Tensor]:
+    """The parameters as the original calls them, with the two tables that it stores beside them."""
+    table = torch.zeros(5000, 1, 8)
+    tables = {"sequence_pos_encoder.pe": table, "embed_timestep.sequence_pos_encoder.pe": table}
+    return tables | {original_name(name): tensor for name, tensor in network.state_dict().items()}
+
+
+def write_released(folder: Path) -> PublicFiles:
+    """Both checkpoints with a moving average of seed 0 beside the last step of seed 1; statistics and projection."""
+    averaged, last, released = released_networks(0), released_networks(1), space()
+    files = PublicFiles(
+        folder / "model000500000.pt",
+        folder / "model000062500.pt",
+        folder / "Mean_abs_3d.npy",
+        folder / "Std_abs_3d.npy",
+        folder / "rand_proj.npy",
+    )
+    for name, path in (("motion", files.motion), ("trajectory", files.trajectory)):
+        copies = {"model": state(getattr(last, name)), "model_avg": state(getattr(averaged, name))}
+        torch.save(copies, path)
+    for array, path in (
+        (released.mean, files.mean),
+        (released.std, files.std),
+        (released.projection, files.projection),
+    ):
+        np.save(getattr(files, name), getattr(released, name).numpy())
+    return files

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import replace
+import re
+from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import pytest
 from prbench.errors import TableError, UsageError
 from prbench.geometry.skeleton import Joint, facing_yaw
 from prbench.representation import canonicalise, encode
+from prbench_adapters.training import MotionBatch
 from prbench_adapters.training.dataset import SequenceDataset
 from tests.adapters.training.tables import CAPTIONS, corpus_table, sequence_table
 
@@ -224,3 +227,21 @@ def test_the_set_travels_to_workers_as_paths(table, cache):
     packed = pickle.dumps(data)
     assert len(packed) < 10_000 < data[0].features.nbytes
     np.testing.assert_array_equal(pickle.loads(packed)[3].features, data[3].features)
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "training-data.md"
+
+
+def test_the_worked_example_learns(tmp_path):
+    (example,) = re.findall(r"```python\n(from itertools.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    names: dict = {}
+    exec(example, names)
+    table = sequence_table(tmp_path / "t")
+    _, before = names["train"](table.folder, steps=1, cache=tmp_path / "cache")
+    _, after = names["train"](table.folder, steps=60, cache=tmp_path / "cache")
+    assert after < before / 2
+
+
+def test_the_page_names_every_field_of_a_batch():
+    named = set(re.findall(r"`(?:batch\.)?(\w+)`", PAGE.read_text(encoding="utf-8")))
+    assert {field.name for field in fields(MotionBatch)} <= named

@@ -1,13 +1,25 @@
-"""The average of the weights and the learning rate, against values worked by hand."""
+"""State and settings of a training: averages, learning rates, the table of the model, validation."""
 
 from __future__ import annotations
 
+import msgspec
+import numpy as np
 import pytest
 import torch
 from torch import nn
 
-from prbench_adapters.training.configuration import OptimisationConfiguration
+from prbench.errors import UsageError
+from prbench_adapters.training.configuration import (
+    DataConfiguration,
+    OptimisationConfiguration,
+    TrainingConfiguration,
+    ValidationConfiguration,
+)
 from prbench_adapters.training.state import WeightAverage, learning_rate
+from prbench_adapters.training.task import split_model_table
+from prbench_adapters.training.validation import Validation
+from tests.adapters.training.toy import toy
+from tests.fakes import fake_dataset
 
 
 def test_the_rate_rises_linearly_then_falls_as_half_a_cosine():
@@ -63,3 +75,103 @@ def test_the_average_takes_the_place_of_the_weights_and_gives_it_back_even_after
         fail()
     assert torch.equal(module.weight, after)
     assert torch.equal(average.averages["weight"], before)
+
+
+class Networks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    width: int = 8
+
+
+class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.weight < 0:
+            raise ValueError("'weight' must be at least 0")
+
+
+def test_each_record_gets_its_own_keys():
+    assert split_model_table({"weight": 2.0, "width": 3}, Networks, Objective) == (Networks(3), Objective(2.0))
+
+
+def test_what_is_not_said_has_its_default():
+    assert split_model_table({}, Networks, Objective) == (Networks(), Objective())
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"widht": 3}, "widht"),
+        ({"width": "wide"}, r"Expected `int`, got `str` - at `\$\.width`"),
+        ({"weight": -1.0}, "'weight' must be at least 0"),
+    ],
+)
+def test_what_describes_nothing_is_refused(wrong, message):
+    with pytest.raises(UsageError, match=r"^\[model\]: .*" + message):
+        split_model_table(wrong, Networks, Objective)
+
+
+CONFIGURATION = TrainingConfiguration(
+    model={},
+    training=OptimisationConfiguration(steps=1),
+    data=DataConfiguration(max_frames=60),
+    validation=ValidationConfiguration(every=1, sequences=4, batch_size=3),
+)
+
+
+@pytest.fixture(autouse=True)
+def cache(monkeypatch, tmp_path_factory):
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path_factory.getbasetemp() / "validation-cache"))
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    return fake_dataset(tmp_path_factory.mktemp("table") / "data", 48)
+
+
+def changed(**changes):
+    return msgspec.structs.replace(
+        CONFIGURATION, validation=msgspec.structs.replace(CONFIGURATION.validation, **changes)
+    )
+
+
+def measured(tables, configuration=CONFIGURATION):
+    validation = Validation.prepare(tables, configuration)
+    return validation.measure(toy().eval(), torch.device("cpu"))
+
+
+def chosen_ids(table, n):
+    from prbench.sequences.table import by_share
+
+    rows = table.scalars(split="validation")
+    return set(by_share(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist())[:n])
+
+
+def test_losses_are_means_over_sequences_whatever_the_batches(table):
+    module = toy().eval()
+    losses = {}
+    for size in (1, 4):
+        validation = Validation.prepare([table], changed(batch_size=size))
+        module.generator = lambda step: torch.Generator().manual_seed(0)  # the same noise, to compare the sums alone
+        by_hand = [module(_batch(validation, [place]), 0)["loss"].item() for place in validation.places]
+        losses[size] = validation.measure(module, torch.device("cpu"))["loss"]
+        assert len(by_hand) == 4
+        if size == 1:
+            assert losses[1] == pytest.approx(np.mean(by_hand), rel=1e-5)
+    assert losses[4] == pytest.approx(losses[1], rel=0.2), "other padding draws other noise, but not another loss"
+
+
+def _batch(validation, places):
+    from prbench_adapters.training.dataset import collate
+
+    return collate([validation.data[place] for place in places])
+
+
+def test_measuring_twice_gives_the_same_numbers(table):
+    assert measured([table]) == measured([table])
+
+
+def test_tables_without_validation_sequences_are_left_out_unless_it_is_all_of_them(table, tmp_path):
+    one_recording = fake_dataset(tmp_path / "one", 6, recordings=1, dataset="synthetic-one")
+    assert measured([one_recording, table]) == measured([table])
+    with pytest.raises(UsageError, match=r"no table has sequences in split 'validation'.*validation\.every=0"):
+        Validation.prepare([one_recording], CONFIGURATION)

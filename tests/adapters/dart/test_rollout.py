@@ -1,6 +1,8 @@
-"""What golden values do not hold: our networks, roll-outs and optimisation beside NumPy written from the page."""
+"""Roll-outs and optimisation of primitives: the published program, NumPy written from the page, goals that are met."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,18 +15,144 @@ from prbench_adapters.dart.model import DartModel, DartSettings, FeatureScaling,
 from prbench_adapters.dart.rollout import (
     GuidedDenoiser,
     PreparedDenoiser,
+    Primitive,
     by_ddim,
     by_ddpm,
     first_history,
+    goal_loss,
     optimise,
     roll_out,
 )
 from prbench_adapters.dart.training import delta_loss, divergence
 from prbench_adapters.diffusion.noise_optimisation import Targets
 from prbench_adapters.kinematics import DART, root_orientation
-from tests.adapters.dart import page, tiny
+from tests.adapters.dart import golden, page, tiny
 from tests.adapters.diffusion.goal_batches import conditions
 from tests.fakes import STANDING
+
+TOLERANCE = 1e-5
+
+
+@pytest.fixture(scope="module")
+def arrays(samples):
+    return golden.load(samples)
+
+
+@pytest.fixture(scope="module")
+def primitives(arrays) -> list[Primitive]:
+    model, history = golden.model(arrays), golden.tensor(arrays, "history")
+    text = golden.tensor(arrays, "text").expand(len(history), -1)
+    denoiser = GuidedDenoiser(model.denoiser, text, float(arrays["guidance"]))
+    identity = Placement(torch.eye(3).expand(2, 3, 3), torch.zeros(2, 3))
+    return roll_out(model, history, identity, by_ddim(denoiser, model.schedule, golden.tensor(arrays, "noise")), 3)
+
+
+def _equal(actual, expected):
+    torch.testing.assert_close(actual, expected, rtol=0, atol=TOLERANCE)
+
+
+def test_a_pass_of_the_denoiser_gives_the_clean_latent_of_the_reference(arrays):
+    model = golden.model(arrays)
+    x_t, step, history = (golden.tensor(arrays, name) for name in ("x_t", "t", "history"))
+    text = golden.tensor(arrays, "text").expand(len(x_t), -1)
+    _equal(model.denoiser(x_t, step, text, history), golden.tensor(arrays, "x0"))
+
+
+def test_each_primitive_starts_from_the_history_of_the_reference(arrays, primitives):
+    _equal(torch.stack([each.history for each in primitives]), golden.tensor(arrays, "primitive_history"))
+
+
+def test_guided_ddim_gives_the_latents_of_the_reference(arrays, primitives):
+    _equal(torch.stack([each.latent for each in primitives]), golden.tensor(arrays, "primitive_latents"))
+
+
+def test_the_decoder_gives_the_features_of_the_reference(arrays, primitives):
+    mean, std = golden.tensor(arrays, "mean"), golden.tensor(arrays, "std")
+    features = torch.stack([each.features for each in primitives]) * std + mean
+    _equal(features, golden.tensor(arrays, "primitive_features"))
+
+
+def test_the_frames_of_reference_stand_where_those_of_the_reference_do(arrays, primitives):
+    _equal(torch.stack([each.placement.rotation for each in primitives]), golden.tensor(arrays, "primitive_rotation"))
+    origins = torch.stack([each.placement.origin for each in primitives])
+    _equal(origins, golden.tensor(arrays, "primitive_origin")[:, :, 0])
+
+
+def test_joints_in_the_world_are_those_of_the_reference(arrays, primitives):
+    first = primitives[0].placement.points(golden.model(arrays).scaling.frames(primitives[0].history).joints)
+    joints = torch.cat([first, *(each.joints for each in primitives)], dim=1)
+    _equal(joints, golden.tensor(arrays, "world_joints"))
+
+
+POSE = torch.zeros(1, 22, 3)
+
+
+def _targets(goal: torch.Tensor | None = None, location: torch.Tensor | None = None, n: int = 1) -> Targets:
+    pose = POSE.expand(n, 22, 3)
+    return Targets(initial_joints=pose, previous_joints=pose, goal_joints=goal, goal_location=location)
+
+
+def test_the_loss_of_a_goal_location_by_hand():
+    """Huber of 0.6, 0 and 3 m with δ = 1: 0.18, 0 and 2.5; their mean."""
+    joints = torch.zeros(1, 4, 22, 3)
+    joints[0, 2, Joint.RIGHT_WRIST] = torch.tensor([0.6, 0.0, 3.0])
+    joints[0, 3] = 100.0  # padding
+    loss = goal_loss(joints, torch.tensor([3]), _targets(location=torch.zeros(1, 3)), DartSettings())
+    assert loss.item() == pytest.approx((0.18 + 2.5) / 3)
+
+
+def test_the_loss_of_a_goal_pose_is_averaged_over_all_its_coordinates():
+    joints = torch.zeros(1, 2, 22, 3)
+    joints[0, 1, 5, 0] = 0.6
+    loss = goal_loss(joints, torch.tensor([2]), _targets(goal=POSE), DartSettings())
+    assert loss.item() == pytest.approx(0.18 / 66)
+
+
+def test_the_other_wrist_counts_where_it_is_asked_for():
+    joints = torch.zeros(1, 1, 22, 3)
+    joints[0, 0, Joint.RIGHT_WRIST, 0] = 0.6
+    given = (joints, torch.tensor([1]), _targets(location=torch.zeros(1, 3)))
+    assert goal_loss(*given, DartSettings(hand="left")).item() == 0
+    assert goal_loss(*given, DartSettings(hand="nearest")).item() == 0
+    assert goal_loss(*given, DartSettings()).item() > 0
+
+
+def test_adam_walks_at_a_falling_rate():
+    """A constant gradient moves Adam by its learning rate in each step: 0.05 · (1 + … + 1/100)."""
+
+    def motion(noise):
+        return noise.sum(dim=(0, 2, 3))[:, None, None, None].expand(-1, 1, 22, 3)
+
+    far = _targets(goal=POSE + 100.0)
+    noise, _ = optimise(motion, torch.zeros(2, 1, 1, 3), far, torch.tensor([1]), DartSettings())
+    torch.testing.assert_close(noise, torch.full((2, 1, 1, 3), 0.05 * sum(i / 100 for i in range(1, 101))))
+
+
+@pytest.fixture(scope="module")
+def optimised_model():
+    return tiny.model(seed=1, diffusion_steps=2)
+
+
+@pytest.mark.parametrize("condition", [Condition.GOAL_POSE, Condition.GOAL_LOCATION])
+def test_the_last_frame_comes_to_a_goal_that_the_model_can_reach(optimised_model, condition):
+    """The goals are the last frames of free motions, so a noise exists that meets them."""
+    given = conditions(condition, 2, frames=(12,))
+    free = generate(optimised_model, replace(given, noise_seed=(7, 8)), DartSettings(optimised=False)).joints
+    last = free[np.arange(2), given.n_frames - 1]
+    if condition is Condition.GOAL_POSE:
+        given, asked = replace(given, goal_joints=last), np.arange(22)
+    else:
+        given, asked = replace(given, goal_location=last[:, Joint.RIGHT_WRIST]), np.array([Joint.RIGHT_WRIST])
+
+    def error(iterations: int) -> np.ndarray:
+        joints = generate(optimised_model, given, DartSettings(iterations=iterations)).joints
+        reached = joints[np.arange(2), given.n_frames - 1]
+        return np.linalg.norm(reached[:, asked] - last[:, asked], axis=-1).mean(axis=1)
+
+    before, after = error(1), error(100)
+    assert (after < 0.25 * before).all(), (before, after)
+    assert (after < 0.02).all(), (before, after)
+
 
 TEXT = torch.randn(2, 64, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
 EYE = torch.eye(3, dtype=torch.float64).expand(2, 3, 3)

@@ -23,7 +23,7 @@ from prbench_adapters.gmd.import_public import main
 from prbench_adapters.gmd.model import GMDModel
 from prbench_adapters.gmd.public_weights import PublicFiles, import_public
 from prbench_adapters.gmd.sampling import GuidedNetwork
-from tests.adapters.gmd import golden, released, tiny
+from tests.adapters.gmd import golden, tiny
 from tests.fakes import fake_dataset, fake_sequence
 from tests.text import tiny_clip
 
@@ -33,7 +33,7 @@ FIRST = "unet.downs.0.0.blocks.0.block1.0.weight"
 
 @pytest.fixture
 def files(tmp_path) -> PublicFiles:
-    return released.write(tmp_path)
+    return tiny.write_released(tmp_path)
 
 
 def _words(files: PublicFiles, out: Path) -> list[str]:
@@ -53,12 +53,12 @@ def _assert_same_networks(model: GMDModel, expected: torch.nn.Module) -> None:
 def test_the_averaged_networks_arrive_with_their_statistics_and_projection(files, tmp_path):
     imported = import_public(files, tmp_path / "gmd.safetensors")
     model = GMDModel.load(tmp_path / "gmd.safetensors")
-    _assert_same_networks(model, released.networks(0))
+    _assert_same_networks(model, tiny.released_networks(0))
     expected = tiny.space()
     for part in ("mean", "std", "projection", "inverse"):
         assert torch.equal(getattr(model.space, part), getattr(expected, part))
     assert imported.copies == {"motion": "model_avg", "trajectory": "model_avg"}
-    assert imported.parameters == sum(tensor.numel() for tensor in released.networks(0).parameters())
+    assert imported.parameters == sum(tensor.numel() for tensor in tiny.released_networks(0).parameters())
 
 
 def test_the_configuration_is_that_of_the_released_models(files, tmp_path):
@@ -72,9 +72,9 @@ def test_the_configuration_is_that_of_the_released_models(files, tmp_path):
 
 @pytest.mark.parametrize("taken", ["model", "only"])
 def test_a_checkpoint_of_one_copy_gives_that_one(files, tmp_path, taken):
-    networks = released.networks(3)
+    networks = tiny.released_networks(3)
     for path, network in ((files.motion, networks.motion), (files.trajectory, networks.trajectory)):
-        state = released.state(network) | {"clip_model.visual.proj": torch.zeros(3)}
+        state = tiny.state(network) | {"clip_model.visual.proj": torch.zeros(3)}
         torch.save({"model": state} if taken == "model" else state, path)
     imported = import_public(files, tmp_path / "gmd.safetensors")
     assert set(imported.copies.values()) == {taken}
