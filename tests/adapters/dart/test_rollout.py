@@ -51,37 +51,29 @@ def _equal(actual, expected):
     torch.testing.assert_close(actual, expected, rtol=0, atol=TOLERANCE)
 
 
+def test_primitives_are_those_of_the_reference(arrays, primitives):
+    """History, latent by guided DDIM, features, frame of reference, joints in the world."""
+
+    def of_all(name: str) -> torch.Tensor:
+        return torch.stack([getattr(each, name) for each in primitives])
+
+    _equal(of_all("history"), golden.tensor(arrays, "primitive_history"))
+    _equal(of_all("latent"), golden.tensor(arrays, "primitive_latents"))
+    features = of_all("features") * golden.tensor(arrays, "std") + golden.tensor(arrays, "mean")
+    _equal(features, golden.tensor(arrays, "primitive_features"))
+    placements = [each.placement for each in primitives]
+    _equal(torch.stack([each.rotation for each in placements]), golden.tensor(arrays, "primitive_rotation"))
+    _equal(torch.stack([each.origin for each in placements]), golden.tensor(arrays, "primitive_origin")[:, :, 0])
+    first = placements[0].points(golden.model(arrays).scaling.frames(primitives[0].history).joints)
+    joints = torch.cat([first, *(each.joints for each in primitives)], dim=1)
+    _equal(joints, golden.tensor(arrays, "world_joints"))
+
+
 def test_a_pass_of_the_denoiser_gives_the_clean_latent_of_the_reference(arrays):
     model = golden.model(arrays)
     x_t, step, history = (golden.tensor(arrays, name) for name in ("x_t", "t", "history"))
     text = golden.tensor(arrays, "text").expand(len(x_t), -1)
     _equal(model.denoiser(x_t, step, text, history), golden.tensor(arrays, "x0"))
-
-
-def test_each_primitive_starts_from_the_history_of_the_reference(arrays, primitives):
-    _equal(torch.stack([each.history for each in primitives]), golden.tensor(arrays, "primitive_history"))
-
-
-def test_guided_ddim_gives_the_latents_of_the_reference(arrays, primitives):
-    _equal(torch.stack([each.latent for each in primitives]), golden.tensor(arrays, "primitive_latents"))
-
-
-def test_the_decoder_gives_the_features_of_the_reference(arrays, primitives):
-    mean, std = golden.tensor(arrays, "mean"), golden.tensor(arrays, "std")
-    features = torch.stack([each.features for each in primitives]) * std + mean
-    _equal(features, golden.tensor(arrays, "primitive_features"))
-
-
-def test_the_frames_of_reference_stand_where_those_of_the_reference_do(arrays, primitives):
-    _equal(torch.stack([each.placement.rotation for each in primitives]), golden.tensor(arrays, "primitive_rotation"))
-    origins = torch.stack([each.placement.origin for each in primitives])
-    _equal(origins, golden.tensor(arrays, "primitive_origin")[:, :, 0])
-
-
-def test_joints_in_the_world_are_those_of_the_reference(arrays, primitives):
-    first = primitives[0].placement.points(golden.model(arrays).scaling.frames(primitives[0].history).joints)
-    joints = torch.cat([first, *(each.joints for each in primitives)], dim=1)
-    _equal(joints, golden.tensor(arrays, "world_joints"))
 
 
 POSE = torch.zeros(1, 22, 3)
@@ -101,13 +93,6 @@ def test_the_loss_of_a_goal_location_by_hand():
     assert loss.item() == pytest.approx((0.18 + 2.5) / 3)
 
 
-def test_the_loss_of_a_goal_pose_is_averaged_over_all_its_coordinates():
-    joints = torch.zeros(1, 2, 22, 3)
-    joints[0, 1, 5, 0] = 0.6
-    loss = goal_loss(joints, torch.tensor([2]), _targets(goal=POSE), DartSettings())
-    assert loss.item() == pytest.approx(0.18 / 66)
-
-
 def test_the_other_wrist_counts_where_it_is_asked_for():
     joints = torch.zeros(1, 1, 22, 3)
     joints[0, 0, Joint.RIGHT_WRIST, 0] = 0.6
@@ -115,17 +100,6 @@ def test_the_other_wrist_counts_where_it_is_asked_for():
     assert goal_loss(*given, DartSettings(hand="left")).item() == 0
     assert goal_loss(*given, DartSettings(hand="nearest")).item() == 0
     assert goal_loss(*given, DartSettings()).item() > 0
-
-
-def test_adam_walks_at_a_falling_rate():
-    """A constant gradient moves Adam by its learning rate in each step: 0.05 · (1 + … + 1/100)."""
-
-    def motion(noise):
-        return noise.sum(dim=(0, 2, 3))[:, None, None, None].expand(-1, 1, 22, 3)
-
-    far = _targets(goal=POSE + 100.0)
-    noise, _ = optimise(motion, torch.zeros(2, 1, 1, 3), far, torch.tensor([1]), DartSettings())
-    torch.testing.assert_close(noise, torch.full((2, 1, 1, 3), 0.05 * sum(i / 100 for i in range(1, 101))))
 
 
 @pytest.fixture(scope="module")

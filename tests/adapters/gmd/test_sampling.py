@@ -49,21 +49,6 @@ def test_keyframes_are_the_first_and_the_last_frame_of_each_motion():
     assert goal.xz[1, [0, 2]].tolist() == [[0, 0], [0, -3]]
 
 
-def test_the_line_is_straight_and_of_constant_speed():
-    goal = _ends().root_keyframes().line()
-    assert torch.allclose(goal.xz[0], torch.linspace(0, 1, 5)[:, None] * torch.tensor([1.0, 2.0]))
-    assert torch.allclose(goal.xz[1, :3, 1], torch.tensor([0.0, -1.5, -3.0]))
-    assert goal.wanted.tolist() == [[True] * 5, [True, True, True, False, False]]
-
-
-def test_the_loss_is_the_mean_error_of_each_row_over_its_keyframes():
-    goal = _ends().root_keyframes()
-    root = goal.xz + torch.tensor([0.3, -0.1])
-    assert torch.allclose(goal.loss(root), torch.tensor([0.2, 0.2]))
-    root[1, 1] = 99.0  # no keyframe
-    assert torch.allclose(goal.loss(root), torch.tensor([0.2, 0.2]))
-
-
 def test_only_the_ground_position_of_the_root_is_imputed():
     space, goal = tiny.space(), _ends().root_keyframes()
     values, where = imputed_root(goal, space, 263)
@@ -71,41 +56,6 @@ def test_only_the_ground_position_of_the_root_is_imputed():
     assert int(where.sum()) == 2 * 4
     restored = space.restored(values)
     assert torch.allclose(restored[where], torch.tensor([0.0, 0, 1, 2, 0, 0, 0, -3]), atol=1e-6)
-
-
-def test_the_gradient_goes_through_the_network():
-    """A network that hands frame 0 what frame 4 holds: the goal of one moves the other, by β̃ · scale · gradient."""
-    chain = CosineSchedule(10)
-    goal = RootGoal(torch.ones(1, 5, 2), torch.tensor([[True, False, False, False, False]]))
-    state = torch.zeros(1, 5, 4)
-    mean = guided_mean(
-        lambda noisy, _: 3.0 * noisy.flip(1), chain, 6, state, lambda clean: goal.loss(clean[..., 1:3]), 100.0
-    )
-    expected = torch.zeros(1, 5, 4)
-    expected[0, 4, 1:3] = 100.0 * float(chain.posterior_variance[6]) * 3.0 / 2
-    assert torch.allclose(mean, expected, rtol=1e-6)
-
-
-def test_estimates_of_the_trajectory_are_cut_at_six_deviations():
-    chain, noise = CosineSchedule(10), torch.zeros(1, 2, 4)
-    state = torch.tensor([5.0, 8.0])[None, :, None].expand(1, 2, 4) * float(chain.alphas_cumprod[3]) ** 0.5
-    assert torch.allclose(clean_of_noise(chain, 3, state, noise)[0, :, 0], torch.tensor([5.0, 6.0]))
-
-
-def test_without_a_goal_no_gradient_is_taken():
-    def network(noisy: torch.Tensor, _: int) -> torch.Tensor:
-        assert not torch.is_grad_enabled()
-        return noisy
-
-    with torch.enable_grad():
-        guided_mean(network, CosineSchedule(10), 6, torch.zeros(1, 5, 4), None, 100.0)
-
-
-@pytest.mark.parametrize(("steps", "limits"), [(1000, (20, 100, 1)), (100, (2, 10, 1)), (50, (1, 5, 1))])
-def test_limits_scale_with_the_schedule(steps, limits):
-    schedule = CosineSchedule(steps)
-    assert tuple(sampling._step(schedule, of_thousand) for of_thousand in (20, 100, 1)) == limits
-    assert sampling._step(schedule, 0) == 0
 
 
 def _root(joints: np.ndarray) -> np.ndarray:
@@ -312,13 +262,6 @@ def test_guidance_and_imputation_matter_more_than_the_tolerances(motion, traject
         assert (step(case, **change) - golden.features(case.arrays["x_prev"])).abs().max() > 2 * tolerance
 
 
-def test_a_goal_of_two_frames_moves_the_frames_between_them(trajectory):
-    """The gradient goes through the network, so that it is dense."""
-    with_goal, without = (_trajectory_step(trajectory, scale=scale, impute=False) for scale in (100.0, 0.0))
-    moved = (with_goal - without).abs().sum(dim=2)
-    assert bool((moved[:, 1:-1] > 1e-4).all())
-
-
 FRAMES = 13  # no multiple of what the networks divide by
 KEYFRAMES = page.Keyframes({0: (0.0, 0.0), 4: (0.7, -0.4), 10: (1.1, 0.9)})
 
@@ -392,15 +335,6 @@ def test_the_whole_second_stage_is_that_of_the_page():
     assert np.allclose(found[0].numpy(), expected, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("steps", [10, 50, 100, 1000])
-def test_posterior_means_and_variances_are_the_small_ones(steps):
-    schedule = CosineSchedule(steps)
-    expected = [page.Posterior.at(t, steps) for t in range(steps)]
-    assert np.allclose(schedule.posterior_variance, [each.variance for each in expected], rtol=1e-9, atol=1e-15)
-    assert np.allclose(schedule.posterior_mean_clean, [each.clean for each in expected], rtol=1e-9)
-    assert np.allclose(schedule.posterior_mean_noisy, [each.noisy for each in expected], rtol=1e-9, atol=1e-15)
-
-
 @pytest.mark.parametrize("places", [[12], [0, 12], [3], [0, 5, 6, 11], [2, 7]])
 def test_the_line_goes_through_all_keyframes_and_ends_at_the_last(places):
     generator = np.random.default_rng(len(places))
@@ -423,32 +357,6 @@ def test_networks_are_those_of_the_page(kind, channels, frames):
     expected = page.predicted(weights, x, 37, text, frames=window, levels=3, steps=50)
     given = (torch.from_numpy(x)[None], torch.tensor([37]), torch.from_numpy(text)[None], torch.tensor([frames]))
     assert np.allclose(network(*given, window=window)[0].numpy(), expected, atol=1e-9)
-
-
-@pytest.mark.parametrize("scale", [0.0, 1.0, 2.5])
-def test_guidance_goes_from_the_prediction_without_text_past_the_one_with_it(scale):
-    network, generator = tiny.networks().trajectory, torch.Generator().manual_seed(1)
-    x, text = (torch.randn(size, generator=generator) for size in ((2, FRAMES, 4), (2, 64)))
-    n_frames, step = torch.tensor([FRAMES, 9]), torch.tensor([31, 31])
-    with_text, without = (network(x, step, words, n_frames, window=16) for words in (text, torch.zeros(2, 64)))
-    found = GuidedNetwork(network, text, n_frames, window=16, scale=scale)(x, 31)
-    assert torch.allclose(found, without + scale * (with_text - without), atol=1e-5)
-    assert (with_text - without).abs().max() > 1e-3
-
-
-def test_the_projection_weighs_the_three_absolute_columns_ten_times_and_no_others():
-    """A step of one standard deviation in one feature, as the motion network sees it; y = x·A, not A·x."""
-    space = tiny.space()
-    seen = space.projected(torch.eye(263)).norm(dim=1)
-    assert float(seen[:3].min()) > 6.0
-    assert float(seen[3:].max()) < 1.0
-    drawn = space.projection.double().numpy() * np.sqrt(263 - 3 + 3 * 10**2)
-    assert drawn[3:].std() == pytest.approx(1.0, abs=0.01)
-    assert drawn[:3].std() == pytest.approx(10.0, rel=0.1)
-    plain = np.random.default_rng(0).normal(size=(40, 263))
-    decoded = space.unprojected(space.projected(torch.from_numpy(plain).float())).double().numpy()
-    assert np.abs(decoded - plain).max() < 1e-3
-    assert np.abs(plain @ drawn / np.sqrt(560) @ np.linalg.inv(drawn / np.sqrt(560)) - plain).max() < 1e-9
 
 
 @pytest.mark.parametrize("case", ["straight", "turn90", "child", "long"])

@@ -121,10 +121,6 @@ def write_released(folder: Path) -> PublicFiles:
     for name, path in (("motion", files.motion), ("trajectory", files.trajectory)):
         copies = {"model": state(getattr(last, name)), "model_avg": state(getattr(averaged, name))}
         torch.save(copies, path)
-    for array, path in (
-        (released.mean, files.mean),
-        (released.std, files.std),
-        (released.projection, files.projection),
-    ):
+    for name in ("mean", "std", "projection"):
         np.save(getattr(files, name), getattr(released, name).numpy())
     return files

@@ -116,14 +116,6 @@ def test_a_training_that_died_loses_no_more_than_the_steps_since_it_last_saved(u
     assert [path.name for path in sorted((tmp_path / "checkpoints").iterdir())] == ["step-000000006", "step-000000007"]
 
 
-def test_a_finished_training_is_not_repeated_but_its_weights_are_written_again(tmp_path):
-    fit(toy(), random_batches, configuration(), tmp_path)
-    written = (tmp_path / "weights.safetensors").read_bytes()
-    (tmp_path / "weights.safetensors").unlink()
-    fit(toy(), random_batches, configuration(), tmp_path, report=lambda progress: pytest.fail("a step was done"))
-    assert (tmp_path / "weights.safetensors").read_bytes() == written
-
-
 def test_ctrl_c_saves_and_has_its_own_exit_code(tmp_path):
     before = signal.getsignal(signal.SIGINT)  # a shell's background jobs ignore it
     with pytest.raises(TrainingStopped) as stopped:

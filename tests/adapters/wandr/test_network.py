@@ -96,14 +96,6 @@ def test_layers_of_the_original():
     assert count == pytest.approx(4.15e6, rel=2e-3)
 
 
-def test_what_the_deviation_of_a_latent_is():
-    mean, log_variance, noise = torch.zeros(1, 64), torch.full((1, 64), 2.0), torch.ones(1, 64)
-    ours = WandrNetwork(WandrConfiguration()).draw(mean, log_variance, noise)
-    original = WandrNetwork(WandrConfiguration(original_deviation=True)).draw(mean, log_variance, noise)
-    assert torch.allclose(ours, torch.e * noise)
-    assert torch.allclose(original, torch.e**2 * noise)
-
-
 @pytest.mark.parametrize("bad", [{"layers": 0}, {"dropout": 1.0}, {"fps": 0.0}, {"latent": 0}])
 def test_impossible_sizes_are_refused(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
