@@ -131,12 +131,15 @@ def _path(kind: type, value: Any) -> Any:
 
 
 SYNTHETIC_FILE = "synthetic.json"
-_SYNTHETIC_NAME = re.compile(r"_synthetic_seed\d+_|_invented_a\d+_")
-"""Stands in the name of every invented recording."""
+_SYNTHETIC_NAME = re.compile(r"_synthetic_seed\d+_|_invented_a\d+_")  # Stands in the name of every invented recording.
 
 
 class SyntheticTree(msgspec.Struct, frozen=True, kw_only=True):
-    """Origin and splits of a synthetic tree."""
+    """Origin and splits of a synthetic tree.
+
+    Attributes:
+        split: Split of each recording, by id.
+    """
 
     generator: str
     version: int
@@ -144,7 +147,6 @@ class SyntheticTree(msgspec.Struct, frozen=True, kw_only=True):
     preset: str
     world: Literal["default", "large"]
     split: dict[str, Literal["train", "validation", "test"]]
-    """Split of each recording, by id."""
 
 
 _TREE = msgspec.json.Decoder(SyntheticTree)
@@ -329,15 +331,18 @@ class PublishedForPrediction(Reader, Protocol):
 
 @dataclass(frozen=True)
 class AnnotationLine:
-    """One recording in a table of events that a person fills in."""
+    """One recording in a table of events that a person fills in.
+
+    Attributes:
+        cells: Cells that are known beforehand, by column.
+        frame_rate: Frames a second of the column ``event_frame``.
+        hint: Time at which the dataset hints at an event, seconds on the recording's clock.
+    """
 
     recording_id: str
     cells: Mapping[str, object]
-    """Cells that are known beforehand, by column."""
     frame_rate: float
-    """Frames a second of the column ``event_frame``."""
     hint: float | None
-    """Time at which the dataset hints at an event, seconds on the recording's clock."""
 
 
 def reader_for(dataset: str, options: Mapping[str, str] | None = None) -> Reader:

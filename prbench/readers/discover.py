@@ -15,10 +15,13 @@ from prbench.readers.found import names_in
 
 @dataclass(frozen=True)
 class FoundDataset:
-    """One dataset in a folder."""
+    """One dataset in a folder.
+
+    Attributes:
+        dataset: Name of its reader.
+    """
 
     dataset: str
-    """Name of its reader."""
     root: Path
     recordings: tuple[RecordingFiles, ...]
 
@@ -30,14 +33,17 @@ class FoundDataset:
 
 @dataclass(frozen=True)
 class BrokenDataset:
-    """A folder that a reader recognises as its own and cannot list."""
+    """A folder that a reader recognises as its own and cannot list.
+
+    Attributes:
+        dataset: Name of the dataset that it looks like.
+        root: The folder.
+        message: What is wrong.
+    """
 
     dataset: str
-    """Name of the dataset that it looks like."""
     root: Path
-    """The folder."""
     message: str
-    """What is wrong."""
 
 
 @dataclass(frozen=True)

@@ -22,39 +22,44 @@ from prbench.limits import LARGEST_UNPACKED, LARGEST_UNPACKED_FOR_ITS_END, LONGE
 from prbench.readers.files import header_names, opened, source_of
 from prbench.readers.found import InputFile
 
+# Seconds by which two streams that one tracking system writes frame by frame may end apart: half of what a person needs
+# to reach for something, and more than the frames that are lost at the end of public samples (0.1 s).
 ONE_SYSTEM = 0.5
-"""Seconds by which two streams that one tracking system writes frame by frame may end apart: half of what a person
-needs to reach for something, and more than the frames that are lost at the end of public samples (0.1 s)."""
+# Seconds by which sensors that start and stop by themselves, or the results of different programs, may begin or end
+# apart. In the public sample of the Machine Perception Services poses begin 1.4 s after gaze and end 1.1 s before it;
+# the first video frame of HD-EPIC may be more than 1 s late. No sequence begins in the two seconds before a look
+# anyway.
 SEVERAL_SENSORS = 2.0
-"""Seconds by which sensors that start and stop by themselves, or the results of different programs, may begin or end
-apart. In the public sample of the Machine Perception Services poses begin 1.4 s after gaze and end 1.1 s before it; the
-first video frame of HD-EPIC may be more than 1 s late. No sequence begins in the two seconds before a look anyway."""
 _REMEDY = "it may be cut off: compare its size with the original, or copy or download it again"
 
 
 @dataclass(frozen=True)
 class Extent:
-    """First and last time of one stream."""
+    """First and last time of one stream.
+
+    Attributes:
+        stream: Name of the stream in messages.
+        file: Name of the file.
+        first: Time of its first sample, seconds on a clock that all streams of the recording share; None if unknown.
+        last: Time of its last sample; None if it holds none.
+        tells_span: True where the recording lasts at least as long. Not so where a dataset's sensors run on without
+            ground truth.
+        may_start_late: True where a late start is normal.
+        slack: Seconds by which it may begin after the recording or end before it.
+    """
 
     stream: str
-    """Name of the stream in messages."""
     file: str
-    """Name of the file."""
     first: float | None
-    """Time of its first sample, seconds on a clock that all streams of the recording share; None if unknown."""
     last: float | None
-    """Time of its last sample; None if it holds none."""
     tells_span: bool = True
-    """True where the recording lasts at least as long. Not so where a dataset's sensors run on without ground truth."""
     may_start_late: bool = False
-    """True where a late start is normal."""
     slack: float = ONE_SYSTEM
-    """Seconds by which it may begin after the recording or end before it."""
 
 
+# Bytes that are read of each end. The static objects of an ADT recording take 60 kB before the first one that moves; a
+# frame of a skeleton, printed with one number a line, 130 kB.
 _END = 1 << 18
-"""Bytes that are read of each end. The static objects of an ADT recording take 60 kB before the first one that moves;
-a frame of a skeleton, printed with one number a line, 130 kB."""
 _NAMED_TIME = re.compile(rb'"(?:tracking_)?timestamp_ns"\s*:\s*(\d{1,19})(?=[\s,}])')
 
 

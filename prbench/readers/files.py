@@ -169,9 +169,9 @@ class _RememberingTail(io.RawIOBase):
         return content
 
 
+# Numbers that are the same to a millionth whatever may have been cut off: six decimals or more behind a 0 or behind
+# several digits, or a whole negative exponent. One digit before the point could be the mantissa of a lost exponent.
 _HARMLESS = re.compile(rb"-?(0|\d\d+)\.\d{6,}|-?\d(\.\d+)?e-\d\d+")
-"""Numbers that are the same to a millionth whatever may have been cut off: six decimals or more behind a 0 or behind
-several digits, or a whole negative exponent. One digit before the point could be the mantissa of a lost exponent."""
 
 
 def require_whole_last_line(
@@ -209,16 +209,16 @@ def require_whole_last_line(
     )
 
 
+# A time in a JSON file; NumPy has no larger integers.
 Nanoseconds = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
-"""A time in a JSON file; NumPy has no larger integers."""
 Column = type[int] | type[float] | type[str]
 Decoded = TypeVar("Decoded")
 
 _ARROW_TYPES = {int: pa.int64(), float: pa.float64(), str: pa.string()}
 _QUATERNION_TOLERANCE = 1e-3
+# Bytes of a plain text file from which on it is read in pieces, which is slower; of a shorter one no more can come than
+# a few times as much.
 _WATCHED_SIZE = 2**28
-"""Bytes of a plain text file from which on it is read in pieces, which is slower; of a shorter one no more can come
-than a few times as much."""
 _BLOCK = 2**21  # bytes
 _COPY_AGAIN = "The file may be truncated; copy or download it again."
 _SORT = "The clock runs backwards or a row is repeated; sort the rows by time and remove repeated ones."
@@ -473,8 +473,8 @@ def header_names(line: bytes) -> list[str]:
     return [name.strip().strip('"') for name in line.decode("utf-8-sig").rstrip("\r\n").split(",")]
 
 
+# Times, positions and rotations of one body.
 Poses = tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]]
-"""Times, positions and rotations of one body."""
 
 
 def read_poses_by_body(

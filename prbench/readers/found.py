@@ -11,21 +11,23 @@ from typing import Any, Literal
 
 from prbench.errors import InputFileError, RecordingUnusable
 
-_SHOWN = 8
-"""Names that a message lists."""
+_SHOWN = 8  # Names that a message lists.
 
 
 @dataclass(frozen=True)
 class InputFile:
-    """One file that reading a recording depends on."""
+    """One file that reading a recording depends on.
+
+    Attributes:
+        role: Role of the file for the reader; unique within a recording.
+        size: Bytes; of the member alone where it lies in an archive.
+        member: Name inside the zip archive ``path``; empty for a plain file.
+    """
 
     role: str
-    """Role of the file for the reader; unique within a recording."""
     path: Path
     size: int
-    """Bytes; of the member alone where it lies in an archive."""
     member: str = ""
-    """Name inside the zip archive ``path``; empty for a plain file."""
 
 
 class FilesOnDemand(Sequence[InputFile]):
@@ -63,18 +65,22 @@ class FilesOnDemand(Sequence[InputFile]):
 
 @dataclass(frozen=True)
 class RecordingFiles:
-    """One recording that was found, not yet read."""
+    """One recording that was found, not yet read.
+
+    Attributes:
+        dataset: Name that the recording will carry: the reader's, or ``synthetic-`` before it.
+        files: Every input that was found; a missing required one is reported by reading, not by searching.
+        split: The dataset's official split, where its files tell it; None = by the split rule.
+        skip_reason: Reason why a build must leave it out, reported as skipped and not as failed; None for all that are
+            fine.
+    """
 
     dataset: str
-    """Name that the recording will carry: the reader's, or ``synthetic-`` before it."""
     recording_id: str
     folder: Path
     files: Sequence[InputFile]
-    """Every input that was found; a missing required one is reported by reading, not by searching."""
     split: Literal["train", "validation", "test"] | None = None
-    """The dataset's official split, where its files tell it; None = by the split rule."""
     skip_reason: str | None = None
-    """Reason why a build must leave it out, reported as skipped and not as failed; None for all that are fine."""
 
     def require_usable(self, reason: str | None) -> None:
         """Refuse the recording, if there is a reason to.

@@ -40,32 +40,35 @@ def is_estimated(pose_source: str) -> bool:
 
 @dataclass(frozen=True)
 class PublishedTrack:
-    """One segment at 30 frames a second, every frame of it, measured or not. World, metres, Y up."""
+    """One segment at 30 frames a second, every frame of it, measured or not. World, metres, Y up.
+
+    Attributes:
+        name: Unique within the recording.
+        published_split: ``train``, ``test`` or ``unused`` where the files themselves tell it, else empty.
+        valid: Frames whose pose was measured or filled in; elsewhere a neighbour's stands.
+        filled: Frames whose pose was filled in from frames on both sides.
+        body: The 22 joints of the same frames, from which the head's direction is computed.
+        gaze_measured: Frames with a measurement of their own, neither held nor interpolated.
+    """
 
     name: str
-    """Unique within the recording."""
     published_split: str
-    """``train``, ``test`` or ``unused`` where the files themselves tell it, else empty."""
     times: Float[np.ndarray, " n"]
     joints: Float[np.ndarray, "n joints 3"]
     valid: Bool[np.ndarray, " n"]
-    """Frames whose pose was measured or filled in; elsewhere a neighbour's stands."""
     filled: Bool[np.ndarray, " n"]
-    """Frames whose pose was filled in from frames on both sides."""
     body: Float[np.ndarray, "n 22 3"]
-    """The 22 joints of the same frames, from which the head's direction is computed."""
     gaze: Float[np.ndarray, "n 3"]
     gaze_measured: Bool[np.ndarray, " n"]
-    """Frames with a measurement of their own, neither held nor interpolated."""
 
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
 Action = Literal["pick", "put"]
 ContactPoint = Literal["wrist", "middle_finger_base", "hand_vertex"]
+# Source of an event's hand: the dataset, the in-hand rule's contact points, a tracked wrist, the body's wrist, or which
+# wrist moved more before the event.
 HandSource = Literal["annotated", "contact", "tracked", "body", "movement"]
-"""Source of an event's hand: the dataset, the in-hand rule's contact points, a tracked wrist, the body's wrist, or
-which wrist moved more before the event."""
 
 
 def _check_stream(times: np.ndarray, *columns: np.ndarray) -> None:
@@ -100,13 +103,16 @@ def _require_distinct(what: str, ids: Sequence[str]) -> None:
 
 @dataclass(frozen=True)
 class GazeStream:
-    """The wearer's gaze: rays in the world."""
+    """The wearer's gaze: rays in the world.
+
+    Attributes:
+        origin: Between the eyes (central pupil frame).
+        direction: Unit vectors.
+    """
 
     times: Float[np.ndarray, " n"]
     origin: Float[np.ndarray, "n 3"]
-    """Between the eyes (central pupil frame)."""
     direction: Float[np.ndarray, "n 3"]
-    """Unit vectors."""
     valid: Bool[np.ndarray, " n"]
 
     def __post_init__(self) -> None:
@@ -169,10 +175,15 @@ class ObjectTrack:
     """One object: its pose over time and its box in its own frame.
 
     A track of one sample is an object that does not move: its pose holds at all times.
+
+    Attributes:
+        object_id: The dataset's own id as text; 16-digit ids do not survive a float.
+        box_min: Lower corner in the object's frame; equal to ``box_max`` where the dataset knows points only.
+        movable: True where the dataset tracks it; only such objects can be picked up.
+        surface: Its mesh, in its own frame; only where a reader is asked for meshes.
     """
 
     object_id: str
-    """The dataset's own id as text; 16-digit ids do not survive a float."""
     name: str
     category: str
     times: Float[np.ndarray, " n"]
@@ -180,12 +191,9 @@ class ObjectTrack:
     rotation: Float[np.ndarray, "n 4"]
     valid: Bool[np.ndarray, " n"]
     box_min: Float[np.ndarray, "3"]
-    """Lower corner in the object's frame; equal to ``box_max`` where the dataset knows points only."""
     box_max: Float[np.ndarray, "3"]
     movable: bool
-    """True where the dataset tracks it; only such objects can be picked up."""
     surface: Occluder | None = None
-    """Its mesh, in its own frame; only where a reader is asked for meshes."""
 
     def __post_init__(self) -> None:
         _check_stream(self.times, self.position, self.rotation, self.valid)
@@ -219,46 +227,55 @@ class OtherPerson:
 
 @dataclass(frozen=True)
 class PublishedPriming:
-    """The dataset's own result about the priming of an event."""
+    """The dataset's own result about the priming of an event.
+
+    Attributes:
+        prime_time: Time of the prime on the recording's clock, seconds; None unless primed.
+        uncertainty: Spacing of the instants at which the dataset looked, seconds.
+    """
 
     outcome: Literal["primed", "not_primed", "excluded"]
     prime_time: float | None
-    """On the recording's clock; None unless primed."""
     uncertainty: float = 0.0
-    """Spacing of the instants at which the dataset looked, seconds."""
 
 
 @dataclass(frozen=True)
 class Occluder:
-    """A triangle mesh that can stand between the eye and a place."""
+    """A triangle mesh that can stand between the eye and a place.
+
+    Attributes:
+        vertices: Vertices in the world; in the object's own frame where it belongs to an object.
+        object_id: The tracked object it moves with; None for the scene.
+    """
 
     name: str
     vertices: Float[np.ndarray, "v 3"]
-    """In the world; in the object's own frame where it belongs to an object."""
     faces: Int[np.ndarray, "f 3"]
     object_id: str | None = None
-    """The tracked object it moves with; None for the scene."""
 
 
 @dataclass(frozen=True)
 class AnnotatedEvent:
-    """A pick or put that the dataset itself lists."""
+    """A pick or put that the dataset itself lists.
+
+    Attributes:
+        native_key: The event's identifier in the dataset.
+        location: None where the dataset gives no place.
+        published_priming: None where the dataset publishes no priming.
+        hand_source: None where the hand is unknown.
+    """
 
     native_key: str
-    """The event's identifier in the dataset."""
     action: Action
     object_id: str
     object_name: str
     event_time: float
     location: Float[np.ndarray, "3"] | None
-    """None where the dataset gives no place."""
     box_min: Float[np.ndarray, "3"] | None
     box_max: Float[np.ndarray, "3"] | None
     hand: Side | None = None
     published_priming: PublishedPriming | None = None
-    """None where the dataset publishes no priming."""
     hand_source: HandSource | None = None
-    """None where the hand is unknown."""
 
     def __post_init__(self) -> None:
         name = f"event {quoted(self.native_key)}"
@@ -272,41 +289,46 @@ class AnnotatedEvent:
 
 @dataclass(frozen=True)
 class Recording:
-    """Everything that one recording tells curation; the class that every reader yields, one at a time."""
+    """Everything that one recording tells curation; the class that every reader yields, one at a time.
+
+    Attributes:
+        pose_source: Source of the body (``adt-optitrack``, ``egoallo``, …); ``none`` without a body.
+        head_tilt_deg: Rest tilt of that body's neck-head bone, degrees
+            (docs/specification/humanml3d.md#head-forward-vector).
+        span: First and last instant with ground truth, seconds.
+        camera: The scene camera of the glasses.
+        head: The glasses' central pupil frame: x left, y up, z forward.
+        split_group: Recordings with one group share a split (concurrent twins); the recording's own id where it stands
+            alone.
+        occluders: Meshes of scene and objects, loaded only where a reader is asked for them (option ``meshes``).
+        hinged_objects: Ids of doors, drawers and the like, where the dataset says so.
+        world_from_source: Maps the scene's own coordinates (meshes, point clouds) into this world frame.
+        furniture: Things that stand still and are no part of :attr:`objects`, because the dataset tracks none of them.
+        messages: Messages of the reader for the user.
+        shortfalls: One message for each stream that ends before the recording does; its file may be cut off.
+    """
 
     dataset: str
     recording_id: str
     participant_id: str
     pose_source: str
-    """Source of the body (``adt-optitrack``, ``egoallo``, …); ``none`` without a body."""
     head_tilt_deg: float
-    """Rest tilt of that body's neck-head bone, degrees (docs/specification/humanml3d.md#head-forward-vector)."""
     span: tuple[float, float]
-    """First and last instant with ground truth, seconds."""
     gaze: GazeStream
     camera: PoseStream
-    """The scene camera of the glasses."""
     head: PoseStream
-    """The glasses' central pupil frame: x left, y up, z forward."""
     body: BodyStream | None
     hands: tuple[HandStream, ...]
     objects: tuple[ObjectTrack, ...]
     other_people: tuple[OtherPerson, ...] = ()
     annotated_events: tuple[AnnotatedEvent, ...] = ()
     split_group: str = ""
-    """Recordings with one group share a split (concurrent twins); the recording's own id where it stands alone."""
     occluders: tuple[Occluder, ...] = ()
-    """Meshes of scene and objects, loaded only where a reader is asked for them (option ``meshes``)."""
     hinged_objects: frozenset[str] = frozenset()
-    """Ids of doors, drawers and the like, where the dataset says so."""
     world_from_source: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
-    """Maps the scene's own coordinates (meshes, point clouds) into this world frame."""
     furniture: tuple[ObjectTrack, ...] = ()
-    """Things that stand still and are no part of :attr:`objects`, because the dataset tracks none of them."""
     messages: tuple[str, ...] = ()
-    """Messages of the reader for the user."""
     shortfalls: tuple[str, ...] = ()
-    """One message for each stream that ends before the recording does; its file may be cut off."""
 
     def __post_init__(self) -> None:
         start, end = self.span
@@ -383,20 +405,20 @@ def hold_neighbours(
     return values[index[nearest_index(index.astype(np.float64), np.arange(len(values), dtype=np.float64))]]
 
 
+# Seconds between two measurements of a wrist that tell where it was in between: hands are tracked at 10 Hz.
 _LONGEST_WRIST_GAP = 0.15
-"""Seconds between two measurements of a wrist that tell where it was in between: hands are tracked at 10 Hz."""
+# Metres from the place at which the only known wrist is still the one that reached. On synthetic HD-EPIC 99 % of the
+# reaching wrists are within 0.17 m of the annotated point.
 _FARTHEST_LONE_WRIST = 0.20
-"""Metres from the place at which the only known wrist is still the one that reached. On synthetic HD-EPIC 99 % of the
-reaching wrists are within 0.17 m of the annotated point."""
+# Metres from the place at which the nearer of two known wrists is still the one that reached: a pan is held by its
+# handle, and estimated bodies end decimetres from where the hand was.
 _FARTHEST_WRIST = 0.40
-"""Metres from the place at which the nearer of two known wrists is still the one that reached: a pan is held by its
-handle, and estimated bodies end decimetres from where the hand was."""
+# Metres by which the other wrist must be farther away. Annotated places are no more exact than that.
 LEAST_DIFFERENCE = 0.02
-"""Metres by which the other wrist must be farther away. Annotated places are no more exact than that."""
 
 
+# Position (world, metres) and source of each known wrist at one instant.
 Wrists = Mapping[Side, tuple[Float[np.ndarray, "3"], Literal["tracked", "body"]]]
-"""Position (world, metres) and source of each known wrist at one instant."""
 
 
 def wrists_at(hands: Sequence[HandStream], body: BodyStream | None, time: float) -> Wrists:
@@ -430,7 +452,7 @@ def reaching_hand(wrists: Wrists, place: Float[np.ndarray, "3"]) -> tuple[Side |
     They do not where none is known, where the nearest is too far away, and where both are about equally far.
 
     Args:
-        wrists: At the instant of the event.
+        wrists: Known wrists at the instant of the event, by side.
         place: World, metres.
     """
     distances: dict[Side, float] = {side: float(np.linalg.norm(wrist - place)) for side, (wrist, _) in wrists.items()}

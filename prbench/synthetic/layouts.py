@@ -89,7 +89,7 @@ def synthetic_recording(performance: Performance, *, noise: float = 1.0, switche
     return layout.recording(layout.sense(performance, noise=noise, switches=switches))
 
 
-Damage = Callable[[Path, str], None]
+Damage = Callable[[Path, str], object]
 """Damages the recording of that id below the tree's root; deterministic."""
 Row = dict[str, str]
 """One line of a CSV file by column."""

@@ -34,14 +34,17 @@ from prbench.recording import Recording
 
 
 class AdtOptions(ReaderOptions, frozen=True, kw_only=True):
-    """Options of the reader of Aria Digital Twin."""
+    """Options of the reader of Aria Digital Twin.
+
+    Attributes:
+        poses: Source of bodies: the suit, or EgoAllo's estimates (the study's table S1). Hands stay the suit's.
+        smplh_model: The licensed body model that EgoAllo's outputs need (``model.npz``).
+        poses_root: Folder of EgoAllo's outputs by recording; beside the recordings by default.
+    """
 
     poses: Literal["native", "egoallo"] = "native"
-    """Source of bodies: the suit, or EgoAllo's estimates (the study's table S1). Hands stay the suit's."""
     smplh_model: Path | None = None
-    """The licensed body model that EgoAllo's outputs need (``model.npz``)."""
     poses_root: Path | None = None
-    """Folder of EgoAllo's outputs by recording; beside the recordings by default."""
 
 
 METADATA = "metadata"
@@ -52,8 +55,7 @@ TRAJECTORY = "trajectory"
 GAZE = "gaze"
 ASSOCIATION = "association"
 CALIBRATION = "calibration"
-SKELETON_PREFIX = "skeleton:"
-"""Roles of the files of a recording; a skeleton's is this and the skeleton's name."""
+SKELETON_PREFIX = "skeleton:"  # Roles of the files of a recording; a skeleton's is this and the skeleton's name.
 _FILES = {
     METADATA: adt.METADATA_FILE,
     INSTANCES: adt.INSTANCES_FILE,
@@ -63,22 +65,24 @@ _FILES = {
     GAZE: adt.GAZE_FILE,
     ASSOCIATION: adt.ASSOCIATION_FILE,
 }
-_OWN_ROLES = (TRAJECTORY, OBJECTS, BOXES, ASSOCIATION)
-"""Roles of files whose names no other dataset has."""
+_OWN_ROLES = (TRAJECTORY, OBJECTS, BOXES, ASSOCIATION)  # Roles of files whose names no other dataset has.
 
 
 class Metadata(msgspec.Struct):
-    """``metadata.json``."""
+    """``metadata.json``.
+
+    Attributes:
+        gt_time_domain: Checked when the recording is read.
+        serial: Serial number of the glasses.
+        headset: None: only HOT3D's metadata names it.
+        subtours: Named by the layout v1.x alone.
+    """
 
     gt_time_domain: str | None = None
-    """Checked when the recording is read."""
     serial: str | None = None
-    """Serial number of the glasses."""
     headset: str | None = None
-    """None: only HOT3D's metadata names it."""
     concurrent_sequence: str | None = None
     subtours: Any = None
-    """Named by the layout v1.x alone."""
 
 
 METADATA_DECODER = msgspec.json.Decoder(Metadata)

@@ -24,8 +24,7 @@ ASSOCIATION_FILE = "skeleton_aria_association.json"
 MPS_FOLDER = "mps"
 
 TIME_DOMAIN = "DEVICE_CAPTURE"
-NOBODY = "NONE"
-"""Stands for a missing serial or skeleton in the association file."""
+NOBODY = "NONE"  # Stands for a missing serial or skeleton in the association file.
 
 OBJECT_ID = "object_uid"
 OBJECT_TIME = "timestamp[ns]"
@@ -33,26 +32,23 @@ OBJECT_POSITION = ("t_wo_x[m]", "t_wo_y[m]", "t_wo_z[m]")
 OBJECT_ROTATION = ("q_wo_w", "q_wo_x", "q_wo_y", "q_wo_z")
 BOX_MIN = ("p_local_obj_xmin[m]", "p_local_obj_ymin[m]", "p_local_obj_zmin[m]")
 BOX_MAX = ("p_local_obj_xmax[m]", "p_local_obj_ymax[m]", "p_local_obj_zmax[m]")
-STATIC_TIME = -1
-"""Time of an object that never moves."""
+STATIC_TIME = -1  # Time of an object that never moves.
 
+# Object rows stand 700 ns after the glasses' row of the same instant (rounding of the release).
 OBJECT_AFTER_POSE_NS = 700
-"""Object rows stand 700 ns after the glasses' row of the same instant (rounding of the release)."""
 GAZE_BEFORE_POSE_US = 3
+# Seconds; rows closer than this are of one instant, which the files write with different rounding.
 SAME_INSTANT = 0.002
-"""Seconds; rows closer than this are of one instant, which the files write with different rounding."""
 
-SCENE_BOX_ID = 4377907428960199
-"""``ApartmentEnv``, whose box encloses the room."""
-ROOM_SIZE = 3.0
-"""Metres; a box with a longer side that holds the wearer's eyes encloses the room."""
+SCENE_BOX_ID = 4377907428960199  # ``ApartmentEnv``, whose box encloses the room.
+ROOM_SIZE = 3.0  # Metres; a box with a longer side that holds the wearer's eyes encloses the room.
 
-LONGEST_BODY_STEP = 0.02
-"""Seconds; the suit runs at 120 Hz, a longer step is a gap."""
+LONGEST_BODY_STEP = 0.02  # Seconds; the suit runs at 120 Hz, a longer step is a gap.
 UP = (0.0, 1.0, 0.0)
+# The scene turned so that Z is up, (x, y, z) to (x, -z, y): the world in which EgoAllo must see it.
 Z_UP_FROM_SCENE = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-"""The scene turned so that Z is up, (x, y, z) to (x, -z, y): the world in which EgoAllo must see it."""
 
+# Order of the 51 joints; the files hold no names. A position is the proximal end of the named bone.
 JOINT_NAMES: tuple[str, ...] = (
     "Skeleton", "Ab", "Chest", "Neck", "Head",
     "LShoulder", "LUArm", "LFArm", "LHand",
@@ -63,7 +59,6 @@ JOINT_NAMES: tuple[str, ...] = (
     "RRing1", "RRing2", "RRing3", "RPinky1", "RPinky2", "RPinky3",
     "LThigh", "LShin", "LFoot", "LToe", "RThigh", "RShin", "RFoot", "RToe",
 )  # fmt: skip
-"""Order of the 51 joints; the files hold no names. A position is the proximal end of the named bone."""
 N_NATIVE_JOINTS = len(JOINT_NAMES)
 N_MARKERS = 57
 
@@ -98,7 +93,12 @@ def body_joints(joints: Float[np.ndarray, "n 51 3"], mapping: Sequence[str]) -> 
 
 @dataclass(frozen=True)
 class AdtObject:
-    """One entry of ``instances.json`` with its box and its rows of ``scene_objects.csv``."""
+    """One entry of ``instances.json`` with its box and its rows of ``scene_objects.csv``.
+
+    Attributes:
+        time_ns: Device time; one row of -1 for an object that never moves.
+        rotation: w x y z, object to scene.
+    """
 
     object_id: int
     name: str
@@ -108,24 +108,25 @@ class AdtObject:
     box_min: Float[np.ndarray, "3"]
     box_max: Float[np.ndarray, "3"]
     time_ns: Int[np.ndarray, " n"]
-    """Device time; one row of -1 for an object that never moves."""
     position: Float[np.ndarray, "n 3"]
     rotation: Float[np.ndarray, "n 4"]
-    """w x y z, object to scene."""
 
 
 @dataclass(frozen=True)
 class AdtSkeleton:
-    """One tracked person: ``Skeleton_<X>.json`` and its entry in the association file."""
+    """One tracked person: ``Skeleton_<X>.json`` and its entry in the association file.
+
+    Attributes:
+        serial: Serial of the glasses that the person wears; ``NONE`` without glasses.
+        markers: Not read, only written: nothing is computed from them.
+    """
 
     name: str
     skeleton_id: int
     serial: str
-    """Serial of the glasses that the person wears; ``NONE`` without glasses."""
     time_ns: Int[np.ndarray, " n"]
     joints: Float[np.ndarray, "n 51 3"]
     markers: Float[np.ndarray, "n 57 3"] | None = None
-    """Not read, only written: nothing is computed from them."""
 
 
 @dataclass(frozen=True)
@@ -133,23 +134,25 @@ class AdtReadings:
     """Readings of one ADT recording's sensors: the content of its files, before or after the text.
 
     Scene frame: metres, Y up. Times: the glasses' device clock, in integers as the files hold them.
+
+    Attributes:
+        concurrent: Id of the recording that the other wearer made at the same time; empty where there is none.
+        glasses_size: None where no file tells.
+        device_from_rgb: Calibrated pose of the RGB camera; None where no file tells.
+        glasses: ``aria_trajectory.csv``.
+        estimated_body: EgoAllo's estimate, in the scene turned to Z up (:data:`Z_UP_FROM_SCENE`); None where there is
+            none or none was asked for.
+        messages: Messages of reading the files.
     """
 
     recording_id: str
     serial: str
     concurrent: str
-    """Id of the recording that the other wearer made at the same time; empty where there is none."""
     glasses_size: GlassesSize | None
-    """None where no file tells."""
     device_from_rgb: Float[np.ndarray, "4 4"] | None
-    """Calibrated pose of the RGB camera; None where no file tells."""
     glasses: AriaTrajectory
-    """``aria_trajectory.csv``."""
     gaze: GazeAngles
     objects: tuple[AdtObject, ...]
     skeletons: tuple[AdtSkeleton, ...]
     estimated_body: EgoAlloBody | None = None
-    """EgoAllo's estimate, in the scene turned to Z up (:data:`Z_UP_FROM_SCENE`); None where there is none or none was
-    asked for."""
     messages: tuple[str, ...] = ()
-    """Messages of reading the files."""

@@ -61,15 +61,15 @@ _BODY_PARENTS = {
     "RThigh": "Skeleton", "RShin": "RThigh", "RFoot": "RShin", "RToe": "RFoot",
 }  # fmt: skip
 _FINGER_JOINTS = [name for name in adt.JOINT_NAMES if name[1:-1] in _FINGERS]
+# Maps each native joint to the joint at the other end of its bone; parents stand before their children.
 _PARENTS = _BODY_PARENTS | {
     name: f"{name[0]}Hand" if name[-1] == "1" else f"{name[:-1]}{int(name[-1]) - 1}" for name in _FINGER_JOINTS
 }
-"""Maps each native joint to the joint at the other end of its bone; parents stand before their children."""
+# Maps joints to the first joint of the rigid segment that they belong to.
 _RIGID_WITH = {
     "Ab": "Skeleton", "LThigh": "Skeleton", "RThigh": "Skeleton",
     "Neck": "Chest", "LShoulder": "Chest", "RShoulder": "Chest",
 } | {name: f"{name[0]}Hand" for name in _FINGER_JOINTS}  # fmt: skip
-"""Maps joints to the first joint of the rigid segment that they belong to."""
 _MARKED_BONES = (
     ("Skeleton", "Ab"), ("Ab", "Chest"), ("Chest", "Neck"), ("Neck", "Head"),
     ("LShoulder", "LUArm"), ("LUArm", "LFArm"), ("LFArm", "LHand"), ("LHand", "LMiddle1"),
@@ -78,8 +78,7 @@ _MARKED_BONES = (
     ("Skeleton", "RThigh"), ("RThigh", "RShin"), ("RShin", "RFoot"),
 )  # fmt: skip
 _MARKERS_ALONG_BONE = (0.2, 0.5, 0.8)
-RATE = 30.0
-"""Glasses, gaze and objects, Hz."""
+RATE = 30.0  # Glasses, gaze and objects, Hz.
 _BODY_RATE = 120.0
 GLASSES_SIZE = "DVT-L"
 _POSE_NOISE = 0.5e-3  # m

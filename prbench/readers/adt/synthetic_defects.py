@@ -14,11 +14,11 @@ from prbench.synthetic.layouts import Damage, Defect, Row, changed_rows, cut_in_
 _ANGLES = (mps.YAW, mps.PITCH)
 _TRAJECTORY = adt.TRAJECTORY_FILE
 _GAZE = adt.GAZE_FILE
-_OBJECTS = adt.OBJECTS_FILE
+_DEGREES = 57.29578  # in a radian
 
 
 def _rows(name: str, change: Callable[[list[Row]], Iterable[Row]]) -> Damage:
-    """Change the rows of a CSV file."""
+    """Return a damage that changes the rows of a CSV file."""
 
     def rewrite(root: Path, recording: str) -> None:
         path = root / recording / name
@@ -27,32 +27,20 @@ def _rows(name: str, change: Callable[[list[Row]], Iterable[Row]]) -> Damage:
     return rewrite
 
 
-def _truncated(root: Path, recording: str) -> None:
+def _each(name: str, change: Callable[[Row], Row]) -> Damage:
+    """Return a damage that changes every row of a CSV file."""
+    return _rows(name, lambda rows: [row | change(row) for row in rows])
+
+
+def _middle(rows: list[Row]) -> range:
+    return range(len(rows) // 3, 2 * len(rows) // 3)
+
+
+def _cut_in_a_number(root: Path, recording: str) -> None:
     """Cut the poses of the glasses in the middle of a number, as a copy that stopped."""
     path = root / recording / _TRAJECTORY
     content = path.read_bytes()
     path.write_bytes(content[: content.rindex(b".", 0, len(content) // 2) + 2])
-
-
-def _without_middle(rows: list[Row]) -> list[Row]:
-    return rows[: len(rows) // 3] + rows[2 * len(rows) // 3 :]
-
-
-def _without_quality(rows: list[Row]) -> list[Row]:
-    middle = range(len(rows) // 3, 2 * len(rows) // 3)
-    return [row | {mps.QUALITY_COLUMN: "0"} if number in middle else row for number, row in enumerate(rows)]
-
-
-def _in_degrees(rows: list[Row]) -> list[Row]:
-    return [row | {name: repr(float(row[name]) * 57.29578) for name in _ANGLES if row[name]} for row in rows]
-
-
-def _in_nanoseconds(rows: list[Row]) -> list[Row]:
-    return [row | {mps.TIME_COLUMN: str(int(row[mps.TIME_COLUMN]) * 1000)} for row in rows]
-
-
-def _one_twice(rows: list[Row]) -> list[Row]:
-    return [*rows[: len(rows) // 2], *rows[len(rows) // 2 - 1 :]]
 
 
 def _one_object_lost(rows: list[Row]) -> list[Row]:
@@ -101,25 +89,32 @@ def _mps_gaze(root: Path, recording: str) -> None:
     (root / recording / _GAZE).rename(folder / mps.GAZE_FILES[2])
 
 
-def _without_angles(rows: list[Row]) -> list[Row]:
-    return [row | dict.fromkeys(_ANGLES, "nan") for row in rows]
-
+_NO_ANGLES = _each(_GAZE, lambda _row: dict.fromkeys(_ANGLES, "nan"))
+_IN_DEGREES = _each(_GAZE, lambda row: {name: repr(float(row[name]) * _DEGREES) for name in _ANGLES if row[name]})
+_IN_NANOSECONDS = _each(_GAZE, lambda row: {mps.TIME_COLUMN: str(int(row[mps.TIME_COLUMN]) * 1000)})
+_NO_MIDDLE = _rows(_TRAJECTORY, lambda rows: [row for n, row in enumerate(rows) if n not in _middle(rows)])
+_OUT_OF_SIGHT = _rows(
+    _TRAJECTORY,
+    lambda rows: [row | ({mps.QUALITY_COLUMN: "0"} if n in _middle(rows) else {}) for n, row in enumerate(rows)],
+)
+_ONE_TWICE = _rows(_TRAJECTORY, lambda rows: [*rows[: len(rows) // 2], *rows[len(rows) // 2 - 1 :]])
+_ONE_LOST = _rows(adt.OBJECTS_FILE, _one_object_lost)
+_UNTRACKED = _rows(adt.OBJECTS_FILE, _objects_untracked)
 
 DEFECTS = (
     Defect("missing-trajectory", "poses of the glasses are not there", missing(_TRAJECTORY), "failed", _TRAJECTORY),
     Defect("missing-gaze", "gaze is not there", missing(_GAZE), "failed", _GAZE),
     Defect("mps-gaze", "gaze of the services in place of the release's", _mps_gaze, "read", ""),
     Defect("no-skeleton", "nobody wore the suit", _no_skeleton, "read", "no skeleton belongs to the wearer"),
-    Defect("truncated-trajectory", "poses of the glasses are cut off", _truncated, "failed", "truncated"),
+    Defect("truncated-trajectory", "poses of the glasses are cut off", _cut_in_a_number, "failed", "truncated"),
     Defect("truncated-skeleton", "the skeleton is cut off", cut_in_half(_skeleton), "failed", "truncated"),
-    Defect("nan-gaze", "no gaze angle is a number", _rows(_GAZE, _without_angles), "read", "no valid gaze"),
-    Defect("gaze-degrees", "gaze angles in degrees", _rows(_GAZE, _in_degrees), "failed", "look like degrees"),
-    Defect("gaze-nanoseconds", "gaze times in nanoseconds", _rows(_GAZE, _in_nanoseconds), "failed", "do not overlap"),
-    Defect("slam-gap", "a third of the poses is missing", _rows(_TRAJECTORY, _without_middle), "read", "gaps of more"),
-    Defect("lost-poses", "glasses out of sight", _rows(_TRAJECTORY, _without_quality), "read", "have quality 0"),
-    Defect("duplicated-pose", "a pose is there twice", _rows(_TRAJECTORY, _one_twice), "failed", "a row is repeated"),
-    Defect("lost-object", "an object has no poses", _rows(_OBJECTS, _one_object_lost), "read", "box or pose"),
-    Defect("untracked-objects", "no object is tracked for a third", _rows(_OBJECTS, _objects_untracked), "read", ""),
+    Defect("nan-gaze", "no gaze angle is a number", _NO_ANGLES, "read", "no valid gaze"),
+    Defect("gaze-degrees", "gaze angles in degrees", _IN_DEGREES, "failed", "look like degrees"),
+    Defect("gaze-nanoseconds", "gaze times in nanoseconds", _IN_NANOSECONDS, "failed", "do not overlap"),
+    Defect("slam-gap", "a third of the poses is missing", _NO_MIDDLE, "read", "gaps of more"),
+    Defect("lost-poses", "glasses out of sight", _OUT_OF_SIGHT, "read", "have quality 0"),
+    Defect("duplicated-pose", "a pose is there twice", _ONE_TWICE, "failed", "a row is repeated"),
+    Defect("lost-object", "an object has no poses", _ONE_LOST, "read", "box or pose"),
+    Defect("untracked-objects", "no object is tracked for a third", _UNTRACKED, "read", ""),
     Defect("lost-suit", "the suit is out of sight for a second", _lost_markers, "read", "are implausible"),
 )
-"""What can be done to one recording of a synthetic tree."""

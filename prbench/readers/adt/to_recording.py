@@ -37,8 +37,7 @@ from prbench.recording.streams import (
     plausible_body_frames,
 )
 
-ASSUMED_SIZE: GlassesSize = "DVT-L"
-"""Size of glasses where no file tells it (choice: the public sample's)."""
+ASSUMED_SIZE: GlassesSize = "DVT-L"  # Size of glasses where no file tells it (choice: the public sample's).
 _CONTACTS: tuple[tuple[ContactPoint, tuple[int, int]], ...] = (
     ("wrist", adt.WRIST_JOINTS),
     ("middle_finger_base", adt.MIDDLE_FINGER_BASES),

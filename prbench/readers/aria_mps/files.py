@@ -33,21 +33,20 @@ from prbench.readers.files import (
 )
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present
 
+# Names of the file of each role, the preferred one first.
 _ROLES: dict[str, tuple[str, ...]] = {
     mps.TRAJECTORY: (mps.TRAJECTORY_FILE,),
     mps.GAZE: mps.GAZE_FILES,
     mps.CALIBRATION: (mps.CALIBRATION_FILE,),
     mps.WRISTS: (mps.WRISTS_FILE,),
 }
-"""Names of the file of each role, the preferred one first."""
+# Roles of the files that each summary speaks of; it lies beside one of them.
 _SUMMARIES = {
     mps.SLAM_SUMMARY: (mps.TRAJECTORY, mps.CALIBRATION),
     mps.GAZE_SUMMARY: (mps.GAZE,),
     mps.HAND_SUMMARY: (mps.WRISTS,),
 }
-"""A summary lies beside one of the files that it speaks of."""
-UNREADABLE = "unreadable archive: "
-"""Role of an archive that cannot be opened: this and its name."""
+UNREADABLE = "unreadable archive: "  # Role of an archive that cannot be opened: this and its name.
 _USUAL_FOLDERS = ("slam", "trajectory", "eye_gaze", "hand_tracking")
 
 
@@ -99,7 +98,7 @@ def find_gaze_file(folder: Path) -> Path | None:
 
 
 def _place(file: InputFile) -> PurePosixPath:
-    """Where a file lies; an archive counts as a folder."""
+    """Return the path of a file; an archive counts as a folder."""
     return PurePosixPath((file.path / file.member).as_posix())
 
 

@@ -18,8 +18,8 @@ GazeKind = Literal["personalized", "general"]
 TIME_COLUMN = "tracking_timestamp_us"
 GRAPH_COLUMN = "graph_uid"
 POSITION_COLUMNS = ("tx_world_device", "ty_world_device", "tz_world_device")
+# Order w x y z; the files hold them scalar last.
 ROTATION_COLUMNS = ("qw_world_device", "qx_world_device", "qy_world_device", "qz_world_device")
-"""In the order w x y z; the files hold them scalar last."""
 GRAVITY_COLUMNS = ("gravity_x_world", "gravity_y_world", "gravity_z_world")
 QUALITY_COLUMN = "quality_score"
 UNDEFINED_GRAPH = "UNDEFINED_ROW"
@@ -34,6 +34,7 @@ YAW_RANGE = ("yaw_low_rads_cpf", "yaw_high_rads_cpf")
 PITCH_RANGE = ("pitch_low_rads_cpf", "pitch_high_rads_cpf")
 DEPTH = "depth_m"
 
+# Preferred first: a personalized file exists only where the recording held a calibration phase.
 GAZE_FILES = (
     "personalized_eye_gaze.csv",
     "calibrated_eye_gaze.csv",
@@ -41,7 +42,6 @@ GAZE_FILES = (
     "generalized_eye_gaze.csv",
     "eyegaze.csv",
 )
-"""Preferred first: a personalized file exists only where the recording held a calibration phase."""
 PERSONALIZED_GAZE_FILES = GAZE_FILES[:2]
 TRAJECTORY_FILE = "closed_loop_trajectory.csv"
 CALIBRATION_FILE = "online_calibration.jsonl"
@@ -57,21 +57,15 @@ CALIBRATION = "calibration"
 WRISTS = "wrists"
 SLAM_SUMMARY = "slam_summary"
 GAZE_SUMMARY = "gaze_summary"
-HAND_SUMMARY = "hand_summary"
-"""Roles of the files of one recording."""
+HAND_SUMMARY = "hand_summary"  # Roles of the files of one recording.
 
 SIDES = ("left", "right")
 
-LONGEST_POSE_STEP = 0.05
-"""Seconds; a longer step is a gap that is never bridged (choice)."""
-WIDEST_GAZE_ANGLE = np.deg2rad(60.0)
-"""A gaze angle beyond it is no measurement (choice; there is no validity column)."""
-LEAST_QUALITY = 0.5
-"""A pose with a lower quality score is invalid (choice)."""
-POSE_RATE = 30.0
-"""Hz; of the 1 kHz poses those around the gaze times and around a grid of this rate are read."""
-_SLAM_BASELINE_LIMIT = 0.1404
-"""Metres between the two SLAM cameras: shorter means DVT-S, longer DVT-L."""
+LONGEST_POSE_STEP = 0.05  # Seconds; a longer step is a gap that is never bridged (choice).
+WIDEST_GAZE_ANGLE = np.deg2rad(60.0)  # A gaze angle beyond it is no measurement (choice; there is no validity column).
+LEAST_QUALITY = 0.5  # A pose with a lower quality score is invalid (choice).
+POSE_RATE = 30.0  # Hz; of the 1 kHz poses those around the gaze times and around a grid of this rate are read.
+_SLAM_BASELINE_LIMIT = 0.1404  # Metres between the two SLAM cameras: shorter means DVT-S, longer DVT-L.
 
 _DEVICE_FROM_CPF_ROTATION = (
     (-0.031860137, -0.998629532, -0.041520951),
@@ -124,7 +118,7 @@ def gaze_directions_cpf(yaw: Float[np.ndarray, " n"], pitch: Float[np.ndarray, "
 
 
 def gaze_angles(directions_cpf: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Yaw and pitch of gaze vectors in the central pupil frame: the inverse of :func:`gaze_directions_cpf`.
+    """Return yaw and pitch of gaze vectors in the central pupil frame: the inverse of :func:`gaze_directions_cpf`.
 
     Args:
         directions_cpf: Any length; z > 0 (in front of the face).
@@ -140,20 +134,23 @@ def combined_yaw(left: Float[np.ndarray, "*n"], right: Float[np.ndarray, "*n"]) 
 
 @dataclass(frozen=True)
 class AriaTrajectory:
-    """Poses of the glasses in one world; those of a file in a gravity-aligned one."""
+    """Poses of the glasses in one world; those of a file in a gravity-aligned one.
+
+    Attributes:
+        time_us: Device clock.
+        rotation: w x y z, device to world.
+        up: Unit vector against gravity, in the world; 0 where no file tells it.
+        graph_uids: World frames in the file, the one kept first; poses of the others are left out.
+        left_out: Rows without pose or of another world.
+    """
 
     time_us: Int[np.ndarray, " n"]
-    """Device clock."""
     position: Float[np.ndarray, "n 3"]
     rotation: Float[np.ndarray, "n 4"]
-    """w x y z, device to world."""
     quality: Float[np.ndarray, " n"]
     up: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    """Unit vector against gravity, in the world; 0 where no file tells it."""
     graph_uids: tuple[str, ...] = ()
-    """World frames in the file, the one kept first; poses of the others are left out."""
     left_out: int = 0
-    """Rows without pose or of another world."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -168,46 +165,55 @@ class AriaTrajectory:
 
 @dataclass(frozen=True)
 class GazeAngles:
-    """Angles in the central pupil frame, radians."""
+    """Angles in the central pupil frame, radians.
+
+    Attributes:
+        depth: Metres from the central pupil frame to what is looked at; 0 or NaN where unknown.
+        yaw_range: Lower and upper bound.
+    """
 
     time_us: Int[np.ndarray, " n"]
     yaw: Float[np.ndarray, " n"]
     pitch: Float[np.ndarray, " n"]
     depth: Float[np.ndarray, " n"]
-    """Metres from the central pupil frame to what is looked at; 0 or NaN where unknown."""
     yaw_range: Float[np.ndarray, "n 2"]
-    """Lower and upper bound."""
     pitch_range: Float[np.ndarray, "n 2"]
 
 
 @dataclass(frozen=True)
 class WristPositions:
-    """Wrists of the left and the right hand in the device frame."""
+    """Wrists of the left and the right hand in the device frame.
+
+    Attributes:
+        confidence: 0 or less where the hand was not seen.
+        wrist: Metres; NaN where the hand was not seen.
+        palm: Not read, only written.
+    """
 
     time_us: Int[np.ndarray, " n"]
     confidence: Float[np.ndarray, "n 2"]
-    """0 or less where the hand was not seen."""
     wrist: Float[np.ndarray, "n 2 3"]
-    """Metres; NaN where the hand was not seen."""
     palm: Float[np.ndarray, "n 2 3"] | None = None
-    """Not read, only written."""
 
 
 @dataclass(frozen=True)
 class MpsReadings:
-    """Readings of one recording by the Machine Perception Services: the content of their files."""
+    """Readings of one recording by the Machine Perception Services: the content of their files.
+
+    Attributes:
+        wrists: None where no file tells.
+        glasses_size: None where no file tells.
+        device_from_rgb: Calibrated pose of the RGB camera; None where no file tells.
+        messages: Messages of reading the files.
+    """
 
     trajectory: AriaTrajectory
     gaze: GazeAngles
     gaze_kind: GazeKind
     wrists: WristPositions | None
-    """None where no file tells."""
     glasses_size: GlassesSize | None
-    """None where no file tells."""
     device_from_rgb: Float[np.ndarray, "4 4"] | None
-    """Calibrated pose of the RGB camera; None where no file tells."""
     messages: tuple[str, ...] = ()
-    """Messages of reading the files."""
 
 
 def wanted_times_us(
@@ -219,7 +225,7 @@ def wanted_times_us(
         gaze_us: Gaze times, microseconds on the device clock; those outside of the stretch do not count.
         first_us: First time of the trajectory, where the grid begins.
         last_us: Last time of the stretch; the grid ends there or less than one step later.
-        rate: Of the grid, Hz.
+        rate: Rate of the grid, Hz.
         from_us: Beginning of the stretch, which is left out itself; the first time by default, which is not.
 
     Returns:
@@ -248,7 +254,7 @@ def rows_around(time_us: Int[np.ndarray, " n"], wanted_us: Int[np.ndarray, " m"]
 
 
 def thinned(readings: MpsReadings, rate: float = POSE_RATE) -> MpsReadings:
-    """The same readings with only those trajectory rows that lie around the gaze times and a regular grid.
+    """Return the readings with only those trajectory rows that lie around the gaze times and a regular grid.
 
     No step becomes longer than the grid's: gaps stay gaps, and nothing else becomes one.
     """

@@ -31,14 +31,11 @@ from prbench.synthetic.sensors import Sensing, Switches, closed_eyes, gaze_bias_
 
 POSE_RATE = 1000
 GAZE_RATE = 10
-_HAND_RATE = 10
-"""Hz."""
+_HAND_RATE = 10  # Hz.
 GLASSES_SIZE: mps.GlassesSize = "DVT-S"
-GRAVITY = (0.0, 0.0, -9.81)
-"""In the native world."""
+GRAVITY = (0.0, 0.0, -9.81)  # In the native world.
 
-_GAZE_MARGIN = np.array([-0.02, 0.02])
-"""The written uncertainty interval around an angle, radians."""
+_GAZE_MARGIN = np.array([-0.02, 0.02])  # The written uncertainty interval around an angle, radians.
 _GAZE_BIAS = np.deg2rad(1.0) / np.sqrt(2)
 _GAZE_JITTER = np.deg2rad(0.5)
 _GENERAL = 2.5  # how much larger the bias is without the wearer's own calibration
@@ -272,8 +269,8 @@ _VELOCITIES = tuple(
 )
 _EYES = {"tx_left_eye_cpf": 0.0315, "tx_right_eye_cpf": -0.0315}
 _NO_SESSION = "00000000-0000-0000-0000-000000000000"
+# Places of the SLAM cameras on the glasses, metres; their distance tells the size of the glasses.
 _CAMERAS = {"camera-slam-left": (0.0, 0.0, 0.0), "camera-slam-right": (0.006, -0.138, 0.0)}
-"""Where the SLAM cameras sit, metres; their distance tells the size of the glasses."""
 _LARGE_GLASSES = 0.1427 / 0.1381
 _CALIBRATION_STEP_US = 1_000_000
 

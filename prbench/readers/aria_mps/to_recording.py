@@ -18,26 +18,27 @@ from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, WIDEST_GAZE_ANGLE, gaze_directions_cpf
 from prbench.recording.streams import SIDES, GazeStream, HandStream, PoseStream
 
-ASSUMED_SIZE: mps.GlassesSize = "DVT-S"
-"""Size of glasses where no file tells it."""
-SAME_INSTANT = 1e-3
-"""Seconds; the step of the poses."""
+ASSUMED_SIZE: mps.GlassesSize = "DVT-S"  # Size of glasses where no file tells it.
+SAME_INSTANT = 1e-3  # Seconds; the step of the poses.
 
 
 @dataclass(frozen=True)
 class MpsStreams:
-    """Streams of one recording, in the world, on the recording's clock."""
+    """Streams of one recording, in the world, on the recording's clock.
+
+    Attributes:
+        head: Central pupil frame.
+        camera: RGB camera.
+        wrists: Left and right; empty where no file tells.
+        messages: Those of the readings, and what had to be assumed.
+    """
 
     device: PoseStream
     head: PoseStream
-    """Central pupil frame."""
     camera: PoseStream
-    """RGB camera."""
     gaze: GazeStream
     wrists: tuple[HandStream, ...]
-    """Left and right; empty where no file tells."""
     messages: tuple[str, ...]
-    """Those of the readings, and what had to be assumed."""
 
 
 def mps_streams(

@@ -25,8 +25,8 @@ from prbench.readers.files import (
 )
 
 _NUMBERS = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
+# Columns that are read; the velocities are unreliable and stay unread.
 COLUMNS: dict[str, Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(_NUMBERS, float)}
-"""Columns that are read; the velocities are unreliable and stay unread."""
 
 
 def read_trajectory(source: Source) -> mps.AriaTrajectory:
@@ -54,8 +54,8 @@ def read_near(source: Source, gaze_us: Int[np.ndarray, " n"], rate: float = mps.
 
     Args:
         source: The file, plain or in an archive.
-        gaze_us: Increasing, microseconds on the device clock.
-        rate: Of the grid, Hz.
+        gaze_us: Gaze times, increasing, microseconds on the device clock.
+        rate: Rate of the grid, Hz.
 
     Raises:
         InputFileError: as :func:`read_trajectory`.

@@ -18,8 +18,7 @@ from prbench.readers.extents import SEVERAL_SENSORS, Extent
 from prbench.readers.files import Source, ZippedFile, archive_members, source_of
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present
 
-OUTPUT_ROLE = "egoallo/"
-"""Roles of output files are this and the file's name."""
+OUTPUT_ROLE = "egoallo/"  # Roles of output files are this and the file's name.
 MODEL_ROLE = "smplh_model"
 _MODEL_VARIABLE = "PRBENCH_SMPLH_MODEL"
 
@@ -47,7 +46,7 @@ def find_outputs(
         root: The dataset's folder.
         folder: The recording's own folder; None where it has none (archives).
         recording_id: Name of the recording.
-        poses_root: Where the user keeps poses.
+        poses_root: Folder in which the user keeps poses.
         smplh_model: The body model; the environment's or the one below ``root`` by default.
 
     Returns:
@@ -97,27 +96,29 @@ def body_extent(found: RecordingFiles) -> tuple[Extent, ...]:
 
 
 POINT_FILES = ("semidense_points.csv.gz", "global_points.csv.gz")
-Need = Literal["vrs", "points"]
-"""Inputs that EgoAllo may need besides the trajectory."""
+Need = Literal["vrs", "points"]  # Inputs that EgoAllo may need besides the trajectory.
 _VRS_NAMES = ("video.vrs", "recording.vrs")  # what datasets call the recording itself; others beside it are renderings
 
 
 @dataclass(frozen=True)
 class EgoalloInputs:
-    """Files of one recording that EgoAllo reads."""
+    """Files of one recording that EgoAllo reads.
+
+    Attributes:
+        calibration: Tells the size of the glasses.
+        glasses_size: Size of the glasses where no calibration tells it.
+        turned: Brings the poses of a world with Y up into EgoAllo's world and rate; points must be turned, too. None
+            where both can be given as they are.
+    """
 
     found: RecordingFiles
     trajectory: Source
     calibration: Source | None
-    """Tells the size of the glasses."""
     points: Source | None
     wrists: Source | None
     vrs: Path | None
     glasses_size: GlassesSize
-    """Size of the glasses where no calibration tells it."""
     turned: Callable[[AriaTrajectory], AriaTrajectory] | None = None
-    """Brings the poses of a world with Y up into EgoAllo's world and rate; points must be turned, too. None where both
-    can be given as they are."""
 
     def lacking(self, needs: frozenset[Need]) -> str:
         """Name the missing inputs in a sentence; empty if nothing is missing."""
@@ -135,7 +136,7 @@ def aria_inputs(root: Path, found: RecordingFiles, name: str = mps.TRAJECTORY_FI
     Args:
         root: The dataset's folder.
         found: The recording.
-        name: Of its trajectory, for the message.
+        name: Name of its trajectory file, for the message.
 
     Raises:
         InputFileError: if it has no trajectory, or an archive is damaged.

@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 OUTPUT_FOLDER = "egoallo_outputs"
-POSES_FOLDER = "egoallo"
-"""Folder below a dataset's root that holds outputs by recording id."""
+POSES_FOLDER = "egoallo"  # Folder below a dataset's root that holds outputs by recording id.
 ARGUMENTS_SUFFIX = "_args.yaml"
 
 WORLD_FROM_CPF = "Ts_world_cpf"
@@ -35,42 +34,44 @@ MODEL_FILE = "smplh/neutral/model.npz"
 N_MODEL_JOINTS = 52
 
 WINDOW_FRAMES = 128
-WINDOW_OVERLAP = 32
-"""EgoAllo's defaults, in output frames."""
-INPUT_STEP = 33
-"""Every so many poses of a 1 kHz trajectory are used: ``int(rate // 30)``, so 30.3 Hz and not 30."""
-LONGEST_STEP = 0.1
-"""Seconds; a longer step between two frames is a gap that is never bridged."""
-SAME_FRAME_NS = 20_000_000
-"""Frames of two windows closer than this are one frame: steps are 33 ms."""
+WINDOW_OVERLAP = 32  # EgoAllo's defaults, in output frames.
+INPUT_STEP = 33  # Every so many poses of a 1 kHz trajectory are used: ``int(rate // 30)``, so 30.3 Hz and not 30.
+LONGEST_STEP = 0.1  # Seconds; a longer step between two frames is a gap that is never bridged.
+SAME_FRAME_NS = 20_000_000  # Frames of two windows closer than this are one frame: steps are 33 ms.
+# Metres, median; a head pose further from the recording's at the same time belongs to another one (choice).
 LARGEST_CPF_ERROR = 0.05
-"""Metres, median; a head pose further from the recording's at the same time belongs to another one (choice)."""
 QUATERNION_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
 class EgoAlloOutput:
-    """One output file: a window of a recording, ``samples`` guesses of the body."""
+    """One output file: a window of a recording, ``samples`` guesses of the body.
+
+    Attributes:
+        name: File name.
+        world_from_cpf: w x y z, then x y z: the head pose (central pupil frame) that the guess was made from.
+        world_from_root: Pelvis: w x y z, then x y z.
+        body_quats: Rotations of the joints 1 to 21 in their parents.
+        betas: Shape, one a frame; averaged over time before use.
+    """
 
     name: str
-    """File name."""
     time_ns: Int[np.ndarray, " t"]
     world_from_cpf: Float[np.ndarray, "t 7"]
-    """w x y z, then x y z: the head pose (central pupil frame) that the guess was made from."""
     world_from_root: Float[np.ndarray, "s t 7"]
-    """Pelvis: w x y z, then x y z."""
     body_quats: Float[np.ndarray, "s t 21 4"]
-    """Rotations of the joints 1 to 21 in their parents."""
     betas: Float[np.ndarray, "s t 16"]
-    """Shape, one a frame; averaged over time before use."""
 
 
 @dataclass(frozen=True)
 class EgoAlloBody:
-    """All windows of one recording as one body."""
+    """All windows of one recording as one body.
+
+    Attributes:
+        joints: World of the trajectory that the outputs were made from, metres.
+        messages: Messages for the user about them.
+    """
 
     time_ns: Int[np.ndarray, " n"]
     joints: Float[np.ndarray, "n 22 3"]
-    """World of the trajectory that the outputs were made from, metres."""
     messages: tuple[str, ...] = ()
-    """Messages for the user about them."""

@@ -137,8 +137,8 @@ def _group_bones(group: dict[Joint, tuple[float, float, float]]) -> Float[np.nda
     return bones
 
 
+# The performance's Y up to the Z up of native worlds: (x, y, z) becomes (x, -z, y).
 NATIVE_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-"""The performance's Y up to the Z up of native worlds: (x, y, z) becomes (x, -z, y)."""
 
 _LIMB_WOBBLE = 0.02
 _LIMB_HZ = (0.1, 0.5)
@@ -170,8 +170,8 @@ def sense_egoallo(
         noise: Multiplies every error; 0 for an ideal estimate.
         switches: Which errors are on; all if None.
         start_us: Device time of the performance's first instant; that of the first pose by default.
-        size: Of the glasses.
-        native_from_world: From the performance's world to the trajectory's.
+        size: Size of the glasses.
+        native_from_world: Transform from the performance's world to the trajectory's.
     """
     sensing = Sensing(performance, noise, switches or Switches())
     every = np.arange(ego.INPUT_STEP, len(trajectory.time_us), ego.INPUT_STEP)  # the first has no predecessor

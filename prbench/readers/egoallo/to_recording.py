@@ -19,8 +19,8 @@ from prbench.recording.streams import BodyStream, PoseStream, hold_neighbours, p
 from prbench.representation.converters import RestJoints
 from prbench.representation.converters.smpl import pose_body
 
+# Message about a recording without outputs.
 NO_OUTPUTS = "no EgoAllo outputs: no body (`prbench poses egoallo` says how to make them)"
-"""Message about a recording without outputs."""
 
 
 def body_from_outputs(outputs: Sequence[ego.EgoAlloOutput], rest: RestJoints) -> ego.EgoAlloBody | None:
@@ -30,7 +30,7 @@ def body_from_outputs(outputs: Sequence[ego.EgoAlloOutput], rest: RestJoints) ->
     overlap the one that begins earlier is kept. Gaps between windows stay gaps.
 
     Args:
-        outputs: In any order.
+        outputs: Windows of one recording, in any order.
         rest: The body model that they were made with.
 
     Returns:
@@ -87,7 +87,7 @@ def body_stream(
     """The 22 joints in the recording's world and on its clock; implausible frames are masked and filled.
 
     Args:
-        body: In the source world, on the device clock.
+        body: Joints in the source world, on the device clock.
         world_from_source: Source world (Z up) to the recording's (Y up).
         seconds_before_device: Recording time = device seconds - this.
         head: Poses of the glasses on the recording's clock; where they have a gap of more than 0.1 s, EgoAllo had

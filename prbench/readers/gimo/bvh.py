@@ -23,27 +23,33 @@ _CHANNELS = {name.lower(): name for name in (*POSITION_CHANNELS, "Xrotation", "Y
 
 @dataclass(frozen=True)
 class BvhJoint:
-    """One joint of the hierarchy; end sites are left out, they carry no motion."""
+    """One joint of the hierarchy; end sites are left out, they carry no motion.
+
+    Attributes:
+        parent: Index of the parent; -1 for the root.
+        offset: Offset from the parent, in the parent's frame, file unit.
+        channels: Names of its channels, in the order of the file.
+    """
 
     name: str
     parent: int
-    """Index of the parent; -1 for the root."""
     offset: tuple[float, float, float]
-    """From the parent, in the parent's frame, file unit."""
     channels: tuple[str, ...]
-    """In the order of the file."""
 
 
 @dataclass(frozen=True)
 class BvhMotion:
-    """The content of one BVH file."""
+    """The content of one BVH file.
+
+    Attributes:
+        joints: Joints in the order of the hierarchy, parents before children.
+        frame_time: Seconds between two frames.
+        values: One row a frame, one column a channel; file unit and degrees.
+    """
 
     joints: tuple[BvhJoint, ...]
-    """In the order of the hierarchy: parents before children."""
     frame_time: float
-    """Seconds between two frames."""
     values: Float[np.ndarray, "n c"]
-    """One row a frame, one column a channel; file unit and degrees."""
 
 
 def read_bvh(path: Path) -> BvhMotion:
@@ -168,8 +174,7 @@ def joint_positions(motion: BvhMotion) -> Float[np.ndarray, "n j 3"]:
     return positions
 
 
-_UNITS = (1.0, 0.01, 0.001)
-"""Metres a file unit, in the order of trial."""
+_UNITS = (1.0, 0.01, 0.001)  # Metres a file unit, in the order of trial.
 _LEG = (0.5, 1.2)  # metres from hip to ankle of a person
 _STEP = 1 / 30  # seconds between the starts that are tried first
 _STANDS_STILL = 0.2  # metres; a shorter walk fits anywhere
@@ -189,7 +194,7 @@ def place_skeleton(
         motion: Content of the file; its frame must be that of the track, up to a constant offset.
         seconds: Times of the track, increasing, from any origin.
         pelvis: The track, metres, Y up.
-        name: Of the file, for messages.
+        name: Name of the file, for messages.
         largest_error: Metres; a worse alignment is refused.
 
     Returns:

@@ -50,22 +50,26 @@ from prbench.recording import Occluder, Recording
 
 
 class GimoOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Options of the GIMO reader."""
+    """Options of the GIMO reader.
+
+    Attributes:
+        events: Table of pick events (``docs/gimo-events.md``); ``prbench_events.csv`` at the root if None.
+        hints: Take the hint of ``dataset.csv`` as event frame where the table of events does not name a segment.
+        training_2: Use of the segments that the official loader never uses: train on them, or leave them out.
+        body: Source of joints: fitted parameters, or the suit's skeleton; auto = parameters where both models are
+            given.
+        vposer_model: Snapshot of VPoser v1 (``TR00_E096.pt``), for body smplx.
+        smplx_model: ``SMPLX_NEUTRAL.npz``, for body smplx.
+        meshes: Load the scanned room, for priming that walls can hide.
+    """
 
     events: Path | None = None
-    """Table of pick events (``docs/gimo-events.md``); ``prbench_events.csv`` at the root if None."""
     hints: bool = True
-    """Take the hint of ``dataset.csv`` as event frame where the table of events does not name a segment."""
     training_2: Literal["train", "drop"] = "train"
-    """Use of the segments that the official loader never uses: train on them, or leave them out."""
     body: Literal["auto", "smplx", "bvh"] = "auto"
-    """Source of joints: fitted parameters, or the suit's skeleton; auto = parameters where both models are given."""
     vposer_model: Path | None = None
-    """Snapshot of VPoser v1 (``TR00_E096.pt``), for body smplx."""
     smplx_model: Path | None = None
-    """``SMPLX_NEUTRAL.npz``, for body smplx."""
     meshes: bool = False
-    """Load the scanned room, for priming that walls can hide."""
 
     @property
     def route(self) -> Literal["smplx", "bvh"]:
@@ -82,8 +86,7 @@ NORM = "norm"
 SKELETON = "skeleton"
 POSE = "pose:"
 CONE = "gaze:"
-CENTRE = "gaze centre:"
-"""Beginnings of the roles of files of one frame; the frame number follows."""
+CENTRE = "gaze centre:"  # Beginnings of the roles of files of one frame; the frame number follows.
 SCENE_MESH = "scene mesh"
 
 

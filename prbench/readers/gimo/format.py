@@ -12,8 +12,7 @@ from prbench.readers.gimo.bvh import BvhMotion
 from prbench.recording.streams import Occluder, Side
 
 TABLE_FILE = "dataset.csv"
-EVENTS_FILE = "prbench_events.csv"
-"""The user's own annotations, at the root unless a reader option names another file."""
+EVENTS_FILE = "prbench_events.csv"  # The user's own annotations, at the root unless a reader option names another file.
 SCENE_FOLDER = "scene_obj"
 POSE_FOLDER = "smplx_local"
 GAZE_FOLDER = "eye_pc"
@@ -24,34 +23,33 @@ GAZE_CENTRE_SUFFIX = "_center"
 
 TABLE_COLUMNS = ("sequence_path", "start_frame", "end_frame", "scene", "transformation", "training")
 ACTIVITY_COLUMN = "action"
-HINT_INDEX = 7
-"""Index of the unnamed column that holds a frame inside the segment on some rows: evidently the contact."""
+HINT_INDEX = 7  # Index of the unnamed column that holds a frame inside the segment on some rows: evidently the contact.
 EVENT_COLUMNS = ("scene", "sequence_path", "start_frame", "end_frame", "event_frame", "action", "hand")
 CONFIRMED_COLUMN = "confirmed"
+# Columns of a table of proposed events.
 CANDIDATE_COLUMNS = (*EVENT_COLUMNS, CONFIRMED_COLUMN, "confidence", "reason", "activity")
-"""Columns of a table of proposed events."""
 TEST = 0
 TRAIN = 1
-TRAIN_LATER = 2
-"""Values of the column ``training``; the official loader never uses 2."""
+TRAIN_LATER = 2  # Values of the column ``training``; the official loader never uses 2.
+# Names of these values in a study of motion prediction.
 PUBLISHED_SPLITS = {TRAIN: "train", TEST: "test", TRAIN_LATER: "unused"}
-"""Names of these values in a study of motion prediction."""
-GIMO23 = "gimo23"
-"""That study's joint set: the 22 joints and the jaw."""
+GIMO23 = "gimo23"  # That study's joint set: the 22 joints and the jaw.
 
 FRAME_RATE = 30.0
-REST_PELVIS = (0.0031, -0.3514, 0.0120)
-"""J0: the pelvis of SMPL-X neutral in its rest pose, metres."""
+REST_PELVIS = (0.0031, -0.3514, 0.0120)  # J0: the pelvis of SMPL-X neutral in its rest pose, metres.
 N_LATENT = 32
-NO_POINT = 1e-8
-"""A gaze point whose coordinates sum to less is none."""
-OBJECT_ID = "target"
-"""The dataset knows no objects; every event has this one."""
+NO_POINT = 1e-8  # A gaze point whose coordinates sum to less is none.
+OBJECT_ID = "target"  # The dataset knows no objects; every event has this one.
 
 
 @dataclass(frozen=True)
 class Segment:
-    """One row of ``dataset.csv``."""
+    """One row of ``dataset.csv``.
+
+    Attributes:
+        activity: Activity of the person, in the fuller copies of the table (``take book``).
+        hint: Frame of the unnamed column, where it lies inside the segment.
+    """
 
     scene: str
     sequence: str
@@ -60,9 +58,7 @@ class Segment:
     transformation: str
     training: int
     activity: str = ""
-    """Activity of the person, in the fuller copies of the table (``take book``)."""
     hint: int | None = None
-    """Frame of the unnamed column, where it lies inside the segment."""
 
     @property
     def key(self) -> tuple[str, str, int, int]:
@@ -122,15 +118,18 @@ class SceneTransform:
 
 @dataclass(frozen=True)
 class SmplxPoses:
-    """``smplx_local``: one row a frame that has a file. Suit frame: metres, Y up."""
+    """``smplx_local``: one row a frame that has a file. Suit frame: metres, Y up.
+
+    Attributes:
+        orient: Axis-angle of the root.
+        trans: ``transl`` of SMPL-X: the pelvis is at this plus :data:`REST_PELVIS`.
+        latent: VPoser v1 code of the 21 body joints.
+    """
 
     frames: Int[np.ndarray, " n"]
     orient: Float[np.ndarray, "n 3"]
-    """Axis-angle of the root."""
     trans: Float[np.ndarray, "n 3"]
-    """``transl`` of SMPL-X: the pelvis is at this plus :data:`REST_PELVIS`."""
     latent: Float[np.ndarray, "n 32"]
-    """VPoser v1 code of the 21 body joints."""
 
     def pelvis(self) -> Float[np.ndarray, "n 3"]:
         """Pelvis joint without any body model, suit frame, metres."""
@@ -139,13 +138,16 @@ class SmplxPoses:
 
 @dataclass(frozen=True)
 class LocalJoints:
-    """The 22 joints, as the body model gives them."""
+    """The 22 joints, as the body model gives them.
+
+    Attributes:
+        joints: Suit frame, metres.
+        jaw: Joint 22 of SMPL-X, suit frame, metres; None where the model's file does not tell it.
+    """
 
     frames: Int[np.ndarray, " n"]
     joints: Float[np.ndarray, "n 22 3"]
-    """Suit frame, metres."""
     jaw: Float[np.ndarray, "n 3"] | None = None
-    """Joint 22 of SMPL-X, suit frame, metres; None where the model's file does not tell it."""
 
 
 @dataclass(frozen=True)
@@ -158,16 +160,24 @@ class LocalSkeleton:
 
 @dataclass(frozen=True)
 class GazePoints:
-    """``eye_pc``: where the gaze meets the scan, on the frames that have one."""
+    """``eye_pc``: where the gaze meets the scan, on the frames that have one.
+
+    Attributes:
+        points: Scan coordinates.
+    """
 
     frames: Int[np.ndarray, " m"]
     points: Float[np.ndarray, "m 3"]
-    """Scan coordinates."""
 
 
 @dataclass(frozen=True)
 class GimoReadings:
-    """Readings of one segment: the content of its files."""
+    """Readings of one segment: the content of its files.
+
+    Attributes:
+        meshes: The scanned room, scan coordinates.
+        messages: Messages of reading the files.
+    """
 
     recording_id: str
     segment: Segment
@@ -176,6 +186,4 @@ class GimoReadings:
     gaze: GazePoints
     events: tuple[EventFrame, ...]
     meshes: tuple[Occluder, ...] = ()
-    """The scanned room, scan coordinates."""
     messages: tuple[str, ...] = ()
-    """Messages of reading the files."""

@@ -1,4 +1,4 @@
-"""Where the gaze meets the scan, and the transforms between suit, scan and room.
+"""Points at which the gaze meets the scan, and the transforms between suit, scan and room.
 
 Sources: docs/specification/gimo.md#gaze and docs/specification/gimo.md#coordinate-chain.
 """

@@ -24,6 +24,8 @@ from prbench.files.bounded import read_whole
 from prbench.limits import LARGEST_PICKLE
 from prbench.readers.files import must_exist
 
+# All opcodes that ``pickle`` writes for dictionaries of tensors, in the protocols 0 to 5. REDUCE calls what lies on the
+# stack, and nothing can be called there but the functions that stand for names.
 _OPCODES = frozenset((
     *("INT", "LONG", "LONG1", "BININT", "BININT1", "BININT2", "FLOAT", "BINFLOAT", "NONE", "NEWTRUE", "NEWFALSE"),
     *("UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "BINBYTES", "SHORT_BINBYTES", "PROTO", "FRAME", "STOP", "MARK"),
@@ -31,8 +33,6 @@ _OPCODES = frozenset((
     *("TUPLE2", "TUPLE3", "EMPTY_LIST", "LIST", "APPEND", "APPENDS", "EMPTY_DICT", "DICT", "SETITEM", "SETITEMS"),
     *("GLOBAL", "STACK_GLOBAL", "REDUCE"),
 ))  # fmt: skip
-"""All opcodes that ``pickle`` writes for dictionaries of tensors, in the protocols 0 to 5. REDUCE calls what lies on
-the stack, and nothing can be called there but the functions that stand for names."""
 _ITEM_TYPES = {
     b"FloatStorage": "<f4",
     b"DoubleStorage": "<f8",
@@ -44,6 +44,8 @@ _ITEM_TYPES = {
     b"ByteStorage": "<u1",
 }
 _MACHINE = {"protocol_version": 1001, "little_endian": True, "type_sizes": {"short": 2, "int": 4, "long": 4}}
+# All that torch writes before the numbers of one pickled storage: its stream's magic number, version and machine; the
+# storage's kind, key (a memory address), device and size; and the list of keys. Nothing of it has to be run.
 STORAGE = re.compile(
     b"".join(re.escape(pickle.dumps(part, protocol=2)) for part in (0x1950A86A20F9469CFC6C, 1001, _MACHINE))
     + rb"\x80\x02\(X\x07\0\0\0storageq\0ctorch\n(?P<kind>\w+)\nq\x01X(?P<length>.)\0\0\0(?P<key>\d+)q\x02"
@@ -51,8 +53,6 @@ STORAGE = re.compile(
     + rb"\x80\x02\]q\0X(?P=length)\0\0\0(?P=key)q\x01a\.",
     re.DOTALL,
 )
-"""All that torch writes before the numbers of one pickled storage: its stream's magic number, version and machine; the
-storage's kind, key (a memory address), device and size; and the list of keys. Nothing of it has to be run."""
 
 
 class _Foreign(pickle.UnpicklingError):

@@ -37,8 +37,7 @@ from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import Sensing, Switches, gaze_bias_of, measured_gaze, sensor_generator
 
-_SKELETON_RATE = 60.0
-"""Frames of the suit a second."""
+_SKELETON_RATE = 60.0  # Frames of the suit a second.
 _TRANSFORMATION = "transform_info_0.json"
 _ACTIVITY = "take object"
 
@@ -67,8 +66,7 @@ def _depth_first(joint: int = 0) -> tuple[int, ...]:
     return (joint, *(each for child in below for each in _depth_first(child)))
 
 
-DEPTH_FIRST = _depth_first()
-"""The 22 joints in the order in which a BVH file lists them."""
+DEPTH_FIRST = _depth_first()  # The 22 joints in the order in which a BVH file lists them.
 
 
 def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> gimo.GimoReadings:

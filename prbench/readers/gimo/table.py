@@ -19,23 +19,24 @@ from prbench.readers.files import missing_file
 from prbench.readers.gimo import format as gimo
 from prbench.recording.streams import Side
 
-_LAST_FRAME = 10**7
-"""Frame number that no recording reaches: four days at 30 frames a second."""
+_LAST_FRAME = 10**7  # Frame number that no recording reaches: four days at 30 frames a second.
 _MOST_DIGITS = 9  # of a frame number
 _YES = ("yes", "y", "true", "1", "x")
 _NO = ("no", "n", "false", "0", "")
-SegmentKey = tuple[str, str, int, int]
-"""Scene, sequence, first and last frame."""
+SegmentKey = tuple[str, str, int, int]  # Scene, sequence, first and last frame.
 
 
 @dataclass(frozen=True)
 class Row:
-    """A segment, and what its line in the file brought up."""
+    """A segment, and what its line in the file brought up.
+
+    Attributes:
+        repeated: Further lines that say exactly the same; they are left out.
+    """
 
     line: int
     segment: gimo.Segment
     repeated: tuple[int, ...] = ()
-    """Further lines that say exactly the same; they are left out."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -48,16 +49,19 @@ class Row:
 
 @dataclass(frozen=True)
 class EventRow:
-    """One line of the table of events."""
+    """One line of the table of events.
+
+    Attributes:
+        event_frame: None on a line that says no to a proposal without a frame.
+        confirmed: True where a person confirmed the line; lines that nobody confirmed are no events.
+    """
 
     line: int
     segment: SegmentKey
     event_frame: int | None
-    """None on a line that says no to a proposal without a frame."""
     action: str
     hand: Side | None
     confirmed: bool
-    """True where a person confirmed the line; lines that nobody confirmed are no events."""
 
 
 def read_segments(path: Path) -> tuple[Row, ...]:

@@ -184,8 +184,8 @@ def published_track(
     """The one row of ``dataset.csv`` that a recording is, every frame of it.
 
     Args:
-        readings: Of the segment.
-        recording: Of the same.
+        readings: Content of the files of the segment.
+        recording: Recording that was made of them.
         manifest: The longest gap of poses that is filled.
         with_jaw: Whether the joints are the study's 23 or the 22 of every dataset.
 

@@ -20,8 +20,8 @@ from prbench.limits import MOST_FRAMES
 from prbench.readers.files import decode_json, must_exist, read_columns
 from prbench.readers.hd_epic import format as hd_epic
 
+# Number of a video frame; negative ones are marks.
 _Frame = Annotated[int, msgspec.Meta(ge=-MOST_FRAMES, le=MOST_FRAMES)]
-"""Number of a video frame; negative ones are marks."""
 _AGAIN = "Download the file again."
 
 

@@ -27,16 +27,19 @@ from prbench.recording import Recording
 
 
 class HdEpicOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Options of the reader; see the fields."""
+    """Options of the reader; see the fields.
+
+    Attributes:
+        annotations: The annotation repository, where it does not lie beside the data.
+        poses: Source of bodies.
+        smplh_model: The licensed SMPL-H ``model.npz`` that turns EgoAllo's outputs into joints.
+        poses_root: Folder of EgoAllo's outputs by video, where it is not ``egoallo`` below the root.
+    """
 
     annotations: Path | None = None
-    """The annotation repository, where it does not lie beside the data."""
     poses: Literal["egoallo"] = "egoallo"
-    """Source of bodies."""
     smplh_model: Path | None = None
-    """The licensed SMPL-H ``model.npz`` that turns EgoAllo's outputs into joints."""
     poses_root: Path | None = None
-    """Folder of EgoAllo's outputs by video, where it is not ``egoallo`` below the root."""
 
 
 TIME = "video time"
@@ -44,8 +47,7 @@ LOG = "video log"
 ASSOCIATIONS = "associations"
 MASKS = "masks"
 PRIMING = "priming"
-SLAM_MAP = "slam map"
-"""Roles of the files of a video, beside those of MPS and EgoAllo."""
+SLAM_MAP = "slam map"  # Roles of the files of a video, beside those of MPS and EgoAllo.
 
 _SLAM_ROLES = frozenset({mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY})
 _GAZE_ROLES = frozenset({mps.GAZE, mps.WRISTS, mps.GAZE_SUMMARY, mps.HAND_SUMMARY})

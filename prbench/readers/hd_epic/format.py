@@ -26,8 +26,7 @@ LOG_SUFFIX = "_vrs_to_mp4_log.json"
 MOVEMENTS_FOLDER = "scene-and-object-movements"
 ASSOCIATIONS_FILE = "assoc_info.json"
 MASKS_FILE = "mask_info.json"
-PRIMING_FOLDERS = ("eye-gaze-priming", "eye_gaze_priming")
-"""As the annotation repository spells it, and as its README does."""
+PRIMING_FOLDERS = ("eye-gaze-priming", "eye_gaze_priming")  # Spellings of the annotation repository and of its README.
 PRIMING_FILE = "priming_info.json"
 
 MP4_TIME = "mp4_time_ns"
@@ -35,15 +34,12 @@ RELATIVE_TIME = "relative_vrs_device_time_ns"
 DEVICE_TIME = "vrs_device_time_ns"
 
 FPS = 30.0
-IMAGE_SIZE = 1408
-"""Pixels, both ways."""
-FOCAL_LENGTH = 607.0
-"""Pixels, of the 1408 image."""
+IMAGE_SIZE = 1408  # Pixels, both ways.
+FOCAL_LENGTH = 607.0  # Pixels, of the 1408 image.
 
 NO_FIXTURE = "Null"
 NOT_PRIMED = -1
-EXCLUDED = -2
-"""Values of ``frame_primed`` that are no frames: tested in vain, never tested."""
+EXCLUDED = -2  # Values of ``frame_primed`` that are no frames: tested in vain, never tested.
 
 
 @dataclass(frozen=True)
@@ -84,58 +80,71 @@ class VideoClock:
 
 @dataclass(frozen=True)
 class ObjectMask:
-    """Sighting of an object in one frame."""
+    """Sighting of an object in one frame.
+
+    Attributes:
+        location: A single point, world (Z up), metres; None where the file gives none.
+        box_px: x min, y min, x max, y max in the 1408 image.
+        fixture: Fixture under it, for example ``P01_counter.001``; None for ``Null``.
+    """
 
     mask_id: str
     frame: int
     location: Float[np.ndarray, "3"] | None
-    """A single point, world (Z up), metres; None where the file gives none."""
     box_px: Float[np.ndarray, "4"] | None
-    """x min, y min, x max, y max in the 1408 image."""
     fixture: str | None
-    """Fixture under it, for example ``P01_counter.001``; None for ``Null``."""
 
 
 @dataclass(frozen=True)
 class ObjectTrack:
-    """One movement: lifted at ``start``, released at ``end``."""
+    """One movement: lifted at ``start``, released at ``end``.
+
+    Attributes:
+        object_id: Key of the association: one object in one video.
+        start: Seconds of the video, not on the grid of its frames.
+        masks: Masks in the order of the file, which says nothing.
+    """
 
     track_id: str
     object_id: str
-    """Key of the association: one object in one video."""
     name: str
     start: float
-    """Seconds of the video, not on the grid of its frames."""
     end: float
     masks: tuple[ObjectMask, ...]
-    """In the order of the file, which says nothing."""
 
 
 @dataclass(frozen=True)
 class PublishedSide:
-    """Result of the dataset's own pipeline for one start or end of a movement."""
+    """Result of the dataset's own pipeline for one start or end of a movement.
+
+    Attributes:
+        key: Object id in the priming file and ``start`` or ``end``.
+        location: World (Z up), metres; None where the file gives none.
+        frame_primed: Frame of the video; -1 tested and not primed, -2 never tested.
+    """
 
     key: str
-    """Object id in the priming file and ``start`` or ``end``."""
     is_start: bool
     frame: int
     location: Float[np.ndarray, "3"] | None
-    """World (Z up), metres; None where the file gives none."""
     frame_primed: int
-    """Frame of the video; -1 tested and not primed, -2 never tested."""
 
 
 @dataclass(frozen=True)
 class HdEpicReadings:
-    """All that curation needs of one video."""
+    """All that curation needs of one video.
+
+    Attributes:
+        participant_id: Name of the folder that the video lies in; all videos of one participant share a kitchen and a
+            world.
+        priming: None where the dataset's priming file is not there.
+    """
 
     video: str
     participant_id: str
-    """Name of the folder that the video lies in; all videos of one participant share a kitchen and a world."""
     clock: VideoClock
     tracks: tuple[ObjectTrack, ...]
     priming: tuple[PublishedSide, ...] | None
-    """None where the dataset's priming file is not there."""
     glasses: MpsReadings
     body: EgoAlloBody | None
     messages: tuple[str, ...] = ()

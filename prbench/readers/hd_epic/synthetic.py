@@ -59,8 +59,7 @@ _IN_VIEW = np.cos(np.deg2rad(50.0))  # half of the camera's field of view
 _FORGOTTEN = 0.02  # share of the events that the file does not mention
 _GAZE_PERIOD = 0.1  # s
 _STEP_JITTER_US = 2
-_GAZE_KIND = "general"
-"""HD-EPIC has no personalized gaze."""
+_GAZE_KIND = "general"  # HD-EPIC has no personalized gaze.
 _CLOCK_JITTER_NS = 400  # of an image's time stamp
 _REPEATED = 0.002  # share of the frames
 _SKIPPED = 0.001
@@ -72,10 +71,13 @@ _SECONDS = 3  # decimals
 
 @dataclass(frozen=True)
 class SensedVideo:
-    """Content of the files of one video."""
+    """Content of the files of one video.
+
+    Attributes:
+        readings: Content of the video's files, with whole MPS readings and without body.
+    """
 
     readings: hd_epic.HdEpicReadings
-    """With whole MPS readings and without body."""
     bodies: tuple[EgoAlloOutput, ...]
 
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 import shutil
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.synthetic.layouts import Defect, Row, change_cells, change_json, changed_rows, cut_in_half, removed
-
-_GAZE_FILE = "general_eye_gaze.csv"
+from prbench.synthetic.layouts import Damage, Defect, Row, change_cells, change_json, changed_rows, cut_in_half, removed
 
 
 def _only(root: Path, pattern: str) -> Path:
@@ -39,58 +37,32 @@ def _slam_archive(root: Path, video: str) -> Path:
     raise AssertionError(f"no map names {video}")
 
 
-def _annotations(root: Path, name: str) -> Path:
-    return root / hd_epic.ANNOTATIONS_FOLDER / hd_epic.MOVEMENTS_FOLDER / name
+def _rows_of(find: Callable[[Path, str], Path], name: str, change: Callable[[list[Row]], list[Row]]) -> Damage:
+    """Return a damage that changes the rows of one CSV file inside the archive that ``find`` names."""
+
+    def apply(root: Path, video: str) -> None:
+        archive = find(root, video)
+        with zipfile.ZipFile(archive) as opened:
+            contents = {entry: opened.read(entry) for entry in opened.namelist()}
+        member = next(entry for entry in contents if entry.endswith(f"/{name}"))
+        text = changed_rows(contents[member].decode(), change)
+        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as written:
+            # The entries carry the time of writing, so these bytes differ from run to run; what they hold does not.
+            for entry, content in contents.items():
+                written.writestr(entry, text.encode() if entry == member else content)
+
+    return apply
 
 
-def _change_member(archive: Path, name: str, change: Callable[[list[Row]], list[Row]]) -> None:
-    """Change the rows of one CSV file inside an archive."""
-    with zipfile.ZipFile(archive) as opened:
-        contents = {entry: opened.read(entry) for entry in opened.namelist()}
-    member = next(entry for entry in contents if entry.endswith(f"/{name}"))
-    text = changed_rows(contents[member].decode(), change)
-    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as written:
-        # The entries carry the time of writing, so these bytes differ from run to run; what they hold does not.
-        for entry, content in contents.items():
-            written.writestr(entry, text.encode() if entry == member else content)
+def _time_rows(change: Callable[[list[list[str]]], Iterable[Iterable[str]]]) -> Damage:
+    """Return a damage that changes the lines of the video's time file below its header."""
+    return lambda root, video: change_cells(_time_file(root, video), change)
 
 
-def _truncated_time(root: Path, video: str) -> None:
-    change_cells(_time_file(root, video), lambda rows: rows[: (len(rows) + 1) // 2 - 1])  # half of the lines
-
-
-def _swapped_clock(root: Path, video: str) -> None:
-    """Write microseconds where the column says nanoseconds."""
-    change_cells(_time_file(root, video), lambda rows: [[a, b, str(int(c) // 1000)] for a, b, c in rows])
-
-
-def _nan_gaze(root: Path, video: str) -> None:
-    angles = (mps.LEFT_YAW, mps.RIGHT_YAW, mps.PITCH)
-    _change_member(
-        _gaze_archive(root, video), _GAZE_FILE, lambda rows: [row | dict.fromkeys(angles, "nan") for row in rows]
-    )
-
-
-def _lost_hands(root: Path, video: str) -> None:
-    confidences = {f"{side}_tracking_confidence": "-1" for side in ("left", "right")}
-    _change_member(_gaze_archive(root, video), mps.WRISTS_FILE, lambda rows: [row | confidences for row in rows])
-
-
-def _lost_poses(root: Path, video: str) -> None:
-    lost = {mps.GRAPH_COLUMN: mps.UNDEFINED_GRAPH}
-    _change_member(
-        _slam_archive(root, video),
-        mps.TRAJECTORY_FILE,
-        lambda rows: [row | (lost if number < len(rows) // 10 else {}) for number, row in enumerate(rows)],
-    )
-
-
-def _missing_association(root: Path, video: str) -> None:
-    change_json(_annotations(root, hd_epic.ASSOCIATIONS_FILE), lambda content: content.pop(video))
-
-
-def _missing_masks(root: Path, video: str) -> None:
-    change_json(_annotations(root, hd_epic.MASKS_FILE), lambda content: content.pop(video))
+def _without_video(name: str) -> Damage:
+    """Return a damage that removes the video from one file of annotations."""
+    folder = Path(hd_epic.ANNOTATIONS_FOLDER, hd_epic.MOVEMENTS_FOLDER)
+    return lambda root, video: change_json(root / folder / name, lambda content: content.pop(video))
 
 
 def _missing_bodies(root: Path, video: str) -> None:
@@ -117,6 +89,20 @@ def _other_alignment(root: Path, video: str) -> None:
     )
 
 
+_HALF = _time_rows(lambda rows: rows[: (len(rows) + 1) // 2 - 1])  # half of the lines
+_IN_MICROSECONDS = _time_rows(lambda rows: [[a, b, str(int(c) // 1000)] for a, b, c in rows])
+_NO_ANGLES = dict.fromkeys((mps.LEFT_YAW, mps.RIGHT_YAW, mps.PITCH), "nan")
+_NAN_GAZE = _rows_of(_gaze_archive, "general_eye_gaze.csv", lambda rows: [row | _NO_ANGLES for row in rows])
+_UNSEEN = {f"{side}_tracking_confidence": "-1" for side in ("left", "right")}
+_LOST_HANDS = _rows_of(_gaze_archive, mps.WRISTS_FILE, lambda rows: [row | _UNSEEN for row in rows])
+_NO_WORLD = {mps.GRAPH_COLUMN: mps.UNDEFINED_GRAPH}
+_LOST_POSES = _rows_of(
+    _slam_archive,
+    mps.TRAJECTORY_FILE,
+    lambda rows: [row | (_NO_WORLD if number < len(rows) // 10 else {}) for number, row in enumerate(rows)],
+)
+
+# What can be done to one video of a synthetic tree.
 DEFECTS = (
     Defect(
         "missing-time", "the time csv of the video is not there", removed(_time_file), "failed", hd_epic.TIME_SUFFIX
@@ -126,17 +112,24 @@ DEFECTS = (
         "missing-gaze", "GAZE_HAND of the video is not there", removed(_gaze_archive), "failed", "Download GAZE_HAND"
     ),
     Defect("truncated-archive", "the SLAM archive is cut off", cut_in_half(_slam_archive), "failed", "zip archive"),
-    Defect("truncated-time", "the time csv ends in the middle", _truncated_time, "read", "it may be truncated"),
-    Defect("swapped-clock", "device times in microseconds", _swapped_clock, "failed", "streams do not overlap"),
-    Defect("nan-gaze", "no gaze angle is a number", _nan_gaze, "read", "no valid gaze"),
-    Defect("lost-hands", "no hand is ever tracked", _lost_hands, "read", ""),
-    Defect("lost-poses", "poses that belong to no world", _lost_poses, "read", "are left out"),
-    Defect("missing-association", "assoc_info.json lacks the video", _missing_association, "failed", "no such key"),
-    Defect("missing-masks", "mask_info.json lacks the video", _missing_masks, "read", "have no mask"),
+    Defect("truncated-time", "the time csv ends in the middle", _HALF, "read", "it may be truncated"),
+    Defect("swapped-clock", "device times in microseconds", _IN_MICROSECONDS, "failed", "streams do not overlap"),
+    Defect("nan-gaze", "no gaze angle is a number", _NAN_GAZE, "read", "no valid gaze"),
+    Defect("lost-hands", "no hand is ever tracked", _LOST_HANDS, "read", ""),
+    Defect("lost-poses", "poses that belong to no world", _LOST_POSES, "read", "are left out"),
+    Defect(
+        "missing-association",
+        "assoc_info.json lacks the video",
+        _without_video(hd_epic.ASSOCIATIONS_FILE),
+        "failed",
+        "no such key",
+    ),
+    Defect(
+        "missing-masks", "mask_info.json lacks the video", _without_video(hd_epic.MASKS_FILE), "read", "have no mask"
+    ),
     Defect("missing-bodies", "no EgoAllo outputs", _missing_bodies, "read", "no EgoAllo outputs"),
     Defect(
         "foreign-bodies", "EgoAllo outputs of another video", _foreign_bodies, "failed", "belongs to another recording"
     ),
     Defect("other-alignment", "aligned by other means than SLAM", _other_alignment, "skipped", "by other means"),
 )
-"""What can be done to one video of a synthetic tree."""

@@ -91,15 +91,18 @@ _WHY_UNPLACED = {
 
 @dataclass(frozen=True)
 class MovementSide:
-    """Start or end of one movement."""
+    """Start or end of one movement.
+
+    Attributes:
+        frame: Frame of the annotated time, not on the grid.
+        unplaced: Reason why it has no place; empty if it has one.
+    """
 
     track: hd_epic.ObjectTrack
     is_start: bool
     frame: float
-    """Frame of the annotated time, not on the grid."""
     mask: hd_epic.ObjectMask | None
     unplaced: str
-    """Reason why it has no place; empty if it has one."""
 
 
 def annotated_events(
@@ -113,8 +116,8 @@ def annotated_events(
     Args:
         readings: Tracks with masks, the video's clock, and the published priming.
         wrists: Tracked wrists of the same video, in the recording's world.
-        body: Of the same video: its wrists tell the hand where tracked ones do not.
-        thresholds: Of the dataset's manifest.
+        body: Body in the same video; its wrists tell the hand where tracked ones do not.
+        thresholds: Thresholds of the dataset's manifest.
     """
     farthest = thresholds["farthest_mask_frames"]
     sides = [side for track in readings.tracks for side in _sides(track, readings.clock, farthest)]

@@ -33,16 +33,20 @@ from prbench.recording import Recording
 
 
 class Hot3dOptions(ReaderOptions, frozen=True, kw_only=True):
-    """Options of the reader of HOT3D."""
+    """Options of the reader of HOT3D.
+
+    Attributes:
+        poses: Source of bodies; the dataset has none of its own.
+        smplh_model: The licensed body model that EgoAllo's outputs need (``model.npz``).
+        poses_root: Folder of EgoAllo's outputs by recording; beside the recordings by default.
+        meshes: Load the objects' surfaces: for the in-hand rule ``surface``, and to mark what is primed through an
+            object.
+    """
 
     poses: Literal["egoallo"] = "egoallo"
-    """Source of bodies; the dataset has none of its own."""
     smplh_model: Path | None = None
-    """The licensed body model that EgoAllo's outputs need (``model.npz``)."""
     poses_root: Path | None = None
-    """Folder of EgoAllo's outputs by recording; beside the recordings by default."""
     meshes: bool = False
-    """Load the objects' surfaces: for the in-hand rule ``surface``, and to mark what is primed through an object."""
 
 
 METADATA = "metadata"
@@ -52,8 +56,7 @@ INSTANCES = "instances"
 UMETRACK = "umetrack"
 PROFILE = "hand profile"
 MASK_PREFIX = "mask:"
-MODEL_PREFIX = "model:"
-"""Roles of masks and object models are this and their name or uid."""
+MODEL_PREFIX = "model:"  # Roles of masks and object models are this and their name or uid.
 _FILES = {
     OBJECTS: hot3d.OBJECTS_FILE,
     HEADSET: hot3d.HEADSET_FILE,
@@ -64,13 +67,16 @@ _FILES = {
 
 
 class Metadata(msgspec.Struct):
-    """``metadata.json``."""
+    """``metadata.json``.
+
+    Attributes:
+        gt_available_status: Ground truth that a recording has; that of test participants is withheld.
+    """
 
     headset: str
     participant_id: str
     recording_name: str
     gt_available_status: dict[str, bool]
-    """Ground truth that a recording has; that of test participants is withheld."""
 
 
 METADATA_DECODER = msgspec.json.Decoder(Metadata)
@@ -178,8 +184,7 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
 
 
 _TRUTH_STREAMS = {HEADSET: "glasses' ground truth", OBJECTS: "objects"}
-_METRES = 7
-"""Decimals: float32 millimetres carry no more."""
+_METRES = 7  # Decimals: float32 millimetres carry no more.
 
 
 class _Instance(msgspec.Struct):

@@ -24,11 +24,9 @@ PROFILE_FILE = "umetrack_hand_user_profile.json"
 MASK_FOLDER = "masks"
 MPS_FOLDER = "mps"
 INSTANCES_FILE = "instance.json"
-LIBRARY_FOLDERS = ("assets", "object_library")
-"""Folders of the object models, beside the recordings or one level up."""
+LIBRARY_FOLDERS = ("assets", "object_library")  # Folders of the object models, beside the recordings or one level up.
 ARIA = "Aria"
-LIBRARY_OBJECT = "object"
-"""``instance_type`` of what can be held; the headsets are listed too."""
+LIBRARY_OBJECT = "object"  # ``instance_type`` of what can be held; the headsets are listed too.
 
 OBJECT_ID = "object_uid"
 TIME = "timestamp[ns]"
@@ -41,11 +39,10 @@ SLAM_STREAMS = ("1201-1", "1201-2")
 HAND_KEYS: dict[Side, str] = {"left": "0", "right": "1"}
 
 MaskName = Literal["qa_pass", "headset_pose_available", "object_pose_available", "hand_pose_available"]
+# Masks that curation honours; their files are ``masks/mask_<name>.csv``.
 MASK_NAMES: tuple[MaskName, ...] = ("qa_pass", "headset_pose_available", "object_pose_available", "hand_pose_available")
-"""Masks that curation honours; their files are ``masks/mask_<name>.csv``."""
 
-_PAIR_NS = 1_000_000
-"""Rows closer than this belong to one instant: RGB and SLAM cameras are 91 us apart."""
+_PAIR_NS = 1_000_000  # Rows closer than this belong to one instant: RGB and SLAM cameras are 91 us apart.
 
 
 def first_of_pairs(time_ns: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
@@ -55,83 +52,97 @@ def first_of_pairs(time_ns: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
 
 @dataclass(frozen=True)
 class PoseRows:
-    """One body of ``dynamic_objects.csv`` or ``headset_trajectory.csv``: its frame to the world."""
+    """One body of ``dynamic_objects.csv`` or ``headset_trajectory.csv``: its frame to the world.
+
+    Attributes:
+        rotation: w x y z.
+    """
 
     time_ns: Int[np.ndarray, " n"]
     position: Float[np.ndarray, "n 3"]
     rotation: Float[np.ndarray, "n 4"]
-    """w x y z."""
 
 
+# Vertices (metres) and faces of a ``.glb`` model in the object's frame, node transforms applied.
 Mesh = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]
-"""Vertices (metres) and faces of a ``.glb`` model in the object's frame, node transforms applied."""
-Mask = tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]
-"""Times (ns) of the RGB stream, and where they are good."""
+Mask = tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]  # Times (ns) of the RGB stream, and where they are good.
 
 
 @dataclass(frozen=True)
 class Hot3dObject:
-    """One object of a recording."""
+    """One object of a recording.
+
+    Attributes:
+        object_id: Up to 15 digits.
+        mesh: None where its model is missing.
+    """
 
     object_id: str
-    """Up to 15 digits."""
     name: str
     rows: PoseRows
     mesh: Mesh | None
-    """None where its model is missing."""
 
 
 @dataclass(frozen=True)
 class HandRows:
-    """One hand over time, by UmeTrack: rows where it is tracked."""
+    """One hand over time, by UmeTrack: rows where it is tracked.
+
+    Attributes:
+        position: Position of the wrist, metres, world.
+        rotation: w x y z, hand to world.
+        angles: 22 joint angles, radians.
+    """
 
     side: Side
     time_ns: Int[np.ndarray, " n"]
     position: Float[np.ndarray, "n 3"]
-    """Of the wrist."""
     rotation: Float[np.ndarray, "n 4"]
-    """w x y z, hand to world."""
     angles: Float[np.ndarray, "n 22"]
-    """22 joint angles, radians."""
 
 
 @dataclass(frozen=True)
 class HandModel:
-    """One user's left hand, at rest, in the frame of its wrist."""
+    """One user's left hand, at rest, in the frame of its wrist.
+
+    Attributes:
+        weights: Share of each bone in each vertex; rows sum to 1.
+        landmarks: Finger tips thumb to little, wrist, two of the thumb, three a finger, palm; not read, only written.
+        landmark_weights: Share of each bone in each landmark; not read, only written.
+        triangles: Triangles of the vertices; not read, only written.
+    """
 
     vertices: Float[np.ndarray, "v 3"]
     weights: Float[np.ndarray, "v 17"]
-    """Share of each bone in each vertex; rows sum to 1."""
     joint_positions: Float[np.ndarray, "22 3"]
     joint_axes: Float[np.ndarray, "22 3"]
     landmarks: Float[np.ndarray, "21 3"] | None = None
-    """Finger tips thumb to little, wrist, two of the thumb, three a finger, palm; not read, only written."""
     landmark_weights: Float[np.ndarray, "21 17"] | None = None
-    """Likewise."""
     triangles: Int[np.ndarray, "f 3"] | None = None
-    """Likewise."""
 
 
 @dataclass(frozen=True)
 class Hot3dReadings:
-    """Readings of one HOT3D recording's sensors: the content of its files, before or after the text."""
+    """Readings of one HOT3D recording's sensors: the content of its files, before or after the text.
+
+    Attributes:
+        headset: Device to world, on the clock of the ground truth; the MPS trajectory at the nearest millisecond.
+        hands: UmeTrack.
+        hand_model: None where the profile is missing: then there are wrists, but no vertices.
+        masks: Those that the recording has.
+        mps: Content of the MPS files; the whole trajectory tells the clocks' offset.
+        body: EgoAllo's body on the device clock; None without outputs.
+        egoallo_outputs: Not read, only written: what ``body`` was computed from.
+        messages: Messages of reading the files.
+    """
 
     recording_id: str
     participant_id: str
     headset: PoseRows
-    """Device to world, on the clock of the ground truth; the MPS trajectory at the nearest millisecond."""
     objects: tuple[Hot3dObject, ...]
     hands: tuple[HandRows, ...]
-    """UmeTrack."""
     hand_model: HandModel | None
-    """None where the profile is missing: then there are wrists, but no vertices."""
     masks: dict[MaskName, Mask]
-    """Those that the recording has."""
     mps: MpsReadings
-    """With the whole trajectory, which tells the clocks' offset."""
     body: EgoAlloBody | None
-    """On the device clock; None without EgoAllo's outputs."""
     egoallo_outputs: tuple[EgoAlloOutput, ...] = ()
-    """Not read, only written: what ``body`` was computed from."""
     messages: tuple[str, ...] = ()
-    """Messages of reading the files."""

@@ -16,13 +16,11 @@ from prbench.readers.files import Nanoseconds, decode_json, require_increasing, 
 from prbench.readers.hot3d import format as hot3d
 
 N_JOINTS = 22
-N_ANGLES = 20
-"""Angles that move bones; joints 20 and 21 are unused."""
+N_ANGLES = 20  # Angles that move bones; joints 20 and 21 are unused.
 _N_FINGERS = 5
 JOINTS_A_FINGER = 4
 _BONES_A_FINGER = 3
-N_BONES = 2 + _N_FINGERS * _BONES_A_FINGER
-"""Root and wrist, which never move, then three a finger, thumb to little."""
+N_BONES = 2 + _N_FINGERS * _BONES_A_FINGER  # Root and wrist, which never move, then three a finger, thumb to little.
 N_LANDMARKS = 21
 WRIST_LANDMARK = 5
 PALM_LANDMARK = 20
@@ -97,10 +95,10 @@ def pose_points(
     """World positions of points of the hand: linear blend skinning, then the wrist's pose.
 
     Args:
-        points: At rest, in the frame of the wrist.
+        points: Points of the hand at rest, in the frame of the wrist, metres.
         weights: Share of each bone.
         bones: See :func:`bone_transforms`.
-        wrist_position: In the world, metres.
+        wrist_position: Position of the wrist in the world, metres.
         wrist_rotation: Wrist to world, w x y z.
         mirrored: Whether it is a right hand: the first column of the rotation is negated.
     """

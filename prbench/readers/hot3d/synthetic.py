@@ -44,6 +44,7 @@ from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import Sensing, Switches, device_start_us, sensor_generator, tracked, untracked, within
 
 _BASES = ((0.20, -0.10, 0.18), (1.00, 0.00, 0.28), (1.00, 0.02, 0.00), (0.95, 0.00, -0.25), (0.86, -0.04, -0.48))
+# From each joint of a finger to the next; the first two joints of a finger but the thumb share a place.
 _STEPS = (
     ((0.32, 0.02, 0.16), (0.22, -0.16, 0.20), (0.22, -0.10, 0.20)),
     ((0.00, 0.00, 0.00), (0.42, -0.02, 0.00), (0.26, -0.02, 0.00)),
@@ -51,24 +52,20 @@ _STEPS = (
     ((0.00, 0.00, 0.00), (0.44, -0.02, -0.06), (0.28, -0.02, -0.04)),
     ((0.00, 0.00, 0.00), (0.34, -0.02, -0.10), (0.22, -0.02, -0.06)),
 )
-"""From each joint of a finger to the next; the first two joints of a finger but the thumb share a place."""
 _TIP = 0.26
 _THUMB_AXES = ((0.8, 0.6, 0.0), (0.0, 0.6, 0.8), (0.6, 0.8, 0.0), (0.6, 0.8, 0.0))
+# Spreading, then three times bending towards the palm.
 _FINGER_AXES = ((0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (0.0, 0.0, -1.0), (0.0, 0.0, -1.0))
-"""Spreading, then three times bending towards the palm."""
 _THICKNESS = 0.10
 _PALM_ALONG = (0.08, 0.30, 0.52, 0.74, 0.94)
 _PALM_ACROSS = (-0.35, 0.22)
 _DECIMALS = 6  # of millimetres
 _OPEN = 0.20
-_CLOSED = 0.55
-"""Bending of each finger joint of an empty and of a holding hand, radians."""
-_SPREAD = 0.03
-"""Radians; never 0, at which the dataset's own toolkit divides by zero."""
+_CLOSED = 0.55  # Bending of each finger joint of an empty and of a holding hand, radians.
+_SPREAD = 0.03  # Radians; never 0, at which the dataset's own toolkit divides by zero.
 _ROOT = 0
 _WRIST = 1
-_FIRSTS = range(0, umetrack.N_ANGLES, umetrack.JOINTS_A_FINGER)
-"""First joint of each finger."""
+_FIRSTS = range(0, umetrack.N_ANGLES, umetrack.JOINTS_A_FINGER)  # First joint of each finger.
 
 
 def synthetic_hand(length: float) -> HandModel:
@@ -142,10 +139,8 @@ def finger_angles(closed: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 22"]:
     return angles
 
 
-RATE = 30.0
-"""RGB frames, Hz; SLAM frames follow each after :data:`SLAM_DELAY`."""
-SLAM_DELAY = 91e-6
-"""Seconds."""
+RATE = 30.0  # RGB frames, Hz; SLAM frames follow each after :data:`SLAM_DELAY`.
+SLAM_DELAY = 91e-6  # Seconds.
 
 _TIME_CODE_START = (3_600.0, 80_000.0)  # s
 _LARGEST_DRIFT = 1e-6
@@ -159,8 +154,8 @@ _WRONG_BY = 0.25
 _WRONG_EVERY = 5
 _WRONG_FIRST = 1
 _CLOSING = 0.3  # s
+# Centre of the box in the object's frame, metres: origins of real models lie beside it, too.
 _ORIGIN = np.array([0.004, -0.006, 0.0])
-"""Centre of the box in the object's frame, metres: origins of real models lie beside it, too."""
 _METRES = 6  # decimals
 _QUATERNION = 9
 _ANGLE = 6
@@ -318,11 +313,10 @@ def _native_rows(
 
 _HEADSET_UID = "100000000000001"
 LIBRARY = hot3d.LIBRARY_FOLDERS[0]
+# Files that a recording has and curation does not read; all true.
 _OTHER_MASKS = ("good_exposure", "hand_visible", "object_visible")
-"""Files that a recording has and curation does not read; all true."""
 _OF_AN_EVENT = ("sequence", "not_primed", "too_short", "minimum_movement")
-_UNSET = 255.0
-"""Of the hand model's unused tables of joints."""
+_UNSET = 255.0  # Rows of the hand model's unused tables of joints.
 _SCALE = 0.001  # the models of the release are in millimetres, scaled by their node
 _QUARTER_TURN = (0.0, -np.sqrt(0.5), 0.0, np.sqrt(0.5))  # x y z w, about the vertical
 _SHIFT = (0.0045, -0.0205, -0.0155)
@@ -409,8 +403,8 @@ def glb_bytes(mesh: hot3d.Mesh, *, name: str, turned: bool) -> bytes:
     """Return the file of one model: the node's transform brings its raw vertices into the object's frame.
 
     Args:
-        mesh: In the object's frame, metres; less than 65,536 vertices.
-        name: Of the node.
+        mesh: Vertices and faces in the object's frame, metres; less than 65,536 vertices.
+        name: Name of the node.
         turned: Whether the node turns and shifts what it holds, besides scaling it.
     """
     node: dict[str, object] = {"name": name, "mesh": 0, "scale": [_SCALE] * 3}

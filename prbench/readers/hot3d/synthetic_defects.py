@@ -37,29 +37,13 @@ def _cut_a_model(root: Path, recording: str) -> None:
     path.write_bytes(path.read_bytes()[:60])
 
 
-def _metadata(change: Callable[[dict], None]) -> Damage:
+def _metadata(change: Callable[[dict], object]) -> Damage:
     return lambda root, recording: change_json(root / recording / hot3d.METADATA_FILE, change)
-
-
-def _withhold(content: dict) -> None:
-    content["gt_available_status"] = dict.fromkeys(content["gt_available_status"], False)
-
-
-def _call_it_quest(content: dict) -> None:
-    content["headset"] = "Quest3"
 
 
 def _with_rows(name: str, change: Callable[[Rows], Rows]) -> Damage:
     """Return a damage that changes the lines of a table below its header."""
     return lambda root, recording: change_cells(root / recording / name, change)
-
-
-def _disorder(rows: Rows) -> Rows:
-    return rows[::-1]
-
-
-def _move_elsewhere(rows: Rows) -> Rows:
-    return [[*row[:2], f"{float(row[2]) + 3.0}", *row[3:]] for row in rows]
 
 
 def _shift_a_third(rows: Rows) -> Rows:
@@ -78,18 +62,6 @@ def _lose_an_object(rows: Rows) -> Rows:
         if row[0] != uid or (seen - 1) % 8 > 1:
             kept.append(row)
     return kept
-
-
-def _lose_slam(rows: Rows) -> Rows:
-    """Remove a second in the middle."""
-    middle = len(rows) // 2
-    return [*rows[:middle], *rows[middle + 1000 :]]
-
-
-def _lose_gaze_angles(root: Path, recording: str) -> None:
-    """Empty the angles of every row, as while eyes are closed."""
-    for path in (root / recording).glob(_GAZE_FILES):
-        change_cells(path, lambda rows: [[row[0], "", "", "", *row[4:]] for row in rows])
 
 
 def _fail_the_start(root: Path, recording: str) -> None:
@@ -116,23 +88,40 @@ def _lose_hands(root: Path, recording: str) -> None:
     path.write_text("".join(json.dumps({"timestamp_ns": time, "hand_poses": {}}) + "\n" for time in times))
 
 
+def _lose_gaze_angles(root: Path, recording: str) -> None:
+    """Empty the angles of every row, as while eyes are closed."""
+    for path in (root / recording).glob(_GAZE_FILES):
+        change_cells(path, lambda rows: [[row[0], "", "", "", *row[4:]] for row in rows])
+
+
+_WITHHELD = _metadata(
+    lambda content: content.update(gt_available_status=dict.fromkeys(content["gt_available_status"], False))
+)
+_QUEST = _metadata(lambda content: content.update(headset="Quest3"))
+_BACKWARDS = _with_rows(hot3d.OBJECTS_FILE, lambda rows: rows[::-1])
+_ELSEWHERE = _with_rows(
+    hot3d.HEADSET_FILE, lambda rows: [[*row[:2], f"{float(row[2]) + 3.0}", *row[3:]] for row in rows]
+)
+_JUMP = _with_rows(hot3d.HEADSET_FILE, _shift_a_third)
+_GAP = _with_rows(_TRAJECTORY, lambda rows: [*rows[: len(rows) // 2], *rows[len(rows) // 2 + 1000 :]])  # a second
+_LOST_OBJECT = _with_rows(hot3d.OBJECTS_FILE, _lose_an_object)
+_NO_BODIES = _without(f"{{}}/{OUTPUT_FOLDER}/*")
+
 DEFECTS: tuple[Defect, ...] = (
     Defect("missing-objects", "dynamic_objects.csv is not there", missing(hot3d.OBJECTS_FILE), "failed", "this file"),
     Defect("missing-slam", "no trajectory of the services", missing(_TRAJECTORY), "failed", TRAJECTORY_FILE),
     Defect("missing-profile", "no hand model: wrists only", missing(hot3d.PROFILE_FILE), "read", "wrists only"),
-    Defect(
-        "missing-bodies", "no outputs of EgoAllo", _without(f"{{}}/{OUTPUT_FOLDER}/*"), "read", "no EgoAllo outputs"
-    ),
+    Defect("missing-bodies", "no outputs of EgoAllo", _NO_BODIES, "read", "no EgoAllo outputs"),
     Defect("missing-models", "no object models", _without(f"{LIBRARY}/*.glb"), "read", "objects without a model"),
     Defect("cut-model", "an object model ends early", _cut_a_model, "failed", "binary glTF"),
-    Defect("withheld", "a test participant", _metadata(_withhold), "skipped", "withholds the ground truth"),
-    Defect("quest", "recorded with Quest 3", _metadata(_call_it_quest), "skipped", "no gaze"),
-    Defect("backwards", "rows from last to first", _with_rows(hot3d.OBJECTS_FILE, _disorder), "failed", "backwards"),
-    Defect("other-world", "another world", _with_rows(hot3d.HEADSET_FILE, _move_elsewhere), "failed", "not one world"),
-    Defect("clock-jump", "the clock jumps", _with_rows(hot3d.HEADSET_FILE, _shift_a_third), "failed", "no drift"),
-    Defect("slam-gap", "a second without SLAM", _with_rows(_TRAJECTORY, _lose_slam), "read", "clocks aligned"),
+    Defect("withheld", "a test participant", _WITHHELD, "skipped", "withholds the ground truth"),
+    Defect("quest", "recorded with Quest 3", _QUEST, "skipped", "no gaze"),
+    Defect("backwards", "rows from last to first", _BACKWARDS, "failed", "backwards"),
+    Defect("other-world", "another world", _ELSEWHERE, "failed", "not one world"),
+    Defect("clock-jump", "the clock jumps", _JUMP, "failed", "no drift"),
+    Defect("slam-gap", "a second without SLAM", _GAP, "read", "clocks aligned"),
     Defect("nan-gaze", "no gaze row holds an angle", _lose_gaze_angles, "read", "nothing can be primed"),
-    Defect("lost-object", "rows missing", _with_rows(hot3d.OBJECTS_FILE, _lose_an_object), "read", "of its poses"),
+    Defect("lost-object", "rows missing", _LOST_OBJECT, "read", "of its poses"),
     Defect("failed-start", "the first second is wrong", _fail_the_start, "read", "fail the quality check"),
     Defect("broken-lines", "thirty damaged lines of hand poses", _break_lines, "read", "damaged and left out"),
     Defect("lost-hands", "hands never tracked", _lose_hands, "read", "never tracked"),

@@ -29,32 +29,34 @@ from prbench.recording.streams import GazeStream, HandStream, ObjectTrack, Occlu
 
 _Stream = TypeVar("_Stream", GazeStream, PoseStream)
 _SAME_POSITION = 1e-6
+# Metres and radians within which a row is found again; rounding alone turns it by up to 0.004 degree.
 _SAME_ROTATION = np.deg2rad(0.01)
-"""Metres and radians within which a row is found again; rounding alone turns it by up to 0.004 degree."""
 _NEAREST = 4
 _LARGEST_RESIDUAL = 1e-3  # metres, median over the rows
 _LARGEST_WIDTH_NS = 1e6
 _FEWEST_ROWS = 3
-_STRAY_NS = 5e6
-"""A match whose offset is so far from the median belongs to another moment at the same place."""
+_STRAY_NS = 5e6  # A match whose offset is so far from the median belongs to another moment at the same place.
 _SMALLEST_AGREEING = 0.5
 _LARGEST_DRIFT_PPM = 50.0
 
 
 @dataclass(frozen=True)
 class ClockMatch:
-    """``device = truth + offset + drift * (truth - origin)``, nanoseconds."""
+    """``device = truth + offset + drift * (truth - origin)``, nanoseconds.
+
+    Attributes:
+        offset_ns: Offset of the clocks at ``origin_ns``, nanoseconds.
+        half_width_ns: Largest error of the offset.
+        drift: 0 unless one constant cannot hold for all rows.
+        origin_ns: An instant on the clock of the ground truth.
+        matched: Rows that told the offset.
+    """
 
     offset_ns: float
-    """At ``origin_ns``."""
     half_width_ns: float
-    """Largest error of the offset."""
     drift: float
-    """0 unless one constant cannot hold for all rows."""
     origin_ns: int
-    """An instant on the clock of the ground truth."""
     matched: int
-    """Rows that told the offset."""
     rows: int
 
     def truth_ns(self, device_ns: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
@@ -289,7 +291,7 @@ def recording_from_hot3d(
 
 
 def _on_truth_clock(mps: MpsReadings, clock: ClockMatch) -> MpsReadings:
-    """The same readings stamped by the clock of the ground truth, in whole microseconds."""
+    """Return the readings stamped by the clock of the ground truth, in whole microseconds."""
 
     def moved(time_us: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
         shifted = np.rint(clock.truth_ns(time_us * 1000) / 1000).astype(np.int64)

@@ -20,12 +20,15 @@ __all__ = ["READER", "MogazeOptions", "MogazeReader", "find_recordings", "read_r
 
 
 class MogazeOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Options of the reader of MoGaze."""
+    """Options of the reader of MoGaze.
+
+    Attributes:
+        meshes: Load the meshes of ``scene.xml`` as occluders.
+        include_excluded: Keep recordings that the manifest leaves out for poor gaze (p7_2).
+    """
 
     meshes: bool = False
-    """Load the meshes of ``scene.xml`` as occluders."""
     include_excluded: bool = False
-    """Keep recordings that the manifest leaves out for poor gaze (p7_2)."""
 
 
 @dataclass(frozen=True)

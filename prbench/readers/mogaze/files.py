@@ -29,8 +29,7 @@ from prbench.readers.found import InputFile, RecordingFiles, existing_folder, in
 from prbench.readers.mogaze import format as mogaze
 from prbench.recording import Recording
 
-_SHOWN = 8
-"""Names that a message lists."""
+_SHOWN = 8  # Names that a message lists.
 _COPY_AGAIN = "The file may be truncated; copy or download it again."
 _OTHER_FILE = "Is this the right file?"
 _MOST_DIGITS = 19  # of the id of a body
@@ -205,8 +204,7 @@ def read_mesh(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 
 
 
 SCENE = "scene"
-_MESH_PREFIX = "mesh:"
-"""Role of a mesh: this and the name of its file."""
+_MESH_PREFIX = "mesh:"  # Role of a mesh: this and the name of its file.
 
 _FILE_NAME = re.compile(rf"(?P<id>p\d+_\d+|\w+_synthetic_\w+)_(?P<part>{'|'.join(mogaze.PARTS)})\.hdf5")
 

@@ -11,11 +11,10 @@ from jaxtyping import Float, Int
 
 from prbench.geometry.skeleton import forward_kinematics
 
-RATE = 120.0
-"""Frames a second; all streams of a recording share one frame index, and frame 0 is time 0."""
+RATE = 120.0  # Frames a second; all streams of a recording share one frame index, and frame 0 is time 0.
 
+# The four files of a recording are named ``<recording>_<part>.hdf5``.
 PARTS = ("human_data", "object_data", "gaze_data", "segmentations")
-"""The four files of a recording are named ``<recording>_<part>.hdf5``."""
 SCENE_FILE = "scene.xml"
 MESH_FOLDER = "meshfiles"
 
@@ -29,21 +28,18 @@ FIXED_KEYS_ATTRIBUTE = "keys_fixed"
 FIXED_VALUES_ATTRIBUTE = "values_fixed"
 CALIBRATION_ATTRIBUTE = "calibration"
 LABELS_ATTRIBUTE = "labels"
-PARTICIPANT_ATTRIBUTE = "participant"
-"""Written by prbench only: real recordings carry the participant in their name."""
+PARTICIPANT_ATTRIBUTE = "participant"  # Written by prbench only: real recordings carry the participant in their name.
 GAZE_POINT = slice(2, 5)
 FEWEST_GAZE_COLUMNS = 6
 LABEL_LENGTH = 32
 
 NULL_LABEL = "null"
 GOGGLES = "goggles"
-FURNITURE = ("table", "shelf", "chair")
-"""Kinds of bodies that are tracked, but neither picked up nor put down."""
+FURNITURE = ("table", "shelf", "chair")  # Kinds of bodies that are tracked, but neither picked up nor put down.
 
+# Share of the longest stream by which the streams of a recording may differ; more is another recording's file.
 LONGEST_LENGTH_DIFFERENCE = 0.01
-"""Share of the longest stream by which the streams of a recording may differ; more is another recording's file."""
-UNREMARKABLE_LENGTH_DIFFERENCE = 2
-"""Frames."""
+UNREMARKABLE_LENGTH_DIFFERENCE = 2  # Frames.
 
 
 def kind_of_body(name: str) -> str:
@@ -85,53 +81,63 @@ def gaze_directions(
 
 @dataclass(frozen=True)
 class MogazeBody:
-    """One tracked rigid body: its rows of ``object_data`` and what ``scene.xml`` knows of it."""
+    """One tracked rigid body: its rows of ``object_data`` and what ``scene.xml`` knows of it.
+
+    Attributes:
+        position: Metres, Z up; NaN where the body was not seen.
+        rotation: x y z w, body to world; zeros or NaN where the body was not seen.
+        vertices: Vertices of its mesh, in its own frame; None without a mesh, or where nobody asked for it.
+    """
 
     body_id: int
     name: str
     position: Float[np.ndarray, "n 3"]
-    """Metres, Z up; NaN where the body was not seen."""
     rotation: Float[np.ndarray, "n 4"]
-    """x y z w, body to world; zeros or NaN where the body was not seen."""
     box_min: Float[np.ndarray, "3"]
     box_max: Float[np.ndarray, "3"]
     vertices: Float[np.ndarray, "v 3"] | None = None
-    """Vertices of its mesh, in its own frame; None without a mesh, or where nobody asked for it."""
     faces: Int[np.ndarray, "f 3"] | None = None
 
 
 @dataclass(frozen=True)
 class Segment:
-    """One entry of ``segmentations``: from ``start`` to ``end`` this object moves, or nothing does."""
+    """One entry of ``segmentations``: from ``start`` to ``end`` this object moves, or nothing does.
+
+    Attributes:
+        end: Inclusive; the next segment starts with this frame or the one after it.
+    """
 
     start: int
     end: int
-    """Inclusive; the next segment starts with this frame or the one after it."""
     label: str
 
 
 @dataclass(frozen=True)
 class MogazeReadings:
-    """The content of the files of one MoGaze recording, in the units and frames of the files; equal lengths."""
+    """The content of the files of one MoGaze recording, in the units and frames of the files; equal lengths.
+
+    Attributes:
+        state: Columns in the order of :data:`prbench.readers.mogaze.format.STATE_COLUMNS`, metres and radians.
+        fixed: Scaling values by key.
+        bodies: Sorted by id.
+        calibration: x y z w.
+        segments: Segments in the order of the file.
+        messages: Messages of reading the files.
+    """
 
     recording_id: str
     participant_id: str
     state: Float[np.ndarray, "n 66"]
-    """Columns in the order of :data:`prbench.readers.mogaze.format.STATE_COLUMNS`, metres and radians."""
     fixed: dict[str, float]
-    """Scaling values by key."""
     bodies: tuple[MogazeBody, ...]
-    """Sorted by id."""
     gaze_points: Float[np.ndarray, "n 3"]
     gaze_confidence: Float[np.ndarray, " n"]
     calibration: Float[np.ndarray, "4"]
-    """x y z w."""
     segments: tuple[Segment, ...]
-    """In the order of the file."""
     messages: tuple[str, ...] = ()
-    """Messages of reading the files."""
 
 
+# The 21 joints in the order of the files, each with the joint that it hangs on; parents come first.
 PARENT_LINKS: dict[str, str] = {
     "base": "",
     "pelvis": "base",
@@ -155,17 +161,16 @@ PARENT_LINKS: dict[str, str] = {
     "rAnkle": "rKnee",
     "rToe": "rAnkle",
 }
-"""The 21 joints in the order of the files, each with the joint that it hangs on; parents come first."""
 LINKS: tuple[str, ...] = tuple(PARENT_LINKS)
 _N_LINKS = len(LINKS)
 
+# The 66 columns of a joint state in their usual order; files are read by name. Metres and radians.
 STATE_COLUMNS: tuple[str, ...] = (
     *(f"baseTrans{axis}" for axis in "XYZ"),
     *(f"{link}Rot{axis}" for link in LINKS for axis in "XYZ"),
 )
-"""The 66 columns of a joint state in their usual order; files are read by name. Metres and radians."""
+# The 60 fixed scaling values of a recording, metres.
 OFFSET_KEYS: tuple[str, ...] = tuple(f"{link}Trans{axis}" for link in LINKS[1:] for axis in "XYZ")
-"""The 60 fixed scaling values of a recording, metres."""
 
 _TRANSLATION_AXES: dict[str, str] = {
     "pelvis": "Z", "torso": "XYZ", "neck": "Z", "head": "YZ", "innerShoulder": "XYZ", "Shoulder": "X", "Elbow": "X",
@@ -177,13 +182,12 @@ def _axes_of(link: str) -> str:
     return _TRANSLATION_AXES[link if link in _TRANSLATION_AXES else link[1:]]
 
 
+# The fixed values for which the model has a joint; the player ignores the others (below 2e-8 m in p1_1).
 MODEL_OFFSETS: frozenset[str] = frozenset(f"{link}Trans{axis}" for link in LINKS[1:] for axis in _axes_of(link))
-"""The fixed values for which the model has a joint; the player ignores the others (below 2e-8 m in p1_1)."""
 
-HEAD_FORWARD = (0.0, -1.0, 0.0)
-"""In the frame of the head link."""
+HEAD_FORWARD = (0.0, -1.0, 0.0)  # Forward direction of the face in the frame of the head link.
+# Columns: left, up and forward of the face in the frame of the head link.
 HEAD_FROM_CPF = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
-"""Columns: left, up and forward of the face in the frame of the head link."""
 
 
 def link_offsets(fixed: Mapping[str, float]) -> Float[np.ndarray, "21 3"]:
@@ -240,9 +244,9 @@ def body_joints(positions: Float[np.ndarray, "n 21 3"], mapping: Sequence[str]) 
     """The 22 joints from the 21 links.
 
     Args:
-        positions: Of the links, metres.
-        mapping: For each of the 22 joints a link (``torso``), the mean of some (``pelvis+torso``), or a weighted sum
-            (``0.63 pelvis + 0.37 torso``).
+        positions: Positions of the links, metres.
+        mapping: Source of each of the 22 joints: a link (``torso``), the mean of some (``pelvis+torso``), or a
+            weighted sum (``0.63 pelvis + 0.37 torso``).
     """
     weights = np.stack([_weights(entry) for entry in mapping])
     return np.einsum("jl,nlk->njk", weights, positions)

@@ -43,12 +43,11 @@ from prbench.synthetic.sensors import (
 )
 
 _TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
+# Columns: the link's axes (left, back, up) in the frame of a trunk segment (left, up, forward).
 _SEGMENT_AXES = _TO_WORLD
-"""Columns: the link's axes (left, back, up) in the frame of a trunk segment (left, up, forward)."""
+# Axes of arms, whose segments have y along the bone and x along the hinge; arms are spread at zero angles.
 _ARM_AXES = {"l": np.array([(0, 1, 0), (0, 0, 1), (1, 0, 0)]).T, "r": np.array([(0, -1, 0), (0, 0, 1), (-1, 0, 0)]).T}
-"""The same of arms, whose segments have y along the bone and x along the hinge; arms are spread at zero angles."""
-_LEG_AXES = np.array([(1, 0, 0), (0, 0, 1), (0, -1, 0)]).T
-"""The same of legs, which hang at zero angles."""
+_LEG_AXES = np.array([(1, 0, 0), (0, 0, 1), (0, -1, 0)]).T  # Axes of legs, which hang at zero angles.
 
 _JOINT_OF_LINK: dict[str, Joint] = {
     "pelvis": Joint.PELVIS, "torso": Joint.SPINE3, "neck": Joint.NECK, "head": Joint.HEAD,
@@ -144,8 +143,8 @@ _ROOT_NOISE = 1e-3
 _OBJECT_NOISE = (0.5e-3, np.deg2rad(0.1))  # m, rad
 
 _TO_NATIVE = Rotation.from_matrix(Y_UP_FROM_Z_UP[:3, :3].T)
+# The eye tracker's camera: x right, y down, z forward; the face: x left, y up, z forward.
 _FACE_FROM_TRACKER = Rotation.from_matrix(np.diag([-1.0, -1.0, 1.0]))
-"""The eye tracker's camera: x right, y down, z forward; the face: x left, y up, z forward."""
 _UPRIGHT_FROM_Z_UP = Rotation.from_matrix(np.transpose([(1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)]))
 _Z_UP_KINDS = ("plate", "jug")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -34,23 +35,18 @@ def _with_rows(part: str, name: str, change: Callable[[np.ndarray], np.ndarray])
     return apply
 
 
-def _forget_fixed_values(root: Path, recording: str) -> None:
-    with h5py.File(_file(HUMAN)(root, recording), "r+") as file:
-        del file[mogaze.HUMAN_DATASET].attrs[mogaze.FIXED_KEYS_ATTRIBUTE]
+def _forget(part: str, of: Callable[[h5py.File], Any], key: str) -> Damage:
+    """Return a damage that removes one entry of what ``of`` takes from a file."""
 
+    def apply(root: Path, recording: str) -> None:
+        with h5py.File(_file(part)(root, recording), "r+") as file:
+            del of(file)[key]
 
-def _forget_goggles(root: Path, recording: str) -> None:
-    with h5py.File(_file(OBJECTS)(root, recording), "r+") as file:
-        del file[f"{mogaze.OBJECT_GROUP}/body {GOGGLES_ID}"]
+    return apply
 
 
 def _lose_body_frames(rows: np.ndarray) -> np.ndarray:
     rows[100:140] = np.nan
-    return rows
-
-
-def _doubt_everything(rows: np.ndarray) -> np.ndarray:
-    rows[:, -1] = 0.1
     return rows
 
 
@@ -73,23 +69,22 @@ def _raise_floor(root: Path, recording: str) -> None:
 
 _SHORTER = _with_rows(GAZE, mogaze.GAZE_DATASET, lambda rows: rows[:-20])
 _NO_BODY = _with_rows(HUMAN, mogaze.HUMAN_DATASET, _lose_body_frames)
-_BLIND = _with_rows(GAZE, mogaze.GAZE_DATASET, _doubt_everything)
+_BLIND = _with_rows(GAZE, mogaze.GAZE_DATASET, lambda rows: np.column_stack([rows[:, :-1], np.full(len(rows), 0.1)]))
 _DISORDER = _with_rows(SEGMENTS, mogaze.SEGMENT_DATASET, _disorder_segments)
 
-
-def _no_scene(root: Path, _recording: str) -> None:
-    (root / mogaze.SCENE_FILE).unlink()
-
+_UNSCALED = _forget(HUMAN, lambda file: file[mogaze.HUMAN_DATASET].attrs, mogaze.FIXED_KEYS_ATTRIBUTE)
+_NO_GOGGLES = _forget(OBJECTS, lambda file: file[mogaze.OBJECT_GROUP], f"body {GOGGLES_ID}")
+_NO_SCENE = removed(lambda root, _recording: root / mogaze.SCENE_FILE)
 
 DEFECTS: tuple[Defect, ...] = (
     Defect("missing-gaze", "no gaze file, as for p3_1", removed(_file(GAZE)), "failed", "gaze_data.hdf5"),
     Defect("truncated-objects", "half of the object file", cut_in_half(_file(OBJECTS)), "failed", "truncated"),
     Defect("short-gaze", "a gaze file twenty frames too short", _SHORTER, "read", "cut to"),
-    Defect("no-scalings", "no scaling values", _forget_fixed_values, "failed", "keys_fixed"),
+    Defect("no-scalings", "no scaling values", _UNSCALED, "failed", "keys_fixed"),
     Defect("lost-body", "a third of a second without body", _NO_BODY, "read", "implausible"),
-    Defect("no-goggles", "the goggles were not tracked", _forget_goggles, "failed", "goggles"),
+    Defect("no-goggles", "the goggles were not tracked", _NO_GOGGLES, "failed", "goggles"),
     Defect("blind-tracker", "the eye tracker knows nothing", _BLIND, "read", "no valid gaze"),
     Defect("bad-segments", "segments in disorder", _DISORDER, "read", "left out"),
     Defect("raised-floor", "the floor is at half a metre", _raise_floor, "read", "floor is moved"),
-    Defect("no-scene", "no scene.xml, and other bodies than the release has", _no_scene, "failed", "scene.xml"),
+    Defect("no-scene", "no scene.xml, and other bodies than the release has", _NO_SCENE, "failed", "scene.xml"),
 )

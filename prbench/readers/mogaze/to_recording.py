@@ -187,7 +187,7 @@ def annotated_events(
     frames after it, clipped to the next movement.
 
     Args:
-        segments: In the order of the file.
+        segments: Entries of ``segmentations`` in the order of the file.
         tracks: Every object, one sample a frame.
         body: The wearer, one sample a frame, whose wrists tell the hand of an event.
         rest_window: Frames.
@@ -287,10 +287,8 @@ def _resting_after(track: ObjectTrack, frame: int, stop: int, moved_again: int) 
     return np.median(track.position[window], axis=0), turned.as_quat(canonical=True, scalar_first=True)
 
 
-_STEP = 4
-"""120 frames a second become 30."""
-FEWEST_GAZE = 0.8
-"""Share of a segment's frames with confident gaze; the segment is left out below."""
+_STEP = 4  # 120 frames a second become 30.
+FEWEST_GAZE = 0.8  # Share of a segment's frames with confident gaze; the segment is left out below.
 
 
 def published_tracks(
@@ -304,7 +302,7 @@ def published_tracks(
     Args:
         readings: Content of the files.
         recording: What was made of them.
-        least_confidence: Of a gaze sample.
+        least_confidence: Confidence from which on a gaze sample counts.
     """
     links, _ = mogaze.link_poses(readings.state, mogaze.link_offsets(readings.fixed))
     assert recording.body is not None
