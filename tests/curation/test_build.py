@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import errno
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from prbench.curation import BuildOptions, CurationOptions, build_dataset, build_from_sources, funnel_rows, plan_build
-from prbench.curation.build import build_all, found_datasets
+from prbench.curation.build import build_all
 from prbench.curation.job import chosen_ids, funnel_counts
 from prbench.errors import InputFileError, MemoryFullError, PrbenchError, StorageError, UsageError
 from prbench.files.storage import read_json
@@ -98,12 +97,6 @@ def test_a_folder_that_is_no_dataset_is_refused_before_any_work(tmp_path: Path) 
     assert (tmp_path / "thesis.tex").exists()
 
 
-def test_synthetic_recordings_are_never_called_by_the_datasets_name(tmp_path: Path) -> None:
-    sources = [replace(source, dataset="synthetic-adt", split="test") for source in some_sources(2)]
-    info = build_from_sources(sources, tmp_path / "out").info
-    assert (info.dataset, info.synthetic, info.redistribution) == ("synthetic-adt", True, "yes")
-
-
 def test_recordings_are_chosen_by_glob_and_limit() -> None:
     names = ["b_2", "a_1", "a_2", "a_3"]
     assert chosen_ids(names, BuildOptions(recordings="a_*", limit=2), where="here") == ["a_1", "a_2"]
@@ -161,12 +154,6 @@ def test_what_is_found_is_built_under_its_name_and_equals_a_build_by_itself(root
     assert SequenceTable.open(tmp_path / "out" / "synthetic-adt").info == alone.info
 
 
-def test_the_dry_run_names_folders_and_recordings(root) -> None:
-    (found,), _ = found_datasets(root, BuildOptions())
-    plan = plan_build(found.dataset, found.root)
-    assert (found.name, plan.root, len(plan.recordings)) == ("synthetic-adt", root / "ADT", 2)
-
-
 def test_a_recording_that_fails_is_reported_and_the_dataset_is_not_complete(root, tmp_path) -> None:
     victim = sorted(folder for folder in (root / "ADT").iterdir() if (folder / "metadata.json").is_file())[0]
     (victim / "scene_objects.csv").unlink()
@@ -202,7 +189,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_synthetic_tree_is_named_and_split_as_its_mark_says(tree: Path, tmp_path: Path) -> None:
     build_dataset("adt", tree, tmp_path / "table")
     table = SequenceTable.open(tmp_path / "table")
-    assert (table.info.dataset, table.info.synthetic) == ("synthetic-adt", True)
+    assert (table.info.dataset, table.info.synthetic, table.info.redistribution) == ("synthetic-adt", True, "yes")
     splits = dict(zip(*(table.recordings()[name].to_pylist() for name in ("recording_id", "split")), strict=True))
     mark = read_json(tree / "synthetic.json")
     assert isinstance(mark, dict)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from prbench.curation import BuildOptions, build_from_sources
@@ -94,24 +93,6 @@ def test_what_was_worked_out_before_the_refusal_is_taken_over_by_the_next_try(ta
     assert not work_folder(table).exists()
 
 
-def test_a_table_with_sequences_is_not_replaced_by_one_without(table: Path) -> None:
-    def blind(source: SceneSource) -> Blind:
-        return Blind(source.recording_id, source.version)
-
-    with pytest.raises(RecordingsWouldBeLost, match="the new one 4 with 0"):
-        build_from_sources([blind(source) for source in some_sources(4)], table)
-
-
-@dataclass(frozen=True)
-class Blind(SceneSource):
-    """A scene without gaze."""
-
-    def read(self) -> Recording:
-        recording = super().read()
-        gaze = recording.gaze
-        return replace(recording, gaze=replace(gaze, valid=np.zeros_like(gaze.valid)))
-
-
 def test_a_recording_of_which_a_file_ends_early_now_is_a_loss_where_it_costs_sequences(table: Path) -> None:
     whole = some_sources(4)
     harmless = [*whole[:3], CutScene("room_3", version=3)]
@@ -154,17 +135,3 @@ def test_a_table_that_tells_nothing_at_all_is_replaced_by_a_whole_one_only(table
         build_from_sources(broken(some_sources(1)) + some_sources(3)[1:], table)
     build_from_sources(some_sources(1), table)
     assert DatasetInfo.read(table).counts.recordings_read == 1
-
-
-def test_a_readers_numpy_numbers_end_as_plain_ones(tmp_path: Path) -> None:
-    @dataclass(frozen=True)
-    class Measured(SceneSource):
-        def read(self) -> Recording:
-            recording = super().read()
-            start, end = recording.span
-            return replace(recording, span=(np.float64(start), np.float64(end)))
-
-    span = Measured("room_a").read().span
-    assert [type(time) for time in span] == [float, float]
-    report = build_from_sources([Measured("room_a")], str(tmp_path / "adt"))
-    assert [record.status for record in report.records] == ["read"]

@@ -12,7 +12,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prbench.curation.in_hand import close_to, contact_distance, find_holdings, held_segments, runs
+from prbench.curation.in_hand import close_to, contact_distance, find_holdings, held_segments
 from prbench.curation.options import CurationOptions
 from prbench.errors import MissingExtraError, UsageError
 from prbench.protocol.manifests import load_manifest
@@ -157,35 +157,24 @@ def segments(held: str, staying: str = "") -> list[list[int]]:
     return found.tolist()
 
 
-def test_runs_at_both_ends() -> None:
-    assert runs(np.array([True, False, True, True])).tolist() == [[0, 1], [2, 4]]
-
-
-def test_a_piece_of_exactly_the_minimum_counts_and_a_shorter_one_does_not() -> None:
-    assert segments("..###") == [[2, 5]]
-    assert segments("..##.") == []
-
-
-def test_a_brief_gap_is_bridged_whatever_happens_in_it() -> None:
-    assert segments("####..####") == [[0, 10]]  # 0.3 s from last to first
-    assert segments("####...####") == [[0, 4], [7, 11]]
-
-
-def test_a_long_gap_is_bridged_while_the_hand_stays() -> None:
-    assert segments("####.........####", "....#########....") == [[0, 17]]
-    assert segments("####.........####", "....####.####....") == [[0, 4], [13, 17]]
-
-
-def test_three_pieces_of_which_two_belong_together() -> None:
-    assert segments("####..####......####") == [[0, 10], [16, 20]]
-
-
-def test_a_short_slide_beside_a_holding_does_not_lengthen_it() -> None:
-    assert segments("##....####", "##########") == [[6, 10]]
-
-
-def test_a_movement_that_pauses_at_its_beginning_is_one_piece_from_its_beginning() -> None:
-    assert segments("##..####") == [[0, 8]]
+@pytest.mark.parametrize(
+    ("held", "staying", "expected"),
+    [
+        pytest.param("", "", [], id="nothing"),
+        pytest.param("#", "", [], id="a sample"),
+        pytest.param("..###", "", [[2, 5]], id="exactly the minimum"),
+        pytest.param("..##.", "", [], id="shorter than the minimum"),
+        pytest.param("####..####", "", [[0, 10]], id="0.3 s from last to first are bridged"),
+        pytest.param("####...####", "", [[0, 4], [7, 11]], id="0.4 s are not"),
+        pytest.param("####.........####", "....#########....", [[0, 17]], id="bridged while the hand stays"),
+        pytest.param("####.........####", "....####.####....", [[0, 4], [13, 17]], id="the hand leaves"),
+        pytest.param("####..####......####", "", [[0, 10], [16, 20]], id="three pieces, two together"),
+        pytest.param("##....####", "##########", [[6, 10]], id="a short slide lengthens nothing"),
+        pytest.param("##..####", "", [[0, 8]], id="a pause at the beginning"),
+    ],
+)
+def test_segments_by_hand(held: str, staying: str, expected: list[list[int]]) -> None:
+    assert segments(held, staying) == expected
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.lists(st.booleans(), min_size=60, max_size=60))
@@ -195,11 +184,6 @@ def test_time_reversal_changes_nothing(held: list[bool], staying: list[bool]) ->
     one = held_segments(np.array(held), np.array(staying[:n]), times, minimum_duration=0.2, join_gap=0.35)
     other = held_segments(np.array(held[::-1]), np.array(staying[:n][::-1]), times, minimum_duration=0.2, join_gap=0.35)
     assert one.tolist() == (n - other[::-1, ::-1]).tolist()
-
-
-@pytest.mark.parametrize("held", ["", "#"])
-def test_nothing_held_gives_nothing(held: str) -> None:
-    assert segments(held) == []
 
 
 def test_without_open3d_that_is_told_before_anything_is_read(monkeypatch) -> None:

@@ -6,6 +6,7 @@ import gzip
 import shutil
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -17,39 +18,43 @@ from prbench.curation.poses.states import prepare
 from prbench.errors import InputFileError, UsageError
 from prbench.geometry.skeleton import Joint
 from prbench.readers import reader_for
+from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.readers.egoallo.synthetic import write_smplh_model
+from prbench.synthetic.write_tree import synthesize_tree
 from tests.cli.reports import printed_document, refused, reported
 
 FAKE = Path(__file__).with_name("fake_egoallo.py")
 
 
 @pytest.fixture
-def root(adt_tree, tmp_path, monkeypatch) -> Path:
-    """Four seconds of two ADT recordings without EgoAllo's bodies, with what it needs."""
+def config(tmp_path, monkeypatch) -> Path:
+    """A configuration that runs the fake program, which notes its calls."""
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("FAKE_CALLS", str(tmp_path / "calls.txt"))
-    copy = tmp_path / "ADT"
-    shutil.copytree(adt_tree, copy)
-    for metadata in copy.glob("*/metadata.json"):
-        metadata.with_name("video.vrs").write_bytes(b"VRS")
-        trajectory = metadata.with_name("aria_trajectory.csv")
-        trajectory.write_text("".join(trajectory.read_text().splitlines(keepends=True)[:121]))
-    write_smplh_model(copy / "smplh" / "neutral" / "model.npz")
-    return copy
-
-
-@pytest.fixture
-def config(tmp_path) -> Path:
     path = tmp_path / "egoallo.toml"
     arguments = (
         "{python}", str(FAKE), "--traj-root", "{mps}", "--traj-length", "{frames}", "--guidance-mode", "{guidance}",
-        "--recording", "{recording}", "--smplh-npz-path", "{model}",
+        "--recording", "{recording}",
     )  # fmt: skip
     quoted = ", ".join(f'"{text}"' for text in arguments)
     path.write_text(
         f'[egoallo]\npython = "{sys.executable}"\nfolder = "."\ncommand = [{quoted}]\ntimeout_minutes = 0.5\n'
     )
     return path
+
+
+@pytest.fixture
+def root(adt_tree, tmp_path, config) -> Path:
+    """Four seconds of two ADT recordings without EgoAllo's bodies, with what it needs."""
+    copy = tmp_path / "ADT"
+    shutil.copytree(adt_tree, copy)
+    for metadata in copy.glob("*/metadata.json"):
+        metadata.with_name("video.vrs").write_bytes(b"VRS")
+        trajectory = metadata.with_name("aria_trajectory.csv")
+        trajectory.write_text("".join(trajectory.read_text().splitlines(keepends=True)[:121]))
+    config.write_text(config.read_text().replace('"{recording}"]', '"{recording}", "--smplh-npz-path", "{model}"]'))
+    write_smplh_model(copy / "smplh" / "neutral" / "model.npz")
+    return copy
 
 
 def _names(root: Path) -> list[str]:
@@ -67,10 +72,6 @@ def _calls(root: Path) -> list[str]:
 
 def _leftovers(root: Path) -> list[str]:
     return [path.name for path in (root / "egoallo").rglob("*") if "partial" in path.name or path.name == "slam"]
-
-
-def test_recordings_without_outputs_are_listed(root):
-    assert [state.state for state in pose_states(root)] == ["missing", "missing"]
 
 
 def test_good_outputs_are_placed_where_readers_look_and_are_not_made_again(root, config):
@@ -101,7 +102,7 @@ def test_overlapping_windows_are_joined(root, config, monkeypatch):
 @pytest.mark.parametrize(
     ("behaviour", "said"),
     [
-        ("crash", "ended with exit code 1 ("),
+        ("crash", "RuntimeError: CUDA out of memory"),
         ("other", "belongs to another recording"),
         ("partial", "its outputs cover only"),
         ("nonsense", "wrote no output"),
@@ -121,12 +122,6 @@ def test_a_failure_is_told_and_the_next_recording_goes_on(root, config, monkeypa
     monkeypatch.setenv("FAKE_BEHAVIOUR", "good")
     assert {name: state for name, (state, _) in _make(root, config).items()} == {first: "made", second: "kept"}
     assert _calls(root) == [first, second, first]
-
-
-def test_the_last_words_of_a_crash_are_told(root, config, monkeypatch):
-    monkeypatch.setenv("FAKE_BEHAVIOUR", "crash")
-    outcomes = _make(root, config)
-    assert all("RuntimeError: CUDA out of memory" in message for _, message in outcomes.values())
 
 
 def test_a_program_that_hangs_is_ended_with_its_children(root, config, monkeypatch):
@@ -189,42 +184,28 @@ def test_the_prepared_points_are_turned_or_invented(root, tmp_path):
     assert text.splitlines()[1].split(",")[2:5] == ["1.5", "3", "0.25"]
 
 
-def test_from_the_command_line(root, config, monkeypatch, capsys):
-    assert main(["poses", "egoallo", "--root", str(root)]) == 0
+def test_the_command_tells_what_is_lacking_makes_it_and_resumes(root, config, monkeypatch, capsys):
+    words = ["poses", "egoallo", "--root", str(root)]
+    assert main(words) == 0
     printed = capsys.readouterr().out
     for part in ("2 missing", "git clone https://github.com/brentyi/egoallo.git", "[egoallo]", "Extended SMPL+H model"):
         assert part in printed
     first, second = _names(root)
-    monkeypatch.setenv("FAKE_BEHAVIOUR", f"{second}=crash")
-    arguments = ["poses", "egoallo", "--root", str(root), "--config", str(config)]
-    assert main([*arguments, "--dry-run"]) == 0
-    assert not (root.parent / "calls.txt").exists()
-    assert main(arguments) == 3
-    assert f"failed: {second}" in capsys.readouterr().err
-    monkeypatch.setenv("FAKE_BEHAVIOUR", "good")
-    assert main(arguments) == 0
-    assert main(["poses", "egoallo", "--root", str(root)]) == 0
-    assert "2 complete" in capsys.readouterr().out
-    assert _calls(root) == [first, second, second]
-
-
-def test_what_is_lacking_and_estimated_is_reported(root, config, monkeypatch, capsys):
-    words = ["poses", "egoallo", "--root", str(root)]
-    first, second = _names(root)
     lacking = reported(words, capsys)
     assert [(each.recording_id, each.state) for each in lacking] == [(first, "missing"), (second, "missing")]
     assert reported([*words, "--dry-run"], capsys) == lacking
+    assert not (root.parent / "calls.txt").exists()
 
     monkeypatch.setenv("FAKE_BEHAVIOUR", f"{second}=crash")
     words += ["--config", str(config)]
     document = printed_document(words, capsys, code=3)
-    assert [(each["recording_id"], each["state"]) for each in document.report] == [
-        (first, "made"),
-        (second, "failed"),
-    ]
+    assert [(each["recording_id"], each["state"]) for each in document.report] == [(first, "made"), (second, "failed")]
     assert any(text.startswith(f"failed: {second}: ended with exit code 1") for text in document.notes)
     monkeypatch.setenv("FAKE_BEHAVIOUR", "good")
     assert [each.state for each in reported(words, capsys)] == ["kept", "made"]
+    assert main(words[:4]) == 0
+    assert "2 complete" in capsys.readouterr().out
+    assert _calls(root) == [first, second, second]
     refused([*words, "--dataset", "gimo"], capsys, code=2, message="EgoAllo needs Aria glasses")
 
 
@@ -256,6 +237,86 @@ def test_a_program_that_cannot_be_started_ends_the_work(root, config):
         _make(root, config)
 
 
-def test_datasets_without_aria_glasses_are_refused(root):
-    with pytest.raises(UsageError, match="Aria glasses"):
-        next(pose_states(root, "gimo"))
+POINTS = gzip.compress(
+    b"uid,graph_uid,px_world,py_world,pz_world,inv_dist_std,dist_std\n0,g,0.0,0.0,0.0,0.00001,0.001\n"
+)
+
+
+@pytest.fixture(scope="module")
+def trees(tmp_path_factory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("aria")
+    return {
+        name: synthesize_tree(name, folder / name, recordings=1, seed=4, n_events=1).root
+        for name in ("hd-epic", "hot3d")
+    }
+
+
+def _without_bodies(trees: dict[str, Path], dataset: str, tmp_path: Path) -> tuple[Path, str]:
+    """A copy of a tree without EgoAllo's outputs, with a VRS file and points where the real ones have them."""
+    root = shutil.copytree(trees[dataset], tmp_path / dataset)
+    for folder in root.rglob("egoallo_outputs"):
+        shutil.rmtree(folder)
+    (found,) = reader_for(dataset).find(root)
+    name = found.recording_id
+    if dataset == "hot3d":
+        (found.folder / "recording.vrs").write_bytes(b"VRS")
+        (found.folder / "mps" / "slam" / "semidense_points.csv.gz").write_bytes(POINTS)
+        return root, name
+    (archive,) = root.rglob("SLAM/multi/*.zip")
+    with zipfile.ZipFile(archive, "a") as opened:
+        (trajectory,) = (entry for entry in opened.namelist() if entry.endswith("closed_loop_trajectory.csv"))
+        opened.writestr(f"{trajectory.rpartition('/')[0]}/semidense_points.csv.gz", POINTS)
+    vrs = archive.parents[4] / "VRS" / archive.parents[2].name / f"{name}_anonymized.vrs"
+    vrs.parent.mkdir(parents=True)
+    vrs.write_bytes(b"VRS")
+    return root, name
+
+
+@pytest.mark.parametrize(("dataset", "guidance"), [("hd-epic", "aria_wrist_only"), ("hot3d", "no_hands")])
+def test_bodies_are_made_from_what_the_dataset_has(trees, config, tmp_path, dataset, guidance):
+    root, name = _without_bodies(trees, dataset, tmp_path)
+    (state,) = pose_states(root)
+    assert state.state == "missing"
+    (outcome,) = make_poses([state], read_config(config), root=root)
+    assert outcome.state == "made", outcome.message
+    assert (tmp_path / "calls.txt").read_text().split()[::2] == [name, guidance]
+    (again,) = pose_states(root)
+    assert again.state == "complete"
+    reader = reader_for(dataset)
+    recording = reader.read(reader.find(root)[0])
+    assert recording.body is not None
+    assert recording.pose_source == "egoallo"
+
+
+def test_poses_can_be_kept_outside_of_the_dataset(trees, config, tmp_path):
+    root, name = _without_bodies(trees, "hot3d", tmp_path)
+    elsewhere = {"poses_root": tmp_path / "poses"}
+    make_poses(tuple(pose_states(root, "hot3d", **elsewhere)), read_config(config), root=root)
+    assert list((tmp_path / "poses" / name / "egoallo_outputs").glob("*.npz"))
+    reader = reader_for("hot3d", {"poses_root": str(tmp_path / "poses")})
+    assert reader.read(reader.find(root)[0]).body is not None
+    assert next(pose_states(root, "hot3d", **elsewhere)).state == "complete"
+    assert next(pose_states(root)).state == "missing"
+
+
+def test_poses_of_other_worlds_are_left_out_of_what_egoallo_sees(trees, tmp_path):
+    root, _ = _without_bodies(trees, "hot3d", tmp_path)
+    (path,) = root.rglob("mps/slam/closed_loop_trajectory.csv")
+    header, *rows = path.read_text().splitlines()
+    rows[:50] = [f"UNDEFINED_ROW,{row.partition(',')[2]}" for row in rows[:50]]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    (found,) = reader_for("hot3d").find(root)
+    trajectory, _ = prepare(reader_for("hot3d").egoallo_inputs(root, found), tmp_path / "prepared")
+    written = read_trajectory(trajectory)
+    assert len(written.time_us) == len(rows) - 50
+    np.testing.assert_array_equal(written.position, read_trajectory(path).position)
+    np.testing.assert_array_equal(written.rotation, read_trajectory(path).rotation)
+
+
+def test_what_is_not_there_is_named(trees, config, tmp_path):
+    root, _ = _without_bodies(trees, "hd-epic", tmp_path)
+    shutil.rmtree(next(root.rglob("VRS")))
+    (outcome,) = make_poses(tuple(pose_states(root)), read_config(config), root=root)
+    assert outcome.failed
+    assert "VRS recording" in outcome.message
+    assert not (tmp_path / "calls.txt").exists()

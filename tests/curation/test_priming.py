@@ -133,12 +133,6 @@ def test_a_look_ends_where_gaze_is_lost() -> None:
     assert isinstance(found, Prime)
 
 
-def test_without_a_minimum_a_single_sample_primes() -> None:
-    found = lasting([(9.0, 9.01), (12.0, 13.0)], 0.0)
-    assert isinstance(found, Prime)
-    assert found.time == pytest.approx(9.0)
-
-
 def test_the_minimum_of_the_protocol_is_written_down_where_there_is_one() -> None:
     manifest = load_manifest("adt")
     assert "minimum_prime" not in CurationOptions().described(manifest, PROTOCOL)

@@ -99,5 +99,8 @@ def test_every_main_metric_of_the_study_has_an_assumption():
 
 
 def test_table_1_and_s2_agree():
-    assert sum(row.train for row in load_table_one().values()) == 16695
+    rows = load_table_one()
+    assert sum(row.train for row in rows.values()) == 16695
+    assert sum(row.sequences for row in rows.values()) == 23728
+    assert all(row.train + row.test == row.sequences for row in rows.values())
     assert tuple(load_table_one()) == DATASETS

@@ -7,7 +7,6 @@ import dataclasses
 import msgspec
 import pytest
 
-from prbench.cli import main
 from prbench.errors import RedistributionError
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
@@ -21,7 +20,7 @@ from prbench.sequences.dataset_info import (
     strictest,
 )
 from prbench.viewing.explain import draw_event_story, explain_event
-from tests.fakes import fake_dataset, fake_info
+from tests.fakes import fake_dataset
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,18 +80,6 @@ def test_a_picture_shows_recorded_motion_only_where_it_may(kind, tmp_path) -> No
     assert (tmp_path / "story.png").stat().st_size > 10_000
 
 
-def test_the_command_line_takes_permission_by_name(tmp_path, capsys) -> None:
-    table = fake_dataset(tmp_path / "table", 4)
-    with_terms(table.folder, "none")
-    event = table.events()["event_id"][0].as_py()
-    sizes = {}
-    for name, extra in (("without", []), ("with", ["--permission", "synthetic-adt"])):
-        picture = tmp_path / f"{name}.png"
-        assert main(["explain", event, "--data", str(table.folder), "--draw", str(picture), *extra]) == 0
-        sizes[name] = picture.stat().st_size
-    assert sizes["without"] < sizes["with"], "figures of recorded motion are missing without permission"
-
-
 @pytest.mark.parametrize("kind", ["none", "non-commercial", "yes"])
 def test_a_run_folder_carries_the_notice(kind, tmp_path) -> None:
     table = fake_dataset(tmp_path / "table", 24)
@@ -104,7 +91,3 @@ def test_a_run_folder_carries_the_notice(kind, tmp_path) -> None:
         assert "must not leave your machine" in file.read_text("utf-8")
     again = run_method(RunRequest(method="ground-truth", data=(table.folder,), out=tmp_path / "run"))
     assert again.batches_made == 0, "the notice does not stand in the way of resuming"
-
-
-def test_the_embedded_made_up_data_are_free() -> None:
-    assert fake_info().redistribution == "yes"

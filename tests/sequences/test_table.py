@@ -17,7 +17,7 @@ import pytest
 
 from prbench.cli.main import main
 from prbench.errors import StorageError, TableError, UsageError
-from prbench.protocol.published import QUANTITIES, load_table_one
+from prbench.protocol.published import QUANTITIES
 from prbench.recording.streams import HandSource
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import write_fold
@@ -56,12 +56,6 @@ def test_every_column_comes_back_as_it_was_written(tmp_path):
             assert chunk.strings("object_id")[i] == row.object_id
             assert {pair["key"]: pair["value"] for pair in chunk.batch.column("extra")[i].as_py()} == dict(row.extra)
             assert chunk.batch.column("head_position")[i].is_valid is (row.head_position is not None)
-
-
-def test_joints_are_a_view_of_the_parquet_buffers_not_a_copy(tmp_path):
-    chunk = next(fake_dataset(tmp_path / "d", 10).chunks())
-    assert not chunk.joints.flags.owndata
-    assert np.shares_memory(chunk.joints, chunk.joints)
 
 
 def test_a_split_and_a_choice_of_ids_leave_only_those_rows(tmp_path):
@@ -176,30 +170,21 @@ IDS = ["adt/rec_1/cup/pick/10.5/suit", "adt/rec_1/cup/put/12.25/suit", "adt/rec_
 )
 def test_an_id_or_a_part_that_fits_one_only(wanted, found):
     assert find_sequence_id(wanted, IDS, among="adt") == IDS[found]
+    assert find_sequence_id("a", ["a/b", "c/a/d"], among="x") == "a/b", "a beginning goes before a part inside"
 
 
-def test_a_beginning_or_end_goes_before_a_part_inside():
-    assert find_sequence_id("a", ["a/b", "c/a/d"], among="x") == "a/b"
-
-
-def test_parts_that_fit_several_are_listed():
-    with pytest.raises(UsageError, match=r"'suit' fits 2 sequences of adt(.|\n)*10\.5/suit(.|\n)*12\.25/suit"):
-        find_sequence_id("suit", IDS, among="adt")
-
-
-def test_many_that_fit_are_not_all_listed():
-    with pytest.raises(UsageError, match="and 12 more"):
-        find_sequence_id("a", [f"a{number}" for number in range(20)], among="x")
-
-
-def test_an_unknown_id_gets_the_nearest():
-    with pytest.raises(UsageError, match=r"no sequence 'put/12\.52'(.|\n)*Near it:\n  adt/rec_1/cup/put/12\.25/suit"):
-        find_sequence_id("put/12.52", IDS, among="adt")
-
-
-def test_nothing_typed_is_nothing_found():
-    with pytest.raises(UsageError, match="no sequence ''"):
-        find_sequence_id("", IDS, among="adt")
+@pytest.mark.parametrize(
+    ("wanted", "known", "message"),
+    [
+        ("suit", IDS, r"'suit' fits 2 sequences of adt(.|\n)*10\.5/suit(.|\n)*12\.25/suit"),
+        ("a", [f"a{number}" for number in range(20)], "and 12 more"),
+        ("put/12.52", IDS, r"no sequence 'put/12\.52'(.|\n)*Near it:\n  adt/rec_1/cup/put/12\.25/suit"),
+        ("", IDS, "no sequence ''"),
+    ],
+)
+def test_an_id_that_fits_none_or_several_is_answered_with_the_nearest(wanted, known, message):
+    with pytest.raises(UsageError, match=message):
+        find_sequence_id(wanted, known, among="adt")
 
 
 def test_every_command_that_opens_a_table_refuses_an_edited_one(tmp_path: Path, capsys) -> None:
@@ -288,12 +273,6 @@ def statistics_of(folder, rows):
         recordings=[recording_batch([])],
     )
     return table_statistics(SequenceTable.open(folder))
-
-
-def test_the_study_kept_23728_sequences_of_which_the_splits_are_parts() -> None:
-    rows = load_table_one()
-    assert sum(row.sequences for row in rows.values()) == 23728
-    assert all(row.train + row.test == row.sequences for row in rows.values())
 
 
 def test_means_and_spreads_are_those_of_the_columns(tmp_path) -> None:
