@@ -1,19 +1,36 @@
-"""Building a dataset from several recordings."""
+"""Building a dataset: from native files, in shards, over an earlier table, and after a kill."""
 
 from __future__ import annotations
 
 import errno
+import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 
 from prbench.curation import BuildOptions, CurationOptions, build_dataset, build_from_sources, funnel_rows, plan_build
-from prbench.curation.build import build_all
+from prbench.curation.build import build_all, build_shard_from_sources, merge_dataset_shards
 from prbench.curation.job import chosen_ids, funnel_counts
-from prbench.errors import InputFileError, MemoryFullError, PrbenchError, StorageError, UsageError
+from prbench.engine.shards import Shard, require_whole
+from prbench.errors import (
+    InputFileError,
+    MemoryFullError,
+    PrbenchError,
+    RecordingsWouldBeLost,
+    ShardError,
+    StorageError,
+    UsageError,
+)
 from prbench.files.storage import read_json
-from prbench.sequences import SequenceTable
+from prbench.recording import Recording
+from prbench.sequences import DatasetInfo, SequenceTable
+from prbench.sequences.parts import work_folder
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.curation.sources import SceneSource, folder_bytes, short_of_memory, some_sources
 from tests.fakes import fake_dataset
@@ -255,3 +272,334 @@ def test_a_table_of_another_dataset_is_not_replaced(tmp_path) -> None:
     with pytest.raises(StorageError, match="synthetic-mogaze"):
         build_dataset("adt", tree.root, tmp_path / "table")
     assert (tmp_path / "table" / "dataset.json").read_bytes() == before
+
+
+REPLACE = BuildOptions(replace=True)
+
+
+def broken(sources: list[SceneSource]) -> list[SceneSource]:
+    return [replace(source, problem="file") for source in sources]
+
+
+@dataclass(frozen=True)
+class CutScene(SceneSource):
+    """A scene of which a file ends early: its objects are known for so many seconds only."""
+
+    objects_until: float = 60.0
+    message: str = "objects (o.csv) ends 9.0 s before the recording does"
+
+    def read(self) -> Recording:
+        recording = super().read()
+        (track,) = recording.objects
+        kept = track.times <= self.objects_until
+        names = ("times", "position", "rotation", "valid")
+        cut = replace(track, **{name: getattr(track, name)[kept] for name in names})
+        return replace(recording, objects=(cut,), shortfalls=(self.message,))
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    build_from_sources(some_sources(4), tmp_path / "adt")
+    return tmp_path / "adt"
+
+
+def test_a_root_whose_recordings_all_fail_replaces_nothing(table: Path) -> None:
+    before = folder_bytes(table)
+    sequences = DatasetInfo.read(table).counts.sequences
+    with pytest.raises(RecordingsWouldBeLost) as refused:
+        build_from_sources(broken(some_sources(4)), table)
+    assert folder_bytes(table) == before
+    message = str(refused.value)
+    assert f"it holds 4 recordings with {sequences} sequences, the new one 0 with 0" in message
+    assert "room_0 (failed: a.csv, row 3: expected a number, found text.)" in message
+    assert "room_2" in message
+    assert "; and 1 more." in message
+    assert "`--replace`" in message
+    assert "another --out" in message
+    assert refused.value.exit_code != 0
+
+
+@pytest.mark.parametrize("lost", ["missing", "failed", "skipped"])
+def test_one_recording_less_is_enough_to_refuse(table: Path, lost: str) -> None:
+    sources = some_sources(4)
+    if lost == "missing":
+        sources = [*sources[1:], SceneSource("room_new")]
+    if lost == "failed":
+        sources[0] = replace(sources[0], problem="defect")
+    if lost == "skipped":
+        sources[0] = replace(sources[0], skip_reason="known to be bad")
+    before = folder_bytes(table)
+    with pytest.raises(RecordingsWouldBeLost, match=r"room_0 \((not found|failed: .*|skipped: .*)\)"):
+        build_from_sources(sources, table)
+    assert folder_bytes(table) == before
+    report = build_from_sources(sources, table, options=REPLACE)
+    assert DatasetInfo.read(table) == report.info
+    assert "room_0" not in [r.recording_id for r in report.records if r.status == "read"]
+
+
+def test_a_copy_that_grows_and_one_of_which_a_known_failure_stays_are_no_loss(tmp_path: Path) -> None:
+    first = [*some_sources(2), SceneSource("room_8", problem="file")]
+    build_from_sources(first, tmp_path / "adt")
+    second = [*some_sources(3), SceneSource("room_8", problem="defect"), SceneSource("room_9", problem="file")]
+    build_from_sources(second, tmp_path / "adt")
+    assert DatasetInfo.read(tmp_path / "adt").counts.recordings_read == 3
+
+
+def test_what_was_worked_out_before_the_refusal_is_taken_over_by_the_next_try(table: Path) -> None:
+    sources = [replace(source, version=source.version + 1) for source in some_sources(3)]
+    with pytest.raises(RecordingsWouldBeLost):
+        build_from_sources(sources, table)
+    assert build_from_sources(sources, table, options=REPLACE).reused == 3
+    assert not work_folder(table).exists()
+
+
+def test_a_recording_of_which_a_file_ends_early_now_is_a_loss_where_it_costs_sequences(table: Path) -> None:
+    whole = some_sources(4)
+    harmless = [*whole[:3], CutScene("room_3", version=3)]
+    build_from_sources(harmless, table)
+    harmful = [*whole[:3], CutScene("room_3", version=3, objects_until=5.0)]
+    before = folder_bytes(table)
+    with pytest.raises(
+        RecordingsWouldBeLost, match=r"room_3 \(\d of \d sequences: a part of it is missing or ends early"
+    ):
+        build_from_sources(harmful, table)
+    assert folder_bytes(table) == before
+
+
+def test_recordings_that_are_cut_short_are_counted_and_told(tmp_path: Path) -> None:
+    report = build_from_sources([CutScene("room_a"), SceneSource("room_b")], tmp_path / "adt")
+    assert report.info.counts.recordings_cut_short == 1
+    first, second = report.records
+    assert first.shortfalls == ("objects (o.csv) ends 9.0 s before the recording does",)
+    rows = SequenceTable.open(tmp_path / "adt").recordings().to_pylist()
+    assert rows[0]["message"].startswith("objects (o.csv) ends 9.0 s before the recording does")
+    assert second.shortfalls == ()
+    assert "ends" not in rows[1]["message"]
+
+
+@pytest.mark.parametrize("victim", ["dataset.json", "recordings.parquet", "sequences.parquet"])
+def test_a_table_of_which_a_file_is_damaged_still_tells_what_would_be_lost(table: Path, victim: str) -> None:
+    (table / victim).write_bytes(b"{ damaged")
+    before = folder_bytes(table)
+    with pytest.raises(RecordingsWouldBeLost):
+        build_from_sources(some_sources(3), table)
+    assert folder_bytes(table) == before
+    build_from_sources(some_sources(4), table)
+    assert DatasetInfo.read(table).counts.recordings_read == 4
+
+
+def test_a_table_that_tells_nothing_at_all_is_replaced_by_a_whole_one_only(table: Path) -> None:
+    for name in ("dataset.json", "recordings.parquet"):
+        (table / name).write_bytes(b"")
+    with pytest.raises(RecordingsWouldBeLost, match="cannot be listed"):
+        build_from_sources(broken(some_sources(1)) + some_sources(3)[1:], table)
+    build_from_sources(some_sources(1), table)
+    assert DatasetInfo.read(table).counts.recordings_read == 1
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def start(out: Path, workers: int = 1) -> subprocess.Popen:
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "tests.curation.sources", str(out), str(workers)]
+    return subprocess.Popen(command, cwd=ROOT, env=environment)
+
+
+def finished_parts(out: Path) -> int:
+    work = work_folder(out)
+    return len([path for path in work.iterdir() if not path.name.startswith(".")]) if work.is_dir() else 0
+
+
+def kill_after(process: subprocess.Popen, out: Path, parts: int, delay: float) -> None:
+    """Kill a build some time after it has finished so many parts."""
+    while process.poll() is None and finished_parts(out) < parts:
+        time.sleep(0.002)
+    time.sleep(delay)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+
+
+def test_killed_while_its_parts_are_removed_it_builds_again_with_the_same_bytes(tmp_path: Path, monkeypatch) -> None:
+    out = tmp_path / "adt"
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "rmtree", remove_tables_and_die)
+        with pytest.raises(Interrupted):
+            build_from_sources(some_sources(3), out)
+    assert len(list(tmp_path.rglob("receipt.json"))) == 3  # halves that look finished
+    finished = folder_bytes(out)
+    assert build_from_sources(some_sources(3), out).reused == 0
+    assert folder_bytes(out) == finished
+    assert list(tmp_path.iterdir()) == [out]
+
+
+def remove_tables_and_die(folder: Path, ignore_errors: bool = False) -> None:
+    """Stands for a kill between the first files that ``rmtree`` deletes and the others."""
+    tables = list(folder.rglob("*.arrow"))
+    for table in tables:
+        table.unlink()
+    if tables:
+        raise Interrupted
+
+
+def test_killed_with_workers_it_leaves_none_of_them_at_work(tmp_path: Path) -> None:
+    out = tmp_path / "adt"
+    kill_after(start(out, workers=2), out, parts=2, delay=0.0)
+    time.sleep(0.5)
+    left = finished_parts(out)
+    time.sleep(0.5)
+    assert 2 <= finished_parts(out) == left < 8
+    assert start(out, workers=2).wait() == 0
+    build_from_sources(some_sources(8), tmp_path / "undisturbed")
+    assert folder_bytes(out) == folder_bytes(tmp_path / "undisturbed")
+
+
+class Interrupted(Exception):
+    """Stands for a kill between two recordings."""
+
+
+def interrupt_after(parts: int):
+    def progress(done, total, last) -> None:
+        if done == parts:
+            raise Interrupted
+
+    return progress
+
+
+def interrupted_build(out: Path, sources: list[SceneSource], parts: int) -> None:
+    try:
+        build_from_sources(sources, out, progress=interrupt_after(parts))
+    except Interrupted:
+        return
+    raise AssertionError("the build was not interrupted")
+
+
+def test_only_what_is_missing_or_changed_is_curated_again(tmp_path: Path) -> None:
+    interrupted_build(tmp_path / "whole", some_sources(5), 3)
+    assert build_from_sources(some_sources(5), tmp_path / "whole").reused == 3
+    interrupted_build(tmp_path / "adt", some_sources(5), 3)
+    changed = some_sources(5)
+    changed[1] = SceneSource("room_1", version=7)
+    report = build_from_sources(changed, tmp_path / "adt")
+    assert report.reused == 2
+    build_from_sources(changed, tmp_path / "afresh")
+    assert folder_bytes(tmp_path / "adt") == folder_bytes(tmp_path / "afresh")
+
+
+def test_half_written_folders_of_this_dataset_are_removed_and_of_others_kept(tmp_path: Path) -> None:
+    kept = [tmp_path / ".adt-2-abcdefgh.partial", tmp_path / ".adtx-abcdefgh.partial", tmp_path / "adt-2"]
+    removed = tmp_path / ".adt-abcd_123.partial"
+    for folder in (*kept, removed):
+        folder.mkdir()
+    build_from_sources(some_sources(1), tmp_path / "adt")
+    assert not removed.exists()
+    assert all(folder.exists() for folder in kept)
+
+
+def test_a_failed_recording_is_tried_again(tmp_path: Path) -> None:
+    broken = [SceneSource("a", problem="file"), SceneSource("b")]
+    interrupted_build(tmp_path / "adt", broken, 1)
+    assert build_from_sources(broken, tmp_path / "adt").reused == 0
+
+
+def make_shards(folder: Path, sources, count: int, **settings) -> list[Path]:
+    folders = [folder / f"shard-{number}" for number in range(1, count + 1)]
+    for number, out in enumerate(folders, start=1):
+        build_shard_from_sources(sources, out, Shard(number, count), **settings)
+    return folders
+
+
+def merged(folders: list[Path], out: Path, *, replace: bool = False) -> Path:
+    merge_dataset_shards(require_whole(folders), out, replace=replace)
+    return out
+
+
+def test_a_shard_that_was_interrupted_goes_on(tmp_path):
+    class Interrupted(Exception):
+        pass
+
+    def stop(*step) -> None:
+        raise Interrupted
+
+    build_from_sources(some_sources(5), tmp_path / "whole")
+    folders = make_shards(tmp_path, some_sources(5), 2)
+    again = tmp_path / "again"
+    with pytest.raises(Interrupted):
+        build_shard_from_sources(some_sources(5), again, Shard(1, 2), progress=stop)
+    with pytest.raises(ShardError, match=r"again: shard 1/2 is not finished. Run its command \(--shard 1/2\) again"):
+        merged([again, folders[1]], tmp_path / "early")
+    assert not (tmp_path / "early").exists()
+    assert build_shard_from_sources(some_sources(5), again, Shard(1, 2)).reused == 1
+    assert folder_bytes(again) == folder_bytes(folders[0])
+    assert folder_bytes(merged([again, folders[1]], tmp_path / "merged")) == folder_bytes(tmp_path / "whole")
+
+
+def test_what_failed_is_tried_again_and_what_changed_is_made_anew(tmp_path):
+    broken = [SceneSource("a", problem="file"), SceneSource("b", version=1)]
+    build_shard_from_sources(broken, tmp_path / "shard", Shard(1, 1))
+    mended = [SceneSource("a"), SceneSource("b", version=2)]
+    assert build_shard_from_sources(mended, tmp_path / "shard", Shard(1, 1)).reused == 0
+    build_from_sources(mended, tmp_path / "whole")
+    assert len(list((tmp_path / "shard" / "parts").iterdir())) == 2
+    assert folder_bytes(merged([tmp_path / "shard"], tmp_path / "merged")) == folder_bytes(tmp_path / "whole")
+
+
+def test_a_folder_of_something_else_is_no_shard(tmp_path):
+    build_from_sources(some_sources(1), tmp_path / "table")
+    with pytest.raises(StorageError, match=r"holds no shard.json, so it is no shard"):
+        build_shard_from_sources(some_sources(1), tmp_path / "table", Shard(1, 1))
+    build_shard_from_sources(some_sources(2), tmp_path / "shard", Shard(1, 2))
+    with pytest.raises(ShardError, match="shard: expected 2/2, found 1/2"):
+        build_shard_from_sources(some_sources(2), tmp_path / "shard", Shard(2, 2))
+    with pytest.raises(StorageError, match=r"holds no dataset.json"):
+        build_from_sources(some_sources(2), tmp_path / "shard")
+
+
+def test_nodes_that_see_other_recordings_are_named(tmp_path):
+    one, two = tmp_path / "one", tmp_path / "two"
+    build_shard_from_sources(some_sources(3), one, Shard(1, 2))
+    build_shard_from_sources(some_sources(2), two, Shard(2, 2))
+    with pytest.raises(ShardError, match=r"two.shard.json, plan: expected 3 items, found 2, without 'room_2'"):
+        merged([one, two], tmp_path / "merged")
+
+
+def test_nodes_with_other_options_are_named(tmp_path):
+    one, two = tmp_path / "one", tmp_path / "two"
+    build_shard_from_sources(some_sources(2), one, Shard(1, 2))
+    options = BuildOptions(CurationOptions(in_hand="wrist"))
+    build_shard_from_sources(some_sources(2), two, Shard(2, 2), options=options)
+    with pytest.raises(ShardError, match=r"options.curation.in_hand: expected nothing, found wrist, unlike .*one"):
+        merged([one, two], tmp_path / "merged")
+
+
+@pytest.mark.parametrize("damage", ["truncated", "one bit", "gone"])
+def test_a_damaged_file_of_a_shard_is_named(tmp_path, damage):
+    folders = make_shards(tmp_path, some_sources(2), 2)
+    file = next((folders[1] / "parts").glob("*/sequences.arrow"))
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    if damage == "gone":
+        file.unlink()
+    else:
+        file.write_bytes(bytes(content) if damage == "one bit" else file.read_bytes()[:-9])
+    with pytest.raises(ShardError, match=r"sequences.arrow: expected the file that shard 2/2 has written"):
+        merged(folders, tmp_path / "merged")
+    assert not (tmp_path / "merged").exists()
+
+
+def test_a_list_of_parts_that_is_not_the_shards_is_refused(tmp_path):
+    one, two = make_shards(tmp_path, some_sources(4), 2)
+    (two / "finished.json").write_bytes((one / "finished.json").read_bytes())
+    with pytest.raises(ShardError, match="does not list the parts of shard 2/2"):
+        merged([one, two], tmp_path / "merged")
+
+
+def test_a_merge_never_replaces_a_table_by_less(tmp_path):
+    build_from_sources(some_sources(3), tmp_path / "table")
+    before = folder_bytes(tmp_path / "table")
+    folders = make_shards(tmp_path, some_sources(2), 2)
+    with pytest.raises(RecordingsWouldBeLost, match="room_2"):
+        merged(folders, tmp_path / "table")
+    assert folder_bytes(tmp_path / "table") == before
+    merged(folders, tmp_path / "table", replace=True)
+    assert folder_bytes(tmp_path / "table") != before

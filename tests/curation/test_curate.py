@@ -1,4 +1,4 @@
-"""From a recording to sequences: grid, canonical frame, filters, audit trail."""
+"""From a recording to sequences: grid, canonical frame, filters, audit trail, and the boxes around the person."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When gaze first meets a place."""
+"""When gaze first meets a place, by the rule or as the dataset publishes it (``--priming published``)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``prbench build-dataset --propose-events``: the table of proposals, from files to a build."""
+"""Proposed picks: what reaching looks like, and the table of proposals, from files to a build."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Prime Success: the worked cases A to F, the two readings, the edges of the window, and its laws."""
+"""Prime Success: the worked cases A to I, its readings, the edges of the window, and its laws."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All metrics at once: laws that hold for every one of them, the length contract, and the registry."""
+"""All metrics at once: laws that hold for every one of them, the length contract, and what a metric says of itself."""
 
 from __future__ import annotations
 
