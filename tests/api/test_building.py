@@ -43,17 +43,6 @@ def test_a_build_tells_what_became_of_everything(build):
     assert str(build.folder) in repr(build)
 
 
-def test_a_build_has_the_bytes_of_the_command(build, recordings, tmp_path, capsys):
-    from prbench.cli import main
-
-    assert main(["build-dataset", "adt", "--root", str(recordings.folder), "--out", str(tmp_path / "table")]) == 0
-    capsys.readouterr()
-    written = sorted(path.relative_to(build.folder) for path in build.folder.rglob("*") if path.is_file())
-    assert written
-    for name in written:
-        assert (build.folder / name).read_bytes() == (tmp_path / "table" / name).read_bytes(), name
-
-
 def test_options_are_those_of_the_command(recordings, tmp_path):
     name = recordings.to_pandas().recording_id[1]
     one = prbench.build_dataset(

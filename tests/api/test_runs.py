@@ -14,6 +14,7 @@ import prbench
 from prbench.harness.run_folder import DatasetSummary
 from prbench.harness.score_predictions import score_predictions
 from prbench.harness.score_request import ScoreRequest
+from prbench.metrics import RANKED_METRICS
 
 
 @pytest.fixture(scope="module")
@@ -48,19 +49,6 @@ def test_a_run_notes_what_the_command_notes(table, runs):
     again = prbench.run("scripted", condition="goal-loc", data=table, limit=6, out=runs[1].folder)
     assert again.notes == ("1 batches were taken over from an earlier run.",)
     assert again.notes[0] in again._repr_html_()
-
-
-def test_a_run_has_the_bytes_of_the_command(table, runs, tmp_path, capsys):
-    from prbench.cli import main
-
-    out = tmp_path / "run"
-    words = ["run", "--method", "scripted", "--condition", "goal-loc", "--limit", "6"]
-    assert main([*words, "--data", str(table.folder), "--out", str(out)]) == 0
-    capsys.readouterr()
-    written = sorted(path.relative_to(out) for path in out.rglob("*") if path.is_file() and path.name != "cost.json")
-    assert len(written) >= 4
-    for name in written:
-        assert (runs[1].folder / name).read_bytes() == (out / name).read_bytes(), name
 
 
 def test_an_opened_run_is_the_run(runs):
@@ -165,12 +153,6 @@ def test_other_forms_of_motions_get_the_same_scores(table, motions):
     pd.testing.assert_frame_equal(prbench.score(tensors, table, limit=6).to_pandas(), expected)
 
 
-@pytest.mark.slow
-def test_two_processes_score_a_dictionary_alike(table, motions):
-    one = prbench.score(motions, table, limit=6).to_pandas()
-    pd.testing.assert_frame_equal(prbench.score(motions, table, limit=6, workers=2).to_pandas(), one)
-
-
 def _without_first(motions):
     return dict(list(motions.items())[1:])
 
@@ -190,10 +172,7 @@ def _changed(change):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (
-            _without_first,
-            r"motions: expected the 6 test sequences of synthetic-adt, found 5: missing 1 \(synthetic-adt/rec",
-        ),
+        (_without_first, r"expected the 6 test sequences of synthetic-adt, found 5: missing 1 \(.*test is scored"),
         (_renamed, r"missing 1 \(synthetic-adt/rec.*unknown 1 \(synthetic-adt/x\)"),
         (lambda motions: {}, "found none"),
         (lambda motions: dict(enumerate(motions.values())), "expected sequence ids as keys, found 0"),
@@ -217,15 +196,7 @@ def test_scores_that_follow_are_compared(table, runs, motions, tmp_path):
     found = prbench.compare(runs[0], scores)
     assert (found.first, found.second) == (runs[0].folder, tmp_path / "mine")
     frame = found.to_pandas()
-    assert set(frame.metric) <= {
-        "prime_success",
-        "prime_success_arrival",
-        "reach_success",
-        "goal_mpjpe",
-        "location_error",
-        "mpjpe",
-        "foot_skating",
-    }
+    assert set(frame.metric) <= {info.id for info in RANKED_METRICS}
     assert (frame.set_index("metric").difference.loc["mpjpe"]) < 0
     assert len(found.summary.splitlines()) == len(frame)
     assert "MPJPE" in found._repr_html_()
@@ -238,9 +209,7 @@ def test_scores_that_follow_are_compared(table, runs, motions, tmp_path):
 
 def test_results_show_themselves(table, runs, motions):
     for shown in (*runs, prbench.score(motions, table, limit=6), prbench.compare(*runs)):
-        text = shown._repr_html_()
-        assert "<table" in text
-        assert len(repr(shown)) < 400
+        assert "<table" in shown._repr_html_()
     assert "never compare them with published ones" in runs[0]._repr_html_()
 
 
