@@ -39,7 +39,7 @@ class InstalledEntry:
         name: What it is called by; empty where its line has no name.
         package: Package that offers it.
         version: Version of the package.
-        target: Where it stands: ``module:object``; empty where its line does not say.
+        target: Module and object, ``module:object``; empty where its line does not say.
         problem: Reason why it cannot be used: damaged metadata, or a name that is not its own; empty if it can.
         built_in: It comes with prbench itself.
     """

@@ -11,8 +11,8 @@ from prbench.shown import clean
 if TYPE_CHECKING:
     from rich.console import Console
 
+# Called with finished steps, all steps, and what was finished last.
 ProgressCallback = Callable[[int, int, str], None]
-"""Called with finished steps, all steps, and what was finished last."""
 
 
 @contextlib.contextmanager
@@ -21,7 +21,7 @@ def progress_bar(description: str, console: Console) -> Iterator[ProgressCallbac
 
     Args:
         description: What is being done, in a few words.
-        console: Where it is drawn.
+        console: Console that it is drawn on.
     """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 

@@ -1,4 +1,4 @@
-"""Where a user wants work done, before it is known what the work needs: processes of this machine, or a cluster."""
+"""The place that a user chose for work: processes of this machine, or a cluster."""
 
 from __future__ import annotations
 
@@ -25,19 +25,21 @@ class Cluster:
     Give it to :func:`prbench.build_dataset`, :func:`prbench.run` or :func:`prbench.score`. Results have the bytes of
     one process. Every node sees the same files under the same absolute paths.
 
+    Attributes:
+        address: Its head, such as ``10.0.0.1:6379``, or ``auto`` for the one that this machine belongs to; None for
+            ``RAY_ADDRESS``, or without that for a Ray of this machine alone.
+        workers: Workers at a time; None for one a processor of the whole cluster.
+        gpus_per_worker: GPUs that a worker occupies, such as 0.5.
+        spill_limit: Gigabytes of work that may wait in Ray's memory, and be spilled to its disk, at a time.
+
     Raises:
         UsageError: for numbers that no cluster has.
     """
 
     address: str | None = None
-    """Its head, such as ``10.0.0.1:6379``, or ``auto`` for the one that this machine belongs to; None for
-    ``RAY_ADDRESS``, or without that for a Ray of this machine alone."""
     workers: int | None = None
-    """Workers at a time; None for one a processor of the whole cluster."""
     gpus_per_worker: float = 0.0
-    """GPUs that a worker occupies, such as 0.5."""
     spill_limit: float = DEFAULT_SPILL_LIMIT_GB
-    """Gigabytes of work that may wait in Ray's memory, and be spilled to its disk, at a time."""
 
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:
@@ -48,8 +50,8 @@ class Cluster:
             raise UsageError(f"spill_limit: expected gigabytes above 0, found {self.spill_limit}.")
 
 
+# Processes of this machine, or a cluster; None for the usual number of processes.
 EngineChoice = int | Cluster | None
-"""Processes of this machine, or a cluster; None for the usual number of processes."""
 
 
 def open_engine(

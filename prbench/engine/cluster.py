@@ -20,25 +20,28 @@ from typing import Any
 from prbench.engine.pool import KILLED, Full, item_name, settled
 from prbench.errors import ClusterError
 
+# Seconds of one look at what has finished.
 _POLL_S = 0.5
-"""Seconds of one look at what has finished."""
+# Seconds between two looks at which machines there are.
 _NODES_EVERY_S = 2.0
-"""Seconds between two looks at which machines there are."""
+# Items that are taken up and not yet handed on, a worker: so far a slow item may lag behind the others.
 _WINDOW = 4
-"""Items that are taken up and not yet handed on, a worker: so far a slow item may lag behind the others."""
 
 
 @dataclass(frozen=True)
 class Node:
-    """A machine of the cluster that may be given work."""
+    """A machine of the cluster that may be given work.
+
+    Attributes:
+        name: Address and host name, for messages.
+        slots: Workers that its processors and accelerators suffice for.
+        memory: Bytes of memory.
+    """
 
     id: str
     name: str
-    """Address and host name, for messages."""
     slots: int
-    """Workers that its processors and accelerators suffice for."""
     memory: float
-    """Bytes of memory."""
 
 
 @dataclass(frozen=True)
@@ -65,41 +68,50 @@ class WorkerLostError(Exception):
 
 @dataclass(frozen=True)
 class Rules:
-    """The bounds within which items are handed out."""
+    """The bounds within which items are handed out.
+
+    Attributes:
+        most_workers: Workers at a time; None for as many as the cluster has processors for.
+        most_waiting_bytes: Bytes of packed items that may be under way at a time; one item is always allowed.
+        tries: Workers that may die with an item before it is tried alone.
+        strikes: Failed starts after which a machine is left out.
+        patience: Seconds to wait for a machine where there is none.
+    """
 
     most_workers: int | None = None
-    """Workers at a time; None for as many as the cluster has processors for."""
     most_waiting_bytes: float = 4e9
-    """Bytes of packed items that may be under way at a time; one item is always allowed."""
     tries: int = 3
-    """Workers that may die with an item before it is tried alone."""
     strikes: int = 3
-    """Failed starts after which a machine is left out."""
     patience: float = 60.0
-    """Seconds to wait for a machine where there is none."""
 
 
 @dataclass(eq=False)
 class _Work:
-    """An item that is under way."""
+    """An item that is under way.
+
+    Attributes:
+        suspected: The memory did not suffice, or workers died with it; it is tried alone.
+    """
 
     item: Any
     packed: bytes
     deaths: int = 0
     suspected: bool = False
-    """The memory did not suffice, or workers died with it; it is tried alone."""
     alone: bool = False
     outcome: Answered | Full | None = None
 
 
 @dataclass(eq=False)
 class _Worker:
-    """A worker, and what it does."""
+    """A worker, and what it does.
+
+    Attributes:
+        ticket: Ticket of the worker's start, then of its item; None while it has nothing to do.
+    """
 
     handle: Any
     node: Node
     ticket: Hashable | None
-    """Of its being ready, then of its item; None while it has nothing to do."""
     ready: bool = False
     work: _Work | None = None
 
@@ -108,7 +120,7 @@ class Staff:
     """The workers of a cluster, which are kept from one piece of work to the next.
 
     Args:
-        cluster: Where they work.
+        cluster: The cluster that they work on.
         rules: Within what bounds.
         tell: Told, in a line, what the user should know.
         clock: Seconds that only grow.

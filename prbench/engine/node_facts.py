@@ -18,10 +18,10 @@ from pathlib import Path
 
 _CODE = ("prbench", "prbench_adapters", "prbench_benchmarks", "prbench_data_manifests")
 _SUFFIXES = (".py", ".toml")
+# Names of a folder that are compared at most.
 _NAMES = 10_000
-"""Names of a folder that are compared at most."""
+# Seconds in which a file that another machine has written must be seen: network file systems look up now and then.
 _PATIENCE_S = 10.0
-"""Seconds in which a file that another machine has written must be seen: network file systems look up now and then."""
 
 
 def node_facts(wanted: dict) -> dict:

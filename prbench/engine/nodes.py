@@ -19,35 +19,41 @@ from typing import Any
 from prbench.engine.node_facts import node_facts
 from prbench.shown import quoted
 
+# Bytes that must be free where a node writes, and where Ray puts what the memory cannot hold.
 LEAST_FREE = 1_000_000_000
-"""Bytes that must be free where a node writes, and where Ray puts what the memory cannot hold."""
+# Seconds by which a node's clock may be off: locks and leftovers of killed work are judged by the age of files.
 CLOCK_TOLERANCE_S = 30.0
-"""Seconds by which a node's clock may be off: locks and leftovers of killed work are judged by the age of files."""
+# Packages whose version decides results, or whether processes understand one another.
 _PACKAGES = ("numpy", "torch", "pyarrow", "scipy", "h5py", "safetensors", "ray")
-"""Packages whose version decides results, or whether processes understand one another."""
 _MARK = ".prbench-node-check-"
 
 
 @dataclass(frozen=True)
 class Needs:
-    """What the work needs on every node."""
+    """What the work needs on every node.
+
+    Attributes:
+        reads: Files and folders that it reads; absolute.
+        writes: Files and folders that it makes; the nearest folder there is must be shared by all nodes.
+        packages: Distributions beside the usual ones, for example of a method.
+    """
 
     reads: tuple[Path, ...] = ()
-    """Files and folders that it reads; absolute."""
     writes: tuple[Path, ...] = ()
-    """Files and folders that it makes; the nearest folder there is must be shared by all nodes."""
     packages: tuple[str, ...] = ()
-    """Distributions beside the usual ones, for example of a method."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """What every node is asked, and what this machine answers itself."""
+    """What every node is asked, and what this machine answers itself.
+
+    Attributes:
+        asked: When the question went out, by this machine's clock.
+    """
 
     wanted: dict[str, Any]
     here: Mapping[str, Any]
     asked: float = field(default_factory=time.time)
-    """When the question went out, by this machine's clock."""
 
 
 @contextlib.contextmanager

@@ -26,14 +26,14 @@ from prbench.errors import ClusterError, MissingExtraError, StorageError, WorkSt
 from prbench.shown import quoted
 
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
+# Seconds in which a cluster's head must take a connection; Ray itself tries for minutes.
 _ANSWERS_WITHIN_S = 5.0
-"""Seconds in which a cluster's head must take a connection; Ray itself tries for minutes."""
+# Seconds in which a node must answer the question before work: its first process of Python starts for it.
 _FACTS_WITHIN_S = 120.0
-"""Seconds in which a node must answer the question before work: its first process of Python starts for it."""
+# Times that a node that joins may not take the question, before it is left out.
 _ASKED_IN_VAIN = 3
-"""Times that a node that joins may not take the question, before it is left out."""
+# Seconds in which a finished result must be here.
 _RESULT_WITHIN_S = 120.0
-"""Seconds in which a finished result must be here."""
 
 
 class RayEngine:
@@ -42,8 +42,8 @@ class RayEngine:
     Connects with the first work, after every node was checked; workers are kept until :meth:`close`.
 
     Args:
-        address: Of the cluster's head (``HOST:PORT``), ``auto`` for the one that this machine belongs to; None for
-            ``RAY_ADDRESS``, or without that a Ray of this machine alone.
+        address: Address of the cluster's head (``HOST:PORT``), ``auto`` for the one that this machine belongs to; None
+            for ``RAY_ADDRESS``, or without that a Ray of this machine alone.
         workers: Workers at a time; None for one for every ``cpus_per_worker`` processors of the cluster.
         cpus_per_worker: Processors that each one occupies.
         gpus_per_worker: GPUs that each one occupies, such as 0.5; it sees no other ones.

@@ -23,18 +23,21 @@ from prbench.shown import quoted
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+# Gives the result of an item for which the memory does not suffice.
 IfFull = Callable[[Item, PrbenchError], Result] | None
-"""Gives the result of an item for which the memory does not suffice."""
 KILLED = "a worker process ended without an answer: it was killed, or ran out of memory"
 
 
 @dataclass(frozen=True)
 class Full:
-    """Stands in place of a result: the memory did not suffice, or the worker was killed."""
+    """Stands in place of a result: the memory did not suffice, or the worker was killed.
+
+    Attributes:
+        error: An error whose message already says it.
+    """
 
     reason: str
     error: PrbenchError | None = None
-    """An error whose message already says it."""
 
 
 def is_out_of_memory(error: BaseException | None) -> bool:
@@ -227,12 +230,16 @@ class ProcessPool:
 
 @dataclass
 class _Submitted(Generic[Item]):
-    """An item that is under way."""
+    """An item that is under way.
+
+    Attributes:
+        suspected: The memory did not suffice, or a worker was killed while this item was under way; it is worked on
+            alone.
+    """
 
     item: Item
     future: Future | None = None
     suspected: bool = False
-    """The memory did not suffice, or a worker was killed while this item was under way; it is worked on alone."""
 
     def submit(self, pool: ProcessPoolExecutor, function: Callable[[Item], object]) -> None:
         """Give it to the pool, unless it was given to one before or must be alone."""

@@ -25,16 +25,19 @@ from prbench.shown import clean, quoted
 FILE_NAME = "shard.json"
 Kind = Literal["dataset", "corpus", "windows", "run"]
 _SCHEMA_VERSION = 1
+# Missing shards that a message names.
 _SHOWN = 8
-"""Missing shards that a message names."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """One of several shards, such as ``3/16``."""
+    """One of several shards, such as ``3/16``.
+
+    Attributes:
+        number: Number of the shard, from 1 on.
+    """
 
     number: int
-    """From 1 on."""
     count: int
 
     @classmethod
@@ -73,7 +76,14 @@ class Shard:
 
 
 class ShardRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The whole of ``shard.json``. Holds no time of day, host or worker count; of a run the places of its tables."""
+    """The whole of ``shard.json``. Holds no time of day, host or worker count; of a run the places of its tables.
+
+    Attributes:
+        code_digest: Digest of prbench's source files, which may differ where the version does not.
+        settings: What decides the result beside the items.
+        plan: Names of all items of all shards, in order.
+        places: Folders or URLs of a run's tables, so that they need not be named again; never compared.
+    """
 
     schema_version: int = _SCHEMA_VERSION
     kind: Kind
@@ -81,13 +91,9 @@ class ShardRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     count: int
     prbench_version: str = prbench.__version__
     code_digest: str = msgspec.field(default_factory=lambda: code_digest())
-    """Digest of prbench's source files, which may differ where the version does not."""
     settings: dict[str, Any]
-    """What decides the result beside the items."""
     plan: tuple[str, ...]
-    """Names of all items of all shards, in order."""
     places: dict[str, Any] = {}
-    """Where the tables of a run lay, so that they need not be named again; never compared."""
 
     @property
     def shard(self) -> Shard:
@@ -211,7 +217,7 @@ def require_settings(
     """Refuse shards whose settings mean something else today, for example because a manifest was changed.
 
     Args:
-        folder: Of the first shard.
+        folder: Folder of the first shard.
         record: What it is.
         now: What its settings come to today.
         remedy: What to do.

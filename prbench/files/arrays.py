@@ -50,13 +50,16 @@ _NO_OBJECTS = "Save numbers and text only: np.array(values, dtype=np.float32), o
 
 @dataclass(frozen=True)
 class ArrayHeader:
-    """The header of a ``.npy``."""
+    """The header of a ``.npy``.
+
+    Attributes:
+        offset: Bytes before the values.
+    """
 
     shape: tuple[int, ...]
     dtype: np.dtype
     fortran_order: bool
     offset: int
-    """Bytes before the values."""
 
     @property
     def nbytes(self) -> int:
@@ -72,7 +75,7 @@ def read_header(stream: IO[bytes], path: Path, where: str, *, remedy: str = "") 
     """Read the header of a ``.npy``, up to its first value.
 
     Args:
-        stream: At its beginning.
+        stream: The file, at its beginning.
         path: The file, for messages.
         where: The array in it, for messages.
         remedy: What to do if it is no ``.npy``, for messages.
@@ -154,13 +157,16 @@ def _values(stream: IO[bytes], header: ArrayHeader) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Archive:
-    """An ``.npz``; arrays are read when they are asked for."""
+    """An ``.npz``; arrays are read when they are asked for.
+
+    Attributes:
+        content: The bytes, where they are at hand; ``path`` is then for messages.
+        remedy: Advice for messages if it is damaged or another file.
+    """
 
     path: Path
     content: bytes | None = None
-    """The bytes, where they are at hand; ``path`` is then for messages."""
     remedy: str = ""
-    """Advice for messages if it is damaged or another file."""
 
     @cached_property
     def members(self) -> dict[str, zipfile.ZipInfo]:
@@ -190,7 +196,7 @@ class Archive:
         """Those of some arrays that are there, whole and writable; their declared sizes are looked at first.
 
         Args:
-            names: Of the arrays.
+            names: Names of the arrays.
             largest: Bytes of all of them beyond which none is unpacked.
 
         Raises:
@@ -222,7 +228,7 @@ class Archive:
         """A whole array.
 
         Args:
-            name: Of the array.
+            name: Name of the array.
             largest: Bytes beyond which it is refused unread.
 
         Raises:
@@ -407,7 +413,7 @@ def require_column(
         column: Name of the column.
         values: Its numbers.
         largest: Largest number without sign.
-        unit: Of the numbers, for the message.
+        unit: Unit of the numbers, for the message.
         remedy: What to do about a larger one.
 
     Raises:

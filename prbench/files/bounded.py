@@ -193,8 +193,8 @@ def require_unpackable(path: Path, member: zipfile.ZipInfo, *, where: str = "") 
 
 
 _COPY_AGAIN = "The file may be damaged; copy or download it again."
+# Attributes by which the objects that readers pass around name the file or folder that they stand for.
 _PLACES = ("shown", "path", "folder", "root")
-"""Attributes by which the objects that readers pass around name the file or folder that they stand for."""
 
 
 @contextlib.contextmanager

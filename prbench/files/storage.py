@@ -175,7 +175,7 @@ def require_replaceable(folder: Path, marker: str, *, kind: str) -> None:
     """Refuse, before hours of work, a folder that a result could not replace.
 
     Args:
-        folder: Where the result will stand.
+        folder: Folder that the result will stand in.
         marker: File that marks a folder as an earlier result.
         kind: What such a result is called, for the message.
 
@@ -308,10 +308,10 @@ def turn_into_paths(request: object, *names: str) -> None:
 
 
 _OWNER = re.compile(rb"(\d+) ([^\s]{1,255})\n")
+# Position of the owner's name in the file: Windows lets nobody read the first byte, which is the locked one.
 _OWNER_AT = 1
-"""Position of the owner's name in the file: Windows lets nobody read the first byte, which is the locked one."""
+# Seconds that an owner may take from getting the lock to writing its name, and between two looks while waiting.
 _PATIENCE_S = 0.2
-"""Seconds that an owner may take from getting the lock to writing its name, and between two looks while waiting."""
 
 
 @contextlib.contextmanager

@@ -33,28 +33,31 @@ from prbench.harness.run_folder.scores import CodedScores
 from prbench.metrics import MetricInfo
 from prbench.protocol.manifests import AboutBenchmark, BenchmarkProtocol, find_benchmark
 
+# A table that cases are chosen from: ``folder``, ``info`` (what it is and where it came from, a
+# :class:`~prbench.sequences.dataset_info.Provenance`), and two digests, ``identity`` of which cases there are and
+# ``content`` of all values.
 CaseTable = Any
-"""A table that cases are chosen from: ``folder``, ``info`` (what it is and where it came from, a
-:class:`~prbench.sequences.dataset_info.Provenance`), and two digests, ``identity`` of which cases there are and
-``content`` of all values."""
+# The chosen cases of one ``table``, in its order; files call a case a sequence, whatever it is. ``sequence_ids`` and
+# ``recording_ids`` hold one entry a case (recordings are independent, cases of one are not), ``digest`` is over the
+# ids, ``len()`` counts them, and ``chosen(keep)`` returns those where an array is true.
 Cases = Any
-"""The chosen cases of one ``table``, in its order; files call a case a sequence, whatever it is. ``sequence_ids`` and
-``recording_ids`` hold one entry a case (recordings are independent, cases of one are not), ``digest`` is over the ids,
-``len()`` counts them, and ``chosen(keep)`` returns those where an array is true."""
 Table = TypeVar("Table")
 Chosen = TypeVar("Chosen")
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a method answered to the cases of one batch, as it is kept."""
+    """What a method answered to the cases of one batch, as it is kept.
+
+    Attributes:
+        samples: Motions of the batch, one entry a sample.
+        seeds: Noise seed of each case, one list a sample.
+        network_passes: Number that the method declares; None where it declares none.
+    """
 
     samples: list[PredictionRows]
-    """For each sample the motions of the batch."""
     seeds: list[tuple[int, ...]]
-    """For each sample the noise seed of each case."""
     network_passes: int | None = None
-    """As the method declares them; None where it declares none."""
 
 
 class CaseWork(ABC):
@@ -85,8 +88,8 @@ class CaseWork(ABC):
         """Yield rows of ``scores.parquet`` for what was answered, in the order of the table.
 
         Args:
-            files: Where the answers are.
-            engine: Where to score.
+            files: Files of the dataset, which hold the answers.
+            engine: Processes or cluster that scores.
         """
 
     def write_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
@@ -103,15 +106,18 @@ class CaseWork(ABC):
 
 
 class Benchmark(ABC, Generic[Table, Chosen]):
-    """One benchmark; its value stands in ``benchmark.toml``."""
+    """One benchmark; its value stands in ``benchmark.toml``.
+
+    Attributes:
+        metrics: All metrics, in the order in which they are printed.
+        methods: How its methods are found and loaded.
+        table_file: Name of the file that describes a table, by which a folder is known to hold one.
+    """
 
     name: str
     metrics: tuple[MetricInfo, ...]
-    """All metrics, in the order in which they are printed."""
     methods: MethodGroup
-    """How its methods are found and loaded."""
     table_file: str
-    """Name of the file that describes a table, by which a folder is known to hold one."""
 
     @property
     def about(self) -> AboutBenchmark:

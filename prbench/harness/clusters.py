@@ -18,14 +18,14 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import special
 
+# One number for each data set: an array with the leading axes, or a single number where there are none.
 PerSet = np.ndarray | np.floating
-"""One number for each data set: an array with the leading axes, or a single number where there are none."""
 CONFIDENCE = 0.95
 SIGNIFICANCE = 0.05
+# Recordings: with two, the spread rests on a single difference.
 FEWEST_FOR_MEAN = 3
-"""Recordings: with two, the spread rests on a single difference."""
+# Recordings below which neither skewness nor spread is known well enough for a p-value.
 FEWEST_FOR_TEST = 6
-"""Recordings below which neither skewness nor spread is known well enough for a p-value."""
 _FEWEST_DEGREES = 1.5  # of freedom: below, one recording outweighs all others together
 _UNSEEN_TAIL = 5.0  # recordings; see `_tail_share`
 _UNSEEN_SKEWNESS = 1.5  # times the measured one in the test: the tail that is not seen is skewness that is not measured
@@ -36,17 +36,20 @@ _CERTAIN = 1e9  # standard errors, so that powers of them are finite
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """The estimate with what is known about its error; arrays have the shape of the leading axes."""
+    """The estimate with what is known about its error; arrays have the shape of the leading axes.
+
+    Attributes:
+        error: Standard error of the mean (CR2 of Bell and McCaffrey 2002), at least that of independent sequences.
+        skewness: Skewness of the estimate: that of the recordings' residuals, over the root of their number.
+        degrees: Satterthwaite's degrees of freedom of the squared error; 0 with one recording.
+        carriers: Number of recordings that the measured spread rests on: all if they deviate alike, 1 if one deviates.
+    """
 
     mean: PerSet
     error: PerSet
-    """Standard error of the mean (CR2 of Bell and McCaffrey 2002), at least that of independent sequences."""
     skewness: PerSet
-    """Skewness of the estimate: that of the recordings' residuals, over the root of their number."""
     degrees: float
-    """Satterthwaite's degrees of freedom of the squared error; 0 with one recording."""
     carriers: PerSet
-    """Number of recordings that the measured spread rests on: all if they deviate alike, 1 if one deviates."""
     recordings: int
 
 
@@ -142,7 +145,7 @@ def detectable_difference(spread: Spread, *, comparisons: int, power: float) -> 
     """Smallest difference that would be found with this power at Holm's first step; NaN where none can be.
 
     Args:
-        spread: Of the differences of two methods.
+        spread: Spread of the differences of two methods.
         comparisons: Number of comparisons made together.
         power: Such as 0.8.
     """
@@ -215,7 +218,7 @@ def _tail_share(recordings: int) -> float:
 
 
 def _tail_share_of_test(recordings: int) -> float:
-    """The same for p-values, cubed: Holm's first step asks for tails far out, which few recordings show later still."""
+    """Return the tail share of p-values, cubed: Holm's first step asks for tails that few recordings show even later."""
     return _tail_share(recordings) ** 3
 
 

@@ -30,8 +30,8 @@ from prbench.protocol.manifests import load_scene_constants
 from prbench.randomness import named_generator, noise_seed
 from prbench.sequences import SequenceChunk, SequenceTable
 
+# Columns of the table that place the boxes of a recording in the frames of its sequences.
 SCENE_COLUMNS = ["recording_id", "world_from_canonical"]
-"""Columns of the table that place the boxes of a recording in the frames of its sequences."""
 _NONE = Boxes(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 3)), np.array([0, 0]))
 
 
@@ -81,7 +81,11 @@ _ARRAYS = ("initial_joints", "previous_joints", "goal_joints", "goal_location", 
 
 @dataclass(frozen=True)
 class ConditionSource:
-    """The makings of conditions, one row a chosen sequence; canonical frame, metres."""
+    """The makings of conditions, one row a chosen sequence; canonical frame, metres.
+
+    Attributes:
+        head_tilt_deg: Never part of a condition; the harness's own scripted motion needs it.
+    """
 
     sequence_ids: tuple[str, ...]
     n_frames: Int[np.ndarray, " n"]
@@ -92,7 +96,6 @@ class ConditionSource:
     goal_joints: Float[np.ndarray, "n 22 3"]
     goal_location: Float[np.ndarray, "n 3"]
     head_tilt_deg: Float[np.ndarray, " n"]
-    """Never part of a condition; the harness's own scripted motion needs it."""
 
     @classmethod
     def read(cls, selection: Selection) -> ConditionSource:
@@ -124,7 +127,7 @@ class ConditionSource:
             rows: Places in the selection.
             condition: Decides which fields are filled (``prbench.contract.GIVEN``).
             seed: The run's seed.
-            salt: Of :func:`run_salt`.
+            salt: Result of :func:`run_salt`.
             sample: Index of the motion drawn for each sequence.
         """
         ids = [self.sequence_ids[row] for row in rows]

@@ -45,24 +45,27 @@ from prbench.harness.similar_tasks import at_length, laid_on_goal, read_motions
 from prbench.representation import decode, encode
 from prbench.sequences.sequence import SequenceChunk
 
+# Controls that take recorded motion through another frame rate, and that rate.
 ROUND_TRIP_FPS = {GROUND_TRUTH_20_FPS: 20.0, GROUND_TRUTH_30_FPS: 30.0}
-"""Controls that take recorded motion through another frame rate, and that rate."""
+# Controls whose motion is the recorded one: it gets no goal, has gaze, and stands under the data's own terms.
 RECORDED_MOTION = frozenset({GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, *ROUND_TRIP_FPS})
-"""Controls whose motion is the recorded one: it gets no goal, has gaze, and stands under the data's own terms."""
+# Controls whose motions are people's, those of training sequences too: they stand under the data's own terms.
 HOLDS_RECORDINGS = RECORDED_MOTION | {NEAREST_NEIGHBOUR}
-"""Controls whose motions are people's, those of training sequences too: they stand under the data's own terms."""
 
 
 @dataclass(frozen=True)
 class ControlInfo:
-    """One control, for lists and messages."""
+    """One control, for lists and messages.
+
+    Attributes:
+        name: The value of the option that asks for it.
+        use: That option: ``--method`` or ``--control``.
+        summary: What it does.
+    """
 
     name: str
-    """The value of the option that asks for it."""
     use: str
-    """That option: ``--method`` or ``--control``."""
     summary: str
-    """What it does."""
 
 
 CONTROLS = (
@@ -90,7 +93,7 @@ def control_motions(
         name: One of :data:`~prbench.harness.methods.installed.METHOD_CONTROLS`.
         selection: The chosen sequences.
         source: Their conditions, for ``nearest-neighbour`` those of all; ``scripted`` takes its goals from here.
-        plan: Of :func:`prbench.harness.planning.plan_batches`.
+        plan: Batches of :func:`prbench.harness.planning.plan_batches`.
     """
     if name in ROUND_TRIP_FPS:
         for motions in _recorded(selection, plan, through_features=False):
@@ -164,7 +167,7 @@ def retrieved_motions(
     Args:
         selection: The chosen sequences.
         source: Their conditions.
-        plan: Of :func:`prbench.harness.planning.plan_batches`; a batch never crosses a window.
+        plan: Batches of :func:`prbench.harness.planning.plan_batches`; a batch never crosses a window.
 
     Raises:
         TableError: if the table has no training sequences, or none of another recording.

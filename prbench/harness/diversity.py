@@ -15,8 +15,8 @@ from prbench.geometry.skeleton import N_JOINTS, WRISTS, Joint, head_forward
 from prbench.metrics.ray_track import ray_distance
 from prbench.protocol.manifests import MetricConstants
 
+# Places along a path at which paths are compared.
 _STATIONS = 21
-"""Places along a path at which paths are compared."""
 _SHORTEST_PATH = 1e-6  # m; below, a path has no places along it
 _ROUNDING = 1e-9  # m; half of an even way is covered in the same frame whichever way it goes
 
@@ -45,14 +45,19 @@ SPREADS = (
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """When each of k motions does what, seconds after the first frame."""
+    """When each of k motions does what, seconds after the first frame.
+
+    Attributes:
+        prime: First frame from which on the head ray stays on the goal for ``prime_duration``; else that of the best
+            look.
+        half_way: First frame in which half of the pelvis' way over the ground is covered.
+        wrist_arrival: First frame from which on the wrist that ends nearer to the goal is within ``reach_distance`` of
+            its end.
+    """
 
     prime: Float[np.ndarray, " k"]
-    """First frame from which on the head ray stays on the goal for ``prime_duration``; else that of the best look."""
     half_way: Float[np.ndarray, " k"]
-    """First frame in which half of the pelvis' way over the ground is covered."""
     wrist_arrival: Float[np.ndarray, " k"]
-    """First frame from which on the wrist that ends nearer to the goal is within ``reach_distance`` of its end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +117,7 @@ def spreads(motions: MotionsToGoal, constants: MetricConstants) -> dict[str, flo
 
     Args:
         motions: k motions for one goal.
-        constants: Of the protocol.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
 
     Returns:
         The value of each of :data:`SPREADS` by its id.

@@ -27,22 +27,25 @@ from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.sequences import DatasetInfo
 from prbench.sequences.folds import parse_fold
 
+# Split of an experiment that is a fold of participants.
 PARTICIPANTS = "participants"
-"""Split of an experiment that is a fold of participants."""
 
 
 class ExperimentMethod(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
-    """One method of an experiment, and what it is run with."""
+    """One method of an experiment, and what it is run with.
+
+    Attributes:
+        name: An installed method, a control, ``cmd:`` and a command, or the path of a program's TOML file.
+        conditions: Each is a run of its own; empty for the only condition that the method takes.
+        weights: Name of bundled weights, or a path.
+        control: ``shuffled-goal`` or nothing.
+    """
 
     name: str
-    """An installed method, a control, ``cmd:`` and a command, or the path of a program's TOML file."""
     conditions: tuple[str, ...] = ()
-    """Each is a run of its own; empty for the only condition that the method takes."""
     weights: str | None = None
-    """Name of bundled weights, or a path."""
     options: dict[str, str | int | float | bool] = {}
     control: str | None = None
-    """``shuffled-goal`` or nothing."""
 
     @property
     def option_texts(self) -> dict[str, str]:
@@ -53,37 +56,40 @@ class ExperimentMethod(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 
 class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
-    """Everything that decides the results of some runs; the defaults are those of ``prbench run``."""
+    """Everything that decides the results of some runs; the defaults are those of ``prbench run``.
+
+    Attributes:
+        benchmark: What is asked of the methods.
+        data: Folders of tables, which every run is made on; empty for the embedded synthetic datasets.
+        split: ``participants`` goes with ``fold``.
+        fold: Such as ``2/6``: the participants of this fold are tested on.
+        limit: Sequences of each dataset.
+        sequences: Single sequences: ids, or parts that fit one id only.
+        seeds: Each is a run of its own.
+        samples: Motions kept of each sequence; absent for the benchmark's usual number.
+        batch_size: Sequences a batch; absent for the benchmark's usual number.
+        threads: Threads of each worker.
+        timeout: Seconds for each batch of a program or an isolated method.
+        protocol: File of the user's own protocol; absent for prbench's.
+        out: The run folder; of several runs the folder that gets one run folder for each.
+    """
 
     methods: tuple[ExperimentMethod, ...]
     benchmark: str = PROTOCOL_NAME
-    """What is asked of the methods."""
     data: tuple[str, ...] = ()
-    """Folders of tables, which every run is made on; empty for the embedded synthetic datasets."""
     split: str = "test"
-    """``participants`` goes with ``fold``."""
     fold: str | None = None
-    """Such as ``2/6``: the participants of this fold are tested on."""
     limit: int | None = None
-    """Sequences of each dataset."""
     sequences: tuple[str, ...] = ()
-    """Single sequences: ids, or parts that fit one id only."""
     seeds: tuple[int, ...] = (0,)
-    """Each is a run of its own."""
     samples: int | None = None
-    """Motions kept of each sequence; absent for the benchmark's usual number."""
     batch_size: int | None = None
-    """Sequences a batch; absent for the benchmark's usual number."""
     device: str = "cpu"
     threads: int = 1
-    """Threads of each worker."""
     isolate: bool = False
     timeout: float | None = None
-    """Seconds for each batch of a program or an isolated method."""
     protocol: str | None = None
-    """File of the user's own protocol; absent for prbench's."""
     out: str | None = None
-    """The run folder; of several runs the folder that gets one run folder for each."""
 
     def as_toml(self) -> str:
         """Return the experiment as a file that :func:`read_experiment` reads back."""

@@ -34,17 +34,17 @@ if TYPE_CHECKING:
     from prbench.harness.synthetic_table import Progress
     from prbench.synthetic.people.world import Split
 
+# Datasets that the embedded tables imitate, one table each.
 LAYOUTS = tuple(PRESETS)
-"""Datasets that the embedded tables imitate, one table each."""
 SEED = 0
+# People of each split whose first recording is in each table; those of the test split are all there are.
 PEOPLE: Mapping[Split, int] = MappingProxyType({"train": 4, "validation": 2, "test": 7})
-"""People of each split whose first recording is in each table; those of the test split are all there are."""
+# Number of test sequences of each table that a first run generates, unless the user names another.
 SEQUENCES = 10
-"""Number of test sequences of each table that a first run generates, unless the user names another."""
+# Sequences a batch in a first run: small enough that two workers share the work.
 BATCH_SIZE = 5
-"""Sequences a batch in a first run: small enough that two workers share the work."""
+# Methods beside which a first run is shown, and their condition; None takes the run's own.
 _COMPANIONS = (("mdm", Condition.TEXT), (SCRIPTED, None), ("static", Condition.NONE), (GROUND_TRUTH, None))
-"""Methods beside which a first run is shown, and their condition; None takes the run's own."""
 _SHOWN = 12  # characters of a digest
 
 
@@ -54,7 +54,7 @@ def default_tables(
     """Open the embedded datasets, one of each layout, building those first that are not there yet.
 
     Args:
-        engine: Where they are built.
+        engine: Processes or cluster that builds them.
         progress: Called after each recording.
         tell: Called with a line that names the process which is building them meanwhile, and is waited for.
     """

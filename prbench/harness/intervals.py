@@ -37,11 +37,11 @@ from prbench.harness.clusters import (
 )
 from prbench.metrics import MetricInfo
 
+# One name a row.
 Ids = Sequence[str] | np.ndarray
-"""One name a row."""
 _MANY_RECORDINGS = 10
+# Values no farther apart are equal: what arithmetic alone makes of them is never printed, and decides nothing.
 EQUAL_WITHIN = 1e-5
-"""Values no farther apart are equal: what arithmetic alone makes of them is never printed, and decides nothing."""
 _FEW_RECORDINGS = "few_recordings"
 _ONE_RECORDING = "one_recording"
 _ALL_EQUAL = "all_equal"
@@ -54,33 +54,39 @@ NO_INTERVAL = "none"
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean over sequences with its 95 % interval."""
+    """A mean over sequences with its 95 % interval.
+
+    Attributes:
+        mean: The mean.
+        low: None where the data do not support an interval.
+        high: Upper bound of the interval.
+        n_sequences: Number of sequences.
+        n_recordings: Number of recordings that they come from.
+        method: Name of the interval, such as :data:`RATE_INTERVAL`.
+        marks: ``few_recordings`` (below ten), ``one_recording``, ``all_equal``.
+    """
 
     mean: float
-    """The mean."""
     low: float | None
-    """None where the data do not support an interval."""
     high: float | None
-    """Upper bound of the interval."""
     n_sequences: int
-    """Number of sequences."""
     n_recordings: int
-    """Number of recordings that they come from."""
     method: str
-    """Name of the interval, such as :data:`RATE_INTERVAL`."""
     marks: tuple[str, ...]
-    """``few_recordings`` (below ten), ``one_recording``, ``all_equal``."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClusteredValues:
-    """Values grouped by sequence and recording, in an order that does not depend on that of the rows."""
+    """Values grouped by sequence and recording, in an order that does not depend on that of the rows.
+
+    Attributes:
+        samples: Rows (samples) of each sequence; its rows stand together.
+        sequences: Sequences of each recording; they stand together.
+    """
 
     values: Float[np.ndarray, " rows"]
     samples: Int[np.ndarray, " sequences"]
-    """Rows (samples) of each sequence; its rows stand together."""
     sequences: Int[np.ndarray, " recordings"]
-    """Sequences of each recording; they stand together."""
 
     @property
     def sequence_means(self) -> Float[np.ndarray, " sequences"]:
@@ -259,35 +265,41 @@ def _starts(counts: np.ndarray) -> np.ndarray:
     return np.cumsum(counts) - counts
 
 
+# Probability with which the smallest detectable difference would be found.
 POWER = 0.8
-"""Probability with which the smallest detectable difference would be found."""
 
 Conclusion = Literal["higher", "lower", "not supported by the data", "cannot be tested"]
 
 
 @dataclass(frozen=True, eq=False)
 class PairedValues:
-    """One metric of two methods on the same sequences; each value the mean over the samples of a sequence."""
+    """One metric of two methods on the same sequences; each value the mean over the samples of a sequence.
+
+    Attributes:
+        rate: The values are rates, from 0 to 1.
+    """
 
     first: Float[np.ndarray, " sequences"]
     second: Float[np.ndarray, " as_many"]
     recording_ids: Ids
     rate: bool = False
-    """The values are rates, from 0 to 1."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The difference first - second, and whether the data support one."""
+    """The difference first - second, and whether the data support one.
+
+    Attributes:
+        difference: Mean difference over sequences with its interval.
+        p_value: Two-sided; None where it cannot be tested.
+        adjusted_p_value: After Holm's correction for all comparisons made together.
+        detectable: Smallest difference that is found with 80 % power at Holm's first step; None where none can be.
+    """
 
     difference: Estimate
-    """Mean difference over sequences with its interval."""
     p_value: float | None
-    """Two-sided; None where it cannot be tested."""
     adjusted_p_value: float | None
-    """After Holm's correction for all comparisons made together."""
     detectable: float | None = None
-    """Smallest difference that is found with 80 % power at Holm's first step; None where none can be."""
 
     @property
     def conclusion(self) -> Conclusion:

@@ -21,9 +21,9 @@ from prbench.harness.methods.motions import native_frames
 from prbench.sequences.sequence import SequenceChunk
 from prbench.sequences.table import SPLITS, SequenceTable, by_share, find_sequence_id
 
+# Sequences, in table order, among which batches of similar length are formed, and which are scored together: small
+# enough for memory, large enough that little is padded.
 WINDOW = 1024
-"""Sequences, in table order, among which batches of similar length are formed, and which are scored together: small
-enough for memory, large enough that little is padded."""
 
 Table = TypeVar("Table")
 _ROWS_AT_ONCE = 4096  # of short columns
@@ -58,7 +58,7 @@ class Selection:
 
         Args:
             columns: What the chunks hold.
-            rows: Of each chunk but the last; :data:`WINDOW` by default.
+            rows: Number of rows of each chunk but the last; :data:`WINDOW` by default.
         """
         size = rows or WINDOW
         pending: list[pa.RecordBatch] = []
@@ -180,9 +180,9 @@ def select_sequences(tables: SequenceOf[SequenceTable], wanted: SequenceOf[str],
     """Choose single sequences; tables that hold none of them are left out.
 
     Args:
-        tables: Where to look.
+        tables: Tables to look in.
         wanted: Ids, or parts of ids that fit one sequence only.
-        split: Of the run.
+        split: Split of the run.
 
     Raises:
         UsageError: if none or several fit (naming some), or the sequence is in another split.

@@ -44,23 +44,26 @@ from prbench.harness.run_folder.record import (
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION
 from prbench.sequences.folds import OPTION, WHOLE_TABLE
 
+# Folder of run folders for which the user names none.
 DEFAULT_PARENT = Path("runs")
-"""Folder of run folders for which the user names none."""
+# Number of datasets, at most, that the name of a run folder spells out.
 _NAMED_DATASETS = 2
-"""Number of datasets, at most, that the name of a run folder spells out."""
 _RECORDED_PACKAGES = ("numpy", "pyarrow", "scipy", "torch")  # those on which a result's last digits may depend
 
 
 @dataclass(frozen=True)
 class PreparedDataset:
-    """One table, ready to be run."""
+    """One table, ready to be run.
+
+    Attributes:
+        chosen: The cases of split and limit.
+        cases: The chosen cases that the method can answer.
+        method: None for a control.
+    """
 
     chosen: Cases
-    """The cases of split and limit."""
     cases: Cases
-    """The chosen cases that the method can answer."""
     method: MethodSpec | None
-    """None for a control."""
     work: CaseWork
 
     @property

@@ -48,12 +48,15 @@ from prbench.sequences.sequence import recording_key
 
 @dataclass(frozen=True)
 class MotionQuestion:
-    """See :class:`prbench.harness.benchmark.Question`; the method sees nothing but ``conditions``."""
+    """See :class:`prbench.harness.benchmark.Question`; the method sees nothing but ``conditions``.
+
+    Attributes:
+        conditions: One batch for each sample; they differ in their noise seeds only.
+        given: Motions that the harness itself supplies (controls), instead of the method's.
+    """
 
     conditions: tuple[ConditionBatch, ...]
-    """One batch for each sample; they differ in their noise seeds only."""
     given: Motions | None
-    """Motions that the harness itself supplies (controls), instead of the method's."""
 
     def ask(self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...]) -> Answer:
         """See :class:`prbench.harness.benchmark.Question`."""

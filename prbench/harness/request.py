@@ -51,47 +51,50 @@ def require_settings(
 class RunRequest:
     """One run of one method.
 
+    Attributes:
+        method: Name of an installed adapter; of a control (``prbench.harness.methods.installed.METHOD_CONTROLS``);
+            ``cmd:`` and a command; or path of a TOML file that describes a program. What is recorded and shown is never
+            this text but the method's own name (``RunRecord.method.name``).
+        data: Dataset folders.
+        benchmark: Name of the benchmark.
+        condition: What the method is given; None for the only condition that it takes, and for none with a control.
+        fold: A fold of the tables' participants, such as ``2/6``, whose split is meant; None for the tables as they
+            are.
+        limit: Run only this many sequences of each dataset: of every recording its share, by the hashes of their ids.
+        sequences: Run only these: ids, or parts of ids that fit one sequence of the split only.
+        samples: Motions kept of each sequence.
+        threads: Torch's threads in each worker, on which its rounding may depend; NumPy's follow ``OMP_NUM_THREADS``.
+        control: ``shuffled-goal`` or None.
+        isolate: Run the method at a distance: in another process without paths, objects and environment, and without
+            the file system where bubblewrap works.
+        timeout: Seconds until another process answers a batch; by default 600, or what its TOML file says.
+        protocol: The user's own protocol; None for prbench's (docs/specification/protocol.md#a-protocol-of-ones-own).
+        out: The run folder; by default one under ``runs`` whose name says what was run.
+
     Raises:
         UsageError: if parts of it do not fit together.
     """
 
     method: str
-    """Name of an installed adapter; of a control (``prbench.harness.methods.installed.METHOD_CONTROLS``); ``cmd:`` and
-    a command; or path of a TOML file that describes a program. What is recorded and shown is never this text but the
-    method's own name (``RunRecord.method.name``)."""
     data: tuple[Path, ...]
-    """Dataset folders."""
     benchmark: str = PROTOCOL_NAME
-    """Name of the benchmark."""
     condition: str | None = None
-    """What the method is given; None for the only condition that it takes, and for none with a control."""
     weights: Path | None = None
     options: Mapping[str, str] = field(default_factory=dict)
     split: str = "test"
     fold: str | None = None
-    """A fold of the tables' participants, such as ``2/6``, whose split is meant; None for the tables as they are."""
     limit: int | None = None
-    """Run only this many sequences of each dataset: of every recording its share, by the hashes of their ids."""
     sequences: tuple[str, ...] = ()
-    """Run only these: ids, or parts of ids that fit one sequence of the split only."""
     seed: int = 0
     samples: int = 1
-    """Motions kept of each sequence."""
     batch_size: int = DEFAULT_BATCH_SIZE
     device: str = "cpu"
     threads: int = 1
-    """Torch's threads in each worker, on which its rounding may depend; NumPy's follow ``OMP_NUM_THREADS``."""
     control: str | None = None
-    """``shuffled-goal`` or None."""
     isolate: bool = False
-    """Run the method at a distance: in another process without paths, objects and environment, and without the file
-    system where bubblewrap works."""
     timeout: float | None = None
-    """Seconds until another process answers a batch; by default 600, or what its TOML file says."""
     protocol: Path | None = None
-    """The user's own protocol; None for prbench's (docs/specification/protocol.md#a-protocol-of-ones-own)."""
     out: Path | None = None
-    """The run folder; by default one under ``runs`` whose name says what was run."""
 
     def __post_init__(self) -> None:
         turn_into_paths(self, "data", "weights", "protocol", "out")
@@ -124,11 +127,14 @@ class RunRequest:
 
 @dataclass(frozen=True)
 class Progress:
-    """One step of the way through one dataset."""
+    """One step of the way through one dataset.
+
+    Attributes:
+        stage: ``generate`` (counted in planned batches) or ``score`` (in sequences).
+    """
 
     dataset: str
     stage: str
-    """``generate`` (counted in planned batches) or ``score`` (in sequences)."""
     done: int
     total: int
 

@@ -115,7 +115,7 @@ def require_summary(files: DatasetFolder, made: DatasetSummary, *, grouped: bool
     """Compare ``summary.json`` with the summary that follows from the scores.
 
     Args:
-        files: Of the dataset.
+        files: Files of the dataset.
         made: What follows from the scores.
         grouped: The recording of each sequence is known; without it intervals are not compared.
 

@@ -42,14 +42,17 @@ from prbench.sequences.dataset_info import run_notice
 
 @dataclass(frozen=True)
 class BatchTask:
-    """The unit of work and of resumption. Goes to a worker as it is; a method sees nothing but the question."""
+    """The unit of work and of resumption. Goes to a worker as it is; a method sees nothing but the question.
+
+    Attributes:
+        question: See :meth:`prbench.harness.benchmark.CaseWork.questions`.
+        method: None for a control.
+    """
 
     index: int
     sequence_ids: tuple[str, ...]
     question: Any
-    """See :meth:`prbench.harness.benchmark.CaseWork.questions`."""
     method: MethodSpec | None
-    """None for a control."""
     seed: int
     part: Path
     cost: Path
@@ -118,14 +121,17 @@ def _used_cuda() -> Any:
 
 @dataclass(frozen=True)
 class RunReport:
-    """Results of a run."""
+    """Results of a run.
+
+    Attributes:
+        batches_made: Number of batches that this call generated.
+        batches_found: Number of batches that an earlier call has left.
+    """
 
     folder: RunFolder
     summaries: tuple[DatasetSummary, ...]
     batches_made: int
-    """Number of batches that this call generated."""
     batches_found: int
-    """Number of batches that an earlier call has left."""
 
 
 def run_method(request: RunRequest, *, engine: Engine | None = None, progress: ProgressCallback = silent) -> RunReport:
@@ -133,7 +139,7 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
 
     Args:
         request: What to run on what.
-        engine: Where batches are generated and scored; in this process by default. Leaves no trace in the files
+        engine: Processes or cluster that generates and scores; this process by default. Leaves no trace in the files
             except ``cost.json``.
         progress: Called after every batch and every scored window.
 
@@ -178,8 +184,8 @@ def score_prepared(
 
     Args:
         prepared: The run.
-        folder: Where its predictions are.
-        engine: Where the work is done; changes no value.
+        folder: Run folder that holds its predictions.
+        engine: Processes or cluster that does the work; changes no value.
         progress: Called with what is done.
     """
     parts = [RunPart(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
@@ -204,7 +210,7 @@ def generate_all(parts: list[RunPart], folder: RunFolder, engine: Engine) -> int
     Args:
         parts: The work on each dataset.
         folder: The run folder.
-        engine: Where batches are made.
+        engine: Processes or cluster that makes batches.
 
     Returns:
         Number of batches that were made.
@@ -240,7 +246,11 @@ def generate_all(parts: list[RunPart], folder: RunFolder, engine: Engine) -> int
 
 @dataclass(frozen=True)
 class RunPart:
-    """The work of a run on one of its datasets."""
+    """The work of a run on one of its datasets.
+
+    Attributes:
+        chosen: The batches of a shard; None for all.
+    """
 
     prepared: PreparedRun
     dataset: PreparedDataset
@@ -248,7 +258,6 @@ class RunPart:
     engine: Engine
     progress: ProgressCallback
     chosen: frozenset[int] | None = None
-    """The batches of a shard; None for all."""
 
     @property
     def plan(self) -> list[Int[np.ndarray, "_"]]:

@@ -37,8 +37,8 @@ from prbench.protocol.own_protocol import FILE_NAME, protocol_for, write_protoco
 from prbench.sequences import SequenceTable
 from prbench.shown import clean
 
+# Condition of motions of which nobody said what they were made from; never ranked.
 UNSTATED = "unstated"
-"""Condition of motions of which nobody said what they were made from; never ranked."""
 _NO_BATCHES = BatchPlanRecord(batch_size=0, batches=0, digest="")
 _STATED_BY_THE_RUN = ("conditions", "condition", "control", "seed", "split", "max_frames", "native_fps", "name")
 
@@ -56,7 +56,7 @@ def score_predictions(
         request: What to score.
         given: The motions where they are in memory, and a digest over their ids and values; by default they are read
             from ``request.predictions``.
-        engine: Where the work is done; changes no value.
+        engine: Processes or cluster that scores; changes no value.
         progress: Called after every scored window.
 
     Returns:

@@ -33,39 +33,41 @@ class ScoreRequest:
 
     What is None is taken from the run, or from the conditions file; saying it otherwise than that file is an error.
 
+    Attributes:
+        predictions: A run folder, its part for one dataset, a Parquet file with the columns sequence_id (or opaque_id),
+            sample (0 if absent) and joints, a folder of such files, or an ``.npz``.
+        data: The dataset folders.
+        conditions: The file of `prbench export-conditions` that the motions were made from.
+        split: Split; by default that of the run, else ``test``.
+        limit: Sequences of each dataset; by default as many as the run has, else all.
+        seed: Seed behind the opaque ids, if the predictions have those; 0 by default.
+        condition: Condition that the method was given, for the record.
+        control: ``shuffled-goal`` if that is how the conditions were made; a conditions file tells by its goals.
+        max_frames: The method makes no more: longer sequences are not missed but count as unsupported.
+        native_fps: Rate of the motions, if it is another than the table's; they are resampled.
+        name: Name of the method; by default that of the file.
+        protocol: The user's own protocol; by default that of the run, else prbench's.
+        out: Folder that gets ``<dataset>/scores.parquet``, ``<dataset>/summary.json`` and what a leaderboard needs
+            beside them; nothing is written without it.
+
     Raises:
         UsageError: if parts of it do not fit together.
     """
 
     predictions: Path
-    """A run folder, its part for one dataset, a Parquet file with the columns sequence_id (or opaque_id), sample
-    (0 if absent) and joints, a folder of such files, or an ``.npz``."""
     data: tuple[Path, ...]
-    """The dataset folders."""
     conditions: Path | None = None
-    """The file of `prbench export-conditions` that the motions were made from."""
     split: str | None = None
-    """Split; by default that of the run, else ``test``."""
     limit: int | None = None
-    """Sequences of each dataset; by default as many as the run has, else all."""
     seed: int | None = None
-    """Seed behind the opaque ids, if the predictions have those; 0 by default."""
     condition: Condition | None = None
-    """Condition that the method was given, for the record."""
     control: str | None = None
-    """``shuffled-goal`` if that is how the conditions were made; a conditions file tells by its goals."""
     max_frames: int | None = None
-    """The method makes no more: longer sequences are not missed but count as unsupported."""
     native_fps: float | None = None
-    """Rate of the motions, if it is another than the table's; they are resampled."""
     name: str | None = None
-    """Name of the method; by default that of the file."""
     allow_length_mismatch: bool = False
     protocol: Path | None = None
-    """The user's own protocol; by default that of the run, else prbench's."""
     out: Path | None = None
-    """Folder that gets ``<dataset>/scores.parquet``, ``<dataset>/summary.json`` and what a leaderboard needs beside
-    them; nothing is written without it."""
 
     def __post_init__(self) -> None:
         turn_into_paths(self, "predictions", "data", "conditions", "protocol", "out")
@@ -78,18 +80,21 @@ class ScoreRequest:
 
 @dataclass(frozen=True)
 class ScoreReport:
-    """Scores of one dataset in long form, and their summary."""
+    """Scores of one dataset in long form, and their summary.
+
+    Attributes:
+        folder: Folder that they were written to; None if nowhere.
+        origin: Origin of the motions, in words: ``MethodRecord.origin``.
+        agreement: Agreement with recorded people, and rates by the goal's place.
+        motionless: The run declares that its motions stand still, so that Foot Skating says nothing.
+    """
 
     coded: CodedScores
     summary: DatasetSummary
     folder: Path | None
-    """Folder that they were written to; None if nowhere."""
     origin: str
-    """Origin of the motions, in words: ``MethodRecord.origin``."""
     agreement: DatasetAgreement
-    """Agreement with recorded people, and rates by the goal's place."""
     motionless: bool = False
-    """The run declares that its motions stand still, so that Foot Skating says nothing."""
 
     @property
     def scores(self) -> pa.Table:

@@ -47,10 +47,10 @@ from prbench.sequences.sequence import SequenceChunk
 COLUMNS = ["goal_location", "prime_time", "start_time", "hand", "head_tilt_deg", "fps", "joints"]
 _GAZE_COLUMNS = ["gaze_origin", "gaze_direction", "gaze_valid"]
 _SIDES = {"left": 0, "right": 1}
+# Sequences whose motions are in memory together: what metrics make of motions takes several times their memory.
 _SCORED_TOGETHER = 256
-"""Sequences whose motions are in memory together: what metrics make of motions takes several times their memory."""
+# Remedy for motions of another length.
 SAME_LENGTH = "Give every motion the length of the recorded one, or pass --allow-length-mismatch."
-"""Remedy for motions of another length."""
 _NOT_AS_KEPT = (
     "A run keeps no such motion of a method: the file was changed, or is of an older prbench. Delete it and run the"
     " method again."
@@ -60,34 +60,40 @@ _CARRIES_COPY_REMARK = frozenset(info.id for info in METRICS if info.carries_cop
 
 @dataclass(frozen=True)
 class ScoringRules:
-    """Rules by which the motions of one dataset are scored."""
+    """Rules by which the motions of one dataset are scored.
+
+    Attributes:
+        recorded_motion: The predictions are the recorded motion itself: recorded gaze is scored too.
+        other_goals: Score against these goals, one a chosen sequence, instead of each sequence's own; metrics that
+            compare the recorded motion with itself are left out then.
+        run_of: The method whose run has kept the predictions; None where somebody handed them in as a file.
+        farthest: Metres from the origin beyond which a coordinate is refused.
+        id_seed: Seed behind the opaque ids, where the predictions have those.
+        native_fps: Rate of the predictions; None for the table's, to which the others are brought.
+    """
 
     constants: MetricConstants
     recorded_motion: bool = False
-    """The predictions are the recorded motion itself: recorded gaze is scored too."""
     other_goals: Float[np.ndarray, "n 3"] | None = None
-    """Score against these goals, one a chosen sequence, instead of each sequence's own; metrics that compare the
-    recorded motion with itself are left out then."""
     run_of: str | None = None
-    """The method whose run has kept the predictions; None where somebody handed them in as a file."""
     farthest: float = FARTHEST_COORDINATE
-    """Metres from the origin beyond which a coordinate is refused."""
     allow_length_mismatch: bool = False
     id_seed: int = 0
-    """Seed behind the opaque ids, where the predictions have those."""
     native_fps: float | None = None
-    """Rate of the predictions; None for the table's, to which the others are brought."""
 
 
 @dataclass(frozen=True)
 class _Part:
-    """Scoring work for one worker."""
+    """Scoring work for one worker.
+
+    Attributes:
+        names: Ids as the predictions have them.
+    """
 
     dataset: str
     recorded: pa.RecordBatch
     goals: Float[np.ndarray, "n 3"]
     names: tuple[str, ...]
-    """Ids as the predictions have them."""
     samples: tuple[int, ...]
     predictions: Predictions
     rules: ScoringRules
@@ -109,7 +115,7 @@ def score_selection(
         predictions: Opened, or a file or folder of parts.
         samples: Indices of the samples.
         rules: How to score.
-        engine: Where to score; the values are the same for any.
+        engine: Processes or cluster that scores; changes no value.
 
     Yields:
         Rows of ``scores.parquet``, those of :data:`~prbench.harness.planning.WINDOW` sequences at a time: by
@@ -150,7 +156,7 @@ def score_recorded(
 
     Args:
         selection: The sequences.
-        constants: Of the protocol.
+        constants: Thresholds of the protocol, in metres, seconds and degrees.
         metrics: Ids of the wanted metrics; those of the scene are left out where no boxes are known.
 
     Returns:

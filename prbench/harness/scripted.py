@@ -185,7 +185,7 @@ def scripted_motions(start: ScriptedStart, n_frames: Int[np.ndarray, " batch"], 
 def scripted_joints(
     start: ScriptedStart, n_frames: Int[np.ndarray, " batch"], fps: float
 ) -> Float[np.ndarray, "batch frames 22 3"]:
-    """The same motions as float64; canonical frame, metres. Frames beyond a sequence's own continue its end."""
+    """Return the joints as float64, canonical frame, metres; frames beyond a sequence's own continue its end."""
     initial = start.initial_joints.astype(np.float64)
     goal = start.goal_location.astype(np.float64)
     time = _times(n_frames, fps)
@@ -283,6 +283,7 @@ def _times(n_frames: np.ndarray, fps: float) -> Float[np.ndarray, " frames"]:
     return np.arange(int(n_frames.max())) / fps
 
 
+# Maps the name of each cheat to what makes its motions, (batch, frames, 22, 3), canonical frame, metres.
 CHEATS: Mapping[str, Callable[[ScriptedStart, np.ndarray, float], _Joints]] = {
     STARE: _stare,
     STARE_LATE: _stare_late,
@@ -290,4 +291,3 @@ CHEATS: Mapping[str, Callable[[ScriptedStart, np.ndarray, float], _Joints]] = {
     TELEPORT: _teleport,
     FLOAT: _float,
 }
-"""Maps the name of each cheat to what makes its motions, (batch, frames, 22, 3), canonical frame, metres."""

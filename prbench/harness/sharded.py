@@ -30,17 +30,20 @@ from prbench.protocol.own_protocol import write_protocol
 
 @dataclass(frozen=True)
 class RunShardReport:
-    """The result of one shard of a run."""
+    """The result of one shard of a run.
+
+    Attributes:
+        record: Record of the whole run.
+        planned: Batches of all shards.
+        batches_found: Batches that an earlier call has left.
+    """
 
     folder: Path
     shard: Shard
     record: RunRecord
-    """Of the whole run."""
     planned: int
-    """Batches of all shards."""
     batches_made: int
     batches_found: int
-    """Batches that an earlier call has left."""
 
 
 def run_shard(
@@ -56,7 +59,7 @@ def run_shard(
     Args:
         request: The whole run, apart from its folder, which is that of the shard.
         shard: Which one it is.
-        tables_at: Where the merge finds the tables, paths or URLs; by default where they lie on this machine.
+        tables_at: Paths or URLs at which the merge finds the tables; by default their folders on this machine.
         engine: See :func:`prbench.harness.run.run_method`, whose errors these are.
         progress: See :func:`prbench.harness.run.run_method`.
 
@@ -129,7 +132,7 @@ def merge_run_shards(
         shards: All of them (:func:`prbench.engine.shards.require_whole`).
         out: The run folder.
         data: The tables of the run; by default where the shards found them.
-        engine: Where to score.
+        engine: Processes or cluster that scores.
         progress: Called after every scored window.
 
     Raises:

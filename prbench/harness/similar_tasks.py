@@ -14,8 +14,8 @@ from jaxtyping import Float, Int
 
 from prbench.sequences.table import SequenceTable
 
+# Metres between two goals that count like one second between two lengths; our choice.
 LENGTH_WEIGHT = 0.5
-"""Metres between two goals that count like one second between two lengths; our choice."""
 _NO_DIRECTION = 1e-6  # m; a goal above the first pelvis lies in no direction
 
 

@@ -23,17 +23,22 @@ from prbench.synthetic.people.perform import name_of_recording, perform
 from prbench.synthetic.people.world import Source, Split, assign
 from prbench.synthetic.performance import ObjectMotion, Performance
 
+# Called with finished recordings, all of them, and the one that was finished last.
 Progress = Callable[[int, int, str], None]
-"""Called with finished recordings, all of them, and the one that was finished last."""
 World = Literal["default", "large"]
+# Recordings a preset of size ``large`` (docs/specification/synthetic-recordings.md#determinism-splits-sizes).
 LARGE_RECORDINGS = 480
-"""Recordings a preset of size ``large`` (docs/specification/synthetic-recordings.md#determinism-splits-sizes)."""
 _IN_PROCESS = InProcess()
 
 
 @dataclass(frozen=True)
 class Staging:
-    """The settings of performances and sensors: everything that recordings depend on, apart from their index."""
+    """The settings of performances and sensors: everything that recordings depend on, apart from their index.
+
+    Attributes:
+        provocations: Share of the movements for each tag (docs/specification/synthetic-recordings.md#provocations);
+            None = the default 10 % together, () = none.
+    """
 
     preset: str
     seed: int
@@ -41,8 +46,6 @@ class Staging:
     n_events: int = 10
     noise: float = 1.0
     provocations: tuple[tuple[str, float], ...] | None = None
-    """Share of the movements for each tag (docs/specification/synthetic-recordings.md#provocations); None =
-    the default 10 % together, () = none."""
 
     def perform(self, index: int) -> Performance:
         """Act out one recording."""
@@ -143,9 +146,9 @@ def build_synthetic_table(
     Args:
         preset: A preset with sensors (``adt``).
         recordings: How many, or the indices of chosen ones.
-        seed: Of the whole dataset.
+        seed: Seed of the whole dataset.
         out: Folder of the new dataset.
-        engine: Where recordings are acted out and curated.
+        engine: Processes or cluster that acts out and curates recordings.
         world: How many people and rooms exist.
         n_events: Picks and puts a recording.
         noise: Multiplies every sensor error; 0 for ideal sensors.
@@ -182,7 +185,7 @@ def recordings_of_people(preset: str, seed: int, people: Mapping[Split, int]) ->
 
     Args:
         preset: The preset.
-        seed: Of the whole dataset.
+        seed: Seed of the whole dataset.
         people: How many people of each split; not more than the default world has.
     """
     source = Source(seed, preset, "default")

@@ -31,23 +31,29 @@ _OTHER_PROTOCOL = (
 
 @dataclass(frozen=True)
 class CheckedSummary:
-    """The summary of one dataset of a run, as it follows from the scores."""
+    """The summary of one dataset of a run, as it follows from the scores.
+
+    Attributes:
+        unverified: Reason why the scores could not be held against the motions; empty where they were.
+        scored: What a summary of some of the sequences is made from; None where a test gives a summary alone.
+    """
 
     summary: DatasetSummary
     unverified: str
-    """Reason why the scores could not be held against the motions; empty where they were."""
     scored: ScoredSequences | None = None
-    """What a summary of some of the sequences is made from; None where a test gives a summary alone."""
 
 
 @dataclass(frozen=True)
 class ScoredSequences:
-    """The sequences behind a summary, to make one of some of them."""
+    """The sequences behind a summary, to make one of some of them.
+
+    Attributes:
+        recording_of: Maps each sequence that was scored to its recording.
+    """
 
     run: RunFolder
     record: TableRecord
     recording_of: Mapping[str, str]
-    """Maps each sequence that was scored to its recording."""
 
     @property
     def ids(self) -> frozenset[str]:
@@ -67,10 +73,13 @@ class ScoredSequences:
 
 @dataclass(frozen=True)
 class RunChecker:
-    """Checks runs against the tables that are at hand."""
+    """Checks runs against the tables that are at hand.
+
+    Attributes:
+        find_table: Gives the very table that a run was made on, if it is at hand.
+    """
 
     find_table: Callable[[TableRecord], CaseTable | None] = lambda _: None
-    """Gives the very table that a run was made on, if it is at hand."""
     engine: Engine = field(default_factory=InProcess)
 
     def check(self, run: RunFolder, record: TableRecord) -> CheckedSummary:

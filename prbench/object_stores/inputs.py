@@ -32,14 +32,14 @@ from prbench.shown import clean
 
 Tell = Callable[[str], None]
 Download = Callable[[], None]
+# Files that are fetched at the same time; most of a small file's time is waiting.
 _AT_ONCE = 8
-"""Files that are fetched at the same time; most of a small file's time is waiting."""
+# Days after which an older state of a folder is deleted from the cache.
 _UNUSED_DAYS = 7
-"""Days after which an older state of a folder is deleted from the cache."""
+# Marks recordings of synthetic people; no dataset's list of files names it.
 _MARK = "synthetic.json"
-"""Marks recordings of synthetic people; no dataset's list of files names it."""
+# Endings of files that are fetched from folders which stand in place of an archive.
 _UNPACKED = (".csv", ".json", ".jsonl")
-"""Endings of files that are fetched from folders which stand in place of an archive."""
 
 
 def fetched(text: str, *, tell: Tell = lambda _: None) -> Path:
@@ -86,7 +86,7 @@ def fetch_files(store: Store, manifest: FolderManifest, target: Callable[[str], 
     """Copy those files of a manifest that are not there in their size.
 
     Args:
-        store: Where they lie.
+        store: Store that they lie in.
         manifest: Names, sizes and digests.
         target: Gives the local path of each name.
         tell: Called with a line before something is fetched.

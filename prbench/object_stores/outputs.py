@@ -33,19 +33,22 @@ from prbench.object_stores.store import (
     stays_inside,
 )
 
+# Environment variable: seconds between two uploads of finished parts while a command works.
 SECONDS_VARIABLE = "PRBENCH_UPLOAD_SECONDS"
-"""Environment variable: seconds between two uploads of finished parts while a command works."""
 _SECONDS = 15.0
+# Names of files and folders that are being written, or held; never uploaded.
 _PASSING = re.compile(r"\..*(\.partial|\.replaced|\.lock)")
-"""Names of files and folders that are being written, or held; never uploaded."""
 
 
 @dataclass
 class Outcome:
-    """How a block that writes a folder has ended; it sets this itself."""
+    """How a block that writes a folder has ended; it sets this itself.
+
+    Attributes:
+        finished: The folder is published. Else it stays unfinished, as after an error, and the same command goes on.
+    """
 
     finished: bool = True
-    """The folder is published. Else it stays unfinished, as after an error, and the same command goes on."""
 
 
 @contextlib.contextmanager
@@ -119,16 +122,19 @@ def written_file(text: str, *, tell: Tell = lambda _: None) -> Iterator[Path]:
 
 
 class _State(msgspec.Struct, frozen=True, kw_only=True):
-    """What a local copy was made from, so that the next command knows if it is still the newest."""
+    """What a local copy was made from, so that the next command knows if it is still the newest.
+
+    Attributes:
+        uploaded: Something of it was uploaded before it was finished.
+    """
 
     begun_from: str
     writer: str
     uploaded: bool
-    """Something of it was uploaded before it was finished."""
 
 
+# Size in bytes, and time of the last change in nanoseconds.
 _Status = tuple[int, int]
-"""Size in bytes, and time of the last change in nanoseconds."""
 
 
 @dataclass
@@ -136,20 +142,22 @@ class _OutputCopy:
     """The local copy of a folder that is written at a URL.
 
     ``folder`` is the folder itself, ``work`` the one of intermediate parts that a build puts beside it.
+
+    Attributes:
+        before: The finished folder that stood there at the beginning.
+        known: What this command, or the one that it goes on from, has uploaded of unfinished work.
+        left_over: Objects of an unfinished manifest that belongs to an earlier state of the folder.
+        failed: The last upload failed, and that was told.
     """
 
     store: Store
     tell: Tell
     writer: str = field(default_factory=lambda: secrets.token_hex(8))
     before: FolderManifest | None = None
-    """The finished folder that stood there at the beginning."""
     known: FolderManifest | None = None
-    """What this command, or the one that it goes on from, has uploaded of unfinished work."""
     left_over: set[str] = field(default_factory=set)
-    """Objects of an unfinished manifest that belongs to an earlier state of the folder."""
     digests: dict[str, tuple[_Status, str]] = field(default_factory=dict)
     failed: bool = False
-    """The last upload failed, and that was told."""
 
     @property
     def folder(self) -> Path:
@@ -390,7 +398,7 @@ def _placed(files: Mapping[str, StoredFile], taken: Mapping[str, str]) -> dict[s
     """Choose an object for each file: its own name, or another where that one holds another content.
 
     Args:
-        files: By name.
+        files: Maps names to files.
         taken: Digests of the objects that are there, and must stay as they are.
     """
     placed = {}

@@ -33,10 +33,10 @@ from prbench.limits import LARGEST_JSON
 from prbench.shown import clean, quoted
 
 _URL = re.compile(r"[a-zA-Z][a-zA-Z0-9+.-]+(::[^/]*)?://")
+# How ``pathlib.Path`` spells the URL of a store: it makes one slash of two.
 _SWALLOWED = re.compile(r"(s3a?|gs|gcs|az|abfss?|hf|https?|memory):/(?!/)")
-"""How ``pathlib.Path`` spells the URL of a store: it makes one slash of two."""
+# Protocols that write ``container@account`` where others write ``user:password@host``.
 _ACCOUNT_BEHIND_AT = frozenset({"abfs", "abfss", "az"})
-"""Protocols that write ``container@account`` where others write ``user:password@host``."""
 
 
 def is_url(text: object) -> bool:
@@ -117,9 +117,9 @@ class StoreUrl:
         return cache_folder() / "object-stores" / text_digest(self.text)[:32]
 
 
+# Environment variable that tells the processes that a command starts: JSON, from URLs to local copies. They write there
+# and leave the uploading to the command.
 VARIABLE = "PRBENCH_LOCAL_COPIES"
-"""Environment variable that tells the processes that a command starts: JSON, from URLs to local copies. They write
-there and leave the uploading to the command."""
 
 
 def opened_elsewhere(text: str) -> Path | None:
@@ -146,18 +146,18 @@ def _copies() -> dict[str, str]:
     return json.loads(os.environ.get(VARIABLE) or "{}")
 
 
+# Bytes that are asked for at once.
 _BLOCK = 8 * 2**20
-"""Bytes that are asked for at once."""
+# Attempts at reading a small object that is being replaced again and again.
 _TRIES = 5
-"""Attempts at reading a small object that is being replaced again and again."""
+# Keys of an object's description that change with its content, the best first; each protocol has its own.
 _OF_VERSION = ("ETag", "etag", "md5Hash", "content_md5", "sha", "LastModified", "updated", "last_modified", "mtime")
-"""Keys of an object's description that change with its content, the best first; each protocol has its own."""
 _DENIED = re.compile(
     r"credential|access ?denied|forbidden|unauthori[sz]ed|signature|access ?key|token|authentication|\b40[13]\b", re.I
 )
 _OF_THIS_DISK = {errno.ENOSPC, errno.EROFS, getattr(errno, "EDQUOT", errno.ENOSPC)}
+# Query of a URL in a library's message; it may hold a signature.
 _QUERY = re.compile(r"\?\S+")
-"""Query of a URL in a library's message; it may hold a signature."""
 
 
 class ObjectStoreError(StorageError):
@@ -166,14 +166,17 @@ class ObjectStoreError(StorageError):
 
 @dataclass(frozen=True)
 class StoredObject:
-    """One object below a URL."""
+    """One object below a URL.
+
+    Attributes:
+        name: Path relative to the URL.
+        size: Bytes.
+        version: Changes with the content; empty where the store tells nothing of the kind.
+    """
 
     name: str
-    """Path relative to the URL."""
     size: int
-    """Bytes."""
     version: str
-    """Changes with the content; empty where the store tells nothing of the kind."""
 
 
 @dataclass(frozen=True)
@@ -379,36 +382,42 @@ def _other(shown: str, expected: str, found: str) -> InputFileError:
     return InputFileError(shown, "", expected=expected, found=found, remedy=remedy)
 
 
+# Name of the manifest of a finished folder.
 FINISHED = "prbench-manifest.json"
-"""Name of the manifest of a finished folder."""
+# Name of the manifest of what an unfinished command has uploaded.
 UNFINISHED = "prbench-unfinished.json"
-"""Name of the manifest of what an unfinished command has uploaded."""
+# Names of objects that are no file of the folder: intermediate parts, and files beside an older one of their name.
 OWN_PREFIX = ".prbench/"
-"""Names of objects that are no file of the folder: intermediate parts, and files beside an older one of their name."""
 WORK_PREFIX = f"{OWN_PREFIX}work/"
 _VERSION = 1
 
 
 class StoredFile(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One file of a folder."""
+    """One file of a folder.
+
+    Attributes:
+        size: Bytes.
+        object: Name of the object that holds it, relative to the URL; None for the file's own name.
+    """
 
     size: int
-    """Bytes."""
     sha256: str
     object: str | None = None
-    """Name of the object that holds it, relative to the URL; None for the file's own name."""
 
 
 class FolderManifest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """All files of a folder."""
+    """All files of a folder.
+
+    Attributes:
+        files: Maps paths relative to the folder to files.
+        writer: Drawn by each command that writes; tells two at once apart. None in a finished folder.
+        begun_from: Digest of the finished manifest that stood there when the command began; empty for none.
+    """
 
     schema_version: int
     files: dict[str, StoredFile]
-    """By path relative to the folder."""
     writer: str | None = None
-    """Drawn by each command that writes; tells two at once apart. None in a finished folder."""
     begun_from: str | None = None
-    """Digest of the finished manifest that stood there when the command began; empty for none."""
 
     @classmethod
     def of(cls, files: Mapping[str, StoredFile]) -> FolderManifest:

@@ -16,13 +16,16 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
     """``cost.json``, of a run or of one of its batches. Not reproducible, unlike the other files of a run.
 
     The first batch of a process also pays for compilation and for weights that load on first use: it is warm-up.
+
+    Attributes:
+        motions: Generated motions that were timed, without warm-up.
+        seconds: Seconds of ``generate`` alone, device synchronised, without warm-up.
+        parameters: Parameters of the method's networks; None for a program, and in runs of earlier versions.
     """
 
     motions: int = 0
-    """Generated motions that were timed, without warm-up."""
     frames: int = 0
     seconds: float = 0.0
-    """Seconds of ``generate`` alone, device synchronised, without warm-up."""
     seconds_per_motion: float | None = None
     warm_up_motions: int = 0
     warm_up_frames: int = 0
@@ -31,7 +34,6 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
     peak_device_bytes: int | None = None
     network_passes_declared: int | None = None
     parameters: int | None = None
-    """Parameters of the method's networks; None for a program, and in runs of earlier versions."""
 
     def write(self, path: Path) -> None:
         """Write as JSON."""

@@ -236,16 +236,19 @@ FOLDS_FILE = "folds.json"
 
 
 class FoldRun(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The run on one fold."""
+    """The run on one fold.
+
+    Attributes:
+        fold: Such as ``2/6``.
+        run: Name of its folder, for people.
+        record_sha256: Digest of its ``run.json``.
+        scores_sha256: Digest of its ``scores.parquet``.
+    """
 
     fold: str
-    """Such as ``2/6``."""
     run: str
-    """Name of its folder, for people."""
     record_sha256: str
-    """Digest of its ``run.json``."""
     scores_sha256: str
-    """Digest of its ``scores.parquet``."""
 
     @classmethod
     def of(cls, run: RunFolder) -> FoldRun:

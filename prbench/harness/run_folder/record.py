@@ -23,43 +23,49 @@ CONTROL = "control"
 PACKAGE = "package"
 PROGRAM = "program"
 FILE = "file"
+# Kinds of methods: prbench's own, the harness's controls, a foreign package, a program (``cmd:`` or a TOML file),
+# motions that came as a file; and what an old record does not say.
 UNKNOWN = "unknown"
-"""Kinds of methods: prbench's own, the harness's controls, a foreign package, a program (``cmd:`` or a TOML file),
-motions that came as a file; and what an old record does not say."""
 
 
 class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """A method in a certain version."""
+    """A method in a certain version.
+
+    Attributes:
+        name: Its name.
+        kind: One of the kinds above. Names are checked by it: only prbench's own methods and controls bear their names.
+        package: Package that a method was installed from; of a program its command, without the folders of the machine;
+            of motions the name of their file.
+        version: Version of the package.
+        weights: Last part of the path of the weights in use, given or bundled, for people.
+        weights_digest: Digest of its weights; null without weights.
+        options: Its options by name.
+        max_frames: Frames of the longest motion that it can generate; null without a limit.
+        native_fps: Frames per second at which it generates; null for any rate.
+        motionless: The method declares that its motions stand still, so that Foot Skating says nothing about it.
+        gaze: The motions bring gaze (docs/specification/protocol.md#gaze).
+        wants_obstacles: True in runs up to 0.10 whose method was given the solid boxes around each sequence; those are
+            never ranked.
+        one_design: The K futures of a window are one design, so that fewer have no scores; not written where they are
+            none.
+        isolation: ``process`` (paths, objects and environment withheld), ``bubblewrap`` (the file system too) or
+            ``container``.
+    """
 
     name: str
-    """Its name."""
     kind: str = UNKNOWN
-    """One of the kinds above. Names are checked by it: only prbench's own methods and controls bear their names."""
     package: str
-    """Package that a method was installed from; of a program its command, without the folders of the machine; of
-    motions the name of their file."""
     version: str
-    """Version of the package."""
     weights: str | None
-    """Last part of the path of the weights in use, given or bundled, for people."""
     weights_digest: str | None
-    """Digest of its weights; null without weights."""
     options: dict[str, str]
-    """Its options by name."""
     max_frames: int | None
-    """Frames of the longest motion that it can generate; null without a limit."""
     native_fps: float | None
-    """Frames per second at which it generates; null for any rate."""
     motionless: bool
-    """The method declares that its motions stand still, so that Foot Skating says nothing about it."""
     gaze: bool = False
-    """The motions bring gaze (docs/specification/protocol.md#gaze)."""
     wants_obstacles: bool = False
-    """True in runs up to 0.10 whose method was given the solid boxes around each sequence; those are never ranked."""
     one_design: bool = False
-    """The K futures of a window are one design, so that fewer have no scores; not written where they are none."""
     isolation: str | None = None
-    """``process`` (paths, objects and environment withheld), ``bubblewrap`` (the file system too) or ``container``."""
 
     @property
     def origin(self) -> str:
@@ -77,88 +83,97 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BatchPlanRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """The groups of sequences; floating-point results may depend on them."""
+    """The groups of sequences; floating-point results may depend on them.
+
+    Attributes:
+        batch_size: Sequences a batch at most.
+        batches: Number of batches.
+        digest: Over the sequence ids of every batch, in order.
+    """
 
     batch_size: int
-    """Sequences a batch at most."""
     batches: int
-    """Number of batches."""
     digest: str
-    """Over the sequence ids of every batch, in order."""
 
 
 class TableRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The sequences of a table that a run was made on."""
+    """The sequences of a table that a run was made on.
+
+    Attributes:
+        dataset: Name of the dataset.
+        title: The same for readers.
+        synthetic: The people are synthetic.
+        redistribution: Whether data made from the dataset may be passed on: ``yes``, ``non-commercial`` or ``none``.
+        fold: The fold of participants that was tested on, such as ``2/6``; absent for a table that is no fold.
+        whole_table: Content digest of the table that the fold is of; absent for a table that is no fold.
+        identity_digest: Digest of the ids of its sequences.
+        content_digest: Digest of its content.
+        sequences: Chosen by split and limit.
+        unsupported: Number of them that are longer than the method can generate.
+        selection_digest: Over the ids of the chosen sequences.
+        batch_plan: How its sequences were grouped.
+        estimated_bodies: Bodies were estimated from whole tracks of the head; never enters one mean with captured ones.
+    """
 
     dataset: str
-    """Name of the dataset."""
     title: str
-    """The same for readers."""
     synthetic: bool
-    """The people are synthetic."""
     redistribution: str
-    """Whether data made from the dataset may be passed on: ``yes``, ``non-commercial`` or ``none``."""
     fold: str | None = None
-    """The fold of participants that was tested on, such as ``2/6``; absent for a table that is no fold."""
     whole_table: str | None = None
-    """Content digest of the table that the fold is of; absent for a table that is no fold."""
     identity_digest: str
-    """Digest of the ids of its sequences."""
     content_digest: str
-    """Digest of its content."""
     sequences: int
-    """Chosen by split and limit."""
     unsupported: int
-    """Number of them that are longer than the method can generate."""
     selection_digest: str
-    """Over the ids of the chosen sequences."""
     batch_plan: BatchPlanRecord
-    """How its sequences were grouped."""
     estimated_bodies: bool = False
-    """Bodies were estimated from whole tracks of the head; never enters one mean with captured ones."""
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """The whole of ``run.json``. Holds no time of day, host, absolute path or worker count."""
+    """The whole of ``run.json``. Holds no time of day, host, absolute path or worker count.
+
+    Attributes:
+        schema_version: Version of the files of a run folder.
+        prbench_version: Version of prbench that made the run.
+        protocol_version: Version of the protocol.
+        protocol_digest: Digest of the rules by which it was scored.
+        method: The method.
+        condition: What it was given.
+        control: ``shuffled-goal`` if it was given other sequences' goals; null if not.
+        split: Split of the tables.
+        limit: Sequences of each dataset at most; null for all.
+        sequences: Ids, if the run is of single sequences instead of a split's; sorted.
+        seed: Seed of the run.
+        samples: Motions kept of each sequence.
+        best_of: Above 1 in runs up to 0.10 whose motions were chosen among several; those are never ranked.
+        carry_on: True in runs up to 0.10 whose puts started where generated picks ended; those are never ranked.
+        device: Device that networks ran on.
+        threads: Threads of each worker.
+        packages: Versions of the packages that it was made with.
+        tables: The tables that it was made on.
+        benchmark: Name of the benchmark; not written for the default one, whose runs are older than the key.
+    """
 
     schema_version: int
-    """Version of the files of a run folder."""
     prbench_version: str
-    """Version of prbench that made the run."""
     protocol_version: int
-    """Version of the protocol."""
     protocol_digest: str
-    """Digest of the rules by which it was scored."""
     method: MethodRecord
-    """The method."""
     condition: str
-    """What it was given."""
     control: str | None
-    """``shuffled-goal`` if it was given other sequences' goals; null if not."""
     split: str
-    """Split of the tables."""
     limit: int | None
-    """Sequences of each dataset at most; null for all."""
     sequences: tuple[str, ...] = ()
-    """Ids, if the run is of single sequences instead of a split's; sorted."""
     seed: int
-    """Seed of the run."""
     samples: int
-    """Motions kept of each sequence."""
     best_of: int = 1
-    """Above 1 in runs up to 0.10 whose motions were chosen among several; those are never ranked."""
     carry_on: bool = False
-    """True in runs up to 0.10 whose puts started where generated picks ended; those are never ranked."""
     device: str
-    """Where networks ran."""
     threads: int
-    """Per worker."""
     packages: dict[str, str]
-    """Versions of the packages that it was made with."""
     tables: tuple[TableRecord, ...]
-    """The tables that it was made on."""
     benchmark: str = msgspec.field(default_factory=lambda: default_benchmark().name)
-    """Name of the benchmark; not written for the default one, whose runs are older than the key."""
 
     @property
     def is_usual(self) -> bool:

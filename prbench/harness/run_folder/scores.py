@@ -22,8 +22,8 @@ from prbench.shown import quoted
 
 RUN_SCHEMA_VERSION = 1
 
+# One ray a frame from between the eyes, of motions that bring gaze; columns are named as in the sequence table.
 GAZE_COLUMNS = ["gaze_origin", "gaze_direction"]
-"""One ray a frame from between the eyes, of motions that bring gaze; columns are named as in the sequence table."""
 
 
 def predictions_schema(joints: int = N_JOINTS, *, gaze: bool = False) -> pa.Schema:
@@ -43,6 +43,7 @@ def predictions_schema(joints: int = N_JOINTS, *, gaze: bool = False) -> pa.Sche
     return pa.schema([*fields, *(pa.field(name, rays, nullable=False) for name in GAZE_COLUMNS if gaze)])
 
 
+# One value a row; rates are 0 or 1.
 SCORES = pa.schema(
     [
         pa.field("sequence_id", pa.string(), nullable=False),
@@ -53,7 +54,6 @@ SCORES = pa.schema(
         pa.field("flag", pa.string(), nullable=True),
     ]
 )
-"""One value a row; rates are 0 or 1."""
 
 
 _CODED = pa.schema(
@@ -62,10 +62,10 @@ _CODED = pa.schema(
         for field in SCORES
     ]
 )
+# Rows of a piece of :meth:`CodedScores.pieces`.
 PIECE = 64 * 1024
-"""Rows of a piece of :meth:`CodedScores.pieces`."""
+# Rows of a row group: their texts take 70 MB while they are written.
 _ROW_GROUP = 256 * 1024
-"""Rows of a row group: their texts take 70 MB while they are written."""
 _KEYS = ["dataset", "sequence_id", "sample", "metric"]
 
 

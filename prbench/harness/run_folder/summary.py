@@ -17,91 +17,97 @@ from prbench.harness.run_folder.record import TableRecord, read_record
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION
 
 FILE_NAME = "summary.json"
+# Flag of a motion that is the recorded one, beside its MPJPE.
 RECORDED_MOTION = "recorded_motion"
-"""Flag of a motion that is the recorded one, beside its MPJPE."""
+# Flag of a motion that came onto the target from less than ``arrival_margin`` outside it, beside its arrival.
 EDGE_ARRIVAL = "arrived_from_the_edge"
-"""Flag of a motion that came onto the target from less than ``arrival_margin`` outside it, beside its arrival."""
+# Share of such motions above which a method is not ranked.
 _RECORDED_SHARE = 0.01
-"""Share of such motions above which a method is not ranked."""
+# Recorded motions that say nothing of a method: in a run of few sequences one is already more than that share.
 _BY_ACCIDENT = 1
-"""Recorded motions that say nothing of a method: in a run of few sequences one is already more than that share."""
+# Mark of a method that handed in recorded motions.
 TWICE_DAGGER = "††"
-"""Mark of a method that handed in recorded motions."""
+# Mark of motions that bring gaze, which the study's methods do not generate.
 PILCROW = "¶"
-"""Mark of motions that bring gaze, which the study's methods do not generate."""
+# Mark of a method that was given the scene's boxes.
 LOZENGE = "◊"
-"""Mark of a method that was given the scene's boxes."""
 
 
 class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """One metric of one dataset; rates from 0 to 1."""
+    """One metric of one dataset; rates from 0 to 1.
+
+    Attributes:
+        metric: Id of the metric, such as ``prime_success``.
+        title: Its name as printed.
+        unit: ``rate`` (from 0 to 1), ``m``, or the metric's other unit.
+        mean: Mean over sequences.
+        low: Lower bound of the interval; None where too few recordings allow none.
+        high: Upper bound of the interval.
+        level: Confidence level of the interval, such as 0.95.
+        interval: Name of the estimator of the interval.
+        sequences: Number of sequences that it was computed on.
+        recordings: Number of recordings that they come from.
+        marks: Remarks that a reader of the interval needs: ``few_recordings``, ``one_recording``, ``all_equal``.
+        flags: Number of motions that carry each remark.
+        detectable: Smallest difference to an unrelated method of the same spread that is found with 80 % power at
+            Holm's first step among the metrics that are compared; None where nothing can be tested.
+    """
 
     metric: str
-    """Id of the metric, such as ``prime_success``."""
     title: str
-    """Its name as printed."""
     unit: str
-    """``rate`` (from 0 to 1), ``m``, or the metric's other unit."""
     mean: float
-    """Mean over sequences."""
     low: float | None
-    """Lower bound of the interval; None where too few recordings allow none."""
     high: float | None
-    """Upper bound of the interval."""
     level: float
-    """Confidence level of the interval, such as 0.95."""
     interval: str
-    """Name of the estimator of the interval."""
     sequences: int
-    """Number of sequences that it was computed on."""
     recordings: int
-    """Number of recordings that they come from."""
     marks: tuple[str, ...]
-    """Remarks that a reader of the interval needs: ``few_recordings``, ``one_recording``, ``all_equal``."""
     flags: dict[str, int]
-    """Number of motions that carry each remark."""
     detectable: float | None = None
-    """Smallest difference to an unrelated method of the same spread that is found with 80 % power at Holm's first step
-    among the metrics that are compared; None where nothing can be tested."""
 
 
 class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """Scores of a method on one dataset. Holds no time of day, host or path."""
+    """Scores of a method on one dataset. Holds no time of day, host or path.
+
+    Attributes:
+        schema_version: Version of the files of a run folder.
+        dataset: Name of the dataset.
+        title: Carries the word "synthetic" where the data are.
+        synthetic: The people are synthetic: never compare these scores with published ones.
+        redistribution: Whether data made from the dataset may be passed on: ``yes``, ``non-commercial`` or ``none``.
+        method: Name of the method.
+        condition: What it was given.
+        control: ``shuffled-goal`` or None.
+        split: Split of the table.
+        sequences: Number of chosen sequences; ``unsupported`` of them were not scored.
+        unsupported: Number of sequences that are longer than the method can generate.
+        recordings: Number of recordings that they come from.
+        samples: Motions kept of each sequence.
+        gaze: The motions bring gaze that the method generated.
+        obstacles: The method was given the solid boxes around each sequence.
+        length_mismatches: Number of motions whose length is not the recorded one's.
+        metrics: Each metric that has a value.
+    """
 
     schema_version: int = RUN_SCHEMA_VERSION
-    """Version of the files of a run folder."""
     dataset: str
-    """Name of the dataset."""
     title: str
-    """Carries the word "synthetic" where the data are."""
     synthetic: bool
-    """The people are synthetic: never compare these scores with published ones."""
     redistribution: str
-    """Whether data made from the dataset may be passed on: ``yes``, ``non-commercial`` or ``none``."""
     method: str
-    """Name of the method."""
     condition: str
-    """What it was given."""
     control: str | None
-    """``shuffled-goal`` or None."""
     split: str
-    """Split of the table."""
     sequences: int
-    """Number of chosen sequences; ``unsupported`` of them were not scored."""
     unsupported: int
-    """Number of sequences that are longer than the method can generate."""
     recordings: int
-    """Number of recordings that they come from."""
     samples: int
-    """Motions kept of each sequence."""
     gaze: bool = False
-    """The motions bring gaze that the method generated."""
     obstacles: bool = False
-    """The method was given the solid boxes around each sequence."""
     length_mismatches: int
-    """Number of motions whose length is not the recorded one's."""
     metrics: tuple[MetricSummary, ...]
-    """Each metric that has a value."""
 
     def metric(self, name: str) -> MetricSummary | None:
         """Return one metric, or None if there is no value of it."""
@@ -180,14 +186,17 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class MeanOverDatasets:
-    """The mean of one metric over datasets; rates from 0 to 1."""
+    """The mean of one metric over datasets; rates from 0 to 1.
+
+    Attributes:
+        mean: Mean over the datasets, each counting alike.
+        low: Lower bound of the 95 % interval; None where a dataset has no interval.
+        high: Upper bound of the interval.
+    """
 
     mean: float
-    """Mean over the datasets, each counting alike."""
     low: float | None
-    """Lower bound of the 95 % interval; None where a dataset has no interval."""
     high: float | None
-    """Upper bound of the interval."""
 
 
 def share_a_mean(tables: Sequence[TableRecord]) -> bool:
@@ -199,7 +208,7 @@ def means_over_datasets(summaries: Sequence[DatasetSummary]) -> dict[str, MeanOv
     """Return the mean of each metric over datasets.
 
     Args:
-        summaries: Of one method, one a dataset.
+        summaries: Summaries of one method, one a dataset.
 
     Returns:
         Means by metric id; without those that a dataset lacks, since a mean over the others would look like a better or
@@ -217,7 +226,7 @@ def mean_over_datasets(metrics: Sequence[MetricSummary | None]) -> MeanOverDatas
     """Return the mean of one metric over datasets, or None if one of them lacks it.
 
     Args:
-        metrics: Of one method, one a dataset.
+        metrics: One metric of one method, an entry a dataset.
     """
     values = np.array([metric.mean for metric in metrics if metric is not None])
     if len(values) < len(metrics):

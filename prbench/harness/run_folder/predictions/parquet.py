@@ -70,12 +70,15 @@ def index_parquet(paths: tuple[Path, ...]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ParquetMotions:
-    """Reads motions a row group at a time; some stay in memory. Goes to workers, so it holds paths, not open files."""
+    """Reads motions a row group at a time; some stay in memory. Goes to workers, so it holds paths, not open files.
+
+    Attributes:
+        groups: File, number in it, first row among those of all files, and first row in the file.
+        gaze: The columns of gaze; empty for motions without gaze.
+    """
 
     groups: tuple[tuple[Path, int, int, int], ...]
-    """File, number in it, first row among those of all files, and first row in the file."""
     gaze: tuple[str, ...] = ()
-    """The columns of gaze; empty for motions without gaze."""
     _cache: dict[int, PredictionRows] = field(default_factory=dict, repr=False)
 
     def motions(self, rows: Sequence[int]) -> tuple[list[np.ndarray], list[np.ndarray]]:

@@ -19,19 +19,22 @@ from prbench.harness.run_folder.predictions.rows import ArrayMotions, Prediction
 
 @dataclass(frozen=True)
 class Predictions:
-    """Finished motions with an index of them."""
+    """Finished motions with an index of them.
+
+    Attributes:
+        id_column: ``sequence_id`` or ``opaque_id``.
+        ids: Id of every motion, in the order of the files.
+        has_gaze: True if every motion comes with gaze.
+        rows: Row of every motion in the store, where the store holds more motions; None where they are the same.
+    """
 
     paths: tuple[Path, ...]
     id_column: str
-    """``sequence_id`` or ``opaque_id``."""
     ids: tuple[str, ...]
-    """Id of every motion, in the order of the files."""
     samples: tuple[int, ...]
     store: ParquetMotions | ArrayMotions
     has_gaze: bool = False
-    """True if every motion comes with gaze."""
     rows: Int[np.ndarray, " n"] | None = None
-    """Row of every motion in the store, where the store holds more motions; None where they are the same."""
 
     @classmethod
     @foreign_input()

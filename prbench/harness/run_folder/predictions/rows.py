@@ -22,14 +22,18 @@ POSE_SIZE = N_JOINTS * 3
 
 @dataclass(frozen=True)
 class PredictionRows:
-    """Motions of some sequences after one another."""
+    """Motions of some sequences after one another.
+
+    Attributes:
+        values: Metres, in the frame of the question; 22 joints in a canonical frame for prime-and-reach.
+        offsets: Row at which each motion begins, then the number of all frames.
+        gaze: Middle between the eyes (metres) and unit direction of the gaze in each frame; None for motions without
+            gaze.
+    """
 
     values: Float[np.ndarray, "total joints 3"]
-    """Metres, in the frame of the question; 22 joints in a canonical frame for prime-and-reach."""
     offsets: Int[np.ndarray, " offsets"]
-    """Row at which each motion begins, then the number of all frames."""
     gaze: Float[np.ndarray, "total 2 3"] | None = None
-    """Middle between the eyes (metres) and unit direction of the gaze in each frame; None for motions without gaze."""
 
     @classmethod
     def from_padded(
@@ -53,13 +57,16 @@ def as_float32(joints: np.ndarray) -> Float[np.ndarray, "..."]:
 
 @dataclass(frozen=True, eq=False)
 class ArrayMotions:
-    """Motions in memory, each an array of its own."""
+    """Motions in memory, each an array of its own.
+
+    Attributes:
+        places: File and place of each motion, for messages.
+        rays: Gaze of each motion, (frames, 2, 3); empty for motions without gaze.
+    """
 
     joints: tuple[np.ndarray, ...]
     places: tuple[str, ...]
-    """Where each motion stands, for messages."""
     rays: tuple[np.ndarray, ...] = ()
-    """Gaze of each motion, (frames, 2, 3); empty for motions without gaze."""
 
     def motions(self, rows: Sequence[int]) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Joints of some rows in the order given, and their gaze; no gaze where the motions bring none."""
@@ -87,9 +94,9 @@ def write_part(
 
     Args:
         path: The Parquet file.
-        sequence_ids: Of the batch's rows.
-        seeds: For each sample the noise seed of each row.
-        samples: For each sample the motions of the batch.
+        sequence_ids: Ids of the batch's rows.
+        seeds: Noise seed of each row, one list a sample.
+        samples: Motions of the batch, one entry a sample.
         protocol_version: Stands in the file's metadata.
 
     Raises:
@@ -123,7 +130,7 @@ def read_part(
 
     Args:
         path: A file of :func:`write_part`.
-        sequence_ids: Of the batch's rows.
+        sequence_ids: Ids of the batch's rows.
         samples: Number of samples.
         joints: Number of joints.
 
