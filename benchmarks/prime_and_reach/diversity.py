@@ -13,12 +13,12 @@ import numpy as np
 
 from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.errors import RunError, UsageError
+from prbench.harness.controls import Tasks, at_length, laid_on_goal, read_motions
 from prbench.harness.diversity import SPREADS, MotionsToGoal, spreads
 from prbench.harness.first_run import tables_of_runs
 from prbench.harness.intervals import difference_interval, mean_interval
 from prbench.harness.results import cases_of_run
 from prbench.harness.run_folder import RunFolder
-from prbench.harness.similar_tasks import Tasks, at_length, laid_on_goal, read_motions
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import may_pass_on, notice, require_may_pass_on

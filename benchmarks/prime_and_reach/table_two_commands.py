@@ -42,7 +42,7 @@ class TableTwoAnswer(msgspec.Struct, frozen=True, kw_only=True):
 def run_table_two(given: Mapping[str, Any], *, choice: EngineChoice) -> Answer:
     """Run what is missing of the table; the exit code is 1 if a row failed."""
     from prbench.contract import Condition
-    from prbench.harness.preparation import DEFAULT_PARENT
+    from prbench.harness.request import DEFAULT_PARENT
     from prbench_benchmarks.prime_and_reach.table_two.request import TableRequest
     from prbench_benchmarks.prime_and_reach.table_two.run import JSON, MARKDOWN, run_table
 

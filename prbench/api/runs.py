@@ -384,8 +384,7 @@ def run(
     """
     from prbench.harness import first_run
     from prbench.harness.methods.installed import packages_of
-    from prbench.harness.preparation import DEFAULT_PARENT
-    from prbench.harness.request import RunRequest
+    from prbench.harness.request import DEFAULT_PARENT, RunRequest
     from prbench.harness.run import run_method
 
     if "all" in (method, condition):

@@ -181,7 +181,7 @@ def _given(motions: Mapping[str, ArrayLike]) -> tuple[Predictions, str]:
     Raises:
         PredictionsError: if there are none, or one is not of the right form.
     """
-    from prbench.harness.run_folder.predictions.rows import ArrayMotions, as_float32
+    from prbench.harness.run_folder.npz import ArrayMotions, as_float32
 
     if not motions:
         raise PredictionsError(
@@ -316,7 +316,7 @@ def compare(
     from prbench.board import compare_runs
     from prbench.engine import engine_for
     from prbench.harness.first_run import table_finder
-    from prbench.harness.verification import RunChecker
+    from prbench.harness.results import RunChecker
 
     args.require_positive(workers=workers)
     folders = _folder_of(first), _folder_of(second)

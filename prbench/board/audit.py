@@ -19,8 +19,7 @@ from prbench.harness.controls import CONTROLS, GROUND_TRUTH, RECORDED_MOTION, RO
 from prbench.harness.planning import open_tables, select
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
-from prbench.harness.run_folder.agreement import DatasetAgreement
-from prbench.harness.run_folder.summary import DatasetSummary, MeanOverDatasets, means_over_datasets
+from prbench.harness.run_folder.summary import DatasetAgreement, DatasetSummary, MeanOverDatasets, means_over_datasets
 from prbench.metrics import MetricInfo
 
 _ONLY_METHOD = "--method"

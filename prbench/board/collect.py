@@ -15,14 +15,13 @@ from prbench.errors import RunError
 from prbench.files.bounded import foreign_input
 from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.methods.installed import METHOD_CONTROLS, name_problem
+from prbench.harness.results import CheckedSummary, RunChecker, ScoredSequences
 from prbench.harness.run_folder import record as run_record
-from prbench.harness.run_folder.cost import RunCost
 from prbench.harness.run_folder.folder import FOLDS_FILE as MERGED
 from prbench.harness.run_folder.folder import DatasetFolder, FoldRun, RunFolder, read_folds, run_folder_of
-from prbench.harness.run_folder.record import RunRecord, TableRecord
+from prbench.harness.run_folder.record import RunCost, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
-from prbench.harness.verification import CheckedSummary, RunChecker, ScoredSequences
 from prbench.protocol.manifests import benchmarks, find_benchmark
 
 # Titles of the numbers of :func:`cost_of`.

@@ -18,10 +18,10 @@ from prbench.board.collect import LeaderboardRow
 from prbench.errors import RunError
 from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.intervals import Comparison, PairedValues, compare
+from prbench.harness.results import RunChecker
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary
-from prbench.harness.verification import RunChecker
 from prbench.metrics import MetricInfo
 
 

@@ -14,13 +14,11 @@ import pyarrow as pa
 
 from prbench.errors import RunError, StorageError
 from prbench.files.storage import atomic_folder, sole_writer, text_digest
-from prbench.harness.results import summary_of
-from prbench.harness.run_folder.cost import RunCost, total_cost
+from prbench.harness.results import RunChecker, summary_of
 from prbench.harness.run_folder.folder import FOLDS_FILE, FoldRun, RunFolder, read_folds, write_folds
-from prbench.harness.run_folder.record import BatchPlanRecord, RunRecord, TableRecord
+from prbench.harness.run_folder.record import BatchPlanRecord, RunCost, RunRecord, TableRecord, total_cost
 from prbench.harness.run_folder.scores import read_scores, write_scores
 from prbench.harness.run_folder.summary import DatasetSummary
-from prbench.harness.verification import RunChecker
 from prbench.protocol.own_protocol import write_protocol
 from prbench.sequences.sequence import recording_key
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import Shard
-    from prbench.harness.verification import RunChecker
+    from prbench.harness.results import RunChecker
 
 # Conditions that a method of the default benchmark can be given.
 CONDITIONS = tuple(default_benchmark().conditions)
@@ -400,7 +400,7 @@ def run_checker(data: Sequence[Path], workers: int) -> RunChecker:
     """Make what scores again on the named tables and the embedded ones."""
     from prbench.engine import engine_for
     from prbench.harness.first_run import table_finder
-    from prbench.harness.verification import RunChecker
+    from prbench.harness.results import RunChecker
 
     return RunChecker(table_finder(data), engine_for(workers))
 

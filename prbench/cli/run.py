@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import Shard
-    from prbench.harness.experiment import Experiment
-    from prbench.harness.request import Progress, RunRequest
+    from prbench.harness.request import Experiment, Progress, RunRequest
     from prbench.harness.run import RunReport
     from prbench.harness.run_folder import RunFolder
 
@@ -215,7 +214,7 @@ def _run_all(
     reports = [_generated(request, engine) for request in requests]
     folder = reports[0].folder
     if repeated is not None and folder.path.resolve() != repeated.path.resolve():
-        from prbench.harness.experiment import same_scores
+        from prbench.harness.first_run import same_scores
 
         differ = (
             f"scores differ. `prbench leaderboard compare {repeated.path} {folder.path}` says where; other weights,"
@@ -309,7 +308,7 @@ def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
     """Open the engine; on a cluster every node needs the tables, the run folder, and what the methods are made of."""
     from prbench.harness.first_run import default_folder
     from prbench.harness.methods.installed import packages_of
-    from prbench.harness.preparation import DEFAULT_PARENT
+    from prbench.harness.request import DEFAULT_PARENT
 
     reads = [Path(folder) for folder in experiment.data]
     writes = [Path(experiment.out or DEFAULT_PARENT / "run")]
@@ -375,13 +374,8 @@ def read_command_line(config: Path | None, given: Mapping[str, Any]) -> tuple[Ru
     Raises:
         UsageError: for an option whose place is in the file or run that was named.
     """
-    from prbench.harness.experiment import (
-        Experiment,
-        ExperimentMethod,
-        earlier_run,
-        experiment_of_run,
-        read_experiment,
-    )
+    from prbench.harness.first_run import earlier_run, experiment_of_run
+    from prbench.harness.request import Experiment, ExperimentMethod, read_experiment
 
     # Defaults do not replace what a file says.
     source = click.get_current_context().get_parameter_source

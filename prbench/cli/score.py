@@ -20,8 +20,7 @@ from prbench.protocol.manifests import default_benchmark
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
-    from prbench.harness.run_folder.agreement import DatasetAgreement
-    from prbench.harness.run_folder.summary import DatasetSummary
+    from prbench.harness.run_folder.summary import DatasetAgreement, DatasetSummary
 
 
 class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):

@@ -16,9 +16,14 @@ from prbench.datasets import ON_SYNTHETIC_DATA, SYNTHETIC_PREFIX
 if TYPE_CHECKING:
     from prbench.harness.run import RunReport
     from prbench.harness.run_folder import RunFolder
-    from prbench.harness.run_folder.agreement import DatasetAgreement, RateAgreement
     from prbench.harness.run_folder.record import TableRecord
-    from prbench.harness.run_folder.summary import DatasetSummary, MeanOverDatasets, MetricSummary
+    from prbench.harness.run_folder.summary import (
+        DatasetAgreement,
+        DatasetSummary,
+        MeanOverDatasets,
+        MetricSummary,
+        RateAgreement,
+    )
     from prbench.metrics import MetricInfo
 
 _DASH = "–"
@@ -339,7 +344,7 @@ def _made(report: RunReport) -> MadeRun:
 
 def _agreements(report: RunReport) -> list[DatasetAgreement | None]:
     """Return the agreement with recorded people on each dataset; None for a benchmark that has none."""
-    from prbench.harness.run_folder.agreement import DatasetAgreement
+    from prbench.harness.run_folder.summary import DatasetAgreement
 
     files = [report.folder.dataset(summary.dataset) for summary in report.summaries]
     return [DatasetAgreement.read(each.path) if each.agreement.is_file() else None for each in files]

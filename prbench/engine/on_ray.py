@@ -15,15 +15,50 @@ from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 from prbench.engine import node_facts as facts_module
-from prbench.engine.cluster import Node, Rules, Spread, Staff, WorkerLostError
+from prbench.engine.cluster import Answered, Node, Rules, Spread, Staff, WorkerLostError
 from prbench.engine.nodes import Needs, Question, problems, question
-from prbench.engine.pool import IfFull, Item, Result
-from prbench.engine.ray_worker import RayWorker
-from prbench.errors import ClusterError, MissingExtraError, StorageError, WorkStopped
+from prbench.engine.pool import Full, IfFull, Item, Result, answer
+from prbench.errors import ClusterError, MissingExtraError, PrbenchError, StorageError, WorkStopped
 from prbench.shown import quoted
+
+
+class RayWorker:
+    """Keeps the function of the last item, and with it what that function has loaded."""
+
+    def __init__(self, folder: str, environment: dict[str, str]) -> None:
+        # Not by Ray's runtime environments: for each of those every worker would be started anew.
+        os.environ.update(environment)
+        if os.path.isdir(folder):  # noqa: PTH112 - relative paths mean there what they mean here
+            os.chdir(folder)
+        self._packed = b""
+        self._function: Callable[[Any], Any] | None = None
+
+    def hello(self) -> int:
+        """Answer as soon as the worker is ready, with its process id."""
+        return os.getpid()
+
+    def work(self, function: bytes, item: bytes) -> bytes:
+        """Work on an item; packed here, so that Ray neither wraps errors nor keeps views of its store."""
+        cloudpickle = importlib.import_module("ray.cloudpickle")
+
+        outcome: Answered | Full
+        try:
+            if self._function is None or self._packed != function:
+                self._packed, self._function = function, cloudpickle.loads(function)
+            found = answer(cast(Callable, self._function), cloudpickle.loads(item))
+            outcome = found if isinstance(found, Full) else Answered(found)
+        except Exception as error:
+            outcome = Answered(error=error)
+        try:
+            return cloudpickle.dumps(outcome)
+        except Exception as error:
+            what = (outcome.error if isinstance(outcome, Answered) else None) or error
+            problem = PrbenchError(f"a result cannot leave its process: {type(what).__name__}: {quoted(what)}")
+            return cloudpickle.dumps(Answered(error=problem))
+
 
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 # Seconds in which a cluster's head must take a connection; Ray itself tries for minutes.

@@ -18,9 +18,9 @@ from prbench.harness.conditions import is_solid
 from prbench.harness.intervals import CONFIDENCE, metric_interval
 from prbench.harness.planning import Selection
 from prbench.harness.results import differences
-from prbench.harness.run_folder.agreement import FILE_NAME, BinRate, DatasetAgreement, RateAgreement, SceneOfPeople
 from prbench.harness.run_folder.folder import DatasetFolder
 from prbench.harness.run_folder.scores import CodedScores
+from prbench.harness.run_folder.summary import AGREEMENT_FILE, BinRate, DatasetAgreement, RateAgreement, SceneOfPeople
 from prbench.harness.scoring import score_recorded
 from prbench.metrics import METRICS, MetricInfo
 from prbench.protocol.manifests import BenchmarkProtocol
@@ -117,7 +117,7 @@ def require_agreement(files: DatasetFolder, made: DatasetAgreement) -> None:
     for name, expected, found in differences(msgspec.to_builtins(made), msgspec.to_builtins(stored)):
         raise RunError(
             f"{files.agreement}, {name}: expected {expected}, which follows from {files.scores.name} and the table,"
-            f" found {found}. One of them was edited. Delete {FILE_NAME} and run the same command again."
+            f" found {found}. One of them was edited. Delete {AGREEMENT_FILE} and run the same command again."
         )
 
 

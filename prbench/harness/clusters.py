@@ -218,7 +218,7 @@ def _tail_share(recordings: int) -> float:
 
 
 def _tail_share_of_test(recordings: int) -> float:
-    """Return the tail share of p-values, cubed: Holm's first step asks for tails that few recordings show even later."""
+    """Return the tail share of p-values, cubed: Holm asks for tails that few recordings show still later."""
     return _tail_share(recordings) ** 3
 
 

@@ -1,4 +1,4 @@
-"""Tables that nobody has to name: the embedded defaults of a first run, and the tables that a run was made on.
+"""Tables that nobody has to name (the embedded defaults, the tables of a run), and the repetition of an earlier run.
 
 The defaults are small synthetic datasets, one of each layout, on which a first run is shown beside other methods. A run
 folder holds digests only, no paths, so its tables are looked for among the named and the embedded ones.
@@ -20,10 +20,12 @@ from prbench.files.storage import cache_folder, in_turn, text_digest
 from prbench.harness.benchmark import CaseTable, load_benchmark
 from prbench.harness.controls import GROUND_TRUTH, SCRIPTED
 from prbench.harness.methods.installed import list_adapters
-from prbench.harness.request import RunRequest
-from prbench.harness.run_folder import RunFolder
-from prbench.harness.run_folder.record import TableRecord
+from prbench.harness.request import PARTICIPANTS, Experiment, ExperimentMethod, RunRequest
+from prbench.harness.run_folder import RunFolder, read_scores
+from prbench.harness.run_folder.record import FILE, PROGRAM, UNKNOWN, TableRecord
+from prbench.harness.run_folder.record import FILE_NAME as RUN_FILE
 from prbench.protocol.manifests import benchmarks, digest_of, load_manifest, load_protocol
+from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.schema import SCHEMA_VERSION
@@ -233,3 +235,73 @@ def _embedded() -> Iterator[Path]:
 def _is_table_of(record: TableRecord, table: CaseTable) -> bool:
     # Identity says which sequences, content says which numbers; a rebuilt table may share only the first.
     return (record.identity_digest, record.content_digest) == (table.identity, table.info.content_digest)
+
+
+def earlier_run(path: Path) -> RunFolder | None:
+    """Open the run that a run folder or its ``run.json`` belongs to; return None for an experiment's file."""
+    folder = path if path.is_dir() else path.parent
+    return RunFolder.open(folder, any_benchmark=True) if path.is_dir() or path.name == RUN_FILE else None
+
+
+def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path | None) -> Experiment:
+    """Return the experiment that repeats an earlier run.
+
+    Args:
+        run: The earlier run.
+        data: Tables of the run, of a fold the whole ones; embedded ones need not be named. Run folders hold no paths.
+        weights: The run's weights, where it was given other ones than the method's own.
+
+    Raises:
+        RunError: if a run folder does not record how to start the method, or one of its tables is neither named nor
+            embedded.
+    """
+    record = run.record
+    if record.method.kind in (FILE, PROGRAM, UNKNOWN):
+        raise RunError(
+            f"{run.path}: {record.method.name} is {record.method.origin}, and a run folder does not record how to"
+            " start it. Repeat the command with --method."
+        )
+    find = table_finder(data)
+    whole = {DatasetInfo.read(folder).content_digest: folder for folder in data if record.tables[0].fold}
+    folders = []
+    for table in record.tables:
+        found = find(table) if table.fold is None else None
+        folder = found.folder if found is not None else whole.get(table.whole_table or "")
+        if folder is None:
+            raise RunError(
+                f"{run.path}: the run was made on a table of {table.dataset} with content digest"
+                f" {table.content_digest[:12]}…, which is neither named with --data nor embedded. Name its folder."
+            )
+        folders.append(str(folder))
+    method = ExperimentMethod(
+        name=record.method.name,
+        conditions=(record.condition,),
+        weights=None if weights is None else str(weights),
+        options=dict(record.method.options),
+        control=record.control,
+    )
+    own_protocol = run.path / PROTOCOL_FILE
+    return Experiment(
+        methods=(method,),
+        benchmark=record.benchmark,
+        data=tuple(folders),
+        split=PARTICIPANTS if record.tables[0].fold else record.split,
+        fold=record.tables[0].fold,
+        limit=record.limit,
+        sequences=record.sequences,
+        seeds=(record.seed,),
+        samples=record.samples,
+        batch_size=record.tables[0].batch_plan.batch_size,
+        device=record.device,
+        threads=record.threads,
+        isolate=record.method.isolation is not None,
+        protocol=str(own_protocol) if own_protocol.is_file() else None,
+    )
+
+
+def same_scores(first: RunFolder, second: RunFolder) -> bool:
+    """Return True where two runs on the same tables have equal scores, to the last digit."""
+    names = [table.dataset for table in first.record.tables]
+    return all(
+        read_scores(first.dataset(name).scores).equals(read_scores(second.dataset(name).scores)) for name in names
+    )

@@ -29,7 +29,7 @@ from prbench.harness.methods.loading import (
 from prbench.harness.methods.motions import Declared
 from prbench.harness.methods.remote import RemoteMethod
 from prbench.harness.planning import plan_digest
-from prbench.harness.request import RunRequest
+from prbench.harness.request import DEFAULT_PARENT, RunRequest
 from prbench.harness.run_folder.folder import run_folder_of
 from prbench.harness.run_folder.record import (
     BUILT_IN,
@@ -45,7 +45,6 @@ from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION
 from prbench.sequences.folds import OPTION, WHOLE_TABLE
 
 # Folder of run folders for which the user names none.
-DEFAULT_PARENT = Path("runs")
 # Number of datasets, at most, that the name of a run folder spells out.
 _NAMED_DATASETS = 2
 _RECORDED_PACKAGES = ("numpy", "pyarrow", "scipy", "torch")  # those on which a result's last digits may depend

@@ -28,13 +28,12 @@ from prbench.errors import AdapterError, MemoryFullError
 from prbench.files.storage import remove_half_written, sole_writer, write_text
 from prbench.harness.methods.loading import MethodSpec, count_parameters, forget_loaded_methods, unload_method
 from prbench.harness.methods.process import computing_threads
-from prbench.harness.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
-from prbench.harness.request import Progress, ProgressCallback, RunRequest, reported, silent
+from prbench.harness.preparation import PreparedDataset, PreparedRun, prepare_run
+from prbench.harness.request import DEFAULT_PARENT, Progress, ProgressCallback, RunRequest, reported, silent
 from prbench.harness.results import require_scores, require_summary, summary_of
-from prbench.harness.run_folder.cost import RunCost, total_cost
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.predictions import write_part
-from prbench.harness.run_folder.record import PACKAGE
+from prbench.harness.run_folder.record import PACKAGE, RunCost, total_cost
 from prbench.harness.run_folder.scores import CodedScores, write_scores
 from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.sequences.dataset_info import run_notice

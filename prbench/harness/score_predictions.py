@@ -20,10 +20,9 @@ from prbench.harness.preparation import table_record
 from prbench.harness.request import ProgressCallback, reported, silent
 from prbench.harness.results import cases_of_run, summary_of
 from prbench.harness.run_folder import record as run_record
-from prbench.harness.run_folder.cost import RunCost
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.predictions import Predictions
-from prbench.harness.run_folder.record import FILE, BatchPlanRecord, MethodRecord, RunRecord, TableRecord
+from prbench.harness.run_folder.record import FILE, BatchPlanRecord, MethodRecord, RunCost, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION, CodedScores
 from prbench.harness.score_request import (
     ScoreReport,

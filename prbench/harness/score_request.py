@@ -19,11 +19,10 @@ from prbench.harness.offline import GOALS, ConditionsFile, ExportRequest, condit
 from prbench.harness.planning import Selection, select
 from prbench.harness.request import require_settings
 from prbench.harness.run_folder import record as run_record
-from prbench.harness.run_folder.agreement import DatasetAgreement
 from prbench.harness.run_folder.folder import run_folder_of
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.scores import CodedScores
-from prbench.harness.run_folder.summary import DatasetSummary
+from prbench.harness.run_folder.summary import DatasetAgreement, DatasetSummary
 from prbench.sequences import SequenceTable
 
 

@@ -13,8 +13,8 @@ from prbench.files.storage import turn_into_paths
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.controls import GROUND_TRUTH
 from prbench.harness.first_run import tables_of_runs
+from prbench.harness.results import RunChecker
 from prbench.harness.run_folder import RunFolder
-from prbench.harness.verification import RunChecker
 from prbench.protocol.manifests import default_benchmark
 from prbench.sequences import SequenceTable
 from prbench.sequences.table import by_share, find_sequence_id

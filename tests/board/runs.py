@@ -12,11 +12,11 @@ import msgspec
 
 from prbench.board import collect_runs, export, make_leaderboard
 from prbench.board.tables import Leaderboard
+from prbench.harness.results import CheckedSummary
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import RunRecord, TableRecord
 from prbench.harness.run_folder.scores import write_scores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
-from prbench.harness.verification import CheckedSummary
 from prbench.metrics import METRICS
 from tests.harness.run_folder.test_record import METHOD, RECORD, SUMMARY, TABLE
 

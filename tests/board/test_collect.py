@@ -11,8 +11,7 @@ import torch
 from prbench.board import collect_runs, export
 from prbench.errors import RunError
 from prbench.harness.methods.loading import count_parameters
-from prbench.harness.run_folder.cost import RunCost, total_cost
-from prbench.harness.run_folder.record import FILE
+from prbench.harness.run_folder.record import FILE, RunCost, total_cost
 from tests.board.runs import by_method, cells, csv_rows, leaderboard, write_run
 
 

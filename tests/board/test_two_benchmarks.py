@@ -11,9 +11,9 @@ from prbench.board import collect_runs, compare_runs, export, make_leaderboard
 from prbench.errors import RunError
 from prbench.harness.first_run import table_finder
 from prbench.harness.request import RunRequest
+from prbench.harness.results import RunChecker
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.summary import share_a_mean
-from prbench.harness.verification import RunChecker
 from prbench_benchmarks.motion_prediction.table import write_windows
 from tests.benchmarks.motion_prediction.windows import cut, info, walking
 

@@ -10,12 +10,12 @@ from scipy import stats
 
 from prbench.errors import RunError
 from prbench.harness.agreement import goal_places, phi_coefficient, phi_interval, rarest_pair
+from prbench.harness.results import RunChecker
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder, read_scores
-from prbench.harness.run_folder.agreement import DatasetAgreement
+from prbench.harness.run_folder.summary import DatasetAgreement
 from prbench.harness.score_predictions import score_predictions
 from prbench.harness.score_request import ScoreRequest
-from prbench.harness.verification import RunChecker
 from prbench.metrics import METRICS
 from prbench.protocol.manifests import load_protocol
 from tests.harness.test_run import request

@@ -28,7 +28,7 @@ from prbench.harness.conditions import (
 from prbench.harness.planning import select
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import read_scores
-from prbench.harness.run_folder.agreement import DatasetAgreement
+from prbench.harness.run_folder.summary import DatasetAgreement
 from prbench.randomness import noise_seed
 from tests.fakes import fake_box, fake_dataset, fake_sequence
 from tests.harness.test_run import request

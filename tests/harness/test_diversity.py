@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from prbench.geometry.skeleton import Joint
+from prbench.harness.controls import Tasks
 from prbench.harness.diversity import SPREADS, MotionsToGoal, average_pairwise_distance, spreads, timing
-from prbench.harness.similar_tasks import Tasks
 from prbench.protocol.manifests import load_protocol
 from tests.fakes import STANDING, fake_dataset
 

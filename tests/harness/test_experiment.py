@@ -10,7 +10,8 @@ import pytest
 from prbench.cli import main
 from prbench.contract import Condition
 from prbench.errors import InputFileError, UsageError
-from prbench.harness.experiment import Experiment, earlier_run, read_experiment, same_scores
+from prbench.harness.first_run import earlier_run, same_scores
+from prbench.harness.request import Experiment, read_experiment
 from prbench.harness.run_folder import RunFolder
 from tests.fakes import fake_dataset
 

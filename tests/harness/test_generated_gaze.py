@@ -18,9 +18,9 @@ from prbench.errors import PredictionsError
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import Predictions
-from prbench.harness.run_folder.agreement import DatasetAgreement
 from prbench.harness.run_folder.record import RunRecord
 from prbench.harness.run_folder.scores import read_scores
+from prbench.harness.run_folder.summary import DatasetAgreement
 from prbench.harness.score_predictions import score_predictions
 from prbench.harness.score_request import ScoreRequest
 from prbench.viewing.view import ViewRequest, scenes_of

@@ -18,7 +18,7 @@ from prbench.cli.main import main
 from prbench.contract import Condition
 from prbench.errors import RunError
 from prbench.harness.run import run_method
-from prbench.harness.run_folder.cost import RunCost
+from prbench.harness.run_folder.record import RunCost
 from tests.fakes import fake_dataset
 from tests.harness.test_run import reproducible_bytes, request
 from tests.method_fixtures import adapter_source

@@ -17,11 +17,10 @@ import pytest
 from prbench.cli.main import main
 from prbench.errors import RunError
 from prbench.harness.request import RunRequest
-from prbench.harness.results import summary_of
+from prbench.harness.results import RunChecker, summary_of
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.scores import read_scores
-from prbench.harness.verification import RunChecker
 from prbench.sequences import SequenceTable
 from prbench.sequences.sequence import recording_key
 from tests.fakes import fake_dataset

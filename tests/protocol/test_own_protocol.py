@@ -16,12 +16,12 @@ from prbench.curation import BuildOptions, build_from_sources
 from prbench.engine import InProcess, ProcessPool
 from prbench.errors import InputFileError, RunError, TableError, UsageError
 from prbench.harness.request import RunRequest
+from prbench.harness.results import RunChecker
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder, read_scores
-from prbench.harness.run_folder.agreement import DatasetAgreement
+from prbench.harness.run_folder.summary import DatasetAgreement
 from prbench.harness.score_predictions import score_predictions
 from prbench.harness.score_request import ScoreRequest
-from prbench.harness.verification import RunChecker
 from prbench.protocol.manifests import BenchmarkProtocol, digest_of, load_protocol
 from prbench.protocol.own_protocol import FILE_NAME, read_protocol, write_protocol
 from prbench.sequences import SequenceTable

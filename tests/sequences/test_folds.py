@@ -16,12 +16,11 @@ from prbench.cli.main import main
 from prbench.errors import RunError, StorageError, TableError, UsageError
 from prbench.harness.first_run import table_finder
 from prbench.harness.request import RunRequest
-from prbench.harness.results import summary_of
+from prbench.harness.results import RunChecker, summary_of
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.scores import read_scores, write_scores
 from prbench.harness.run_folder.summary import DatasetSummary
-from prbench.harness.verification import RunChecker
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import participant_folds, write_fold
 from prbench.sequences.sequence import recording_key

@@ -15,9 +15,9 @@ import msgspec
 from prbench.engine import Engine
 from prbench.errors import RunError, UsageError
 from prbench.harness.first_run import tables_of_runs
+from prbench.harness.results import RunChecker
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.run_folder.record import TableRecord
-from prbench.harness.verification import RunChecker
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol, read_toml
 from prbench.sequences import SequenceTable
 from prbench.shown import clean

@@ -22,10 +22,10 @@ from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import remove_leftovers, sole_writer, write_json
 from prbench.harness.planning import select
 from prbench.harness.request import ProgressCallback, silent
+from prbench.harness.results import CheckedSummary, RunChecker
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.run_folder.record import TableRecord
-from prbench.harness.verification import CheckedSummary, RunChecker
 from prbench.tables import Table, write_tables
 from prbench_benchmarks.prime_and_reach.study.methods import methods_table
 from prbench_benchmarks.prime_and_reach.table_two.request import PlannedRow, TableRequest, plan_rows

@@ -17,7 +17,7 @@ from prbench.errors import InputFileError, RunError, StorageError
 from prbench.files.arrays import read_parquet
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, inside, remove_half_written, remove_leftovers, write_json
-from prbench.harness.run_folder import agreement, record, summary
+from prbench.harness.run_folder import record, summary
 from prbench.harness.run_folder.record import RunRecord, read_record
 from prbench.protocol.manifests import BenchmarkProtocol, default_benchmark
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
@@ -53,7 +53,7 @@ class DatasetFolder:
     @property
     def agreement(self) -> Path:
         """Agreement with recorded people, and rates by the goal's place; absent in runs of earlier versions."""
-        return self.path / agreement.FILE_NAME
+        return self.path / summary.AGREEMENT_FILE
 
     @property
     def notice(self) -> Path:

@@ -12,7 +12,7 @@ from prbench.cli.main import main
 from prbench.engine import InProcess
 from prbench.errors import UsageError
 from prbench.harness.first_run import table_finder
-from prbench.harness.verification import RunChecker
+from prbench.harness.results import RunChecker
 from prbench_adapters.training.ablations import load_ablations
 from prbench_benchmarks.prime_and_reach import ablation
 from prbench_benchmarks.prime_and_reach.ablation import TABLES, AblationRequest, ablation_table, run_ablation

@@ -13,7 +13,8 @@ import pytest
 
 from prbench.errors import InputFileError, PredictionsError
 from prbench.files import arrays as array_files
-from prbench.harness.run_folder.predictions import Predictions, npz
+from prbench.harness.run_folder import npz
+from prbench.harness.run_folder.predictions import Predictions
 
 LENGTHS = np.array([3, 5, 2])
 IDS = np.array(["b", "a", "c"])

@@ -8,8 +8,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.errors import PredictionsError
+from prbench.harness.run_folder import predictions as predictions_module
 from prbench.harness.run_folder.folder import DatasetFolder
-from prbench.harness.run_folder.predictions import PredictionRows, Predictions, parquet, write_part
+from prbench.harness.run_folder.predictions import PredictionRows, Predictions, write_part
 from prbench.harness.run_folder.scores import predictions_schema
 
 
@@ -53,7 +54,7 @@ def test_some_motions_are_those_of_the_whole_and_name_no_other(folder):
 
 def test_a_small_cache_changes_nothing(folder, monkeypatch):
     whole = Predictions.open(folder.predictions).motions(["a", "c", "b"], 0).values
-    monkeypatch.setattr(parquet, "_CACHED_BYTES", 1)
+    monkeypatch.setattr(predictions_module, "_CACHED_BYTES", 1)
     assert np.array_equal(Predictions.open(folder.predictions).motions(["a", "c", "b"], 0).values, whole)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from prbench.board import collect_runs, make_leaderboard
-from prbench.harness.verification import CheckedSummary
+from prbench.harness.results import CheckedSummary
 from prbench.protocol.published import load_published, load_table_one
 from prbench_benchmarks.prime_and_reach.study.methods import (
     differences,

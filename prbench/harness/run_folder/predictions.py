@@ -1,11 +1,16 @@
-"""Predictions as Parquet: a file, or a folder of parts as a run leaves them."""
+"""Motions on disk: the Parquet parts in which a run keeps them, and what somebody hands in, whatever the format.
+
+Motions stand after one another (:class:`PredictionRows`). :class:`Predictions` says which there are, and reads single
+ones in any order.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,12 +18,120 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from jaxtyping import Float, Int
 
-from prbench.errors import PredictionsError
-from prbench.files.arrays import open_parquet
+from prbench.errors import InputFileError, PredictionsError
+from prbench.files.arrays import open_parquet, read_parquet
+from prbench.files.bounded import foreign_input
 from prbench.geometry.skeleton import N_JOINTS
-from prbench.harness.run_folder.predictions.rows import POSE_SIZE, PredictionRows, as_float32
-from prbench.harness.run_folder.scores import GAZE_COLUMNS
+from prbench.harness.run_folder.npz import POSE_SIZE, ArrayMotions, as_float32, read_npz
+from prbench.harness.run_folder.scores import GAZE_COLUMNS, predictions_schema
+from prbench.sequences.write import write_table
+
+
+@dataclass(frozen=True)
+class PredictionRows:
+    """Motions of some sequences after one another.
+
+    Attributes:
+        values: Metres, in the frame of the question; 22 joints in a canonical frame for prime-and-reach.
+        offsets: Row at which each motion begins, then the number of all frames.
+        gaze: Middle between the eyes (metres) and unit direction of the gaze in each frame; None for motions without
+            gaze.
+    """
+
+    values: Float[np.ndarray, "total joints 3"]
+    offsets: Int[np.ndarray, " offsets"]
+    gaze: Float[np.ndarray, "total 2 3"] | None = None
+
+    @classmethod
+    def from_padded(
+        cls,
+        joints: Float[np.ndarray, "batch frames joints 3"],
+        n_frames: Int[np.ndarray, " batch"],
+        gaze: Float[np.ndarray, "batch frames 2 3"] | None = None,
+    ) -> PredictionRows:
+        """Leave out what stands behind the last frame of each row."""
+        valid = np.arange(joints.shape[1]) < n_frames[:, None]
+        offsets = np.concatenate(([0], np.cumsum(n_frames)))
+        return cls(joints[valid], offsets, None if gaze is None else gaze[valid])
+
+
+def write_part(
+    path: Path,
+    sequence_ids: Sequence[str],
+    seeds: Sequence[Sequence[int]],
+    samples: Sequence[PredictionRows],
+    *,
+    protocol_version: int,
+) -> None:
+    """Write the motions of one batch, whole or not at all, sample by sample.
+
+    Args:
+        path: The Parquet file.
+        sequence_ids: Ids of the batch's rows.
+        seeds: Noise seed of each row, one list a sample.
+        samples: Motions of the batch, one entry a sample.
+        protocol_version: Stands in the file's metadata.
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    batches = []
+    for sample, motions in enumerate(samples):
+        offsets = pa.array(motions.offsets.astype(np.int32))
+        n_joints = motions.values.shape[1]
+        schema = predictions_schema(n_joints, gaze=motions.gaze is not None)
+        columns = [
+            pa.array(sequence_ids, pa.string()),
+            pa.array([sample] * len(sequence_ids), pa.int32()),
+            pa.array(seeds[sample], pa.int64()),
+        ]
+        per_frame = [motions.values]
+        if motions.gaze is not None:
+            per_frame += [motions.gaze[:, part] for part in range(len(GAZE_COLUMNS))]
+        for values, column in zip(per_frame, list(schema)[3:], strict=True):
+            numbers = pa.array(values.astype(np.float32).reshape(-1))
+            frames = pa.FixedSizeListArray.from_arrays(numbers, math.prod(values.shape[1:]))
+            columns.append(pa.ListArray.from_arrays(offsets, frames).cast(column.type))
+        batches.append(pa.RecordBatch.from_arrays(columns, schema=schema))
+    write_table(path, batches, batches[0].schema, protocol_version=protocol_version)
+
+
+def read_part(
+    path: Path, sequence_ids: Sequence[str], *, samples: int, joints: int
+) -> Float[np.ndarray, "batch samples frames joints 3"]:
+    """Read the motions of one batch, which all have the same length.
+
+    Args:
+        path: A file of :func:`write_part`.
+        sequence_ids: Ids of the batch's rows.
+        samples: Number of samples.
+        joints: Number of joints.
+
+    Raises:
+        PredictionsError: if the file is missing or damaged, or holds other motions.
+    """
+    remedy = "Delete it and run the same command again: it resumes."
+    try:
+        rows = read_parquet(path, verify=True)
+    except (pa.ArrowInvalid, OSError, InputFileError) as error:
+        raise PredictionsError(f"{path}: expected the motions of a batch, found no readable file. {remedy}") from error
+    expected = [(sample, name) for sample in range(samples) for name in sequence_ids]
+    fits = rows.schema.equals(predictions_schema(joints), check_metadata=False)
+    if not fits or list(zip(rows["sample"].to_pylist(), rows["sequence_id"].to_pylist(), strict=True)) != expected:
+        raise PredictionsError(
+            f"{path}: expected {samples} motions of {joints} joints for each of {len(sequence_ids)} sequences, found"
+            f" others. {remedy}"
+        )
+    found = rows["joints"].combine_chunks()
+    lengths = found.value_lengths().to_numpy()
+    values = found.flatten().flatten().to_numpy()
+    if (lengths != lengths[0]).any() or not np.isfinite(values).all():
+        raise PredictionsError(f"{path}: expected finite motions of one length, found others. {remedy}")
+    shape = (samples, len(sequence_ids), int(lengths[0]), joints, 3)
+    return np.swapaxes(values.reshape(shape), 0, 1)
+
 
 _CACHED_BYTES = 64 * 1024**2
 _JOINTS_FORM = f"a list of frames, each {POSE_SIZE} numbers (22 joints, x y z)"
@@ -260,3 +373,104 @@ def _checked_columns(path: Path, schema: pa.Schema, id_column: str) -> tuple[str
 
 def _is_list(kind: pa.DataType) -> bool:
     return pa.types.is_list(kind) or pa.types.is_large_list(kind)
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """Finished motions with an index of them.
+
+    Attributes:
+        id_column: ``sequence_id`` or ``opaque_id``.
+        ids: Id of every motion, in the order of the files.
+        has_gaze: True if every motion comes with gaze.
+        rows: Row of every motion in the store, where the store holds more motions; None where they are the same.
+    """
+
+    paths: tuple[Path, ...]
+    id_column: str
+    ids: tuple[str, ...]
+    samples: tuple[int, ...]
+    store: ParquetMotions | ArrayMotions
+    has_gaze: bool = False
+    rows: Int[np.ndarray, " n"] | None = None
+
+    @classmethod
+    @foreign_input()
+    def open(cls, path: Path | str) -> Predictions:
+        """Index finished motions; those in Parquet are read when they are asked for.
+
+        Args:
+            path: A Parquet file or a folder of such (sequence_id or opaque_id, sample, joints), or an ``.npz`` file.
+
+        Raises:
+            PredictionsError: if there is none, or it is not of one of these forms.
+        """
+        path = Path(path)
+        if path.is_dir():
+            parts = tuple(sorted(part for part in path.glob("*.parquet") if part.name[0] != "."))
+            if not parts:
+                raise PredictionsError(f"{path}: expected predictions (*.parquet), found none.")
+            return cls(**index_parquet(parts))
+        if path.suffix.lower() == ".npz":
+            return cls(**read_npz(path))
+        if path.suffix.lower() != ".parquet" and path.is_file():
+            with open(path, "rb") as file:
+                if file.read(4) != b"PAR1":
+                    raise PredictionsError(
+                        f"{path}: expected Parquet, .npz, or a folder of Parquet files, found a file of another kind."
+                        " Pickles and torch files are never loaded: save the arrays with np.savez."
+                    )
+        return cls(**index_parquet((path,)))
+
+    def only(self, ids: Sequence[str], samples: Sequence[int]) -> Predictions:
+        """Return some of the motions, without the index of all others.
+
+        Args:
+            ids: Their ids.
+            samples: Their samples; every id has each of them.
+        """
+        keys = [(name, sample) for sample in samples for name in ids]
+        places = np.array([self._place_of[key] for key in keys], dtype=np.int64)
+        rows = places if self.rows is None else self.rows[places]
+        in_memory = isinstance(self.store, ArrayMotions)
+        return replace(
+            self,
+            ids=tuple(name for name, _ in keys),
+            samples=tuple(sample for _, sample in keys),
+            store=self.store.only(rows.tolist()) if isinstance(self.store, ArrayMotions) else self.store,
+            rows=None if in_memory else rows,
+        )
+
+    @cached_property
+    def _place_of(self) -> dict[tuple[str, int], int]:
+        """Maps id and sample to the place; of repeated ones to the last."""
+        return {key: place for place, key in enumerate(zip(self.ids, self.samples))}
+
+    def _row(self, name: str, sample: int) -> int:
+        """Return the row of a motion in the store."""
+        place = self._place_of[name, sample]
+        return place if self.rows is None else int(self.rows[place])
+
+    def __contains__(self, key: tuple[str, int]) -> bool:
+        return key in self._place_of
+
+    def where(self, name: str, sample: int) -> str:
+        """The file that a motion stands in and its place there, for messages."""
+        return self.store.where(self._row(name, sample))
+
+    @foreign_input()
+    def motions(self, ids: Sequence[str], sample: int) -> PredictionRows:
+        """The motions of the given sequences, in the given order; float32, as a run keeps them.
+
+        Raises:
+            PredictionsError: if a motion is empty, damaged, a frame does not have 22 joints, or gaze has other frames
+                than the joints.
+        """
+        rows = [self._row(name, sample) for name in ids]
+        joints, rays = self.store.motions(rows)
+        lengths = [len(motion) for motion in joints]
+        if 0 in lengths:
+            i = lengths.index(0)
+            raise PredictionsError(f"{self.store.where(rows[i])}, {ids[i]}: expected a motion, found no frames.")
+        gaze = as_float32(np.concatenate(rays)) if rays else None
+        return PredictionRows(as_float32(np.concatenate(joints)), np.concatenate(([0], np.cumsum(lengths))), gaze)

@@ -9,23 +9,60 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from prbench.errors import InputFileError, PredictionsError
 from prbench.files.arrays import Archive, ArrayHeader
 from prbench.geometry.skeleton import N_JOINTS
-from prbench.harness.run_folder.predictions.rows import POSE_SIZE, ArrayMotions, as_float32
 from prbench.harness.run_folder.scores import GAZE_COLUMNS
 from prbench.limits import MOST_MOTIONS
 
+POSE_SIZE = N_JOINTS * 3
 _LARGEST_COLUMN = 1024**3  # bytes of ids or lengths, many times what any table needs
 _LARGEST_ARRAY = 64 * 1024**3  # bytes of all motions
 _PADDED_FRAMES = 1000  # to which any motion may be padded; wider arrays are refused before they are unpacked
 _OPAQUE_ID = re.compile(r"[0-9a-f]{64}")
 _FORMS = "(n, N, 22, 3) padded, or (total, 22, 3) after one another, of float32 or float64"
+
+
+def as_float32(joints: np.ndarray) -> Float[np.ndarray, "..."]:
+    """The numbers as a run keeps them, so that every way in scores alike; too large ones become infinite."""
+    # Infinity is refused later, in words that name the sequence.
+    with np.errstate(over="ignore"):
+        return np.asarray(joints, dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayMotions:
+    """Motions in memory, each an array of its own.
+
+    Attributes:
+        places: File and place of each motion, for messages.
+        rays: Gaze of each motion, (frames, 2, 3); empty for motions without gaze.
+    """
+
+    joints: tuple[np.ndarray, ...]
+    places: tuple[str, ...]
+    rays: tuple[np.ndarray, ...] = ()
+
+    def motions(self, rows: Sequence[int]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Joints of some rows in the order given, and their gaze; no gaze where the motions bring none."""
+        return [self.joints[row] for row in rows], [self.rays[row] for row in rows if self.rays]
+
+    def where(self, row: int) -> str:
+        """The file that a row stands in and its place there, for messages."""
+        return self.places[row]
+
+    def only(self, rows: Sequence[int]) -> ArrayMotions:
+        """Some of the motions, so that a worker is not sent all of them."""
+        joints, rays = self.motions(rows)
+        return ArrayMotions(tuple(joints), tuple(self.places[row] for row in rows), tuple(rays))
 
 
 def read_npz(path: Path) -> dict[str, Any]:
