@@ -163,5 +163,7 @@ def test_scores_are_those_of_a_machine_with_torch(answers, folder):
     assert answers["static"].status == 0
     report = run_method(RunRequest(method="static", data=(folder / "table",), limit=4, out=folder / "runs" / "here"))
     for file in ("scores.parquet", "summary.json"):
-        assert (folder / "runs" / "static" / file).read_bytes() == (report.folder.path / file).read_bytes()
+        assert (folder / "runs/static/synthetic-adt" / file).read_bytes() == (
+            report.folder.path / "synthetic-adt" / file
+        ).read_bytes()
     assert np.isfinite([item.mean for item in report.summaries[0].metrics if item.mean is not None]).all()
