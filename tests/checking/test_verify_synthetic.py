@@ -355,8 +355,7 @@ def test_thin_and_lost_events_and_what_was_found_of_them_count_nowhere_else() ->
 
 def test_hands_are_right_wrong_or_unknown() -> None:
     matches = match_events(
-        [true(10), true(20), true(30, hand="right"), true(40)],
-        [found(10), found(20, hand=None), found(30), found(40)],
+        [true(10), true(20), true(30, hand="right"), true(40)], [found(10), found(20, hand=None), found(30), found(40)]
     )
     assert verification(matches, recordings=1).hands == {"right": 2, "wrong": 1, "unknown": 1}
 

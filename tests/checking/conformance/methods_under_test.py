@@ -85,297 +85,202 @@ def turned(points, angle):
     return np.stack([np.cos(angle) * x + np.sin(angle) * z, y, np.cos(angle) * z - np.sin(angle) * x], axis=-1)
 
 
-class NoConditions(Glide):
-    conditions = frozenset()
+FAULTS = {"glide": Glide}  # every method by the name that it is installed under
 
 
-class ImpossibleMaxFrames(Glide):
-    max_frames = 0
+def fault(name, **changes):
+    """Add a method that differs from the right one in what is given."""
+    FAULTS[name] = type(name, (Glide,), changes)
 
 
-class TooShort(Glide):
-    max_frames = 30
+def spoilt(change):
+    """Return a ``joints`` that changes those of the right method."""
+    return lambda self, batch, start, way, sway: change(Glide.joints(self, batch, start, way, sway), batch)
 
 
-class Limited(Glide):
-    max_frames = 196
+def swaying(draw):
+    """Return a ``sway`` of other numbers, two for each row."""
+    return lambda self, batch, seed: 0.05 * np.array(draw(self, batch, seed))
 
 
-class NativeRate(Glide):
-    native_fps = 30.0
-    max_frames = 361  # the protocol's twelve seconds
-
-
-class CannotLoad(Glide):
-    def __init__(self, method):
-        raise RuntimeError("no room for weights")
-
-
-class MissingWeights(Glide):
-    def weights_for(self, condition):
-        return Path("nowhere/glide.npz")
-
-
-class WeightsAsText(Glide):
-    def weights_for(self, condition):
-        return "glide.npz"
-
-
-class WeightsOfOneCondition(Glide):
-    def weights_for(self, condition):
-        return {Condition.TEXT: None}[condition]
-
-
-class Raises(Glide):
-    def way(self, batch):
-        if batch.goal_location is not None:
-            raise KeyError("goal")
-        return super().way(batch)
-
-
-class Exits(Glide):
-    def way(self, batch):
-        sys.exit("bye")
-
-
-class ForgetsToReturn(Glide):
-    def motions(self, joints, n_frames):
-        Motions(joints, n_frames)
-
-
-class BareArray(Glide):
-    def motions(self, joints, n_frames):
-        return joints
-
-
-class FrameShort(Glide):
-    def motions(self, joints, n_frames):
-        return unchecked(joints[:, :-1], n_frames)
-
-
-class FlatJoints(Glide):
-    def motions(self, joints, n_frames):
-        return unchecked(joints.reshape(*joints.shape[:2], 66), n_frames)
-
-
-class FramesFirst(Glide):
-    def motions(self, joints, n_frames):
-        return unchecked(joints.transpose(1, 0, 2, 3), n_frames)
-
-
-class AllAsLongAsTheLongest(Glide):
-    def motions(self, joints, n_frames):
-        return unchecked(joints, np.full(len(n_frames), n_frames.max()))
-
-
-class WholeMillimetres(Glide):
-    def motions(self, joints, n_frames):
-        return unchecked((joints * 1000).astype(np.int64), n_frames)
-
-
-class HalfPrecision(Glide):
-    def motions(self, joints, n_frames):
-        return Motions(joints.astype(np.float16), n_frames)
-
-
-class NotANumber(Glide):
-    def joints(self, batch, start, way, sway):
-        joints = super().joints(batch, start, way, sway)
-        joints[0, 3] = np.nan
-        return joints
-
-
-class SystemEntropy(Glide):
-    def sway(self, batch, seed):
-        return 0.05 * np.random.default_rng(uuid.uuid4().int).normal(size=(len(batch), 2))
-
-
-class OwnGenerator(Glide):
-    def __init__(self, method):
-        self.name, self.generator = method, np.random.default_rng(0)
-
-    def sway(self, batch, seed):
-        return 0.05 * self.generator.normal(size=(len(batch), 2))
-
-
-class GlobalNumpy(Glide):
-    def sway(self, batch, seed):
-        return 0.05 * np.random.normal(size=(len(batch), 2))  # noqa: NPY002
-
-
-class SeedsGlobalNumpy(Glide):
-    def sway(self, batch, seed):
-        drawn = []
-        for noise_seed in batch.noise_seed:
-            np.random.seed(noise_seed % 2**32)  # noqa: NPY002
-            drawn.append(np.random.normal(size=2))  # noqa: NPY002
-        return 0.05 * np.array(drawn)
-
-
-class RunSeed(Glide):
-    def sway(self, batch, seed):
-        return 0.05 * np.random.default_rng(seed).normal(size=(len(batch), 2))
-
-
-class OpaqueIds(Glide):
-    def sway(self, batch, seed):
-        return 0.05 * np.array([np.random.default_rng(int(name[:8], 16)).normal(size=2) for name in batch.opaque_id])
-
-
-class HashOfText(Glide):
-    def sway(self, batch, seed):
-        return 0.05 * np.array([np.random.default_rng(abs(hash(text))).normal(size=2) for text in batch.text])
-
-
-class FirstNoiseSeed(Glide):
-    def sway(self, batch, seed):
-        return 0.05 * np.random.default_rng(batch.noise_seed[0]).normal(size=(len(batch), 2))
-
-
-class BatchMean(Glide):
-    def way(self, batch):
-        return np.broadcast_to(super().way(batch).mean(axis=0), (len(batch), 3))
-
-
-class PaceOfTheLongest(Glide):
-    def progress(self, batch):
-        frames = int(batch.n_frames.max())
-        return np.broadcast_to(np.arange(frames) / max(frames - 1, 1), (len(batch), frames))
-
-
-class AmplifiesRounding(Glide):
-    """What chaos does: the last digits of the sums decide; here of a sum over the batch, as in a matrix product."""
-
-    def joints(self, batch, start, way, sway):
-        start = start.copy()
-        last_digits = np.sin(1e9 * (start[:, 0] + 1e-9 * np.arange(len(batch))[:, None]))
-        return super().joints(batch, start, way + 0.05 * last_digits, sway)
-
-
-class Squeezes(Glide):
-    def motions(self, joints, n_frames):
-        return unchecked(joints.squeeze(), n_frames)
-
-
-class NoLongSequences(Glide):
-    def progress(self, batch):
-        progress = np.zeros((len(batch), 240))
-        progress[:, : int(batch.n_frames.max())] = super().progress(batch)[:, :240]
-        return progress[:, : int(batch.n_frames.max())]
-
-
-class SpoiltByOtherConditions(Glide):
-    spoilt = False
+def doing(action):
+    """Return a ``way`` that does something else before the right one."""
 
     def way(self, batch):
-        self.spoilt |= batch.condition not in self.conditions
-        return super().way(batch) + 0.1 * self.spoilt
+        action(self, batch)
+        return Glide.way(self, batch)
+
+    return way
 
 
-class NeedsWords(Glide):
-    def sway(self, batch, seed):
-        for text in batch.text:
-            text.split()[0]
-        return super().sway(batch, seed)
+def normal(seed):
+    return np.random.default_rng(seed).normal(size=2)
 
 
-class DepthUp(Glide):
-    def joints(self, batch, start, way, sway):
-        return super().joints(batch, start, way, sway)[..., [0, 2, 1]] * [1, -1, 1]
+def of_the_first(batch):
+    return np.random.default_rng(batch.noise_seed[0]).normal(size=(len(batch), 2))
 
 
-class Centimetres(Glide):
-    def joints(self, batch, start, way, sway):
-        return 100 * super().joints(batch, start, way, sway)
+def raising(error):
+    raise error
 
 
-class OneJointFarOut(Glide):
-    def joints(self, batch, start, way, sway):
-        joints = super().joints(batch, start, way, sway)
-        joints[:, 1:2, 15] += [150.0, 0.0, 0.0]
-        return joints
+TEXT_ALONE = frozenset({Condition.TEXT})
+OTHER_SIDES = [0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20]
+
+# What is declared, loaded and named
+fault("noconditions", conditions=frozenset())
+fault("impossiblemaxframes", max_frames=0)
+fault("tooshort", max_frames=30)
+fault("limited", max_frames=196)
+fault("nativerate", native_fps=30.0, max_frames=361)  # the protocol's twelve seconds
+fault("cannotload", __init__=lambda self, method: raising(RuntimeError("no room for weights")))
+fault("missingweights", weights_for=lambda self, condition: Path("nowhere/glide.npz"))
+fault("weightsastext", weights_for=lambda self, condition: "glide.npz")
+fault("weightsofonecondition", weights_for=lambda self, condition: {Condition.TEXT: None}[condition])
+
+# The form of the answer
+fault("raises", way=doing(lambda self, batch: None if batch.goal_location is None else raising(KeyError("goal"))))
+fault("exits", way=doing(lambda self, batch: sys.exit("bye")))
+fault("forgetstoreturn", motions=lambda self, joints, n_frames: None)
+fault("barearray", motions=lambda self, joints, n_frames: joints)
+fault("frameshort", motions=lambda self, joints, n_frames: unchecked(joints[:, :-1], n_frames))
+fault("flatjoints", motions=lambda self, joints, n_frames: unchecked(joints.reshape(*joints.shape[:2], 66), n_frames))
+fault("framesfirst", motions=lambda self, joints, n_frames: unchecked(joints.transpose(1, 0, 2, 3), n_frames))
+fault("allaslongasthelongest", motions=lambda self, joints, n: unchecked(joints, np.full(len(n), n.max())))
+fault("wholemillimetres", motions=lambda self, joints, n: unchecked((joints * 1000).astype(np.int64), n))
+fault("halfprecision", motions=lambda self, joints, n_frames: Motions(joints.astype(np.float16), n_frames))
+fault("squeezes", motions=lambda self, joints, n_frames: unchecked(joints.squeeze(), n_frames))
+
+# What decides but the noise seed
+fault("systementropy", sway=swaying(lambda self, batch, seed: [normal(uuid.uuid4().int) for _ in batch.text]))
+GENERATOR = np.random.default_rng(0)
+fault("owngenerator", sway=swaying(lambda self, batch, seed: GENERATOR.normal(size=(len(batch), 2))))
+fault("globalnumpy", sway=swaying(lambda self, batch, seed: np.random.normal(size=(len(batch), 2))))  # noqa: NPY002
+fault("runseed", sway=swaying(lambda self, batch, seed: np.random.default_rng(seed).normal(size=(len(batch), 2))))
+fault("opaqueids", sway=swaying(lambda self, batch, seed: [normal(int(name[:8], 16)) for name in batch.opaque_id]))
+fault("hashoftext", sway=swaying(lambda self, batch, seed: [normal(abs(hash(text))) for text in batch.text]))
+fault("firstnoiseseed", sway=swaying(lambda self, batch, seed: of_the_first(batch)))
+fault("batchmean", way=lambda self, batch: np.broadcast_to(Glide.way(self, batch).mean(axis=0), (len(batch), 3)))
 
 
-class LeftAndRightSwapped(Glide):
-    def joints(self, batch, start, way, sway):
-        other = [0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20]
-        return super().joints(batch, start, way, sway)[:, :, other]
+def seeds_global_numpy(self, batch, seed):
+    drawn = []
+    for noise_seed in batch.noise_seed:
+        np.random.seed(noise_seed % 2**32)  # noqa: NPY002
+        drawn.append(np.random.normal(size=2))  # noqa: NPY002
+    return drawn
 
 
-class Floats(Glide):
-    def joints(self, batch, start, way, sway):
-        return super().joints(batch, start, way, sway) + np.array([0.0, 0.3, 0.0])
+fault("seedsglobalnumpy", sway=swaying(seeds_global_numpy))
 
 
-class Elsewhere(Glide):
-    conditions = frozenset({Condition.TEXT})
-
-    def start(self, batch):
-        return super().start(batch) + np.array([3.0, 0.0, 2.0])
+def pace_of_the_longest(self, batch):
+    frames = int(batch.n_frames.max())
+    return np.broadcast_to(np.arange(frames) / max(frames - 1, 1), (len(batch), frames))
 
 
-class StartsFromAStandingPose(Glide):
-    def start(self, batch):
-        raised = STANDING.copy()
-        raised[[18, 20]] += [[0.05, 0.35, 0.2], [0.1, 0.7, 0.4]]
-        raised[[19, 21]] += [[-0.05, 0.35, 0.2], [-0.1, 0.7, 0.4]]
-        return np.broadcast_to(raised, (len(batch), 22, 3))
+fault("paceofthelongest", progress=pace_of_the_longest)
 
 
-class AnyHeading(Glide):
-    conditions = frozenset({Condition.TEXT})
-
-    def joints(self, batch, start, way, sway):
-        # 45 degrees off or more, whatever the noise says: three motions are too few to leave that to chance.
-        heading = np.pi + 0.75 * np.pi * np.tanh(20 * sway[:, :1, None])
-        return turned(super().joints(batch, start, way, sway), heading)
+def amplified_rounding(self, batch, start, way, sway):
+    """Do what chaos does: the last digits of the sums decide; here of a sum over the batch, as in a matrix product."""
+    last_digits = np.sin(1e9 * (start[:, 0] + 1e-9 * np.arange(len(batch))[:, None]))
+    return Glide.joints(self, batch, start.copy(), way + 0.05 * last_digits, sway)
 
 
-class Stretches(Glide):
-    conditions = frozenset({Condition.TEXT})
-
-    def joints(self, batch, start, way, sway):
-        joints = super().joints(batch, start, way, sway)
-        pelvis = joints[:, :, :1] * [1, 0, 1]
-        body = turned(joints - pelvis, 0.4 * self.progress(batch)[..., None])
-        return pelvis + body * (1 + 0.15 * self.progress(batch)[..., None, None])
+fault("amplifiesrounding", joints=amplified_rounding)
 
 
-class NothingFilledIn(Glide):
-    def joints(self, batch, start, way, sway):
-        return np.zeros((len(batch), int(batch.n_frames.max()), 22, 3))
+def no_long_sequences(self, batch):
+    progress = np.zeros((len(batch), 240))
+    progress[:, : int(batch.n_frames.max())] = Glide.progress(self, batch)[:, :240]
+    return progress[:, : int(batch.n_frames.max())]
 
 
-class Leaks(Glide):
-    kept: list
-
-    def joints(self, batch, start, way, sway):
-        pages = mmap.mmap(-1, len(batch) * 320_000)  # never from what the process has freed before
-        pages.write(bytes(len(pages)))
-        self.__dict__.setdefault("kept", []).append(pages)
-        return super().joints(batch, start, way, sway)
+fault("nolongsequences", progress=no_long_sequences)
 
 
-class Dies(Glide):
-    def way(self, batch):
-        sys.stderr.write("about to die\n")
-        os._exit(7)
+def spoilt_by_other_conditions(self, batch):
+    self.spoilt |= batch.condition not in self.conditions
+    return Glide.way(self, batch) + 0.1 * self.spoilt
 
 
-class DiesOnBlankTextAndHangsOnTheLongest(Glide):
-    def sway(self, batch, seed):
-        if not all(batch.text):
-            os.kill(os.getpid(), 11)
-        if batch.n_frames.max() == 241:
-            time.sleep(3600)
-        return super().sway(batch, seed)
+fault("spoiltbyotherconditions", spoilt=False, way=spoilt_by_other_conditions)
+fault("needswords", way=doing(lambda self, batch: [text.split()[0] for text in batch.text]))
+
+# The body
 
 
-FAULTS = {cls.__name__.lower(): cls for cls in (Glide, *Glide.__subclasses__())}
-"""Every method by the name that it is installed under."""
+def with_nan(joints, batch):
+    joints[0, 3] = np.nan
+    return joints
 
 
-def load_as(fault, *, name=None):
+def one_joint_far_out(joints, batch):
+    joints[:, 1:2, 15] += [150.0, 0.0, 0.0]
+    return joints
+
+
+def from_a_standing_pose(self, batch):
+    raised = STANDING.copy()
+    raised[[18, 20]] += [[0.05, 0.35, 0.2], [0.1, 0.7, 0.4]]
+    raised[[19, 21]] += [[-0.05, 0.35, 0.2], [-0.1, 0.7, 0.4]]
+    return np.broadcast_to(raised, (len(batch), 22, 3))
+
+
+def any_heading(self, batch, start, way, sway):
+    # 45 degrees off or more, whatever the noise says: three motions are too few to leave that to chance.
+    heading = np.pi + 0.75 * np.pi * np.tanh(20 * sway[:, :1, None])
+    return turned(Glide.joints(self, batch, start, way, sway), heading)
+
+
+def stretched(self, batch, start, way, sway):
+    joints = Glide.joints(self, batch, start, way, sway)
+    pelvis = joints[:, :, :1] * [1, 0, 1]
+    body = turned(joints - pelvis, 0.4 * self.progress(batch)[..., None])
+    return pelvis + body * (1 + 0.15 * self.progress(batch)[..., None, None])
+
+
+fault("notanumber", joints=spoilt(with_nan))
+fault("depthup", joints=spoilt(lambda joints, batch: joints[..., [0, 2, 1]] * [1, -1, 1]))
+fault("centimetres", joints=spoilt(lambda joints, batch: 100 * joints))
+fault("onejointfarout", joints=spoilt(one_joint_far_out))
+fault("leftandrightswapped", joints=spoilt(lambda joints, batch: joints[:, :, OTHER_SIDES]))
+fault("floats", joints=spoilt(lambda joints, batch: joints + np.array([0.0, 0.3, 0.0])))
+fault("elsewhere", conditions=TEXT_ALONE, start=lambda self, batch: Glide.start(self, batch) + np.array([3.0, 0, 2.0]))
+fault("startsfromastandingpose", start=from_a_standing_pose)
+fault("anyheading", conditions=TEXT_ALONE, joints=any_heading)
+fault("stretches", conditions=TEXT_ALONE, joints=stretched)
+fault("nothingfilledin", joints=spoilt(lambda joints, batch: np.zeros_like(joints)))
+
+# The process
+
+
+def leak(self, batch):
+    pages = mmap.mmap(-1, len(batch) * 320_000)  # never from what the process has freed before
+    pages.write(bytes(len(pages)))
+    self.__dict__.setdefault("kept", []).append(pages)
+
+
+def die(self, batch):
+    sys.stderr.write("about to die\n")
+    os._exit(7)
+
+
+def die_on_blank_text_and_hang_on_the_longest(self, batch):
+    if not all(batch.text):
+        os.kill(os.getpid(), 11)
+    if batch.n_frames.max() == 241:
+        time.sleep(3600)
+
+
+fault("leaks", way=doing(leak))
+fault("dies", way=doing(die))
+fault("diesonblanktextandhangsonthelongest", way=doing(die_on_blank_text_and_hang_on_the_longest))
+
+
+def load_as(method, *, name=None):
     """What the entry point of this name calls."""
 
     def load(weights, *, options, device):
@@ -384,7 +289,7 @@ def load_as(fault, *, name=None):
             raise ValueError(f"unknown option {unknown.pop()!r}")
         if weights is not None:
             raise ValueError("glide has no weights")
-        return FAULTS[fault](name or fault)
+        return FAULTS[method](name or method)
 
     return load
 

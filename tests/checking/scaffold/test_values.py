@@ -35,10 +35,7 @@ def test_every_other_name_follows_from_the_methods():
         ("x" * 41, "expected at most 40 characters, found 41"),
         ("ground-truth", "is a control of prbench"),
         ("shuffled-goal", "is a control of prbench"),
-        (
-            "static",
-            "only prbench itself may use this name. Choose another, such as 'my-static'.",
-        ),
+        ("static", "only prbench itself may use this name. Choose another, such as 'my-static'."),
         ("adapters", "is a reserved name"),
         ("data-manifests", "is a reserved name"),
         ("cmd", "is a reserved name"),
@@ -70,11 +67,7 @@ def test_a_program_never_hides_a_module_that_it_imports(name, program):
 
 @pytest.mark.parametrize(
     ("flags", "expected"),
-    [
-        ({"a"}, "1\nonly a\nend\n"),
-        ({"b"}, "1\nnot a\nend\n"),
-        ({"a", "b"}, "1\nonly a\na and b\nend\n"),
-    ],
+    [({"a"}, "1\nonly a\nend\n"), ({"b"}, "1\nnot a\nend\n"), ({"a", "b"}, "1\nonly a\na and b\nend\n")],
 )
 def test_parts_are_kept_by_flags(flags, expected):
     template = "1\n%if a\nonly a\n%else\nnot a\n%end\n%if a and b\na and b\n%end\n%if not a and not b\nx\n%end\nend"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import textwrap
@@ -21,10 +22,9 @@ from prbench.harness.methods.remote import RemoteAdapter
 MARK = "REMOTE_TEST_MARK"
 """Variable by which a test finds the processes that its program has left behind."""
 
-BEGINNING = """
+READ_AND_WRITE = """
 import json, os, subprocess, sys, time
 stdin, stdout = sys.stdin.buffer, sys.stdout.buffer
-GOOD = open(sys.argv[1], "rb").read()  # the right answer to the first batch of the tests
 
 def read():
     line = stdin.readline()
@@ -38,7 +38,12 @@ def write(header, payload=None):
         header["bytes"] = len(payload)
     stdout.write(json.dumps(header).encode() + b"\\n" + (payload or b""))
     stdout.flush()
+"""
 
+BEGINNING = (
+    READ_AND_WRITE
+    + """
+GOOD = open(sys.argv[1], "rb").read()  # the right answer to the first batch of the tests
 INTRODUCTION = {"message": "hello", "wire": 1, "name": "made", "version": "1.0", "conditions": ["goal-loc"]}
 
 def hello(**changes):
@@ -48,6 +53,7 @@ def hello(**changes):
 def motions(header, payload=GOOD, **changes):
     write({"message": "motions", "batch": header["batch"], **changes}, payload)
 """
+)
 
 HONEST = """
 hello()
@@ -138,13 +144,17 @@ class Workshop:
 
     def left_behind(self) -> list[psutil.Process]:
         """Processes with the mark of this test in their environment."""
-        return [process for process in psutil.process_iter() if self._is_mine(process)]
+        return marked(self.mark)
 
-    def _is_mine(self, process: psutil.Process) -> bool:
-        try:
-            return process.pid != os.getpid() and process.environ().get(MARK) == self.mark
-        except (psutil.Error, OSError):
-            return False
+
+def marked(mark: str) -> list[psutil.Process]:
+    """Return the processes with this mark in their environment, apart from this one."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error, OSError):
+            if process.pid != os.getpid() and process.environ().get(MARK) == mark:
+                found.append(process)
+    return found
 
 
 _SYSTEM = tuple((key, value) for key, value in os.environ.items() if key.upper() in ("PATH", "SYSTEMROOT"))

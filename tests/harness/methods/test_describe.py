@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 
 from prbench.cli import main
-from prbench.harness.methods.describe import Description, describe_adapters
+from prbench.harness.methods.describe import describe_adapters
 from tests.method_fixtures import adapter_source
 
 ENDINGS = {
@@ -16,15 +15,7 @@ ENDINGS = {
         "import surely_not_installed",
         "cannot be imported: ModuleNotFoundError: No module named 'surely_not_in",
     ),
-    "needy_later": (
-        "def load(weights, *, options, device): import torch_gpu",
-        "cannot be loaded: ModuleNotFoundError: No module named 'torch_gpu'",
-    ),
     "quits": ("raise SystemExit('needs a GPU')", "cannot be imported: SystemExit: needs a GPU"),
-    "refuses": (
-        "def load(weights, *, options, device): raise ValueError('give me --weights FILE')",
-        "refused its settings: give me --weights FILE",
-    ),
     "no_gpu": (
         "def load(weights, *, options, device):\n raise RuntimeError('line one\\nline two')",
         "line one line two",
@@ -33,36 +24,15 @@ ENDINGS = {
 }
 
 
-@pytest.fixture(scope="module")
-def described(tmp_path_factory) -> dict[str, Description]:
-    """All the packages that end badly, described together."""
-    site = tmp_path_factory.mktemp("site")
-    for name, (source, _) in ENDINGS.items():
-        _write_package(site, name, source, requires=['torch-gpu>=2; extra == "gpu"', "smpl-tools"])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(site))
-        return {one.method.name: one for one in describe_adapters(ENDINGS)}
-
-
-def _write_package(site: Path, name: str, source: str, *, requires: list[str]) -> None:
-    package = f"prbench_{name}"
-    (site / f"{package}.py").write_text(source.replace("\n    ", "\n").strip() if source.startswith("\n") else source)
-    info = site / f"{package}-1.2.dist-info"
-    info.mkdir()
-    lines = "".join(f"Requires-Dist: {line}\n" for line in requires)
-    (info / "METADATA").write_text(
-        f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.2\nProvides-Extra: gpu\n{lines}"
-    )
-    (info / "entry_points.txt").write_text(f"[prbench.adapters]\n{name} = {package}:load\n")
-
-
 @pytest.mark.parametrize("name", ENDINGS)
-def test_whatever_a_package_does_becomes_one_line(described, name):
-    error = described[name].error
+def test_whatever_a_package_does_becomes_one_line(install, name):
+    install(name, ENDINGS[name][0])
+    (described,) = describe_adapters([name])
+    error = described.error
     assert ENDINGS[name][1] in error
     assert "\n" not in error
     assert len(error) <= 300
-    assert described[name].conditions == ()
+    assert described.conditions == ()
 
 
 def test_a_method_says_what_it_declares(install):

@@ -27,7 +27,6 @@ from prbench.harness.methods.installed import (
     is_python_method,
     list_adapters,
     name_problem,
-    no_such_method,
     offered_twice,
 )
 from prbench.harness.methods.loading import find_adapter, forget_loaded_methods, load_adapter, method_spec
@@ -122,28 +121,11 @@ def test_the_copy_that_stands_first_on_the_path_is_the_installed_one(package, tm
     assert _mine() == [InstalledEntry("mine", "Mine", "2.0", "new:load")]
 
 
-def test_names_that_two_packages_offer_are_known(package):
-    package("one", "[prbench.adapters]\nsame = one:load\nother = one:load\n")
-    package("two", "[prbench.adapters]\nsame = two:load\n")
-    assert offered_twice(list_adapters()) == {"same"}
-
-
 def test_other_groups_are_read_as_robustly(package):
     package("broken", "[prbench.training_tasks]\nnonsense\nfine = broken:task\n")
     found = {point.name: point.value for point in entry_points_of("prbench.training_tasks")}
     assert found["fine"] == "broken:task"
     assert "t2m-evaluator" in found
-
-
-@pytest.mark.parametrize(
-    ("name", "hint"),
-    [
-        ("sttic", " Did you mean 'static'?"),
-        ("glide.toml", " A program is given as 'cmd:COMMAND', or as a .toml file that holds it."),
-    ],
-)
-def test_an_unknown_name_is_answered_with_what_may_have_been_meant(name, hint):
-    assert hint in str(no_such_method(name, ["static", "pr"]))
 
 
 DAMAGED = "[prbench.adapters]\nthis is no entry point\nno-colon = module\n"

@@ -11,22 +11,11 @@ import pytest
 from prbench.contract import Condition
 from prbench.errors import AdapterError, MissingExtraError, RunError, UsageError
 from prbench.files.storage import file_digest
-from prbench.harness.methods.loading import (
-    InstalledEntry,
-    chosen_condition,
-    find_adapter,
-    list_adapters,
-    load_adapter,
-)
+from prbench.harness.methods.loading import InstalledEntry, chosen_condition, find_adapter, list_adapters, load_adapter
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import RunRecord
 from tests.harness.test_run import request
 from tests.method_fixtures import adapter_source
-
-
-def test_our_own_method_is_listed_with_its_package():
-    static = find_adapter("static")
-    assert (static.package, static.target) == ("prbench", "prbench_adapters.static:load")
 
 
 def test_listing_imports_no_adapter_and_no_torch(install):
@@ -56,13 +45,6 @@ def test_an_unknown_name_is_answered_with_the_nearest():
         find_adapter("groundtruth", also_known=["ground-truth"])
     with pytest.raises(AdapterError, match=r"is not installed. A program is given as"):
         find_adapter("zzzzzz")
-
-
-def test_a_name_that_two_packages_offer_is_refused(install):
-    install("made", adapter_source())
-    install("made", adapter_source(), package="prbench_other")
-    with pytest.raises(AdapterError, match=r"offered more than once: .*prbench_made 1\.2.*prbench_other 1\.2"):
-        find_adapter("made")
 
 
 @pytest.mark.parametrize(
@@ -102,11 +84,6 @@ def test_an_attribute_that_is_not_what_the_contract_asks_for_is_named(install, a
         load_adapter("made", None, {}, "cpu")
 
 
-def test_conditions_may_be_given_by_their_names(install):
-    install("made", adapter_source(attributes="conditions = ['none', 'text']"))
-    chosen_condition("made", load_adapter("made", None, {}, "cpu"), Condition.TEXT)
-
-
 def test_an_error_that_the_user_can_repair_passes_as_it_is(install):
     install(
         "needy",
@@ -115,18 +92,6 @@ def test_an_error_that_the_user_can_repair_passes_as_it_is(install):
     )
     with pytest.raises(MissingExtraError, match=r"prbench\[text\]"):
         load_adapter("needy", None, {}, "cpu")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"poseonly": "true"}, "unknown option 'poseonly'; known options: pose-only"),
-        ({"pose-only": "yes"}, "option 'pose-only': expected true or false, found 'yes'"),
-    ],
-)
-def test_options_of_static_are_checked(options, message):
-    with pytest.raises(AdapterError, match=message):
-        load_adapter("static", None, options, "cpu")
 
 
 def test_an_unsupported_condition_names_the_supported_ones(install):

@@ -180,8 +180,7 @@ def test_motions_survive_the_way_to_the_harness() -> None:
 
 
 GAZE = Gaze(
-    MOTIONS.joints[:, :, 15],
-    np.random.default_rng(3).normal(size=(*MOTIONS.joints.shape[:2], 3)).astype(np.float32),
+    MOTIONS.joints[:, :, 15], np.random.default_rng(3).normal(size=(*MOTIONS.joints.shape[:2], 3)).astype(np.float32)
 )
 
 

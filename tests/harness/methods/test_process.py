@@ -13,9 +13,11 @@ import venv
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
 from prbench.errors import AdapterError
 from prbench.harness.methods import process
@@ -26,25 +28,21 @@ BATCH = standard_batch()
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals and process groups of POSIX")
 
 
-def test_a_command_that_does_not_exist_is_named(workshop: Workshop) -> None:
-    program = replace(workshop.program(""), words=("no-such-python", "made.py"))
-    with pytest.raises(AdapterError, match="expected the command 'no-such-python', found none on PATH"):
-        started(program)
-
-
-def test_a_folder_that_does_not_exist_is_named(workshop: Workshop) -> None:
-    program = replace(workshop.program(""), directory=workshop.folder / "gone")
-    with pytest.raises(AdapterError, match=r"expected the folder .*gone to start in, found none"):
-        started(program)
-
-
 @POSIX
-def test_a_file_that_is_not_executable_is_named(workshop: Workshop) -> None:
-    program = replace(workshop.program(""), words=(str(workshop.folder / "made.py"),))
-    with pytest.raises(
-        AdapterError, match=r"made.py' may not be executed. Make it executable, or name its interpreter"
-    ):
-        started(program)
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"words": ("no-such-python", "made.py")}, "expected the command 'no-such-python', found none on PATH"),
+        ({"directory": Path("/gone")}, "expected the folder /gone to start in, found none"),
+        ({"words": ("made.py",)}, r"made.py' may not be executed. Make it executable, or name its interpreter"),
+    ],
+)
+def test_what_cannot_be_started_is_named(changes: dict[str, Any], told: str, workshop: Workshop) -> None:
+    program = workshop.program("")
+    if changes.get("words") == ("made.py",):
+        changes = {"words": (str(workshop.folder / "made.py"),)}
+    with pytest.raises(AdapterError, match=told):
+        started(replace(program, **changes))
 
 
 @pytest.mark.skipif(not Path("/dev/fd").is_dir(), reason="needs /dev/fd to list open files")
@@ -240,11 +238,6 @@ def test_ctrl_c_is_for_the_harness_which_then_ends_its_program(
     assert not (workshop.cache / "logs").exists(), "the program was not interrupted: its log is empty"
 
 
-def test_the_patience_in_earnest_is_that_of_the_specification() -> None:
-    assert (process.EXIT_SECONDS, process.TERM_SECONDS) == (5.0, 2.0)
-    assert process.HEADER_LIMIT == 65536
-
-
 _DUMPS = "import json, os, sys; json.dump(dict(os.environ), open(sys.argv[1], 'w')); sys.exit(3)"
 _ADDED_BY_INTERPRETERS = {"LC_CTYPE", "__CF_USER_TEXT_ENCODING"}
 
@@ -293,9 +286,39 @@ def test_a_package_that_an_environment_lacks_is_missed_by_check(mine, tmp_path):
 
 def test_a_module_started_apart_finds_what_this_process_finds(tmp_path, monkeypatch):
     (tmp_path / "only_here.py").write_text(
-        "import os, sys; print(sys.argv[1], sys.path[0], 'PYTHONPATH' in os.environ)"
+        "import os, sys; print(sys.argv[1], sys.path[0], 'PYTHONPATH' in os.environ, __name__,"
+        " os.path.basename(sys.argv[0]))"
     )
-    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend("")
     monkeypatch.delenv("PYTHONPATH", raising=False)
-    done = subprocess.run(python_words("only_here", "word"), capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["word", str(tmp_path), "False"]
+    words = python_words("only_here", "word")
+    monkeypatch.chdir("/")  # a relative entry of sys.path means the folder in which this process stood
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["word", str(tmp_path), "False", "__main__", "only_here.py"]
+
+
+_ASKS = """
+import os
+from prbench.harness.methods.process import computing_threads, users_environment
+with computing_threads(1):
+    print(os.environ["KMP_DUPLICATE_LIB_OK"], users_environment().get("KMP_DUPLICATE_LIB_OK"))
+"""
+
+
+@pytest.mark.parametrize(("set_by_the_user", "seen"), [({}, "True None"), ({"KMP_DUPLICATE_LIB_OK": "0"}, "0 0")])
+def test_a_variable_that_a_library_sets_is_not_the_users_unless_they_set_it(set_by_the_user, seen, mine):
+    environment = {**mine, **set_by_the_user}
+    done = subprocess.run([sys.executable, "-c", _ASKS], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == seen
+
+
+def test_numerical_libraries_compute_with_the_threads_that_were_asked_for():
+    torch = pytest.importorskip("torch")
+    before = torch.get_num_threads()
+    with process.computing_threads(2):
+        assert torch.get_num_threads() == 2
+        with process.computing_threads(1):
+            assert torch.get_num_threads() == 1
+            assert {library["num_threads"] for library in threadpool_info()} == {1}
+    torch.set_num_threads(before)

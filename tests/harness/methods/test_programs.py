@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -36,30 +37,13 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import RunRecord
 from prbench.harness.run_folder.summary import DatasetSummary
+from tests.harness.methods.made_programs import MARK, READ_AND_WRITE, marked
 from tests.harness.test_run import reproducible_bytes, request
 from tests.method_fixtures import adapter_source
 
-MARK = "PROGRAM_TEST_MARK"
-
 SOURCE = """
-import json, os, sys, time
 import numpy as np
 import pyarrow as pa
-
-stdin, stdout = sys.stdin.buffer, sys.stdout.buffer
-
-def read():
-    line = stdin.readline()
-    if not line:
-        sys.exit(0)
-    header = json.loads(line)
-    return header, stdin.read(header.get("bytes") or 0)
-
-def write(header, payload=b""):
-    if payload:
-        header["bytes"] = len(payload)
-    stdout.write(json.dumps(header).encode() + b"\\n" + payload)
-    stdout.flush()
 
 settings, _ = read()
 introduction = {"message": "hello", "wire": 1, "name": "drawn", "version": "2.1", "conditions": ["none", "goal-loc"]}
@@ -97,27 +81,18 @@ class OwnProgram:
     def write(self, *, hello: str = "", body: str = "") -> str:
         """Write ``drawn.py``; ``hello`` changes ``introduction``, ``body`` runs before a batch is answered."""
         self.folder.mkdir(exist_ok=True)
-        text = SOURCE % {"hello": hello, "body": body.replace("\n", "\n    ")}
+        text = READ_AND_WRITE + SOURCE % {"hello": hello, "body": body.replace("\n", "\n    ")}
         (self.folder / "drawn.py").write_text(text)
         return self.method
 
     def running(self) -> list[psutil.Process]:
-        """What carries the mark: this program and its kin, in this process or below another one."""
+        """This program and its kin, in this process or below another one."""
         found = []
-        for process in psutil.process_iter():
-            try:
-                if process.pid != os.getpid() and process.environ().get(MARK) == self.mark:
+        for process in marked(self.mark):
+            with contextlib.suppress(psutil.Error):
+                if "drawn.py" in " ".join(process.cmdline()):
                     found.append(process)
-            except psutil.Error:
-                continue
-        return [process for process in found if "drawn.py" in " ".join(_words(process))]
-
-
-def _words(process: psutil.Process) -> list[str]:
-    try:
-        return process.cmdline()
-    except psutil.Error:
-        return []
+        return found
 
 
 @pytest.fixture
@@ -134,27 +109,31 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[OwnProgram]
     assert not left, "a program is left behind"
 
 
-def test_words_of_a_posix_command_keep_what_is_quoted_together():
-    text = """python 'my methods/glide.py' --title "a b" c\\ d"""
-    assert split_command(text, where="", windows=False) == ("python", "my methods/glide.py", "--title", "a b", "c d")
-
-
-def test_backslashes_of_a_windows_command_separate_folders():
-    text = r'"C:\Program Files\Python\python.exe" C:\methods\glide.py --root D:\data\ ""'
-    words = (r"C:\Program Files\Python\python.exe", r"C:\methods\glide.py", "--root", "D:\\data\\", "")
-    assert split_command(text, where="", windows=True) == words
-
-
-@pytest.mark.parametrize("text", ["", "   ", "''"])
-def test_a_command_of_nothing_is_refused_with_an_example(text):
-    with pytest.raises(UsageError, match=r'--method cmd:…: expected a command, such as cmd:"python glide.py"'):
-        split_command(text, where="--method cmd:…", windows=False)
+@pytest.mark.parametrize(
+    ("text", "windows", "words"),
+    [
+        (
+            """python 'my methods/glide.py' --title "a b" c\\ d""",
+            False,
+            ("python", "my methods/glide.py", "--title", "a b", "c d"),
+        ),
+        (
+            r'"C:\Program Files\Python\python.exe" C:\methods\glide.py --root D:\data\ ""',
+            True,
+            (r"C:\Program Files\Python\python.exe", r"C:\methods\glide.py", "--root", "D:\\data\\", ""),
+        ),
+    ],
+)
+def test_a_command_is_split_as_the_system_splits_it(text, windows, words):
+    assert split_command(text, where="", windows=windows) == words
 
 
 @pytest.mark.parametrize("windows", [False, True])
-def test_a_quotation_that_is_not_closed_is_refused(windows):
-    with pytest.raises(UsageError, match=r'every quotation to be closed, found: python "glide\.py'):
-        split_command('python "glide.py', where="here", windows=windows)
+@pytest.mark.parametrize("text", ["", "   ", "''", 'python "glide.py'])
+def test_a_command_of_nothing_and_an_open_quotation_are_refused(text, windows):
+    told = 'found: python "glide' if "python" in text else 'expected a command, such as cmd:"python glide.py"'
+    with pytest.raises(UsageError, match=f"--method cmd:…: .*{told}"):
+        split_command(text, where="--method cmd:…", windows=windows)
 
 
 @pytest.mark.parametrize(
@@ -436,14 +415,10 @@ def found(programs: Path, word: str) -> str:
     return find_executable(word, directory=programs, path=str(programs / "bin"), where="here")
 
 
-def test_a_name_is_looked_up_in_path_and_a_path_in_the_directory(programs):
-    assert found(programs, "glide") == found(programs, "bin/glide") == found(programs, "./bin/../bin/glide")
-    assert found(programs, "glide") == str(programs / "bin/glide")
-
-
-def test_a_path_may_begin_at_home(programs, monkeypatch):
+def test_a_name_is_looked_up_in_path_and_a_path_in_the_directory_or_at_home(programs, monkeypatch):
     monkeypatch.setenv("HOME", str(programs))
-    assert found(programs / "bin", "~/bin/walk") == str(programs / "bin/walk")
+    for word in ("glide", "bin/glide", "./bin/../bin/glide", "~/bin/glide"):
+        assert found(programs, word) == str(programs / "bin/glide")
 
 
 @pytest.mark.parametrize(
@@ -481,12 +456,6 @@ if __name__ == "__main__":
         progress=lambda step: print(step.stage, step.done, flush=True),
     )
 """
-
-
-def started_run(own, table, out, tmp_path, *, workers=1) -> subprocess.Popen:
-    (tmp_path / "run.py").write_text(PROGRAM)
-    words = [sys.executable, str(tmp_path / "run.py"), own.method, str(table.folder), str(out), str(workers)]
-    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
 def parts(folder: Path) -> dict[str, bytes]:
@@ -556,13 +525,7 @@ def test_a_program_gets_settings_and_an_environment_without_the_harness(own, tab
 
 
 @pytest.mark.parametrize(
-    ("name", "owner"),
-    [
-        ("ground-truth", "control of prbench"),
-        ("Scripted", "control of prbench"),
-        ("pr", "method of prbench itself"),
-        ("Ground_Truth", "control of prbench"),
-    ],
+    ("name", "owner"), [("Ground_Truth", "control of prbench"), ("pr", "method of prbench itself")]
 )
 def test_a_program_must_not_call_itself_like_what_belongs_to_prbench(own, table, tmp_path, name, owner):
     own.write(hello=f'introduction.update(name="{name}")')
@@ -663,17 +626,13 @@ def test_ctrl_c_ends_the_program_keeps_what_was_finished_and_the_same_command_re
 @pytest.mark.parametrize(("end", "workers"), [("SIGINT", 2), ("SIGKILL", 1)])
 def test_no_program_outlives_a_harness_that_was_stopped(own, table, tmp_path, end, workers):
     own.write(body="time.sleep(0.2)")
-    run = started_run(own, table, tmp_path / "out", tmp_path, workers=workers)
-    _wait_for_a_batch(run)
+    (tmp_path / "run.py").write_text(PROGRAM)
+    words = [str(tmp_path / "run.py"), own.method, str(table.folder), str(tmp_path / "out"), str(workers)]
+    run = subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, text=True, start_new_session=True)
+    next(line for line in run.stdout if line.startswith("generate 1"))
     assert own.running()
     os.killpg(run.pid, getattr(signal, end))
     run.communicate(timeout=20)  # the fixture sees that the programs have ended
-
-
-def _wait_for_a_batch(run: subprocess.Popen) -> None:
-    for line in run.stdout:
-        if line.startswith("generate 1"):
-            return
 
 
 def test_settings_that_do_not_fit_together_are_refused(table, tmp_path):

@@ -15,11 +15,7 @@ import pytest
 from prbench.contract import Condition
 from prbench.errors import AdapterError
 from prbench.harness.methods import training_split as training_copy
-from prbench.harness.methods.training_split import (
-    TrainingSplit,
-    temporary_training_copy,
-    write_training_copy,
-)
+from prbench.harness.methods.training_split import TrainingSplit, temporary_training_copy, write_training_copy
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.sequences import DatasetInfo, SequenceTable

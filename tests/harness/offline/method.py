@@ -119,8 +119,4 @@ def write_named(path: Path, conditions: ConditionsFile, motions: list[np.ndarray
 
 
 def _beside(conditions: ConditionsFile) -> dict[str, np.ndarray]:
-    return {
-        "opaque_id": np.array(conditions.opaque_id),
-        "sample": conditions.sample,
-        "n_frames": conditions.n_frames,
-    }
+    return {"opaque_id": np.array(conditions.opaque_id), "sample": conditions.sample, "n_frames": conditions.n_frames}

@@ -265,12 +265,7 @@ def five_motions() -> list[np.ndarray]:
 
 
 def known_of(motion: np.ndarray) -> Expected:
-    return Expected(
-        initial_joints=motion[0],
-        previous_joints=2 * motion[0] - motion[1],
-        n_frames=len(motion),
-        fps=20.0,
-    )
+    return Expected(initial_joints=motion[0], previous_joints=2 * motion[0] - motion[1], n_frames=len(motion), fps=20.0)
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
