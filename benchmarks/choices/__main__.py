@@ -29,10 +29,10 @@ from prbench.sequences import SequenceTable
 PRESET = "adt"
 RECORDINGS = 40
 SEED = 0
+# N of the study (Prime and Reach, section 5.1), frames.
 STUDY_LENGTH = 150
-"""N of the study (Prime and Reach, section 5.1), frames."""
+# Seconds by which a prime precedes the intended look, to be counted as another look.
 EARLY = 1.8
-"""Seconds by which a prime precedes the intended look, to be counted as another look."""
 _SAME = 1e-6  # seconds
 
 

@@ -15,8 +15,8 @@ Sizes = Int[np.ndarray, " recordings"]
 RATES = (0.02, 0.1, 0.5, 0.9, 0.98)
 CORRELATIONS = (0.0, 0.1, 0.3)
 METRES = ("normal", "gamma", "exponential", "lognormal", "unequal-spread")
+# Kinds on which no constant of the test was chosen (docs/specification/protocol.md#simulation).
 UNUSED_METRES = ("half-gamma", "outliers", "outliers-above")
-"""Kinds on which no constant of the test was chosen (docs/specification/protocol.md#simulation)."""
 
 
 def uneven(recordings: int, sequences: int, seed: int) -> Sizes:
@@ -42,10 +42,10 @@ DESIGNS: dict[str, Sizes] = {
     "47 uneven of 117": uneven(47, 117, 3),
 }
 
+# Ten sequences of seven recordings, as a run without ``--data`` takes them.
 FIRST_RUN: Sizes = np.array([2, 2, 2, 1, 1, 1, 1])
-"""Ten sequences of seven recordings, as a run without ``--data`` takes them."""
+# Share of recordings that are outliers, where a kind has any.
 OUTLIERS = 0.1
-"""Share of recordings that are outliers, where a kind has any."""
 
 
 def draw_rates(
@@ -106,21 +106,24 @@ def draw_metres(
     return totals, values.var(axis=1, ddof=1)
 
 
+# Datasets of a mean over datasets, as in the study.
 DATASETS = 5
-"""Datasets of a mean over datasets, as in the study."""
+# Comparisons of a family: one for each main metric.
 COMPARISONS = 6
-"""Comparisons of a family: one for each main metric."""
 _AT_ONCE = 2_000  # data sets, so that the largest design needs some tens of megabytes
 
 
 @dataclass(frozen=True)
 class Share:
-    """A share of simulated data sets."""
+    """A share of simulated data sets.
+
+    Attributes:
+        width: Median width of the intervals, in the unit of the values.
+    """
 
     share: float
     sets: int
     width: float = 0.0
-    """Median width of the intervals, in the unit of the values."""
 
     @property
     def error(self) -> float:

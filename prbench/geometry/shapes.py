@@ -29,14 +29,17 @@ from prbench.errors import MissingExtraError, UnloadableExtraError
 
 @dataclass(frozen=True)
 class SlabHits:
-    """Result of the slab test for n rays and m boxes."""
+    """Result of the slab test for n rays and m boxes.
+
+    Attributes:
+        near: Distance along the ray to the last slab entered; negative if the origin lies beyond it, inf for a miss.
+        far: Distance along the ray to the first slab left; -inf for a miss.
+        hit: ``near < far`` and ``far >= 0`` (equation 4).
+    """
 
     near: Float[np.ndarray, "n m"]
-    """Distance along the ray to the last slab entered; negative if the origin lies beyond it, inf for a miss."""
     far: Float[np.ndarray, "n m"]
-    """Distance along the ray to the first slab left; -inf for a miss."""
     hit: Bool[np.ndarray, "n m"]
-    """``near < far`` and ``far >= 0`` (equation 4)."""
 
 
 def slab_test(
@@ -83,12 +86,16 @@ def slab_test(
 
 @dataclass(frozen=True)
 class NearMisses:
-    """Result of the proximity check for n rays and m boxes."""
+    """Result of the proximity check for n rays and m boxes.
+
+    Attributes:
+        distance: Distance from the ray's closest point to the box, measured towards its centre, metres (delta of
+            equation 7).
+        along: Position of the closest point on the ray (t_closest of equation 5); negative behind the origin.
+    """
 
     distance: Float[np.ndarray, "n m"]
-    """Distance from the ray's closest point to the box, measured towards its centre, metres (delta of equation 7)."""
     along: Float[np.ndarray, "n m"]
-    """Position of the closest point on the ray (t_closest of equation 5); negative behind the origin."""
 
     def within(self, tolerance: float) -> Bool[np.ndarray, "n m"]:
         """Near misses: ``distance <= tolerance`` and the closest point in front of the origin (equation 7)."""
@@ -135,15 +142,17 @@ class Boxes:
 
     Each sequence's boxes stand in that sequence's own frame.
 
+    Attributes:
+        rotation: Turns a vector of the box's own frame into the frame of the sequence.
+        half_extents: Half the length of the edges along the box's own axes.
+
     Raises:
         ValueError: if the arrays do not belong together.
     """
 
     centre: Float[np.ndarray, "boxes 3"]
     rotation: Float[np.ndarray, "boxes 3 3"]
-    """Turns a vector of the box's own frame into the frame of the sequence."""
     half_extents: Float[np.ndarray, "boxes 3"]
-    """Half the length of the edges along the box's own axes."""
     offsets: Int[np.ndarray, " n_and_1"]
 
     def __post_init__(self) -> None:

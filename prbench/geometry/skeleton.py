@@ -12,8 +12,8 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Bool, Float
 
+# A quarter turn about X: (x, y, z) becomes (x, z, -y).
 Y_UP_FROM_Z_UP = np.array([(1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, -1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)])
-"""A quarter turn about X: (x, y, z) becomes (x, z, -y)."""
 Y_UP_FROM_Z_UP.setflags(write=False)
 
 
@@ -57,9 +57,10 @@ class Joint(IntEnum):
 N_JOINTS = len(Joint)
 JOINT_SET = "humanml3d-22"
 
+# Parent of each joint; -1 for the pelvis.
 PARENTS: tuple[int, ...] = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
-"""Parent of each joint; -1 for the pelvis."""
 
+# Kinematic chains in the order of the HumanML3D features: right leg, left leg, trunk, right arm, left arm.
 CHAINS: tuple[tuple[int, ...], ...] = (
     (0, 2, 5, 8, 11),
     (0, 1, 4, 7, 10),
@@ -67,10 +68,9 @@ CHAINS: tuple[tuple[int, ...], ...] = (
     (9, 14, 17, 19, 21),
     (9, 13, 16, 18, 20),
 )
-"""Kinematic chains in the order of the HumanML3D features: right leg, left leg, trunk, right arm, left arm."""
 
+# (parent, child) of the 21 bones, in the order of the child.
 BONES: tuple[tuple[int, int], ...] = tuple((PARENTS[child], child) for child in range(1, N_JOINTS))
-"""(parent, child) of the 21 bones, in the order of the child."""
 
 WRISTS: tuple[int, int] = (Joint.LEFT_WRIST, Joint.RIGHT_WRIST)
 TOES: tuple[int, int] = (Joint.LEFT_FOOT, Joint.RIGHT_FOOT)
@@ -231,6 +231,7 @@ def _orthogonal_part(vectors: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray,
     return _normalised(part)
 
 
+# The 23 segments of an Xsens suit in file order; a segment's position is its joint nearest to the pelvis.
 XSENS_SEGMENTS = (
     "Pelvis", "L5", "L3", "T12", "T8", "Neck", "Head",
     "R_Shoulder", "R_UpperArm", "R_Forearm", "R_Hand",
@@ -238,7 +239,6 @@ XSENS_SEGMENTS = (
     "R_UpperLeg", "R_LowerLeg", "R_Foot", "R_Toe",
     "L_UpperLeg", "L_LowerLeg", "L_Foot", "L_Toe",
 )  # fmt: skip
-"""The 23 segments of an Xsens suit in file order; a segment's position is its joint nearest to the pelvis."""
 
 
 def match_names(joints: Sequence[str]) -> tuple[tuple[int, ...], tuple[str, ...], str]:
@@ -294,6 +294,7 @@ def _table(**paired: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
     return tuple(names)
 
 
+# Both meanings of ``Shoulder`` are in use, so names are looked up in one whole table at a time.
 _NAME_TABLES = {
     "UpLeg, Leg, Foot, ToeBase; Shoulder, Arm, ForeArm, Hand": _table(
         hip=("upleg", "upperleg", "thigh"),
@@ -316,4 +317,3 @@ _NAME_TABLES = {
         wrist=("wrist",),
     ),
 }
-"""Both meanings of ``Shoulder`` are in use, so names are looked up in one whole table at a time."""

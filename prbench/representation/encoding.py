@@ -44,15 +44,15 @@ _TALLEST_BODY = 20.0  # metres; larger ones are in millimetres or centimetres
 _STEEPEST_LEAN = 60.0  # degrees between ankle-to-head and +y
 _SHORTEST_BONE = 1e-6  # metres
 
+# Name in messages of an array that comes from no file.
 IN_MEMORY = "joints"
-"""Name in messages of an array that comes from no file."""
+# Maps each joint to the one in whose place it stands in a mirror.
 MIRRORED_JOINTS: tuple[int, ...] = tuple(
     Joint[
         joint.name.replace("LEFT", "RIGHT") if joint.name.startswith("LEFT") else joint.name.replace("RIGHT", "LEFT")
     ].value
     for joint in Joint
 )
-"""Maps each joint to the one in whose place it stands in a mirror."""
 
 
 def check_joints(
@@ -403,12 +403,14 @@ class UniformSkeleton:
     Conditions go in with :meth:`poses` and :meth:`locations`, generated motion comes out with :meth:`own_scale`
     (docs/specification/pr-model.md#data-and-features). Lengths scale about the canonical origin; bone proportions stay
     the model's.
+
+    Attributes:
+        scale: Root scale s of each body.
+        offsets: Rest offsets of the uniform skeleton, metres.
     """
 
     scale: Float[np.ndarray, " batch"]
-    """Root scale s of each body."""
     offsets: Float[np.ndarray, "22 3"]
-    """Rest offsets of the uniform skeleton, metres."""
 
     @classmethod
     def of(

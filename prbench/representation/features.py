@@ -20,24 +20,25 @@ from prbench.errors import UsageError
 from prbench.geometry.skeleton import CHAINS, N_JOINTS, Joint
 
 N_FEATURES = 263
+# Frames a second that the features are made for; contact threshold and smoothing are per frame at this rate.
 FRAME_RATE = 20.0
-"""Frames a second that the features are made for; contact threshold and smoothing are per frame at this rate."""
 
+# Half the turn of the heading from this frame to the next, radians (one column).
 ROOT_YAW_VELOCITY = slice(0, 1)
-"""Half the turn of the heading from this frame to the next, radians (one column)."""
+# Step of the pelvis along x and z to the next frame, seen from the next frame's heading, metres.
 ROOT_LINEAR_VELOCITY = slice(1, 3)
-"""Step of the pelvis along x and z to the next frame, seen from the next frame's heading, metres."""
+# Height of the pelvis, metres.
 ROOT_HEIGHT = slice(3, 4)
-"""Height of the pelvis, metres."""
+# Joints 1 to 21 relative to the ground point under the pelvis, seen from the heading; y is height. Metres.
 JOINT_POSITIONS = slice(4, 67)
-"""Joints 1 to 21 relative to the ground point under the pelvis, seen from the heading; y is height. Metres."""
+# Rotations of joints 1 to 21: the first two columns of each matrix, one after the other.
 JOINT_ROTATIONS = slice(67, 193)
-"""Rotations of joints 1 to 21: the first two columns of each matrix, one after the other."""
+# Steps of all 22 joints to the next frame, seen from this frame's heading, metres.
 JOINT_VELOCITIES = slice(193, 259)
-"""Steps of all 22 joints to the next frame, seen from this frame's heading, metres."""
+# 1 where left ankle, left foot, right ankle, right foot move less than the contact threshold, else 0.
 FOOT_CONTACTS = slice(259, 263)
-"""1 where left ankle, left foot, right ankle, right foot move less than the contact threshold, else 0."""
 
+# The seven blocks in the order of their columns; each shares one standard deviation.
 BLOCKS = MappingProxyType(
     {
         "root_yaw_velocity": ROOT_YAW_VELOCITY,
@@ -49,20 +50,19 @@ BLOCKS = MappingProxyType(
         "foot_contacts": FOOT_CONTACTS,
     }
 )
-"""The seven blocks in the order of their columns; each shares one standard deviation."""
 
+# ``reference`` reproduces the yaw that the original loses when the heading passes the opposite of its start;
+# ``continuous`` loses none. Without such a passage the two are equal.
 Mode = Literal["continuous", "reference"]
-"""``reference`` reproduces the yaw that the original loses when the heading passes the opposite of its start;
-``continuous`` loses none. Without such a passage the two are equal."""
 
 CONTACT_JOINTS = (Joint.LEFT_ANKLE, Joint.LEFT_FOOT, Joint.RIGHT_ANKLE, Joint.RIGHT_FOOT)
+# Squared step of a joint below which it touches the ground, square metres; no height is tested.
 CONTACT_THRESHOLD = 0.002
-"""Squared step of a joint below which it touches the ground, square metres; no height is tested."""
 
+# Standard deviation of the Gaussian that smooths the heading, frames.
 _HEADING_SIGMA = 20.0
-"""Standard deviation of the Gaussian that smooths the heading, frames."""
+# Frames on each side that it reaches: four standard deviations.
 HEADING_RADIUS = 80
-"""Frames on each side that it reaches: four standard deviations."""
 
 
 def heading_kernel() -> np.ndarray:
@@ -73,20 +73,20 @@ def heading_kernel() -> np.ndarray:
 
 
 _X, _Y, _Z = np.eye(3)
+# Direction of the bone that ends in each joint (22, 3), in the rest pose; zero for the pelvis.
 REST_DIRECTIONS = np.array(
     [0 * _X, _X, -_X, _Y, -_Y, -_Y, _Y, -_Y, -_Y, _Y, _Z, _Z, _Y, _X, -_X, _Z, -_Y, -_Y, -_Y, -_Y, -_Y, -_Y]
 )
-"""Direction of the bone that ends in each joint (22, 3), in the rest pose; zero for the pelvis."""
 
+# Lengths (22,) of the uniform skeleton's bones by the joint in which they end, metres.
 BONE_LENGTHS = np.array(
     [0.0, 0.103100181, 0.109867722, 0.131602719, 0.393589228, 0.390126109, 0.14316383, 0.432214946, 0.425707549,
      0.057362135, 0.143381089, 0.149540886, 0.219349399, 0.137450144, 0.143360779, 0.103108704, 0.131557733,
      0.123003282, 0.256924629, 0.263132274, 0.266010493, 0.269717634]
 )  # fmt: skip
-"""Lengths (22,) of the uniform skeleton's bones by the joint in which they end, metres."""
 
+# The uniform skeleton (22, 3): rest offset of each joint from its parent, metres.
 REST_OFFSETS = REST_DIRECTIONS * BONE_LENGTHS[:, None]
-"""The uniform skeleton (22, 3): rest offset of each joint from its parent, metres."""
 
 
 def _rotation_parents() -> tuple[int, ...]:
@@ -98,8 +98,8 @@ def _rotation_parents() -> tuple[int, ...]:
     return tuple(parents)
 
 
+# 0 stands for the root's heading.
 ROTATION_PARENTS: tuple[int, ...] = _rotation_parents()
-"""0 stands for the root's heading."""
 
 
 def _half_turn_midways() -> np.ndarray:
@@ -113,11 +113,11 @@ def _half_turn_midways() -> np.ndarray:
 
 HALF_TURN_MIDWAYS = _half_turn_midways()
 
+# Diagonal (22, 3) of 2 u u' - 1 for the rest direction u, used to write the shortest rotation as two reflections.
 REFLECTION_SIGNS = 2.0 * np.abs(REST_DIRECTIONS) - 1.0
-"""Diagonal (22, 3) of 2 u u' - 1 for the rest direction u, used to write the shortest rotation as two reflections."""
 
+# Length of (rest direction + bone direction) below which a bone counts as exactly opposite to its rest direction.
 OPPOSITE = 1e-6
-"""Length of (rest direction + bone direction) below which a bone counts as exactly opposite to its rest direction."""
 
 
 _CONSTANT = 1e-8  # a block that varies less is left unscaled
@@ -127,12 +127,15 @@ _WEIGHTED = (ROOT_YAW_VELOCITY, ROOT_LINEAR_VELOCITY, ROOT_HEIGHT, FOOT_CONTACTS
 
 @dataclass(frozen=True)
 class Statistics:
-    """Mean and deviation that features are standardised with; kept beside the weights that learnt from them."""
+    """Mean and deviation that features are standardised with; kept beside the weights that learnt from them.
+
+    Attributes:
+        mean: Mean of each feature, float32.
+        std: One number a block: the average of the standard deviations in it, float32.
+    """
 
     mean: Float[np.ndarray, " 263"]
-    """Mean of each feature, float32."""
     std: Float[np.ndarray, " 263"]
-    """One number a block: the average of the standard deviations in it, float32."""
 
     def standardise(self, features: Float[np.ndarray, "*batch 263"]) -> Float[np.ndarray, "*batch 263"]:
         """``(features - mean) / std``."""

@@ -21,8 +21,8 @@ from prbench.synthetic.people.person import PRESETS
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import Switches
 
+# Folder of a tree that is being written; see :meth:`Layout.finish`.
 SHARED_PARTS = ".shared-parts"
-"""Folder of a tree that is being written; see :meth:`Layout.finish`."""
 
 
 @dataclass(frozen=True)
@@ -30,32 +30,34 @@ class Layout:
     """The sensors and the native files of one dataset.
 
     Functions that write raise ``StorageError`` if the disk is full or the folder cannot be written.
+
+    Attributes:
+        dataset: Name of the imitated dataset.
+        sense: Imitates the dataset's sensors: takes a performance, ``noise`` (multiplies every error) and ``switches``
+            (which errors are on), and returns the native content, before any text is made of it.
+        to_recording: The reader's own function from native content to streams.
+        write: Writes the native files of one recording below the dataset's folder.
+        events: Returns the performance's events as this dataset can know them, times still those of the performance.
+        clock_start: Returns the native time of the performance's first instant, seconds.
+        object_id: Returns the id under which the native files know an object of the performance.
+        gaze_bias: Returns the recording's constant gaze error, yaw and pitch, radians; takes noise and switches.
+        finish: Writes the files that all recordings of a tree share (tables of contents, annotations), after the last
+            one. What :attr:`write` must hand over lies in ``root / SHARED_PARTS``, one file a recording; the folder is
+            removed afterwards.
+        write_estimates: Writes bodies as EgoAllo would estimate them where readers look for them; None where the layout
+            has no bodies of its own beside which estimates could stand.
     """
 
     dataset: str
-    """Name of the imitated dataset."""
     sense: Callable[..., Any]
-    """Imitates the dataset's sensors: takes a performance, ``noise`` (multiplies every error) and ``switches``
-    (which errors are on), and returns the native content, before any text is made of it."""
     to_recording: Callable[..., Recording]
-    """The reader's own function from native content to streams."""
     write: Callable[[Any, Path], None]
-    """Writes the native files of one recording below the dataset's folder."""
     events: Callable[[Performance], tuple[TrueEvent, ...]]
-    """Returns the performance's events as this dataset can know them, times still those of the performance."""
     clock_start: Callable[[Performance], float]
-    """Returns the native time of the performance's first instant, seconds."""
     object_id: Callable[[str], str]
-    """Returns the id under which the native files know an object of the performance."""
     gaze_bias: Callable[..., tuple[float, float]]
-    """Returns the recording's constant gaze error, yaw and pitch, radians; takes noise and switches."""
     finish: Callable[[Path], None] = lambda _: None
-    """Writes the files that all recordings of a tree share (tables of contents, annotations), after the last one. What
-    :attr:`write` must hand over lies in ``root / SHARED_PARTS``, one file a recording; the folder is removed
-    afterwards."""
     write_estimates: Callable[..., None] | None = None
-    """Writes bodies as EgoAllo would estimate them where readers look for them; None where the layout has no bodies of
-    its own beside which estimates could stand."""
 
     def recording(self, readings: Any) -> Recording:
         """Return the streams that a reader would find in the files of :attr:`write`, bit for bit."""
@@ -89,25 +91,28 @@ def synthetic_recording(performance: Performance, *, noise: float = 1.0, switche
     return layout.recording(layout.sense(performance, noise=noise, switches=switches))
 
 
+# Damages the recording of that id below the tree's root; deterministic.
 Damage = Callable[[Path, str], object]
-"""Damages the recording of that id below the tree's root; deterministic."""
+# One line of a CSV file by column.
 Row = dict[str, str]
-"""One line of a CSV file by column."""
 
 
 @dataclass(frozen=True)
 class Defect:
-    """One thing that goes wrong with files on real disks or in real sensors."""
+    """One thing that goes wrong with files on real disks or in real sensors.
+
+    Attributes:
+        name: Lower case with dashes, for example ``missing-gaze``.
+        what: One line for the help page.
+        outcome: What a build must make of the recording: leave it out with a message, or read what is left of it.
+        says: A part of the message that the user must see; empty where a repair needs no words.
+    """
 
     name: str
-    """Lower case with dashes, for example ``missing-gaze``."""
     what: str
-    """One line for the help page."""
     apply: Damage
     outcome: Literal["failed", "skipped", "read"]
-    """What a build must make of the recording: leave it out with a message, or read what is left of it."""
     says: str
-    """A part of the message that the user must see; empty where a repair needs no words."""
 
 
 def defects_of(preset: str) -> tuple[Defect, ...]:

@@ -17,31 +17,37 @@ Side = Literal["left", "right"]
 
 @dataclass(frozen=True)
 class PersonStyle:
-    """Who acts: body size and habits (docs/specification/synthetic-recordings.md#person)."""
+    """Who acts: body size and habits (docs/specification/synthetic-recordings.md#person).
+
+    Attributes:
+        parameters: Every drawn factor by name, for the truth record.
+    """
 
     participant_id: str
     stature: float
     neck_tilt_deg: float
     preferred_hand: Side
     parameters: dict[str, float]
-    """Every drawn factor by name, for the truth record."""
 
 
 @dataclass(frozen=True)
 class ObjectMotion:
-    """One object: its box and where it is at every frame. At rest the pose is bit-constant."""
+    """One object: its box and where it is at every frame. At rest the pose is bit-constant.
+
+    Attributes:
+        position: Centre of the box; ``(1, 3)`` for an object that never moves.
+        held_by: -1 nobody, 0 left hand, 1 right hand of the wearer, 2 somebody else.
+        movable: Whether a tracking system would follow it ("dynamic"), not whether it moves here.
+    """
 
     object_id: str
     name: str
     category: str
     half_extents: Float[np.ndarray, "3"]
     position: Float[np.ndarray, "n 3"]
-    """Centre of the box; ``(1, 3)`` for an object that never moves."""
     rotation: Float[np.ndarray, "n 4"]
     held_by: Int[np.ndarray, " n"]
-    """-1 nobody, 0 left hand, 1 right hand of the wearer, 2 somebody else."""
     movable: bool
-    """Whether a tracking system would follow it ("dynamic"), not whether it moves here."""
     hinged: bool = False
 
 
@@ -51,12 +57,22 @@ class TrueEvent:
 
     Sources: docs/specification/synthetic-recordings.md#event-truth and
     docs/specification/synthetic-recordings.md#truth-record.
+
+    Attributes:
+        tag: ``plain``, ``near``, ``unprimed`` or a provocation
+            (docs/specification/synthetic-recordings.md#provocations).
+        prime_time: First instant of noise-free gaze that hits or nearly misses for at least 50 ms; None if there is
+            none.
+        prime_first: The same without the 50 ms.
+        expected: The outcome that curation should reach: one of the outcomes of ``events``, or ``not_an_event``.
+        thin: Too close to a threshold to assert on.
+        lost_span: Provocation ``lost``: when tracking must lose the object, seconds; the sensors drop its samples
+            there.
     """
 
     event_id: str
     action: Literal["pick", "put"]
     tag: str
-    """``plain``, ``near``, ``unprimed`` or a provocation (docs/specification/synthetic-recordings.md#provocations)."""
     object_id: str
     object_name: str
     hand: Side
@@ -68,18 +84,13 @@ class TrueEvent:
     box_max: Float[np.ndarray, "3"]
     prime_planned: float | None
     prime_time: float | None
-    """First instant of noise-free gaze that hits or nearly misses for at least 50 ms; None if there is none."""
     prime_first: float | None
-    """The same without the 50 ms."""
     prime_kind: Literal["hit", "near_miss"] | None
     motor_start: float
     reach_start: float
     expected: str
-    """The outcome that curation should reach: one of the outcomes of ``events``, or ``not_an_event``."""
     thin: bool
-    """Too close to a threshold to assert on."""
     lost_span: tuple[float, float] | None = None
-    """Provocation ``lost``: when tracking must lose the object, seconds; the sensors drop its samples there."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +115,18 @@ class OtherPerson:
 
 @dataclass(frozen=True)
 class Performance:
-    """One recording of one procedural person, noise-free, on a uniform grid (120 Hz unless asked otherwise)."""
+    """One recording of one procedural person, noise-free, on a uniform grid (120 Hz unless asked otherwise).
+
+    Attributes:
+        rotations: World from the segment that begins at each joint. Pelvis, spine, neck, head (the true one), collars
+            (chest) and feet: x left, y up, z forward. Limbs and hands: y along the bone, away from the trunk, x the
+            hinge (left at neutral).
+        finger_bases: Middle-finger bases: left, right.
+        head_rotation: The true head (and glasses) orientation: x left, y up, z forward.
+        eye: Central pupil frame origin.
+        gaze: Unit gaze direction, world frame, noise-free.
+        planted: Whether the ball of the left, right foot is at rest.
+    """
 
     preset: str
     world: Literal["default", "large"]
@@ -118,19 +140,11 @@ class Performance:
     times: Float[np.ndarray, " n"]
     joints: Float[np.ndarray, "n 22 3"]
     rotations: Float[np.ndarray, "n 22 4"]
-    """World from the segment that begins at each joint. Pelvis, spine, neck, head (the true one), collars (chest) and
-    feet: x left, y up, z forward. Limbs and hands: y along the bone, away from the trunk, x the hinge (left at
-    neutral)."""
     finger_bases: Float[np.ndarray, "n 2 3"]
-    """Middle-finger bases: left, right."""
     head_rotation: Float[np.ndarray, "n 4"]
-    """The true head (and glasses) orientation: x left, y up, z forward."""
     eye: Float[np.ndarray, "n 3"]
-    """Central pupil frame origin."""
     gaze: Float[np.ndarray, "n 3"]
-    """Unit gaze direction, world frame, noise-free."""
     planted: Bool[np.ndarray, "n 2"]
-    """Whether the ball of the left, right foot is at rest."""
     objects: tuple[ObjectMotion, ...]
     events: tuple[TrueEvent, ...]
     fixations: tuple[Fixation, ...]

@@ -25,56 +25,60 @@ _BLINK = 0.15  # s
 
 @dataclass(frozen=True)
 class Switches:
-    """Which errors are on. Every error draws from a stream of its own, so none changes what another one draws."""
+    """Which errors are on. Every error draws from a stream of its own, so none changes what another one draws.
+
+    Attributes:
+        pose_noise: White noise of the glasses' poses.
+        pose_drift: Slow errors of the world that the glasses' poses were estimated in (not ADT, whose rooms are
+            surveyed).
+        pose_clock: Uneven steps of the 1 kHz poses.
+        pose_losses: Poses of quality 0.
+        gaze_bias: A constant angle a recording.
+        gaze_losses: Missing gaze rows.
+        blinks: Gaze rows without angles.
+        gaze_clock: Time stamps of gaze off by some microseconds.
+        body_noise: White noise of the suit's joints.
+        body_wobble: Slow shifts of the suit's segments.
+        body_losses: Frames at the origin or with a joint thrown off, and occluded markers.
+        hand_noise: White noise of tracked hands.
+        hand_losses: Hands out of view are missing, and of low confidence towards its edge.
+        hand_start: Hands of the first 0.7 s are wrong in one recording of five (HOT3D).
+        object_gaps: Runs of missing rows of objects (HOT3D).
+        clock_drift: The clock of the ground truth runs up to 1 ppm faster or slower than the glasses' (HOT3D).
+        limb_wobble: Elbows, knees and wrists of an estimated body (EgoAllo) wander.
+        foot_slip: Feet of an estimated body slide.
+        root_height: Every window of an estimated body stands too high or too low.
+        video_clock: Video frames whose image is shown twice or skipped.
+        annotated_times: Starts and ends of movements as people mark them.
+        annotated_points: Places of objects as lifted from depth.
+        mask_losses: Events without a mask, so without a place.
+    """
 
     pose_noise: bool = True
-    """White noise of the glasses' poses."""
     pose_drift: bool = True
-    """Slow errors of the world that the glasses' poses were estimated in (not ADT, whose rooms are surveyed)."""
     pose_clock: bool = True
-    """Uneven steps of the 1 kHz poses."""
     pose_losses: bool = True
-    """Poses of quality 0."""
     gaze_bias: bool = True
-    """A constant angle a recording."""
     gaze_jitter: bool = True
     gaze_losses: bool = True
-    """Missing gaze rows."""
     blinks: bool = True
-    """Gaze rows without angles."""
     gaze_clock: bool = True
-    """Time stamps of gaze off by some microseconds."""
     body_noise: bool = True
-    """White noise of the suit's joints."""
     body_wobble: bool = True
-    """Slow shifts of the suit's segments."""
     body_losses: bool = True
-    """Frames at the origin or with a joint thrown off, and occluded markers."""
     object_noise: bool = True
     hand_noise: bool = True
-    """White noise of tracked hands."""
     hand_losses: bool = True
-    """Hands out of view are missing, and of low confidence towards its edge."""
     hand_start: bool = True
-    """Hands of the first 0.7 s are wrong in one recording of five (HOT3D)."""
     object_gaps: bool = True
-    """Runs of missing rows of objects (HOT3D)."""
     clock_drift: bool = True
-    """The clock of the ground truth runs up to 1 ppm faster or slower than the glasses' (HOT3D)."""
     limb_wobble: bool = True
-    """Elbows, knees and wrists of an estimated body (EgoAllo) wander."""
     foot_slip: bool = True
-    """Feet of an estimated body slide."""
     root_height: bool = True
-    """Every window of an estimated body stands too high or too low."""
     video_clock: bool = True
-    """Video frames whose image is shown twice or skipped."""
     annotated_times: bool = True
-    """Starts and ends of movements as people mark them."""
     annotated_points: bool = True
-    """Places of objects as lifted from depth."""
     mask_losses: bool = True
-    """Events without a mask, so without a place."""
 
     @classmethod
     def ideal(cls) -> Switches:
@@ -84,11 +88,14 @@ class Switches:
 
 @dataclass(frozen=True)
 class Sensing:
-    """A performance together with how wrongly its sensors measure it."""
+    """A performance together with how wrongly its sensors measure it.
+
+    Attributes:
+        noise: Multiplies every error: its size, or how often it happens; 0 for ideal sensors.
+    """
 
     performance: Performance
     noise: float
-    """Multiplies every error: its size, or how often it happens; 0 for ideal sensors."""
     switches: Switches
 
     def generator(self, purpose: str) -> np.random.Generator:

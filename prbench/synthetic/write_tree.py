@@ -190,24 +190,27 @@ SYNTHETIC_FILE = "synthetic.json"
 Size = Literal["tiny", "default", "large"]
 
 
+# Recordings, events of each, and frames a second of the joints in the truth record, by size of a tree.
 SIZES = {"tiny": (2, 6, 30.0), "default": (24, 10, 120.0)}
-"""Recordings, events of each, and frames a second of the joints in the truth record, by size of a tree."""
 
 
 @dataclass(frozen=True)
 class WrittenRecording:
-    """Result of writing one recording of a tree."""
+    """Result of writing one recording of a tree.
+
+    Attributes:
+        recording_id: Its name.
+        split: ``train``, ``validation`` or ``test``.
+        duration: Its length, in seconds.
+        n_events: Number of picks and puts; in a text-motion layout the number of texts.
+        n_objects: Number of objects; 0 in a text-motion layout.
+    """
 
     recording_id: str
-    """Its name."""
     split: str
-    """``train``, ``validation`` or ``test``."""
     duration: float
-    """Its length, in seconds."""
     n_events: int
-    """Number of picks and puts; in a text-motion layout the number of texts."""
     n_objects: int
-    """Number of objects; 0 in a text-motion layout."""
 
 
 @dataclass(frozen=True)

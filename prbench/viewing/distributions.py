@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 _BINS = 30
+# Height of a panel over that of its bars, so that no legend lies on a bar.
 _HEADROOM = 1.2
-"""Height of a panel over that of its bars, so that no legend lies on a bar."""
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
 
 

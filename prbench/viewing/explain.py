@@ -67,16 +67,19 @@ class StoryMotion:
 
 @dataclass(frozen=True)
 class EventStory:
-    """Everything that a built dataset knows about one event."""
+    """Everything that a built dataset knows about one event.
+
+    Attributes:
+        motion: None unless it became a sequence, and where the dataset's licence keeps recorded motion out of views.
+        notice: Sentence that the dataset's terms ask a picture to show.
+    """
 
     event: Event
     dataset: str
     split: str
     stages: tuple[StoryStage, ...]
     motion: StoryMotion | None
-    """None unless it became a sequence, and where the dataset's licence keeps recorded motion out of views."""
     notice: str = ""
-    """Sentence that the dataset's terms ask a picture to show."""
 
     @property
     def title(self) -> str:
@@ -185,8 +188,8 @@ def _draw_distances(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
     axes.grid(alpha=0.3)
 
 
+# The stages in the order in which curation asks.
 STAGES = ("in_hand", "location", "priming", "clipping", "body", "filters")
-"""The stages in the order in which curation asks."""
 _PART_OF_PRIMING = ("occlusion", PUBLISHED_STAGE)  # the first in tables of prbench 0.10 alone
 _TOLD_BY = {
     "annotated": " (annotated)",

@@ -54,17 +54,20 @@ class FanGroup:
 
 @dataclass(frozen=True, eq=False)
 class Fan:
-    """One sequence with several motions for it."""
+    """One sequence with several motions for it.
+
+    Attributes:
+        shows_goal: False where the dataset's terms keep the goal.
+        notice: Sentence that the dataset's terms ask for; empty where they ask for none.
+    """
 
     sequence_id: str
     dataset: str
     synthetic: bool
     groups: tuple[FanGroup, ...]
     shows_goal: bool
-    """False where the dataset's terms keep the goal."""
     constants: MetricConstants
     notice: str
-    """Sentence that the dataset's terms ask for; empty where they ask for none."""
 
 
 def draw_fan(fan: Fan, path: Path, *, dpi: int = 110) -> None:

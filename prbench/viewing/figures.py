@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+# Corners of a box that an edge joins, where a corner's number has a bit for each axis.
 BOX_EDGES: tuple[tuple[int, int], ...] = (
     (0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7), (6, 7),
 )  # fmt: skip
-"""Corners of a box that an edge joins, where a corner's number has a bit for each axis."""
 
+# In the order of the chains: right leg, left leg, trunk, right arm, left arm.
 _COLOURS = ("tab:red", "tab:blue", "0.25", "tab:red", "tab:blue")
-"""In the order of the chains: right leg, left leg, trunk, right arm, left arm."""
 _HEAD_LINE = 0.35  # metres
 
 
@@ -54,8 +54,8 @@ def write_png(figure: Figure, path: Path | str) -> None:
         figure.savefig(draft, format="png", metadata={"Software": None})
 
 
+# Kinds of files that figures of the study are written as.
 FORMATS = (".png", ".svg")
-"""Kinds of files that figures of the study are written as."""
 
 
 def require_drawable(path: Path) -> None:

@@ -24,8 +24,8 @@ from prbench.viewing.replay.sheet import file_kind, write_view
 
 DEFAULT_LIMIT = 4
 
+# Called with finished steps, all steps, and what was finished last.
 Progress = Callable[[int, int, str], None]
-"""Called with finished steps, all steps, and what was finished last."""
 
 
 def _silent(done: int, total: int, last: str) -> None:
@@ -36,24 +36,26 @@ def _silent(done: int, total: int, last: str) -> None:
 class ViewRequest:
     """The sequences and runs that a user wants to see.
 
+    Attributes:
+        out: The file; its suffix chooses the kind.
+        runs: Run folders whose motions stand beside one another; none for recorded motion alone.
+        data: Tables; where none is given, the tables in prbench's own cache are tried.
+        sequences: Ids, or parts of ids that fit one sequence only.
+        limit: Largest number of sequences of each dataset, chosen as `prbench run --limit` does; by default four.
+        sample: Number of the shown motion, for runs that drew several.
+        permitted: Datasets for which the user has permission to pass recorded motion on.
+
     Raises:
         UsageError: if parts of it do not fit together.
     """
 
     out: Path
-    """The file; its suffix chooses the kind."""
     runs: tuple[Path, ...] = ()
-    """Run folders whose motions stand beside one another; none for recorded motion alone."""
     data: tuple[Path, ...] = ()
-    """Tables; where none is given, the tables in prbench's own cache are tried."""
     sequences: tuple[str, ...] = ()
-    """Ids, or parts of ids that fit one sequence only."""
     limit: int | None = None
-    """Largest number of sequences of each dataset, chosen as `prbench run --limit` does; by default four."""
     sample: int = 0
-    """Number of the shown motion, for runs that drew several."""
     permitted: Collection[str] = ()
-    """Datasets for which the user has permission to pass recorded motion on."""
 
     def __post_init__(self) -> None:
         turn_into_paths(self, "out", "runs", "data")
@@ -69,11 +71,14 @@ class ViewRequest:
 
 @dataclass(frozen=True)
 class ViewReport:
-    """The sequences that were shown."""
+    """The sequences that were shown.
+
+    Attributes:
+        scenes: Each a :class:`Scene`; those of another benchmark have what stands in the report of the command.
+    """
 
     out: Path
     scenes: tuple[Any, ...]
-    """Each a :class:`Scene`; those of another benchmark have what stands in the report of the command."""
 
     def told(self, scene: Any, motion: Any) -> str:
         """Return the scores of a motion in one line."""

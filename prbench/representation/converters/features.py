@@ -31,8 +31,8 @@ from prbench.representation.features import (
     Statistics,
 )
 
+# Name in messages of an array that comes from no file and no named method.
 FEATURES = "features"
-"""Name in messages of an array that comes from no file and no named method."""
 
 _WALKS = 0.005  # metres a frame; slower pelvises say nothing about their scale
 _SAME_SCALE = 3.0  # factor between the two ways in which the step of the pelvis is written

@@ -20,9 +20,9 @@ from jaxtyping import Float, Num
 from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.geometry.skeleton import CHAINS, N_JOINTS, XSENS_SEGMENTS, Joint, match_names
 
+# Directions of the trunk, each as long as the trunk (middle of the hips to middle of the shoulders): ``@up`` along it,
+# ``@forward`` and ``@left`` across; ``@ahead`` is forward on the ground plane, ``@above`` the vertical.
 _AXES = ("@up", "@forward", "@left", "@ahead", "@above")
-"""Directions of the trunk, each as long as the trunk (middle of the hips to middle of the shoulders): ``@up`` along it,
-``@forward`` and ``@left`` across; ``@ahead`` is forward on the ground plane, ``@above`` the vertical."""
 
 _TERM = re.compile(r"(?P<number>\d+\.?\d*|\.\d+)?\s*(?P<name>[@A-Za-z_].*)")
 _SUM_TOLERANCE = 1e-6
@@ -81,15 +81,15 @@ def parse_expression(text: str, known: Iterable[str], *, where: str) -> Expressi
     return Expression(tuple((name, weight) for (name, _), weight in zip(joints, given)), tuple(axes))
 
 
+# The 22 joints as maps write them.
 NAMES: tuple[str, ...] = tuple(joint.name.lower() for joint in Joint)
-"""The 22 joints as maps write them."""
 
+# Joints that every source must have: without them nothing can be completed.
 LIMBS: tuple[Joint, ...] = tuple(
     Joint[f"{side}_{part}"]
     for part in ("HIP", "KNEE", "ANKLE", "SHOULDER", "ELBOW", "WRIST")
     for side in ("LEFT", "RIGHT")
 )
-"""Joints that every source must have: without them nothing can be completed."""
 
 _HIPS = "0.5 left_hip + 0.5 right_hip"
 _SHOULDERS = "0.5 left_shoulder + 0.5 right_shoulder"
@@ -108,10 +108,10 @@ _RULES: Mapping[str, str] = MappingProxyType(
     }
 )
 
+# Maps each joint that may be missing to the rule that makes it; each rule needs only joints of earlier ones.
 COMPLETIONS: Mapping[Joint, Expression] = MappingProxyType(
     {Joint[name.upper()]: parse_expression(rule, NAMES, where=name) for name, rule in _RULES.items()}
 )
-"""Maps each joint that may be missing to the rule that makes it; each rule needs only joints of earlier ones."""
 
 
 def trunk_axes(joints: Float[np.ndarray, "*batch 22 3"]) -> dict[str, Float[np.ndarray, "*batch 3"]]:
@@ -154,13 +154,16 @@ _TRUNK = (Joint.LEFT_HIP, Joint.RIGHT_HIP, Joint.LEFT_SHOULDER, Joint.RIGHT_SHOU
 
 @dataclass(frozen=True)
 class JointMap:
-    """The 22 joints in terms of another skeleton's. Make one with :meth:`of`, which checks it."""
+    """The 22 joints in terms of another skeleton's. Make one with :meth:`of`, which checks it.
+
+    Attributes:
+        source_joints: Names of the source, in the order of its arrays.
+        expressions: Expressions of the joints that the source has.
+    """
 
     name: str
     source_joints: tuple[str, ...]
-    """Names of the source, in the order of its arrays."""
     expressions: Mapping[Joint, Expression]
-    """Expressions of the joints that the source has."""
 
     @classmethod
     def of(cls, name: str, source_joints: Sequence[str], given: Mapping[str, str]) -> JointMap:
@@ -399,7 +402,7 @@ _SKELETONS: Mapping[str, tuple[Sequence[str], Mapping[str, str]]] = {
     ),
 }  # fmt: skip
 
+# All named maps.
 JOINT_MAPS: Mapping[str, JointMap] = MappingProxyType(
     {name: JointMap.of(name, joints, given) for name, (joints, given) in _SKELETONS.items()}
 )
-"""All named maps."""

@@ -38,6 +38,7 @@ from prbench.representation.encoding import (
 )
 from prbench.representation.features import FRAME_RATE
 
+# Maps each axis that may point up to source column and sign of x, y and z: rotations by a quarter or half turn.
 _TURNS: Mapping[str, tuple[tuple[int, int], ...]] = MappingProxyType(
     {
         "y": ((0, 1), (1, 1), (2, 1)),
@@ -48,10 +49,9 @@ _TURNS: Mapping[str, tuple[tuple[int, int], ...]] = MappingProxyType(
         "-x": ((1, 1), (0, -1), (2, 1)),
     }
 )
-"""Maps each axis that may point up to source column and sign of x, y and z: rotations by a quarter or half turn."""
 
+# Metres a unit.
 UNITS: Mapping[str, float] = MappingProxyType({"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048})
-"""Metres a unit."""
 _ROUNDING = 1e-6  # seconds
 
 
@@ -240,8 +240,8 @@ def check_limbs(joints: Float[np.ndarray, "frames 22 3"], *, source: Path | str 
                 )
 
 
+# Joints in which thighs, shins, upper arms and forearms end.
 _LIMB_PAIRS = tuple((Joint[f"LEFT_{end}"], Joint[f"RIGHT_{end}"]) for end in ("KNEE", "ANKLE", "ELBOW", "WRIST"))
-"""Joints in which thighs, shins, upper arms and forearms end."""
 
 
 def front_of_legs(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True) -> float | None:

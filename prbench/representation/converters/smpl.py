@@ -22,14 +22,14 @@ from prbench.files.arrays import Archive
 from prbench.files.bounded import foreign_input
 from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint, forward_kinematics, rotation_matrices
 
+# ``6d-columns``: first column, then second column of the matrix (HumanML3D). ``6d-rows``: first row, then second row
+# (PyTorch3D, and with it MDM's SMPL representation). ``6d-interleaved``: the two columns side by side, row by row (HMR,
+# SPIN, VPoser: ``reshape(3, 2)``).
 RotationForm = Literal[
     "axis-angle", "matrix", "quaternion-wxyz", "quaternion-xyzw", "6d-columns", "6d-rows", "6d-interleaved"
 ]
-"""``6d-columns``: first column, then second column of the matrix (HumanML3D). ``6d-rows``: first row, then second row
-(PyTorch3D, and with it MDM's SMPL representation). ``6d-interleaved``: the two columns side by side, row by row
-(HMR, SPIN, VPoser: ``reshape(3, 2)``)."""
+# Tolerance of a quaternion's length or a matrix's determinant; networks do not end on exact rotations.
 _UNIT_TOLERANCE = 0.05
-"""Tolerance of a quaternion's length or a matrix's determinant; networks do not end on exact rotations."""
 _NO_DIRECTION = 1e-6
 
 
@@ -114,6 +114,7 @@ def _rows(values: np.ndarray, source: Path | str) -> np.ndarray:
     return from_matrices(np.swapaxes(_orthonormal(values[:, :3], values[:, 3:], source), -1, -2))
 
 
+# Maps each form to the numbers that a rotation takes in it, and to the function that makes quaternions of them.
 _FORMS: Mapping[str, tuple[int, Callable[[np.ndarray, Path | str], np.ndarray]]] = MappingProxyType(
     {
         "axis-angle": (3, _axis_angle),
@@ -128,7 +129,6 @@ _FORMS: Mapping[str, tuple[int, Callable[[np.ndarray, Path | str], np.ndarray]]]
         ),
     }
 )
-"""Maps each form to the numbers that a rotation takes in it, and to the function that makes quaternions of them."""
 
 
 def numbers_of(form: str) -> int:
@@ -170,26 +170,30 @@ def quaternions_of(
     return _FORMS[form][1](each, source).reshape(len(values), -1, 4)
 
 
+# Name in messages of arrays that come from no file.
 _PARAMETERS = "parameters"
-"""Name in messages of arrays that come from no file."""
 
 _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
 
 
 @dataclass(frozen=True)
 class SmplParameters:
-    """One motion. Rotations of the 22 body joints, of the pelvis in the world and of the others in their parents."""
+    """One motion. Rotations of the 22 body joints, of the pelvis in the world and of the others in their parents.
+
+    Attributes:
+        rotations: Unit quaternions, w x y z.
+        transl: The model's translation, metres: the pelvis lies at this plus the *rest pelvis*, which is not the
+            origin.
+        betas: Shape of the person; None for the model's mean body.
+        gender: Model that the shape belongs to: ``neutral``, ``male`` or ``female``; None if unknown.
+        fps: Frames a second, where a file says it.
+    """
 
     rotations: Float[np.ndarray, "frames 22 4"]
-    """Unit quaternions, w x y z."""
     transl: Float[np.ndarray, "frames 3"]
-    """The model's translation, metres: the pelvis lies at this plus the *rest pelvis*, which is not the origin."""
     betas: Float[np.ndarray, " shapes"] | None = None
-    """Shape of the person; None for the model's mean body."""
     gender: str | None = None
-    """Model that the shape belongs to: ``neutral``, ``male`` or ``female``; None if unknown."""
     fps: float | None = None
-    """Frames a second, where a file says it."""
 
     @classmethod
     def from_arrays(
@@ -302,8 +306,8 @@ def read_amass(path: Path) -> SmplParameters:
 REGRESSOR = "J_regressor"
 TEMPLATE = "v_template"
 SHAPES = "shapedirs"
+# Rows of the regressor, by which this model is told from SMPL, which has 24, and from SMPL-H, which has 52.
 SMPLX_JOINTS = 55
-"""Rows of the regressor, by which this model is told from SMPL, which has 24, and from SMPL-H, which has 52."""
 
 HOW_TO_CONVERT = (
     "prbench opens no pickles. Convert the licensed file once, in the environment of its own tools (a .pkl of SMPL"
@@ -319,12 +323,15 @@ _DOWNLOAD = (
 
 @dataclass(frozen=True)
 class RestJoints:
-    """The 22 joints of a body model in its rest pose, linear in the shape. Model frame: x left, y up, z forward."""
+    """The 22 joints of a body model in its rest pose, linear in the shape. Model frame: x left, y up, z forward.
+
+    Attributes:
+        template: Rest joints of the mean shape, metres.
+        directions: Displacements that each shape number adds, metres.
+    """
 
     template: Float[np.ndarray, "22 3"]
-    """Rest joints of the mean shape, metres."""
     directions: Float[np.ndarray, "22 3 shapes"]
-    """Displacements that each shape number adds, metres."""
 
     def of(self, betas: Float[np.ndarray, " shapes"] | None) -> Float[np.ndarray, "22 3"]:
         """Rest joints of one shape, metres; fewer numbers than the model has leave the others at 0.

@@ -163,6 +163,7 @@ PATTERNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )  # fmt: skip
 
+# Whole-body posture of the activities that change it; people stand upright in all others.
 BODY_POSTURE: Mapping[str, str] = MappingProxyType(
     {
         "sit": "is seated with the back upright",
@@ -173,17 +174,16 @@ BODY_POSTURE: Mapping[str, str] = MappingProxyType(
         "reach": "stands and leans slightly towards the target",
     }
 )
-"""Whole-body posture of the activities that change it; people stand upright in all others."""
 
 
+# Metres a second: somebody walks slowly below the first and briskly above the second.
 SLOW = 0.7
 _BRISK = 1.25
-"""Metres a second: below it somebody walks slowly, above it briskly."""
+# Degrees: somebody turns slightly below the first and around above the second.
 _SLIGHT = 60.0
 _AROUND = 135.0
-"""Degrees: below it somebody turns slightly, above it around."""
+# Degrees of heading that make a walk a walk to one side.
 _CURVED = 25.0
-"""Degrees of heading that make a walk a walk to one side."""
 
 _HANDS = {0: "the left hand", 1: "the right hand", 2: "both hands"}
 _COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
@@ -191,8 +191,8 @@ _SUBJECTS = ("C", "The person")
 _OTHER_SUBJECT = 0.2
 
 
+# Name of an activity, and the words that fill the slots of its patterns.
 Facts = tuple[str, Mapping[str, str]]
-"""Name of an activity, and the words that fill the slots of its patterns."""
 
 
 def _facts_of(script: Script, motion: Motion, act: Act, rate: float) -> Facts:
@@ -285,21 +285,29 @@ def _reach_height(joints: np.ndarray, hand: int) -> str:
 
 @dataclass(frozen=True)
 class TrueNarration:
-    """One span of text."""
+    """One span of text.
+
+    Attributes:
+        start: Seconds from the recording's first frame.
+        texts: One for each answer of the kind.
+        activities: What happens, by name; for checks, never written.
+    """
 
     kind: Literal["atomic_action", "motion_narration", "activity_summarization"]
     start: float
-    """Seconds from the recording's first frame."""
     end: float
     texts: tuple[str, ...]
-    """One for each answer of the kind."""
     activities: tuple[str, ...]
-    """What happens, by name; for checks, never written."""
 
 
 @dataclass(frozen=True)
 class NarratedMotion:
-    """One recording of the corpus, noise-free. Metres, Y up, floor at y = 0; quaternions w x y z, segment to world."""
+    """One recording of the corpus, noise-free. Metres, Y up, floor at y = 0; quaternions w x y z, segment to world.
+
+    Attributes:
+        rotations: See :class:`prbench.synthetic.performance.Performance`.
+        head_rotation: True head: x left, y up, z forward.
+    """
 
     recording_id: str
     participant_id: str
@@ -307,9 +315,7 @@ class NarratedMotion:
     rate: float
     joints: Float[np.ndarray, "n 22 3"]
     rotations: Float[np.ndarray, "n 22 4"]
-    """See :class:`prbench.synthetic.performance.Performance`."""
     head_rotation: Float[np.ndarray, "n 4"]
-    """True head: x left, y up, z forward."""
     eye: Float[np.ndarray, "n 3"]
     planted: Bool[np.ndarray, "n 2"]
     neck_tilt_deg: float

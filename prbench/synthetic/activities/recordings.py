@@ -202,27 +202,30 @@ def _loop(loop: Loop | None, trunk: Trunk, times: np.ndarray) -> np.ndarray:
 RATE = 240.0
 _N_ACTIVITIES = 14
 N_EVENTS = 8
+# Each so many-th recording shows picks and puts.
 _EVERY = 4
-"""Each so many-th recording shows picks and puts."""
 _BASE_PRESET = "hd-epic"
 _GOAL_PRESETS = ("adt", "mogaze", "gimo", "hd-epic")
 _FIRST_TEXT = (0.205, 0.225)  # s after the suit, as in real sequences of known clocks
 _WAITS = 0.5
+# Share of short activities after which people wait, and until when after their beginning, so that a text fits.
 _SHORTEST_ALONE = 3.1
-"""Share of short activities after which people wait, and until when after their beginning, so that a text fits."""
 _CLOSING = 0.8
 _OF_BODY = ("joints", "rotations", "head_rotation", "eye", "planted")
 
 
 @dataclass(frozen=True)
 class Identity:
-    """Name, person and split of one recording, known before it is acted out."""
+    """Name, person and split of one recording, known before it is acted out.
+
+    Attributes:
+        goal_preset: Of a prime-and-reach recording.
+    """
 
     recording_id: str
     participant_id: str
     split: Literal["train", "validation", "test"]
     goal_preset: str | None
-    """Of a prime-and-reach recording."""
     person: int
 
 

@@ -16,22 +16,25 @@ from prbench.synthetic.people.person import Person
 from prbench.synthetic.people.reaching import solve_posture
 from prbench.synthetic.people.walking import BasePose, Segment, plan_segment
 
+# What a hand's target is fixed to; ``middle`` is the point between the shoulders.
 Place = Literal["rest", "shoulder", "world", "thigh", "head", "middle"]
-"""What a hand's target is fixed to; ``middle`` is the point between the shoulders."""
 
 
 @dataclass(frozen=True)
 class Arc:
-    """Walking along a part of a circle."""
+    """Walking along a part of a circle.
+
+    Attributes:
+        turn: Change of heading; > 0 to the left.
+        segment: The same for the planner of steps.
+    """
 
     start: BasePose
     begin: float
     end: float
     length: float
     turn: float
-    """Change of heading; > 0 to the left."""
     segment: Segment
-    """The same for the planner of steps."""
 
     def at(self, progress: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return x, z and heading after a share of the way."""
@@ -45,33 +48,39 @@ class Arc:
 
 @dataclass(frozen=True)
 class Loop:
-    """An ellipse around a hand's target."""
+    """An ellipse around a hand's target.
+
+    Attributes:
+        first: Half axis, chest frame, metres.
+        frequency: Hz.
+    """
 
     begin: float
     end: float
     first: Float[np.ndarray, "3"]
-    """Half axis, chest frame, metres."""
     second: Float[np.ndarray, "3"]
     frequency: float
-    """Hz."""
 
 
 @dataclass(frozen=True)
 class Hand:
-    """A hand takes up a target within ``duration``."""
+    """A hand takes up a target within ``duration``.
+
+    Attributes:
+        hand: 0 left, 1 right.
+        offset: Outwards, up, forward; fractions of the stature (``world``: a point, metres).
+        pole: Where the elbow points (outwards, up, forward of the chest); None: as arms do.
+        bulge: How far the path swings forward on the way, metres: not through the own shoulder.
+    """
 
     hand: int
-    """0 left, 1 right."""
     begin: float
     duration: float
     place: Place
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Outwards, up, forward; fractions of the stature (``world``: a point, metres)."""
     loop: Loop | None = None
     pole: tuple[float, float, float] | None = None
-    """Where the elbow points (outwards, up, forward of the chest); None: as arms do."""
     bulge: float = 0.0
-    """How far the path swings forward on the way, metres: not through the own shoulder."""
 
 
 @dataclass(frozen=True)
@@ -86,15 +95,19 @@ class Act:
 
 @dataclass
 class Script:
-    """All commands of one recording; filled by the activities, one after the other."""
+    """All commands of one recording; filled by the activities, one after the other.
+
+    Attributes:
+        bends: Begin and duration of each, and the lean, crouch (share of the leg) and turn of the chest that are taken
+            up.
+        sits: Begin of each, and whether the person sits down or stands up.
+    """
 
     person: Person
     start: BasePose
     moves: list[Segment | Arc] = field(default_factory=list)
     bends: list[tuple[float, float, tuple[float, float, float]]] = field(default_factory=list)
-    """Begin and duration of each, and the lean, crouch (share of the leg) and turn of the chest that are taken up."""
     sits: list[tuple[float, bool]] = field(default_factory=list)
-    """Begin of each, and whether the person sits down or stands up."""
     hands: list[Hand] = field(default_factory=list)
     looks: list[Look] = field(default_factory=list)
     acts: list[Act] = field(default_factory=list)
@@ -241,8 +254,8 @@ class ScriptWriter:
         return begin + duration + stay + 0.9 + 0.6 * posture.crouch
 
 
+# Slow, normal (twice as often) and brisk walking, metres a second; nobody turns a corner briskly.
 _SPEEDS = ((0.5, 0.65), (0.8, 1.1), (0.8, 1.1), (1.28, 1.32))
-"""Slow, normal (twice as often) and brisk walking, metres a second; nobody turns a corner briskly."""
 _CARRY = (-0.05, -0.17, 0.19)
 _CARRY_BOTH = (-0.015, -0.17, 0.19)
 _NO_CORNER = 0.1  # rad
@@ -471,6 +484,7 @@ def _stand_up(writer: ScriptWriter) -> None:
 
 Activity = Callable[[ScriptWriter], None]
 
+# What somebody who stands may do next, by weight.
 STANDING: Mapping[Activity, float] = MappingProxyType(
     {
         _walk_straight: 1.6, _walk_left: 1.0, _walk_right: 1.0, _walk_curve: 1.0, _walk_carrying: 1.0,
@@ -480,15 +494,14 @@ STANDING: Mapping[Activity, float] = MappingProxyType(
         _sit_down: 0.9,
     }
 )  # fmt: skip
-"""What somebody who stands may do next, by weight."""
 
+# The same for somebody who sits.
 SITTING: Mapping[Activity, float] = MappingProxyType(
     {stand: 0.8, look_around: 0.8, _look_at_hands: 0.7, wave: 0.6, _scratch_head: 0.5, stir: 0.5, _stand_up: 1.8}
 )
-"""The same for somebody who sits."""
 
+# Seconds between two activities; sooner the last foot would not have landed.
 PAUSE = (0.32, 0.7)
-"""Seconds between two activities; sooner the last foot would not have landed."""
 
+# Activities that leave time for a second one in the same narration.
 SHORT = frozenset({"turn", "sidestep", "step back", "sit down", "stand up"})
-"""Activities that leave time for a second one in the same narration."""

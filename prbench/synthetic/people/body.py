@@ -188,17 +188,20 @@ _FULL_SWING_SPEED = 1.1  # m/s
 
 @dataclass(frozen=True)
 class Sway:
-    """Small movements of somebody who stands or walks; drawn once, whatever the reaches need."""
+    """Small movements of somebody who stands or walks; drawn once, whatever the reaches need.
+
+    Attributes:
+        lateral: Pelvis to the left, metres.
+        lean: Radians.
+        arm_swing: -1.1 to 1.1: left arm forward, right arm back.
+        hands: Tremor of the resting hands, metres.
+    """
 
     lateral: Float[np.ndarray, " n"]
-    """Pelvis to the left, metres."""
     forward: Float[np.ndarray, " n"]
     lean: Float[np.ndarray, " n"]
-    """Radians."""
     arm_swing: Float[np.ndarray, " n"]
-    """-1.1 to 1.1: left arm forward, right arm back."""
     hands: Float[np.ndarray, "n 2 3"]
-    """Tremor of the resting hands, metres."""
 
 
 def draw_sway(plan: Plan, base: BasePath, steps: tuple[Step, ...], times: np.ndarray, rng: np.random.Generator) -> Sway:
@@ -321,25 +324,28 @@ _REACH_SKEW = 0.25
 _HUMP_UP = 0.06
 _HUMP_FORWARD = 0.09
 
+# Seconds that a nudged object slides.
 _SLIDE_TIME = 0.15
-"""Seconds that a nudged object slides."""
+# Seconds in which a door is opened.
 _OPENING_TIME = 1.0
-"""Seconds in which a door is opened."""
+# Seconds in which the hands meet for a hand-over.
 MEETING_TIME = 0.5
-"""Seconds in which the hands meet for a hand-over."""
+# Seconds in which the object goes from hand to hand.
 HANDING_TIME = 0.6
-"""Seconds in which the object goes from hand to hand."""
 _DOOR_WIDTH_HALF = float(cast(tuple[float, float, float], DOOR.half_extents)[0])
 
 
 @dataclass(frozen=True)
 class Arms:
-    """Joints of both arms; index 1 is the side."""
+    """Joints of both arms; index 1 is the side.
+
+    Attributes:
+        hinge: Unit normal of the arm plane: the elbow's axis, pointing left at neutral.
+    """
 
     elbow: Float[np.ndarray, "n 2 3"]
     wrist: Float[np.ndarray, "n 2 3"]
     hinge: Float[np.ndarray, "n 2 3"]
-    """Unit normal of the arm plane: the elbow's axis, pointing left at neutral."""
 
 
 def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Float[np.ndarray, "n 2 3"]:

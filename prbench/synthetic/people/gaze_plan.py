@@ -25,8 +25,8 @@ _TRIES = 14
 
 
 _SHORTEST_LOOK = 0.15  # s
+# Seconds before an event in which a look can prime.
 WINDOW = 10.0
-"""Seconds before an event in which a look can prime."""
 _GAP_LIMITS = (0.35, 9.7)  # s from the first look to the event; inside the window of ten seconds with a margin
 _SEEN_BEFORE_TOUCHED = 0.7
 _WIDEST_BEARING = np.deg2rad(86.0)  # from the heading; what lies further back cannot be looked at
@@ -46,12 +46,15 @@ class Look:
 
 @dataclass(frozen=True)
 class GazePlan:
-    """Fixations in order of time without gaps, and the planned prime of every reach (None: not primed)."""
+    """Fixations in order of time without gaps, and the planned prime of every reach (None: not primed).
+
+    Attributes:
+        kinds: ``plain``, ``near``, ``unprimed``, ``swept`` or ``unseen`` (no rule either way) for every reach.
+    """
 
     looks: tuple[Look, ...]
     primes: tuple[float | None, ...]
     kinds: tuple[str, ...]
-    """``plain``, ``near``, ``unprimed``, ``swept`` or ``unseen`` (no rule either way) for every reach."""
 
 
 def plan_gaze(

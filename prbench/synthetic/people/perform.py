@@ -41,13 +41,17 @@ _WRIST_TOLERANCE = 0.008  # metres
 _CORRECTIONS = 2  # rounds; what is left decides whether the recording is planned anew
 
 
+# One stream for each kind of choice (sway, gaze, head), so that a change in one leaves the others alone.
 Generators = tuple[np.random.Generator, np.random.Generator, np.random.Generator]
-"""One stream for each kind of choice (sway, gaze, head), so that a change in one leaves the others alone."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """The whole body at every frame."""
+    """The whole body at every frame.
+
+    Attributes:
+        misses: Distance of the wrist from its target at every event, metres.
+    """
 
     joints: Float[np.ndarray, "n 22 3"]
     rotations: Float[np.ndarray, "n 22 4"]
@@ -60,7 +64,6 @@ class Motion:
     base: BasePath
     gaze_plan: GazePlan
     misses: tuple[float, ...]
-    """Distance of the wrist from its target at every event, metres."""
 
 
 def synthesise(plan: Plan, times: Float[np.ndarray, " n"], generators: Generators) -> Motion:

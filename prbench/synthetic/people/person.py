@@ -18,13 +18,16 @@ from prbench.synthetic.performance import PersonStyle, Side
 
 @dataclass(frozen=True)
 class SurfaceKind:
-    """A kind of furniture on which objects stand."""
+    """A kind of furniture on which objects stand.
+
+    Attributes:
+        weight: Share of the goals that lie on surfaces of this kind.
+    """
 
     name: str
     height: float
     depth: float
     weight: float
-    """Share of the goals that lie on surfaces of this kind."""
 
 
 @dataclass(frozen=True)
@@ -38,23 +41,31 @@ class ObjectKind:
 
 @dataclass(frozen=True)
 class Preset:
-    """Every constant in which one dataset's world and people differ from the others'. Metres, seconds, degrees."""
+    """Every constant in which one dataset's world and people differ from the others'. Metres, seconds, degrees.
+
+    Attributes:
+        room: Free floor between the front edges of the furniture: x, z.
+        same_surface: Probability that the next goal is on the surface one stands at.
+        near: Probability that the next spot is drawn around the previous one.
+        edge: Distance of the pelvis from the front edge when standing before it.
+        gap: Planned prime gap: weight, median and log-sd of each log-normal part; empty: gaze follows the motor start.
+        prime_look: Median length of the first look at a goal.
+        spine_up: Upward parts of pelvis-spine1, spine1-spine2, spine2-spine3, fractions of stature.
+        work_pose: Waiting hands relative to the shoulder (outwards, up, forward; fractions of stature); None: hanging.
+        work_looks: Share of the fill fixations that go to the own hands or the work area.
+        table_only: One table, people shift along it instead of walking.
+    """
 
     name: str
     room: tuple[float, float]
-    """Free floor between the front edges of the furniture: x, z."""
     surfaces: tuple[SurfaceKind, ...]
     n_surfaces: int
     same_surface: float
-    """Probability that the next goal is on the surface one stands at."""
     near: float
-    """Probability that the next spot is drawn around the previous one."""
     spread: float
     edge: tuple[float, float]
-    """Distance of the pelvis from the front edge when standing before it."""
     objects: tuple[ObjectKind, ...]
     gap: tuple[tuple[float, float, float], ...]
-    """Planned prime gap: weight, median and log-sd of each log-normal part; empty: gaze follows the motor start."""
     idle: tuple[float, float]
     speed: float
     unprimed: float
@@ -62,22 +73,17 @@ class Preset:
     head_gain: float
     chest_gain: float
     prime_look: float
-    """Median length of the first look at a goal."""
     spine_up: tuple[float, float, float]
-    """Upward parts of pelvis-spine1, spine1-spine2, spine2-spine3, fractions of stature."""
     neck_offset: tuple[float, float, float]
     neck_length: float
     neck_tilt_deg: float
     grasp: Literal["fingertips", "wrapped", "wrist"]
     work_pose: tuple[float, float, float] | None
-    """Waiting hands relative to the shoulder (outwards, up, forward; fractions of stature); None: hanging."""
     carry_pose: tuple[float, float, float]
     work_looks: float
-    """Share of the fill fixations that go to the own hands or the work area."""
     spot_spacing: float
     puts: bool
     table_only: bool
-    """One table, people shift along it instead of walking."""
     seated_share: float
 
 
@@ -124,6 +130,7 @@ _ADT = tuple(
 
 _GIMO = tuple(ObjectKind(name, name, (0.05, 0.05, 0.05)) for name in ("cup", "book", "laptop", "pillow", "bottle"))
 
+# Name, height, depth and weight of each kind of furniture (:class:`SurfaceKind`).
 _SURFACES = {
     "hd-epic": (("counter", 0.91, 0.6, 0.75), ("cupboard", 1.40, 0.3, 0.15), ("drawer", 0.68, 0.4, 0.10)),
     # The high shelf is drawn more often than wanted: shorter people cannot reach it and draw again.
@@ -138,8 +145,8 @@ _SURFACES = {
     ),
     "gimo": (("table", 0.74, 0.7, 0.50), ("shelf", 1.20, 0.3, 0.25), ("counter", 0.90, 0.6, 0.25)),
 }  # fmt: skip
-"""Name, height, depth and weight of each kind of furniture (:class:`SurfaceKind`)."""
 
+# The five presets side by side: a row for each field of :class:`Preset` but the furniture.
 _TABLE: dict[str, tuple[Any, ...]] = {
     "name": ("hd-epic", "mogaze", "hot3d", "adt", "gimo"),
     "room": ((2.6, 2.2), (2.15, 1.95), (2.4, 2.4), (4.2, 3.2), (4.7, 4.1)),
@@ -173,7 +180,6 @@ _TABLE: dict[str, tuple[Any, ...]] = {
     "table_only": (False, False, True, False, False),
     "seated_share": (0.0, 0.0, 0.3, 0.0, 0.0),
 }  # fmt: skip
-"""The five presets side by side: a row for each field of :class:`Preset` but the furniture."""
 
 
 def _preset(column: int) -> Preset:
@@ -181,8 +187,8 @@ def _preset(column: int) -> Preset:
     return Preset(**values, surfaces=tuple(SurfaceKind(*kind) for kind in _SURFACES[values["name"]]))
 
 
+# The five presets by name.
 PRESETS: Mapping[str, Preset] = MappingProxyType({name: _preset(column) for column, name in enumerate(_TABLE["name"])})
-"""The five presets by name."""
 
 
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -190,29 +196,32 @@ SIDES: tuple[Side, Side] = ("left", "right")
 
 @dataclass(frozen=True)
 class Body:
-    """Bone offsets in metres; sideways parts are given for the left and mirrored for the right."""
+    """Bone offsets in metres; sideways parts are given for the left and mirrored for the right.
+
+    Attributes:
+        ankle_height: Ankle above the ball of the flat foot.
+        foot_length: Ankle to ball, forward.
+        spine: Pelvis to spine1, spine1 to spine2, spine2 to spine3, spine3 to neck.
+        neck_tilt: Radians.
+        hand: Wrist to middle-finger base.
+        eye: Head joint to eyes in the head's frame.
+    """
 
     stature: float
     hip: tuple[float, float, float]
     thigh: float
     shin: float
     ankle_height: float
-    """Ankle above the ball of the flat foot."""
     foot_length: float
-    """Ankle to ball, forward."""
     spine: tuple[tuple[float, float, float], ...]
-    """Pelvis to spine1, spine1 to spine2, spine2 to spine3, spine3 to neck."""
     neck_length: float
     neck_tilt: float
-    """Radians."""
     collar: tuple[float, float, float]
     shoulder: tuple[float, float, float]
     upper_arm: float
     forearm: float
     hand: float
-    """Wrist to middle-finger base."""
     eye: tuple[float, float, float]
-    """Head joint to eyes in the head's frame."""
 
     @property
     def leg(self) -> float:
@@ -227,11 +236,15 @@ class Body:
 
 @dataclass(frozen=True)
 class Habits:
-    """Habits of movement of one person. Radians, seconds, metres."""
+    """Habits of movement of one person. Radians, seconds, metres.
+
+    Attributes:
+        walk_ratio: Metres per (step a minute).
+        turn_rate: Radians per second, mean over a turn.
+    """
 
     walk_speed: float
     walk_ratio: float
-    """Metres per (step a minute)."""
     half_stance: float
     toe_out: float
     arm_swing: float
@@ -249,7 +262,6 @@ class Habits:
     trunk_time: float
     reach_time: float
     turn_rate: float
-    """Radians per second, mean over a turn."""
     right_handed: float
 
 
@@ -345,15 +357,19 @@ def _scaled(offset: tuple[float, float, float], scale: float) -> tuple[float, fl
 
 
 _PELVIS_SHARE_OF_LEAN = 0.4
+# Hip height above the ankle when standing, share of the leg: a knee of 164 degrees.
 _STANDING_LEG = 0.990
-"""Hip height above the ankle when standing, share of the leg: a knee of 164 degrees."""
+# Ball of the resting foot above the floor, metres.
 BALL_HEIGHT = 0.013
-"""Ball of the resting foot above the floor, metres."""
 
 
 @dataclass(frozen=True)
 class Trunk:
-    """Positions in metres, world frame; yaw and pitch of the segments in radians."""
+    """Positions in metres, world frame; yaw and pitch of the segments in radians.
+
+    Attributes:
+        yaws: Pelvis, spine1, spine2, spine3 (the chest).
+    """
 
     pelvis: np.ndarray
     hips: tuple[np.ndarray, ...]
@@ -362,7 +378,6 @@ class Trunk:
     collars: tuple[np.ndarray, ...]
     shoulders: tuple[np.ndarray, ...]
     yaws: tuple[np.ndarray, ...]
-    """Pelvis, spine1, spine2, spine3 (the chest)."""
     pitches: tuple[np.ndarray, ...]
 
 

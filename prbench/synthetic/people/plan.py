@@ -22,26 +22,38 @@ from prbench.synthetic.people.reaching import Goal, Grasp, Held, Posture, Reacha
 from prbench.synthetic.people.walking import BasePose, Segment
 from prbench.synthetic.people.world import Item, Room, draw_item_shape, draw_spot, world_half_extents
 
+# Seconds of standing before anything happens.
 OPENING = 2.5
-"""Seconds of standing before anything happens."""
 
 Action = Literal["pick", "put", "hover", "pass_by", "touch", "nudge", "hinge"]
 
 
 @dataclass(frozen=True)
 class Reach:
-    """One purposeful movement of a hand: a pick, a put, or a movement that is neither."""
+    """One purposeful movement of a hand: a pick, a put, or a movement that is neither.
+
+    Attributes:
+        tag: ``plain`` or a provocation.
+        item: Index of the object.
+        centre: Centre of the object's box at rest: before a pick, after a put.
+        contact: The wrist is at its target.
+        event: Planned event time; the object starts or stops moving about then.
+        dwell: Seconds that the hand stays after the event, unless it carries the object away.
+        gap: Forced time from the first look to the event.
+        second_hand: Distance at which the other hand joins, metres; 0: it does not.
+        handed_over: Of a put: when the object began to change hands.
+        slide: How far a nudged object slides.
+        opening: Angle by which a hinged object is turned, radians.
+        lost: Span in which tracking loses the object.
+    """
 
     number: int
     action: Action
     tag: str
-    """``plain`` or a provocation."""
     item: int
-    """Index of the object."""
     hand: int
     surface: int
     centre: Float[np.ndarray, "3"]
-    """Centre of the object's box at rest: before a pick, after a put."""
     yaw: float
     half_world: Float[np.ndarray, "3"]
     base: BasePose
@@ -50,30 +62,25 @@ class Reach:
     motor_start: float
     reach_start: float
     contact: float
-    """The wrist is at its target."""
     event: float
-    """Planned event time; the object starts or stops moving about then."""
     dwell: float
-    """Seconds that the hand stays after the event, unless it carries the object away."""
     carries: bool
     # What a provocation changes (docs/specification/synthetic-recordings.md#provocations).
     gap: float | None = None
-    """Forced time from the first look to the event."""
     second_hand: float = 0.0
-    """Distance at which the other hand joins, metres; 0: it does not."""
     handed_over: float | None = None
-    """Of a put: when the object began to change hands."""
     slide: Float[np.ndarray, "3"] | None = None
-    """How far a nudged object slides."""
     opening: float = 0.0
-    """Angle by which a hinged object is turned, radians."""
     lost: tuple[float, float] | None = None
-    """Span in which tracking loses the object."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """All decisions about body and objects of one recording."""
+    """All decisions about body and objects of one recording.
+
+    Attributes:
+        items: Objects that are handled, then those of the room that never move.
+    """
 
     preset: Preset
     person: Person
@@ -81,7 +88,6 @@ class Plan:
     is_seated: bool
     start: BasePose
     items: tuple[Item, ...]
-    """Objects that are handled, then those of the room that never move."""
     segments: tuple[Segment, ...]
     reaches: tuple[Reach, ...]
 
@@ -91,25 +97,25 @@ class Plan:
         return seated_pelvis_height(self.person.body) if self.is_seated else None
 
 
+# Movements of their own, before a pick.
 EXTRA = ("pass_by", "touch", "nudge", "hinge")
-"""Movements of their own, before a pick."""
+# Ways to pick something and to put it.
 _OF_PAIR = ("two_handed", "hand_over", "same_place", "contained")
-"""Ways to pick something and to put it."""
+# Circumstances of a single event.
 _OF_EVENT = ("too_near", "early", "swept", "lost")
-"""Circumstances of a single event."""
 _OF_OTHERS = ("bystander",)
 _TAGS = (*EXTRA, *_OF_PAIR, *_OF_EVENT, *_OF_OTHERS)
 
+# Of the movements, for all tags together.
 _DEFAULT_SHARE = 0.10
-"""Of the movements, for all tags together."""
 
 TRAY = ObjectKind("WoodenTray", "tray", (0.13, 0.015, 0.10))
+# Where the tray is held, in its own frame; what it carries stands on the other side.
 TRAY_HANDLE = np.array([0.0, 0.0, -0.075])
-"""Where the tray is held, in its own frame; what it carries stands on the other side."""
 TRAY_LOAD = np.array([0.0, 0.0, 0.05])
 DOOR = ObjectKind("CabinetDoor", "door", (0.16, 0.20, 0.010))
+# The hinge is at x = + half extent; the front looks along -z of the door's frame.
 DOOR_HANDLE = np.array([-0.13, 0.0, 0.005])
-"""The hinge is at x = + half extent; the front looks along -z of the door's frame."""
 HANDLE_HALF = np.array([0.025, 0.02, 0.025])
 
 
@@ -163,8 +169,8 @@ def draw_tag(shares: Mapping[str, float], movements: int, is_first: bool, rng: n
     return "plain"
 
 
+# Seconds that the hand stays after the event; a hovering hand stays until it picks.
 _DWELL = {"pick": 0.18, "put": 0.18, "hover": np.inf, "pass_by": 0.02, "touch": 0.5, "nudge": 0.35, "hinge": 1.25}
-"""Seconds that the hand stays after the event; a hovering hand stays until it picks."""
 _FROM_HOVER = 0.7  # of the usual time, for the short way from a hovering hand to the object
 _LONGEST_GAP = 9.7
 _TRIES = 14

@@ -30,24 +30,30 @@ _SHOULDER_FORWARD = np.deg2rad(9.0)
 
 @dataclass(frozen=True)
 class Grasp:
-    """Place of the wrist and turn of the hand at the moment of the event."""
+    """Place of the wrist and turn of the hand at the moment of the event.
+
+    Attributes:
+        hand: World from hand; y from wrist to finger base.
+    """
 
     wrist: Float[np.ndarray, "3"]
     hand: Float[np.ndarray, "3 3"]
-    """World from hand; y from wrist to finger base."""
 
 
 @dataclass(frozen=True)
 class Posture:
-    """Lean and crouch of the trunk for a reach."""
+    """Lean and crouch of the trunk for a reach.
+
+    Attributes:
+        crouch: Share of the leg.
+        chest_turn: Chest against the heading, radians.
+        extension: Shoulder to wrist over arm length; above about .92 the goal is out of reach.
+    """
 
     lean: float
     crouch: float
-    """Share of the leg."""
     chest_turn: float
-    """Chest against the heading, radians."""
     extension: float
-    """Shoulder to wrist over arm length; above about .92 the goal is out of reach."""
 
 
 def take_hold(
@@ -180,25 +186,31 @@ _WALL_CLEARANCE = 0.15
 
 @dataclass(frozen=True)
 class Goal:
-    """A box to be held, at rest, and where on it."""
+    """A box to be held, at rest, and where on it.
+
+    Attributes:
+        handle: Centre of the part that is held, in the object's frame; None: the whole box.
+    """
 
     surface: int
     centre: Float[np.ndarray, "3"]
     half_extents: Float[np.ndarray, "3"]
     yaw: float
     handle: Float[np.ndarray, "3"] | None = None
-    """Centre of the part that is held, in the object's frame; None: the whole box."""
     handle_half: Float[np.ndarray, "3"] | None = None
 
 
 @dataclass(frozen=True)
 class Stand:
-    """A place from which a goal can be reached, the way there, and the reach."""
+    """A place from which a goal can be reached, the way there, and the reach.
+
+    Attributes:
+        yaw: Of the object at rest; a carried one has turned with the body.
+    """
 
     base: BasePose
     segment: Segment | None
     yaw: float
-    """Of the object at rest; a carried one has turned with the body."""
     grasp: Grasp
     posture: Posture
 

@@ -24,8 +24,8 @@ from prbench.synthetic.people.plan import Action, Plan, Reach
 from prbench.synthetic.people.world import Item
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
 
+# Positions and rotations of one object, and which hand holds it, over time; one row for an object at rest.
 _Track = tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"], Int[np.ndarray, " n"]]
-"""Positions and rotations of one object, and which hand holds it, over time; one row for an object at rest."""
 
 
 def move_objects(
@@ -147,28 +147,32 @@ def _riding(item: Item, carrier: Item, track: _Track) -> _Track:
     return places, quaternion(frames @ (at_rest.T @ rotation(item.yaw, 0.0))), np.full(len(places), -1)
 
 
+# Seconds that a look lasts at least; a saccade that sweeps across the box is shorter.
 _LASTING = 0.050
-"""Seconds that a look lasts at least; a saccade that sweeps across the box is shorter."""
+# Seconds from the start of a look that decide between hit and near miss.
 _SETTLING = 0.100
-"""Seconds from the start of a look that decide between hit and near miss."""
+# Metres from the near-miss border within which noise decides.
 _THIN_RAY = 0.005
-"""Metres from the near-miss border within which noise decides."""
 
 _Vector = Sequence[float]
 
 
 @dataclass(frozen=True)
 class Sight:
-    """When and how a box is first seen before an event."""
+    """When and how a box is first seen before an event.
+
+    Attributes:
+        lasting: First instant of a look of at least 50 ms, seconds.
+        first: First instant of any look, seconds.
+        kind: ``hit`` if the look's first tenth of a second is mostly on the box: an arriving saccade crosses its
+            border.
+        marginal: True where a gaze sample more or less, or 5 mm, would change whether or when the event is primed.
+    """
 
     lasting: float | None
-    """First instant of a look of at least 50 ms, seconds."""
     first: float | None
-    """First instant of any look, seconds."""
     kind: Literal["hit", "near_miss"] | None
-    """``hit`` if the look's first tenth of a second is mostly on the box: an arriving saccade crosses its border."""
     marginal: bool
-    """True where a gaze sample more or less, or 5 mm, would change whether or when the event is primed."""
 
 
 def slab_interval(origin: _Vector, direction: _Vector, low: _Vector, high: _Vector) -> tuple[float, float]:
@@ -290,10 +294,10 @@ def first_sight(
     return Sight(lasting=start, first=first, kind=kind, marginal=marginal)
 
 
+# Metres from its rest beyond which an object has moved.
 _MOVED = 0.001
-"""Metres from its rest beyond which an object has moved."""
+# Metres from the minimum movement within which noise decides.
 _THIN_MOVEMENT = 0.02
-"""Metres from the minimum movement within which noise decides."""
 
 
 @dataclass(frozen=True)

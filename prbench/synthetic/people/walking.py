@@ -61,25 +61,28 @@ class BasePose:
 
 @dataclass(frozen=True)
 class Segment:
-    """One change of place. Times in seconds of the recording."""
+    """One change of place. Times in seconds of the recording.
+
+    Attributes:
+        end: Base at rest from here on.
+        arrival: End of the translation.
+        course: Heading while walking, unwrapped against the start.
+        first_turn: Duration of the turn into the course.
+        turn_into: Of a shuffle: how far the body turns into the way before it turns back, radians; > 0 to the left.
+    """
 
     kind: Literal["walk", "shuffle"]
     start: BasePose
     goal: BasePose
     begin: float
     end: float
-    """Base at rest from here on."""
     arrival: float
-    """End of the translation."""
     speed: float
     course: float
-    """Heading while walking, unwrapped against the start."""
     first_turn: float
-    """Duration of the turn into the course."""
     last_turn: float
     translation_begin: float
     turn_into: float = 0.0
-    """Of a shuffle: how far the body turns into the way before it turns back, radians; > 0 to the left."""
 
     @property
     def distance(self) -> float:
@@ -144,13 +147,16 @@ def plan_segment(
 
 @dataclass(frozen=True)
 class BasePath:
-    """Base pose at every frame."""
+    """Base pose at every frame.
+
+    Attributes:
+        speed: Metres per second.
+    """
 
     x: Float[np.ndarray, " n"]
     z: Float[np.ndarray, " n"]
     heading: Float[np.ndarray, " n"]
     speed: Float[np.ndarray, " n"]
-    """Metres per second."""
 
     @cached_property
     def points(self) -> Float[np.ndarray, "n 3"]:
@@ -201,13 +207,16 @@ _SEATED_FEET_AHEAD = 0.22  # of the stature
 
 @dataclass(frozen=True)
 class Step:
-    """One foot's way through the air."""
+    """One foot's way through the air.
+
+    Attributes:
+        foot: 0 left, 1 right.
+        period: Time between two lifts of different feet.
+    """
 
     foot: int
-    """0 left, 1 right."""
     lift: float
     period: float
-    """Time between two lifts of different feet."""
     swing: float
     walking: bool
 
@@ -219,12 +228,15 @@ class Step:
 
 @dataclass(frozen=True)
 class Feet:
-    """Both feet at every frame."""
+    """Both feet at every frame.
+
+    Attributes:
+        pitch: > 0: heel up.
+    """
 
     ball: Float[np.ndarray, "n 2 3"]
     yaw: Float[np.ndarray, "n 2"]
     pitch: Float[np.ndarray, "n 2"]
-    """> 0: heel up."""
     planted: Bool[np.ndarray, "n 2"]
 
 

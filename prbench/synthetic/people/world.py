@@ -23,16 +23,19 @@ _DEEPEST_SPOT = 0.38
 
 @dataclass(frozen=True)
 class Surface:
-    """A place to put things, along one wall of the free floor."""
+    """A place to put things, along one wall of the free floor.
+
+    Attributes:
+        edge_centre: Middle of the front edge, at the height of the surface.
+        normal: Horizontal, from the surface to the person before it.
+        weight: Share of the room's goals on this surface.
+    """
 
     kind: SurfaceKind
     edge_centre: Float[np.ndarray, "3"]
-    """Middle of the front edge, at the height of the surface."""
     normal: Float[np.ndarray, "3"]
-    """Horizontal, from the surface to the person before it."""
     width: float
     weight: float
-    """Share of the room's goals on this surface."""
 
     @property
     def height(self) -> float:
@@ -56,16 +59,19 @@ class Surface:
 
 @dataclass(frozen=True)
 class Item:
-    """One object: its kind, its box, and where it stands at first."""
+    """One object: its kind, its box, and where it stands at first.
+
+    Attributes:
+        position: Centre of the box.
+        rides_on: Index of the object on which this one is carried.
+    """
 
     kind: ObjectKind
     half_extents: Float[np.ndarray, "3"]
     position: Float[np.ndarray, "3"]
-    """Centre of the box."""
     yaw: float
     hinged: bool = False
     rides_on: int | None = None
-    """Index of the object on which this one is carried."""
 
 
 @dataclass(frozen=True)

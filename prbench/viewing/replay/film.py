@@ -48,8 +48,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+# Pictures per second; a sequence of any frame rate plays in real time.
 FPS = 20
-"""Pictures per second; a sequence of any frame rate plays in real time."""
 SIZE = (1280, 720)
 _HOLD = 1.0  # seconds that the last picture of a sequence stays
 _QUALITY = 7  # of 10, as the encoder's wrapper counts

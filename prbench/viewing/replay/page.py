@@ -207,8 +207,8 @@ font:11px/1.4 system-ui,sans-serif;color:#222}
 #prbench .swatch{display:inline-block;width:14px;height:3px;margin-right:5px;vertical-align:middle}
 #prbench .notice{color:#a04000;font-weight:600}
 """
+# Seconds that the last frame of a sequence stays.
 HOLD = 1.0
-"""Seconds that the last frame of a sequence stays."""
 
 
 def write_page(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:

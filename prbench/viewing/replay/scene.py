@@ -20,71 +20,83 @@ if TYPE_CHECKING:
     from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
 
+# Label of the recorded motion.
 RECORDED = "ground truth"
-"""Label of the recorded motion."""
 
+# Called with finished steps, all steps, and the sequence that was worked on last.
 Progress = Callable[[int, int, str], None]
-"""Called with finished steps, all steps, and the sequence that was worked on last."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gaze:
-    """One ray a frame, canonical frame, metres."""
+    """One ray a frame, canonical frame, metres.
+
+    Attributes:
+        direction: Unit vectors.
+    """
 
     origin: Float[np.ndarray, "n 3"]
     direction: Float[np.ndarray, "n 3"]
-    """Unit vectors."""
     valid: Bool[np.ndarray, " n"]
 
 
 @dataclass(frozen=True, eq=False)
 class ShownMotion:
-    """One motion of a sequence: the recorded one, or what a method made of it."""
+    """One motion of a sequence: the recorded one, or what a method made of it.
+
+    Attributes:
+        colour: ``#rrggbb``.
+        joints: Canonical frame, metres.
+        scores: Maps metric ids to values; rates are 0 or 1. Empty if the motion was not scored.
+        gaze: Recorded with the motion, or generated with it; None for a motion without eyes.
+    """
 
     label: str
     colour: str
-    """``#rrggbb``."""
     joints: Float[np.ndarray, "n 22 3"]
-    """Canonical frame, metres."""
     scores: Mapping[str, float] = field(default_factory=dict)
-    """Maps metric ids to values; rates are 0 or 1. Empty if the motion was not scored."""
     gaze: Gaze | None = None
-    """Recorded with the motion, or generated with it; None for a motion without eyes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """Place of the object at the event; canonical frame, metres."""
+    """Place of the object at the event; canonical frame, metres.
+
+    Attributes:
+        box_corners: In the order that :data:`prbench.viewing.figures.BOX_EDGES` expects.
+    """
 
     location: Float[np.ndarray, "3"]
     box_corners: Float[np.ndarray, "8 3"]
-    """In the order that :data:`prbench.viewing.figures.BOX_EDGES` expects."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One sequence with its motions."""
+    """One sequence with its motions.
+
+    Attributes:
+        title: Action, object, hand and split in words.
+        action: ``pick`` or ``put``.
+        prime_time: Seconds after the first frame; the event is the last frame.
+        head_tilt_deg: See :func:`prbench.geometry.skeleton.head_forward`.
+        motions: The recorded motion first, unless it is withheld.
+        thresholds: The protocol's limits of priming and reaching, drawn beside the measured values.
+        goal: None where the recorded motion is withheld, and where the goal's place is unknown.
+        notice: Sentence that the dataset's terms ask a view to show.
+    """
 
     sequence_id: str
     dataset: str
     title: str
-    """Action, object, hand and split in words."""
     action: str
-    """``pick`` or ``put``."""
     fps: float
     n_frames: int
     prime_time: float
-    """Seconds after the first frame; the event is the last frame."""
     head_tilt_deg: float
-    """See :func:`prbench.geometry.skeleton.head_forward`."""
     motions: tuple[ShownMotion, ...]
-    """The recorded motion first, unless it is withheld."""
     thresholds: MetricConstants
-    """The protocol's limits of priming and reaching, drawn beside the measured values."""
     goal: Goal | None = None
-    """None where the recorded motion is withheld, and where the goal's place is unknown."""
     notice: str = ""
-    """Sentence that the dataset's terms ask a view to show."""
 
     @property
     def shows_recorded(self) -> bool:
@@ -129,26 +141,29 @@ class Scene:
 _SHOWN = sorted((info for info in STUDY_METRICS if info.unit in ("rate", "m")), key=lambda i: i.unit != "rate")
 _OF_ONE_MOTION = tuple(info for info in _SHOWN if not info.compares_with_recorded)
 _OF_TWO_MOTIONS = tuple(info for info in _SHOWN if info.compares_with_recorded)
+# Header of the table of scores; "nearest wrist" is the smallest distance between a wrist and the goal.
 HEADER = (
     "",
     *(info.title.replace(" ", "\n") for info in _OF_ONE_MOTION),
     "nearest\nwrist",
     *(info.title.replace(" ", "\n") for info in _OF_TWO_MOTIONS),
 )
-"""Header of the table of scores; "nearest wrist" is the smallest distance between a wrist and the goal."""
 _UNKNOWN = "–"
 
 
 @dataclass(frozen=True, eq=False)
 class Measures:
-    """Measurements of one motion against the goal, one value a frame."""
+    """Measurements of one motion against the goal, one value a frame.
+
+    Attributes:
+        head_distance: From the goal to the head-forward ray, metres; Prime Success compares it with its threshold.
+        head_angle: Between the head-forward ray and the direction to the goal, degrees.
+        wrist_distance: From the goal to the nearer wrist, metres.
+    """
 
     head_distance: Float[np.ndarray, " n"]
-    """From the goal to the head-forward ray, metres; Prime Success compares it with its threshold."""
     head_angle: Float[np.ndarray, " n"]
-    """Between the head-forward ray and the direction to the goal, degrees."""
     wrist_distance: Float[np.ndarray, " n"]
-    """From the goal to the nearer wrist, metres."""
 
     @property
     def reach_distance(self) -> float:
@@ -242,14 +257,14 @@ def _length(metres: float | None) -> str:
 
 
 RECORDED_COLOUR = "#303030"
+# Colours of the runs in the order in which they are named; more could not be told apart.
 METHOD_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#999933", "#882255")
-"""Colours of the runs in the order in which they are named; more could not be told apart."""
 GAZE_COLOUR = "#e69f00"
 GOAL_COLOUR = "#56b4e9"
 BOX_COLOUR = "#1b6f9c"
 MARK_COLOUR = "#555555"
+# True for right limbs and the trunk, in the order of ``skeleton.BONES``; left limbs are drawn thin.
 IS_THICK = np.array([not Joint(child).name.startswith("LEFT") for _, child in BONES])
-"""True for right limbs and the trunk, in the order of ``skeleton.BONES``; left limbs are drawn thin."""
 
 _BONES = np.array(BONES)
 _LINE_WIDTHS = np.where(IS_THICK, 2.1, 0.9)  # points

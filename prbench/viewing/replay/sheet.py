@@ -203,10 +203,10 @@ _ROW = 0.24  # of the table of scores
 _KEY = 1.15
 _COLUMNS = (0.0, 0.47, 0.59, 0.71, 0.83, 0.925, 1.02)  # of the table's width: right edges, but for the first
 _LABEL = 26  # characters of a label that fit
+# Inches.
 WIDTH = 15.0
-"""Inches."""
+# In one PNG: more would make a picture that few programs open.
 MOST_SCENES = 40
-"""In one PNG: more would make a picture that few programs open."""
 _POSES = 9
 _FOOT = 0.3  # inches, for the notice
 
@@ -220,11 +220,14 @@ def block_height(n_motions: int) -> float:
 
 @dataclass(frozen=True)
 class Block:
-    """The part of a sheet that belongs to one sequence."""
+    """The part of a sheet that belongs to one sequence.
+
+    Attributes:
+        top: Inches from the lower edge of the sheet.
+    """
 
     figure: Figure
     top: float
-    """Inches from the lower edge of the sheet."""
 
     def strip(self, number: int) -> Axes:
         """Add the panel for the poses of one motion."""
@@ -359,8 +362,8 @@ def _draw_key(axes: Axes, scene: Scene) -> None:
     axes.legend(handles=handles, fontsize=7.2, ncols=2, frameon=False, loc="upper left", borderaxespad=0.0)
 
 
+# The kinds of files, and the package that each needs beside the required ones.
 _PACKAGES = {".png": "", ".mp4": "imageio-ffmpeg", ".html": "viser"}
-"""The kinds of files, and the package that each needs beside the required ones."""
 
 
 def file_kind(path: Path) -> str:
