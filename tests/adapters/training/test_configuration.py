@@ -79,24 +79,3 @@ def test_a_wrong_name_lists_those_that_exist():
 def test_a_key_or_value_that_does_not_fit_is_named(key, value, error, message):
     with pytest.raises(error, match=message):
         load((key, value))
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("[model]\nwidth = ", "expected valid TOML"),
-        ("[model]\n[traning]\nsteps = 3", "unknown field `traning`"),
-        ("[model]\n", "missing required field `training`"),
-        ("stages = 3\n[model]\n[training]\nsteps = 3", r"\[stages\]: expected tables"),
-    ],
-)
-def test_a_file_that_is_no_configuration_is_refused(content, message, tmp_path):
-    file = tmp_path / "own.toml"
-    file.write_text(content)
-    with pytest.raises(InputFileError, match=message):
-        load(name=str(file))
-
-
-def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(InputFileError, match=r"none\.toml: expected a TOML file"):
-        load(name=str(tmp_path / "none.toml"))

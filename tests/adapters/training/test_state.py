@@ -166,10 +166,6 @@ def _batch(validation, places):
     return collate([validation.data[place] for place in places])
 
 
-def test_measuring_twice_gives_the_same_numbers(table):
-    assert measured([table]) == measured([table])
-
-
 def test_tables_without_validation_sequences_are_left_out_unless_it_is_all_of_them(table, tmp_path):
     one_recording = fake_dataset(tmp_path / "one", 6, recordings=1, dataset="synthetic-one")
     assert measured([one_recording, table]) == measured([table])
