@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -64,8 +66,40 @@ def test_every_column_is_a_field_and_every_file_has_its_digest(folder) -> None:
     joints = next(field for field in document["recordSet"][0]["field"] if field["name"] == "joints")
     assert joints["arrayShape"] == "-1,66"
     assert joints["dataType"] == "sc:Float"
+    fields = document["recordSet"][0]["field"]
+    kinds = {field["name"]: (field.get("dataType"), field.get("arrayShape")) for field in fields}
+    assert kinds["gaze_valid"] == ("sc:Boolean", "-1")
+    assert [kinds[name] for name in ("n_frames", "split")] == [("sc:Integer", None), ("sc:Text", None)]
+    for entry in document["distribution"]:
+        content = (folder / entry["contentUrl"]).read_bytes()
+        assert entry["sha256"] == hashlib.sha256(content).hexdigest()
+        assert entry["contentSize"] == f"{len(content)} B"
+        assert entry["@id"] == entry["name"] == entry["contentUrl"]
     assert {entry["@id"] for entry in document["distribution"]} >= {"sequences.parquet", "events.parquet"}
-    assert all(len(entry["sha256"]) == 64 for entry in document["distribution"])
+    assert [each["key"]["@id"] for each in document["recordSet"]] == [
+        "sequences/sequence_id", "events/event_id", "recordings/recording_id",
+    ]  # fmt: skip
+
+
+def test_a_croissant_tells_what_the_dataset_says_of_itself_and_nothing_that_it_does_not(folder) -> None:
+    info = msgspec.structs.replace(SequenceTable.open(folder).info, homepage="https://a.b", citation="@misc{c}")
+    write_croissant(folder, info, {"sequences": SEQUENCES}, {"sequences": "One sequence."})
+    document = json.loads((folder / "croissant.json").read_text())
+    told = {name: document[name] for name in document if name not in ("@context", "distribution", "recordSet")}
+    assert told == {
+        "@type": "sc:Dataset", "conformsTo": "http://mlcommons.org/croissant/1.1",
+        "name": "synthetic-adt-prime-and-reach",
+        "description": f"{info.title}: {info.counts.sequences} prime-and-reach sequences built by prbench"
+        f" {info.prbench_version}, protocol {info.protocol_version}. Identity digest {info.identity_digest}.",
+        "version": f"{info.schema_version}.{info.protocol_version}.0", "license": info.licence,
+        "conditionsOfAccess": f"redistribution: {info.redistribution}", "isLiveDataset": False,
+        "url": "https://a.b", "citeAs": "@misc{c}",
+    }  # fmt: skip
+    bare = msgspec.structs.replace(info, homepage="", citation="")
+    write_croissant(folder, bare, {"sequences": SEQUENCES}, {"sequences": "One sequence."})
+    document = json.loads((folder / "croissant.json").read_text())
+    assert not {"url", "citeAs"} & set(document)
+    assert document["recordSet"][0]["description"] == "One sequence."
 
 
 def holdings(**yields: int) -> list[pa.RecordBatch]:
