@@ -11,7 +11,6 @@ import importlib.util
 import re
 import sys
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 from importlib import resources
@@ -103,7 +102,15 @@ def _readers_on(path: tuple[str, ...]) -> tuple[InstalledEntry, ...]:  # noqa: A
     for entry in entries:
         problem = entry.problem
         if not problem and not entry.built_in:
-            problem = _name_problem(entry.name, own)
+            same = entry.name.replace("-", "")
+            taken = next((other for other in sorted(own) if other.replace("-", "") == same), None)
+            if not _NAME.fullmatch(entry.name) or len(entry.name) > _LONGEST_NAME:
+                form = f"at most {_LONGEST_NAME} characters of a to z, 0 to 9 and single hyphens between them"
+                problem = f"expected a name of {form}, found {quoted(repr(entry.name))}"
+            elif entry.name in _RESERVED or entry.name.startswith(SYNTHETIC_PREFIX):
+                problem = f"'{entry.name}' is a reserved word of prbench"
+            elif taken is not None:
+                problem = f"'{taken}' is a dataset of prbench itself; choose another name"
         name = entry.name if _NAME.fullmatch(entry.name) else quoted(entry.name or "unknown")
         readers.append(replace(entry, name=name, problem=problem))
     # One that another package offers, too, is refused.
@@ -113,14 +120,3 @@ def _readers_on(path: tuple[str, ...]) -> tuple[InstalledEntry, ...]:  # noqa: A
             packages = sorted({other.package for other in readers if other.name == reader.name})
             readers[place] = replace(reader, problem=f"it is offered more than once, by {' and '.join(packages)}")
     return tuple(sorted(readers))
-
-
-def _name_problem(name: str, own: Iterable[str]) -> str:
-    """Say what is wrong with the name that a package gives its dataset; empty if nothing is."""
-    if not _NAME.fullmatch(name) or len(name) > _LONGEST_NAME:
-        form = f"at most {_LONGEST_NAME} characters of a to z, 0 to 9 and single hyphens between them"
-        return f"expected a name of {form}, found {quoted(repr(name))}"
-    if name in _RESERVED or name.startswith(SYNTHETIC_PREFIX):
-        return f"'{name}' is a reserved word of prbench"
-    taken = next((other for other in sorted(own) if other.replace("-", "") == name.replace("-", "")), None)
-    return "" if taken is None else f"'{taken}' is a dataset of prbench itself; choose another name"

@@ -24,7 +24,6 @@ from jaxtyping import Bool, Float, Int
 from prbench.errors import InputFileError
 from prbench.files.bounded import (
     foreign_input,
-    open_regular,
     read_end,
     read_whole,
     require,
@@ -32,7 +31,6 @@ from prbench.files.bounded import (
     require_size,
     require_unpackable,
     too_long_line,
-    whole_lines,
 )
 from prbench.limits import LARGEST_ARCHIVE, LARGEST_FILE, LARGEST_JSON, LARGEST_TABLE, LARGEST_UNPACKED, LONGEST_LINE
 from prbench.readers.found import InputFile
@@ -422,18 +420,6 @@ def must_exist(path: Source) -> Iterator[None]:
         yield
     except FileNotFoundError as error:
         raise missing_file(path) from error
-
-
-def text_lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """The lines of a text file that hold anything, with their numbers.
-
-    Raises:
-        InputFileError: if the file is missing, or a line is longer than any.
-    """
-    with must_exist(path), open_regular(path) as file:
-        for number, line in enumerate(whole_lines(file, path), start=1):
-            if line.strip():
-                yield number, line
 
 
 def missing_file(path: Source) -> InputFileError:

@@ -29,7 +29,7 @@ from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.readers.discover import discover, usable_readers
 from prbench.readers.egoallo import format as ego
-from prbench.readers.egoallo.bodies import check_output
+from prbench.readers.egoallo.bodies import read_own_output
 from prbench.readers.egoallo.files import OUTPUT_ROLE, POINT_FILES, EgoalloInputs, poses_folder
 from prbench.readers.files import Source, opened
 from prbench.recording import PoseStream
@@ -297,7 +297,7 @@ def coverage(outputs: Sequence[Path], cpf: PoseStream) -> tuple[bool, str]:
     Raises:
         InputFileError: for the first output that is damaged or belongs to another recording.
     """
-    found = np.unique(np.concatenate([check_output(path, cpf) for path in outputs])) / 1e9
+    found = np.unique(np.concatenate([read_own_output(path, cpf).time_ns for path in outputs])) / 1e9
     seconds = float(cpf.times[-1] - cpf.times[0])
     # Asked at a regular step, so that a dense part of the trajectory weighs no more than a sparse one. Instants
     # without a head pose count for nobody: EgoAllo cannot fill them.

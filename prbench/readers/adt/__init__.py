@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
+from prbench.readers.adt import format as adt
 from prbench.readers.adt.files import AdtOptions, extents, find_recordings, read_readings
-from prbench.readers.adt.to_recording import adt_inputs, recording_from_adt
-from prbench.readers.egoallo.files import EgoalloInputs
+from prbench.readers.adt.to_recording import ASSUMED_SIZE, prepared_trajectory, recording_from_adt
+from prbench.readers.egoallo.files import POINT_FILES, EgoalloInputs, aria_inputs
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.recording import Recording
@@ -51,7 +52,15 @@ class AdtReader:
 
     def egoallo_inputs(self, root: Path, found: RecordingFiles) -> EgoalloInputs:
         """See :class:`prbench.readers.AriaGlasses`."""
-        return adt_inputs(root, found)
+        # The semi-dense point cloud of the Machine Perception Services.
+        folder = found.folder / adt.MPS_FOLDER
+        clouds = (folder / place / name for place in ("slam", "trajectory") for name in POINT_FILES)
+        return replace(
+            aria_inputs(root, found, adt.TRAJECTORY_FILE),
+            points=next((path for path in clouds if path.is_file()), None),
+            glasses_size=ASSUMED_SIZE,
+            turned=prepared_trajectory,
+        )
 
 
 READER = AdtReader()

@@ -153,7 +153,21 @@ def _sense_objects(
 ) -> tuple[adt.AdtObject, ...]:
     performance = sensing.performance
     scale = sensing.strength("object_noise")
-    objects = [_room_object()]
+    # The real dataset has the room itself as an object, which readers must leave out.
+    half = np.array(_ROOM_HALF_EXTENTS)
+    room = adt.AdtObject(
+        object_id=adt.SCENE_BOX_ID,
+        name="ApartmentEnv",
+        prototype="ApartmentEnv",
+        category="shelter",
+        dynamic=False,
+        box_min=-half,
+        box_max=half,
+        time_ns=np.array([adt.STATIC_TIME]),
+        position=np.array([[0.0, half[1] - 0.1, 0.0]]),
+        rotation=np.array([[1.0, 0.0, 0.0, 0.0]]),
+    )
+    objects = [room]
     for motion in performance.objects:
         seen = ~untracked(performance, motion, times) if motion.movable else np.ones(1, dtype=bool)
         query = times if motion.movable else times[:1]
@@ -190,23 +204,6 @@ def native_object_id(object_id: str) -> int:
     if re.fullmatch(r"[1-9]\d{14,15}", object_id):
         return int(object_id)
     return 10**15 + int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:8], "big") % (8 * 10**15)
-
-
-def _room_object() -> adt.AdtObject:
-    """Return the room itself as an object, as the real dataset has it; readers must leave it out."""
-    half = np.array(_ROOM_HALF_EXTENTS)
-    return adt.AdtObject(
-        object_id=adt.SCENE_BOX_ID,
-        name="ApartmentEnv",
-        prototype="ApartmentEnv",
-        category="shelter",
-        dynamic=False,
-        box_min=-half,
-        box_max=half,
-        time_ns=np.array([adt.STATIC_TIME]),
-        position=np.array([[0.0, half[1] - 0.1, 0.0]]),
-        rotation=np.array([[1.0, 0.0, 0.0, 0.0]]),
-    )
 
 
 def _sense_suit(

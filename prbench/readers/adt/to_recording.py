@@ -5,8 +5,6 @@ Readers call this with what the files hold, synthetic recordings with what their
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -20,9 +18,7 @@ from prbench.protocol.manifests import Manifest
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, AriaTrajectory, GlassesSize
 from prbench.readers.aria_mps.to_recording import gaze_in_world, head_and_camera, size_remark
-from prbench.readers.egoallo.files import POINT_FILES, EgoalloInputs, aria_inputs
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS, body_stream
-from prbench.readers.found import RecordingFiles
 from prbench.recording.streams import (
     SIDES,
     BodyStream,
@@ -219,23 +215,6 @@ def _remarks(
 
 _STEP_US = 1_000
 _GRAPH_UID = "adt-scene-z-up"
-
-
-def adt_inputs(root: Path, found: RecordingFiles) -> EgoalloInputs:
-    """Look for what EgoAllo needs of a recording.
-
-    Raises:
-        InputFileError: if it has no trajectory.
-    """
-    # The semi-dense point cloud of the Machine Perception Services.
-    folder = found.folder / adt.MPS_FOLDER
-    clouds = (folder / place / name for place in ("slam", "trajectory") for name in POINT_FILES)
-    return replace(
-        aria_inputs(root, found, adt.TRAJECTORY_FILE),
-        points=next((path for path in clouds if path.is_file()), None),
-        glasses_size=ASSUMED_SIZE,
-        turned=prepared_trajectory,
-    )
 
 
 def prepared_trajectory(glasses: AriaTrajectory) -> AriaTrajectory:

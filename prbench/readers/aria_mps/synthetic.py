@@ -103,6 +103,10 @@ def sense_mps(
     shift += rng.normal(0.0, _WHITE, (n, 3)) * scale
     turn += rng.normal(0.0, _WHITE_TURN, (n, 3)) * scale
     turned = Rotation.from_rotvec(turn) * rotation
+    gaze_since_start = _steps(performance, _GAZE_START_US, GAZE_RATE)
+    gaze_times = performance.times[0] + gaze_since_start / 1e6
+    depth = sensing.generator("mps-gaze-depth").uniform(*_DEPTH, len(gaze_times))
+    gaze = gaze_rows(sensing, gaze_times, start_us + gaze_since_start, depth, gaze_kind)
     readings = mps.MpsReadings(
         trajectory=mps.AriaTrajectory(
             time_us=start_us + since_start,
@@ -113,7 +117,10 @@ def sense_mps(
             graph_uids=(graph_uid(performance),),
             left_out=0,
         ),
-        gaze=_sense_gaze(sensing, start_us, gaze_kind),
+        # The files hold the yaws of two equal eyes: combining them costs the last bit.
+        gaze=replace(
+            gaze, yaw=mps.combined_yaw(gaze.yaw, gaze.yaw), yaw_range=mps.combined_yaw(gaze.yaw_range, gaze.yaw_range)
+        ),
         gaze_kind=gaze_kind,
         wrists=_sense_hands(sensing, start_us) if hands else None,
         glasses_size=GLASSES_SIZE,
@@ -166,17 +173,6 @@ def graph_uid(performance: Performance) -> str:
 def uid_of(identity: str) -> str:
     """Return a UUID that depends on a text alone."""
     return str(uuid.UUID(bytes=hashlib.sha256(identity.encode()).digest()[:16]))
-
-
-def _sense_gaze(sensing: Sensing, start_us: int, gaze_kind: mps.GazeKind) -> mps.GazeAngles:
-    since_start = _steps(sensing.performance, _GAZE_START_US, GAZE_RATE)
-    times = sensing.performance.times[0] + since_start / 1e6
-    depth = sensing.generator("mps-gaze-depth").uniform(*_DEPTH, len(times))
-    gaze = gaze_rows(sensing, times, start_us + since_start, depth, gaze_kind)
-    # Of two equal eyes, as the files hold them: combining them costs the last bit.
-    return replace(
-        gaze, yaw=mps.combined_yaw(gaze.yaw, gaze.yaw), yaw_range=mps.combined_yaw(gaze.yaw_range, gaze.yaw_range)
-    )
 
 
 def gaze_rows(
@@ -318,7 +314,25 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
             }
             for label, pose in poses.items()
         ]
-        imus = [_imu_record(label) for label in ("imu-right", "imu-left")]
+        unit = np.eye(3).tolist()
+        bias = {"Name": "Constant", "Offset": [0.0, 0.0, 0.0]}
+        turning = {
+            "Name": "LinearGSensitivity",
+            "RectificationMatrix": unit,
+            "GSensitivityMatrix": np.zeros((3, 3)).tolist(),
+        }
+        moving = {"Name": "UpperTriagonalLinear", "RectificationMatrix": unit}
+        imus = [
+            {
+                "Label": label,
+                "Calibrated": True,
+                "SerialNumber": "",
+                "Gyroscope": {"TimeOffsetSec_Device_Gyro": 0.0, "Bias": bias, "Model": turning},
+                "Accelerometer": {"TimeOffsetSec_Device_Accel": 0.0, "Bias": bias, "Model": moving},
+                "T_Device_Imu": _pose_record(np.eye(4)),
+            }
+            for label in ("imu-right", "imu-left")
+        ]
         with atomic_path(path) as temporary, open(temporary, "wb") as file:
             for time_us in range(int(first), int(last) + 1, _CALIBRATION_STEP_US):
                 record = {
@@ -392,28 +406,6 @@ def _velocities(trajectory: mps.AriaTrajectory) -> Float[np.ndarray, "n 6"]:
 def _pose_record(pose: Float[np.ndarray, "4 4"]) -> dict[str, object]:
     x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True).tolist()
     return {"Translation": pose[:3, 3].tolist(), "UnitQuaternion": [w, [x, y, z]]}
-
-
-def _imu_record(label: str) -> dict[str, object]:
-    unit = np.eye(3).tolist()
-    bias = {"Name": "Constant", "Offset": [0.0, 0.0, 0.0]}
-    turning = {
-        "Name": "LinearGSensitivity",
-        "RectificationMatrix": unit,
-        "GSensitivityMatrix": np.zeros((3, 3)).tolist(),
-    }
-    return {
-        "Label": label,
-        "Calibrated": True,
-        "SerialNumber": "",
-        "Gyroscope": {"TimeOffsetSec_Device_Gyro": 0.0, "Bias": bias, "Model": turning},
-        "Accelerometer": {
-            "TimeOffsetSec_Device_Accel": 0.0,
-            "Bias": bias,
-            "Model": {"Name": "UpperTriagonalLinear", "RectificationMatrix": unit},
-        },
-        "T_Device_Imu": _pose_record(np.eye(4)),
-    }
 
 
 def split_columns(names: Sequence[str], columns: np.ndarray) -> dict[str, object]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
@@ -96,26 +95,18 @@ def read_output(path: Path) -> ego.EgoAlloOutput:
     return ego.EgoAlloOutput(path.name, times.astype(np.int64), *(arrays[key] for key in _SHAPES))
 
 
-def check_output(path: Path, cpf: PoseStream) -> Int[np.ndarray, " t"]:
-    """Read an output and check that it belongs to a recording; no body model is needed.
+def read_own_output(path: Path, cpf: PoseStream) -> ego.EgoAlloOutput:
+    """Read an output and refuse one of another recording: the head pose is an input of EgoAllo and must come back.
+
+    The frames may not all lie outside of the recording's time, and the median distance may be 5 cm. No body model is
+    needed.
 
     Args:
         path: The output.
         cpf: The recording's central pupil frame, in the world that the output is in, device seconds.
 
-    Returns:
-        Its times, nanoseconds on the device clock.
-
     Raises:
         InputFileError: if the output is damaged, or belongs to another recording.
-    """
-    return _read_own(path, cpf).time_ns
-
-
-def _read_own(path: Path, cpf: PoseStream) -> ego.EgoAlloOutput:
-    """Refuse an output of another recording: the head pose is an input of EgoAllo and must come back.
-
-    No frame may lie outside of the recording's time alone, and the median distance may be 5 cm.
     """
     output = read_output(path)
     times = output.time_ns / 1e9
@@ -164,7 +155,7 @@ def read_bodies(found: RecordingFiles, *, cpf: PoseStream) -> ego.EgoAlloBody | 
         InputFileError: if an output is damaged, or belongs to another recording; or if the body model is missing or
             damaged.
     """
-    outputs = [_read_own(file.path, cpf) for file in found.files if file.role.startswith(OUTPUT_ROLE)]
+    outputs = [read_own_output(file.path, cpf) for file in found.files if file.role.startswith(OUTPUT_ROLE)]
     if not outputs:
         return None
     model = found.path(MODEL_ROLE)

@@ -65,7 +65,13 @@ _EXACT = 1e-7  # metres; people are made of these lengths
 @cache
 def synthetic_smplh() -> RestJoints:
     """Return the synthetic model: rest joints of a mean person, and what each of the 16 shape numbers adds to them."""
-    bones = np.stack([_group_bones(group) for group in _GROUPS], axis=-1) * _STATURE
+    bones = np.zeros((N_JOINTS, 3, len(_GROUPS)))
+    for number, group in enumerate(_GROUPS):
+        for joint, bone in group.items():
+            bones[joint, :, number] = bone
+            if joint.name.startswith("LEFT_"):
+                bones[joint + 1, :, number] = np.multiply(bone, (-1.0, 1.0, 1.0))
+    bones *= _STATURE
     joints = np.zeros_like(bones)
     for child in range(1, N_JOINTS):
         joints[child] = joints[PARENTS[child]] + bones[child]
@@ -126,15 +132,6 @@ _LIMB_FRAMES: tuple[tuple[tuple[Joint, ...], Rotation], ...] = (
     ((Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST), Rotation.from_euler("z", np.pi / 2)),
     ((Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST), Rotation.from_euler("z", -np.pi / 2)),
 )
-
-
-def _group_bones(group: dict[Joint, tuple[float, float, float]]) -> Float[np.ndarray, "22 3"]:
-    bones = np.zeros((N_JOINTS, 3))
-    for joint, bone in group.items():
-        bones[joint] = bone
-        if joint.name.startswith("LEFT_"):
-            bones[joint + 1] = np.multiply(bone, (-1.0, 1.0, 1.0))
-    return bones
 
 
 # The performance's Y up to the Z up of native worlds: (x, y, z) becomes (x, -z, y).
@@ -260,7 +257,12 @@ def _estimate(
         pole = true[:, middle] - (true[:, upper] + true[:, end]) / 2 + bend
         joint, tip = two_bone(joints[:, upper], true[:, end] + shift, lengths, pole, _STRETCH)
         for at, bone, new in ((upper, bones[0], joint - joints[:, upper]), (middle, bones[1], tip - joint)):
-            turned = _shortest_turn(bone, new) * Rotation.from_quat(rotations[:, at], scalar_first=True)
+            # The rotation about the common normal that takes each direction to the new one.
+            cross = np.cross(bone, new)
+            sine = np.linalg.norm(cross, axis=1)
+            angle = np.arctan2(sine, np.einsum("ni,ni->n", bone, new))
+            turn = Rotation.from_rotvec(cross * (angle / np.maximum(sine, 1e-15))[:, None])
+            turned = turn * Rotation.from_quat(rotations[:, at], scalar_first=True)
             rotations[:, at] = turned.as_quat(scalar_first=True)
         joints[:, middle], joints[:, end] = joint, tip
 
@@ -275,14 +277,6 @@ def _estimate(
         step = wander(_FOOT_SLIP, _FOOT_HZ, rng_feet) * (slip, 0.0, slip)
         move(Joint.LEFT_HIP + side, Joint.LEFT_KNEE + side, Joint.LEFT_ANKLE + side, bend, step)
     return joints, rotations
-
-
-def _shortest_turn(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "n 3"]) -> Rotation:
-    """Return the rotation about the common normal that takes each direction to another one."""
-    cross = np.cross(first, second)
-    dot = np.einsum("ni,ni->n", first, second)
-    sine = np.linalg.norm(cross, axis=1)
-    return Rotation.from_rotvec(cross * (np.arctan2(sine, dot) / np.maximum(sine, 1e-15))[:, None])
 
 
 def _local(rotations: Float[np.ndarray, "n 22 4"]) -> Float[np.ndarray, "n 21 4"]:

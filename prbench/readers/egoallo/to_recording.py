@@ -54,7 +54,12 @@ def body_from_outputs(outputs: Sequence[ego.EgoAlloOutput], rest: RestJoints) ->
         time_ns = np.concatenate([time_ns, window.time_ns[new]])
         order = np.argsort(time_ns, kind="stable")
         time_ns = time_ns[order]
-        joints = np.concatenate([joints[before:], _window_joints(window, rest)[new]])[order]
+        root = window.world_from_root[0].astype(np.float64)
+        rotations = np.concatenate([root[:, None, :4], window.body_quats[0].astype(np.float64)], axis=1)
+        rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
+        shaped = rest.of(window.betas[0].astype(np.float64).mean(axis=0))
+        posed = pose_body(shaped, root[:, 4:], rotations)[0].astype(np.float32)
+        joints = np.concatenate([joints[before:], posed[new]])[order]
     if not ordered:
         return None
     time_ns, joints = (np.concatenate(parts) for parts in zip(*settled, (time_ns, joints), strict=True))
@@ -67,14 +72,6 @@ def body_from_outputs(outputs: Sequence[ego.EgoAlloOutput], rest: RestJoints) ->
     if gaps:
         remarks.append(f"{gaps} gaps of more than {ego.LONGEST_STEP * 1e3:.0f} ms in the EgoAllo body")
     return ego.EgoAlloBody(time_ns, joints, tuple(remarks))
-
-
-def _window_joints(output: ego.EgoAlloOutput, rest: RestJoints) -> Float[np.ndarray, "t 22 3"]:
-    root = output.world_from_root[0].astype(np.float64)
-    rotations = np.concatenate([root[:, None, :4], output.body_quats[0].astype(np.float64)], axis=1)
-    rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
-    shaped = rest.of(output.betas[0].astype(np.float64).mean(axis=0))
-    return pose_body(shaped, root[:, 4:], rotations)[0].astype(np.float32)
 
 
 def body_stream(

@@ -261,18 +261,23 @@ def write_sequence(readings: gimo.GimoReadings, folder: Path) -> None:
             target / readings.segment.transformation,
             {"scale": transform.scale, "transformation": transform.scene_from_body.tolist()},
         )
-        _write_poses(readings.body.poses, target / gimo.POSE_FOLDER)
-        _write_gaze(readings.gaze, target / gimo.GAZE_FOLDER)
+        # One pickle of torch tensors a frame, the root with ``requires_grad``, as the fitting program left them.
+        poses = readings.body.poses
+        zeros = {name: np.zeros(size, dtype=np.float32) for name, size in _UNUSED_KEYS.items()}
+        (target / gimo.POSE_FOLDER).mkdir(parents=True)
+        for row, frame in enumerate(poses.frames):
+            pose = {"orient": poses.orient[row], "trans": poses.trans[row], "latent": poses.latent[row], **zeros}
+            content = pickled_tensors(pose, requires_grad=("orient",))
+            (target / gimo.POSE_FOLDER / f"{frame}.pkl").write_bytes(content)
+        # Two PLY files a frame: the point with a copy of it beside it, and some points of the cone around it.
+        folder = target / gimo.GAZE_FOLDER
+        folder.mkdir(parents=True)
+        around = np.linspace(-0.05, 0.05, _CONE_POINTS)[:, None] * np.ones(3)
+        for frame, point in zip(readings.gaze.frames, readings.gaze.points, strict=True):
+            centre = np.stack([point, point + 0.001])
+            (folder / f"{frame}{gimo.GAZE_CENTRE_SUFFIX}.ply").write_bytes(ply_bytes(centre))
+            (folder / f"{frame}.ply").write_bytes(ply_bytes(point + around))
         write_bvh(readings.body.motion, target / gimo.SKELETON_FILE)
-
-
-def _write_poses(poses: gimo.SmplxPoses, folder: Path) -> None:
-    """Write one pickle of torch tensors a frame, the root with ``requires_grad``, as the fitting program left them."""
-    folder.mkdir(parents=True)
-    zeros = {name: np.zeros(size, dtype=np.float32) for name, size in _UNUSED_KEYS.items()}
-    for row, frame in enumerate(poses.frames):
-        pose = {"orient": poses.orient[row], "trans": poses.trans[row], "latent": poses.latent[row], **zeros}
-        (folder / f"{frame}.pkl").write_bytes(pickled_tensors(pose, requires_grad=("orient",)))
 
 
 def pickled_tensors(values: Mapping[str, np.ndarray], *, requires_grad: Collection[str] = ()) -> bytes:
@@ -314,15 +319,6 @@ def _storage_head(size: int) -> bytes:
     match = STORAGE.match(buffer.getvalue())
     assert match is not None, "our own reader knows the form"
     return head.replace(match["length"] + bytes(3) + match["key"], b"\x01" + bytes(3) + b"0")
-
-
-def _write_gaze(gaze: gimo.GazePoints, folder: Path) -> None:
-    """Write two PLY files a frame: the point with copies of it beside it, and some points of the cone around it."""
-    folder.mkdir(parents=True)
-    around = np.linspace(-0.05, 0.05, _CONE_POINTS)[:, None] * np.ones(3)
-    for frame, point in zip(gaze.frames, gaze.points, strict=True):
-        (folder / f"{frame}{gimo.GAZE_CENTRE_SUFFIX}.ply").write_bytes(ply_bytes(np.stack([point, point + 0.001])))
-        (folder / f"{frame}.ply").write_bytes(ply_bytes(point + around))
 
 
 def ply_bytes(vertices: Float[np.ndarray, "v 3"]) -> bytes:
@@ -382,16 +378,13 @@ def _write_csv(path: Path, rows: Sequence[Sequence[object]], *, encoding: str) -
         csv.writer(file, lineterminator="\n").writerows(rows)
 
 
-def _matrix_text(matrix: Float[np.ndarray, "4 4"]) -> str:
-    return "\n".join(" ".join(repr(value) for value in row) for row in matrix.tolist()) + "\n"
-
-
 def _write_below(readings: gimo.GimoReadings, root: Path) -> None:
     """Write one folder a sequence, in the folder of its scene."""
     segment = readings.segment
     write_sequence(readings, root / segment.scene / segment.sequence)
     norm = root / segment.scene / gimo.SCENE_FOLDER / gimo.NORM_FILE
-    write_text(norm, _matrix_text(readings.transform.room_from_scene))
+    rows = [" ".join(repr(value) for value in row) for row in readings.transform.room_from_scene.tolist()]
+    write_text(norm, "\n".join(rows) + "\n")
     events = [[event.frame, event.hand] for event in readings.events]
     write_json(root / SHARED_PARTS / f"{readings.recording_id}.json", {"segment": asdict(segment), "events": events})
 

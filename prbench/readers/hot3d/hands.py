@@ -11,8 +11,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.files.bounded import require
-from prbench.readers.files import Nanoseconds, decode_json, require_increasing, text_lines
+from prbench.files.bounded import open_regular, require, whole_lines
+from prbench.readers.files import Nanoseconds, decode_json, must_exist, require_increasing
 from prbench.readers.hot3d import format as hot3d
 
 N_JOINTS = 22
@@ -121,11 +121,14 @@ def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], tuple[str, ..
     """
     lines = []
     bad = 0
-    for _, line in text_lines(path):
-        try:
-            lines.append(_UMETRACK_DECODER.decode(line))
-        except (msgspec.DecodeError, UnicodeDecodeError):
-            bad += 1
+    with must_exist(path), open_regular(path) as file:
+        for line in whole_lines(file, path):
+            if not line.strip():
+                continue
+            try:
+                lines.append(_UMETRACK_DECODER.decode(line))
+            except (msgspec.DecodeError, UnicodeDecodeError):
+                bad += 1
     if not lines:
         raise InputFileError(
             path,

@@ -178,12 +178,12 @@ _TRANSLATION_AXES: dict[str, str] = {
 }  # fmt: skip
 
 
-def _axes_of(link: str) -> str:
-    return _TRANSLATION_AXES[link if link in _TRANSLATION_AXES else link[1:]]
-
-
 # The fixed values for which the model has a joint; the player ignores the others (below 2e-8 m in p1_1).
-MODEL_OFFSETS: frozenset[str] = frozenset(f"{link}Trans{axis}" for link in LINKS[1:] for axis in _axes_of(link))
+MODEL_OFFSETS: frozenset[str] = frozenset(
+    f"{link}Trans{axis}"
+    for link in LINKS[1:]
+    for axis in _TRANSLATION_AXES[link if link in _TRANSLATION_AXES else link[1:]]
+)
 
 HEAD_FORWARD = (0.0, -1.0, 0.0)  # Forward direction of the face in the frame of the head link.
 # Columns: left, up and forward of the face in the frame of the head link.
