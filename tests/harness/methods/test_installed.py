@@ -14,7 +14,7 @@ import pytest
 
 from prbench.cli import main
 from prbench.contract import Condition
-from prbench.errors import AdapterError, InputFileError, MemoryFullError, UsageError
+from prbench.errors import AdapterError, MemoryFullError, UsageError
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.controls import CONTROLS
 from prbench.harness.first_run import companions
@@ -30,7 +30,7 @@ from prbench.harness.methods.installed import (
     offered_twice,
 )
 from prbench.harness.methods.loading import find_adapter, forget_loaded_methods, load_adapter, method_spec
-from prbench.harness.methods.programs import read_description, short_name
+from prbench.harness.methods.programs import short_name
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import RunRecord
@@ -260,14 +260,6 @@ def test_the_command_says_which_package_claims_the_name_that_it_runs(install, ta
     assert "note: prbench_thief 1.2 is not used: 'static' is a method of prbench itself" in said.err
     assert "static (built in), condition none" in said.out
     assert RunRecord.read(tmp_path / "out").method.kind == "built-in"
-
-
-@pytest.mark.parametrize("name", ["pr", "Ground-Truth", "a|b"])
-def test_a_toml_file_with_a_name_that_is_not_its_own_is_refused(tmp_path, name):
-    file = tmp_path / "m.toml"
-    file.write_text(f'[method]\ncommand = "python m.py"\nname = "{name}"\n')
-    with pytest.raises(InputFileError, match=r"m\.toml, method\.name: expected a name of the method's own, found"):
-        read_description(file)
 
 
 def test_a_file_of_motions_is_refused_under_a_name_of_prbenchs(table, tmp_path):

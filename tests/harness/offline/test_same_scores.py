@@ -8,7 +8,6 @@ import pickle
 
 import msgspec
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from prbench.board import tables as tables_of_board
@@ -82,6 +81,12 @@ def export(tables, path, *, condition, **changes):
     return read_conditions_file(path)
 
 
+def made(tables, folder, **variant):
+    """Conditions in ``c.npz``, and the file of what the method makes of them."""
+    conditions = export(tables, folder / "c.npz", **variant)
+    return conditions, method.write_padded(folder / "made.npz", conditions, method.generated(conditions))
+
+
 def score(tables, path, engine=None, **changes):
     folders = tuple(table.folder for table in tables)
     return score_predictions(ScoreRequest(predictions=path, data=folders, **changes), engine=engine)
@@ -91,6 +96,17 @@ def scores_of(folder):
     """The rows of each dataset's scores.parquet."""
     opened = RunFolder.open(folder)
     return {each.dataset: read_scores(opened.dataset(each.dataset).scores) for each in opened.record.tables}
+
+
+def test_in_process_isolated_and_offline_the_scores_are_the_same_bytes(table, tmp_path):
+    for name, isolate in (("inside", False), ("isolated", True)):
+        run([table], tmp_path / name, **VARIANTS[0], isolate=isolate)
+    _, path = made([table], tmp_path, **VARIANTS[0])
+    score([table], path, conditions=tmp_path / "c.npz", out=tmp_path / "offline", name="drift")
+    inside, *others = (
+        (tmp_path / name / "synthetic-adt/scores.parquet").read_bytes() for name in ("inside", "isolated", "offline")
+    )
+    assert others == [inside] * 2
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -114,8 +130,7 @@ def test_every_form_of_predictions_scores_as_the_run_does(tables, shared, tmp_pa
 @pytest.mark.parametrize("variant", VARIANTS[1:], ids=str)
 def test_every_kind_of_run_scores_alike_offline(tables, tmp_path, variant):
     own = run(tables, tmp_path / "run", **variant).summaries
-    conditions = export(tables, tmp_path / "c.npz", **variant)
-    path = method.write_padded(tmp_path / "made.npz", conditions, method.generated(conditions))
+    _, path = made(tables, tmp_path, **variant)
     reports = score(tables, path, conditions=tmp_path / "c.npz", name="drift")
     assert tuple(report.summary for report in reports) == own
     for report in reports:
@@ -199,8 +214,7 @@ def test_sequence_ids_do_as_well_and_need_no_seed(table, tmp_path):
 
 
 def test_another_seed_is_noticed(table, tmp_path):
-    conditions = export([table], tmp_path / "c.npz", condition="none", seed=41)
-    path = method.write_padded(tmp_path / "made.npz", conditions, method.generated(conditions))
+    _, path = made([table], tmp_path, condition="none", seed=41)
     with pytest.raises(PredictionsError, match=r"is --seed 0 that of the run"):
         score([table], path)
     with pytest.raises(UsageError, match=r"--seed 3: .*c.npz was exported with 41. Leave --seed out"):
@@ -219,22 +233,19 @@ def test_another_seed_is_noticed(table, tmp_path):
     ],
 )
 def test_what_contradicts_the_conditions_file_is_refused(table, tmp_path, changes, message):
-    conditions = export([table], tmp_path / "c.npz", condition="goal-loc")
-    path = method.write_padded(tmp_path / "made.npz", conditions, method.generated(conditions))
+    _, path = made([table], tmp_path, condition="goal-loc")
     with pytest.raises(UsageError, match=message):
         score([table], path, conditions=tmp_path / "c.npz", **changes)
 
 
 def test_conditions_of_other_tables_are_refused(tables, tmp_path):
-    conditions = export(tables, tmp_path / "c.npz", condition="none")
-    path = method.write_padded(tmp_path / "made.npz", conditions, method.generated(conditions))
+    _, path = made(tables, tmp_path, condition="none")
     with pytest.raises(PredictionsError, match=r"c.npz: expected conditions of .*, found those of 2 tables"):
         score(tables[:1], path, conditions=tmp_path / "c.npz")
 
 
 def test_a_changed_conditions_file_is_refused_by_column_and_row(table, tmp_path):
-    conditions = export([table], tmp_path / "c.npz", condition="goal-loc")
-    path = method.write_padded(tmp_path / "made.npz", conditions, method.generated(conditions))
+    conditions, path = made([table], tmp_path, condition="goal-loc")
     goals = conditions.goal_location.copy()
     goals[4] += 0.1
     write_conditions(dataclasses.replace(conditions, goal_location=goals), tmp_path / "c.npz")
@@ -259,8 +270,7 @@ def test_a_conditions_file_that_was_not_used_is_named(table, tmp_path):
 
 
 def test_samples_that_were_not_asked_for_or_not_numbered_are_refused(table, tmp_path):
-    conditions = export([table], tmp_path / "c.npz", condition="none", samples=2)
-    path = method.write_padded(tmp_path / "made.npz", conditions, method.generated(conditions))
+    _, path = made([table], tmp_path, condition="none", samples=2)
     export([table], tmp_path / "single.npz", condition="none")
     with pytest.raises(PredictionsError, match=r"found 15: missing 0, .*, samples that were not asked for \[1\]"):
         score([table], path, conditions=tmp_path / "single.npz")
@@ -284,8 +294,7 @@ def test_missing_sequences_of_several_tables_stand_in_one_message(tables, tmp_pa
 
 def test_offline_scores_stand_in_a_leaderboard_beside_runs(tables, tmp_path):
     run(tables, tmp_path / "runs/inside", **VARIANTS[1])
-    conditions = export(tables, tmp_path / "c.npz", **VARIANTS[1])
-    path = method.write_padded(tmp_path / "made.npz", conditions, method.generated(conditions))
+    _, path = made(tables, tmp_path, **VARIANTS[1])
     for _ in range(2):  # the same again is no mistake
         score(tables, path, conditions=tmp_path / "c.npz", out=tmp_path / "runs/outside", name="drifted")
     collected = collect_runs([tmp_path / "runs"])
@@ -341,13 +350,3 @@ def test_a_run_says_itself_how_it_was_made(table, tmp_path):
 def test_a_limit_that_leaves_nothing_is_refused(table, tmp_path):
     with pytest.raises(UsageError, match="--max-frames 10: all 15 chosen sequences of synthetic-adt are longer"):
         score([table], tmp_path / "made.npz", max_frames=10)
-
-
-def test_the_rows_of_a_file_are_read_whatever_library_sorted_them(table, tmp_path):
-    conditions = export([table], tmp_path / "c.npz", condition="none")
-    path = method.write_parquet(tmp_path / "made.parquet", conditions, method.generated(conditions), flat=True)
-    (expected,) = score([table], path, seed=0)
-    shuffled = pq.read_table(path).take(np.random.default_rng(0).permutation(15))
-    pq.write_table(shuffled, path, row_group_size=4)
-    (again,) = score([table], path, seed=0)
-    assert again.scores.equals(expected.scores)
