@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -208,7 +208,6 @@ def _write_narrations(path: Path, kind: str, rows: list[Narration]) -> None:
 
 
 _ATOMIC = nymeria.NARRATION_FILES["atomic_action"]
-Arrays = dict[str, np.ndarray]
 
 
 def _suit(root: Path, recording: str) -> Path:
@@ -219,18 +218,33 @@ def _narration(root: Path, recording: str, name: str = _ATOMIC) -> Path:
     return root / recording / "narration" / name
 
 
-def _on_arrays(change: Callable[[Arrays], None]) -> Damage:
-    """Return a damage that changes arrays of the suit's file."""
+def _on_arrays(keys: Sequence[str], change: Callable[[np.ndarray], np.ndarray]) -> Damage:
+    """Return a damage that changes some arrays of the suit's file."""
 
     def apply(root: Path, recording: str) -> None:
         path = _suit(root, recording)
         with np.load(path, allow_pickle=False) as archive:
             arrays = {key: archive[key] for key in archive.files}
-        change(arrays)
+        arrays |= {key: change(arrays[key]) for key in keys}
         with atomic_path(path) as temporary:
             np.savez(temporary, **arrays)
 
     return apply
+
+
+def _filled(values: np.ndarray, places: tuple[slice | int, ...], value: float) -> np.ndarray:
+    """Return an array with another value in some places."""
+    filled = values.copy()
+    filled[places] = value
+    return filled
+
+
+def _swapped(values: np.ndarray) -> np.ndarray:
+    """Exchange the segments of the left and of the right side."""
+    turned = values.reshape(len(values), nymeria.N_SEGMENTS, -1)
+    other = {"R_": "L_", "L_": "R_"}
+    order = [XSENS_SEGMENTS.index(other.get(name[:2], name[:2]) + name[2:]) for name in XSENS_SEGMENTS]
+    return turned[:, order].reshape(len(values), -1)
 
 
 def _on_rows(change: Callable[[list[list[str]]], list[list[str]]]) -> Damage:
@@ -246,62 +260,28 @@ def _on_rows(change: Callable[[list[list[str]]], list[list[str]]]) -> Damage:
     return apply
 
 
-def _jump(arrays: Arrays) -> None:
-    arrays["timestamps_us"][len(arrays["timestamps_us"]) // 2 :] += 24_003_000_000
+def _on_bytes(names: Sequence[str], change: Callable[[bytes], bytes]) -> Damage:
+    """Return a damage that changes the bytes of some narration files, where they exist."""
+
+    def apply(root: Path, recording: str) -> None:
+        for path in (_narration(root, recording, name) for name in names):
+            if path.exists():
+                path.write_bytes(change(path.read_bytes()))
+
+    return apply
 
 
-def _no_rotation(arrays: Arrays) -> None:
-    arrays["segment_qWXYZ"][100:140, 24:28] = 0.0
+def _moved(folder_of: Callable[[Path, str, str], Path]) -> Damage:
+    """Return a damage that moves body, narrations and all else of a sequence into other folders."""
 
+    def apply(root: Path, recording: str) -> None:
+        for path in sorted((root / recording).iterdir()):
+            folder = folder_of(root, recording, path.name)
+            if folder != path.parent:
+                folder.mkdir(parents=True, exist_ok=True)
+                shutil.move(path, folder / path.name)
 
-def _no_position(arrays: Arrays) -> None:
-    n = len(arrays["segment_tXYZ"])
-    arrays["segment_tXYZ"][n // 4 : n // 4 + 30, 9] = np.nan
-
-
-def _swapped(arrays: Arrays) -> None:
-    for key, size in (("segment_tXYZ", 3), ("segment_qWXYZ", 4)):
-        values = arrays[key].reshape(-1, nymeria.N_SEGMENTS, size)
-        turned = values.copy()
-        for right, name in enumerate(XSENS_SEGMENTS):
-            if name.startswith("R_"):
-                left = XSENS_SEGMENTS.index(f"L_{name[2:]}")
-                turned[:, right], turned[:, left] = values[:, left], values[:, right]
-        arrays[key] = turned.reshape(len(values), -1)
-
-
-def _empty_texts(root: Path, recording: str) -> None:
-    for name in nymeria.NARRATION_FILES.values():
-        path = _narration(root, recording, name)
-        if path.exists():
-            path.write_bytes(b"")
-
-
-def _milliseconds(rows: list[list[str]]) -> list[list[str]]:
-    return [[*row[:2], f"{float(row[2]) * 1e3:.3f}", f"{float(row[3]) * 1e3:.3f}", *row[4:]] for row in rows]
-
-
-def _repeated(rows: list[list[str]]) -> list[list[str]]:
-    return [*rows, rows[0]]
-
-
-def _one_deeper(root: Path, recording: str) -> None:
-    inner = root / recording / "unpacked"
-    inner.mkdir()
-    for path in list((root / recording).iterdir()):
-        if path != inner:
-            shutil.move(path, inner / path.name)
-
-
-def _by_group(root: Path, recording: str) -> None:
-    for group, part in (("body_motion", "body"), ("narration", "narration")):
-        (root / group / recording).mkdir(parents=True)
-        shutil.move(root / recording / part, root / group / recording / part)
-
-
-def _no_mark(root: Path, recording: str) -> None:
-    path = _narration(root, recording)
-    path.write_bytes(path.read_bytes().removeprefix(b"\xef\xbb\xbf"))
+    return apply
 
 
 def _another_head(root: Path, recording: str) -> None:
@@ -310,20 +290,43 @@ def _another_head(root: Path, recording: str) -> None:
     change_cells(path, lambda rows: [[*row[:2], *other[2:]] for row, other in zip(rows, reversed(rows), strict=True)])
 
 
+_POSITIONS = "segment_tXYZ"
+_ROTATIONS = "segment_qWXYZ"
+_GROUPS = {"body": "body_motion", "narration": "narration"}  # folder of each download group
+_NO_ROTATION = _on_arrays([_ROTATIONS], lambda values: _filled(values, np.s_[100:140, 24:28], 0.0))
+_NO_POSITION = _on_arrays(
+    [_POSITIONS], lambda values: _filled(values, np.s_[len(values) // 4 : len(values) // 4 + 30, 9], np.nan)
+)
+_JUMP = _on_arrays(["timestamps_us"], lambda times: times + 24_003_000_000 * (np.arange(len(times)) >= len(times) // 2))
+_MILLISECONDS = _on_rows(
+    lambda rows: [[*row[:2], *(f"{float(cell) * 1e3:.3f}" for cell in row[2:4]), *row[4:]] for row in rows]
+)
+_DEEPER = _moved(lambda root, recording, _: root / recording / "unpacked")
+_BY_GROUP = _moved(
+    lambda root, recording, part: root / _GROUPS[part] / recording if part in _GROUPS else root / recording
+)
+_NO_MARK = _on_bytes([_ATOMIC], lambda content: content.removeprefix(b"\xef\xbb\xbf"))
+_EMPTY_TEXTS = _on_bytes(list(nymeria.NARRATION_FILES.values()), lambda _: b"")
 # All defects of the layout.
 DEFECTS = (
-    Defect("clock-jump", "the suit's clock jumps by 24,003 s", _on_arrays(_jump), "read", "cut at 1 jumps"),
-    Defect("zero-quaternions", "a segment loses its rotation", _on_arrays(_no_rotation), "read", "repeat the frame"),
-    Defect("nan-positions", "positions of 30 frames are NaN", _on_arrays(_no_position), "read", "30 frames without"),
+    Defect("clock-jump", "the suit's clock jumps by 24,003 s", _JUMP, "read", "cut at 1 jumps"),
+    Defect("zero-quaternions", "a segment loses its rotation", _NO_ROTATION, "read", "repeat the frame"),
+    Defect("nan-positions", "positions of 30 frames are NaN", _NO_POSITION, "read", "30 frames without"),
     Defect("missing-suit", "the suit's file is missing", removed(_suit), "failed", "xdata.npz"),
-    Defect("swapped-sides", "left and right are exchanged", _on_arrays(_swapped), "failed", "Left and right"),
+    Defect(
+        "swapped-sides",
+        "left and right are exchanged",
+        _on_arrays([_POSITIONS, _ROTATIONS], _swapped),
+        "failed",
+        "Left and right",
+    ),
     Defect("cut-archive", "the suit's file is cut in half", cut_in_half(_suit), "failed", "xdata.npz"),
-    Defect("empty-narrations", "text files without a byte", _empty_texts, "read", "no texts of the chosen kinds"),
-    Defect("milliseconds", "text times in milliseconds", _on_rows(_milliseconds), "failed", "milliseconds"),
+    Defect("empty-narrations", "text files without a byte", _EMPTY_TEXTS, "read", "no texts of the chosen kinds"),
+    Defect("milliseconds", "text times in milliseconds", _MILLISECONDS, "failed", "milliseconds"),
     Defect("unsorted-rows", "text rows in reverse order", _on_rows(lambda rows: rows[::-1]), "read", ""),
-    Defect("repeated-row", "the first text row stands twice", _on_rows(_repeated), "read", ""),
-    Defect("no-byte-order-mark", "text without byte order mark", _no_mark, "read", ""),
-    Defect("nested", "the sequence lies one level deeper", _one_deeper, "read", ""),
-    Defect("by-group", "one folder for each downloaded group", _by_group, "read", ""),
+    Defect("repeated-row", "the first text row stands twice", _on_rows(lambda rows: [*rows, rows[0]]), "read", ""),
+    Defect("no-byte-order-mark", "text without byte order mark", _NO_MARK, "read", ""),
+    Defect("nested", "the sequence lies one level deeper", _DEEPER, "read", ""),
+    Defect("by-group", "one folder for each downloaded group", _BY_GROUP, "read", ""),
     Defect("another-trajectory", "the glasses' trajectory is of another recording", _another_head, "read", "agree by"),
 )
