@@ -13,7 +13,7 @@ from pathlib import Path
 
 from prbench.engine import engine_for
 from prbench.errors import UsageError
-from prbench.files.storage import atomic_folder, sole_writer, text_digest, write_json
+from prbench.files.storage import atomic_folder, sole_writer, text_digest, write_json, write_text
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, ReaderOptions
 from prbench.synthetic import GENERATOR_VERSION
@@ -21,7 +21,7 @@ from prbench.synthetic.activities import identity_of, narrated_recording
 from prbench.synthetic.layouts import defect
 from prbench.synthetic.write_tree import WrittenRecording, WrittenTree, require_free, write_mark
 from prbench_adapters.corpora.humanml3d import synthetic as humanml3d
-from prbench_adapters.corpora.humanml3d.files import MIRROR_PREFIX
+from prbench_adapters.corpora.humanml3d.files import MIRROR_PREFIX, SPLIT_FILES
 from prbench_adapters.corpora.humanml3d.synthetic import DEFECTS as HUMANML3D_DEFECTS
 from prbench_adapters.corpora.nymeria import synthetic as nymeria
 from prbench_adapters.corpora.nymeria.clock import ClockOffset
@@ -30,13 +30,7 @@ from prbench_adapters.corpora.nymeria.source import NymeriaCorpus, NymeriaOption
 from prbench_adapters.corpora.nymeria.suit import clean_suit
 from prbench_adapters.corpora.nymeria.synthetic import DEFECTS as NYMERIA_DEFECTS
 from prbench_adapters.corpora.nymeria.synthetic import sense_nymeria
-from prbench_adapters.corpora.sources import (
-    Corpus,
-    CorpusOptions,
-    CorpusRecording,
-    ReadRecording,
-    RecordingIdentity,
-)
+from prbench_adapters.corpora.sources import Corpus, CorpusOptions, CorpusRecording, ReadRecording, RecordingIdentity
 
 DATASET = f"{SYNTHETIC_PREFIX}corpus"
 _GENERATOR = str(GENERATOR_VERSION)
@@ -185,7 +179,9 @@ def synthesize_corpus_tree(
                 on_written(result[0])
         splits = dict(item for _, _, names in done for item in names)
         if layout == "humanml3d":
-            humanml3d.write_lists(root, splits)
+            for split, name in SPLIT_FILES.items():
+                members = "".join(f"{motion}\n" for motion, chosen in sorted(splits.items()) if chosen == split)
+                write_text(root / name, members)
         else:
             write_json(root / _TRUTH_FILE, {recording.recording_id: offset for recording, offset, _ in done})
         for damage in damages:

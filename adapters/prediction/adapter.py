@@ -19,13 +19,7 @@ from prbench_adapters.diffusion.generation import choice, number, require_known,
 from prbench_adapters.diffusion.method import bundled_names, bundled_weights, resolve
 from prbench_adapters.diffusion.model import torch_device
 from prbench_adapters.prediction.coefficient_diffusion import held
-from prbench_adapters.prediction.records import (
-    RECORDS,
-    DiffusionRecord,
-    PredictorNetwork,
-    SeenWindows,
-    network_of,
-)
+from prbench_adapters.prediction.records import RECORDS, DiffusionRecord, PredictorNetwork, SeenWindows, network_of
 from prbench_adapters.prediction.recurrent import DLow
 from prbench_adapters.training.weights import read_weights
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, sample_generator

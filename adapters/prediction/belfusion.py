@@ -369,13 +369,6 @@ class _ScaledLinear(nn.Module):
         return self.scale * self.linear(hidden) + self.shift
 
 
-def square_root_schedule(steps: int) -> Chain:
-    """β_i = min(1 - f((i + 1)/T)/f(i/T), 0.999) with f(s) = max(0, 1 - √(s + 0.0001))."""
-    level = np.maximum(0.0, 1.0 - np.sqrt(np.arange(steps + 1) / steps + _OFFSET))
-    betas = np.minimum(1.0 - level[1:] / level[:-1], _LARGEST_BETA)
-    return Chain(np.arange(steps), np.cumprod(1.0 - betas))
-
-
 class BeLFusion(nn.Module):
     """Both autoencoders, trained before and frozen here, and the diffusion of scaled behaviours.
 
@@ -401,7 +394,10 @@ class BeLFusion(nn.Module):
         self.past = PastAutoencoder(behaviour).requires_grad_(False)
         self.behaviour = BehaviourAutoencoder(behaviour).requires_grad_(False)
         self.denoiser = LatentUNet(unet)
-        self.schedule = square_root_schedule(unet.steps)
+        # β_i = min(1 - f((i + 1)/T)/f(i/T), 0.999) with f(s) = max(0, 1 - √(s + 0.0001)).
+        level = np.maximum(0.0, 1.0 - np.sqrt(np.arange(unet.steps + 1) / unet.steps + _OFFSET))
+        betas = np.minimum(1.0 - level[1:] / level[:-1], _LARGEST_BETA)
+        self.schedule = Chain(np.arange(unet.steps), np.cumprod(1.0 - betas))
         for name, size in (("past", behaviour.past), ("behaviour", behaviour.behaviour)):
             self.register_buffer(f"{name}_min", -torch.ones(size))
             self.register_buffer(f"{name}_max", torch.ones(size))

@@ -200,11 +200,6 @@ def window_key(window_id: str) -> int:
     return int.from_bytes(hashlib.sha256(f"window/{window_id}".encode()).digest()[:8], "big") >> 1
 
 
-def window_keys(window_ids: Sequence[str]) -> tuple[int, ...]:
-    """:func:`window_key` of each."""
-    return tuple(window_key(name) for name in window_ids)
-
-
 def sample_generator(seed: int, key: int, sample: int) -> np.random.Generator:
     """The generator of one sample of one window."""
     return named_generator("motion-prediction", seed, key, sample)

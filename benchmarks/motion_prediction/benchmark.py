@@ -32,12 +32,7 @@ if TYPE_CHECKING:
     from prbench_benchmarks.motion_prediction.futures import FuturesReport
 
 _PREDICTORS = MethodGroup(
-    "prbench.predictors",
-    Predictor,
-    "name, conditions and predict()",
-    Condition,
-    RemotePredictor,
-    serve_futures,
+    "prbench.predictors", Predictor, "name, conditions and predict()", Condition, RemotePredictor, serve_futures
 )
 
 

@@ -261,13 +261,7 @@ class PredictorSubject(MethodSubject):
         return answer
 
     def _asked(
-        self,
-        predictor: Predictor,
-        batch: ObservedBatch,
-        n_samples: int,
-        *,
-        seed: int = 0,
-        state_seed: int = STATE_SEED,
+        self, predictor: Predictor, batch: ObservedBatch, n_samples: int, *, seed: int = 0, state_seed: int = STATE_SEED
     ) -> Answer:
         """Call the predictor as a run does; whatever it raises becomes part of the answer."""
         of_one = "1 window" if len(batch) == 1 else f"{len(batch)} windows"

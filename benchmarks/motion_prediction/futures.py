@@ -161,7 +161,10 @@ def view_futures(request: ViewRequest) -> FuturesReport:
     require_may_pass_on(table.info, "the view", request.permitted)
     runs = [run_on(path, table) for path in request.runs]
     labels = run_labels([run.path for run, _ in runs], [run.record for run, _ in runs])
-    ids = [_ids_of(files) for _, files in runs]
+    ids = []
+    for _, files in runs:
+        rows = [read_parquet(path, ["sequence_id"]) for path in files.predictions.glob("part-*.parquet")]
+        ids.append({name for part in rows for name in part["sequence_id"].to_pylist()})
     windows = table.windows["window_id"].to_pylist()
     known = [name for name in windows if all(name in held for held in ids)]
     if request.sequences:
@@ -217,11 +220,6 @@ def view_futures(request: ViewRequest) -> FuturesReport:
         )
     _draw(shown, request)
     return FuturesReport(request.out, tuple(shown))
-
-
-def _ids_of(files: DatasetFolder) -> set[str]:
-    paths = sorted(files.predictions.glob("part-*.parquet"))
-    return {name for path in paths for name in read_parquet(path, ["sequence_id"])["sequence_id"].to_pylist()}
 
 
 def _read(files: DatasetFolder, chosen: set[str], joints: int) -> dict[str, Float[np.ndarray, "samples future _ 3"]]:

@@ -16,12 +16,7 @@ from scipy.spatial.distance import cdist
 
 from prbench.errors import UsageError
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, Predictor
-from prbench_benchmarks.motion_prediction.joint_sets import (
-    JOINT_SETS,
-    invert_each,
-    rotations_alone,
-    transform_each,
-)
+from prbench_benchmarks.motion_prediction.joint_sets import JOINT_SETS, invert_each, rotations_alone, transform_each
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
 from prbench_benchmarks.motion_prediction.table import Truth, WindowsTable
 

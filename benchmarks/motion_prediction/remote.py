@@ -41,32 +41,28 @@ class RemotePredictor(RemoteMethod):
             "n_future": batch.n_future,
             "joint_names": list(batch.joint_names),
         }
+
+        def rows(values: np.ndarray, kind: pa.DataType) -> pa.Array:
+            return pa.FixedSizeListArray.from_arrays(pa.array(values.reshape(-1), kind), int(np.prod(values.shape[1:])))
+
+        # What the program may know, one row a window.
+        columns = {
+            "opaque_id": pa.array(ids, pa.utf8()),
+            "key": pa.array(batch.key, pa.int64()),
+            "observed_joints": rows(batch.observed_joints, pa.float32()),
+        }
+        if batch.gaze is not None and batch.gaze_valid is not None:
+            columns["gaze"] = rows(batch.gaze, pa.float32())
+            columns["gaze_valid"] = rows(batch.gaze_valid, pa.bool_())
         joints = self.exchange(
             header,
-            _observed_payload(batch, ids),
+            arrow_stream(columns),
             partial(answer_in, due="futures", read=partial(numbers_by_id, asked=ids, name="joints", size=size)),
             # Twice the size in float64: room for any list type, and still a bound on what is read.
             largest=2 * len(batch) * size * 8,
             ids=ids,
         )
         return Futures(joints=joints.reshape(shape))
-
-
-def _observed_payload(batch: ObservedBatch, ids: tuple[str, ...]) -> bytes:
-    """Arrow stream of what a program may know, one row a window."""
-
-    def rows(values: np.ndarray, kind: pa.DataType) -> pa.Array:
-        return pa.FixedSizeListArray.from_arrays(pa.array(values.reshape(-1), kind), int(np.prod(values.shape[1:])))
-
-    columns = {
-        "opaque_id": pa.array(ids, pa.utf8()),
-        "key": pa.array(batch.key, pa.int64()),
-        "observed_joints": rows(batch.observed_joints, pa.float32()),
-    }
-    if batch.gaze is not None and batch.gaze_valid is not None:
-        columns["gaze"] = rows(batch.gaze, pa.float32())
-        columns["gaze_valid"] = rows(batch.gaze_valid, pa.bool_())
-    return arrow_stream(columns)
 
 
 def serve_futures(name: str, adapter: Predictor, header: Header, payload: bytes) -> tuple[Header, bytes]:

@@ -334,12 +334,7 @@ def _cells(row: TableRow, dataset: str, found: Mapping[str, Estimate]) -> tuple[
 
 
 def _laid_out(
-    number: str,
-    table: WindowsTable,
-    part: str,
-    scores: Mapping[str, Scores],
-    missing: Mapping[str, str],
-    samples: int,
+    number: str, table: WindowsTable, part: str, scores: Mapping[str, Scores], missing: Mapping[str, str], samples: int
 ) -> Table:
     """One table of the study: measured rows, printed ones of each dataset, the order of the methods, and notes."""
     rows = [row for row in load_tables().rows if number in row.tables]

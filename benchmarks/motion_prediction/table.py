@@ -33,7 +33,7 @@ from prbench.sequences.schema import (
 )
 from prbench.sequences.sequence import column_field, row_batch
 from prbench.sequences.write import write_tables
-from prbench_benchmarks.motion_prediction.batch import Condition, ObservedBatch, window_keys
+from prbench_benchmarks.motion_prediction.batch import Condition, ObservedBatch, window_key
 from prbench_benchmarks.motion_prediction.joint_sets import (
     JointSet,
     invert_each,
@@ -396,12 +396,7 @@ class WindowsTable:
                     first += count
 
     def batches(
-        self,
-        condition: Condition,
-        chosen: Int[np.ndarray, " n"],
-        *,
-        frame: FrameName = "last-pose",
-        size: int = 64,
+        self, condition: Condition, chosen: Int[np.ndarray, " n"], *, frame: FrameName = "last-pose", size: int = 64
     ) -> Iterator[tuple[ObservedBatch, Truth]]:
         """The windows in table order, as a predictor may see them, each with its truth.
 
@@ -458,7 +453,7 @@ class WindowsTable:
             n_future=self.info.future_frames,
             joint_names=self.joints.names,
             observed_joints=transform_each(batch_from_room, joints).astype(np.float32),
-            key=window_keys([row["window_id"] for row in rows]),
+            key=tuple(window_key(row["window_id"]) for row in rows),
             gaze=gaze,
             gaze_valid=valid,
         )

@@ -31,19 +31,26 @@ from prbench_benchmarks.text_to_motion.clips import (
     recorded_features,
 )
 from prbench_benchmarks.text_to_motion.metrics import (
+    DISTANCE,
+    DIVERSITY,
     DIVERSITY_PAIRS,
     FEWEST,
+    FID,
     METRICS,
     MULTIMODALITY,
     MULTIMODALITY_PROMPTS,
     MULTIMODALITY_SAMPLES,
+    R_PRECISION,
     EmbeddedPairs,
     Repeated,
     RPrecision,
+    diversity,
+    draw_diversity_pairs,
     draw_multimodality_pairs,
-    measure_motions,
-    measure_pairs,
+    fid,
+    multimodal_distance,
     multimodality,
+    r_precision,
 )
 from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration
 from prbench_benchmarks.text_to_motion.report import ResultRow, TextEvaluation
@@ -108,7 +115,10 @@ class _Row:
 
     def add(self, pairs: EmbeddedPairs, more: dict[str, float]) -> None:
         """Take in one repetition: what its pairs measure, and other values."""
-        measured, ranking = measure_pairs(pairs)
+        ranking = r_precision(pairs.text, pairs.motion, pairs.captions)
+        measured = dict(zip(R_PRECISION, ranking.top.tolist())) | {
+            DISTANCE: multimodal_distance(pairs.text, pairs.motion)
+        }
         for name, value in (measured | more).items():
             self.values.setdefault(name, []).append(value)
         self.rankings.append(ranking)
@@ -178,8 +188,9 @@ class _Passes:
 
     def motions(self, pairs: EmbeddedPairs, reference: np.ndarray, taken: Pass) -> dict[str, float]:
         """FID to recorded motions, and diversity."""
-        generator = taken.generator("diversity")
-        return measure_motions(pairs.motion, reference, generator, diversity_pairs=self.request.diversity_pairs)
+        motion = pairs.motion
+        drawn = draw_diversity_pairs(len(motion), taken.generator("diversity"), n_pairs=self.request.diversity_pairs)
+        return {FID: fid(reference, motion), DIVERSITY: diversity(motion, drawn)}
 
     def _prompts(self, taken: Pass, most: int) -> list[Clip]:
         number = min(most, len(self.supported))

@@ -18,8 +18,8 @@ _MULTIMODALITY_PAIRS = 10  # Pairs of them that are compared.
 BATCH = 32  # Pairs that are ranked together. Part of the metric: the number means nothing with another one.
 TOP = 3
 FID = "fid"
-_DISTANCE = "multimodal_distance"
-_DIVERSITY = "diversity"
+DISTANCE = "multimodal_distance"
+DIVERSITY = "diversity"
 MULTIMODALITY = "multimodality"
 
 
@@ -164,9 +164,9 @@ def _mean_distance(first: Float[np.ndarray, "*rows dimension"], second: Float[np
     return float(np.sqrt(np.square(difference).sum(axis=-1)).mean())
 
 
-_R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))
+R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))
 # Ids in the order in which they are shown; R-precision as shares from 0 to 1.
-METRICS = (*_R_PRECISION, FID, _DISTANCE, _DIVERSITY, MULTIMODALITY)
+METRICS = (*R_PRECISION, FID, DISTANCE, DIVERSITY, MULTIMODALITY)
 
 
 @dataclass(frozen=True)
@@ -186,33 +186,6 @@ class EmbeddedPairs:
         """Every motion with the text of the pair before: what chance scores."""
         captions = (self.captions[-1], *self.captions[:-1])
         return EmbeddedPairs(captions, np.roll(self.text, 1, axis=0), self.motion)
-
-
-def measure_pairs(pairs: EmbeddedPairs) -> tuple[dict[str, float], RPrecision]:
-    """R-precision and multimodal distance by the ids of :data:`METRICS`, and the ranking behind them.
-
-    Raises:
-        ValueError: if there are fewer than 32 pairs.
-    """
-    ranking = r_precision(pairs.text, pairs.motion, pairs.captions)
-    values = dict(zip(_R_PRECISION, ranking.top.tolist()))
-    return values | {_DISTANCE: multimodal_distance(pairs.text, pairs.motion)}, ranking
-
-
-def measure_motions(
-    motion: Float[np.ndarray, "motions dimension"],
-    recorded: Float[np.ndarray, "recorded dimension"],
-    generator: np.random.Generator,
-    *,
-    diversity_pairs: int = DIVERSITY_PAIRS,
-) -> dict[str, float]:
-    """FID to recorded motions, and diversity.
-
-    Raises:
-        ValueError: if there are not more motions than pairs.
-    """
-    pairs = draw_diversity_pairs(len(motion), generator, n_pairs=diversity_pairs)
-    return {FID: fid(recorded, motion), _DIVERSITY: diversity(motion, pairs)}
 
 
 class Repeated(msgspec.Struct, frozen=True):

@@ -331,7 +331,18 @@ class EvaluatorTask:
             fps=configuration.fps,
             max_frames=configuration.max_frames,
         )
-        _require_stage(stage, initial, objective)
+        alone = not torch.distributed.is_initialized() or torch.distributed.get_world_size() == 1
+        if stage == "contrastive" and initial is None:
+            raise UsageError("--stage contrastive needs --init FILE: the weights that --stage autoencoder has left.")
+        if stage != "contrastive" and initial is not None:
+            raise UsageError(f"--stage {stage} starts from nothing; --init belongs to --stage contrastive.")
+        if stage == "full" and objective.autoencoder_batches < 1:
+            raise UsageError("--stage full needs model.autoencoder_batches: batches that train the autoencoder first.")
+        if stage == "full" and not alone:
+            raise UsageError(
+                "--stage full trains in one process. With several, run --stage autoencoder, then --stage contrastive"
+                " with its weights as --init."
+            )
         start = read_weights(initial, kind=MOVEMENT_KIND) if initial is not None else None
         tokens, words_digest = token_vectors(
             configuration.text, data.train.tables, words=objective.words, path=objective.text_path
@@ -357,20 +368,6 @@ class EvaluatorTask:
             start.require_same(module.configuration, apart_from=irrelevant)
             start.load_into(module.movement, "movement")
         return module
-
-
-def _require_stage(stage: str, initial: Path | None, objective: EvaluatorObjective) -> None:
-    if stage == "contrastive" and initial is None:
-        raise UsageError("--stage contrastive needs --init FILE: the weights that --stage autoencoder has left.")
-    if stage != "contrastive" and initial is not None:
-        raise UsageError(f"--stage {stage} starts from nothing; --init belongs to --stage contrastive.")
-    if stage == "full" and objective.autoencoder_batches < 1:
-        raise UsageError("--stage full needs model.autoencoder_batches: how many batches train the autoencoder first.")
-    if stage == "full" and torch.distributed.is_initialized() and torch.distributed.get_world_size() > 1:
-        raise UsageError(
-            "--stage full trains in one process. With several, run --stage autoencoder, then --stage contrastive"
-            " with its weights as --init."
-        )
 
 
 def _stored_statistics(weights: Weights) -> Statistics:

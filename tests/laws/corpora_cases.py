@@ -31,10 +31,7 @@ _TEXTS = {
     "a word for a time": ("a#b#c#d", ["a time"]),
     "an infinite time": ("a#b#0#inf", ["finite"]),
 }
-_OFFSETS = {
-    "a word for an offset": ('{"one": 1.5, "two": "soon"}', ["two"]),
-    "a list": ("[1]", ["sequence: seconds"]),
-}
+_OFFSETS = {"a word for an offset": ('{"one": 1.5, "two": "soon"}', ["two"]), "a list": ("[1]", ["sequence: seconds"])}
 _SUITS = {
     "no times": ({"timestamps_us": None}, ["timestamps_us"]),
     "another rate": ({"frameRate": np.array([60])}, ["frameRate: expected 240"]),

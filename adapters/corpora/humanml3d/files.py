@@ -51,23 +51,19 @@ def read_texts(path: Path) -> tuple[TextLine, ...]:
         ) from error
     except UnicodeDecodeError as error:
         raise InputFileError(path, "", expected="text in UTF-8", found="other bytes") from error
-    lines = enumerate(content.splitlines(), start=1)
-    return tuple(_parse(path, number, line) for number, line in lines if line.strip())
-
-
-def _parse(path: Path, number: int, line: str) -> TextLine:
-    parts = line.strip().rsplit(_TEXT_SEPARATOR, 3)
-    if len(parts) != 4:
-        raise InputFileError(
-            path,
-            f"line {number}",
-            expected="caption#tokens#from#to",
-            found=f"'{line[:80]}'",
-            remedy="The file may be cut; unpack texts.zip again.",
-        )
-    text, tokens, *times = (part.strip() for part in parts)
-    start, end = (_seconds(path, number, cell) for cell in times)
-    return Caption(text, WHOLE if start == end == 0.0 else PART, tokens), start, end
+    lines = []
+    for number, line in enumerate(content.splitlines(), start=1):
+        if not line.strip():
+            continue
+        parts = line.strip().rsplit(_TEXT_SEPARATOR, 3)
+        if len(parts) != 4:
+            found = f"'{line[:80]}'"
+            remedy = "The file may be cut; unpack texts.zip again."
+            raise InputFileError(path, f"line {number}", expected="caption#tokens#from#to", found=found, remedy=remedy)
+        text, tokens, *times = (part.strip() for part in parts)
+        start, end = (_seconds(path, number, cell) for cell in times)
+        lines.append((Caption(text, WHOLE if start == end == 0.0 else PART, tokens), start, end))
+    return tuple(lines)
 
 
 def _seconds(path: Path, number: int, cell: str) -> float:

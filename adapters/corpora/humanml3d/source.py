@@ -63,7 +63,23 @@ def clips_of(
         captions = tuple(dict.fromkeys(replace(caption, kind=kind) for _, caption in members if caption.text))
         first = int(start * layout.RATE)
         available = min(int(end * layout.RATE), len(joints)) - first
-        outcome, value, threshold = _fate(captions, start, end, available, limits)
+        outcome = "clip"
+        value: float | None = None
+        threshold: float | None = None
+        if not captions:
+            outcome = "no_text"
+        elif end <= start:
+            outcome = "end_before_start"
+            value = end - start
+            threshold = 0.0
+        elif available <= 0 or start < 0.0:
+            outcome = "outside_motion"
+            value = float(available) / limits.fps
+            threshold = 0.0
+        elif available < limits.shortest:
+            outcome = "too_short"
+            value = available / limits.fps
+            threshold = limits.shortest / limits.fps
         if outcome == "clip":
             n_frames = min(available, limits.longest)
             clip = cut_clip(
@@ -114,20 +130,6 @@ def clips_of(
                 )
             )
     return tuple(clips), tuple(annotations)
-
-
-def _fate(
-    captions: tuple[Caption, ...], start: float, end: float, available: int, limits: ClipLimits
-) -> tuple[str, float | None, float | None]:
-    if not captions:
-        return "no_text", None, None
-    if end <= start:
-        return "end_before_start", end - start, 0.0
-    if available <= 0 or start < 0.0:
-        return "outside_motion", float(available) / limits.fps, 0.0
-    if available < limits.shortest:
-        return "too_short", available / limits.fps, limits.shortest / limits.fps
-    return "clip", None, None
 
 
 _UNKNOWN_PERSON = "unknown"

@@ -8,6 +8,7 @@ Features (``new_joint_vecs``) are not written: nothing reads them yet.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from prbench.files.storage import atomic_path, write_text
 from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.representation import mirror
 from prbench.synthetic.activities import NarratedMotion
-from prbench.synthetic.layouts import Defect, removed
+from prbench.synthetic.layouts import Damage, Defect, removed
 from prbench_adapters.corpora.humanml3d import files as layout
 
 _LONGEST = 9.9  # Seconds of a motion in the dataset.
@@ -58,7 +59,8 @@ def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
 def mirrored(motion: CaptionedMotion) -> CaptionedMotion:
     """Exchange left and right, in joints and words."""
     joints, lines = motion
-    return mirror(joints), tuple((_other_side(text), start, end) for text, start, end in lines)
+    other = [re.sub(r"\b(left|right)\b", lambda found: _SIDES[found[1]], text) for text, _, _ in lines]
+    return mirror(joints), tuple((text, start, end) for text, (_, start, end) in zip(other, lines, strict=True))
 
 
 def write_motion(root: Path, name: str, motion: CaptionedMotion) -> None:
@@ -71,17 +73,6 @@ def write_motion(root: Path, name: str, motion: CaptionedMotion) -> None:
         np.save(temporary, motion[0].astype(np.float32), allow_pickle=False)
     lines = [f"{text}#{_tokens(text)}#{start}#{end}\n" for text, start, end in motion[1]]
     write_text(root / layout.TEXTS_FOLDER / f"{name}.txt", "".join(lines))
-
-
-def write_lists(root: Path, splits: dict[str, str]) -> None:
-    """Write ``train.txt``, ``val.txt`` and ``test.txt``."""
-    for split, name in layout.SPLIT_FILES.items():
-        members = "".join(f"{motion}\n" for motion, chosen in sorted(splits.items()) if chosen == split)
-        write_text(root / name, members)
-
-
-def _other_side(text: str) -> str:
-    return re.sub(r"\b(left|right)\b", lambda found: _SIDES[found[1]], text)
 
 
 def _tokens(text: str) -> str:
@@ -112,16 +103,22 @@ def _features_only(root: Path, name: str) -> None:
         np.save(temporary, np.zeros((n, 263), dtype=np.float32), allow_pickle=False)
 
 
-def _not_listed(root: Path, name: str) -> None:
-    for file in layout.SPLIT_FILES.values():
-        names = (root / file).read_text().split()
-        (root / file).write_text("".join(f"{other}\n" for other in names if other != name))
+def _on_texts(files: Callable[[Path, str], list[Path]], change: Callable[[str, str], str]) -> Damage:
+    """Return a damage that changes some text files; the change is told the text and the name of the motion."""
+
+    def apply(root: Path, name: str) -> None:
+        for path in files(root, name):
+            path.write_text(change(path.read_text(), name))
+
+    return apply
 
 
-def _nan_times(root: Path, name: str) -> None:
-    """Write nan where newer text files hold 0.0."""
-    path = _texts(root, name)
-    path.write_text(path.read_text().replace("#0.0#0.0", "#nan#nan"))
+_NOT_LISTED = _on_texts(
+    lambda root, _: [root / file for file in layout.SPLIT_FILES.values()],
+    lambda text, name: "".join(f"{other}\n" for other in text.split() if other != name),
+)
+# Newer text files hold nan in place of 0.0.
+_NAN_TIMES = _on_texts(lambda root, name: [_texts(root, name)], lambda text, _: text.replace("#0.0#0.0", "#nan#nan"))
 
 
 # All defects of the layout.
@@ -129,6 +126,6 @@ DEFECTS = (
     Defect("nan-joints", "a joint of one frame is NaN", _nan_joints, "failed", "frame 5"),
     Defect("features-only", "features without joints", _features_only, "failed", "263 features only"),
     Defect("missing-texts", "the text file is missing", removed(_texts), "failed", ".txt"),
-    Defect("not-listed", "the motion stands in no split list", _not_listed, "skipped", "not listed"),
-    Defect("nan-times", "nan instead of 0.0 for whole motions", _nan_times, "read", ""),
+    Defect("not-listed", "the motion stands in no split list", _NOT_LISTED, "skipped", "not listed"),
+    Defect("nan-times", "nan instead of 0.0 for whole motions", _NAN_TIMES, "read", ""),
 )

@@ -69,10 +69,7 @@ def offset_from_file(path: Path, sequence: str) -> ClockOffset | None:
 
 
 def offset_by_correlation(
-    clean: CleanSuit,
-    time_us: np.ndarray,
-    rotation: Float[np.ndarray, "n 4"],
-    thresholds: Mapping[str, float],
+    clean: CleanSuit, time_us: np.ndarray, rotation: Float[np.ndarray, "n 4"], thresholds: Mapping[str, float]
 ) -> tuple[ClockOffset | None, str]:
     """The offset at which the suit's head turns as the glasses do.
 

@@ -42,14 +42,31 @@ def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
     root = root.expanduser().resolve()
     found: dict[str, dict[str, Path]] = {}
     shared: Path | None = None
-    for path in _interesting_files(root):
+    # Files of known names in a fixed order; links to folders are followed, and each folder is entered once.
+    paths: list[Path] = []
+    entered: set[str] = set()
+    for folder, inner, names in os.walk(root, followlinks=True):
+        real = os.path.realpath(folder)
+        if real in entered:
+            inner.clear()
+            continue
+        entered.add(real)
+        videos = Path(folder).name.startswith("recording_")
+        inner[:] = sorted(name for name in inner if not name.startswith(".") and not (videos and name == "data"))
+        # A folder or a dead link that bears a file's name is listed too: reading it says what stands there.
+        paths += [Path(folder) / name for name in sorted({*names, *inner} & _ROLES.keys())]
+    for path in paths:
         role = _ROLES[path.name]
         if role == OFFSET and path.parent == root:
             shared = path
             continue
         if role == TRAJECTORY and nymeria.HEAD_FOLDER not in path.parts:
             continue
-        found.setdefault(_sequence_of(path, root), {}).setdefault(role, path)
+        # The folder on the way that is named like a sequence, else the one that holds the group's folder.
+        folders = [root.name, *path.relative_to(root).parts[:-1]]
+        named = [name for name in folders if nymeria.SEQUENCE_NAME.fullmatch(name)]
+        outer = [root.name, *(name for name in folders if name not in _INNER_FOLDERS)]
+        found.setdefault((named or outer)[-1], {}).setdefault(role, path)
     wanted = {SUIT, *nymeria.NARRATION_FILES}
     sequences = {name: files for name, files in found.items() if wanted & files.keys()}
     if not sequences:
@@ -63,33 +80,6 @@ def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
     recordings = tuple(_files(root, name, sequences[name], shared) for name in sorted(sequences))
     require_marked(root, {recording.recording_id: recording.dataset for recording in recordings})
     return recordings
-
-
-def _interesting_files(root: Path) -> list[Path]:
-    """List the files of known names in a fixed order; links to folders are followed, each folder is entered once."""
-    paths: list[Path] = []
-    entered: set[str] = set()
-    for folder, inner, names in os.walk(root, followlinks=True):
-        real = os.path.realpath(folder)
-        if real in entered:
-            inner.clear()
-            continue
-        entered.add(real)
-        videos = Path(folder).name.startswith("recording_")
-        inner[:] = sorted(name for name in inner if not name.startswith(".") and not (videos and name == "data"))
-        # A folder or a dead link that bears a file's name is listed too: reading it says what stands there.
-        paths += [Path(folder) / name for name in sorted({*names, *inner} & _ROLES.keys())]
-    return paths
-
-
-def _sequence_of(path: Path, root: Path) -> str:
-    """The folder on the way that is named like a sequence, else the one that holds the group's folder."""
-    folders = [root.name, *path.relative_to(root).parts[:-1]]
-    for name in reversed(folders):
-        if nymeria.SEQUENCE_NAME.fullmatch(name):
-            return name
-    outer = [name for name in folders if name not in _INNER_FOLDERS]
-    return outer[-1] if outer else root.name
 
 
 def _files(root: Path, name: str, files: dict[str, Path], shared: Path | None) -> RecordingFiles:

@@ -45,10 +45,7 @@ _LARGEST_RESIDUAL = np.deg2rad(1.0)  # median; users measured 0.09 degrees at th
 
 
 def head_from_device(
-    clean: CleanSuit,
-    offset: ClockOffset,
-    times: Float[np.ndarray, " n"],
-    rotation: Float[np.ndarray, "n 4"],
+    clean: CleanSuit, offset: ClockOffset, times: Float[np.ndarray, " n"], rotation: Float[np.ndarray, "n 4"]
 ) -> tuple[Rotation | None, str]:
     """How the glasses sit on the head segment: the X with a = X b for the turns a of the head and b of the glasses.
 
@@ -91,10 +88,7 @@ def _turns(rotation: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "m 3"]:
 
 
 def gaze_in_suit_world(
-    clean: CleanSuit,
-    head_from_glasses: Rotation,
-    times: Float[np.ndarray, " n"],
-    angles: mps.GazeAngles,
+    clean: CleanSuit, head_from_glasses: Rotation, times: Float[np.ndarray, " n"], angles: mps.GazeAngles
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """Directions of gaze in the suit's world, Y up.
 

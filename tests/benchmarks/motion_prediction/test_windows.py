@@ -210,10 +210,7 @@ def test_a_damaged_recording_is_left_out_and_named(tmp_path):
     (root / "p7_1_gaze_data.hdf5").write_bytes(b"\x89HDF")
     info = build_windows(plan_windows("mogaze", root), tmp_path / "windows").info
     assert info.recordings == 1
-    assert [(each.recording_id, each.status) for each in info.quarantine] == [
-        ("p7_1", "failed"),
-        ("p7_2", "skipped"),
-    ]
+    assert [(each.recording_id, each.status) for each in info.quarantine] == [("p7_1", "failed"), ("p7_2", "skipped")]
     with pytest.raises(InputFileError, match="p7_1_gaze_data"):
         build_windows(plan_windows("mogaze", root), tmp_path / "windows", on_error="fail")
     assert WindowsTable.open(tmp_path / "windows").info == info

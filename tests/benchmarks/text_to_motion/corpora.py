@@ -8,14 +8,7 @@ import msgspec
 import numpy as np
 
 from prbench.sequences import CorpusInfo, CorpusTable
-from prbench.sequences.corpus import (
-    ANNOTATION_OUTCOMES,
-    Caption,
-    Clip,
-    CorpusRecord,
-    corpus_batch,
-    write_corpus,
-)
+from prbench.sequences.corpus import ANNOTATION_OUTCOMES, Caption, Clip, CorpusRecord, corpus_batch, write_corpus
 from prbench.sequences.dataset_info import CorpusCounts
 from tests.fakes import fake_info, smooth_motion
 
