@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from prbench.geometry.skeleton import TOES
 from prbench.metrics.batch import MotionBatch, ScoringPair, moving_sum, odd_window
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues, detail
+from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
 from prbench.protocol.manifests import MetricConstants
 
 Fps = float | Float[np.ndarray, " n"]
@@ -115,15 +115,13 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
 
 FAMILY = MetricFamily(
     (
-        MetricInfo(
+        headline(
             "foot_skating",
             "Foot Skating",
             "ratio",
+            7,
             higher_is_better=False,
-            main=True,
             in_study=True,
-            position=7,
-            compares_with_recorded=False,
             irrelevant_if_motionless=True,
         ),
         detail("contact_share", "Foot contact", "ratio", 17, higher_is_better=None),

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.metrics.batch import MotionBatch, ScoringPair
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.registry import MetricFamily, MetricValues, headline
 from prbench.protocol.manifests import MetricConstants
 
 
@@ -30,18 +30,7 @@ def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:
 
 
 FAMILY = MetricFamily(
-    (
-        MetricInfo(
-            "goal_mpjpe",
-            "Goal MPJPE",
-            "m",
-            higher_is_better=False,
-            main=True,
-            in_study=True,
-            position=4,
-            compares_with_recorded=True,
-        ),
-    ),
+    (headline("goal_mpjpe", "Goal MPJPE", "m", 4, higher_is_better=False, in_study=True, compares_with_recorded=True),),
     _compute,
     minimum_frames=1,
 )

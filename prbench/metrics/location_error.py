@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from prbench.geometry.skeleton import Joint
 from prbench.metrics.batch import MotionBatch, ScoringPair
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues, detail
+from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
 from prbench.protocol.manifests import MetricConstants
 
 
@@ -40,14 +40,13 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
 
 FAMILY = MetricFamily(
     (
-        MetricInfo(
+        headline(
             "location_error",
             "Location Error",
             "rate",
+            5,
             higher_is_better=False,
-            main=True,
             in_study=True,
-            position=5,
             compares_with_recorded=True,
             title_in_study="Loc Err",
         ),

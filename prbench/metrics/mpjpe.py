@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.metrics.batch import MotionBatch, ScoringPair, require_equal_lengths
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.registry import MetricFamily, MetricValues, headline
 from prbench.protocol.manifests import MetricConstants
 
 
@@ -47,14 +47,13 @@ def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:
 
 FAMILY = MetricFamily(
     (
-        MetricInfo(
+        headline(
             "mpjpe",
             "MPJPE",
             "m",
+            6,
             higher_is_better=False,
-            main=True,
             in_study=True,
-            position=6,
             compares_with_recorded=True,
             carries_copy_remark=True,
         ),

@@ -11,7 +11,7 @@ from prbench.geometry.skeleton import TOES, Joint
 from prbench.metrics.batch import MotionBatch, ScoringPair
 from prbench.metrics.bone_length_change import bone_length_change
 from prbench.metrics.foot_skating import Fps, slow_slides
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues, detail
+from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
 from prbench.protocol.manifests import MetricConstants
 
 _FEET = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, *TOES)
@@ -189,16 +189,7 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
 
 FAMILY = MetricFamily(
     (
-        MetricInfo(
-            "plausible",
-            "Plausible",
-            "rate",
-            higher_is_better=True,
-            main=True,
-            ranked=False,
-            position=8,
-            compares_with_recorded=False,
-        ),
+        headline("plausible", "Plausible", "rate", 8, higher_is_better=True, ranked=False),
         detail("floating", "Floating", "m", 21, higher_is_better=False),
         detail("penetration", "Penetration", "m", 22, higher_is_better=False),
         detail("slow_slides", "Slow slides", "ratio", 23, higher_is_better=False),

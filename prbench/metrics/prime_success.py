@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from prbench.metrics.batch import MotionBatch, ScoringPair, ScoringTargets, ranges
 from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frames, head_track, untrusted
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues, detail
+from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
 from prbench.protocol.manifests import MetricConstants
 
 Variant = Literal["equation", "arrival", "onset", "angle"]
@@ -131,25 +131,8 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
 
 FAMILY = MetricFamily(
     (
-        MetricInfo(
-            "prime_success",
-            "Prime Success",
-            "rate",
-            higher_is_better=True,
-            main=True,
-            in_study=True,
-            position=1,
-            compares_with_recorded=False,
-        ),
-        MetricInfo(
-            "prime_success_arrival",
-            "Prime Success (arrival)",
-            "rate",
-            higher_is_better=True,
-            main=True,
-            position=2,
-            compares_with_recorded=False,
-        ),
+        headline("prime_success", "Prime Success", "rate", 1, higher_is_better=True, in_study=True),
+        headline("prime_success_arrival", "Prime Success (arrival)", "rate", 2, higher_is_better=True),
         detail("prime_success_onset", "Prime Success (onset)", "rate", 11, higher_is_better=True),
         detail("prime_success_angle", "Prime Success (fixed angle)", "rate", 12, higher_is_better=True),
     ),

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from prbench.geometry.skeleton import WRISTS
 from prbench.metrics.batch import MotionBatch, ScoringPair, final_reaching_wrist
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues, detail
+from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
 from prbench.protocol.manifests import MetricConstants
 
 
@@ -80,16 +80,7 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
 
 FAMILY = MetricFamily(
     (
-        MetricInfo(
-            "reach_success",
-            "Reach Success",
-            "rate",
-            higher_is_better=True,
-            main=True,
-            in_study=True,
-            position=3,
-            compares_with_recorded=False,
-        ),
+        headline("reach_success", "Reach Success", "rate", 3, higher_is_better=True, in_study=True),
         detail("reach_success_final", "Reach Success (final)", "rate", 14, higher_is_better=True),
         detail(
             "reach_wrist",

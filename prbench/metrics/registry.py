@@ -11,6 +11,7 @@ import pkgutil
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -74,25 +75,20 @@ class MetricInfo:
         return " ↑" if self.higher_is_better else " ↓"
 
 
-def detail(
-    id: str,
-    title: str,
-    unit: str,
-    position: int,
-    *,
-    higher_is_better: bool | None,
-    compares_with_recorded: bool = False,
+def headline(
+    id: str, title: str, unit: str, position: int, *, higher_is_better: bool, **more: bool | str
 ) -> MetricInfo:
-    """Describe a metric that stands in the scores of single runs alone."""
-    return MetricInfo(
-        id,
-        title,
-        unit,
-        higher_is_better=higher_is_better,
-        main=False,
-        position=position,
-        compares_with_recorded=compares_with_recorded,
-    )
+    """Describe a metric that stands in leaderboards; ``more`` are further fields of :class:`MetricInfo`."""
+    told: dict[str, Any] = {"compares_with_recorded": False} | more
+    return MetricInfo(id, title, unit, higher_is_better=higher_is_better, main=True, position=position, **told)
+
+
+def detail(
+    id: str, title: str, unit: str, position: int, *, higher_is_better: bool | None, **more: bool | str
+) -> MetricInfo:
+    """Describe a metric that stands in the scores of single runs alone; ``more`` are further fields."""
+    told: dict[str, Any] = {"compares_with_recorded": False} | more
+    return MetricInfo(id, title, unit, higher_is_better=higher_is_better, main=False, position=position, **told)
 
 
 def printed_scale(unit: str) -> float:

@@ -92,6 +92,9 @@ def test_the_metrics_stand_in_printed_order() -> None:
         "scene_depth",
     }
     assert list(score(*random_problem(0, [5]), CONSTANTS)) == [info.id for info in METRICS_OF_MOTIONS]
+    assert {metric.id for metric in METRICS if metric.compares_with_recorded} == COMPARED
+    assert [metric.id for metric in METRICS if metric.carries_copy_remark] == ["mpjpe"]
+    assert [metric.id for metric in METRICS if metric.irrelevant_if_motionless] == ["foot_skating"]
 
 
 def test_the_laws_are_tried_where_every_rate_takes_both_values() -> None:
@@ -246,12 +249,6 @@ FAMILY = MetricFamily((INFO,), compute)
 def info(unit: str = "m", **said) -> MetricInfo:
     about = {"higher_is_better": None, "main": False, "position": 30, "compares_with_recorded": False} | said
     return MetricInfo("made_up", "Made up", unit, **about)
-
-
-def test_metrics_that_compare_with_the_recorded_motion_say_so():
-    assert {metric.id for metric in METRICS if metric.compares_with_recorded} == COMPARED
-    assert [metric.id for metric in METRICS if metric.carries_copy_remark] == ["mpjpe"]
-    assert [metric.id for metric in METRICS if metric.irrelevant_if_motionless] == ["foot_skating"]
 
 
 def test_a_metric_cannot_forget_whether_it_compares_with_the_recorded_motion():
