@@ -40,21 +40,6 @@ def test_the_file_is_python_3_8_and_needs_numpy_and_pyarrow_alone():
     assert imported - sys.stdlib_module_names == {"numpy", "pyarrow"}
 
 
-def test_newer_syntax_would_be_noticed():
-    with pytest.raises(SyntaxError):
-        ast.parse(SOURCE + "\nmatch 1:\n    case _:\n        pass\n", feature_version=(3, 8))
-
-
-def test_the_introduction_names_method_and_conditions(glide):
-    assert glide.introduction == {
-        "message": "hello",
-        "wire": 1,
-        "name": "glide",
-        "version": "1.0",
-        "conditions": ["goal-loc", "goal-pose"],
-    }
-
-
 @pytest.mark.parametrize("condition", GOALS)
 def test_every_motion_has_its_length_and_starts_in_the_given_pose(glide, batch, condition):
     asked = batch(condition)

@@ -219,11 +219,6 @@ def test_every_diagnosis_has_numbers_a_cause_and_a_remedy(crowds: dict[str, list
             assert found.remedy.endswith((".", ")"))
 
 
-def test_the_same_motions_get_the_same_answer(crowds: dict[str, list[np.ndarray]]) -> None:
-    motions = [motion[:, ::-1] * 1000 for motion in crowds["adt"][:4]]
-    assert diagnose(motions, None, fps=20.0) == diagnose(motions, None, fps=20.0)
-
-
 def test_expectations_have_to_be_one_a_motion(everybody: list[np.ndarray]) -> None:
     with pytest.raises(ValueError, match="2 motions, but expectations of 1"):
         diagnose(everybody[:2], [Expected()], fps=20.0)

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from prbench.checking import scaffold
 from prbench.checking.conformance import Outcome
 from prbench.checking.conformance.findings import examine
 from prbench.checking.conformance.session import judge_of
@@ -239,18 +238,3 @@ def test_an_interrupted_writing_leaves_nothing(tmp_path, monkeypatch):
 def test_a_program_is_not_fitted_by_a_run(tmp_path):
     with pytest.raises(UsageError, match="a program is not fitted by a run"):
         new_adapter(ScaffoldRequest("glide", out=tmp_path / "out", trainable=True, program=True))
-
-
-@pytest.mark.parametrize(
-    ("name", "code", "message"), [("static", 2, "my-static"), ("No Good", 2, "Would 'no-good' do?")]
-)
-def test_a_bad_name_is_one_line_on_the_screen(name, code, message, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["adapters", "new", name]) == code
-    assert message in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_templates_ship_beside_the_code():
-    folder = Path(scaffold.__file__).parent / "templates"
-    assert {path.suffix for path in folder.iterdir() if path.is_file()} == {".template", ".py"}

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 import keyword
-import re
 
 import pytest
 
 from prbench.checking.scaffold.create import ScaffoldRequest, filled, method_names, template_flags, template_values
-from prbench.contract import Condition
 from prbench.errors import UsageError
 
 
@@ -100,9 +97,3 @@ def test_conditions_are_named_once_and_in_the_given_order():
     values = template_values(method_names("x"), asked("text", "none", "text"))
     assert values["conditions"] == "Condition.TEXT, Condition.NONE"
     assert values["condition"] == "text"
-
-
-def test_values_are_plain_text():
-    for chosen in itertools.combinations([condition.value for condition in Condition], 2):
-        for value in template_values(method_names("x"), asked(*chosen, trainable=True)).values():
-            assert not re.search(r"<<|^%", value, re.MULTILINE)
