@@ -35,15 +35,20 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., No
     monkeypatch.syspath_prepend(str(site))
 
     def _install(name: str, source: str, *, target: str = "load", package: str | None = None) -> None:
-        package = package or f"prbench_{name}"
-        (site / f"{package}.py").write_text(textwrap.dedent(source))
-        info = site / f"{package}-1.2.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.2\n")
-        (info / "entry_points.txt").write_text(f"[prbench.adapters]\n{name} = {package}:{target}\n")
-        monkeypatch.delitem(sys.modules, package, raising=False)
+        write_package(site, name, source, target=target, package=package)
+        monkeypatch.delitem(sys.modules, package or f"prbench_{name}", raising=False)
 
     return _install
+
+
+def write_package(site: Path, name: str, source: str, *, target: str = "load", package: str | None = None) -> None:
+    """Write a package with one adapter, and the metadata by which it is found, into a folder of packages."""
+    package = package or f"prbench_{name}"
+    info = site / f"{package}-1.2.dist-info"
+    info.mkdir(parents=True)
+    (site / f"{package}.py").write_text(textwrap.dedent(source))
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.2\n")
+    (info / "entry_points.txt").write_text(f"[prbench.adapters]\n{name} = {package}:{target}\n")
 
 
 ADAPTER = """

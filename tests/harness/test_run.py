@@ -11,7 +11,7 @@ import pytest
 
 from prbench.contract import Condition
 from prbench.engine import ProcessPool
-from prbench.errors import AdapterError, RunError, StorageError, TableError, UsageError
+from prbench.errors import AdapterError, StorageError, UsageError
 from prbench.harness import planning
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
@@ -108,13 +108,6 @@ def test_predictions_hold_every_sequence_and_sample_with_its_seed(table, tmp_pat
             assert np.array_equal(motion[0], drawn[0].astype(np.float32))
 
 
-def test_workers_windows_and_batch_order_change_no_byte(table, tmp_path, install):
-    install("made", adapter_source())
-    run_method(request(table, tmp_path / "one", "made"))
-    run_method(request(table, tmp_path / "two", "made"), engine=ProcessPool(2))
-    assert reproducible_bytes(tmp_path / "one") == reproducible_bytes(tmp_path / "two")
-
-
 def test_the_batch_size_changes_no_score_of_a_method_that_follows_the_contract(table, tmp_path, install):
     install("made", adapter_source())
     run_method(request(table, tmp_path / "one", "made", batch_size=1))
@@ -142,11 +135,6 @@ def test_several_datasets_have_a_folder_each(table, tmp_path):
     run_method(request(table, tmp_path / "single"))
     single = (tmp_path / "single/synthetic-adt/scores.parquet").read_bytes()
     assert (tmp_path / "out/synthetic-adt/scores.parquet").read_bytes() == single
-
-
-def test_one_dataset_twice_is_refused(table, tmp_path):
-    with pytest.raises(UsageError, match=r"expected different datasets, found synthetic-adt more than once"):
-        run_method(request(table, tmp_path / "out", data=(table.folder, table.folder)))
 
 
 def test_static_is_fitted_once_a_table(table, tmp_path, own_cache):
@@ -224,11 +212,6 @@ def test_a_failure_later_on_keeps_the_whole_batches_and_writes_no_scores(table, 
         assert pq.read_table(part).num_rows == 4
 
 
-def test_an_adapter_that_does_not_take_the_condition(table, tmp_path):
-    with pytest.raises(AdapterError, match=r"'static' does not take the condition 'text'. Choose one of: none"):
-        run_method(request(table, tmp_path / "out", condition=Condition.TEXT))
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -246,45 +229,6 @@ def test_requests_that_do_not_fit_together(table, tmp_path, changes, message):
     with pytest.raises(UsageError, match=message):
         run_method(request(table, tmp_path / "out", **changes))
     assert not (tmp_path / "out").exists()
-
-
-def test_weights_that_do_not_exist(table, tmp_path, install):
-    install("made", adapter_source())
-    with pytest.raises(UsageError, match=r"gone.pt: expected a file or folder, found neither"):
-        run_method(request(table, tmp_path / "out", "made", weights=tmp_path / "gone.pt"))
-
-
-def test_an_empty_table_and_a_missing_one(tmp_path):
-    folder = tmp_path / "gone"
-    with pytest.raises(TableError, match=r"expected a built dataset"):
-        run_method(RunRequest(method="static", data=(folder,), out=tmp_path / "out"))
-    fake_dataset(tmp_path / "empty", 0)
-    with pytest.raises(TableError, match=r"empty: holds no sequences"):
-        run_method(RunRequest(method="static", data=(tmp_path / "empty",), out=tmp_path / "out"))
-    assert not (tmp_path / "out").exists()
-    file = tmp_path / "table.parquet"
-    file.write_bytes(b"")
-    with pytest.raises(TableError, match=r"expected a built dataset \(a folder with dataset.json\), found a file"):
-        run_method(RunRequest(method="static", data=(file,), out=tmp_path / "out"))
-
-
-def test_a_table_of_an_unknown_schema_version(tmp_path):
-    table = fake_dataset(tmp_path / "d", 12)
-    (part,) = table.part_paths("sequences")
-    rows = pq.read_table(part)
-    pq.write_table(rows.replace_schema_metadata(rows.schema.metadata | {b"prbench_schema_version": b"99"}), part)
-    with pytest.raises(TableError, match=r"expected schema version 3, found 99"):
-        run_method(request(table, tmp_path / "out"))
-
-
-def test_a_table_that_was_changed_after_the_build(tmp_path):
-    table = fake_dataset(tmp_path / "d", 12)
-    (part,) = table.part_paths("sequences")
-    rows = pq.read_table(part)
-    column = rows.schema.get_field_index("prime_time")
-    pq.write_table(rows.set_column(column, rows.schema.field(column), rows["event_time"]), part)
-    with pytest.raises(TableError, match=r"sequences\.parquet: .* not the ones that dataset.json describes"):
-        run_method(request(SequenceTable.open(tmp_path / "d"), tmp_path / "out"))
 
 
 @pytest.mark.parametrize("victim", ["write_table", "fsync"])
@@ -319,35 +263,6 @@ def test_a_disk_that_is_full_when_scores_are_written_keeps_only_whole_files(tabl
     assert (tmp_path / "out/synthetic-adt/scores.parquet").read_bytes() == (
         tmp_path / "whole/synthetic-adt/scores.parquet"
     ).read_bytes()
-
-
-def test_a_folder_with_other_things_in_it_is_not_touched(table, tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out/thesis.tex").write_text("x")
-    with pytest.raises(StorageError, match=r"is not empty and holds no run.json"):
-        run_method(request(table, tmp_path / "out"))
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["thesis.tex"]
-
-
-def test_a_file_in_the_place_of_the_folder_is_refused(table, tmp_path):
-    (tmp_path / "out").write_text("x")
-    with pytest.raises(StorageError, match=r"out: is a file"):
-        run_method(request(table, tmp_path / "out"))
-
-
-def test_a_dataset_name_never_leads_out_of_the_run_folder(table, tmp_path):
-    described = fake_dataset(tmp_path / "renamed", 30).folder / "dataset.json"
-    described.write_text(json.dumps({**json.loads(described.read_text()), "dataset": "../../evil"}))
-    with pytest.raises(TableError, match=r"dataset: expected a name that a folder can have, found '../../evil'"):
-        run_method(request(table, tmp_path / "a/b/out", data=(table.folder, described.parent)))
-    assert not (tmp_path / "a").exists()
-
-
-def test_a_damaged_run_json_is_refused(table, tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out/run.json").write_text("{")
-    with pytest.raises(RunError, match=r"not a valid run.json"):
-        run_method(request(table, tmp_path / "out"))
 
 
 def test_the_default_folder_says_what_was_run_and_is_found_again(table, tmp_path, monkeypatch):

@@ -8,17 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from prbench.contract import Condition
-from prbench.engine import ProcessPool
 from prbench.engine.shards import Shard, require_whole
 from prbench.errors import AdapterError, PrbenchError, RunError, ShardError, StorageError
-from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.sharded import merge_run_shards, run_shard
 from prbench.object_stores.outputs import written_folder
 from prbench.sequences import SequenceTable
-from tests.benchmarks.motion_prediction.windows import write
 from tests.fakes import fake_dataset
 from tests.harness.test_run import reproducible_bytes, request
 from tests.method_fixtures import adapter_source
@@ -42,71 +38,6 @@ def merged(folders: list[Path], out: Path, **settings) -> Path:
     return out
 
 
-@pytest.mark.parametrize("count", [1, 3, 9])
-def test_any_number_of_shards_gives_the_same_bytes(table, tmp_path, install, count):
-    install("made", adapter_source())
-
-    def asked(out):
-        return request(table, out, "made", samples=2, seed=5)
-
-    run_method(asked(tmp_path / "whole"))
-    folders = make_shards(tmp_path, count, asked)
-    assert run_bytes(merged(folders[::-1], tmp_path / "merged")) == run_bytes(tmp_path / "whole")
-    assert (tmp_path / "merged" / "synthetic-adt/cost.json").is_file()
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"method": "ground-truth"},
-        {"method": "nearest-neighbour"},
-        {"method": "scripted", "control": "shuffled-goal"},
-        {"method": "scripted", "condition": Condition.GOAL_POSE, "limit": 7},
-        {"method": "made", "condition": Condition.GOAL_LOCATION, "samples": 2},
-        {"method": "made", "fold": "1/2"},
-    ],
-    ids=lambda changes: "-".join(map(str, changes.values())),
-)
-def test_whatever_is_run_the_bytes_are_the_same(table, tmp_path, install, changes):
-    install("made", adapter_source())
-
-    def asked(out):
-        return request(table, out, **changes)
-
-    run_method(asked(tmp_path / "whole"))
-    folders = make_shards(tmp_path, 2, asked)
-    assert run_bytes(merged(folders, tmp_path / "merged")) == run_bytes(tmp_path / "whole")
-
-
-def test_several_tables_are_dealt_out_together(table, tmp_path):
-    other = fake_dataset(tmp_path / "other", 24, dataset="synthetic-gimo")
-
-    def asked(out):
-        return request(table, out, data=(table.folder, other.folder), batch_size=2)
-
-    run_method(asked(tmp_path / "whole"))
-    folders = make_shards(tmp_path, 4, asked)
-    assert run_bytes(merged(folders, tmp_path / "merged")) == run_bytes(tmp_path / "whole")
-
-
-def test_windows_of_motion_prediction_are_sharded_alike(tmp_path):
-    write(tmp_path / "windows")
-
-    def asked(out):
-        return RunRequest(
-            method="constant-velocity",
-            data=(tmp_path / "windows",),
-            benchmark="motion-prediction",
-            condition="pose",
-            batch_size=4,
-            out=out,
-        )
-
-    run_method(asked(tmp_path / "whole"))
-    folders = make_shards(tmp_path, 3, asked)
-    assert run_bytes(merged(folders, tmp_path / "merged")) == run_bytes(tmp_path / "whole")
-
-
 def test_a_merge_needs_no_method_and_finds_the_table_where_it_is_named(table, tmp_path, install, monkeypatch):
     install("made", adapter_source())
     moved = tmp_path / "moved"
@@ -125,26 +56,6 @@ def test_a_merge_needs_no_method_and_finds_the_table_where_it_is_named(table, tm
     other = fake_dataset(tmp_path / "other", 30)
     with pytest.raises(ShardError, match=r"digest: expected .*, found .*Name the tables of the shards with --data"):
         merged(folders, tmp_path / "another", data=(other.folder,))
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"seed": 1}, "seed: expected 0, found 1, unlike .*shard-1"),
-        ({"method": "static"}, "method.name: expected made, found static"),
-        ({"samples": 2}, "samples: expected 1, found 2"),
-        ({"batch_size": 5}, r"tables.synthetic-adt.batch_plan.batch_size: expected 4, found 5"),
-        ({"condition": Condition.GOAL_LOCATION}, "condition: expected none, found goal-loc"),
-        ({"split": "train"}, "split: expected test, found train"),
-    ],
-)
-def test_a_shard_of_another_run_is_named_with_what_differs(table, tmp_path, install, changes, message):
-    install("made", adapter_source())
-    run_shard(request(table, tmp_path / "shard-1", "made"), Shard(1, 2))
-    run_shard(request(table, tmp_path / "shard-2", **{"method": "made"} | changes), Shard(2, 2))
-    with pytest.raises(ShardError, match=f"shard-2.shard.json, {message}"):
-        merged([tmp_path / "shard-1", tmp_path / "shard-2"], tmp_path / "merged")
-    assert not (tmp_path / "merged").exists()
 
 
 def test_shards_of_other_weights_or_another_table_are_named(table, tmp_path):
@@ -195,38 +106,6 @@ def test_a_damaged_batch_is_named_and_the_merge_goes_on_when_it_is_mended(table,
     assert run_bytes(tmp_path / "merged") == run_bytes(tmp_path / "whole")
 
 
-@pytest.mark.parametrize("when", ["before", "after"])
-def test_a_merge_stopped_at_any_of_its_writes_ends_with_the_same_bytes(table, tmp_path, monkeypatch, when):
-    folders = make_shards(tmp_path, 2, lambda out: request(table, out, "scripted", limit=4, batch_size=2))
-    expected = run_bytes(merged(folders, tmp_path / "whole"))
-    replace = Path.replace
-    stop_at = 0
-    for stop_at in range(1, 100):
-        writes = 0
-
-        def interrupted(self, target, stop_at=stop_at):
-            nonlocal writes
-            writes += 1
-            if writes == stop_at and when == "before":
-                raise KeyboardInterrupt
-            replace(self, target)
-            if writes == stop_at:
-                raise KeyboardInterrupt
-
-        out = tmp_path / str(stop_at)
-        with monkeypatch.context() as patch:
-            patch.setattr(Path, "replace", interrupted)
-            try:
-                merged(folders, out)
-            except KeyboardInterrupt:
-                pass
-            else:
-                break
-        assert not list(out.rglob("*partial*"))
-        assert run_bytes(merged(folders, out)) == expected
-    assert stop_at == 1 + 2 * 2 + 4 + 1  # run.json, two batches with costs, scores, cost, agreement, summary; then none
-
-
 def test_a_shards_folder_is_no_run_and_a_runs_folder_no_shard(table, tmp_path):
     run_shard(request(table, tmp_path / "shard"), Shard(1, 2))
     with pytest.raises(StorageError, match=r"holds no run.json"):
@@ -267,13 +146,6 @@ def test_a_merge_finds_a_table_at_the_url_that_its_shards_name(table, tmp_path, 
     run_shard(request(SequenceTable.open(moved), tmp_path / "shard", "ground-truth"), Shard(1, 1), tables_at=[url])
     shutil.rmtree(moved)
     assert run_bytes(merged([tmp_path / "shard"], tmp_path / "merged")) == run_bytes(tmp_path / "whole")
-
-
-def test_workers_change_nothing_of_a_shard(table, tmp_path):
-    run_shard(request(table, tmp_path / "one"), Shard(1, 2))
-    run_shard(request(table, tmp_path / "two"), Shard(1, 2), engine=ProcessPool(2))
-    parts = [sorted((tmp_path / name / "synthetic-adt/predictions").iterdir()) for name in ("one", "two")]
-    assert [path.read_bytes() for path in parts[0]] == [path.read_bytes() for path in parts[1]]
 
 
 def test_a_shard_finds_a_folder_of_its_own(table, tmp_path, monkeypatch):

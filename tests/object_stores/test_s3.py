@@ -248,7 +248,7 @@ def test_a_run_that_was_killed_goes_on_from_an_empty_cache(bucket, tmp_path):
     fake_dataset(tmp_path / "table", 60)
     given = [*RUN, "--split", "train", "--batch-size", "1", "--data", str(tmp_path / "table"), "--out"]
     arguments = [*given, f"{bucket}/run"]
-    _kill_once_it_has_uploaded("predictions/", arguments, tmp_path / "first")
+    _kill_once_it_has_uploaded("synthetic-adt/predictions/", arguments, tmp_path / "first")
     said = _resume(arguments, tmp_path / "second")
     assert '"batches_found": 0' not in said
     assert main([*given, str(tmp_path / "whole")]) == 0

@@ -4,25 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from prbench.harness.run_folder.summary import MetricSummary, bounds_of_mean, mean_over_datasets
+from tests.harness.run_folder.test_record import METRIC
 
 
 def metric(mean: float, low: float | None, high: float | None) -> MetricSummary:
-    return MetricSummary(
-        metric="prime_success",
-        title="Prime Success",
-        unit="rate",
-        mean=mean,
-        low=low,
-        high=high,
-        level=0.95,
-        interval="clopper-pearson-cluster",
-        sequences=10,
-        recordings=7,
-        marks=(),
-        flags={},
-    )
+    return replace(METRIC, mean=mean, low=low, high=high)
 
 
 def test_the_mean_of_one_dataset_has_its_own_interval():
