@@ -21,9 +21,11 @@ from prbench.errors import RecordingUnusable
 from prbench.readers import reader_for
 from prbench.readers.adt import synthetic as adt_layout
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.files import read_gaze_angles
+from prbench.readers.aria_mps.files import find_mps_files, read_gaze_angles, read_mps
+from prbench.readers.aria_mps.synthetic import sense_mps, write_mps
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.readers.egoallo.bodies import read_output, read_smplh_rest
+from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo.bodies import read_pose_decoder, read_rest_joints
 from prbench.readers.gimo.bvh import read_bvh
 from prbench.readers.gimo.gaze import read_vertices
@@ -297,6 +299,14 @@ def _below(pattern: str, change: Callable[[Path], object]) -> Damage:
     return damage
 
 
+def _tilted(archive: Path) -> None:
+    """Unpack an archive of SLAM, and exchange two axes of gravity."""
+    shutil.unpack_archive(archive, archive.parent)
+    archive.unlink()
+    name = f"0/{mps.SLAM_FOLDER}/{mps.TRAJECTORY_FILE}"
+    swap_columns(name, "gravity_y_world", "gravity_z_world")(archive.parent)
+
+
 _SLAM = "HD-EPIC/SLAM-and-Gaze/*/SLAM/multi"
 _MOVEMENTS = f"{hd_epic.ANNOTATIONS_FOLDER}/{hd_epic.MOVEMENTS_FOLDER}"
 HD_EPIC = {
@@ -306,6 +316,24 @@ HD_EPIC = {
         "which tells the SLAM zip of",
     ),
     "no time file": told(_below(f"HD-EPIC/Videos/*/{FIRST}{hd_epic.TIME_SUFFIX}", Path.unlink), "_mp4_to_vrs_time_ns"),
+    "no movements of the video": told(
+        edit_json(f"{_MOVEMENTS}/{hd_epic.ASSOCIATIONS_FILE}", lambda content: content.pop(FIRST)),
+        f"{FIRST}: expected the movements of this video",
+    ),
+    "masks of another format": told(
+        edit_json(f"{_MOVEMENTS}/{hd_epic.MASKS_FILE}", lambda content: content.update({FIRST: {"m": {"frame": 3}}})),
+        f"{FIRST}: expected the keys of this format",
+    ),
+    "no gaze archive": told(
+        _below(f"HD-EPIC/SLAM-and-Gaze/*/GAZE_HAND/mps_{FIRST}_vrs.zip", Path.unlink),
+        f"GAZE_HAND/mps_{FIRST}_vrs.zip: expected eye gaze",
+    ),
+    "a SLAM archive cut off": told(
+        _below(f"{_SLAM}/0.zip", lambda path: path.write_bytes(path.read_bytes()[:100_000])),
+        "0.zip",
+        "whole zip archive",
+    ),
+    "a trajectory that is not Z up": told(_below(f"{_SLAM}/0.zip", _tilted), "gravity along -Z"),
     "no annotations": told(lambda root: shutil.rmtree(root / hd_epic.ANNOTATIONS_FOLDER), "--option annotations=DIR"),
 }
 
@@ -324,7 +352,7 @@ def _edit_hdf5(part: str, name: str, change: Callable[[h5py.Dataset], object]) -
     return damage
 
 
-def _rows(part: str, name: str, rows: np.ndarray) -> Damage:
+def replace_rows(part: str, name: str, rows: np.ndarray) -> Damage:
     """Put other rows in place of a dataset's, which keeps its attributes."""
 
     def damage(root: Path) -> None:
@@ -351,12 +379,14 @@ MOGAZE = {
     "an empty mesh": told(write_text(_CUP_MESH, ""), "cup.obj", "triangles"),
     "a mesh without triangles": told(write_text(_CUP_MESH, "v 0 0 0\n"), "cup.obj", "triangles"),
     "a word in a mesh": told(write_text(_CUP_MESH, "v 0 0 0\nv 1 0 0\nv 0 x 0\nf 1 2 3\n"), "cup.obj", "triangles"),
-    "65 columns": told(_rows("human_data", "data", np.zeros((N, 65))), "at least 66 numbers, found shape"),
-    "67 columns": told(_rows("human_data", "data", np.zeros((N, 67))), "a name for each of the 67 columns"),
-    "5 columns of gaze": told(_rows("gaze_data", "gaze", np.zeros((N, 5))), "at least 6 numbers"),
-    "short gaze": told(_rows("gaze_data", "gaze", np.zeros((N - 40, 7))), "440 frames of gaze_data, 480"),
-    "6 columns of a body": told(_rows("object_data", f"bodies/body {CUP}", np.zeros((N, 6))), "at least 7 numbers"),
-    "plain segments": told(_rows("segmentations", "segments", np.zeros((3, 3))), "start, end and label"),
+    "65 columns": told(replace_rows("human_data", "data", np.zeros((N, 65))), "at least 66 numbers, found shape"),
+    "67 columns": told(replace_rows("human_data", "data", np.zeros((N, 67))), "a name for each of the 67 columns"),
+    "5 columns of gaze": told(replace_rows("gaze_data", "gaze", np.zeros((N, 5))), "at least 6 numbers"),
+    "short gaze": told(replace_rows("gaze_data", "gaze", np.zeros((N - 40, 7))), "440 frames of gaze_data, 480"),
+    "6 columns of a body": told(
+        replace_rows("object_data", f"bodies/body {CUP}", np.zeros((N, 6))), "at least 7 numbers"
+    ),
+    "plain segments": told(replace_rows("segmentations", "segments", np.zeros((3, 3))), "start, end and label"),
     "no description": told(_edit_hdf5("human_data", "data", lambda d: d.attrs.pop("description")), "'description'"),
     "one length": told(
         _edit_hdf5("human_data", "data", lambda d: d.attrs.update(keys_fixed=np.array([b"lHipTransX"]))),
@@ -683,7 +713,31 @@ GAZE = {
 }
 
 
+def _services(folder: Path) -> Path:
+    write_mps(
+        sense_mps(perform("hd-epic", seed=3, index=1, n_events=1, provocations={}), start_us=7_000_000_321), folder
+    )
+    return folder
+
+
+def _read_services(root: Path) -> object:
+    return read_mps(RecordingFiles("test", "recording", root, find_mps_files(root)))
+
+
+def _error(folder: str) -> tuple[Damage, Sequence[str]]:
+    content = {"SomeOperator": {"status": "ERROR", "message": "it rained", "warnings": [], "errors": []}}
+    return told(write_text(f"{folder}/summary.json", json.dumps(content)), "SomeOperator", "ERROR (it rained)")
+
+
+SERVICES = {
+    "no poses": told(remove("slam/closed_loop_trajectory.csv"), "closed_loop_trajectory.csv"),
+    "no gaze": told(remove("eye_gaze/personalized_eye_gaze.csv"), "eye_gaze.csv"),
+    "an error of SLAM": _error("slam"),
+    "an error of gaze": _error("eye_gaze"),
+}
+
 BAD_INPUT = [
+    *bad_files("files of the services", _copy_of("mps-files", _services), _read_services, SERVICES),
     *bad_files("an ADT recording", _adt, _reads("adt"), ADT),
     *bad_files("a HOT3D recording", _copy_of("hot3d-two-seconds", _hot3d), _reads("hot3d"), HOT3D),
     *bad_files("a HOT3D hand", _profile, lambda folder: read_profile(folder / "profile.json"), HAND_PROFILE),

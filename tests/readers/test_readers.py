@@ -18,13 +18,17 @@ def test_every_registered_reader_is_one(dataset) -> None:
     assert reader.dataset == dataset
 
 
+@pytest.mark.parametrize("dataset", readable_datasets())
+def test_a_wrong_root_is_told_what_was_looked_for_and_found(tmp_path, dataset) -> None:
+    with pytest.raises(InputFileError, match="no such folder"):
+        reader_for(dataset).find(tmp_path / "nowhere")
+    (tmp_path / "root" / "holiday.jpg").mkdir(parents=True)
+    with pytest.raises(InputFileError, match=r"expected .*found .*holiday\.jpg"):
+        reader_for(dataset).find(tmp_path / "root")
+
+
 def test_synthetic_data_has_the_reader_of_its_layout() -> None:
     assert reader_for("synthetic-adt") is reader_for("adt")
-
-
-def test_an_unknown_dataset_is_answered_with_the_nearest_known_one() -> None:
-    with pytest.raises(UsageError, match="Did you mean 'adt'"):
-        reader_for("atd")
 
 
 MARK = {

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prbench.curation.events import find_events
-from prbench.errors import InputFileError, UsageError
+from prbench.errors import InputFileError
 from prbench.geometry.skeleton import Joint
 from prbench.geometry.timelines import interpolate
 from prbench.protocol.manifests import load_manifest
@@ -139,8 +139,3 @@ def test_the_prepared_trajectory_is_the_same_path_every_millisecond_with_z_up(re
     assert abs(np.median(prepared.position[:, 2]) - np.median(readings.glasses.position[:, 1])) < 1e-2
     cpf = part_poses(turned_to_z_up(readings.glasses), device_from_cpf(ASSUMED_SIZE))
     assert np.median(cpf.position[:, 2]) > 1.2
-
-
-def test_an_unknown_kind_of_poses_is_refused():
-    with pytest.raises(UsageError, match="poses"):
-        reader_for("adt", {"poses": "kinect"})

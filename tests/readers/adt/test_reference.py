@@ -125,12 +125,6 @@ def test_hands_at_the_fork(recording, reference_values) -> None:
         assert np.linalg.norm(local) == pytest.approx(expected[key]["to_origin_m"], abs=1e-4)
 
 
-def test_doors_and_drawers_are_hinged(recording) -> None:
-    names = {recording.object(key).name for key in recording.hinged_objects}
-    assert {"Apartment_BedroomDoor", "ApartmentDynamicDoubleDoorA", "Apartment_CabinetDrawerF"} <= names
-    assert "WoodenBowl" not in names
-
-
 def test_an_unknown_size_of_the_glasses_is_said(recording) -> None:
     assert any("DVT-L assumed" in message for message in recording.messages)
 

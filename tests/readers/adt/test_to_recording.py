@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.errors import InputFileError
 from prbench.geometry.skeleton import Joint
 from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.readers.adt import format as adt
@@ -124,21 +123,6 @@ def test_objects_without_box_name_or_pose_are_left_out_and_counted(folder) -> No
     assert any(message.startswith("1 objects without") and str(TABLE) in message for message in recording.messages)
 
 
-def test_more_columns_in_another_order_are_welcome(folder) -> None:
-    path = folder / "eyegaze.csv"
-    rows = [line.split(",") for line in path.read_text().splitlines()]
-    path.write_text(
-        "\n".join(",".join(["new" if i == 0 else "x", *reversed(row)]) for i, row in enumerate(rows)) + "\n"
-    )
-    assert read_recording(find_recordings(folder)[0]).gaze.valid.all()
-
-
-def test_gaze_from_the_mps_folder_when_the_sequence_has_none(folder) -> None:
-    (folder / "mps" / "eye_gaze").mkdir(parents=True)
-    (folder / "eyegaze.csv").rename(folder / "mps" / "eye_gaze" / "general_eye_gaze.csv")
-    assert read_recording(find_recordings(folder)[0]).gaze.valid.all()
-
-
 def test_an_online_calibration_tells_size_and_camera(folder, samples) -> None:
     (folder / "mps" / "slam").mkdir(parents=True)
     calibration = samples / "mps/mps_sample/trajectory/online_calibration.jsonl"
@@ -157,19 +141,3 @@ def test_search_lists_every_input_with_its_size(folder) -> None:
     assert (found.recording_id, found.folder) == ("still_life", folder.resolve())
     assert {file.path.name for file in found.files} == {path.name for path in folder.iterdir()}
     assert all(file.size == file.path.stat().st_size for file in found.files)
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda root: None, ["no such folder"]),
-        (lambda root: root.mkdir(), ["an empty folder"]),
-        (lambda root: [(root / name).mkdir(parents=True) for name in ("P01", "P02")], ["P01, P02", "metadata.json"]),
-    ],
-    ids=["absent", "empty", "another dataset"],
-)
-def test_a_wrong_root_is_told_what_was_looked_for_and_found(tmp_path, make, words) -> None:
-    make(tmp_path / "root")
-    with pytest.raises(InputFileError) as error:
-        find_recordings(tmp_path / "root")
-    assert all(word in str(error.value) for word in words)

@@ -146,19 +146,3 @@ def test_a_ray_and_a_wrist_of_the_sample(samples, reference_values) -> None:
     wrist = reference_values["mps-wrist-109"]["expect"]
     assert found.wrists[1].points[109, 0] == pytest.approx(wrist["wrist_world"], abs=1e-3)
     assert found.wrists[1].valid.sum() == 6
-    fixed = np.median(_closest_approach(found, seconds=1.0))
-    assert fixed < 0.05  # near one point of the world for a second (docs/specification/aria-mps.md#eye-gaze)
-
-
-def _closest_approach(found: MpsStreams, *, seconds: float) -> np.ndarray:
-    """Smallest mean distance of the rays of a second to the point nearest to all of them, at every start."""
-    distances = []
-    times = found.gaze.times
-    for start in times[found.gaze.valid][:-12]:
-        rows = found.gaze.valid & (times >= start) & (times < start + seconds)
-        across = np.eye(3) - found.gaze.direction[rows, :, None] * found.gaze.direction[rows, None, :]
-        point = np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, found.gaze.origin[rows]))[0]
-        distances.append(
-            np.linalg.norm(np.einsum("nij,nj->ni", across, point - found.gaze.origin[rows]), axis=1).mean()
-        )
-    return np.sort(distances)[:5]

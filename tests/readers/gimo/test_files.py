@@ -196,8 +196,3 @@ def test_a_table_of_events_that_is_not_there_is_named(root) -> None:
 def test_nothing_of_gimo_may_be_passed_on(root, tmp_path) -> None:
     assert load_manifest("gimo").redistribution == "none"
     assert build_dataset("gimo", root, tmp_path / "table").info.redistribution == "none"
-
-
-def test_a_copy_without_the_scanned_room_is_read_without_meshes(root) -> None:
-    reader = reader_for("gimo", {"meshes": "true"})
-    assert reader.read(reader.find(root)[0]).occluders == ()

@@ -36,23 +36,6 @@ class Calls:
         return self.call
 
 
-@pytest.mark.parametrize("protocol", [3, 4, 5])
-def test_plainly_pickled_tensors_come_back(tmp_path, protocol) -> None:
-    pose = {
-        "orient": torch.tensor([0.1, -0.2, 0.3], requires_grad=True),
-        "trans": torch.nn.Parameter(torch.tensor([1.0, 2.0, 3.0])),
-        "latent": torch.arange(64, dtype=torch.float32)[32:],
-        "beta": torch.zeros(1, 10),
-    }
-    path = tmp_path / "0.pkl"
-    path.write_bytes(pickle.dumps(pose, protocol=protocol))
-    read = load_tensors(path)
-    np.testing.assert_array_equal(read["orient"], np.float32([0.1, -0.2, 0.3]))
-    np.testing.assert_array_equal(read["trans"], [1, 2, 3])
-    np.testing.assert_array_equal(read["latent"], np.arange(32, 64))
-    assert read["beta"].shape == (1, 10)
-
-
 def _tensors(n: int) -> dict[str, torch.Tensor]:
     """Tensors of many kinds; ``n`` numbers in the longest of them."""
     drawn = torch.randn(n, generator=torch.Generator().manual_seed(n))
@@ -70,10 +53,10 @@ def _tensors(n: int) -> dict[str, torch.Tensor]:
     }
 
 
-@pytest.mark.parametrize("n", [1, 255, 256, 65_535, 65_536])
-def test_a_plain_pickle_holds_the_tensors_that_pickle_reads(tmp_path, n) -> None:
+@pytest.mark.parametrize(("n", "protocol"), [(1, 3), (255, 4), (256, 5), (65_535, 4), (65_536, 4)])
+def test_a_plain_pickle_holds_the_tensors_that_pickle_reads(tmp_path, n, protocol) -> None:
     path = tmp_path / "0.pkl"
-    path.write_bytes(pickle.dumps(_tensors(n), protocol=4))
+    path.write_bytes(pickle.dumps(_tensors(n), protocol=protocol))
     _require_same(load_tensors(path), pickle.loads(path.read_bytes()))
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.readers.gimo import READER
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.table import (
     events_of,
@@ -120,10 +119,3 @@ def test_hints_that_collide_are_found(tmp_path) -> None:
         table(tmp_path, "S,1,50,a,t.json,1,x,45", "S,40,90,a,t.json,0,x,45", "S,41,91,a,t.json,0,x,60", header=FULL)
     )
     assert hints_in_both_splits(rows) == {rows[0].segment.key, rows[1].segment.key}
-
-
-def test_a_folder_without_the_table_is_answered_with_the_folder_to_give(tmp_path) -> None:
-    table(tmp_path)
-    (tmp_path / "bedroom").mkdir()
-    with pytest.raises(InputFileError, match=r"Give the folder that holds dataset\.csv"):
-        READER.find(tmp_path / "bedroom")

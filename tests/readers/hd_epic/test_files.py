@@ -70,13 +70,6 @@ def test_the_trajectory_of_the_videos_own_archive_has_another_world_and_is_not_u
     assert file.path == _slam_archive(root).resolve()
 
 
-def test_missing_gaze_is_reported_and_the_other_video_is_read(root) -> None:
-    next(root.glob(f"HD-EPIC/SLAM-and-Gaze/*/GAZE_HAND/mps_{FIRST}_vrs.zip")).unlink()
-    with pytest.raises(InputFileError, match=rf"GAZE_HAND/mps_{FIRST}_vrs\.zip: expected eye gaze"):
-        _read(root)
-    assert _read(root, SECOND).gaze.valid.any()
-
-
 def test_the_two_videos_without_published_gaze_are_skipped_with_the_reason(root) -> None:
     video = "P02-20240210-113925"
     own = root / "HD-EPIC" / "Videos" / "P02"
@@ -105,14 +98,6 @@ def test_a_video_aligned_by_other_means_is_read_if_it_has_a_trajectory_and_else_
             _read(root)
 
 
-def test_a_truncated_archive_stops_only_its_own_video(root) -> None:
-    path = _slam_archive(root)
-    path.write_bytes(path.read_bytes()[:100_000])
-    with pytest.raises(InputFileError, match=r"0\.zip.*whole zip archive"):
-        _read(root)
-    assert _read(root, SECOND).head.valid.any()
-
-
 def test_both_spellings_of_the_priming_folder(root) -> None:
     one, other = (root / hd_epic.ANNOTATIONS_FOLDER / name for name in hd_epic.PRIMING_FOLDERS)
     before = _read(root)
@@ -130,13 +115,6 @@ def test_annotations_elsewhere_are_named_by_an_option(root, tmp_path) -> None:
     assert not list(differences(before, _read(root, annotations=str(tmp_path / "elsewhere"))))
 
 
-def test_a_video_without_movements_in_the_annotations_is_refused(root) -> None:
-    change_json(annotation(root, hd_epic.ASSOCIATIONS_FILE), lambda content: content.pop(FIRST))
-    with pytest.raises(InputFileError, match=f"{FIRST}: expected the movements of this video"):
-        _read(root)
-    assert _read(root, SECOND).annotated_events
-
-
 def test_annotations_are_opened_once_for_all_videos_and_anew_when_they_change(root, monkeypatch) -> None:
     opened: list[str] = []
     decode = annotations.decode_json
@@ -146,38 +124,6 @@ def test_annotations_are_opened_once_for_all_videos_and_anew_when_they_change(ro
     assert sorted(of_all_videos) == ["assoc_info.json", "mask_info.json", "priming_info.json"]
     change_json(annotation(root, hd_epic.MASKS_FILE), lambda content: content.pop(FIRST))
     assert {event.location is None for event in _read(root).annotated_events} == {True}
-
-
-def test_one_broken_video_in_the_annotations_leaves_the_others(root) -> None:
-    change_json(annotation(root, hd_epic.MASKS_FILE), lambda content: content.update({FIRST: {"m": {"frame": 3}}}))
-    with pytest.raises(InputFileError, match=f"{FIRST}: expected the keys of this format"):
-        _read(root)
-    assert _read(root, SECOND).annotated_events
-
-
-def test_a_trajectory_that_is_not_z_up_is_refused(root) -> None:
-    path = _slam_archive(root)
-    with zipfile.ZipFile(path) as archive:
-        contents = {name: archive.read(name) for name in archive.namelist()}
-    name = next(name for name in contents if name.endswith("closed_loop_trajectory.csv"))
-    header, *lines = contents[name].decode().splitlines()
-    columns = header.split(",")
-    y, z = columns.index("gravity_y_world"), columns.index("gravity_z_world")
-    rows = [line.split(",") for line in lines]
-    for row in rows:
-        row[y], row[z] = row[z], row[y]
-    with zipfile.ZipFile(path, "w") as archive:
-        for member, content in contents.items():
-            text = "\n".join([header, *(",".join(row) for row in rows)]) + "\n"
-            archive.writestr(member, text if member == name else content)
-    with pytest.raises(InputFileError, match="gravity along -Z"):
-        _read(root)
-
-
-def test_nothing_of_the_dataset_says_what_was_looked_for(tmp_path) -> None:
-    (tmp_path / "holiday.jpg").write_text("")
-    with pytest.raises(InputFileError, match=r"expected videos of HD-EPIC.*found holiday\.jpg"):
-        reader_for("hd-epic").find(tmp_path)
 
 
 TIMES = "mp4_time_ns,relative_vrs_device_time_ns,vrs_device_time_ns\n"

@@ -14,7 +14,6 @@ from prbench.curation.in_hand import contact_distance
 from prbench.geometry.shapes import slab_test
 from prbench.geometry.skeleton import z_up
 from prbench.protocol.manifests import load_manifest
-from prbench.readers import reader_for
 from prbench.readers.aria_mps.files import read_gaze_angles
 from prbench.readers.hot3d import Hot3dOptions, find_recordings, read_readings
 from prbench.readers.hot3d import format as hot3d
@@ -97,13 +96,6 @@ def test_a_turned_and_shifted_node_is_applied(samples) -> None:
     path = samples / "hot3d" / "object_library" / "265826671143948.glb"
     vertices = read_glb(path)[0]
     assert vertices.min(axis=0) == pytest.approx([-0.03583109, -0.02088579, -0.05559148], abs=1e-6)
-
-
-def test_objects_without_a_model_are_points_and_said_so(recording, reference_values) -> None:
-    missing = reference_values["hot3d-missing-mesh"]["expect"]
-    points = [track.name for track in recording.objects if (track.box_min == track.box_max).all()]
-    assert sorted(points) == missing
-    assert any("without a model" in message and ", ".join(missing) in message for message in recording.messages)
 
 
 def test_wrists(readings, reference_values) -> None:
@@ -193,11 +185,3 @@ def _box(track: ObjectTrack, time: float) -> tuple[np.ndarray, np.ndarray]:
 def _hit(track: ObjectTrack, gaze: Any, row: int) -> bool:
     low, high = _box(track, float(gaze.times[row]))
     return bool(slab_test(gaze.origin[row][None], gaze.direction[row][None], low[None], high[None]).hit[0, 0])
-
-
-def test_the_reader_reads_the_sample_from_any_folder_above_it(samples) -> None:
-    reader = reader_for("hot3d")
-    for root in (samples / "hot3d", samples / "hot3d" / "Aria", samples / "hot3d" / "Aria" / "P0003_c701bd11"):
-        found = [f for f in reader.find(root) if f.skip_reason is None]
-        assert [f.recording_id for f in found] == ["P0003_c701bd11"]
-        assert len([file for file in found[0].files if file.role.startswith("model:")]) == 4

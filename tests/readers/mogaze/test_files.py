@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from prbench.curation import BuildOptions, build_dataset
-from prbench.errors import InputFileError, RecordingUnusable
+from prbench.errors import RecordingUnusable
 from prbench.readers import reader_for
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.files import extents, find_mesh, read_mesh, read_scene
 from prbench.readers.mogaze.format import STATE_COLUMNS
 from prbench.readers.mogaze.synthetic import box_mesh
 from prbench.recording import Recording
+from tests.laws.readers_cases import replace_rows
 from tests.recording.mogaze_scene import CUP, NAMES, PLATE, TABLE, N, write_names, write_scene
 
 
@@ -30,13 +31,6 @@ def _read(root: Path, **options: str) -> Recording:
     reader = reader_for("mogaze", options)
     (found,) = reader.find(root)
     return reader.read(found)
-
-
-def _change(root: Path, part: str, name: str, rows: np.ndarray) -> None:
-    with h5py.File(root / f"p1_1_{part}.hdf5", "r+") as file:
-        kept = dict(file[name].attrs)
-        del file[name]
-        file.create_dataset(name, data=rows).attrs.update(kept)
 
 
 def test_a_recording_in_its_folder_above_it_or_by_one_of_its_files(root) -> None:
@@ -53,14 +47,6 @@ def test_stray_files_are_no_recordings(root) -> None:
     for name in ("p7_1_objects.hdf5", "p7_1_objects.csv", "p1_1_instructions.csv", "p1_1_human_data.hdf5.part"):
         (root / name).write_bytes(b"")
     assert [found.recording_id for found in reader_for("mogaze").find(root)] == ["p1_1"]
-
-
-def test_a_folder_without_recordings_is_told_what_was_looked_for(tmp_path) -> None:
-    (tmp_path / "readme.txt").write_text("")
-    with pytest.raises(InputFileError, match=r"p1_1_human_data\.hdf5.*readme\.txt"):
-        reader_for("mogaze").find(tmp_path)
-    with pytest.raises(InputFileError, match="no such folder"):
-        reader_for("mogaze").find(tmp_path / "nowhere")
 
 
 def test_boxes_come_from_meshes_then_from_the_table_then_are_points(root) -> None:
@@ -116,12 +102,6 @@ def test_a_body_without_a_name_keeps_its_number(root) -> None:
     assert _read(root).object(str(PLATE)).name == f"body_{PLATE}"
 
 
-def test_a_scene_that_knows_bodies_that_were_not_tracked_changes_nothing(root) -> None:
-    before = _read(root)
-    write_names(root, NAMES | {99: "blue_chair"}, {CUP: "mogaze/meshfiles/cup.obj"})
-    assert [track.name for track in _read(root).objects] == [track.name for track in before.objects]
-
-
 def test_names_may_be_bytes_or_text_and_columns_in_any_order(root) -> None:
     before = _read(root)
     order = np.arange(66)[::-1]
@@ -140,7 +120,7 @@ def test_names_may_be_bytes_or_text_and_columns_in_any_order(root) -> None:
 def test_streams_are_cut_to_the_shortest_with_a_word_beyond_two_frames(root) -> None:
     recording = _read(root)  # the gaze file has one row more, as in the release
     assert (len(recording.gaze.times), recording.messages) == (N, ())
-    _change(root, "object_data", f"bodies/body {CUP}", np.tile((0, 0, 0, 0, 0, 0, 1.0), (N - 3, 1)))
+    replace_rows("object_data", f"bodies/body {CUP}", np.tile((0, 0, 0, 0, 0, 0, 1.0), (N - 3, 1)))(root)
     recording = _read(root)
     assert len(recording.gaze.times) == len(recording.objects[0].times) == N - 3
     assert recording.messages[0] == f"cut to {N - 3} frames of object_data, body {CUP}; gaze_data has {N + 1}"
