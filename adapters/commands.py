@@ -140,7 +140,11 @@ def train(
             if tell is not None:
                 tell(now.step, now.steps, _in_words(now.validation or now.row or {}))
             elif not session().quiet:
-                _print_progress(now)
+                # Each new line of the log goes to standard error, so that standard output holds the result alone.
+                if now.row is not None:
+                    print(f"step {now.step}/{now.steps}: {_in_words(now.row)}", file=sys.stderr, flush=True)
+                if now.validation is not None:
+                    print(f"validation at {now.step}: {_in_words(now.validation)}", file=sys.stderr, flush=True)
 
         trained = run_training(request, report=report_progress, engine=opened(engine, reads=data))
     if trained is None:  # one of several processes that train together; the first one speaks for all
@@ -160,14 +164,6 @@ def _configuration(
     _, configuration = resolved(load_task(method), config, stage=stage, overrides=overrides)
     report = TrainReport(method=method, configuration=msgspec.to_builtins(configuration), trained=None)
     return Answer(report, lambda: print(as_toml(configuration), end=""))
-
-
-def _print_progress(progress: Progress) -> None:
-    """Write each new line of the log on standard error."""
-    if progress.row is not None:
-        print(f"step {progress.step}/{progress.steps}: {_in_words(progress.row)}", file=sys.stderr, flush=True)
-    if progress.validation is not None:
-        print(f"validation at {progress.step}: {_in_words(progress.validation)}", file=sys.stderr, flush=True)
 
 
 def _in_words(row: Mapping[str, float | int]) -> str:

@@ -124,9 +124,10 @@ def forward_kinematics(
     """Joints of a skeleton moved by rotations; the world is that of pelvis and root.
 
     Args:
-        rotations: As :func:`fitted_rotations` returns them.
+        rotations: Rotations such as :func:`fitted_rotations` returns.
         pelvis: Its position, metres.
-        offsets: Of each joint from its parent at rest (:func:`rest_offsets`), metres; broadcasts against ``batch``.
+        offsets: Offset of each joint from its parent at rest (:func:`rest_offsets`), metres; broadcasts against
+            ``batch``.
     """
     tree = _tree(rotations.dtype, rotations.device)
     world = [rotations[..., :1, :, :]]
@@ -157,11 +158,6 @@ def matrices_of(rows: Float[torch.Tensor, "*batch 6"]) -> Float[torch.Tensor, "*
     first = unit(first)
     second = unit(second - (first * second).sum(-1, keepdim=True) * first)
     return torch.stack((first, second, torch.linalg.cross(first, second)), -2)
-
-
-def orthonormalised(matrices: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor, "*batch 3 3"]:
-    """The matrices without what rounding has added to them, through the six numbers."""
-    return matrices_of(rows_of(matrices))
 
 
 @lru_cache(maxsize=8)

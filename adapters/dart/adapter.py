@@ -83,7 +83,7 @@ def generate(model: DartModel, batch: ConditionBatch, settings: DartSettings) ->
     Args:
         model: The frozen model.
         batch: Conditions with an initial state, a text and a goal.
-        settings: Of roll-out and optimisation.
+        settings: Settings of roll-out and optimisation.
 
     Raises:
         AdapterError: for another frame rate than the model's, or an initial state that is not finite or has no heading.
@@ -92,7 +92,19 @@ def generate(model: DartModel, batch: ConditionBatch, settings: DartSettings) ->
         raise AdapterError(
             f"adapter 'dart': expected {model.configuration.fps:g} frames per second, found {batch.fps:g}."
         )
-    _require_headings(batch)
+    # No primitive can start from an initial state without a heading.
+    for name in ("previous_joints", "initial_joints"):
+        given = getattr(batch, name)
+        across = given[:, Joint.RIGHT_HIP] - given[:, Joint.LEFT_HIP]
+        finite = np.isfinite(given).all(axis=(1, 2))
+        bad = np.flatnonzero(~finite | ~(np.hypot(across[:, 0], across[:, 2]) > _SHORTEST_ACROSS))
+        if bad.size:
+            row = int(bad[0])
+            found = "hips on one vertical line" if finite[row] else "joints that are not finite"
+            raise AdapterError(
+                f"adapter 'dart', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}), {name}: expected a"
+                f" pose whose hips say which way it faces, found {found}. `prbench view --data DIR` draws them."
+            )
     bodies = ModelBodies.of(batch, model.configuration)
     joints = np.zeros((len(batch), int(batch.n_frames.max()), N_JOINTS, 3), dtype=np.float32)
     passes = 0
@@ -187,19 +199,3 @@ def _rows(batch: ConditionBatch, rows: Int[np.ndarray, " rows"]) -> ConditionBat
         elif isinstance(value, tuple):
             changed[field.name] = tuple(value[row] for row in rows)
     return replace(batch, **changed)
-
-
-def _require_headings(batch: ConditionBatch) -> None:
-    """Refuse initial states that no primitive can start from."""
-    for name in ("previous_joints", "initial_joints"):
-        joints = getattr(batch, name)
-        across = joints[:, Joint.RIGHT_HIP] - joints[:, Joint.LEFT_HIP]
-        finite = np.isfinite(joints).all(axis=(1, 2))
-        bad = np.flatnonzero(~finite | ~(np.hypot(across[:, 0], across[:, 2]) > _SHORTEST_ACROSS))
-        if bad.size:
-            row = int(bad[0])
-            found = "hips on one vertical line" if finite[row] else "joints that are not finite"
-            raise AdapterError(
-                f"adapter 'dart', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}), {name}: expected a"
-                f" pose whose hips say which way it faces, found {found}. `prbench view --data DIR` draws them."
-            )

@@ -273,7 +273,7 @@ def dart_settings(options: Mapping[str, str], *, diffusion_steps: int) -> DartSe
     """The settings that options ask for.
 
     Args:
-        options: As given.
+        options: The options that were given.
         diffusion_steps: Steps that the model was trained with.
 
     Raises:
@@ -428,8 +428,8 @@ class FeatureScaling:
     """Frames as standardised features and back.
 
     Args:
-        mean: Of the features of training primitives, each in the frame of reference of its primitive.
-        std: Likewise, floored.
+        mean: Mean of the features of training primitives, each in the frame of reference of its primitive.
+        std: Their standard deviation, floored.
     """
 
     def __init__(self, mean: Float[Tensor, " 276"], std: Float[Tensor, " 276"]) -> None:
@@ -448,9 +448,9 @@ class DartModel:
     """Frozen: what rolling out and noise optimisation work with.
 
     Args:
-        vae: With trained weights; put into evaluation mode, its parameters ask for no gradients.
-        denoiser: Likewise.
-        scaling: Of the features.
+        vae: The trained autoencoder; is put into evaluation mode, without gradients of its parameters.
+        denoiser: The trained denoiser, treated alike.
+        scaling: Scaling of the features.
         latent_std: Standard deviation of all numbers of the latents of training primitives.
         texts: Vectors of captions.
     """
@@ -484,7 +484,7 @@ class DartModel:
         Args:
             path: ``<name>.safetensors``.
             device: ``cpu``, ``cuda``, ``cuda:1`` …
-            text_path: Where the text encoder's own files are, if it has some.
+            text_path: Folder of the text encoder's own files, if it has some.
 
         Raises:
             AdapterError: if there is no such device.

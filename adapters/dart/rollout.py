@@ -79,7 +79,7 @@ def roll_out(
     Args:
         model: The frozen model.
         history: Standardised, of the first primitive (:func:`first_history`).
-        placement: Of its frame of reference in the world.
+        placement: Placement of its frame of reference in the world.
         sample: Makes the latents.
         primitives: How many.
         going_on: How many motions, the first ones, have each primitive; None if all have all. What motions are to be
@@ -122,7 +122,7 @@ class PreparedDenoiser:
     for the first layer's attention, once. Only the last token is read, so the last layer has no other queries.
 
     Args:
-        denoiser: In evaluation mode.
+        denoiser: The denoiser, in evaluation mode.
         text: One vector each; zeros for no text.
         history: Standardised features.
     """
@@ -178,9 +178,9 @@ class GuidedDenoiser(Guidance):
     """A denoiser under B texts.
 
     Args:
-        denoiser: Of latents, in evaluation mode.
+        denoiser: The denoiser of latents, in evaluation mode.
         text: One vector each.
-        scale: Of the guidance; 1 is the conditional estimate alone, in one pass, anything else takes two.
+        scale: Weight of the guidance; 1 is the conditional estimate alone, in one pass, anything else takes two.
     """
 
     def __init__(self, denoiser: LatentDenoiser, text: Float[Tensor, "batch dimension"], scale: float) -> None:

@@ -258,13 +258,13 @@ class DartTraining(TrainingModule):
     """Both networks with their losses.
 
     Args:
-        vae: In its state before the first step.
-        denoiser: Likewise.
-        scaling: Of the features.
+        vae: The autoencoder before the first step.
+        denoiser: The denoiser before the first step.
+        scaling: Scaling of the features.
         texts: Vectors of the captions.
         objective: Weights of the losses and shares of the phases.
         data: The training split, on which the latents' standard deviation is measured once the VAE is trained.
-        latent_std: Of the initial weights, if their VAE is kept.
+        latent_std: Deviation of the latents of the initial weights, if their VAE is kept; else 0.
         origin: Lines for the card about what the weights build upon.
     """
 

@@ -222,7 +222,8 @@ class PreparedCondition:
 
     Attributes:
         front: The token put in front of the frames, if there is one.
-        layers: Per layer: keys and values of the memory; the constant of a single memory token; None in an encoder.
+        layers: One entry a layer: keys and values of the memory; the constant of a single memory token; None in an
+            encoder.
         visible: True for memory tokens that may be attended to; None for all of them.
     """
 
@@ -327,7 +328,13 @@ class Denoiser(nn.Module):
         attentions = [cast(CrossAttention, layer.cross_attention) for layer in self.layers]
         if memory.shape[1] == 1 and not self.training:
             return PreparedCondition(front, tuple(attention.of_one_token(memory) for attention in attentions), None)
-        visible = None if memory.shape[1] == 1 else _token_mask(condition.padding)
+        visible = None
+        padding = condition.padding
+        # As for frames, only a host tensor is looked at: elsewhere the host would have to wait for the device.
+        if memory.shape[1] > 1 and (padding.device.type != "cpu" or bool(padding[:, 1:].any())):
+            visible = ~padding
+            visible[:, 0] = True  # a row without any word still has its first token
+            visible = visible[:, None, None]
         return PreparedCondition(front, tuple(attention.keys_values(memory) for attention in attentions), visible)
 
     def memory(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> Float[Tensor, "batch tokens width"]:
@@ -359,15 +366,6 @@ def frame_mask(
     if n_frames.device.type == "cpu" and bool((n_frames >= frames).all()):
         return None
     return torch.arange(frames, device=device) < n_frames.to(device, non_blocking=True)[:, None]
-
-
-def _token_mask(padding: Bool[Tensor, "batch tokens"]) -> Bool[Tensor, "batch 1 1 tokens"] | None:
-    """True for word pieces that may be attended to, among them the first of each row; None as in :func:`frame_mask`."""
-    if padding.device.type == "cpu" and not bool(padding[:, 1:].any()):
-        return None
-    visible = ~padding
-    visible[:, 0] = True
-    return visible[:, None, None]
 
 
 def pooled(
@@ -433,7 +431,7 @@ class FrameDenoiser(nn.Module):
     """Estimates the clean goal-frame features from noisy ones, the step, and the condition.
 
     Args:
-        configuration: Of ``features = "goal-frame"``.
+        configuration: A configuration with ``features = "goal-frame"``.
     """
 
     def __init__(self, configuration: DenoiserConfiguration) -> None:

@@ -81,8 +81,8 @@ def _swings(
 
     Args:
         wanted: Places of the toes on the floor.
-        stands: As for :func:`stepped`.
-        behind: For each foot the share of a swing that it has behind it in the first frame.
+        stands: True where the network says that the foot is planted.
+        behind: Share of a swing that each foot has behind it in the first frame.
         fps: Frames per second.
     """
     n = len(wanted)

@@ -61,7 +61,7 @@ class SequenceNoise:
     Args:
         noise_seed: One per sequence.
         n_frames: Frames of each sequence; padding is zero.
-        device: Where the noise is wanted.
+        device: Device that the noise is put on.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ def with_bone_lengths(
 
     Args:
         joints: Metres, any frame.
-        lengths: Of the bones of each sequence, metres.
+        lengths: Lengths of the bones of each sequence, metres.
     """
     bones = joints[..., _CHILDREN, :] - joints[..., _PARENTS, :]
     directions = bones / bones.norm(dim=-1, keepdim=True).clamp_min(_SHORTEST)
@@ -208,7 +208,7 @@ class Guided(Guidance):
     The unconditional half has zeros for the text vectors and the same condition vector.
 
     Args:
-        denoiser: In evaluation mode.
+        denoiser: The denoiser, in evaluation mode.
         condition: B rows.
         n_frames: Valid frames of each row.
         scale: Guidance weight s.
@@ -403,8 +403,8 @@ def sampling_settings(
     """The options ``guidance``, ``sampler`` and ``steps``; ``one-pass`` walks as ``ddim`` does.
 
     Args:
-        options: As given.
-        guidance: Of the method, unless given.
+        options: The options that were given.
+        guidance: Weight that holds unless the option gives another.
         diffusion_steps: Steps that the model was trained with.
         samplers: Values of ``sampler`` that the method has, its default first.
 

@@ -67,8 +67,8 @@ class GoalFrame:
     Attributes:
         origin: Under the goal, on the floor; canonical frame, metres.
         forward: Unit vector (x, z) of the frame's +Z axis, canonical frame.
-        height: Of the goal above the floor; of a goal pose, of the middle between its wrists. Metres.
-        lengths: Of the bones of the initial pose, metres.
+        height: Height of the goal above the floor, metres; a goal pose is measured in the middle between its wrists.
+        lengths: Lengths of the bones of the initial pose, metres.
         first: Features of the initial pose, contacts left out.
         rates: Their changes in a second, as the initial velocity has it.
         last: Features of the goal pose, if that is the goal.
@@ -164,7 +164,9 @@ class GoalFrame:
     def _pose(self, features: Tensor, n_frames: Tensor, fps: float) -> Float[Tensor, "batch frames 66"]:
         """Smooth features of unit directions, with the frames that are given."""
         features = smoothed(features[..., :N_POSE_FEATURES], n_frames)
-        return self._kept(_with_unit_directions(features), n_frames, fps)
+        before, directions, after = features.tensor_split((_DIRECTIONS.start, _DIRECTIONS.stop), dim=-1)
+        directions = _unit(directions.unflatten(-1, (-1, 3))).flatten(-2)
+        return self._kept(torch.cat((before, directions, after), dim=-1), n_frames, fps)
 
     def _joints(self, features: Float[Tensor, "batch frames 66"]) -> Float[Tensor, "batch frames 22 3"]:
         """Chain the bones of the trunk from the pelvis, and let arms and legs reach from there to their ends."""
@@ -173,7 +175,11 @@ class GoalFrame:
         targets = features[..., _PLACES].unflatten(2, (-1, 3))
         trunk, poles, feet = directions.split((len(_TRUNK), len(_MIDDLES), len(TOES)), dim=2)
         # Positions are sums of bones along the way from the pelvis, which one product with the ancestry gives for all.
-        trunk = pelvis + _trunk_ancestry(features) @ (trunk * self._lengths_to(_TRUNK))
+        leads = torch.eye(len(_TRUNK))  # 1 where a bone of the trunk leads from the pelvis to a joint, else 0
+        for row, joint in enumerate(_TRUNK):  # parents come before their children
+            if PARENTS[joint] != Joint.PELVIS:
+                leads[row] += leads[_TRUNK.index(PARENTS[joint])]
+        trunk = pelvis + leads.to(features) @ (trunk * self._lengths_to(_TRUNK))
         roots = trunk[:, :, [_TRUNK.index(joint) for joint in _ROOTS]]
         upper = self._lengths_to(_MIDDLES)
         # Middle and end of limbs of two bones whose ends are at their targets, or as near as their bones reach.
@@ -228,8 +234,8 @@ class GoalFrame:
 
         Args:
             pose: Features.
-            moves: In the frame of the goal, metres.
-            first: Of the two, counted among ankles and wrists.
+            moves: Displacements in the frame of the goal, metres.
+            first: Place of the first of the two among ankles and wrists.
         """
         limbs = slice(first, first + 2)
         roots = self._joints(pose)[:, :, _ROOTS[limbs]]
@@ -318,8 +324,8 @@ def sight(
     """Measure where the goal is, seen from head, wrists and feet.
 
     Args:
-        joints: In the frame of the goal, metres.
-        height: Of the goal, metres.
+        joints: Joints in the frame of the goal, metres.
+        height: Height of the goal, metres.
 
     Returns:
         Goal direction minus head-forward vector of a head without tilt (3), neck-head direction (3), distance of the
@@ -368,11 +374,6 @@ def smoothed(features: Tensor, n_frames: Int[Tensor, " batch"]) -> Tensor:
     return features + torch.where(between, bend, 0.0) / 4
 
 
-def _with_unit_directions(features: Tensor) -> Tensor:
-    directions = _unit(features[..., _DIRECTIONS].unflatten(-1, (-1, 3))).flatten(-2)
-    return torch.cat((features[..., : _DIRECTIONS.start], directions, features[..., _DIRECTIONS.stop :]), dim=-1)
-
-
 def _turned_along(vectors: Tensor, source: Tensor, target: Tensor) -> Float[Tensor, "*batch 3"]:
     """Vectors, turned by the smallest rotation that turns one unit vector into another (Rodrigues)."""
     axis = torch.linalg.cross(source, target)
@@ -384,15 +385,6 @@ def _turned_along(vectors: Tensor, source: Tensor, target: Tensor) -> Float[Tens
 def _fade(seconds: Tensor) -> Tensor:
     """1 at 0, falling smoothly to 0 at :data:`FADE`."""
     return 0.5 + 0.5 * torch.cos(torch.pi * (seconds / FADE).clamp(max=1.0))
-
-
-def _trunk_ancestry(like: Tensor) -> Float[Tensor, "trunk trunk"]:
-    """1 where a bone of the trunk leads from the pelvis to a joint, else 0."""
-    leads = torch.eye(len(_TRUNK))
-    for row, joint in enumerate(_TRUNK):  # parents come before their children
-        if PARENTS[joint] != Joint.PELVIS:
-            leads[row] += leads[_TRUNK.index(PARENTS[joint])]
-    return leads.to(like)
 
 
 def planted(joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Bool[Tensor, "batch frames 2"]:

@@ -25,7 +25,7 @@ def bundled_weights(name: str, folder: Path | None = None) -> Path:
 
     Args:
         name: Without its suffix.
-        folder: Where they must be; None for any method's: ``dno``, for one, runs on those of another.
+        folder: Folder that holds them; None for any method's: ``dno``, for one, runs on those of another.
 
     Raises:
         AdapterError: if there are none of this name; says what there is.
@@ -48,7 +48,7 @@ def resolve(weights: Path | None, default: str, *, folder: Path | None = None) -
         weights: A file; a folder with one weights file in it, such as ``prbench train`` makes; the name of bundled
             weights; None for the default.
         default: Name of bundled weights.
-        folder: Where the bundled weights are, as for :func:`bundled_weights`.
+        folder: Folder of the bundled weights; None for any method's.
 
     Raises:
         AdapterError: if nothing of that kind is there, or the folder holds none or several.
@@ -58,7 +58,13 @@ def resolve(weights: Path | None, default: str, *, folder: Path | None = None) -
     if weights.is_file():
         return weights
     if weights.is_dir():
-        return _only_file(weights)
+        found = sorted(weights.glob(f"*{_SUFFIX}"))
+        if len(found) == 1:
+            return found[0]
+        listed = ", ".join(path.name for path in found) or "none"
+        raise AdapterError(
+            f"weights {weights}: expected one {_SUFFIX} file in the folder, found {listed}. Name the file."
+        )
     # A path with a folder or a suffix was meant as a path; only a bare word can be a bundled name.
     if len(weights.parts) > 1 or weights.suffix == _SUFFIX:
         raise AdapterError(f"weights {weights}: expected a file or folder, found neither.")
@@ -71,7 +77,7 @@ def own_weights(method: str, weights: Path | None) -> Path:
     Args:
         method: Its name. The folder ``weights`` beside its code holds those that come with it; ``<method>-small`` is
             the default.
-        weights: As for :func:`resolve`.
+        weights: A file, a folder, a bundled name, or None (:func:`resolve`).
 
     Raises:
         AdapterError: if nothing of that kind is there; where this version comes without the default, with the command
@@ -85,14 +91,6 @@ def own_weights(method: str, weights: Path | None) -> Path:
             " --config small --data …`) and give --weights."
         )
     return resolve(weights, default, folder=folder)
-
-
-def _only_file(folder: Path) -> Path:
-    found = sorted(folder.glob(f"*{_SUFFIX}"))
-    if len(found) == 1:
-        return found[0]
-    listed = ", ".join(path.name for path in found) or "none"
-    raise AdapterError(f"weights {folder}: expected one {_SUFFIX} file in the folder, found {listed}. Name the file.")
 
 
 def _files(folder: Path | None) -> dict[str, Path]:
@@ -115,7 +113,7 @@ def require_goals_within_reach(batch: ConditionBatch, *, adapter: str) -> None:
     """Refuse goals that are not finite or too far away to belong to this motion.
 
     Args:
-        batch: With initial poses and goals.
+        batch: Conditions with initial poses and goals.
         adapter: Who refuses, for the message.
 
     Raises:

@@ -93,10 +93,10 @@ class MotionModel:
     """Frozen: what sampling and noise optimisation work with.
 
     Args:
-        denoiser: With trained weights; it is put into evaluation mode, its parameters ask for no gradients.
-        mean: Of the features that it has learnt.
-        std: Likewise.
-        scaling: Of the condition vector; None for a model without a goal.
+        denoiser: The trained denoiser; it is put into evaluation mode, its parameters ask for no gradients.
+        mean: Mean of the features that it has learnt.
+        std: Their standard deviation.
+        scaling: Scaling of the condition vector; None for a model without a goal.
         texts: Vectors of captions.
         digest: SHA-256 of the weights file, if there is one.
     """
@@ -129,7 +129,7 @@ class MotionModel:
         Args:
             path: ``<name>.safetensors``.
             device: ``cpu``, ``cuda``, ``cuda:1`` …
-            text_path: Where the text encoder's own files are, if it has some.
+            text_path: Folder of the text encoder's own files, if it has some.
 
         Raises:
             AdapterError: if there is no such device.
@@ -157,7 +157,7 @@ class MotionModel:
         """Encode what the network is told about a batch.
 
         Args:
-            batch: On the skeleton of the model (:mod:`prbench_adapters.diffusion.generation`).
+            batch: Conditions on the skeleton of the model (:mod:`prbench_adapters.diffusion.generation`).
             texts: Instead of the batch's own.
 
         Raises:
@@ -183,7 +183,7 @@ class MotionModel:
         """Joints of standardised features, canonical frame, metres; differentiable, in float32 at least.
 
         Args:
-            normalised: As the network makes them.
+            normalised: Features that the network has made.
             condition: What it was told: goal-frame features are measured from it.
             n_frames: Valid frames of each row.
             reach: ``goal`` leads a wrist to the goal at the end, which takes goal-frame features.

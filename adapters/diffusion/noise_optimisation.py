@@ -157,7 +157,7 @@ def optimisation_settings(
     """A preset with the options that were given; the warm-up keeps its share of the iterations.
 
     Args:
-        options: As given; keys that are in neither list above are not looked at.
+        options: The options that were given; keys that are in neither list above are not looked at.
         preset: What holds for options that are not given.
         diffusion_steps: Steps that the model was trained with.
 

@@ -46,7 +46,7 @@ class UnrolledChain:
         condition: B rows, on the device of the model.
         n_frames: Frames of each sequence, on the CPU.
         settings: Steps, guidance and checkpointing are taken from here.
-        lengths: Of each sequence's bones, metres, if the motions are to keep them.
+        lengths: Lengths of each sequence's bones, metres, if the motions are to keep them.
         counter: Forward passes so far, one number.
     """
 
@@ -164,7 +164,7 @@ def generate_optimised(
     Args:
         model: The frozen model.
         batch: Conditions with an initial state and a goal.
-        settings: Of the optimisation.
+        settings: Settings of the optimisation.
         objective: What is minimised: the paper's losses, or DNO's ``keyframes``.
         texts: Instead of the batch's own.
 
@@ -173,33 +173,23 @@ def generate_optimised(
     """
     require_lengths(batch, model.configuration.max_frames)
     bodies = ModelBodies.of(batch, model.configuration)
-    found = optimise_batch(model, bodies.batch, settings, objective=objective, texts=texts)
-    joints = found.joints
-    if settings.reach == "goal" and batch.goal_location is not None:
-        joints = led_to_goal(model, joints, model.encode(bodies.batch, texts=texts), torch.as_tensor(batch.n_frames))
-    cost = Cost(network_passes=int(found.network_passes.sum()))
-    return Motions(bodies.own(joints.cpu().numpy()), batch.n_frames, cost)
-
-
-def optimise_batch(
-    model: MotionModel,
-    batch: ConditionBatch,
-    settings: OptimisationSettings,
-    *,
-    objective: Objective = prime_and_reach,
-    texts: tuple[str, ...] | None = None,
-) -> OptimisedMotions:
-    """:func:`generate_optimised` with all that the optimisation reports; the batch is on the model's skeleton."""
-    return optimise_noise(
+    condition = model.encode(bodies.batch, texts=texts)
+    n_frames = torch.as_tensor(batch.n_frames)
+    found = optimise_noise(
         model,
-        model.encode(batch, texts=texts),
-        targets_of(batch, model.device),
-        torch.as_tensor(batch.n_frames),
+        condition,
+        targets_of(bodies.batch, model.device),
+        n_frames,
         start_noise(batch.noise_seed, batch.n_frames, model.device, columns=model.configuration.n_features),
         settings,
         seeds=batch.noise_seed,
         objective=objective,
     )
+    joints = found.joints
+    if settings.reach == "goal" and batch.goal_location is not None:
+        joints = led_to_goal(model, joints, condition, n_frames)
+    cost = Cost(network_passes=int(found.network_passes.sum()))
+    return Motions(bodies.own(joints.cpu().numpy()), batch.n_frames, cost)
 
 
 def targets_of(batch: ConditionBatch, device: torch.device) -> Targets:

@@ -9,7 +9,7 @@ state, so that no step waits for the device.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cached_property
 from typing import Literal
 
@@ -168,7 +168,10 @@ def sample_ddim(
     Returns:
         The clean estimate of the last step.
     """
-    moves = list(_ddim_moves(schedule, len(schedule) if steps is None else steps, spacing))
+    chain = schedule.chain(len(schedule) if steps is None else steps, spacing)
+    # Factors are computed in float64 before the walk, so that no step rounds or waits for the device.
+    of_clean, of_state = ddim_factors(chain.alphas_cumprod, chain.alphas_cumprod_previous)
+    moves = [(int(chain.indices[i]), float(of_clean[i]), float(of_state[i])) for i in reversed(range(len(chain)))]
     state = start
     if checkpointing < 1 or not torch.is_grad_enabled():
         return _walk(denoise, state, moves)
@@ -189,15 +192,6 @@ def ddim_factors(here: Float[np.ndarray, "*n"], cleaner: Float[np.ndarray, "*n"]
     """
     of_state = np.sqrt((1.0 - cleaner) / (1.0 - here))
     return np.sqrt(cleaner) - np.sqrt(here) * of_state, of_state
-
-
-def _ddim_moves(schedule: CosineSchedule, steps: int, spacing: Spacing) -> Iterator[_Move]:
-    """All steps of a deterministic chain, the noisiest first."""
-    chain = schedule.chain(steps, spacing)
-    # Factors are computed in float64 before the walk, so that no step rounds or waits for the device.
-    of_clean, of_state = ddim_factors(chain.alphas_cumprod, chain.alphas_cumprod_previous)
-    for i in range(len(chain) - 1, -1, -1):
-        yield int(chain.indices[i]), float(of_clean[i]), float(of_state[i])
 
 
 def _walk(denoise: Denoise, state: Tensor, moves: list[_Move]) -> Tensor:

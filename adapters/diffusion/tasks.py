@@ -70,17 +70,27 @@ class DiffusionTask:
             fps=configuration.fps,
             max_frames=configuration.max_frames,
         )
-        _require_one_skeleton(configuration, data)
+        # Prime-and-reach tables keep everybody's own bones; HumanML3D alone comes on one skeleton, and has no goals.
+        if configuration.uniform_skeleton and configuration.goal != "none":
+            for table in data.train.tables:
+                if not table.info.dataset.endswith("humanml3d"):
+                    raise UsageError(
+                        f"model.uniform_skeleton: expected bodies on HumanML3D's skeleton, found {table.info.dataset},"
+                        " whose people have bones of their own. Leave the key out, or train on a HumanML3D corpus"
+                        " alone."
+                    )
         texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
         start = read_weights(initial, kind=KIND) if initial is not None else None
         if start is not None:
-            _require_fitting_start(configuration, start)
+            # Pre-training without a goal leaves its kind open; afterwards the condition's layers are sized for it.
+            old = start.configuration(DenoiserConfiguration)
+            fixed_by_goal = frozenset() if old.goal == "none" else {"goal", "injection"}
+            start.require_same(configuration, apart_from=FREE_TO_CHANGE - fixed_by_goal)
         statistics, scaling = _scales(configuration, start, data)
         denoiser = network(configuration)
         if start is not None:
             # Fill a denoiser with trained weights; the parts that only the new configuration has keep their own start.
-            old = start.configuration(DenoiserConfiguration)
-            trained = network(old)
+            trained = network(start.configuration(DenoiserConfiguration))
             start.load_into(trained, "denoiser")
             # Layers of a new condition are missing in the file and keep their start at zero.
             denoiser.load_state_dict(trained.state_dict(), strict=False)
@@ -109,30 +119,6 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[DenoiserConfiguration, O
         UsageError: for an unknown key or a value of a wrong kind.
     """
     return split_model_table(model, DenoiserConfiguration, Objective)
-
-
-def _require_fitting_start(configuration: DenoiserConfiguration, start: Weights) -> None:
-    """Refuse initial weights that a model cannot continue from.
-
-    Raises:
-        InputFileError: if the weights are of another architecture, or were trained for another goal.
-    """
-    old = start.configuration(DenoiserConfiguration)
-    # Pre-training without a goal leaves the kind of goal open; afterwards the condition's layers are sized for it.
-    fixed_by_goal = frozenset() if old.goal == "none" else {"goal", "injection"}
-    start.require_same(configuration, apart_from=FREE_TO_CHANGE - fixed_by_goal)
-
-
-def _require_one_skeleton(configuration: DenoiserConfiguration, data: TrainingData) -> None:
-    """Prime-and-reach tables keep everybody's own bones; HumanML3D alone comes on one skeleton, and has no goals."""
-    if not configuration.uniform_skeleton or configuration.goal == "none":
-        return
-    for table in data.train.tables:
-        if not table.info.dataset.endswith("humanml3d"):
-            raise UsageError(
-                f"model.uniform_skeleton: expected bodies on HumanML3D's skeleton, found {table.info.dataset}, whose"
-                " people have bones of their own. Leave the key out, or train on a HumanML3D corpus alone."
-            )
 
 
 # Mean and standard deviation.

@@ -229,9 +229,9 @@ class DiffusionTraining(TrainingModule):
     """A denoiser with its losses.
 
     Args:
-        denoiser: In its state before the first step.
+        denoiser: The denoiser before the first step.
         statistics: Mean and standard deviation that features are standardised with.
-        scaling: Of the condition vector; None for a model without a goal.
+        scaling: Scaling of the condition vector; None for a model without a goal.
         texts: Vectors of the captions.
         objective: Weights of the losses.
         origin: Lines for the card about what the weights build upon.

@@ -224,7 +224,7 @@ class TemporalUNet(nn.Module):
     """Maps a noisy signal, the step and a text vector to what the network predicts: clean signal or noise.
 
     Args:
-        channels: Of the signal: 263 for motions, 4 for trajectories.
+        channels: Channels of the signal: 263 for motions, 4 for trajectories.
         widths: Channels of each level, the finest first.
         configuration: Width of the condition, text and steps.
     """
@@ -236,13 +236,15 @@ class TemporalUNet(nn.Module):
         self.text_embedding = nn.Linear(configuration.text_dimension, size)
         self.condition = nn.Sequential(nn.Linear(size, 4 * size), nn.Mish(), nn.Linear(4 * size, size))
         levels = list(pairwise((channels, *widths)))
+        # Going down a convolution of stride 2 halves the frames; going up its transpose doubles them.
         self.down = nn.ModuleList(
-            _Level(before, width, size, halved(width) if place < len(levels) - 1 else nn.Identity())
-            for place, (before, width) in enumerate(levels)
+            _Level(before, width, size, nn.Conv1d(width, width, 3, stride=2, padding=1) if more else nn.Identity())
+            for (before, width), more in zip(levels, (*levels[1:], None), strict=True)
         )
         self.middle = nn.ModuleList(_ResidualBlock(widths[-1], widths[-1], size) for _ in range(2))
         self.up = nn.ModuleList(
-            _Level(2 * width, before, size, doubled(before)) for before, width in reversed(levels[1:])
+            _Level(2 * width, before, size, nn.ConvTranspose1d(before, before, 4, stride=2, padding=1))
+            for before, width in reversed(levels[1:])
         )
         self.head = nn.Sequential(_ConvBlock(widths[0], widths[0]), nn.Conv1d(widths[0], channels, 1))
         self.register_buffer("sinusoid", sinusoid_table(configuration.diffusion_steps, size), persistent=False)
@@ -306,16 +308,6 @@ class _Level(nn.Module):
         for block in self.blocks:
             stream = block(stream, condition)
         return stream, self.resample(stream)
-
-
-def halved(width: int) -> nn.Module:
-    """Half as many frames."""
-    return nn.Conv1d(width, width, 3, stride=2, padding=1)
-
-
-def doubled(width: int) -> nn.Module:
-    """Twice as many frames."""
-    return nn.ConvTranspose1d(width, width, 4, stride=2, padding=1)
 
 
 class _ResidualBlock(nn.Module):
@@ -385,7 +377,7 @@ class GMDModel:
     """Frozen: what sampling works with.
 
     Args:
-        networks: With trained weights; they are put into evaluation mode, their parameters ask for no gradients.
+        networks: The trained networks; they are put into evaluation mode, their parameters ask for no gradients.
         space: Statistics and projection that they have learnt with.
         texts: Vectors of captions.
     """
@@ -404,7 +396,7 @@ class GMDModel:
         Args:
             path: ``<name>.safetensors``.
             device: ``cpu``, ``cuda``, ``cuda:1`` …
-            text_path: Where the text encoder's own files are, if it has some.
+            text_path: Folder of the text encoder's own files, if it has some.
 
         Raises:
             AdapterError: if there is no such device.

@@ -90,12 +90,6 @@ def read_space(mean: Path, std: Path, projection: Path) -> FeatureSpace:
     return FeatureSpace.of(torch.from_numpy(means), torch.from_numpy(deviations), torch.from_numpy(matrix))
 
 
-def emphasis_of(space: FeatureSpace) -> float:
-    """The weight c of the absolute root with which a projection was drawn, a whole number."""
-    squares = space.projection.square().sum(dim=1)
-    return float(max(1.0, torch.round((squares[:3].mean() / squares[3:].mean()).sqrt())))
-
-
 def is_released(role: str, path: Path) -> bool:
     """Return True for a file that is, byte for byte, that of the public repository."""
     return file_digest(path) == RELEASED[role]
@@ -163,7 +157,14 @@ def read_checkpoint(path: Path) -> Checkpoint:
         InputFileError: if there is no such file, it is no checkpoint, or it holds more than numbers.
         UsageError: if this version of PyTorch cannot be trusted to open it.
     """
-    _require_safe_torch()
+    # Before this version ``weights_only`` does not keep its promise.
+    numbers = tuple(int(part) for part in re.findall(r"\d+", torch.__version__)[:2])
+    if numbers < _SAFE_SINCE:
+        least = ".".join(map(str, _SAFE_SINCE))
+        raise UsageError(
+            f"opening a checkpoint safely needs PyTorch {least} or later, found {torch.__version__} (CVE-2025-32434)."
+            f" Run: pip install 'torch>={least}'"
+        )
     content = _mapping(path, _content(path))
     copy = next((name for name in _COPIES if name in content), "only")
     state = content if copy == "only" else _mapping(path, content[copy])
@@ -176,21 +177,6 @@ def read_checkpoint(path: Path) -> Checkpoint:
         if _NOT_LEARNT.match(name) is None:
             tensors[name] = value
     return Checkpoint(path, copy, tensors)
-
-
-def _require_safe_torch() -> None:
-    """Refuse a PyTorch whose ``weights_only`` does not keep its promise.
-
-    Raises:
-        UsageError: naming the version that does.
-    """
-    numbers = tuple(int(part) for part in re.findall(r"\d+", torch.__version__)[:2])
-    if numbers < _SAFE_SINCE:
-        least = ".".join(map(str, _SAFE_SINCE))
-        raise UsageError(
-            f"opening a checkpoint safely needs PyTorch {least} or later, found {torch.__version__} (CVE-2025-32434)."
-            f" Run: pip install 'torch>={least}'"
-        )
 
 
 def _mapping(path: Path, value: object) -> Mapping[str, object]:
@@ -296,7 +282,7 @@ def import_public(files: PublicFiles, out: Path) -> Imported:
     """Write weights of ``prbench run --method gmd`` and their card.
 
     Args:
-        files: Of the original.
+        files: The files of the original.
         out: ``<name>.safetensors``; the card is written beside it. The same files give the same bytes.
 
     Raises:
@@ -309,17 +295,19 @@ def import_public(files: PublicFiles, out: Path) -> Imported:
     space = read_space(files.mean, files.std, files.projection)
     motion = read_checkpoint(files.motion)
     trajectory = read_checkpoint(files.trajectory)
-    configuration = _configuration_of(motion, trajectory, emphasis_of(space))
+    # The weight c of the absolute root with which the projection was drawn, a whole number.
+    squares = space.projection.square().sum(dim=1)
+    emphasis = float(max(1.0, torch.round((squares[:3].mean() / squares[3:].mean()).sqrt())))
+    configuration = _configuration_of(motion, trajectory, emphasis)
     # The parameters of both networks by our names, ``motion.…`` and ``trajectory.…``.
     with torch.device("meta"):  # names and shapes alone
         unets = (
             TemporalUNet(N_FEATURES, configuration.motion_widths, configuration),
             TemporalUNet(N_ROOT, configuration.trajectory_widths, configuration),
         )
-    found = {}
+    networks = {}
     for prefix, checkpoint, unet in zip(("motion", "trajectory"), (motion, trajectory), unets, strict=True):
-        found |= {f"{prefix}.{name}": tensor for name, tensor in parameters_of(checkpoint, unet).items()}
-    networks = found
+        networks |= {f"{prefix}.{name}": tensor for name, tensor in parameters_of(checkpoint, unet).items()}
     tensors = {f"networks.{name}": tensor for name, tensor in networks.items()}
     tensors |= {"statistics.mean": space.mean, "statistics.std": space.std, "projection": space.projection}
     metadata = weights_header(KIND, configuration, representation_entry(configuration.representation))
@@ -381,8 +369,8 @@ def parameters_of(checkpoint: Checkpoint, unet: TemporalUNet) -> dict[str, Tenso
     """The parameters of one network by our names.
 
     Args:
-        checkpoint: Of the original.
-        unet: Of the sizes that it should have.
+        checkpoint: A checkpoint of the original.
+        unet: A network of the sizes that it should have.
 
     Raises:
         InputFileError: as :func:`_networks_of`.

@@ -86,8 +86,8 @@ def guided_mean(
         chain: The steps that are walked.
         i: Place in the chain.
         state: x_t.
-        loss: Of the goal.
-        scale: Of the gradient.
+        loss: Loss of the goal.
+        scale: Weight of the gradient.
     """
     index = int(chain.indices[i])
     of_clean = float(chain.posterior_mean_clean[i])
@@ -214,7 +214,7 @@ class GuidedNetwork(Guidance):
     """A network with its text: what a sampler calls, step by step.
 
     Args:
-        network: In evaluation mode.
+        network: The network, in evaluation mode.
         text: One vector a row.
         n_frames: Valid frames of each row.
         window: Frames with padding, the same for all rows.

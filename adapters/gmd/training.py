@@ -66,7 +66,7 @@ class GMDTraining(TrainingModule):
     """Motion and trajectory network with their losses; the networks share nothing but batches and optimiser.
 
     Args:
-        networks: In their state before the first step.
+        networks: Both networks before the first step.
         space: Statistics and projection.
         texts: Vectors of the captions.
         objective: How often the text is hidden.

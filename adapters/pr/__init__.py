@@ -37,7 +37,7 @@ class TrainedFor:
     """A model, the file that it came from, and how it generates.
 
     Attributes:
-        settings: Of plain sampling, or of noise optimisation.
+        settings: Settings of plain sampling, or of noise optimisation.
         own_bones: Keep the bone lengths of the initial pose in sampled motions; an optimisation has its own setting.
     """
 
@@ -51,7 +51,7 @@ class PR:
     """Generates motions towards a goal pose or an object location, with a model for each.
 
     Args:
-        models: By condition; those of one file or one folder may serve one condition only.
+        models: Models by condition; those of one file or one folder may serve one condition only.
     """
 
     name = "pr"
@@ -147,6 +147,7 @@ def training_task() -> DiffusionTask:
 def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Condition, ...]) -> TrainedFor:
     from prbench_adapters.diffusion.generation import ONE_PASS
     from prbench_adapters.diffusion.model import MotionModel
+    from prbench_adapters.diffusion.sampling import MOST_PASSES
 
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     wanted = [GOALS[condition] for condition in allowed]
@@ -161,25 +162,13 @@ def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Co
             f"option '{idle[0]}': weights {path}: expected a model of goal-frame features, found one of"
             f" {model.configuration.features}. Leave the option out, or choose other weights."
         )
-    if options.get("sampler") == ONE_PASS:
-        _require_few_steps(model, path)
-    return TrainedFor(model, path, *_settings(options, model.configuration))
-
-
-def _require_few_steps(model: MotionModel, path: Path) -> None:
-    """Refuse weights of too many steps for ``sampler=one-pass``.
-
-    Raises:
-        AdapterError: with both numbers.
-    """
-    from prbench_adapters.diffusion.sampling import MOST_PASSES
-
     steps = model.configuration.diffusion_steps
-    if steps > MOST_PASSES:
+    if options.get("sampler") == ONE_PASS and steps > MOST_PASSES:
         raise AdapterError(
             f"option 'sampler': one-pass takes 1 to {MOST_PASSES} network passes, but weights {path} need {steps}."
             " Train some with --set model.diffusion_steps=4, or choose optimise=off."
         )
+    return TrainedFor(model, path, *_settings(options, model.configuration))
 
 
 def _settings(
@@ -198,7 +187,13 @@ def _settings(
 
     steps = configuration.diffusion_steps
     if options.get("sampler") == ONE_PASS:
-        options = _of_one_pass(options)
+        # All steps of the weights and no optimisation; an option that would add passes or leave some out is a mistake.
+        for key, idle in (("optimise", "off"), ("guidance", "1"), ("steps", None)):
+            if key in options and options[key] != idle:
+                raise ValueError(
+                    f"option '{key}': sampler=one-pass takes the passes of the weights alone; leave it out."
+                )
+        options = {**options, "optimise": "off"}
     mode = choice(options, "optimise", _MODES)
     if mode == "off":
         idle = [key for key in PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", "reach")]
@@ -221,15 +216,3 @@ def _settings(
     preset = {"fast": quick, "paper": paper}[mode](steps)
     preset = replace(preset, guidance=number(options, "guidance", _GUIDANCE))
     return optimisation_settings(options, preset, diffusion_steps=steps), False
-
-
-def _of_one_pass(options: Mapping[str, str]) -> dict[str, str]:
-    """The options with what ``sampler=one-pass`` means: all steps of the weights, and no optimisation.
-
-    Raises:
-        ValueError: for an option that would add passes or leave some out.
-    """
-    for key, idle in (("optimise", "off"), ("guidance", "1"), ("steps", None)):
-        if key in options and options[key] != idle:
-            raise ValueError(f"option '{key}': sampler=one-pass takes the passes of the weights alone; leave it out.")
-    return {**options, "optimise": "off"}

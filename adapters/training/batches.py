@@ -77,7 +77,7 @@ class WindowItem:
     """One window, room, metres, Y up; arrays are views of the run.
 
     Attributes:
-        direction: Of gaze or of the head; None under ``pose``.
+        direction: Direction of gaze or of the head; None under ``pose``.
     """
 
     joints: Float[np.ndarray, "frames joints 3"]
@@ -145,7 +145,7 @@ class WindowsDataset(Dataset[WindowItem]):
         tables: Folders of windows, or opened tables; of one joint set, rate and length of windows.
         split: ``train``, ``validation``, or ``train+validation``.
         choice: What is shown, and of whom.
-        seed: Of the starts.
+        seed: Seed of the starts.
 
     Raises:
         UsageError: if tables do not fit together, or one lacks the gaze that the condition wants.
@@ -292,7 +292,7 @@ class LengthBatches:
     Args:
         dataset: Its lengths decide; a set with fewer items than one step needs is shown several times over.
         batch_size: Items that each process gets at a step.
-        seed: Of the order.
+        seed: Seed of the order.
         rank: Which of the processes this is, from 0.
         world_size: How many processes train together.
         start_step: The first step that is shown.
@@ -351,7 +351,7 @@ def load_batches(
     """The batches that a sampler plans, made into tensors; without end, the same ones for any number of workers.
 
     Args:
-        dataset: Where the items come from. Workers open its memory-mapped files again; nothing is copied to them.
+        dataset: The items. Workers open its memory-mapped files again; nothing is copied to them.
         batches: Which items each batch holds.
         workers: Processes that prepare batches in advance; with 0 they are made when asked for. A batch of whole rows
             takes milliseconds, so workers pay for random crops of long clips and for steps of a few milliseconds.

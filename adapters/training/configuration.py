@@ -131,7 +131,7 @@ def load_configuration(
     """Read a configuration and resolve it for one stage.
 
     Args:
-        name: Of a configuration that comes with the task, or the path of a TOML file.
+        name: Name of a configuration that comes with the task, or the path of a TOML file.
         package: Import name of the task's package of configurations.
         task: Name of the task.
         stage: Whose table under ``[stages]`` overrides the others.
@@ -158,7 +158,7 @@ def resolve(
         tables: The parsed file.
         source: Its path, for messages.
         stage: Whose table under ``[stages]`` overrides the others.
-        overrides: As for :func:`load_configuration`.
+        overrides: Keys and values that override both, such as ``("training.steps", "100")``.
 
     Raises:
         UsageError: for an override that names no key.

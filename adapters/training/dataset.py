@@ -181,10 +181,10 @@ class SequenceDataset(Dataset[MotionItem]):
         crop: What is kept of a longer row: its ``end`` with the goal, or a part at a ``random`` start. Either way it is
             encoded anew in the canonical frame of its first kept frame, and the frame before that is its predecessor
             (docs/specification/pr-model.md#training).
-        mode: Of the representation: ``continuous``, or ``reference`` with the original's quirks.
-        seed: Of captions and random crops.
+        mode: Mode of the representation: ``continuous``, or ``reference`` with the original's quirks.
+        seed: Seed of captions and random crops.
         cache: Folder of the feature stores; prbench's cache folder by default.
-        engine: Where rows are encoded for a store that is not there yet; changes no byte of it.
+        engine: Engine that encodes rows for a store that is not there yet; changes no byte of it.
 
     Raises:
         UsageError: if a value is not one of those above, or a table is given twice.

@@ -144,7 +144,7 @@ def fit(
     """Train a module, or go on with it; ends with the averaged weights in ``out/weights.safetensors``.
 
     Args:
-        module: In its state before the first step; a checkpoint in ``out`` replaces that state.
+        module: The module before the first step; a checkpoint in ``out`` replaces that state.
         batches: Called once, with the number of batches that were taken before.
         configuration: Everything that decides the result, together with module and batches.
         out: The training folder: checkpoints, log, weights and their card.

@@ -163,7 +163,7 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
     Args:
         record: What decides the result.
         state: Its steps, learning curve and validations.
-        device: Where it was trained.
+        device: Device of the training.
         threads: Torch's threads, on which the last bits depend on a CPU.
     """
     steps = record.configuration.training.steps
@@ -213,7 +213,7 @@ class Outputs:
         out: The training folder.
         checkpoints: Folder of the checkpoints.
         describe: The card for a state.
-        dtype: Of the matrices in the weights file.
+        dtype: Type of the matrices in the weights file.
         resumed_at: Steps that were done before this session; what an earlier one logged after them is dropped.
 
     Raises:

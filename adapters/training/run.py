@@ -92,7 +92,7 @@ def train(
     Args:
         request: What to train on what.
         report: Called as the training goes on.
-        engine: Where the data is prepared; changes no byte of it.
+        engine: Engine that prepares the data; changes no byte of it.
 
     Raises:
         AdapterError: if there is no such task.
@@ -135,7 +135,7 @@ def resolved(
         task: What is trained.
         configuration: Name of one that comes with the task, or the path of a TOML file; None for the one named like the
             stage, or ``small`` where there is none.
-        stage: By default the task's first.
+        stage: Stage of the training; None for the task's first.
         overrides: ``("training.steps", "100")`` …
 
     Raises:

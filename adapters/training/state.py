@@ -38,7 +38,7 @@ class WeightAverage:
 
     Args:
         module: Whose parameters; only those that require gradients.
-        decay: At most; 0 follows the weights themselves.
+        decay: Largest decay; 0 follows the weights themselves.
         warmup: Average over fewer steps at first: the decay at step n is at most (1 + n) / (10 + n).
     """
 
@@ -158,7 +158,7 @@ def learning_rate(step: int, settings: OptimisationConfiguration) -> float:
     """Linear warm-up, then constant or a half cosine that would reach 0 one step after the last.
 
     Args:
-        step: From 0 on.
+        step: Number of the step, from 0.
         settings: Peak rate, schedule, warm-up and number of steps.
     """
     if step < settings.warmup_steps:

@@ -296,7 +296,7 @@ def table_store(
         split: Which of its rows.
         encoding: How they become items; stores of different encodings stand beside each other.
         cache: Folder of the stores.
-        engine: Where rows are encoded; the store has the same bytes for any.
+        engine: Engine that encodes rows; the store has the same bytes for any.
 
     Returns:
         The opened store, and the rows that are not in it.

@@ -73,7 +73,7 @@ class Weights:
         """Refuse to go on from these weights with a network of another configuration.
 
         Args:
-            configuration: Of the network that will be trained.
+            configuration: Configuration of the network that will be trained.
             apart_from: Its fields that may differ.
 
         Raises:
@@ -83,20 +83,24 @@ class Weights:
         fields = [name for name in configuration.__struct_fields__ if name not in apart_from]
         different = [name for name in fields if getattr(configuration, name) != getattr(old, name)]
         if different:
-            settings = " ".join(f"--set {_setting(name, getattr(old, name))}" for name in different)
+            settings = []
+            for name in different:
+                value = getattr(old, name)
+                text = value if isinstance(value, str) else json.dumps(msgspec.to_builtins(value))
+                settings.append(f"--set {shlex.quote(f'model.{name}={text}')}")  # as a shell and TOML take it
             raise InputFileError(
                 self.path,
                 f"configuration.{different[0]}",
                 expected=f"{getattr(configuration, different[0])}, as in the configuration of this training",
                 found=f"{getattr(old, different[0])}",
-                remedy=f"Add {settings}, or start from other weights.",
+                remedy=f"Add {' '.join(settings)}, or start from other weights.",
             )
 
     def require_representation(self, mode: str) -> None:
         """Refuse weights of other features than the configuration in the same header says.
 
         Args:
-            mode: Of the representation: ``continuous`` or ``reference``.
+            mode: Mode of the representation: ``continuous`` or ``reference``.
 
         Raises:
             InputFileError: naming both.
@@ -144,12 +148,6 @@ class Weights:
         return InputFileError(self.path, where, expected=expected, found=found, remedy=remedy)
 
 
-def _setting(name: str, value: object) -> str:
-    """The key of a table ``[model]`` with its value, as a shell and TOML take them."""
-    text = value if isinstance(value, str) else json.dumps(msgspec.to_builtins(value))
-    return shlex.quote(f"model.{name}={text}")
-
-
 def origin_of(start: Weights | None) -> tuple[str, ...]:
     """The line of a card about the initial weights of a training, where it has some."""
     return () if start is None else (f"initial weights {start.path.name}, sha256 {start.digest}",)
@@ -167,10 +165,11 @@ def write_weights(
 
     Args:
         path: ``<name>.safetensors``.
-        tensors: By name, on any device.
+        tensors: Tensors by name, on any device.
         metadata: Header entries; ``format`` and ``format_version`` are added.
-        card: For people and for the leaderboard; anything that JSON can hold. Gets the digest of the weights file.
-        dtype: Of matrices. Vectors (biases, norms, statistics) weigh little and stay float32.
+        card: What people and the leaderboard are told; anything that JSON can hold. Gets the digest of the
+            weights file.
+        dtype: Type of matrices. Vectors (biases, norms, statistics) weigh little and stay float32.
 
     Raises:
         StorageError: if a file cannot be written.
@@ -213,7 +212,7 @@ def weights_header(kind: str, configuration: msgspec.Struct, representation: str
 
     Args:
         kind: What the weights are of, such as ``denoiser``.
-        configuration: Of the network; is stored as JSON.
+        configuration: Configuration of the network; is stored as JSON.
         representation: What the network sees, such as :func:`representation_entry` gives.
     """
     return {

@@ -58,7 +58,7 @@ class WANDR:
     """Moves a body frame by frame, so that its wrist is at the goal in the last one.
 
     Args:
-        network: In evaluation mode.
+        network: The network, in evaluation mode.
         weights: The file that it came from.
         hand: Hand that reaches. The network knows right ones only: for left ones body and goal are mirrored, and the
             motion back. ``nearest`` takes the one that is nearer to the goal in the first frame.
@@ -180,8 +180,8 @@ def roll_out(
     """Joints of all frames; those behind a sequence's own number of frames are padding.
 
     Args:
-        network: In evaluation mode, of the precision of ``start``.
-        start: Where the sequences begin, and where they are to go.
+        network: The network, in evaluation mode, in the precision of ``start``.
+        start: States that the sequences begin with, and their goals.
         noise: Standard normal: the latent of each step.
         most_speed: Longest intention of the wrist, metres a second.
     """

@@ -20,7 +20,6 @@ from prbench_adapters.kinematics import (
     fitted_rotations,
     forward_kinematics,
     matrices_of,
-    orthonormalised,
     rows_of,
     unit,
 )
@@ -80,7 +79,7 @@ class BodyState:
         """The state after a change; whatever the numbers are, rotations stay rotations."""
         step = self.yaw @ delta[..., TRANSLATION, None]
         turns = matrices_of(delta[..., 3:].unflatten(-1, (N_JOINTS, 6)))
-        return BodyState(self.pelvis + step[..., 0], orthonormalised(self.rotations @ turns))
+        return BodyState(self.pelvis + step[..., 0], matrices_of(rows_of(self.rotations @ turns)))
 
     def delta_to(self, following: BodyState) -> Float[torch.Tensor, "*batch 135"]:
         """The change that leads to another state: :meth:`changed` undoes it."""
@@ -131,10 +130,10 @@ def intentions(
     """Intentions of wrist, pelvis and heading, all seen from the body's yaw; they are never standardised.
 
     Args:
-        yaw: Of the body (:func:`prbench_adapters.wandr.network.yaw_rotation`).
+        yaw: Yaw of the body (:func:`prbench_adapters.wandr.network.yaw_rotation`).
         wrist: Its right wrist, metres, Z up.
-        pelvis: Likewise.
-        goal: Where the wrist is to be.
+        pelvis: Its pelvis, metres, Z up.
+        goal: Place that the wrist is to reach.
         frames_left: Frames until then.
         fps: Frames per second.
         goal_heading: Unit vector that the body should face then; towards the goal by default.

@@ -147,7 +147,7 @@ def goal_frames(
     Args:
         recordings: The recordings.
         places: The frames that are on their way.
-        generator: Of the draws.
+        generator: Generator of the draws.
         pseudo_share: Share of the places in motions with a goal that get a pseudo goal all the same.
     """
     last = recordings.n_frames[places.row] - 1
@@ -239,7 +239,7 @@ class WandrTraining(TrainingModule):
     """A network with its losses.
 
     Args:
-        network: In its state before the first step, with statistics.
+        network: The network before the first step, with statistics.
         objective: Weights of the losses.
         origin: Lines for the card about what the weights build upon.
     """
@@ -352,7 +352,7 @@ class WandrTraining(TrainingModule):
             goals: Frames of their goals; at the goal and after it nothing is intended.
             state: The bodies there, recorded or the network's own.
             delta: Changes that led to them.
-            joints: Of the states.
+            joints: Joints of the states.
         """
         left = (goals - places.frame)[:, None]
         intention = intentions(
