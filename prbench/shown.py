@@ -103,14 +103,12 @@ def latex(text: object) -> str:
     >>> latex("50% of {a_b} & \\input{x}")
     '50\\% of \\{a\\_b\\} \\& \\textbackslash{}input\\{x\\}'
     """
-    return "".join(_LATEX.get(character, _latex_letter(character)) for character in clean(text))
-
-
-def _latex_letter(character: str) -> str:
-    # Latin-1 letters are in every font that `inputenc` and `fontenc` choose; no others are certain.
-    if character.isascii() or (character.isalpha() and ord(character) < 256):
-        return character
-    return f"[U+{ord(character):04X}]"
+    shown = []
+    for character in clean(text):
+        # Latin-1 letters are in every font that `inputenc` and `fontenc` choose; no others are certain.
+        certain = character.isascii() or (character.isalpha() and ord(character) < 256)
+        shown.append(_LATEX.get(character, character if certain else f"[U+{ord(character):04X}]"))
+    return "".join(shown)
 
 
 # What LaTeX would take for markup, and the signs that tables of prbench use.

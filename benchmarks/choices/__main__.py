@@ -43,24 +43,6 @@ def _protocol(*, fps: float | None = None, **curation: float) -> BuildOptions:
     return BuildOptions(protocol=msgspec.structs.replace(own, name="variant", fps=fps or own.fps, curation=changed))
 
 
-def _variants() -> dict[str, BuildOptions]:
-    """Return the readings of the study by name."""
-    return {
-        "version 2": BuildOptions(),
-        "rays from the camera": BuildOptions(curation=CurationOptions(ray_origin="camera")),
-        "wrist in hand": BuildOptions(curation=CurationOptions(in_hand="wrist")),
-        "30 frames a second": _protocol(fps=30.0),
-        "no near misses": _protocol(near_miss_distance=0.0),
-        "near misses up to 10 cm": _protocol(near_miss_distance=0.10),
-        "look of 0.1 s": _protocol(minimum_prime=0.1),
-        "look of 0.2 s": _protocol(minimum_prime=0.2),
-        "movement of the pelvis": BuildOptions(curation=CurationOptions(minimum_movement="pelvis_displacement")),
-        "movement of the object": BuildOptions(curation=CurationOptions(minimum_movement="object_displacement")),
-        "no minimum movement": _protocol(minimum_movement=0.0),
-        "lead of 3 s": _protocol(lead=3.0),
-    }
-
-
 def main() -> None:
     """Build, score and print every variant, and what a limit of 150 frames leaves."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -80,9 +62,24 @@ def main() -> None:
                 planned[match.found.sequence_id] = match.true.prime_planned
     print(_line("variant", *ABOUT, *SHOWN))
     print(_line(*["---"] * (1 + len(ABOUT) + len(SHOWN))))
+    # The readings of the study by name.
+    variants = {
+        "version 2": BuildOptions(),
+        "rays from the camera": BuildOptions(curation=CurationOptions(ray_origin="camera")),
+        "wrist in hand": BuildOptions(curation=CurationOptions(in_hand="wrist")),
+        "30 frames a second": _protocol(fps=30.0),
+        "no near misses": _protocol(near_miss_distance=0.0),
+        "near misses up to 10 cm": _protocol(near_miss_distance=0.10),
+        "look of 0.1 s": _protocol(minimum_prime=0.1),
+        "look of 0.2 s": _protocol(minimum_prime=0.2),
+        "movement of the pelvis": BuildOptions(curation=CurationOptions(minimum_movement="pelvis_displacement")),
+        "movement of the object": BuildOptions(curation=CurationOptions(minimum_movement="object_displacement")),
+        "no minimum movement": _protocol(minimum_movement=0.0),
+        "lead of 3 s": _protocol(lead=3.0),
+    }
     first: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as folder:
-        for number, (name, options) in enumerate(_variants().items()):
+        for number, (name, options) in enumerate(variants.items()):
             at = Path(folder) / str(number)
             build_from_sources(sources, at / "table", options=options)
             table = SequenceTable.open(at / "table")

@@ -154,7 +154,7 @@ def coverage_over_datasets(sizes: Sizes, kind: str | Sequence[float], *, sets: i
         sizes: Sequences of each recording of a dataset.
         kind: A distribution of values with the mean 1, or the true rates of five datasets, with correlation 0.1.
         sets: Number of simulated means.
-        seed: Of the simulation.
+        seed: Seed of the simulation.
     """
     rng = np.random.default_rng(seed)
     if isinstance(kind, str):
@@ -202,17 +202,14 @@ def false_positives(sizes: Sizes, kind: str, *, families: int, seed: int) -> Sha
     smallest: list[np.ndarray] = []
     for first in range(0, families, _AT_ONCE):
         sets = COMPARISONS * min(_AT_ONCE, families - first)
-        p = np.asarray(_p_values_of_no_difference(rng, sizes, kind, sets))
-        smallest.append(p.reshape(-1, COMPARISONS).min(axis=1))
+        if kind == "rates":
+            # Two methods with the same rate of 30 %, whose successes are unrelated given the recording.
+            totals = draw_rates(rng, sizes, 0.3, 0.1, sets) - draw_rates(rng, sizes, 0.3, 0.1, sets)
+            spread = measure_spread(totals, sizes)
+        else:
+            totals, variance = draw_metres(rng, sizes, kind, sets)
+            spread = measure_spread(totals - sizes, sizes, variance)
+        smallest.append(np.asarray(p_values(spread)).reshape(-1, COMPARISONS).min(axis=1))
     found = np.concatenate(smallest)
     # Holm rejects at least one hypothesis if and only if the smallest p-value is below a sixth of the level.
     return None if np.isnan(found).any() else Share(float((found <= SIGNIFICANCE / COMPARISONS).mean()), families)
-
-
-def _p_values_of_no_difference(rng: np.random.Generator, sizes: Sizes, kind: str, sets: int) -> PerSet:
-    if kind == "rates":
-        # Two methods with the same rate of 30 %, whose successes are unrelated given the recording.
-        totals = draw_rates(rng, sizes, 0.3, 0.1, sets) - draw_rates(rng, sizes, 0.3, 0.1, sets)
-        return p_values(measure_spread(totals, sizes))
-    totals, variance = draw_metres(rng, sizes, kind, sets)
-    return p_values(measure_spread(totals - sizes, sizes, variance))

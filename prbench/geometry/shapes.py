@@ -199,7 +199,7 @@ class Boxes:
         return Boxes.joined([self.part(int(row), int(row) + 1) for row in rows])
 
     def placed(self, transform: Float[np.ndarray, "4 4"]) -> Boxes:
-        """The same boxes in another frame.
+        """Return the boxes in another frame.
 
         Args:
             transform: Maps points of the present frame into the other one; rigid.
@@ -211,7 +211,7 @@ class Boxes:
         """How deep each point lies in each box: the distance to the nearest side; negative outside. Metres.
 
         Args:
-            points: In the frame of the boxes.
+            points: Points in the frame of the boxes.
         """
         away = points[:, None] - self.centre
         local = np.einsum("pbi,bij->pbj", away, self.rotation)
@@ -230,7 +230,7 @@ def deepest(points: Float[np.ndarray, "frames joints 3"], boxes: Boxes) -> Float
 
     Args:
         points: One motion.
-        boxes: In its frame.
+        boxes: Boxes in the frame of the motion.
     """
     flat = points.reshape(-1, 3)
     near = boxes.chosen(boxes.reached(flat))

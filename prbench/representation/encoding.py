@@ -27,6 +27,7 @@ from prbench.representation.features import (
     CONTACT_JOINTS,
     CONTACT_THRESHOLD,
     HALF_TURN_MIDWAYS,
+    HEADING_KERNEL,
     JOINT_POSITIONS,
     OPPOSITE,
     REFLECTION_SIGNS,
@@ -37,7 +38,6 @@ from prbench.representation.features import (
     ROOT_YAW_VELOCITY,
     ROTATION_PARENTS,
     Mode,
-    heading_kernel,
 )
 
 _TALLEST_BODY = 20.0  # metres; larger ones are in millimetres or centimetres
@@ -189,16 +189,6 @@ def mirror(joints: Float[np.ndarray, "*batch 22 3"]) -> Float[np.ndarray, "*batc
     return joints[..., MIRRORED_JOINTS, :] * np.array([-1, 1, 1], dtype=joints.dtype)
 
 
-def check_rate(fps: float, source: Path | str) -> None:
-    """Refuse a frame rate that is no positive number.
-
-    Raises:
-        InputFileError: naming the source.
-    """
-    if not (np.isfinite(fps) and fps > 0):
-        raise InputFileError(source, "", expected="a frame rate above 0", found=f"{fps:g}")
-
-
 def encode(
     joints: Float[np.ndarray, "frames ..."],
     *,
@@ -278,7 +268,7 @@ def _forward(motion: np.ndarray) -> np.ndarray:
     shoulders = motion[:, Joint.RIGHT_SHOULDER] - motion[:, Joint.LEFT_SHOULDER]
     across = _unit(hips + shoulders)
     forward = np.stack([across[:, 2], -across[:, 0]], axis=1)
-    forward = _unit(correlate1d(forward, heading_kernel(), axis=0, mode="nearest"))
+    forward = _unit(correlate1d(forward, HEADING_KERNEL, axis=0, mode="nearest"))
     forward[~forward.any(axis=1)] = 0.0, 1.0
     return forward
 

@@ -10,6 +10,7 @@ Mean and standard deviation of features are those of docs/specification/humanml3
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Literal
 
@@ -59,18 +60,10 @@ CONTACT_JOINTS = (Joint.LEFT_ANKLE, Joint.LEFT_FOOT, Joint.RIGHT_ANKLE, Joint.RI
 # Squared step of a joint below which it touches the ground, square metres; no height is tested.
 CONTACT_THRESHOLD = 0.002
 
-# Standard deviation of the Gaussian that smooths the heading, frames.
-_HEADING_SIGMA = 20.0
-# Frames on each side that it reaches: four standard deviations.
-HEADING_RADIUS = 80
-
-
-def heading_kernel() -> np.ndarray:
-    """The 161 weights that smooth the heading over time; their sum is 1."""
-    frames = np.arange(-HEADING_RADIUS, HEADING_RADIUS + 1)
-    weights = np.exp(-0.5 * (frames / _HEADING_SIGMA) ** 2)
-    return weights / weights.sum()
-
+# The 161 weights of the Gaussian that smooths the heading over time: sigma 20 frames, cut at four sigma.
+_frames = np.arange(-80, 81)
+HEADING_KERNEL = np.exp(-0.5 * (_frames / 20.0) ** 2)
+HEADING_KERNEL /= HEADING_KERNEL.sum()
 
 _X, _Y, _Z = np.eye(3)
 # Direction of the bone that ends in each joint (22, 3), in the rest pose; zero for the pelvis.
@@ -89,29 +82,16 @@ BONE_LENGTHS = np.array(
 REST_OFFSETS = REST_DIRECTIONS * BONE_LENGTHS[:, None]
 
 
-def _rotation_parents() -> tuple[int, ...]:
-    """Joint whose rotation each joint's rotation is relative to; the two arm chains start again from the root."""
-    parents = [0] * N_JOINTS
-    for chain in CHAINS:
-        for place in range(2, len(chain)):
-            parents[chain[place]] = chain[place - 1]
-    return tuple(parents)
+# Joint whose rotation each joint's rotation is relative to; 0 stands for the root's heading, from which the two arm
+# chains start again.
+ROTATION_PARENTS = [0] * N_JOINTS
+for _chain in CHAINS:
+    for _parent, _joint in pairwise(_chain[1:]):
+        ROTATION_PARENTS[_joint] = _parent
 
-
-# 0 stands for the root's heading.
-ROTATION_PARENTS: tuple[int, ...] = _rotation_parents()
-
-
-def _half_turn_midways() -> np.ndarray:
-    """Choose the direction half-way of the turn of a bone that is exactly opposite to its rest direction.
-
-    Bones along x and y turn about z, those along z about y; the half-way direction is orthogonal to both.
-    """
-    axes = np.where(np.abs(REST_DIRECTIONS[:, 2:]) > 0, _Y, _Z)
-    return np.cross(axes, REST_DIRECTIONS)
-
-
-HALF_TURN_MIDWAYS = _half_turn_midways()
+# Direction half-way of the turn of a bone that is exactly opposite to its rest direction: bones along x and y turn
+# about z, those along z about y, and the half-way direction is orthogonal to both.
+HALF_TURN_MIDWAYS = np.cross(np.where(np.abs(REST_DIRECTIONS[:, 2:]) > 0, _Y, _Z), REST_DIRECTIONS)
 
 # Diagonal (22, 3) of 2 u u' - 1 for the rest direction u, used to write the shortest rotation as two reflections.
 REFLECTION_SIGNS = 2.0 * np.abs(REST_DIRECTIONS) - 1.0

@@ -80,7 +80,7 @@ def synthetic_recording(performance: Performance, *, noise: float = 1.0, switche
     """Sense a performance and turn it into a recording.
 
     Args:
-        performance: Of a preset that has sensors.
+        performance: Performance of a preset that has sensors.
         noise: Multiplies every sensor error; 0 for ideal sensors.
         switches: Which errors are on; all if None.
 

@@ -63,7 +63,7 @@ class TrueEvent:
             (docs/specification/synthetic-recordings.md#provocations).
         prime_time: First instant of noise-free gaze that hits or nearly misses for at least 50 ms; None if there is
             none.
-        prime_first: The same without the 50 ms.
+        prime_first: First instant of any hit or near miss, however short.
         expected: The outcome that curation should reach: one of the outcomes of ``events``, or ``not_an_event``.
         thin: Too close to a threshold to assert on.
         lost_span: Provocation ``lost``: when tracking must lose the object, seconds; the sensors drop its samples

@@ -209,7 +209,7 @@ def tracked(
 
     Args:
         sensing: Names the random stream.
-        name: Of the object; each has a stream of its own, so that one object more changes no other.
+        name: Name of the object; each has a stream of its own, so that one object more changes no other.
         position: True positions, metres.
         rotation: True orientations.
         size: Deviations of position, metres, and of rotation, radians, an axis.

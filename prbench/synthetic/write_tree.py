@@ -243,7 +243,7 @@ def synthesize_tree(
         preset: A preset that has native files (``adt``).
         out: Folder of the tree; an older synthetic tree there is replaced.
         recordings: How many; the size's number if None.
-        seed: Of the whole tree.
+        seed: Seed of the whole tree.
         size: ``tiny`` or ``default``; ``large`` is refused.
         workers: Processes; the bytes do not depend on it.
         n_events: Picks and puts a recording; the size's number if None.

@@ -50,7 +50,13 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: in
     _histogram(panels[2], statistics, "goal_azimuth_deg", "c  goal azimuth from the start (deg, left positive)")
     band = None if published is None else published.body_movement
     _histogram(panels[3], statistics, "body_movement", "d  body movement (m)", band)
-    _gaze_shift(panels[4], statistics)
+    for colour, each in zip(_COLOURS, statistics, strict=False):
+        low, median, high = each.gaze_shift_deg.T
+        panels[4].fill_between(each.gaze_shift_times, low, high, color=colour, alpha=0.2)
+        panels[4].plot(each.gaze_shift_times, median, color=colour, linewidth=1.2)
+    panels[4].axvline(0.0, color="0.6", linewidth=0.8)
+    panels[4].set_ylim(bottom=0.0)
+    _dress(panels[4], "e  gaze away from the goal (deg, quartiles), s from the prime time")
     band = None if published is None else published.prime_gap
     _histogram(panels[5], statistics, "prime_gap", "f  prime gap (s)", band)
     for colour, each in zip(_COLOURS, statistics, strict=False):
@@ -83,17 +89,6 @@ def _histogram(
     _dress(axes, title)
     axes.set_yticks([])
     axes.set_ylim(top=_HEADROOM * axes.get_ylim()[1])
-
-
-def _gaze_shift(axes: Axes, statistics: Sequence[TableStatistics]) -> None:
-    for colour, each in zip(_COLOURS, statistics, strict=False):
-        axes.fill_between(
-            each.gaze_shift_times, each.gaze_shift_deg[:, 0], each.gaze_shift_deg[:, 2], color=colour, alpha=0.2
-        )
-        axes.plot(each.gaze_shift_times, each.gaze_shift_deg[:, 1], color=colour, linewidth=1.2)
-    axes.axvline(0.0, color="0.6", linewidth=0.8)
-    axes.set_ylim(bottom=0.0)
-    _dress(axes, "e  gaze away from the goal (deg, quartiles), s from the prime time")
 
 
 def _dress(axes: Axes, title: str) -> None:

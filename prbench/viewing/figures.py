@@ -144,7 +144,7 @@ def draw_chains(
         axes: Panel to draw into.
         flat: Picture coordinates of the joints, metres.
         chains: Joints of each line.
-        colour: Of all lines.
+        colour: Colour of all lines.
         style: Further arguments of a matplotlib line.
     """
     for chain in chains:

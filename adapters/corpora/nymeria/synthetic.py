@@ -13,7 +13,15 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.files.storage import atomic_path, write_bytes, write_json
-from prbench.geometry.skeleton import PARENTS, XSENS_SEGMENTS, Y_UP_FROM_Z_UP, Joint, bone_lengths, z_up
+from prbench.geometry.skeleton import (
+    PARENTS,
+    XSENS_SEGMENTS,
+    Y_UP_FROM_Z_UP,
+    Joint,
+    bone_lengths,
+    rotation_matrices,
+    z_up,
+)
 from prbench.protocol.manifests import load_manifest
 from prbench.randomness import named_generator
 from prbench.readers.aria_mps import format as mps
@@ -21,7 +29,7 @@ from prbench.readers.aria_mps.synthetic import trajectory_columns, write_csv
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import NarratedMotion
 from prbench.synthetic.layouts import Damage, Defect, change_cells, cut_in_half, removed
-from prbench.synthetic.people.kinematics import matrix_of, quaternion, rotation_quaternion, wobble
+from prbench.synthetic.people.kinematics import quaternion, rotation_quaternion, wobble
 from prbench_adapters.corpora.nymeria import format as nymeria
 from prbench_adapters.corpora.nymeria.format import SUIT_RATE, Narration, Suit
 
@@ -79,7 +87,7 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
     drift = np.stack([wobble(motion.times, noise * _DRIFT[0], *_DRIFT[1:], rng) for _ in range(2)], axis=-1)
     points[..., [0, 2]] += drift[:, None]
     joints = [int(_JOINT_OF_SEGMENT[name]) for name in XSENS_SEGMENTS]
-    turned = matrix_of(motion.rotations[:, joints])
+    turned = rotation_matrices(motion.rotations[:, joints])
     suit = Suit(
         time_us=device_start_us + offset_us + ticks,
         position=(np.rint(z_up(points) * _ROUNDED) / _ROUNDED).astype(np.float32),
@@ -104,8 +112,8 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
     # The eyes and head of the wearer; the frame of the glasses on the head is of no consequence here.
     rng = generator("slip")
     slip = [wobble(motion.times, noise * _SLIP[0], *_SLIP[1:], rng) for _ in range(2)]
-    on_head = matrix_of(rotation_quaternion(slip[0], slip[1]))
-    rotation = quaternion(_Z_UP_FROM_Y_UP @ matrix_of(motion.head_rotation) @ on_head)
+    on_head = rotation_matrices(rotation_quaternion(slip[0], slip[1]))
+    rotation = quaternion(_Z_UP_FROM_Y_UP @ rotation_matrices(motion.head_rotation) @ on_head)
     glasses = mps.AriaTrajectory(
         device_start_us + ticks,
         np.rint(z_up(motion.eye) * _ROUNDED) / _ROUNDED,

@@ -65,7 +65,7 @@ def check_features(
     that has learnt little in some; so it counts what most of the motions say, and single ones are kept.
 
     Args:
-        features: Of one motion or several: raw, relative root.
+        features: Raw features of one motion or several, relative root.
         source: Name of the method, with which messages begin.
         sequences: Name of each motion (``batch.opaque_id``), for messages.
 
@@ -222,7 +222,7 @@ def motions_from_features(
     Args:
         features: Raw (restored with the model's statistics), one motion a row (:func:`feature_rows`).
         n_frames: Frames wanted of each: ``batch.n_frames``.
-        root: As in :func:`joints_from_features`.
+        root: See :func:`joints_from_features`.
         check: Refuse a batch that was restored with foreign statistics (:func:`check_features`).
         source: Name of the method, with which messages begin.
         sequences: Name of each motion, for messages: ``batch.opaque_id``.

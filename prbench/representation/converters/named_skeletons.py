@@ -170,7 +170,7 @@ class JointMap:
         """A checked map.
 
         Args:
-            name: For messages.
+            name: Name that messages begin with.
             source_joints: Names of the source's joints, in the order of its arrays, each once.
             given: Source expression of each of the 22 (``{"pelvis": "hips", "neck": "0.7 thorax + 0.3 head"}``). The
                 twelve limb joints must be there; of the others, the missing ones are completed (:attr:`completed`).
@@ -264,8 +264,8 @@ def joint_map_by_names(names: Sequence[str], *, name: str = "bvh") -> JointMap:
     """A map for names as BVH files and animation software have them: Mixamo, Rokoko, CMU, LAFAN1.
 
     Args:
-        names: Of the source's joints in order, with any prefix, case and separators.
-        name: For messages.
+        names: Names of the source's joints in order, with any prefix, case and separators.
+        name: Name that messages begin with.
 
     Raises:
         UsageError: if a limb joint is not found.

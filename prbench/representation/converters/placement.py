@@ -31,7 +31,6 @@ from prbench.representation.encoding import (
     canonicalise,
     check_finite,
     check_joints,
-    check_rate,
     no_heading,
     rest_offsets,
     retarget,
@@ -64,7 +63,7 @@ def to_y_up(
     :func:`prbench.representation.canonicalise` gives it a meaning.
 
     Args:
-        points: In the world of the source.
+        points: Positions in the world of the source.
         up: Axis that points up there: ``y``, ``z``, ``x``, or one of them with a minus sign. ``-y`` is that of camera
             coordinates (x right, y down, z forward).
         left_handed: The source's axes are left-handed (Unity: Y up, Unreal: Z up). One horizontal axis is negated;
@@ -76,27 +75,19 @@ def to_y_up(
     """
     if up not in _TURNS:
         raise UsageError(f"unknown up axis '{up}'.{did_you_mean(up, _TURNS)} Choose one of: {', '.join(_TURNS)}.")
-    columns, signs = np.transpose(_TURNS[up])
-    exact = np.result_type(points.dtype, np.float32)  # millimetres may come as integers
-    turned = points[..., columns].astype(exact) * (signs * _metres_of(unit)).astype(exact)
-    if left_handed:
-        turned[..., 0] = -turned[..., 0]
-    return turned
-
-
-def _metres_of(unit: str | float) -> float:
-    """Metres a unit.
-
-    Raises:
-        UsageError: if the name is unknown, or the number is none above 0.
-    """
+    metres = unit
     if isinstance(unit, str):
         if unit not in UNITS:
             raise UsageError(f"unknown unit '{unit}'.{did_you_mean(unit, UNITS)} Choose one of: {', '.join(UNITS)}.")
-        return UNITS[unit]
-    if not (np.isfinite(unit) and unit > 0):
+        metres = UNITS[unit]
+    elif not (np.isfinite(unit) and unit > 0):
         raise UsageError(f"unit: expected metres a unit, a number above 0, found {unit:g}.")
-    return float(unit)
+    columns, signs = np.transpose(_TURNS[up])
+    exact = np.result_type(points.dtype, np.float32)  # millimetres may come as integers
+    turned = points[..., columns].astype(exact) * (signs * float(metres)).astype(exact)
+    if left_handed:
+        turned[..., 0] = -turned[..., 0]
+    return turned
 
 
 def frames_needed(n_frames: int, fps: float, *, wanted_fps: float = FRAME_RATE) -> int:
@@ -131,7 +122,8 @@ def at_rate(
         InputFileError: if a rate is no positive number, or the motion ends before the last frame that is asked for.
     """
     for rate in (fps, wanted_fps):
-        check_rate(rate, source)
+        if not (np.isfinite(rate) and rate > 0):
+            raise InputFileError(source, "", expected="a frame rate above 0", found=f"{rate:g}")
     return at_times(np.arange(len(values)) / fps, values, n_frames=n_frames, wanted_fps=wanted_fps, source=source)
 
 
@@ -326,13 +318,13 @@ def to_canonical(
     lowest joint of the whole motion at Y = 0. Where an initial pose is known, :func:`placed_on` follows.
 
     Args:
-        joints: In the world of the source.
+        joints: Joints in the world of the source.
         fps: Frames a second.
         n_frames: Frames to give back; None for as many as the motion covers.
         wanted_fps: Their rate: ``batch.fps``.
         up: See :func:`to_y_up`.
-        left_handed: Likewise.
-        unit: Likewise.
+        left_handed: See :func:`to_y_up`.
+        unit: See :func:`to_y_up`.
         upright: False for people who lie or crawl.
         feet: False if the toes were computed and do not tell where the front is.
         source: File or name that messages begin with.
@@ -366,7 +358,7 @@ def placed_on(
 
     Args:
         joints: Y up, metres, any heading and place.
-        initial_joints: Of the batch: canonical frame, metres.
+        initial_joints: Initial pose of the batch, canonical frame, metres.
         height: ``pelvis``: the first pelvis takes the height of the initial one. ``floor``: the lowest joint of the
             motion comes to Y = 0, where the floor of a recording is; choose it if bones differ from the person's.
         source: File or name that messages begin with.

@@ -150,7 +150,7 @@ def quaternions_of(
     """Unit quaternions (w x y z) of each frame from its numbers, joint after joint.
 
     Args:
-        values: As many numbers as ``joints`` rotations take.
+        values: The numbers of each frame, those of one rotation after those of another.
         form: How they are written; axis-angle in radians.
         source: Name that messages begin with.
 
@@ -216,7 +216,7 @@ class SmplParameters:
             transl: Metres.
             betas: (shapes,) or (frames, shapes); of several rows the mean is taken, because a body keeps its shape.
             form: How rotations are written; the same for both.
-            gender: Of the model.
+            gender: Gender of the model.
             source: Name that messages begin with.
 
         Raises:
@@ -240,11 +240,11 @@ class SmplParameters:
         """Read one array of rotations, pelvis first (``poses`` of AMASS: 72, 156 or 165 numbers a frame).
 
         Args:
-            poses: At least 22 rotations a frame, in the order of SMPL; what follows is left away.
+            poses: 22 or more rotations a frame, in the order of SMPL; what follows is left away.
             transl: ``trans`` of AMASS, metres.
-            betas: As in :meth:`from_arrays`.
+            betas: See :meth:`from_arrays`.
             form: How rotations are written.
-            gender: Of the model.
+            gender: Gender of the model.
             source: Name that messages begin with.
 
         Raises:
@@ -367,7 +367,7 @@ def read_rest_joints(path: Path, *, joints: int | None = None, how_to_get: str =
 
     Args:
         path: ``SMPLX_NEUTRAL.npz``, ``smplh/neutral/model.npz``, or what :data:`HOW_TO_CONVERT` writes.
-        joints: Of the whole model, where only one will do: 24 of SMPL, 52 of SMPL-H, 55 of SMPL-X.
+        joints: Joints of the whole model, where only one model will do: 24 of SMPL, 52 of SMPL-H, 55 of SMPL-X.
         how_to_get: What to do where there is no file, for the message.
 
     Raises:

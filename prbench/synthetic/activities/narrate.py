@@ -358,10 +358,26 @@ def narrate(script: Script, motion: Motion, rate: float, rng: np.random.Generato
         script: What was planned, for names and times.
         motion: What happened.
         rate: Frames a second.
-        rng: Of the choice of words.
+        rng: Generator of the choice of words.
     """
     facts = [(act, _facts_of(script, motion, act, rate)) for act in script.acts]
-    atomic = _atomic(facts, rng)
+    # One row an activity; two short neighbours may share one.
+    atomic = []
+    number = 0
+    while number < len(facts):
+        act, fact = facts[number]
+        told = [fact]
+        end = act.end
+        if act.name in SHORT and number + 1 < len(facts):
+            following, next_fact = facts[number + 1]
+            if following.begin - act.end < PAUSE[1] and following.end - act.begin <= _LONGEST + _CUT_OFF:
+                told.append(next_fact)
+                end = following.end
+        number += len(told)
+        latest = facts[number][0].begin if number < len(facts) else end
+        end = min(max(end, min(act.begin + _SHORTEST, latest)), act.begin + _LONGEST)
+        text = sentence([clause(each, rng) for each in told], rng)
+        atomic.append(TrueNarration("atomic_action", act.begin, end, (text,), tuple(name for name, _ in told)))
     about_body = [_about_body(act, fact) for act, fact in facts if act.end - act.begin >= 2.0]
     # What happened in stretches of 15 to 30 seconds.
     narrations: list[TrueNarration] = []
@@ -377,28 +393,6 @@ def narrate(script: Script, motion: Motion, rate: float, rng: np.random.Generato
             begin = None
             doing = []
     return (*atomic, *about_body, *narrations)
-
-
-def _atomic(facts: list[tuple[Act, Facts]], rng: np.random.Generator) -> list[TrueNarration]:
-    """Write one row an activity; two short neighbours may share one."""
-    narrations = []
-    number = 0
-    while number < len(facts):
-        act, fact = facts[number]
-        told = [fact]
-        end = act.end
-        if act.name in SHORT and number + 1 < len(facts):
-            following, next_fact = facts[number + 1]
-            if following.begin - act.end < PAUSE[1] and following.end - act.begin <= _LONGEST + _CUT_OFF:
-                told.append(next_fact)
-                end = following.end
-        number += len(told)
-        latest = facts[number][0].begin if number < len(facts) else end
-        end = max(end, min(act.begin + _SHORTEST, latest))
-        names = tuple(name for name, _ in told)
-        text = sentence([clause(each, rng) for each in told], rng)
-        narrations.append(TrueNarration("atomic_action", act.begin, min(end, act.begin + _LONGEST), (text,), names))
-    return narrations
 
 
 def _about_body(act: Act, fact: Facts) -> TrueNarration:
@@ -469,7 +463,7 @@ def _goal_facts(performance: Performance, event: TrueEvent, since: float) -> Fac
     Args:
         performance: Who did it.
         event: What was done.
-        since: From when on manners count, seconds.
+        since: Time from which on manners count, seconds.
     """
     first, last = np.searchsorted(performance.times, [since, event.event_time])
     joints = performance.joints[first : max(int(last), int(first) + 2)]

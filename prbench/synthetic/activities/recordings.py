@@ -67,7 +67,7 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
         preset: Gains of the head.
         script: What to do.
         rate: Frames a second.
-        rng: For small movements and idle looks.
+        rng: Generator of small movements and idle looks.
     """
     person = script.person
     times = np.arange(round(script.end * rate) + 1) / rate
@@ -207,9 +207,8 @@ _EVERY = 4
 _BASE_PRESET = "hd-epic"
 _GOAL_PRESETS = ("adt", "mogaze", "gimo", "hd-epic")
 _FIRST_TEXT = (0.205, 0.225)  # s after the suit, as in real sequences of known clocks
-_WAITS = 0.5
-# Share of short activities after which people wait, and until when after their beginning, so that a text fits.
-_SHORTEST_ALONE = 3.1
+_WAITS = 0.5  # share of short activities after which people wait …
+_SHORTEST_ALONE = 3.1  # … until so many seconds after their beginning, so that a text fits
 _CLOSING = 0.8
 _OF_BODY = ("joints", "rotations", "head_rotation", "eye", "planted")
 
@@ -219,7 +218,7 @@ class Identity:
     """Name, person and split of one recording, known before it is acted out.
 
     Attributes:
-        goal_preset: Of a prime-and-reach recording.
+        goal_preset: Preset of a prime-and-reach recording; None for activities.
     """
 
     recording_id: str

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Literal
 
@@ -69,7 +70,7 @@ class Hand:
     Attributes:
         hand: 0 left, 1 right.
         offset: Outwards, up, forward; fractions of the stature (``world``: a point, metres).
-        pole: Where the elbow points (outwards, up, forward of the chest); None: as arms do.
+        pole: Direction in which the elbow points (outwards, up, forward of the chest); None: as arms do.
         bulge: How far the path swings forward on the way, metres: not through the own shoulder.
     """
 
@@ -263,28 +264,15 @@ _BULGE = 0.22  # m
 _WAVING_ELBOW = (1.0, -0.8, 0.0)
 
 
-def _walk(writer: ScriptWriter, turn: float) -> None:
+def _walk(writer: ScriptWriter, *, least: float, most: float, side: float) -> None:
+    """Turn by an angle between these, radians, and walk: slowly, normally or briskly."""
     begin = writer.now
+    turn = side * writer.draw(least, most)
     speeds = _SPEEDS if abs(turn) < _NO_CORNER else _SPEEDS[:-1]
     speed = writer.draw(*speeds[int(writer.rng.integers(len(speeds)))])
     distance = speed * writer.draw(2.4, 3.0)
     segment = writer.go(writer.ahead(distance, writer.base.heading + turn), writer.pace(speed, distance))
     writer.did("walk", begin, begin + 3.0 if segment is None else segment.end)
-
-
-def _walk_straight(writer: ScriptWriter) -> None:
-    """Walk ahead; slowly, normally or briskly."""
-    _walk(writer, writer.draw(-0.05, 0.05))
-
-
-def _walk_left(writer: ScriptWriter) -> None:
-    """Turn to the left and walk."""
-    _walk(writer, writer.draw(0.6, 1.7))
-
-
-def _walk_right(writer: ScriptWriter) -> None:
-    """Turn to the right and walk."""
-    _walk(writer, -writer.draw(0.6, 1.7))
 
 
 def _walk_curve(writer: ScriptWriter) -> None:
@@ -380,6 +368,7 @@ def _reach_out(writer: ScriptWriter) -> None:
 
 
 def _rub(writer: ScriptWriter, name: str, size: tuple[float, float], frequency: tuple[float, float]) -> None:
+    """Move a hand in circles of this size, metres, before the body, as on a table or in a pot."""
     begin = writer.now
     hand = writer.free_hand()
     length = writer.draw(3.0, 4.2)
@@ -395,16 +384,6 @@ def _rub(writer: ScriptWriter, name: str, size: tuple[float, float], frequency: 
         writer.bend(begin, 0.7, writer.draw(0.10, 0.25), 0.0)
         writer.bend(begin + length - 0.8, 0.7, 0.0, 0.0)
     writer.did(name, begin, begin + length, hand)
-
-
-def wipe(writer: ScriptWriter) -> None:
-    """Move a hand in wide circles before the body, as on a table."""
-    _rub(writer, "wipe", (0.12, 0.15), (0.8, 1.2))
-
-
-def stir(writer: ScriptWriter) -> None:
-    """Move a hand in small quick circles, as in a pot."""
-    _rub(writer, "stir", (0.08, 0.10), (1.2, 1.6))
 
 
 def crouch(writer: ScriptWriter) -> None:
@@ -468,21 +447,21 @@ def _scratch_head(writer: ScriptWriter) -> None:
     writer.did("scratch head", begin, begin + length, hand)
 
 
-def _sit_down(writer: ScriptWriter) -> None:
-    """Sit down on a chair that is not shown."""
+def _change_seat(writer: ScriptWriter, *, down: bool) -> None:
+    """Sit down on a chair that is not shown, or stand up from it."""
     begin = writer.now
-    writer.sit(down=True)
-    writer.did("sit down", begin, begin + SITTING_TIME + 0.6)
-
-
-def _stand_up(writer: ScriptWriter) -> None:
-    """Stand up from the chair."""
-    begin = writer.now
-    writer.sit(down=False)
-    writer.did("stand up", begin, begin + SITTING_TIME + 0.5)
+    writer.sit(down=down)
+    writer.did("sit down" if down else "stand up", begin, begin + SITTING_TIME + (0.6 if down else 0.5))
 
 
 Activity = Callable[[ScriptWriter], None]
+_walk_straight = partial(_walk, least=-0.05, most=0.05, side=1.0)
+_walk_left = partial(_walk, least=0.6, most=1.7, side=1.0)
+_walk_right = partial(_walk, least=0.6, most=1.7, side=-1.0)
+_wipe = partial(_rub, name="wipe", size=(0.12, 0.15), frequency=(0.8, 1.2))
+_stir = partial(_rub, name="stir", size=(0.08, 0.10), frequency=(1.2, 1.6))
+_sit_down = partial(_change_seat, down=True)
+_stand_up = partial(_change_seat, down=False)
 
 # What somebody who stands may do next, by weight.
 STANDING: Mapping[Activity, float] = MappingProxyType(
@@ -490,14 +469,14 @@ STANDING: Mapping[Activity, float] = MappingProxyType(
         _walk_straight: 1.6, _walk_left: 1.0, _walk_right: 1.0, _walk_curve: 1.0, _walk_carrying: 1.0,
         _turn_around: 1.4,
         stand: 0.5, look_around: 1.0, _look_at_hands: 0.7, _step_sideways: 1.0, _step_back: 0.8, _reach_out: 1.6,
-        wipe: 0.8, stir: 0.8, crouch: 0.8, _bend_forward: 0.8, wave: 0.9, _raise_arms: 0.7, _scratch_head: 0.6,
+        _wipe: 0.8, _stir: 0.8, crouch: 0.8, _bend_forward: 0.8, wave: 0.9, _raise_arms: 0.7, _scratch_head: 0.6,
         _sit_down: 0.9,
     }
 )  # fmt: skip
 
 # The same for somebody who sits.
 SITTING: Mapping[Activity, float] = MappingProxyType(
-    {stand: 0.8, look_around: 0.8, _look_at_hands: 0.7, wave: 0.6, _scratch_head: 0.5, stir: 0.5, _stand_up: 1.8}
+    {stand: 0.8, look_around: 0.8, _look_at_hands: 0.7, wave: 0.6, _scratch_head: 0.5, _stir: 0.5, _stand_up: 1.8}
 )
 
 # Seconds between two activities; sooner the last foot would not have landed.

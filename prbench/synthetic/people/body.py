@@ -66,10 +66,10 @@ def move_head(
         preset: Gains.
         habits: Gains, lag and eye-only range of the person.
         gaze: Fixations.
-        heading: Of the base, radians, unwrapped.
+        heading: Heading of the base, radians, unwrapped.
         eye: About where the eyes are.
         times: Frame times, seconds.
-        rng: For the tremor.
+        rng: Generator of the tremor.
     """
     frame_time = float(times[1] - times[0])
     rate = 1.0 / (times[1] - times[0])
@@ -155,7 +155,7 @@ def move_eyes(
         head: True head orientation.
         eye: True eye positions.
         times: Frame times, seconds.
-        rng: For the drift during fixation.
+        rng: Generator of the drift during fixation.
     """
     drift = np.stack([wobble(times, np.deg2rad(0.3), 0.3, 3.0, rng) for _ in range(2)], axis=-1)
     gaze = np.stack([head.yaw, head.pitch], axis=-1)
@@ -269,7 +269,7 @@ def move_trunk(
     Args:
         plan: Person and preset.
         base: Base pose at every frame.
-        bending: Of the reaches.
+        bending: Bending that the reaches ask for.
         sway: Small movements.
         feet: Contacts that limit the pelvis height.
         steps: Foot falls.
@@ -459,7 +459,7 @@ def pose_arms(
         flare: How far the elbows stand out.
         trunk: Shoulders and chest.
         wrists: Wanted wrists.
-        poles: Where the elbows point, chest frame; :func:`elbow_poles` if None.
+        poles: Directions in which the elbows point, chest frame; :func:`elbow_poles` if None.
     """
     elbows = []
     reached = []

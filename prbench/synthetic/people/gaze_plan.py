@@ -322,7 +322,7 @@ def repaired(
         eye: True eye positions.
         gaze: True gaze directions that follow from the plan.
         times: Frame times, seconds.
-        rng: For the size of the shifts.
+        rng: Generator of the size of the shifts.
     """
     starts = np.array([look.start for look in gaze_plan.looks])
     found: set[int] = set()

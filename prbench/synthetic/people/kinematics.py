@@ -56,7 +56,7 @@ def blend(
         start: First instant of the blend.
         duration: Seconds until the target is reached.
         target: A constant (broadcast over frames), or one value a frame of the whole recording.
-        skew: From 0 to 1; above 0 the fastest moment comes before the middle and the end is approached slowly.
+        skew: A number from 0 to 1; above 0 the fastest moment comes before the middle and the end is approached slowly.
     """
     first, last = np.searchsorted(times, [start, start + duration])
     target = np.asarray(target, dtype=np.float64)
@@ -249,17 +249,6 @@ def quaternion(matrix: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*b
     best = squares.argmax(axis=-1)
     chosen = unit(np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :])
     return np.where(chosen[..., :1] < 0.0, -chosen, chosen)
-
-
-def matrix_of(quaternions: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """Return the rotation matrices of unit quaternions (w x y z)."""
-    w, x, y, z = np.moveaxis(quaternions, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def forward_of(quaternions: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3"]:

@@ -27,7 +27,7 @@ from prbench.synthetic.people.body import (
     pose_arms,
     turn_hands,
 )
-from prbench.synthetic.people.gaze_plan import GazePlan, Look, plan_gaze, repaired
+from prbench.synthetic.people.gaze_plan import GazePlan, plan_gaze, repaired
 from prbench.synthetic.people.kinematics import frame_of_bone, quaternion, rotation_quaternion, turn
 from prbench.synthetic.people.person import PRESETS, Person, Preset, Trunk, draw_person
 from prbench.synthetic.people.plan import OPENING, Plan, plan_recording, shares_for
@@ -72,7 +72,7 @@ def synthesise(plan: Plan, times: Float[np.ndarray, " n"], generators: Generator
     Args:
         plan: All decisions but the looks.
         times: Uniform frame times, seconds.
-        generators: Of small movements, looks and head tremor.
+        generators: Generators of small movements, looks and head tremor.
     """
     person = plan.person
     for_sway, for_gaze, for_head = generators
@@ -219,8 +219,8 @@ def perform(
 
     Args:
         preset: ``hd-epic``, ``mogaze``, ``hot3d``, ``adt`` or ``gimo``.
-        seed: Of the whole synthetic dataset.
-        index: Of the recording in it.
+        seed: Seed of the whole synthetic dataset.
+        index: Number of the recording in it.
         world: How many people and rooms exist: 24 and 12, or 400 and 200.
         n_events: Picks and puts.
         rate: Frames a second.
@@ -293,7 +293,16 @@ def perform(
         planted=motion.planted,
         objects=(*objects, *_furniture(plan, source, room_number)),
         events=events,
-        fixations=tuple(_fixation(look, recording_id) for look in gaze_plan.looks),
+        fixations=tuple(
+            Fixation(
+                float(look.start),
+                float(look.end),
+                look.point,
+                "goal" if look.is_goal else "fill",
+                None if look.reach is None else f"{recording_id}/{look.reach:03d}",
+            )
+            for look in gaze_plan.looks
+        ),
         other_people=others,
     )
 
@@ -318,7 +327,12 @@ def _acted(
         plan = plan_recording(
             preset, person, here, n_events, rng, is_seated=is_seated, shares=shares, provoker=provoker
         )
-        times = np.arange(round(_duration(plan) * rate) + 1) / rate
+        # Until the last reach and step have ended, in tenths of a second: streams of 10, 30 and 120 Hz end together.
+        stays = [each for each in plan.reaches if isfinite(each.dwell)]
+        ends = [each.event + 1.2 + (0.0 if each.carries else each.dwell) for each in stays]
+        ends += [step.landing for step in plan_steps(plan.person, plan.segments)]
+        duration = float(np.ceil(10.0 * (max(ends, default=OPENING) + _CLOSING))) / 10.0
+        times = np.arange(round(duration * rate) + 1) / rate
         motion = synthesise(plan, times, _generators(source, index, f"{{}}{attempt}"))
         attempt += 1
         if max(motion.misses, default=0.0) <= _WORST_WRIST or attempt == _ATTEMPTS:
@@ -339,9 +353,9 @@ def _bystander_acts(
 
     Args:
         source: Names the generators.
-        index: Of the recording.
+        index: Number of the recording.
         wearer: Whose objects must not be in the way.
-        motion: Of the wearer, to keep away from.
+        motion: Motion of the wearer, from whom the other person keeps away.
         times: Frame times of the recording, seconds.
         object_ids: Ids for the objects of the other person.
 
@@ -406,17 +420,3 @@ def _furniture(plan: Plan, source: Source, room_index: int) -> list[ObjectMotion
             )
         )
     return pieces
-
-
-def _fixation(look: Look, recording_id: str) -> Fixation:
-    event = None if look.reach is None else f"{recording_id}/{look.reach:03d}"
-    return Fixation(float(look.start), float(look.end), look.point, "goal" if look.is_goal else "fill", event)
-
-
-def _duration(plan: Plan) -> float:
-    ends = [
-        reach.event + 1.2 + (0.0 if reach.carries else reach.dwell) for reach in plan.reaches if isfinite(reach.dwell)
-    ]
-    ends += [step.landing for step in plan_steps(plan.person, plan.segments)]
-    tenths = np.ceil(10.0 * (max(ends, default=OPENING) + _CLOSING))  # streams of 10, 30 and 120 Hz end together
-    return float(tenths) / 10.0

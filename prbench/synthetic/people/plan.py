@@ -41,7 +41,7 @@ class Reach:
         dwell: Seconds that the hand stays after the event, unless it carries the object away.
         gap: Forced time from the first look to the event.
         second_hand: Distance at which the other hand joins, metres; 0: it does not.
-        handed_over: Of a put: when the object began to change hands.
+        handed_over: Time at which the object of a put began to change hands.
         slide: How far a nudged object slides.
         opening: Angle by which a hinged object is turned, radians.
         lost: Span in which tracking loses the object.
@@ -106,11 +106,11 @@ _OF_EVENT = ("too_near", "early", "swept", "lost")
 _OF_OTHERS = ("bystander",)
 _TAGS = (*EXTRA, *_OF_PAIR, *_OF_EVENT, *_OF_OTHERS)
 
-# Of the movements, for all tags together.
+# Share of the movements for all tags together.
 _DEFAULT_SHARE = 0.10
 
 TRAY = ObjectKind("WoodenTray", "tray", (0.13, 0.015, 0.10))
-# Where the tray is held, in its own frame; what it carries stands on the other side.
+# Place at which the tray is held, in its own frame; its load stands on the other side.
 TRAY_HANDLE = np.array([0.0, 0.0, -0.075])
 TRAY_LOAD = np.array([0.0, 0.0, 0.05])
 DOOR = ObjectKind("CabinetDoor", "door", (0.16, 0.20, 0.010))
@@ -129,7 +129,12 @@ def shares_for(preset: Preset, wanted: Mapping[str, float] | None) -> dict[str, 
     Raises:
         UsageError: if a tag is unknown or a share lies outside [0, 1].
     """
-    possible = possible_tags(preset)
+    possible = ("pass_by", "touch", "too_near", "early", "swept")
+    if preset.puts:
+        without = set() if preset.name == "adt" else {"bystander"}
+        if preset.table_only:
+            without.add("hinge")
+        possible = tuple(tag for tag in _TAGS if tag not in without)
     if wanted is None:
         return {tag: _DEFAULT_SHARE / len(possible) for tag in possible}
     for tag, share in wanted.items():
@@ -140,24 +145,14 @@ def shares_for(preset: Preset, wanted: Mapping[str, float] | None) -> dict[str, 
     return {tag: wanted[tag] for tag in possible if wanted.get(tag, 0.0) > 0.0}
 
 
-def possible_tags(preset: Preset) -> tuple[str, ...]:
-    """Return the tags that make sense in a preset."""
-    if not preset.puts:
-        return ("pass_by", "touch", "too_near", "early", "swept")
-    without = set() if preset.name == "adt" else {"bystander"}
-    if preset.table_only:
-        without.add("hinge")
-    return tuple(tag for tag in _TAGS if tag not in without)
-
-
 def draw_tag(shares: Mapping[str, float], movements: int, is_first: bool, rng: np.random.Generator) -> str:
     """Draw the tag of the next pick (and its put), or ``plain``.
 
     Args:
-        shares: Of the movements, for each tag.
+        shares: Share of the movements for each tag.
         movements: Events that the tag stands for: two where everything picked is put.
         is_first: Whether these are the recording's first events; only they can be ``early``.
-        rng: Of the provocations.
+        rng: Generator of the provocations.
     """
     chance = rng.random()
     for tag, share in shares.items():
@@ -201,11 +196,11 @@ def plan_recording(
     Args:
         preset: Constants.
         person: Who acts.
-        room: Where.
+        room: The room.
         n_events: Picks and puts to attempt; a goal that cannot be reached from anywhere is dropped.
         rng: The recording's plan generator.
         is_seated: Whether the person sits at the table (preset hot3d).
-        shares: Of the movements, for each provocation; none if None.
+        shares: Share of the movements for each provocation; none if None.
         provoker: Generator of the provocations.
     """
     planner = _Planner(preset, person, room, rng, is_seated, shares or {}, provoker or rng)

@@ -205,7 +205,7 @@ class Stand:
     """A place from which a goal can be reached, the way there, and the reach.
 
     Attributes:
-        yaw: Of the object at rest; a carried one has turned with the body.
+        yaw: Heading of the object at rest; a carried one has turned with the body.
     """
 
     base: BasePose
@@ -249,7 +249,7 @@ class Reachability:
         """Return a place from which a hand reaches a goal.
 
         Args:
-            base: Where the person stands now.
+            base: Place where the person stands.
             at_surface: Before which surface.
             goal: What to reach.
             hand: 0 left, 1 right.
@@ -314,7 +314,11 @@ class Reachability:
             return self._table_places(base, front, goal.centre, hand)
         places = [base] if goal.surface == at_surface and self._feet_may_stay(base, goal.centre) else []
         good = self._standing_place(front, goal.centre, hand)
-        return [*places, *(_nearer(good, _STEP * number, goal.centre) for number in range(5))]
+        towards = (goal.centre - good.point) * (1.0, 0.0, 1.0)
+        for number in range(5):
+            step = towards / np.linalg.norm(towards) * (_STEP * number)
+            places.append(replace(good, x=good.x + float(step[0]), z=good.z + float(step[2])))
+        return places
 
     def _feet_may_stay(self, base: BasePose, centre: np.ndarray) -> bool:
         offset = centre - base.point
@@ -344,10 +348,3 @@ class Reachability:
         )
         distances = [np.hypot(centre[0] - at.x, centre[2] - at.z) for at in (base, place)]
         return [place] if max(distances) <= 0.40 * self.person.body.stature else []
-
-
-def _nearer(place: BasePose, by: float, centre: np.ndarray) -> BasePose:
-    towards = centre - place.point
-    towards[1] = 0.0
-    step = towards / np.linalg.norm(towards) * by
-    return replace(place, x=place.x + float(step[0]), z=place.z + float(step[2]))

@@ -14,11 +14,11 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.geometry.skeleton import WRISTS
+from prbench.geometry.skeleton import WRISTS, rotation_matrices
 from prbench.protocol.manifests import load_protocol
 from prbench.synthetic.people.body import HANDING_TIME, MEETING_TIME, moved_along, opened
 from prbench.synthetic.people.gaze_plan import GazePlan
-from prbench.synthetic.people.kinematics import matrix_of, minimum_jerk, quaternion, rotation
+from prbench.synthetic.people.kinematics import minimum_jerk, quaternion, rotation
 from prbench.synthetic.people.person import SIDES
 from prbench.synthetic.people.plan import Action, Plan, Reach
 from prbench.synthetic.people.world import Item
@@ -131,7 +131,7 @@ def _scaled_rotation(quaternions: Float[np.ndarray, "n 4"], share: Float[np.ndar
     sine = np.linalg.norm(quaternions[:, 1:], axis=1)
     half = np.arctan2(sine, quaternions[:, 0]) * share
     axis = quaternions[:, 1:] / np.maximum(sine, 1e-12)[:, None]
-    return matrix_of(np.concatenate([np.cos(half)[:, None], np.sin(half)[:, None] * axis], axis=1))
+    return rotation_matrices(np.concatenate([np.cos(half)[:, None], np.sin(half)[:, None] * axis], axis=1))
 
 
 def _riding(item: Item, carrier: Item, track: _Track) -> _Track:
@@ -141,7 +141,7 @@ def _riding(item: Item, carrier: Item, track: _Track) -> _Track:
         return _resting(item)
     at_rest = rotation(carrier.yaw, 0.0)
     offset = at_rest.T @ (item.position - carrier.position)
-    frames = matrix_of(turned)
+    frames = rotation_matrices(turned)
     still = np.all(position == carrier.position, axis=1)[:, None]
     places = np.where(still, item.position, position + frames @ offset)
     return places, quaternion(frames @ (at_rest.T @ rotation(item.yaw, 0.0))), np.full(len(places), -1)
@@ -394,7 +394,7 @@ def seen_again(
     """Return the same event for a dataset that knows another box of the goal, or samples gaze at another rate.
 
     Args:
-        event: Of that performance, one that is an event.
+        event: A pick or put of that performance.
         performance: The truth.
         low: Lower corner of the world-aligned box; equal to ``high`` for a point.
         high: Upper corner.

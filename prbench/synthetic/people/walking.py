@@ -68,7 +68,7 @@ class Segment:
         arrival: End of the translation.
         course: Heading while walking, unwrapped against the start.
         first_turn: Duration of the turn into the course.
-        turn_into: Of a shuffle: how far the body turns into the way before it turns back, radians; > 0 to the left.
+        turn_into: Angle by which the body turns into the way of a shuffle and back, radians; > 0 to the left.
     """
 
     kind: Literal["walk", "shuffle"]
@@ -103,10 +103,10 @@ def plan_segment(
     """Plan the way from one standing place to another.
 
     Args:
-        habits: Of the person.
+        habits: Habits of the person.
         pace: The preset's speed factor.
-        start: Where the person stands.
-        goal: Where to; its heading is understood modulo full turns.
+        start: Place where the person stands.
+        goal: Place to come to; its heading is understood modulo full turns.
         begin: Motor start.
         faces_on: Whether somebody who shuffles keeps facing the same way, however far.
 

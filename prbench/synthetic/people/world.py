@@ -145,9 +145,9 @@ def draw_spot(
     """Draw the centre of a box that stands on a free spot of a surface.
 
     Args:
-        surface: Where.
-        half_extents: Of the box, in its own frame.
-        yaw: Of the box.
+        surface: Surface on which the object stands.
+        half_extents: Half extents of the box, in its own frame.
+        yaw: Heading of the box.
         rng: Generator.
         around: Lateral position of the previous spot and the spread around it; the whole width if None.
     """
@@ -218,7 +218,7 @@ def assign(source: Source, index: int) -> tuple[int, int, Split]:
 
     Args:
         source: Seed, preset and world.
-        index: Of the recording.
+        index: Number of the recording.
 
     Returns:
         Numbers of the room and the person, and the split.

@@ -5,7 +5,7 @@ Still parts of a picture are drawn once, moving parts are drawn over them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,6 +80,7 @@ def film_scenes(scenes: Sequence[Scene], path: Path, progress: Progress) -> None
         import imageio_ffmpeg
     except ModuleNotFoundError as error:
         raise MissingExtraError("imageio-ffmpeg", "view", "writing MP4") from error
+    plans = [shown_frames(scene) for scene in scenes]
     with sole_file(path) as temporary:
         writer = imageio_ffmpeg.write_frames(
             str(temporary),
@@ -94,29 +95,22 @@ def film_scenes(scenes: Sequence[Scene], path: Path, progress: Progress) -> None
         try:
             # Starts the generator, as imageio-ffmpeg asks for.
             writer.send(None)
-            for picture in _pictures(scenes, progress):
-                writer.send(picture)
+            done = 0
+            for scene, plan in zip(scenes, plans, strict=True):
+                stage = FilmStage(scene, SIZE)
+                picture = b""
+                shown = -1
+                for frame in plan:
+                    if frame != shown:  # a slow sequence shows a frame in several pictures; drawing takes the time
+                        picture = stage.picture(int(frame))
+                        shown = frame
+                    writer.send(picture)
+                    done += 1
+                    progress(done, sum(map(len, plans)), scene.sequence_id)
         except OSError as error:
             raise StorageError(f"{path}: the film could not be written ({str(error).splitlines()[0]}).") from error
         finally:
             writer.close()
-
-
-def _pictures(scenes: Sequence[Scene], progress: Progress) -> Iterator[bytes]:
-    plans = [shown_frames(scene) for scene in scenes]
-    total = sum(len(plan) for plan in plans)
-    done = 0
-    for scene, plan in zip(scenes, plans, strict=True):
-        stage = FilmStage(scene, SIZE)
-        picture = b""
-        shown = -1
-        for frame in plan:
-            if frame != shown:  # a slow sequence shows a frame in several pictures; drawing is what takes time
-                picture = stage.picture(int(frame))
-                shown = frame
-            yield picture
-            done += 1
-            progress(done, total, scene.sequence_id)
 
 
 def shown_frames(scene: Scene) -> Int[np.ndarray, " pictures"]:
@@ -172,10 +166,11 @@ class FilmStage:
 
     def _build_side_views(self) -> None:
         scene = self._scene
-        axis = self._scene.picture_axis
+        axis = scene.picture_axis
+        height = max(2.0, max(float(motion.joints[..., 1].max()) for motion in scene.motions) + 0.1)
         low, high = extent(scene, lambda points: side_view(points, axis))
         for panel, motion in zip(_side_panels(self._figure, len(scene.motions)), scene.motions, strict=True):
-            _fit_limits(panel, (low[0] - _FOOTPRINT, high[0] + _FOOTPRINT), (-0.05, self._height()))
+            _fit_limits(panel, (low[0] - _FOOTPRINT, high[0] + _FOOTPRINT), (-0.05, height))
             panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
             panel.tick_params(labelsize=7, length=2)
             panel.set_ylabel("m", fontsize=7.5)
@@ -198,7 +193,9 @@ class FilmStage:
             self._add_body(panel, motion, top_view)
         limit_top_view(panel, scene, least=1.4, margin=_FOOTPRINT)
         panel.set_title("seen from above (m)", fontsize=8, loc="left", pad=3)
-        self._add_clock(panel)
+        place = {"transform": self._figure.transFigure, "clip_on": False, "ha": "right"}
+        clock = panel.text(0.98, 0.962, "", fontsize=13, weight="bold", **place)
+        self._add(panel, clock, lambda frame: clock.set_text(f"{phase(scene, frame)}{frame / scene.fps:5.2f} s"))
         panel.tick_params(labelsize=7)
         panel.grid(alpha=0.25, linewidth=0.6)
 
@@ -254,21 +251,11 @@ class FilmStage:
         cursor = panel.axvline(0.0, color="black", linewidth=2.4)
         self._add(panel, cursor, lambda frame: cursor.set_xdata([times[frame], times[frame]]))
 
-    def _add_clock(self, panel: Axes) -> None:
-        scene = self._scene
-        place = {"transform": self._figure.transFigure, "clip_on": False, "ha": "right"}
-        clock = panel.text(0.98, 0.962, "", fontsize=13, weight="bold", **place)
-        self._add(panel, clock, lambda frame: clock.set_text(f"{phase(scene, frame)}{frame / scene.fps:5.2f} s"))
-
     def _add(self, panel: Axes, artist: Artist, update: _Update) -> None:
         # matplotlib leaves animated artists out of an ordinary drawing, so they are not part of the background.
         artist.set_animated(True)
         self._moving.append((panel, artist))
         self._updates.append(update)
-
-    def _height(self) -> float:
-        highest = max(float(motion.joints[..., 1].max()) for motion in self._scene.motions)
-        return max(2.0, highest + 0.1)
 
 
 def _side_panels(figure: Figure, n_motions: int) -> list[Axes]:

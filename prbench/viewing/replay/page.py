@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -41,34 +40,6 @@ _HEAD_RADIUS = 0.07
 _LONGEST_RAY = 6.0
 _BETWEEN = 0.8  # metres between lanes
 _LEAST_LANE = 1.0
-
-
-def set_up_scene(server: ViserServer, scenes: Sequence[Scene]) -> None:
-    """Add a floor, and a camera that sees the first sequence from the side of its goal."""
-    set_up_floor(server)
-    place_camera(server, *camera_of(scenes[0]))
-
-
-def set_up_floor(server: ViserServer) -> None:
-    """Add a floor at height 0, and let Y point up."""
-    server.scene.set_up_direction("+y")
-    server.scene.add_grid(
-        "/floor",
-        width=40.0,
-        height=40.0,
-        plane="xz",
-        cell_size=0.5,
-        section_size=1.0,
-        cell_color=(228, 228, 228),
-        section_color=(200, 200, 200),
-    )
-
-
-def place_camera(server: ViserServer, place: Float[np.ndarray, "3"], look_at: Float[np.ndarray, "3"]) -> None:
-    """Put the camera that a page opens with."""
-    server.initial_camera.position = (float(place[0]), float(place[1]), float(place[2]))
-    server.initial_camera.look_at = (float(look_at[0]), float(look_at[1]), float(look_at[2]))
-    server.initial_camera.up = (0.0, 1.0, 0.0)
 
 
 def camera_of(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
@@ -224,59 +195,40 @@ def write_page(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:
         StorageError: if the file cannot be written.
     """
     with viewer() as server:
-        set_up_scene(server, scenes)
-        acts = [
-            Act(PageStage(server, number, scene), scene.n_frames, scene.fps, scene.sequence_id)
-            for number, scene in enumerate(scenes)
-        ]
-        page = recorded_page(server, acts, progress)
+        # A floor at height 0, Y up, and a camera that sees the first sequence from the side of its goal.
+        server.scene.set_up_direction("+y")
+        server.scene.add_grid(
+            "/floor",
+            width=40.0,
+            height=40.0,
+            plane="xz",
+            cell_size=0.5,
+            section_size=1.0,
+            cell_color=(228, 228, 228),
+            section_color=(200, 200, 200),
+        )
+        place, look_at = camera_of(scenes[0])
+        server.initial_camera.position = (float(place[0]), float(place[1]), float(place[2]))
+        server.initial_camera.look_at = (float(look_at[0]), float(look_at[1]), float(look_at[2]))
+        server.initial_camera.up = (0.0, 1.0, 0.0)
+        stages = [PageStage(server, number, scene) for number, scene in enumerate(scenes)]
+        # Every frame is set once, and the last one of each sequence held; viser records what changes.
+        recording = server.get_scene_serializer()
+        done = 0
+        total = sum(scene.n_frames for scene in scenes)
+        for scene, stage in zip(scenes, stages, strict=True):
+            stage.show(True)
+            for frame in range(scene.n_frames):
+                stage.set_frame(frame)
+                recording.insert_sleep(1.0 / scene.fps)
+                done += 1
+                progress(done, total, scene.sequence_id)
+            recording.insert_sleep(HOLD)
+            stage.show(False)
+        page = recording.as_html()
     content = with_overlay(page, scenes, hold=HOLD)
     with sole_writer(path):
         write_text(path, content)
-
-
-class Stage(Protocol):
-    """What stands in the viewer's scene for one act."""
-
-    def show(self, visible: bool) -> None:
-        """Let it appear or vanish."""
-        ...
-
-    def set_frame(self, frame: int) -> None:
-        """Move everything to a frame."""
-        ...
-
-
-@dataclass(frozen=True)
-class Act:
-    """A part of a page's time line."""
-
-    stage: Stage
-    n_frames: int
-    fps: float
-    name: str
-
-    @property
-    def seconds(self) -> float:
-        """How long it moves."""
-        return self.n_frames / self.fps
-
-
-def recorded_page(server: ViserServer, acts: Sequence[Act], progress: Progress) -> str:
-    """Set every frame of every act once, each act held at its end, and return the viewer's page of it."""
-    recording = server.get_scene_serializer()
-    done = 0
-    total = sum(act.n_frames for act in acts)
-    for act in acts:
-        act.stage.show(True)
-        for frame in range(act.n_frames):
-            act.stage.set_frame(frame)
-            recording.insert_sleep(1.0 / act.fps)
-            done += 1
-            progress(done, total, act.name)
-        recording.insert_sleep(HOLD)
-        act.stage.show(False)
-    return recording.as_html()
 
 
 @contextmanager
@@ -307,52 +259,30 @@ def with_overlay(page: str, scenes: Sequence[Scene], *, hold: float) -> str:
     start = 0.0
     for scene in scenes:
         end = start + scene.n_frames / scene.fps
-        parts.append(_sequence(scene, start, end))
+        when = f"{start:.1f} to {end:.1f} s, prime at {start + scene.prime_time:.1f} s"
+        parts.append(f'<h2>{html(scene.title)} ({when})</h2><div class="id">{html(scene.sequence_id)}</div>')
+        for motion in scene.motions:
+            scores = html(score_sentence(scene, motion) or "not scored")
+            parts.append(f"<div>{swatch(motion.colour)}<b>{html(motion.label)}</b>: {scores}</div>")
         # The time line of the viewer runs through all sequences, each held at its end.
         start = end + hold
-    entries = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", MARK_COLOUR)]
+    key = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", MARK_COLOUR)]
     if any(motion.gaze is not None for scene in scenes for motion in scene.motions):
-        entries.append(("gaze", GAZE_COLOUR))
+        key.append(("gaze", GAZE_COLOUR))
     if any(scene.goal is not None for scene in scenes):
-        entries.append(("goal and its box", GOAL_COLOUR))
-    return with_box(page, overlay_box([scene.notice for scene in scenes], entries, parts))
-
-
-def with_box(page: str, box: str) -> str:
-    """Put a box (:func:`overlay_box`) into a page, and give the page our title."""
-    # The last one, in case the viewer's own scripts hold that text, too.
-    cut = page.rindex("</body>")
-    marked = page[:cut] + box + page[cut:]
-    return marked.replace("<title>Viser</title>", "<title>prbench view</title>", 1)
-
-
-def overlay_box(notices: Iterable[str], key: Iterable[tuple[str, str]], parts: Iterable[str]) -> str:
-    """The box that explains a page.
-
-    Args:
-        notices: Sentences that licences ask for; empty ones are left out, repeated ones stand there once.
-        key: What a colour means, and the colour (``#rrggbb``).
-        parts: HTML of what is shown.
-    """
-    notice = "".join(f'<p class="notice">{html(text)}</p>' for text in dict.fromkeys(notices) if text)
+        key.append(("goal and its box", GOAL_COLOUR))
+    notices = dict.fromkeys(scene.notice for scene in scenes if scene.notice)
+    notice = "".join(f'<p class="notice">{html(text)}</p>' for text in notices)
     lines = "".join(f"<div>{swatch(colour)}{html(text)}</div>" for text, colour in key)
     hint = "<div>Drag turns, wheel zooms, right drag moves; play and time line are the viewer's own.</div>"
-    return (
+    box = (
         f"<style>{_STYLE}</style>"
         f'<div id="prbench"><details open><summary>prbench view</summary>{notice}{lines}{hint}{"".join(parts)}'
         "</details></div>"
     )
-
-
-def _sequence(scene: Scene, start: float, end: float) -> str:
-    prime = start + scene.prime_time
-    motions = "".join(
-        f"<div>{swatch(motion.colour)}<b>{html(motion.label)}</b>:"
-        f" {html(score_sentence(scene, motion) or 'not scored')}</div>"
-        for motion in scene.motions
-    )
-    when = f"{start:.1f} to {end:.1f} s, prime at {prime:.1f} s"
-    return f'<h2>{html(scene.title)} ({when})</h2><div class="id">{html(scene.sequence_id)}</div>{motions}'
+    # The last one, in case the viewer's own scripts hold that text, too.
+    cut = page.rindex("</body>")
+    return f"{page[:cut]}{box}{page[cut:]}".replace("<title>Viser</title>", "<title>prbench view</title>", 1)
 
 
 def swatch(colour: str) -> str:

@@ -133,7 +133,12 @@ def read_scenes(
         RedistributionError: if nothing is left that may be shown.
         PredictionsError: if a motion does not fit its sequence.
     """
-    _require_something_to_show(table.info, runs, permitted)
+    # Recorded motion alone, and controls made of it, are refused where the licence keeps recorded motion.
+    if not runs:
+        require_may_pass_on(table.info, "the view", permitted)
+    for run in runs:
+        if run.run.record.method.kind == "control":
+            require_may_pass_on(table.info, f"the motions of '{run.label}'", permitted)
     scores = [run.scores(sequence_ids) for run in runs]
     followed = runs[0].run.protocol if runs else table.described_protocol.protocol()
     constants = (followed or load_protocol()).metrics
@@ -147,19 +152,6 @@ def read_scenes(
             for run, colour, values in zip(runs, METHOD_COLOURS, scores, strict=False)
         ]
         yield scene_of(chunks[name], table.info, motions, permitted=permitted, constants=constants)
-
-
-def _require_something_to_show(info: DatasetInfo, runs: Sequence[RunMotions], permitted: Collection[str]) -> None:
-    """Refuse a view of recorded motion alone, or of a control made from it, where the licence keeps recorded motion.
-
-    Raises:
-        RedistributionError: naming the dataset and how permission is stated.
-    """
-    if not runs:
-        require_may_pass_on(info, "the view", permitted)
-    for run in runs:
-        if run.run.record.method.kind == "control":
-            require_may_pass_on(info, f"the motions of '{run.label}'", permitted)
 
 
 def scene_of(
@@ -183,7 +175,19 @@ def scene_of(
     shown = may_pass_on(info, permitted)
     gaze = gaze_of(chunk)
     placed = info.why_not_scored is None  # else the goal's frame is unknown, so that no distance means anything
-    scores = _own_scores(chunk, gaze, constants) if placed else {}
+    scores = {}
+    if placed:
+        # The recorded motion's own scores are the ceiling that a method is compared with.
+        targets = ScoringTargets(
+            goal_location=chunk.vectors("goal_location").astype(np.float64),
+            prime_time=chunk.numbers("prime_time") - chunk.numbers("start_time"),
+            hand=np.array([_SIDES.get(side, UNKNOWN_HAND) for side in chunk.strings("hand")]),
+            head_tilt_deg=chunk.numbers("head_tilt_deg"),
+            fps=chunk.numbers("fps"),
+            gaze=GazeRays(gaze.origin, gaze.direction, gaze.valid),
+        )
+        motion = MotionBatch(chunk.joints, chunk.offsets)
+        scores = {name: float(column.value[0]) for name, column in score(motion, motion, targets, constants).items()}
     eyes = gaze if gaze.valid.any() else None
     recorded = ShownMotion(RECORDED, RECORDED_COLOUR, chunk.joints.astype(np.float64), scores, eyes)
     action, name, hand, split = (chunk.strings(column)[0] for column in ("action", "object_name", "hand", "split"))
@@ -219,18 +223,3 @@ def gaze_of(chunk: SequenceChunk) -> Gaze:
         chunk.frames("gaze_direction").astype(np.float64),
         np.asarray(chunk.frames("gaze_valid"), dtype=bool),
     )
-
-
-def _own_scores(chunk: SequenceChunk, gaze: Gaze, constants: MetricConstants) -> dict[str, float]:
-    """Score the recorded motion itself, as the ceiling that a method is compared with."""
-    targets = ScoringTargets(
-        goal_location=chunk.vectors("goal_location").astype(np.float64),
-        prime_time=chunk.numbers("prime_time") - chunk.numbers("start_time"),
-        hand=np.array([_SIDES.get(side, UNKNOWN_HAND) for side in chunk.strings("hand")]),
-        head_tilt_deg=chunk.numbers("head_tilt_deg"),
-        fps=chunk.numbers("fps"),
-        gaze=GazeRays(gaze.origin, gaze.direction, gaze.valid),
-    )
-    recorded = MotionBatch(chunk.joints, chunk.offsets)
-    values = score(recorded, recorded, targets, constants)
-    return {metric: float(column.value[0]) for metric, column in values.items()}

@@ -63,7 +63,7 @@ class Goal:
     """Place of the object at the event; canonical frame, metres.
 
     Attributes:
-        box_corners: In the order that :data:`prbench.viewing.figures.BOX_EDGES` expects.
+        box_corners: Corners in the order that :data:`prbench.viewing.figures.BOX_EDGES` expects.
     """
 
     location: Float[np.ndarray, "3"]
@@ -156,9 +156,9 @@ class Measures:
     """Measurements of one motion against the goal, one value a frame.
 
     Attributes:
-        head_distance: From the goal to the head-forward ray, metres; Prime Success compares it with its threshold.
-        head_angle: Between the head-forward ray and the direction to the goal, degrees.
-        wrist_distance: From the goal to the nearer wrist, metres.
+        head_distance: Distance from the goal to the head-forward ray, metres, as Prime Success measures it.
+        head_angle: Angle between the head-forward ray and the direction to the goal, degrees.
+        wrist_distance: Distance from the goal to the nearer wrist, metres.
     """
 
     head_distance: Float[np.ndarray, " n"]

@@ -103,18 +103,13 @@ def draw_strip(
     axes.set(xlim=(-0.75, places[-1] + 0.95), ylim=(-0.05, 2.15), yticks=[0, 1, 2])
     axes.set_ylabel("height (m)", fontsize=7.5)
     axes.set_title(figure_text(motion.label), fontsize=9.5, color=motion.colour, weight="bold", loc="left", pad=2)
-    axes.set_xticks(places, [_when(scene, int(frame)) for frame in frames] if with_times else [""] * len(places))
+    marks = {scene.n_frames - 1: "event", scene.prime_frame: "prime"}
+    times = [f"{frame / scene.fps:.2f} s\n{marks.get(int(frame), '')}".rstrip() for frame in frames]
+    axes.set_xticks(places, times if with_times else [""] * len(places))
     axes.tick_params(labelsize=7.5, length=2)
     axes.axhline(0.0, color="0.8", linewidth=0.6, zorder=0)
     for side in ("top", "right", "bottom"):
         axes.spines[side].set_visible(False)
-
-
-def _when(scene: Scene, frame: int) -> str:
-    time = f"{frame / scene.fps:.2f} s"
-    if frame == scene.prime_frame:
-        return f"{time}\nprime"
-    return f"{time}\nevent" if frame == scene.n_frames - 1 else time
 
 
 def draw_way(axes: Axes, scene: Scene, frames: Int[np.ndarray, " poses"]) -> None:
@@ -396,7 +391,7 @@ def write_view(scenes: Sequence[Scene], path: Path, kind: str, progress: Progres
     Args:
         scenes: Scenes to show, in order.
         path: The file; replaced when it exists.
-        kind: As :func:`file_kind` returned it.
+        kind: What :func:`file_kind` returned for the path.
         progress: Called after every step.
 
     Raises:

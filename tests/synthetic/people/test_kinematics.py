@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from prbench.geometry.skeleton import rotation_matrices
 from prbench.randomness import named_generator
 from prbench.synthetic.people.kinematics import (
     blend,
     eased_trapezoid,
-    matrix_of,
     minimum_jerk,
     quaternion,
     rotation,
@@ -64,7 +64,7 @@ def test_two_bone_limbs_keep_their_lengths_and_reach_what_is_within_reach() -> N
 def test_quaternions_and_matrices_agree() -> None:
     yaw, pitch = rng("angles").uniform(-7.0, 7.0, (2, 300))
     matrices = rotation(yaw, pitch)
-    assert matrix_of(quaternion(matrices)) == pytest.approx(matrices)
+    assert rotation_matrices(quaternion(matrices)) == pytest.approx(matrices)
     assert rotation_quaternion(yaw, pitch) == pytest.approx(quaternion(matrices))
     assert matrices @ [0.0, 0.0, 1.0] == pytest.approx(turn(yaw, pitch, np.array([0.0, 0.0, 1.0])))
 

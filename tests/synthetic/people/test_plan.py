@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from prbench.errors import UsageError
-from prbench.geometry.skeleton import WRISTS
+from prbench.geometry.skeleton import WRISTS, rotation_matrices
 from prbench.synthetic.people import PRESETS, perform
-from prbench.synthetic.people.kinematics import matrix_of
-from prbench.synthetic.people.plan import possible_tags
+from prbench.synthetic.people.plan import shares_for
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
 
 
@@ -30,7 +29,7 @@ def frames(performance: Performance, start: float, end: float) -> slice:
 def finger_clearance(performance: Performance, event: TrueEvent, item: ObjectMotion, span: slice) -> np.ndarray:
     """Distance of the acting finger base from the oriented box, metres."""
     finger = performance.finger_bases[span, int(event.hand == "right")]
-    in_box = (finger - item.position[0]) @ matrix_of(item.rotation[0])
+    in_box = (finger - item.position[0]) @ rotation_matrices(item.rotation[0])
     return np.linalg.norm(np.maximum(np.abs(in_box) - item.half_extents, 0.0), axis=1)
 
 
@@ -109,7 +108,7 @@ def test_a_door_turns_about_its_hinge_and_is_excluded() -> None:
     for event, item in found:
         assert event.expected == "excluded_category"
         assert item.hinged
-        axis = item.position + matrix_of(item.rotation) @ (item.half_extents * [1.0, 0.0, 0.0])
+        axis = item.position + rotation_matrices(item.rotation) @ (item.half_extents * [1.0, 0.0, 0.0])
         assert np.ptp(axis, axis=0).max() < 1e-9
         assert np.linalg.norm(item.position[-1] - item.position[0]) > 0.05
 
@@ -122,7 +121,7 @@ def test_what_stands_on_a_tray_moves_with_it_and_has_no_event() -> None:
         item for item in performance.objects if len(item.position) > 1 and item.object_id not in named and item.movable
     ]
     assert loads
-    frames_of_tray = matrix_of(tray.rotation)
+    frames_of_tray = rotation_matrices(tray.rotation)
     for load in loads:
         in_tray = np.einsum("nji,nj->ni", frames_of_tray, load.position - tray.position)
         if np.linalg.norm(in_tray[0]) < 0.2:  # the load of this tray, not of the second one
@@ -156,7 +155,7 @@ def test_a_tenth_of_the_movements_is_provoked_by_default() -> None:
     events = [
         event for index in range(7) for event in perform("adt", seed=2, index=index, n_events=10, rate=15.0).events
     ]
-    tags = set(possible_tags(PRESETS["adt"]))
+    tags = set(shares_for(PRESETS["adt"], None))
     assert 0.04 < sum(event.tag in tags for event in events) / len(events) < 0.25
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import prbench.synthetic
 from prbench.geometry.shapes import near_miss, slab_test
-from prbench.geometry.skeleton import PARENTS, WRISTS, Joint
+from prbench.geometry.skeleton import PARENTS, WRISTS, Joint, rotation_matrices
 from prbench.synthetic.people.truth import first_sight, meets_box, passing_distance, slab_interval
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
 
@@ -88,14 +88,13 @@ def test_a_hit_is_the_first_time_that_the_gaze_meets_the_box(adt_120: Performanc
 
 
 def test_limb_rotations_turn_the_y_axis_along_the_bone(adt_120: Performance) -> None:
-    from prbench.synthetic.people.kinematics import matrix_of
 
     for child in (Joint.LEFT_KNEE, Joint.RIGHT_ANKLE, Joint.LEFT_ELBOW, Joint.RIGHT_WRIST):
         parent = PARENTS[child]
         bone = adt_120.joints[:, child] - adt_120.joints[:, parent]
-        along = matrix_of(adt_120.rotations[:, parent])[..., 1]
+        along = rotation_matrices(adt_120.rotations[:, parent])[..., 1]
         assert along == pytest.approx(bone / np.linalg.norm(bone, axis=1, keepdims=True), abs=1e-9)
-    hand = matrix_of(adt_120.rotations[:, WRISTS[0]])[..., 1]
+    hand = rotation_matrices(adt_120.rotations[:, WRISTS[0]])[..., 1]
     length = np.linalg.norm(adt_120.finger_bases[:, 0] - adt_120.joints[:, WRISTS[0]], axis=1, keepdims=True)
     assert adt_120.finger_bases[:, 0] == pytest.approx(adt_120.joints[:, WRISTS[0]] + length * hand)
 
