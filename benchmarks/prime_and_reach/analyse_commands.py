@@ -19,6 +19,9 @@ if TYPE_CHECKING:  # help is quick: tables load NumPy
     from prbench.tables import Table
 
 
+Paths = tuple[Path, ...]
+
+
 class AnalysisReport(msgspec.Struct, frozen=True, kw_only=True):
     """What was found out.
 
@@ -45,19 +48,14 @@ def _answer(report: AnalysisReport, *lines: str) -> Answer:
     return Answer(report, show)
 
 
-def _agreement(runs: tuple[Path, ...], *, data: tuple[Path, ...], workers: int) -> Answer:
+def _agreement(runs: Paths, *, data: Paths, workers: int) -> Answer:
     from prbench_benchmarks.prime_and_reach.agreement import agreement_tables
 
     return _answer(AnalysisReport(tables=agreement_tables(runs, run_checker(data, workers))))
 
 
 def _diversity(
-    runs: tuple[Path, ...],
-    *,
-    data: tuple[Path, ...],
-    fan: Path | None,
-    sequence: str | None,
-    permission: tuple[str, ...],
+    runs: Paths, *, data: Paths, fan: Path | None, sequence: str | None, permission: tuple[str, ...]
 ) -> Answer:
     from prbench.viewing.fan import draw_fan
     from prbench.viewing.figures import require_drawable
@@ -79,7 +77,7 @@ def _diversity(
     return _answer(AnalysisReport(tables=tables, fan=fan, fan_sequence=drawn.sequence_id), *lines)
 
 
-def _errors(runs: tuple[Path, ...], *, beside: Path | None, data: tuple[Path, ...], out: Path | None) -> Answer:
+def _errors(runs: Paths, *, beside: Path | None, data: Paths, out: Path | None) -> Answer:
     from prbench.harness.first_run import table_finder
     from prbench_benchmarks.prime_and_reach.error_budget.budget import error_budgets
 
@@ -143,7 +141,7 @@ def _report_file(ctx: click.Context, _: click.Parameter, value: Path | Remote | 
 )
 @workers_option()
 @click.pass_context
-def analyse(ctx: click.Context, kind: str, runs: tuple[Path, ...], **given: Any) -> Answer:
+def analyse(ctx: click.Context, kind: str, runs: Paths, **given: Any) -> Answer:
     """Say on which sequences methods succeed, how far their motions differ, or why they fail.
 
     agreement: on which sequences methods succeed: those of recorded people, and by where the goal is.

@@ -10,21 +10,8 @@ import click
 import msgspec
 from click.core import ParameterSource
 
+from prbench.cli import options as opt
 from prbench.cli.commands import Answer, SeveralValues, command, note, progress, session
-from prbench.cli.options import (
-    OUT_FILE,
-    PATH,
-    collected_runs,
-    data_option,
-    device_option,
-    limit_option,
-    permission_option,
-    run_checker,
-    seed_option,
-    sequence_option,
-    threads_option,
-    workers_option,
-)
 from prbench.cli.places import PlaceType, Remote
 from prbench.cli.terminal import print_tables
 from prbench.entry_points import STUDY_ITEMS, load_built_in
@@ -32,6 +19,9 @@ from prbench.errors import RunError, TableError, UsageError
 
 if TYPE_CHECKING:  # help is quick: tables load NumPy
     from prbench.tables import Table
+
+
+Paths = tuple[Path, ...]
 
 
 class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -88,7 +78,7 @@ def _number(item: str) -> str:
     return item.removeprefix("table-").upper()
 
 
-def _sizes(item: str, folders: tuple[Path, ...], *, out: tuple[Path, ...]) -> Answer:
+def _sizes(item: str, folders: Paths, *, out: Paths) -> Answer:
     from prbench.sequences import SequenceTable
     from prbench_benchmarks.prime_and_reach.study.sizes import table_one, table_s2
 
@@ -96,20 +86,12 @@ def _sizes(item: str, folders: tuple[Path, ...], *, out: tuple[Path, ...]) -> An
     return _answer([make([SequenceTable.open(folder) for folder in folders])], out)
 
 
-def _methods(
-    item: str,
-    runs: tuple[Path, ...],
-    *,
-    data: tuple[Path, ...],
-    with_published: bool,
-    out: tuple[Path, ...],
-    workers: int,
-) -> Answer:
+def _methods(item: str, runs: Paths, *, data: Paths, with_published: bool, out: Paths, workers: int) -> Answer:
     from prbench.board import make_leaderboard
     from prbench.sequences import SequenceTable
     from prbench_benchmarks.prime_and_reach.study.methods import methods_table, poses_table
 
-    collected = collected_runs(runs, data, workers)
+    collected = opt.collected_runs(runs, data, workers)
     if not collected.rows:
         raise RunError("no finished run was found.")
     board = make_leaderboard(collected)
@@ -122,36 +104,21 @@ def _methods(
     return _answer(tables, out)
 
 
-def _ablation(
-    item: str,
-    folders: tuple[Path, ...],
-    *,
-    data: tuple[Path, ...],
-    with_published: bool,
-    out: tuple[Path, ...],
-    workers: int,
-) -> Answer:
+def _ablation(item: str, folders: Paths, *, data: Paths, with_published: bool, out: Paths, workers: int) -> Answer:
     from prbench_benchmarks.prime_and_reach.ablation import ablation_table
 
     if len(folders) != 1:
         raise UsageError(f"study {item}: name one DIR, the folder of one configuration, such as ablations/paper.")
-    check = run_checker(data, workers).check
+    check = opt.run_checker(data, workers).check
     return _answer(ablation_table(_number(item), folders[0], check, with_published=with_published), out)
 
 
-def _evaluations(item: str, reports: tuple[Path, ...], *, with_published: bool, out: tuple[Path, ...]) -> Answer:
+def _evaluations(item: str, reports: Paths, *, with_published: bool, out: Paths) -> Answer:
     return _answer([load_built_in(STUDY_ITEMS, item)(reports, with_published=with_published)], out)
 
 
 def _prediction(
-    item: str,
-    inputs: tuple[Path, ...],
-    *,
-    weights: Path | None,
-    limit: int | None,
-    device: str,
-    seed: int,
-    out: tuple[Path, ...],
+    item: str, inputs: Paths, *, weights: Path | None, limit: int | None, device: str, seed: int, out: Paths
 ) -> Answer:
     """Score the rows of the study of motion prediction on the first input, windows; the others are finished runs."""
     from prbench.viewing.figures import FORMATS
@@ -169,13 +136,13 @@ def _prediction(
 
 def _train(
     item: str,
-    folders: tuple[Path, ...],
+    folders: Paths,
     *,
-    data: tuple[Path, ...],
+    data: Paths,
     nymeria: Path | None,
     humanml3d: Path | None,
     configuration: Path,
-    out: tuple[Path, ...],
+    out: Paths,
     workers: int,
     **settings: Any,
 ) -> Answer:
@@ -199,13 +166,15 @@ def _train(
     tables = []
     files = []
     if runs:
-        tables = ablation_table(_number(item), request.folder, run_checker(data, workers).check, with_published=True)
+        tables = ablation_table(
+            _number(item), request.folder, opt.run_checker(data, workers).check, with_published=True
+        )
         files = [request.folder / f"{item.replace('-', '_')}{suffix}" for suffix in (".csv", ".tex", ".md")]
     lines = [f"failed: {name}: {reason}" for name, reason in failed.items()]
     return _answer(tables, files, lines=lines, folder=request.folder, runs=runs, failed=failed)
 
 
-def _distributions(_item: str, folders: tuple[Path, ...], *, out: tuple[Path, ...]) -> Answer:
+def _distributions(_item: str, folders: Paths, *, out: Paths) -> Answer:
     from prbench.sequences import SequenceTable
     from prbench.sequences.table import table_statistics
     from prbench.viewing.distributions import draw_table_one
@@ -219,16 +188,7 @@ def _distributions(_item: str, folders: tuple[Path, ...], *, out: tuple[Path, ..
     return _answer([table_one(tables)], (), out[0])
 
 
-def _drawn(
-    item: str,
-    runs: tuple[Path, ...],
-    *,
-    data: tuple[Path, ...],
-    numbers: tuple[Path, ...],
-    out: tuple[Path, ...],
-    workers: int,
-    by: str = "",
-) -> Answer:
+def _drawn(item: str, runs: Paths, *, data: Paths, numbers: Paths, out: Paths, workers: int, by: str = "") -> Answer:
     from prbench.engine import engine_for
     from prbench_benchmarks.prime_and_reach.study.breakdown import breakdown_table
     from prbench_benchmarks.prime_and_reach.study.charts import draw_breakdown, draw_sweep
@@ -257,13 +217,13 @@ _PICTURES = {
 
 def _motions(
     item: str,
-    inputs: tuple[Path, ...],
+    inputs: Paths,
     *,
     sequences: tuple[str, ...],
     limit: int | None,
     permission: tuple[str, ...],
-    out: tuple[Path, ...],
-    data: tuple[Path, ...] | None = None,
+    out: Paths,
+    data: Paths | None = None,
 ) -> Answer:
     from prbench.viewing.view import ViewRequest, scenes_of
     from prbench_benchmarks.prime_and_reach.study.motions import draw_examples, draw_moments
@@ -348,7 +308,7 @@ class _OutType(PlaceType):
     items={name: f"{item.inputs}...: {item.title}" for name, item in _ITEMS.items()},
 )
 @click.argument("item", type=click.Choice(list(_ITEMS)), metavar="ITEM")
-@click.argument("inputs", type=PATH, nargs=-1, metavar="[DIR|RUN|FILE]...")
+@click.argument("inputs", type=opt.PATH, nargs=-1, metavar="[DIR|RUN|FILE]...")
 @click.option(
     "--train",
     is_flag=True,
@@ -356,7 +316,7 @@ class _OutType(PlaceType):
     help="Tables 3, 4 and S4 to S7: train and run the rows, then print the table. A row that fails ends nothing but"
     " itself; the same command tries it again and goes on where it was interrupted.",
 )
-@data_option(
+@opt.data_option(
     required=False,
     help="The tables of the runs: scores are held against the motions on them, and called unverified without; the"
     " embedded tables need not be named. With --train: split 'train' is learnt from, 'test' is run.",
@@ -377,7 +337,7 @@ class _OutType(PlaceType):
 @click.option(
     "--numbers",
     cls=SeveralValues,
-    type=OUT_FILE,
+    type=opt.OUT_FILE,
     metavar="FILE...",
     help="Write what the figure draws to these files: .csv, .tex or .md.",
 )
@@ -387,27 +347,27 @@ class _OutType(PlaceType):
     default="action",
     help="What sequences are grouped by (default action): pick or put, the reaching hand, or the kind of prime.",
 )
-@sequence_option("Draw this sequence")
-@limit_option("2, 1 and 3 in Figures 1, 2 and 5; all with --train")
-@permission_option
-@click.option("--nymeria", type=PATH, metavar="DIR", help="The built corpus Nymeria, to pre-train on.")
-@click.option("--humanml3d", type=PATH, metavar="DIR", help="The same of HumanML3D (Table 4).")
+@opt.sequence_option("Draw this sequence")
+@opt.limit_option("2, 1 and 3 in Figures 1, 2 and 5; all with --train")
+@opt.permission_option
+@click.option("--nymeria", type=opt.PATH, metavar="DIR", help="The built corpus Nymeria, to pre-train on.")
+@click.option("--humanml3d", type=opt.PATH, metavar="DIR", help="The same of HumanML3D (Table 4).")
 @click.option(
     "--config",
     "configuration",
-    type=PATH,
+    type=opt.PATH,
     default="paper",
     metavar="NAME|FILE",
     help="Configuration of the trainings: paper (default: days on a GPU), small, smoke (seconds; learns nothing,"
     " and its table is stamped so), or a .toml file.",
 )
-@click.option("--weights", type=PATH, metavar="DIR", help="Weights of prediction by row: no-gaze.safetensors …")
-@device_option
-@threads_option
-@seed_option("of the runs")
-@workers_option()
+@click.option("--weights", type=opt.PATH, metavar="DIR", help="Weights of prediction by row: no-gaze.safetensors …")
+@opt.device_option
+@opt.threads_option
+@opt.seed_option("of the runs")
+@opt.workers_option()
 @click.pass_context
-def study(ctx: click.Context, item: str, inputs: tuple[Path, ...], train: bool, **given: Any) -> Answer:
+def study(ctx: click.Context, item: str, inputs: Paths, train: bool, **given: Any) -> Answer:
     """Make a table or figure of the study from your own tables and runs (docs/study.md).
 
     DIR are built tables, for ablations the folder of one configuration, such as ablations/paper; RUN are run folders,

@@ -170,10 +170,7 @@ def time_optimisation(batch: ConditionBatch, options: argparse.Namespace) -> Non
 
     def search(iterations: int) -> Callable[[], object]:
         settings = OptimisationSettings(
-            ddim_steps=_OPTIMISATION_STEPS,
-            iterations=iterations,
-            guidance=_GUIDANCE,
-            batch_size=len(batch),
+            ddim_steps=_OPTIMISATION_STEPS, iterations=iterations, guidance=_GUIDANCE, batch_size=len(batch)
         )
         noise = start_noise(batch.noise_seed, batch.n_frames, options.device)
         n_frames = torch.as_tensor(batch.n_frames)

@@ -110,13 +110,7 @@ def not_worse_than_people(controls: Sequence[ControlMeans], info: MetricInfo) ->
 
 
 def audit(
-    data: Sequence[Path],
-    *,
-    split: str,
-    limit: int | None,
-    out: Path | None,
-    engine: Engine,
-    progress: Progress,
+    data: Sequence[Path], *, split: str, limit: int | None, out: Path | None, engine: Engine, progress: Progress
 ) -> tuple[TableAudit, ...]:
     """Score all controls on some tables.
 

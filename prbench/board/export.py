@@ -9,32 +9,14 @@ from typing import Any
 import msgspec
 
 from prbench.board.collect import COSTS
-from prbench.board.tables import (
-    FEWEST_RANKED,
-    DatasetTable,
-    Leaderboard,
-    MacroTable,
-    TableRow,
-    hides,
-    undecided_lines,
-)
+from prbench.board.tables import FEWEST_RANKED, DatasetTable, Leaderboard, MacroTable, TableRow, hides, undecided_lines
 from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.errors import UsageError
 from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.run_folder.record import CONTROL, RunRecord
 from prbench.harness.run_folder.summary import EDGE_ARRIVAL, DatasetSummary
 from prbench.protocol.manifests import default_benchmark
-from prbench.tables import (
-    Block,
-    Cell,
-    Column,
-    Row,
-    Table,
-    csv_lines,
-    metric_cell,
-    metric_column,
-    note_of,
-)
+from prbench.tables import Block, Cell, Column, Row, Table, csv_lines, metric_cell, metric_column, note_of
 from prbench.tables import as_markdown as tables_as_markdown
 
 _CSV_COLUMNS = (

@@ -183,10 +183,7 @@ _FAILED = 5  # as for every other breach of the adapter contract
 @click.argument("method")
 @opt.benchmark_option
 @click.option(
-    "--data",
-    type=opt.PATH,
-    metavar="DIR",
-    help="Ask about 12 test cases of this table (default: synthetic people).",
+    "--data", type=opt.PATH, metavar="DIR", help="Ask about 12 test cases of this table (default: synthetic people)."
 )
 @opt.method_settings
 @click.option(
@@ -274,8 +271,7 @@ def print_report(report: Report) -> None:
 )
 @click.argument("motions", type=opt.PATH, metavar="FILE")
 @opt.data_option(
-    required=False,
-    help="Built dataset folder(s): compare with their initial poses, lengths and recordings.",
+    required=False, help="Built dataset folder(s): compare with their initial poses, lengths and recordings."
 )
 @click.option(
     "--conditions", type=opt.PATH, metavar="FILE", help="Compare with this file of `prbench export-conditions`."

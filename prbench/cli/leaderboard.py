@@ -25,12 +25,7 @@ EXAMPLE = "prbench leaderboard export runs/static runs/ground-truth --format md 
 
 leaderboard = Group(
     "leaderboard",
-    sections={
-        "commands": {
-            "export": "prbench.cli.leaderboard:export",
-            "compare": "prbench.cli.leaderboard:compare",
-        }
-    },
+    sections={"commands": {"export": "prbench.cli.leaderboard:export", "compare": "prbench.cli.leaderboard:compare"}},
     example=EXAMPLE,
     help="Put finished runs side by side.",
 )

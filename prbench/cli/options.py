@@ -83,10 +83,7 @@ benchmark_option = click.option(
 # One built dataset folder or more.
 data_arguments = click.argument("data", type=PATH, nargs=-1, required=True, metavar="DIR...")
 weights_option = click.option(
-    "--weights",
-    type=PATH,
-    metavar="NAME|FILE",
-    help="The method's weights: bundled ones by name, a file or a folder.",
+    "--weights", type=PATH, metavar="NAME|FILE", help="The method's weights: bundled ones by name, a file or a folder."
 )
 device_option = click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1 ….")
 threads_option = click.option("--threads", type=POSITIVE, default=1, metavar="N", help="Threads a process (default 1).")

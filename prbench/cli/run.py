@@ -96,10 +96,7 @@ _FIRST_RUN_WORKERS = 2
     help=f"Answers to each case: motions a sequence, futures a window (default {opt.usual_number('samples')}).",
 )
 @click.option(
-    "--batch-size",
-    type=opt.POSITIVE,
-    metavar="N",
-    help=f"Cases a batch (default {opt.usual_number('batch_size')}).",
+    "--batch-size", type=opt.POSITIVE, metavar="N", help=f"Cases a batch (default {opt.usual_number('batch_size')})."
 )
 @click.option(
     "--isolate",
@@ -269,11 +266,7 @@ def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> opt.M
     made = report.batches_made + report.batches_found
     _note_found(report.batches_found)
     return opt.MadeShard(
-        shard=str(shard),
-        folder=report.folder,
-        made_of=made,
-        planned=report.planned,
-        taken_over=report.batches_found,
+        shard=str(shard), folder=report.folder, made_of=made, planned=report.planned, taken_over=report.batches_found
     )
 
 
