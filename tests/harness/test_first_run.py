@@ -19,7 +19,7 @@ from prbench.harness.synthetic_table import recordings_of_people
 from prbench.sequences import DatasetInfo
 from prbench.synthetic.people.world import Source, assign
 from tests.fakes import fake_dataset
-from tests.files.test_locks import holder
+from tests.files.test_storage import holder
 
 
 @pytest.fixture
