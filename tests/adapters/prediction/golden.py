@@ -109,6 +109,25 @@ def largest_difference(found: Tensor, expected: np.ndarray) -> float:
     return float(np.abs(found.detach().double().numpy() - expected.astype(np.float64)).max())
 
 
+def agree(arrays: Arrays, within: float, suffix: str = "", **found: Tensor) -> None:
+    """Hold results against the arrays of their names (with a suffix behind each)."""
+    for name, value in found.items():
+        assert largest_difference(value, arrays[name + suffix]) <= within, name
+
+
+def agree_in_size(arrays: Arrays, **found: Tensor) -> None:
+    """Hold losses against the numbers of their names, to a hundred-thousandth of each."""
+    for name, value in found.items():
+        np.testing.assert_allclose(value.detach().numpy(), arrays[name], rtol=1e-5, err_msg=name)
+
+
+def agree_in_gradient(arrays: Arrays, network: nn.Module) -> None:
+    """Hold the norm of the gradient of all parameters that are trained against the published one."""
+    gradients = [parameter.grad for parameter in network.parameters() if parameter.requires_grad]
+    norm = torch.stack([gradient.norm() for gradient in gradients]).norm()
+    np.testing.assert_allclose(norm.numpy(), arrays["grad_norm"], rtol=1e-4)
+
+
 def weights(arrays: Arrays, prefix: str) -> dict[str, np.ndarray]:
     start = f"w/{prefix}"
     return {name.removeprefix(start): array for name, array in arrays.items() if name.startswith(start)}

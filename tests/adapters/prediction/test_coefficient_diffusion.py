@@ -22,7 +22,15 @@ from prbench_adapters.prediction.coefficient_diffusion import (
     padded,
 )
 from prbench_adapters.prediction.configuration import PRESETS, preset
-from tests.adapters.prediction.golden import largest_difference, load, load_denoiser, load_encoder, tensor, weights
+from tests.adapters.prediction.golden import (
+    agree,
+    agree_in_gradient,
+    load,
+    load_denoiser,
+    load_encoder,
+    tensor,
+    weights,
+)
 
 
 def test_rows_of_constant_and_rising_values():
@@ -435,24 +443,18 @@ def test_encoder(samples, layout):
     arrays = load(samples, "gazemodiff_encoder")
     model = _gazemodiff(arrays, layout)
     load_encoder(model.encoder, arrays)
-    observed = tensor(arrays["observed"])
-    coefficients = model.transform(padded(observed, model.configuration.frames))
-    assert largest_difference(coefficients, arrays["coefficients"]) < 2e-5
+    agree(arrays, 2e-5, coefficients=model.transform(padded(tensor(arrays["observed"]), model.configuration.frames)))
     given = tensor(arrays["coefficients"])
     nodes = model.encoder.nodes(given)
+    agree(arrays, 0.0, f"_{layout}", encoder_input=nodes)
     joints = model.configuration.n_joints
-    assert largest_difference(nodes, arrays[f"encoder_input_{layout}"]) == 0.0
     pose = model.encoder.pose(nodes[:, :, :joints])
     gaze = model.encoder.gaze(nodes[:, :, joints])
-    assert largest_difference(pose, arrays[f"pose_features_{layout}"]) < 2e-6
-    assert largest_difference(gaze, arrays[f"gaze_features_{layout}"]) < 2e-6
     start = model.encoder.fusion.start(torch.cat([pose, gaze[:, :, None]], dim=2))
-    assert largest_difference(start, arrays[f"fusion_start_{layout}"]) < 2e-6
     block = model.encoder.fusion.blocks[0](torch.cat([start, start], dim=-1))
-    assert largest_difference(block, arrays[f"fusion_block0_{layout}"]) < 2e-6
+    agree(arrays, 2e-6, f"_{layout}", pose_features=pose, gaze_features=gaze, fusion_start=start, fusion_block0=block)
     condition = model.condition(given)
-    assert largest_difference(model.encoder.nodes(condition), arrays[f"encoder_output_{layout}"]) < 2e-6
-    assert largest_difference(condition, arrays[f"condition_{layout}"]) < 2e-6
+    agree(arrays, 2e-6, f"_{layout}", encoder_output=model.encoder.nodes(condition), condition=condition)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -463,56 +465,43 @@ def test_denoiser_and_loss(samples, layout):
     step, noise = tensor(arrays["t"]), tensor(arrays["training_noise"])
     levels = model.schedule.alphas_cumprod[arrays["t"]]
     np.testing.assert_allclose(levels, arrays["alpha_bar_t"], rtol=0, atol=1e-6)
-    assert largest_difference(model.denoiser.sinusoid[step], arrays["sinusoid"]) < 2e-5
     level = torch.from_numpy(levels).float()[:, None, None]
-    noisy = level.sqrt() * tensor(arrays["coefficients"]) + (1 - level).sqrt() * noise
-    assert largest_difference(noisy, arrays["x_t"]) < 5e-5
+    agree(arrays, 2e-5, sinusoid=model.denoiser.sinusoid[step])
+    agree(arrays, 5e-5, x_t=level.sqrt() * tensor(arrays["coefficients"]) + (1 - level).sqrt() * noise)
     condition = tensor(arrays[f"condition_{layout}"])
     noisy = tensor(arrays["x_t"])[:, None]
-    predicted = model.denoiser(noisy, step, model.denoiser.prepare(condition))[:, 0]
-    assert largest_difference(predicted, arrays[f"epsilon_{layout}"]) < 5e-6
-    loss = (predicted - noise).square().mean()
-    assert largest_difference(loss, arrays[f"loss_{layout}"]) < 5e-6
     none = torch.zeros(len(step), 1, dtype=torch.bool)
-    predicted = model.denoiser(noisy, step, model.denoiser.prepare(condition, none))[:, 0]
-    assert largest_difference(predicted, arrays[f"epsilon_vector_zeroed_{layout}"]) < 5e-6
+    predicted, without = (
+        model.denoiser(noisy, step, model.denoiser.prepare(condition, kept))[:, 0] for kept in (None, none)
+    )
+    loss = (predicted - noise).square().mean()
+    agree(arrays, 5e-6, f"_{layout}", epsilon=predicted, loss=loss, epsilon_vector_zeroed=without)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_sampling(samples, layout):
     arrays = load(samples, "gazemodiff_sampling")
-    model = _gazemodiff(
-        arrays,
-        layout,
-        "encoder/",
-        "denoiser/",
-        diffusion_steps=int(arrays["noise_steps"]),
-        sampling_steps=len(arrays["sampling_steps"]),
-    )
+    steps = {"diffusion_steps": int(arrays["noise_steps"]), "sampling_steps": len(arrays["sampling_steps"])}
+    model = _gazemodiff(arrays, layout, "encoder/", "denoiser/", **steps)
     load_encoder(model.encoder, arrays, "encoder/")
     load_denoiser(model.denoiser, arrays, "denoiser/")
-    assert largest_difference(model.transform.rows, arrays["dct_rows"]) < 1e-12
-    np.testing.assert_allclose(model.schedule.alphas_cumprod, arrays["alpha_bar"], rtol=0, atol=1e-6)
-    steps = [(step, previous) for step, previous in zip(arrays["sampling_steps"], arrays["sampling_steps_previous"])]
     levels = model.schedule.alphas_cumprod
-    assert list(model.moves()) == [(s, levels[s], levels[p]) for s, p in reversed(steps)]
+    np.testing.assert_allclose(levels, arrays["alpha_bar"], rtol=0, atol=1e-6)
+    moves = [(s, levels[s], levels[p]) for s, p in zip(arrays["sampling_steps"], arrays["sampling_steps_previous"])]
+    assert list(model.moves()) == moves[::-1]
     motion = tensor(arrays["motion"])
-    full = model.transform(motion)
-    assert largest_difference(full, arrays["coefficients_full"]) < 2e-5
-    truncated = model.transform.inverse(tensor(arrays["coefficients_full"]))
-    assert largest_difference(truncated, arrays["motion_truncated"]) < 2e-6
     known = model.transform(padded(motion[:, : model.configuration.observed], motion.shape[1]))
-    assert largest_difference(known, arrays["coefficients_observed"]) < 2e-5
+    agree(arrays, 1e-12, dct_rows=model.transform.rows)
+    agree(arrays, 2e-5, coefficients_full=model.transform(motion), coefficients_observed=known)
+    agree(arrays, 2e-6, motion_truncated=model.transform.inverse(tensor(arrays["coefficients_full"])))
     condition = model.condition(known)
-    assert largest_difference(condition, arrays[f"condition_{layout}"]) < 2e-5
+    agree(arrays, 2e-5, f"_{layout}", condition=condition)
     # Samples in front of windows there, behind them here.
     draws = [arrays["start_noise"], *arrays["completion_noise"].swapaxes(0, 1)]
     noise = iter([tensor(draw).transpose(0, 1) for draw in draws])
     states = list(model.states(known, condition, lambda: next(noise)))
-    found = torch.stack(states).permute(2, 0, 1, 3, 4)
-    assert largest_difference(found, arrays[f"x_{layout}"]) < 1e-4
     prediction = model.transform.inverse(states[-1]).transpose(0, 1)
-    assert largest_difference(prediction, arrays[f"prediction_{layout}"]) < 1e-4
+    agree(arrays, 1e-4, f"_{layout}", x=torch.stack(states).permute(2, 0, 1, 3, 4), prediction=prediction)
 
 
 def _humanmac(arrays):
@@ -539,19 +528,17 @@ def test_humanmac_transform_and_schedule(samples):
     model = _humanmac(arrays)
     motion = tensor(arrays["motion"])
     filled = padded(motion[:, : model.configuration.observed], motion.shape[1])
-    assert largest_difference(filled, arrays["padded"]) == 0.0
-    assert largest_difference(model.transform.rows, arrays["dct_rows"]) < 1e-12
-    assert largest_difference(model.transform(motion), arrays["coefficients"]) < 3e-5
-    assert largest_difference(model.condition(model.transform(filled)), arrays["condition"]) < 3e-5
-    for key, value in (("coefficients", "motion_truncated"), ("condition", "condition_motion")):
-        assert largest_difference(model.transform.inverse(tensor(arrays[key])), arrays[value]) < 5e-6
+    agree(arrays, 0.0, padded=filled)
+    agree(arrays, 1e-12, dct_rows=model.transform.rows)
+    condition = model.condition(model.transform(filled))
+    agree(arrays, 3e-5, coefficients=model.transform(motion), condition=condition)
+    back = {name: model.transform.inverse(tensor(arrays[name])) for name in ("coefficients", "condition")}
+    agree(arrays, 5e-6, motion_truncated=back["coefficients"], condition_motion=back["condition"])
     np.testing.assert_allclose(model.schedule.alphas_cumprod, arrays["alpha_bar"], rtol=0, atol=1e-6)
     table = model.denoiser.sinusoid[tensor(arrays["t"])]
-    assert largest_difference(table, arrays["sinusoid"]) < 3e-5
-    assert largest_difference(model.denoiser.time(table), arrays["time_embedding"]) < 3e-5
     level = torch.from_numpy(model.schedule.alphas_cumprod[arrays["t"]]).float()[:, None, None]
     noisy = level.sqrt() * tensor(arrays["coefficients"]) + (1 - level).sqrt() * tensor(arrays["training_noise"])
-    assert largest_difference(noisy, arrays["x_t"]) < 3e-5
+    agree(arrays, 3e-5, sinusoid=table, time_embedding=model.denoiser.time(table), x_t=noisy)
 
 
 def test_humanmac_denoiser_loss_and_gradient(samples):
@@ -559,20 +546,16 @@ def test_humanmac_denoiser_loss_and_gradient(samples):
     model = _humanmac(arrays)
     step, noise, condition = (tensor(arrays[name]) for name in ("t", "training_noise", "condition"))
     noisy = tensor(arrays["x_t"])[:, None]
-    predicted = model.denoiser(noisy, step, model.denoiser.prepare(condition))[:, 0]
-    assert largest_difference(predicted, arrays["epsilon"]) < 2e-5
-    loss = (predicted - noise).square().mean()
-    assert loss.item() == pytest.approx(float(arrays["loss"]), abs=1e-5)
-    loss.backward()
-    norm = torch.stack([parameter.grad.norm() for parameter in model.parameters()]).norm()
-    assert norm.item() == pytest.approx(float(arrays["grad_norm"]), rel=1e-4)
     none = torch.zeros(len(step), 1, dtype=torch.bool)
-    without = model.denoiser(noisy, step, model.denoiser.prepare(condition, none))[:, 0]
-    assert largest_difference(without, arrays["epsilon_unconditioned"]) < 2e-5
-    loss = (without - noise).square().mean()
-    assert loss.item() == pytest.approx(float(arrays["loss_unconditioned"]), abs=1e-5)
-    whole = model.loss(tensor(arrays["motion"]), step, noise)
-    assert whole.item() == pytest.approx(float(arrays["loss"]), abs=1e-5)
+    predicted, without = (
+        model.denoiser(noisy, step, model.denoiser.prepare(condition, kept))[:, 0] for kept in (None, none)
+    )
+    loss = (predicted - noise).square().mean()
+    agree(arrays, 2e-5, epsilon=predicted, epsilon_unconditioned=without)
+    agree(arrays, 1e-5, loss=loss, loss_unconditioned=(without - noise).square().mean())
+    agree(arrays, 1e-5, loss=model.loss(tensor(arrays["motion"]), step, noise))
+    loss.backward()
+    agree_in_gradient(arrays, model)
 
 
 @pytest.mark.parametrize("suffix", ["", "_unconditioned"])
@@ -583,6 +566,5 @@ def test_humanmac_sampling(samples, suffix):
     noise = iter([tensor(draw)[:, None] for draw in (arrays["start_noise"], *arrays["completion_noise"])])
     kept = torch.zeros(len(known), 1, dtype=torch.bool) if suffix else None
     states = list(model.states(known, model.condition(known), lambda: next(noise), kept))
-    assert largest_difference(torch.stack(states)[:, :, 0], arrays[f"x{suffix}"]) < 5e-4
-    prediction = model.transform.inverse(states[-1])[:, 0]
-    assert largest_difference(prediction, arrays[f"prediction{suffix}"]) < 2e-4
+    agree(arrays, 5e-4, suffix, x=torch.stack(states)[:, :, 0])
+    agree(arrays, 2e-4, suffix, prediction=model.transform.inverse(states[-1])[:, 0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import signal
@@ -133,22 +134,9 @@ def test_turning_the_room_turns_the_futures(trained):
 def test_windows_of_another_rate_are_interpolated_in_time(trained):
     predictor = trained.predictor("cvae")
     batch = trained.batch(Condition.POSE).rows(0, 1)
-    slower = ObservedBatch(
-        condition=batch.condition,
-        fps=20.0,
-        n_future=40,
-        joint_names=batch.joint_names,
-        observed_joints=np.repeat(batch.observed_joints[:, -1:], 10, axis=1),
-        key=batch.key,
-    )
-    usual = ObservedBatch(
-        condition=batch.condition,
-        fps=30.0,
-        n_future=60,
-        joint_names=batch.joint_names,
-        observed_joints=np.repeat(batch.observed_joints[:, -1:], 15, axis=1),
-        key=batch.key,
-    )
+    last = batch.observed_joints[:, -1:]
+    slower = dataclasses.replace(batch, fps=20.0, n_future=40, observed_joints=np.repeat(last, 10, axis=1))
+    usual = dataclasses.replace(batch, observed_joints=np.repeat(last, 15, axis=1))
     at_20 = predictor.predict(slower, n_samples=2, seed=0).joints
     at_30 = predictor.predict(usual, n_samples=2, seed=0).joints
     np.testing.assert_allclose(at_20[:, :, 1::2], at_30[:, :, 2::3], atol=1e-5)  # 0.1 s, 0.2 s, …
@@ -157,40 +145,18 @@ def test_windows_of_another_rate_are_interpolated_in_time(trained):
 def test_windows_of_another_duration_and_other_joints_are_refused(trained):
     predictor = trained.predictor("cvae")
     batch = trained.batch(Condition.POSE)
-    longer = ObservedBatch(
-        condition=batch.condition,
-        fps=30.0,
-        n_future=90,
-        joint_names=batch.joint_names,
-        observed_joints=batch.observed_joints,
-        key=batch.key,
-    )
+    longer = dataclasses.replace(batch, n_future=90)
     with pytest.raises(AdapterError, match=r"predicts 2 s, these windows have 0\.5 s and 3 s"):
         predictor.predict(longer, n_samples=1, seed=0)
-    fewer = ObservedBatch(
-        condition=batch.condition,
-        fps=30.0,
-        n_future=60,
-        joint_names=batch.joint_names[:21],
-        observed_joints=batch.observed_joints[:, :, :21],
-        key=batch.key,
-    )
+    names = batch.joint_names[:21]
+    fewer = dataclasses.replace(batch, joint_names=names, observed_joints=batch.observed_joints[:, :, :21])
     with pytest.raises(AdapterError, match=r"22 joints of smpl22.*21 others"):
         predictor.predict(fewer, n_samples=1, seed=0)
 
 
 def test_gaze_that_nobody_measured_is_refused(trained):
     batch = trained.batch(Condition.POSE_GAZE).rows(0, 1)
-    blind = ObservedBatch(
-        condition=batch.condition,
-        fps=batch.fps,
-        n_future=batch.n_future,
-        joint_names=batch.joint_names,
-        observed_joints=batch.observed_joints,
-        key=batch.key,
-        gaze=batch.gaze,
-        gaze_valid=np.zeros((1, 15), dtype=bool),
-    )
+    blind = dataclasses.replace(batch, gaze_valid=np.zeros((1, 15), dtype=bool))
     with pytest.raises(AdapterError, match="gazemodiff: window 0 of the batch has no valid gaze"):
         trained.predictor("gazemodiff").predict(blind, n_samples=1, seed=0)
 
