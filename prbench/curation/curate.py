@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.curation.clipping import Clip, clip
 from prbench.curation.events import Decision, PickPutEvent, Place, find_events
-from prbench.curation.options import DEFAULTS, CurationOptions, minimum_movement
+from prbench.curation.options import DEFAULTS, CurationOptions
 from prbench.curation.priming import PUBLISHED_STAGE, Prime, find_prime, gaze_rays
 from prbench.errors import RecordingUnusable
 from prbench.geometry.shapes import Boxes, deepest
@@ -159,9 +159,18 @@ def _follow(
     piece = clip(recording, prime_time=prime.time, event_time=event.event_time, protocol=protocol)
     if isinstance(piece, Decision):
         return piece, prime, None
+    # Who begins beside the goal hardly moves (*Prime and Reach*, section B.1); metres.
     threshold = protocol.curation.minimum_movement
-    decision = minimum_movement(piece, event, event.place, measure=options.minimum_movement, threshold=threshold)
-    if decision.outcome != "sequence":
+    if options.minimum_movement == "wrist_to_goal":
+        # Distance of the nearer wrist of the first frame to the goal: the protocol's reading of the study.
+        value = float(np.linalg.norm(piece.joints[0, WRISTS] - event.place.location, axis=1).min())
+    elif options.minimum_movement == "pelvis_displacement":
+        value = body_movement(piece.joints)
+    else:
+        value = event.displacement  # None for annotated events, which the filter then lets pass
+    moved = value is None or value >= threshold
+    decision = Decision("sequence" if moved else "minimum_movement", "filters", value, threshold)
+    if not moved:
         return decision, prime, None
     return decision, prime, _sequence(recording, event, event.place, prime, piece, protocol, split)
 

@@ -1,7 +1,4 @@
-"""The options of curation and of a build, all recorded in ``dataset.json``.
-
-Among them is the minimum-movement filter (*Prime and Reach*, section B.1) with its alternatives.
-"""
+"""The options of curation and of a build, all recorded in ``dataset.json``."""
 
 from __future__ import annotations
 
@@ -10,16 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
-from prbench.curation.clipping import Clip
-from prbench.curation.events import Decision, PickPutEvent, Place
 from prbench.curation.priming import RAY_ORIGINS
 from prbench.errors import UsageError
 from prbench.geometry.shapes import import_open3d
-from prbench.geometry.skeleton import WRISTS
 from prbench.protocol.manifests import BenchmarkProtocol, InHandRule, Manifest, digest_of
-from prbench.sequences.table import body_movement
 
 # What each option of curation may be.
 _CHOICES = {
@@ -27,19 +18,6 @@ _CHOICES = {
     "priming": ("rule", "published"),
     "ray_origin": (None, *RAY_ORIGINS),
 }
-
-
-def minimum_movement(clip: Clip, event: PickPutEvent, place: Place, *, measure: str, threshold: float) -> Decision:
-    """Keep (``sequence``) or drop (``minimum_movement``) a clip; value and threshold in metres."""
-    if measure == "wrist_to_goal":
-        # Distance of the nearer wrist of the first frame to the goal: the protocol's reading of the paper.
-        value = float(np.linalg.norm(clip.joints[0, WRISTS] - place.location, axis=1).min())
-    elif measure == "pelvis_displacement":
-        value = body_movement(clip.joints)
-    else:
-        value = event.displacement  # None for annotated events, which the filter then lets pass
-    outcome = "minimum_movement" if value is not None and value < threshold else "sequence"
-    return Decision(outcome, "filters", value, threshold)
 
 
 @dataclass(frozen=True)
