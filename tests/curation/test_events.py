@@ -88,28 +88,29 @@ def test_noise_of_a_tracking_system_moves_instants_and_places_little() -> None:
         np.testing.assert_allclose(other.place.location, one.place.location, atol=0.002)
 
 
-def test_an_object_that_is_touched_but_rests_is_no_event() -> None:
-    assert events(scene(objects=(track(SLOW, np.repeat(PLACE_A[None], len(SLOW), axis=0)),))) == []
+def rubbed(size: float) -> np.ndarray:
+    """The cup goes to and fro by so many metres for three seconds."""
+    rubbing = size * np.sin(2 * np.pi * 2.0 * (SLOW - PICK)) * ((SLOW > PICK) & (SLOW < PICK + 3))
+    return PLACE_A + rubbing[:, None] * [1.0, 0, 0]
 
 
-def test_an_object_that_moves_with_nobody_near_is_no_event() -> None:
-    elsewhere = cup_centre(SLOW) + np.array([0, 0, 1.0])
-    assert events(scene(objects=(track(SLOW, elsewhere),))) == []
+RESTING = np.repeat(PLACE_A[None], len(SLOW), axis=0)
 
 
-@pytest.mark.parametrize(("distance", "found"), [(0.018, 0), (0.06, 2)])
-def test_a_nudge_is_no_event_and_a_slide_is_a_pick_and_a_put(distance: float, found: int) -> None:
-    moved = track(SLOW, slide(distance, 0.35), noise=0.0003)
-    touching = visit(np.repeat(PLACE_A[None], len(SLOW), axis=0))
-    assert len(events(scene(objects=(moved,), hands=(touching,)))) == found
-
-
-def test_an_object_that_is_rubbed_to_and_fro_is_no_event() -> None:
-    rubbing = 0.009 * np.sin(2 * np.pi * 2.0 * (SLOW - PICK)) * ((SLOW > PICK) & (SLOW < PICK + 3))
-    rubbed = PLACE_A + rubbing[:, None] * [1.0, 0, 0]
-    assert events(scene(objects=(track(SLOW, rubbed),), hands=(visit(rubbed),))) == []
-    wider = PLACE_A + 3 * rubbing[:, None] * [1.0, 0, 0]
-    assert len(events(scene(objects=(track(SLOW, wider),), hands=(visit(wider),)))) == 2
+@pytest.mark.parametrize(
+    ("path", "hands", "noise", "found"),
+    [
+        pytest.param(RESTING, None, 0.0, 0, id="touched, but it rests"),
+        pytest.param(cup_centre(SLOW) + np.array([0, 0, 1.0]), None, 0.0, 0, id="moves with nobody near"),
+        pytest.param(slide(0.018, 0.35), visit(RESTING), 0.0003, 0, id="a nudge"),
+        pytest.param(slide(0.06, 0.35), visit(RESTING), 0.0003, 2, id="a slide"),
+        pytest.param(rubbed(0.009), visit(rubbed(0.009)), 0.0, 0, id="rubbed to and fro"),
+        pytest.param(rubbed(0.027), visit(rubbed(0.027)), 0.0, 2, id="rubbed more widely"),
+    ],
+)
+def test_a_movement_is_a_pick_and_a_put_where_it_is_held_and_large_enough(path, hands, noise, found) -> None:
+    streams = {} if hands is None else {"hands": (hands,)}
+    assert len(events(scene(objects=(track(SLOW, path, noise=noise),), **streams))) == found
 
 
 def test_an_object_held_still_in_the_air_stays_one_holding() -> None:

@@ -36,16 +36,11 @@ def walking_in(depth: float, frames: int = 10) -> np.ndarray:
     return motion
 
 
-def test_three_of_ten_frames_are_inside():
-    share, largest = scene_penetration(batch(walking_in(0.12)), with_boxes(COUNTER), depth=0.05)
-    assert share == pytest.approx([0.3])
-    assert largest == pytest.approx([0.12])
-
-
-def test_a_little_is_allowed_and_still_measured():
-    share, largest = scene_penetration(batch(walking_in(0.04)), with_boxes(COUNTER), depth=0.05)
-    assert share.tolist() == [0.0]
-    assert largest == pytest.approx([0.04])
+@pytest.mark.parametrize(("deep", "frames"), [(0.12, 0.3), (0.04, 0.0)])
+def test_three_of_ten_frames_are_inside_and_a_little_is_allowed_and_still_measured(deep, frames):
+    share, largest = scene_penetration(batch(walking_in(deep)), with_boxes(COUNTER), depth=0.05)
+    assert share == pytest.approx([frames])
+    assert largest == pytest.approx([deep])
 
 
 def test_a_box_that_holds_the_goal_is_open():

@@ -81,25 +81,6 @@ def test_a_repeated_id_is_named_in_sorted_and_unsorted_rows(tmp_path, names):
     require_distinct_rows([tmp_path / "a.parquet"], "sequence_id", "here")
 
 
-def arrow_peak_of_reading(path: Path) -> int:
-    """Bytes of Arrow's that are held at once, beside what was held before, while a file is streamed."""
-    pool = pa.default_memory_pool()
-    before = pool.bytes_allocated()
-    peak = 0
-    for _ in open_parquet(path).iter_batches(batch_size=256):
-        peak = max(peak, pool.bytes_allocated() - before)
-    return peak
-
-
-def test_four_times_the_rows_are_streamed_in_the_same_memory(tmp_path):
-    peaks = []
-    for groups in (4, 16):
-        numbers = pa.table({"values": pa.array(range(groups * 20_000), pa.float64())})
-        pq.write_table(numbers, tmp_path / "a.parquet", row_group_size=20_000, use_dictionary=False)
-        peaks.append(arrow_peak_of_reading(tmp_path / "a.parquet"))
-    assert peaks[1] < 1.5 * peaks[0]
-
-
 def test_four_times_the_sequences_are_opened_in_about_the_same_memory(tmp_path):
     peaks = []
     for count in (250, 1000):
