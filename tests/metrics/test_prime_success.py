@@ -18,11 +18,46 @@ from tests.metrics.motions import CONSTANTS, FPS, batch, looking, random_problem
 A = (40, 25, 12, 5, 3, 3, 3, 3)
 
 
-def both(angles, **changes) -> tuple[float, float]:
-    constants = msgspec.structs.replace(CONSTANTS, **{k: v for k, v in changes.items() if k.startswith("prime_d")})
-    where = targets(**{k: v for k, v in changes.items() if not k.startswith("prime_d")})
-    motion = batch(looking(angles))
-    return tuple(float(prime_success(motion, where, constants, variant=v)[0]) for v in ("equation", "onset"))
+E = (6, 5, 4, 4, 4, 4, 4)
+GLANCE = (40, 25, 12, 5, 3, 3, 12, 25)
+
+
+def readings(seen, **changes) -> tuple[int, int, int]:
+    """Equation, arrival and onset of one motion, or of a body that looks at so many degrees in each frame."""
+    motion = batch(seen if np.ndim(seen) > 1 else looking(seen))
+    thresholds = {name: value for name, value in changes.items() if hasattr(CONSTANTS, name)}
+    constants = msgspec.structs.replace(CONSTANTS, **thresholds)
+    where = targets(**{name: value for name, value in changes.items() if name not in thresholds})
+    found = score(motion, motion, where, constants)
+    names = ("prime_success", "prime_success_arrival", "prime_success_onset")
+    return tuple(int(found[name].value[0]) for name in names)
+
+
+@pytest.mark.parametrize(
+    ("angles", "changes", "expected"),
+    [
+        pytest.param(A, {}, (1, 1, 1), id="A: turns in and settles"),
+        pytest.param((0,) * 7, {}, (0, 0, 0), id="B: looks there from the start, motionless"),
+        pytest.param((20, 15, 10, 5, 0, -5, -10), {}, (0, 0, 0), id="C: sweeps over at constant speed"),
+        pytest.param((180, 181, 180, 180, 179, 180, 180), {}, (0, 0, 0), id="D: looks away"),
+        pytest.param(E, {}, (1, 0, 0), id="E: never off target"),
+        pytest.param((12, 5, 12, 5, 3, 3, 3), {}, (1, 1, 1), id="F: glances, leaves, comes back"),
+        pytest.param((0, 0.03, 0, 0, 0.03, 0, 0), {}, (1, 0, 0), id="G: stares with a tremor"),
+        pytest.param((40, 5, 4, 3, 3, 3, 3), {}, (1, 1, 0), id="H: off target in frame 0 alone"),
+        pytest.param((4, 4, 3, 3, 3, 3, 40), {}, (1, 0, 0), id="I: off target only afterwards"),
+        pytest.param(E, {"prime_distance": 0.15}, (1, 1, 1), id="E: has an onset at a smaller distance"),
+        pytest.param(A, {"prime_time": 1.15}, (1, 1, 1), id="frame 3 is the first candidate"),
+        pytest.param(A, {"prime_time": 1.2}, (1, 1, 0), id="frame 4 is"),
+        pytest.param(A, {"prime_time": 1.25}, (1, 1, 0), id="frame 5 is"),
+        pytest.param(A, {"prime_time": 1.3}, (0, 0, 0), id="no frame is"),
+        pytest.param(A[:6], {}, (1, 1, 1), id="frames 3, 4 and 5 are on target"),
+        pytest.param(A[:5], {}, (0, 0, 0), id="the end cuts the stay off"),
+        pytest.param(GLANCE, {"prime_duration": 0.1}, (1, 1, 1), id="stays for three frames"),
+        pytest.param(GLANCE, {"prime_duration": 0.101}, (0, 0, 0), id="four are asked for"),
+    ],
+)
+def test_worked_cases(angles, changes, expected: tuple[int, int, int]) -> None:
+    assert readings(angles, **changes) == expected
 
 
 def test_distances_and_speeds_of_case_a() -> None:
@@ -34,32 +69,11 @@ def test_distances_and_speeds_of_case_a() -> None:
     np.testing.assert_allclose(np.rad2deg(track.speed[1:]), [300, 260, 140, 40, 0, 0, 0], atol=1e-6)
 
 
-@pytest.mark.parametrize(("prime_time", "expected"), [(1.2, (1, 0)), (1.25, (1, 0)), (1.3, (0, 0)), (1.15, (1, 1))])
-def test_only_frames_around_the_prime_time_are_candidates(prime_time: float, expected: tuple[float, float]) -> None:
-    assert both(A, prime_time=prime_time) == expected
-
-
 def test_a_prime_time_without_candidates_is_flagged() -> None:
     motion = batch(looking(A), looking(A))
     values = score(motion, motion, targets(2, prime_time=(1.3, 1.25)), CONSTANTS)["prime_success"]
     assert values.value.tolist() == [0, 1]
     assert values.flag == ["no_candidate_frames", None]
-
-
-def test_a_stay_that_the_end_cuts_off_does_not_count() -> None:
-    assert both(A[:6]) == (1, 1)  # frames 3, 4 and 5 are on target
-    assert both(A[:5]) == (0, 0)
-
-
-def test_case_e_has_an_onset_at_a_smaller_distance() -> None:
-    assert both((6, 5, 4, 4, 4, 4, 4), prime_distance=0.25)[1] == 0
-    assert both((6, 5, 4, 4, 4, 4, 4), prime_distance=0.15)[1] == 1
-
-
-def test_a_longer_stay_needs_more_frames_on_target() -> None:
-    glance = (40, 25, 12, 5, 3, 3, 12, 25)
-    assert both(glance, prime_duration=0.1) == (1, 1)
-    assert both(glance, prime_duration=0.101) == (0, 0)
 
 
 @pytest.mark.parametrize("variant", ["equation", "arrival", "onset", "angle"])
@@ -218,37 +232,13 @@ def test_a_single_frame_is_refused() -> None:
         prime_success(batch(standing(5), standing(1)), targets(2), CONSTANTS)
 
 
-def readings(motion: np.ndarray, **where) -> dict[str, int]:
-    found = score(batch(motion), batch(motion), targets(**where), CONSTANTS)
-    names = {"equation": "prime_success", "arrival": "prime_success_arrival", "onset": "prime_success_onset"}
-    return {reading: int(found[metric].value[0]) for reading, metric in names.items()}
-
-
-@pytest.mark.parametrize(
-    ("angles", "equation", "arrival", "onset"),
-    [
-        pytest.param(A, 1, 1, 1, id="A: turns in and settles"),
-        pytest.param((0,) * 7, 0, 0, 0, id="B: looks there from the start, motionless"),
-        pytest.param((20, 15, 10, 5, 0, -5, -10), 0, 0, 0, id="C: sweeps over at constant speed"),
-        pytest.param((180, 181, 180, 180, 179, 180, 180), 0, 0, 0, id="D: looks away"),
-        pytest.param((6, 5, 4, 4, 4, 4, 4), 1, 0, 0, id="E: never off target"),
-        pytest.param((12, 5, 12, 5, 3, 3, 3), 1, 1, 1, id="F: glances, leaves, comes back"),
-        pytest.param((0, 0.03, 0, 0, 0.03, 0, 0), 1, 0, 0, id="G: stares with a tremor"),
-        pytest.param((40, 5, 4, 3, 3, 3, 3), 1, 1, 0, id="H: off target in frame 0 alone"),
-        pytest.param((4, 4, 3, 3, 3, 3, 40), 1, 0, 0, id="I: off target only afterwards"),
-    ],
-)
-def test_worked_cases(angles: tuple[float, ...], equation: int, arrival: int, onset: int) -> None:
-    assert readings(looking(angles)) == {"equation": equation, "arrival": arrival, "onset": onset}
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_a_body_that_stares_arrives_nowhere_however_it_trembles(seed: int) -> None:
     rng = np.random.default_rng(seed)
     trembling = looking(np.zeros(60)) + rng.normal(0, 1e-4, (60, 22, 3))  # 0.1 mm, every joint
     for prime_time in (0.0, 0.5, 1.5, 2.9):
-        assert readings(trembling, prime_time=prime_time)["arrival"] == 0
-    assert readings(trembling, prime_time=1.5)["equation"] == 1, "which is why the arrival is asked for"
+        assert readings(trembling, prime_time=prime_time)[1] == 0
+    assert readings(trembling, prime_time=1.5)[0] == 1, "which is why the arrival is asked for"
 
 
 @pytest.mark.parametrize(
@@ -258,8 +248,7 @@ def test_the_window_reaches_one_second_back_at_every_frame_rate(fps: float, sett
     angles = np.full(40, 3.0)
     angles[0] = 40.0
     angles[settles - 1 :] = 2.0  # the only deceleration is at frame `settles`
-    found = readings(looking(angles), prime_time=2.0, fps=fps)
-    assert (found["equation"], found["arrival"]) == (1, expected)
+    assert readings(angles, prime_time=2.0, fps=fps)[:2] == (1, expected)
 
 
 def test_frames_of_another_sequence_are_no_frames_before() -> None:
@@ -273,13 +262,12 @@ def test_frames_of_another_sequence_are_no_frames_before() -> None:
 @pytest.mark.parametrize(("beyond", "expected"), [(5e-7, 0), (2e-6, 1)])
 def test_a_ray_on_the_threshold_is_not_off_target(beyond: float, expected: int) -> None:
     first = np.rad2deg(np.arcsin((0.25 + beyond) / 2))
-    found = readings(looking((first, 5, 4, 4, 4, 4, 4)))
-    assert (found["equation"], found["arrival"]) == (1, expected)
+    assert readings((first, 5, 4, 4, 4, 4, 4))[:2] == (1, expected)
 
 
 def test_a_frame_without_head_direction_is_no_look_elsewhere() -> None:
     motion = looking((6, 90, 4, 4, 4, 4, 4))  # case E, but for frame 1, in which the shoulders turn away
-    assert readings(motion)["arrival"] == 1
+    assert readings(motion)[1] == 1
     motion[1, Joint.HEAD] = motion[1, Joint.NECK]
     found = score(batch(motion), batch(motion), targets(), CONSTANTS)
     assert found["prime_success_arrival"].value == 0
@@ -313,7 +301,7 @@ def angle(angles, **where) -> int:
 def test_a_fixed_angle_is_wider_than_25_cm_far_away_and_narrower_nearby(metres, equation, fixed) -> None:
     degrees = {0.6: (23, 22, 21.5, 21.5, 21.5, 21.5), 4.0: (12, 11, 10.5, 10.5, 10.5, 10.5)}[metres]
     goal = (0.0, 1.6, metres)
-    assert readings(looking(degrees), goal=goal)["equation"] == equation
+    assert readings(degrees, goal=goal)[0] == equation
     assert angle(degrees, goal=goal) == fixed
 
 
