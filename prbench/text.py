@@ -59,7 +59,7 @@ class TextEncoder(Protocol):
         ...
 
     def encode(self, texts: Sequence[str]) -> EncodedText:
-        """The token vectors of some texts (at least one)."""
+        """Return the token vectors of some texts (at least one)."""
         ...
 
 
@@ -94,7 +94,7 @@ class HashedNgrams:
     dimension = DIMENSION
 
     def encode(self, texts: Sequence[str]) -> EncodedText:
-        """The vectors of the first 32 words of each text (see :class:`TextEncoder`)."""
+        """Return the vectors of the first 32 words of each text (see :class:`TextEncoder`)."""
         vectors = []
         for text in texts:
             found = words(text)
@@ -104,13 +104,13 @@ class HashedNgrams:
 
 
 def words(text: str) -> list[str]:
-    """The lower-case runs of letters and digits of a text, at most 32."""
+    """Return the lower-case runs of letters and digits of a text, at most 32."""
     return _WORD.findall(unicodedata.normalize("NFC", text).lower())[:MOST_WORDS]
 
 
 @lru_cache(maxsize=65536)
 def _word_vector(word: str) -> Float[np.ndarray, " 64"]:
-    """Sum of the parts over the root of their number: mean 0 and variance 1 over words."""
+    """Return the sum of the parts over the root of their number: mean 0 and variance 1 over words."""
     grams = ngrams(word)
     integers = sum((_random_integers("ngram", gram) for gram in grams), start=_random_integers("word", word))
     vector = (integers * (_UNIT / np.sqrt(1.0 + len(grams)))).astype(np.float32)
@@ -119,13 +119,13 @@ def _word_vector(word: str) -> Float[np.ndarray, " 64"]:
 
 
 def ngrams(word: str) -> tuple[str, ...]:
-    """The distinct runs of 3, 4 and 5 characters of ``<word>``, in the order in which they are met."""
+    """Return the distinct runs of 3, 4 and 5 characters of ``<word>``, in the order of their first places."""
     marked = f"<{word}>"
     return tuple(dict.fromkeys(marked[at : at + n] for n in _NGRAMS for at in range(len(marked) - n + 1)))
 
 
 def _random_integers(kind: str, text: str) -> np.ndarray:
-    """The odd numbers from -65535 to 65535 that belong to a text (64,), int64."""
+    """Return the odd numbers from -65535 to 65535 that belong to a text (64,), int64."""
     seeds = (f"prbench/{HASHED_NGRAMS}/{kind}/{part}/{text}" for part in range(_DIGESTS))
     digest = b"".join(hashlib.sha256(seed.encode("utf-8")).digest() for seed in seeds)
     return 2 * np.frombuffer(digest, dtype="<u2").astype(np.int64) - 65535
@@ -172,7 +172,7 @@ class _Pretrained:
         self._vectors = lru_cache(maxsize=_MOST_KEPT)(self._encode_one)
 
     def encode(self, texts: Sequence[str]) -> EncodedText:
-        """The token vectors of each text (see :class:`TextEncoder`).
+        """Return the token vectors of each text (see :class:`TextEncoder`).
 
         Raises:
             InputFileError: if the model's files cannot be found or are those of another model.
@@ -193,11 +193,11 @@ class _Pretrained:
         raise NotImplementedError
 
     def _classes(self) -> tuple[Any, Any]:
-        """The classes of tokenizer and model in transformers."""
+        """Return the classes of tokenizer and model in transformers."""
         raise NotImplementedError
 
     def _load(self) -> tuple[Any, Any]:
-        """Run no code of a repository, and ask nobody else where a folder is given."""
+        """Load tokenizer and model without running code of a repository; a folder is read without asking the hub."""
         local = Path(self.source).is_dir()
         if not local and _HUB_ID.fullmatch(self.source) is None:
             raise self._unusable("no such folder")
@@ -319,7 +319,7 @@ NAMES = (HASHED_NGRAMS, DISTILBERT, CLIP)
 
 
 def text_encoder(name: str, path: Path | str | None = None) -> TextEncoder:
-    """The frozen text encoder of this name.
+    """Return the frozen text encoder of this name.
 
     Args:
         name: ``hashed-ngrams`` (built in), ``distilbert`` (the paper's; extra ``text``) or ``clip-vit-b32`` (one

@@ -138,7 +138,7 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
 
 
 def citation_text(folders: Sequence[Path]) -> str:
-    """BibTeX of everything in some built datasets, with their terms as comments.
+    """Return BibTeX of everything in some built datasets, with their terms as comments.
 
     Raises:
         TableError: if a folder holds no built dataset, or one of which a file was edited.

@@ -239,7 +239,7 @@ def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) 
 
 
 def missing_files(recording: RecordingFiles, roles: Mapping[str, str]) -> tuple[str, ...]:
-    """Files that a recording lacks, out of those that a manifest requires or wants, by the names it gives them."""
+    """Return the files that a recording lacks of those that a manifest requires or wants, by its names for them."""
     present = [file.role for file in recording.files]
     return tuple(
         name

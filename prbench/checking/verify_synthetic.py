@@ -119,7 +119,7 @@ def true_events(preset: str, performance: Performance) -> list[TrueEvent]:
 
 
 def on_clock(event: TrueEvent, offset: float) -> TrueEvent:
-    """The event with all its times moved by ``offset`` seconds."""
+    """Return the event with all its times moved by ``offset`` seconds."""
     times = {name: getattr(event, name) for name in TIMES.values()}
     moved = {name: time + offset for name, time in times.items() if time is not None}
     if event.lost_span is not None:

@@ -324,9 +324,8 @@ def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
 def _on_embedded_tables(experiment: Experiment, engine: Engine) -> Experiment:
     """Run on the embedded datasets, by default on a part of each, in batches that two workers can share."""
     from prbench.harness import first_run
-    from prbench.harness.methods.installed import METHOD_CONTROLS
+    from prbench.harness.methods.installed import METHOD_CONTROLS, is_program
     from prbench.harness.methods.loading import chosen_condition, find_adapter, load_adapter
-    from prbench.harness.methods.programs import is_program
 
     # An unknown method, or one that has to be told its condition, is refused before half a minute goes into tables.
     for method in experiment.methods:

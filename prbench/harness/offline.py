@@ -74,7 +74,7 @@ class ConditionsInfo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 def fingerprints(identities: Iterable[str]) -> tuple[str, ...]:
-    """One digest a table, sorted. Whoever has the table recognises it; the key of the opaque ids does not follow.
+    """Return one digest a table, sorted. Whoever has the table recognises it; the key of opaque ids does not follow.
 
     Args:
         identities: Identity digests of the tables.
@@ -107,7 +107,7 @@ class ConditionsFile:
         return given_columns(self.info.condition)
 
     def rows(self, rows: Int[np.ndarray, " rows"]) -> ConditionsFile:
-        """Some of the rows, in the order given."""
+        """Return some of the rows, in the order given."""
         return rows_of(self, rows)
 
 

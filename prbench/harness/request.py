@@ -18,8 +18,7 @@ import pyarrow as pa
 from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import turn_into_paths
-from prbench.harness.methods.installed import METHOD_CONTROLS, SHUFFLED_GOAL
-from prbench.harness.methods.programs import short_name
+from prbench.harness.methods.installed import METHOD_CONTROLS, SHUFFLED_GOAL, short_name
 from prbench.limits import HARMLESS_SIZE
 from prbench.object_stores.store import is_url
 from prbench.protocol.manifests import PROTOCOL_NAME, benchmarks, find_benchmark

@@ -33,7 +33,7 @@ class Cases:
 
 
 def cases_of_table(folder: Path, limit: int = SEQUENCES) -> Cases:
-    """Choose twelve test sequences of a table, chosen as ``--limit`` does.
+    """Choose twelve test sequences of a table, as ``--limit`` chooses them.
 
     Raises:
         TableError: if there is no such table, or it has no test sequences.

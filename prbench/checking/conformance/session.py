@@ -42,10 +42,9 @@ from prbench.checking.conformance.findings import (
 from prbench.checking.conformance.subject import MethodSubject, Subject
 from prbench.errors import UsageError
 from prbench.harness.benchmark import load_benchmark
-from prbench.harness.methods.installed import METHOD_CONTROLS
+from prbench.harness.methods.installed import METHOD_CONTROLS, is_program
 from prbench.harness.methods.loading import MethodSpec, forget_loaded_methods, method_spec
 from prbench.harness.methods.process import exit_story, python_words, users_environment
-from prbench.harness.methods.programs import is_program
 from prbench.protocol.manifests import benchmarks, find_benchmark
 
 

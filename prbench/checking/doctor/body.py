@@ -6,14 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from prbench.checking.doctor.motion_set import (
-    Diagnosis,
-    Finding,
-    MotionSet,
-    fit,
-    joint_distances,
-    on_straight_lines,
-)
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, fit, joint_distances, on_straight_lines
 from prbench.geometry.skeleton import N_JOINTS, bone_lengths
 from prbench.harness.methods.motions import wrong_unit
 from prbench.representation import N_FEATURES, decode

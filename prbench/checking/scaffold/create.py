@@ -95,7 +95,7 @@ class MethodNames:
 
 
 def method_names(name: str) -> MethodNames:
-    """The names that follow from that of a method.
+    """Return the names that follow from that of a method.
 
     Raises:
         UsageError: if it is no name for a package, or belongs to prbench; it says which name would do.
@@ -122,18 +122,18 @@ def method_names(name: str) -> MethodNames:
 
 
 def read_template(name: str) -> str:
-    """The text of ``NAME.template``."""
+    """Return the text of ``NAME.template``."""
     return files(_PACKAGE).joinpath(f"{name}.template").read_text(encoding="utf-8")
 
 
 def filled(template: str, values: Mapping[str, str], flags: Collection[str]) -> str:
-    """A template with its values put in and the lines kept whose conditions hold; an empty value leaves no empty line.
+    """Fill in the values of a template and keep the lines whose conditions hold; an empty value leaves no empty line.
 
     Args:
         template: Lines; ``%if a and not b`` begins a part that is kept if flag ``a`` is set and ``b`` is not. Parts do
             not nest.
-        values: What stands for each ``<<name>>``.
-        flags: Those that are set.
+        values: Text for each ``<<name>>``.
+        flags: Names of the flags that are set.
     """
     kept = []
     keep = True
@@ -237,7 +237,7 @@ def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:
 
 
 def command_lines(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
-    """The commands to try in the new folder, in order, each with what it is for."""
+    """Return the commands to try in the new folder, in order, each with its purpose."""
     method = f"{names.program}.toml" if request.program else names.method
     condition = request.chosen[0].value
     lines = {
@@ -278,7 +278,7 @@ def template_flags(request: ScaffoldRequest) -> frozenset[str]:
 
 
 def template_values(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
-    """The text for every place in the templates."""
+    """Return the text for every place in the templates."""
     chosen = request.chosen
     first = chosen[0].value
     lines = command_lines(names, request)

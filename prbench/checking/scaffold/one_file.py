@@ -68,7 +68,7 @@ class _Module:
 
 
 def converters_file() -> str:
-    """The text of :data:`ONE_FILE`."""
+    """Return the text of :data:`ONE_FILE`."""
     offered = importlib.import_module(_CONVERTERS).__all__
     roots = {**_ROOTS, _CONVERTERS: tuple(offered)}
     return one_file(roots, _HEADER.format(version=prbench.__version__))
@@ -88,7 +88,7 @@ def write_converters(path: Path) -> None:
 
 
 def one_file(roots: Mapping[str, Iterable[str]], header: str) -> str:
-    """Functions and all that they use, as one file.
+    """Write functions and all that they use into one text.
 
     Args:
         roots: Names that are wanted, by the module that offers them.

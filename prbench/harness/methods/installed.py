@@ -1,4 +1,4 @@
-"""Methods that are found by name: in package metadata or in a Python file; and who may use which name.
+"""What a word behind ``--method`` is; methods found in package metadata or a Python file; who may use which name.
 
 The one rule for names: prbench's own belong to prbench, and all others have a form that can be shown. A package, a
 program, a file of motions and a run folder in a leaderboard are asked the same question by :func:`name_problem`. Names
@@ -12,10 +12,11 @@ import contextlib
 import importlib.util
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import replace
 from importlib.metadata import EntryPoint
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 from prbench.entry_points import ADAPTERS, PREDICTORS, InstalledEntry, installed_entries
@@ -94,6 +95,49 @@ _OWNERS = {
     **{_bare(name): _OWN_METHOD for name in BUILT_IN_METHODS},
     **{_bare(name): "a control of prbench" for name in (*METHOD_CONTROLS, SHUFFLED_GOAL)},
 }
+
+
+PREFIX = "cmd:"
+_SUFFIX = ".toml"
+_PYTHON = ".py"
+_LONGEST_COMMAND = 60  # characters of a command in messages
+
+
+def without_folders(word: str) -> str:
+    """Cut an absolute path, also behind ``--key=``, to its last part; return any other word as it is."""
+    key, equals, value = word.partition("=")
+    if equals and key.startswith("-"):
+        return f"{key}={without_folders(value)}"
+    for kind in (PurePosixPath, PureWindowsPath):
+        if kind(word).is_absolute() or word.startswith(("~/", "~\\")):
+            return kind(word).name or word
+    return word
+
+
+def is_command(method: str) -> bool:
+    """Return True for a command, such as ``cmd:python glide.py``."""
+    return method.startswith(PREFIX)
+
+
+def is_description(method: str) -> bool:
+    """Return True for the path of a description, such as ``glide.toml``."""
+    return not is_command(method) and method.lower().endswith(_SUFFIX)
+
+
+def is_program(method: str) -> bool:
+    """Return True for a program of its own, False for the name of an installed adapter or of a control."""
+    return is_command(method) or is_description(method)
+
+
+def short_name(method: str) -> str:
+    """Return the name that a method has before it has introduced itself; never a path."""
+    if is_command(method):
+        words = [without_folders(word.strip("\"'")) for word in method.removeprefix(PREFIX).split()]
+        return textwrap.shorten(" ".join(words), _LONGEST_COMMAND, placeholder=" …") or "nothing"
+    file, _, name = method.rpartition(":")
+    if name.isidentifier() and file.lower().endswith(_PYTHON):
+        method = file
+    return Path(method).stem if is_description(method) or method.lower().endswith(_PYTHON) else method
 
 
 def list_adapters(entry_points: str = ADAPTERS) -> list[InstalledEntry]:
@@ -227,7 +271,7 @@ _DEFINITION = re.compile(rf"^def {_BESIDE_THE_METHOD}\b", re.MULTILINE)
 
 
 def _tasks() -> list[EntryPoint]:
-    """Entry points of all tasks; a task that stands beside a method has one as if it were declared."""
+    """Return the entry points of all tasks; a task that stands beside a method gets one, as if it were declared."""
     found = list(entry_points_of(ENTRY_POINT_GROUP))
     named = {point.name for point in found}
     for method in (*entry_points_of(ADAPTERS), *entry_points_of(PREDICTORS)):
@@ -242,7 +286,7 @@ def _tasks() -> list[EntryPoint]:
 
 
 def list_tasks() -> tuple[str, ...]:
-    """Names of all installed tasks, without importing any of them."""
+    """Return the names of all installed tasks, without importing any of them."""
     return tuple(sorted({point.name for point in _tasks()}))
 
 

@@ -25,7 +25,7 @@ _NAMESPACES = ("--unshare-all", "--die-with-parent", "--new-session", "--cap-dro
 _DEVICES = ("nvidia*", "dri", "kfd", "dxg")
 _PROBE_TIMEOUT = 10.0  # seconds; it takes 10 ms
 _SYSTEM_FOLDERS = tuple(
-    Path(name) for name in ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/libx32", "/etc", "/nix/store")
+    map(Path, ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/libx32", "/etc", "/nix/store"))
 )
 
 

@@ -25,15 +25,17 @@ from prbench.harness.methods.installed import (
     InstalledEntry,
     find_python_method,
     import_python_method,
+    is_program,
     is_python_method,
     list_adapters,
     name_problem,
     no_such_method,
+    short_name,
 )
 from prbench.harness.methods.isolation import fenced, isolated_environment, worker_program
 from prbench.harness.methods.motions import Declared
 from prbench.harness.methods.process import Program, users_environment
-from prbench.harness.methods.programs import is_program, program_of, short_name
+from prbench.harness.methods.programs import program_of
 from prbench.harness.methods.remote import MOTIONS, MethodGroup, RemoteMethod
 from prbench.harness.methods.training_split import FIT_SEED, TrainingSplit, temporary_training_copy
 from prbench.protocol.manifests import benchmark_of_group, benchmarks

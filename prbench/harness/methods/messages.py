@@ -22,7 +22,7 @@ _SHAPES = ((), (_NUMBERS,), (N_JOINTS, 3))  # of what a row's list may hold: num
 
 
 def motions_of(payload: bytes, batch: ConditionBatch, *, gaze: bool = False) -> Motions:
-    """The motions of a ``motions`` message, in the order of the batch; lengths as they were sent.
+    """Read the motions of a ``motions`` message in the order of the batch, with lengths as they were sent.
 
     Args:
         payload: Arrow IPC stream of one record batch with ``opaque_id`` and ``joints``, and columns of gaze if wanted.
@@ -222,7 +222,7 @@ def conditions_payload(batch: ConditionBatch) -> bytes:
 
 
 def batch_of(header: Mapping[str, Any], payload: bytes) -> ConditionBatch:
-    """The batch that a ``generate`` message asks for; its arrays may be written to.
+    """Read the batch that a ``generate`` message asks for; its arrays may be written to.
 
     Args:
         header: Header of the message, which holds ``condition`` and ``fps``.
@@ -249,7 +249,7 @@ def batch_of(header: Mapping[str, Any], payload: bytes) -> ConditionBatch:
 
 
 def motions_payload(ids: Sequence[str], motions: Motions) -> bytes:
-    """Motions as float32, one row a sequence.
+    """Write motions as float32, one row a sequence.
 
     Args:
         ids: Opaque id of each row of ``motions``.
@@ -286,7 +286,7 @@ def motions_payload(ids: Sequence[str], motions: Motions) -> bytes:
 
 
 def encode_message(header: Header, payload: bytes | None = None) -> list[bytes]:
-    """The bytes of a message, in one or two pieces so that a payload is not copied.
+    """Return the bytes of a message, in one or two pieces so that a payload is not copied.
 
     Raises:
         ValueError: if the header is longer than the protocol allows, or holds what JSON cannot.
@@ -300,7 +300,7 @@ def encode_message(header: Header, payload: bytes | None = None) -> list[bytes]:
 
 
 def parse_header(line: bytes) -> Header:
-    """The JSON object of a header line; it has the key ``bytes`` only if a payload follows.
+    """Read the JSON object of a header line; it has the key ``bytes`` only if a payload follows.
 
     Raises:
         ValueError: if the line is no header; says why.
@@ -317,7 +317,7 @@ def parse_header(line: bytes) -> Header:
 
 
 def shown_json(value: object) -> str:
-    """A value of a header as JSON, with its type where the eye may take it for another.
+    """Show a value of a header as JSON, with its type where the eye may take it for another.
 
     >>> shown_json(7), shown_json("7"), shown_json(None)
     ('7', '"7" (a string)', 'null')

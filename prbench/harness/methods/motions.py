@@ -455,8 +455,7 @@ def own_copy(batch: ConditionBatch) -> ConditionBatch:
     """Copy all arrays: a method that writes into its batch changes neither its next sample nor our checks."""
     arrays = {field.name: getattr(batch, field.name) for field in dataclasses.fields(batch)}
     return dataclasses.replace(
-        batch,
-        **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)},
+        batch, **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)}
     )
 
 

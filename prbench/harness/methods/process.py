@@ -33,16 +33,16 @@ _START = (
 
 
 def users_environment() -> dict[str, str]:
-    """The variables of this process without those that libraries set while prbench imported them."""
+    """Return the variables of this process without those that libraries set while prbench imported them."""
     return {name: value for name, value in os.environ.items() if name not in _NOT_THE_USERS}
 
 
 def python_words(module: str, *arguments: str) -> list[str]:
-    """The command that runs a module as ``python -m`` does, with this process's ``sys.path`` and no variable for it.
+    """Return the command that runs a module as ``python -m`` does, with this process's ``sys.path``.
 
     Args:
         module: Dotted name.
-        arguments: What it finds in ``sys.argv[1:]``.
+        arguments: Words that it finds in ``sys.argv[1:]``.
     """
     paths = [os.path.abspath(path) for path in sys.path]  # noqa: PTH100 - an empty entry is the current folder
     return [sys.executable, "-P", "-c", _START, json.dumps(paths), module, *arguments]
@@ -455,7 +455,7 @@ def _runs(process: psutil.Process) -> bool:
 
 
 def _new_log(name: str) -> Path:
-    """A path for the log of a program; all but the newest logs are deleted.
+    """Return a path for the log of a program, and delete all but the newest logs.
 
     Folders and odd characters of the name are left out: ``python-my-glide.py---fast`` of
     ``/opt/envs/glide/bin/python '/home/me/my glide.py' --fast``.

@@ -5,24 +5,25 @@ from __future__ import annotations
 import os
 import shlex
 import shutil
-import textwrap
 import tomllib
 from collections.abc import Iterable, Mapping
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.files.bounded import foreign_input, read_text
-from prbench.harness.methods.installed import name_problem
+from prbench.harness.methods.installed import (
+    PREFIX,
+    is_command,
+    is_description,
+    name_problem,
+    short_name,
+    without_folders,
+)
 from prbench.harness.methods.process import Program
 from prbench.limits import HARMLESS_SIZE
-
-PREFIX = "cmd:"
-_SUFFIX = ".toml"
-_PYTHON = ".py"
-_LONGEST = 60  # characters of a command in messages
 
 
 def split_command(text: str, *, where: str, windows: bool = os.name == "nt") -> tuple[str, ...]:
@@ -53,43 +54,6 @@ def split_command(text: str, *, where: str, windows: bool = os.name == "nt") -> 
 def shown_command(words: Iterable[str]) -> str:
     """Return a command for a record that others may read: absolute paths are cut to their last part."""
     return shlex.join(without_folders(word) for word in words)
-
-
-def without_folders(word: str) -> str:
-    """Cut an absolute path, also behind ``--key=``, to its last part; return any other word as it is."""
-    key, equals, value = word.partition("=")
-    if equals and key.startswith("-"):
-        return f"{key}={without_folders(value)}"
-    for kind in (PurePosixPath, PureWindowsPath):
-        if kind(word).is_absolute() or word.startswith(("~/", "~\\")):
-            return kind(word).name or word
-    return word
-
-
-def is_command(method: str) -> bool:
-    """Return True for a command, such as ``cmd:python glide.py``."""
-    return method.startswith(PREFIX)
-
-
-def is_description(method: str) -> bool:
-    """Return True for the path of a description, such as ``glide.toml``."""
-    return not is_command(method) and method.lower().endswith(_SUFFIX)
-
-
-def is_program(method: str) -> bool:
-    """Return True for a program of its own, False for the name of an installed adapter or of a control."""
-    return is_command(method) or is_description(method)
-
-
-def short_name(method: str) -> str:
-    """Return the name that a method has before it has introduced itself; never a path."""
-    if is_command(method):
-        words = [without_folders(word.strip("\"'")) for word in method.removeprefix(PREFIX).split()]
-        return textwrap.shorten(" ".join(words), _LONGEST, placeholder=" …") or "nothing"
-    file, _, name = method.rpartition(":")
-    if name.isidentifier() and file.lower().endswith(_PYTHON):
-        method = file
-    return Path(method).stem if is_description(method) or method.lower().endswith(_PYTHON) else method
 
 
 _Seconds = Annotated[float, msgspec.Meta(gt=0)]

@@ -44,7 +44,7 @@ class TrainingSplit(SequenceTable):
         return super().chunks(split=_of_training(split), columns=columns, ids=ids, rows=rows)
 
     def scalars(self, *, split: str | None = None, columns: Sequence[str] | None = None) -> pa.Table:
-        """Short values of the training rows.
+        """Return the short values of the training rows.
 
         Raises:
             AdapterError: if another split is asked for.
@@ -63,12 +63,12 @@ class TrainingSplit(SequenceTable):
 
     @property
     def identity(self) -> str:  # type: ignore[override]
-        """That of the whole table, by which a method names its fit."""
+        """Identity of the whole table, by which a method names its fit."""
         return self.info.identity_digest
 
     @property
     def content(self) -> str:  # type: ignore[override]
-        """That of the whole table."""
+        """Content digest of the whole table."""
         return self.info.content_digest
 
 

@@ -28,9 +28,9 @@ from prbench.harness.methods.installed import (
     list_adapters,
     name_problem,
     offered_twice,
+    short_name,
 )
 from prbench.harness.methods.loading import find_adapter, forget_loaded_methods, load_adapter, method_spec
-from prbench.harness.methods.programs import short_name
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import RunRecord

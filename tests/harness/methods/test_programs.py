@@ -22,17 +22,10 @@ import pytest
 from prbench.engine import ProcessPool
 from prbench.errors import AdapterError, InputFileError, RunError, UsageError
 from prbench.files.storage import file_digest
+from prbench.harness.methods.installed import is_program, short_name
 from prbench.harness.methods.loading import forget_loaded_methods, method_spec
 from prbench.harness.methods.process import Program
-from prbench.harness.methods.programs import (
-    find_executable,
-    is_program,
-    program_of,
-    read_description,
-    short_name,
-    shown_command,
-    split_command,
-)
+from prbench.harness.methods.programs import find_executable, program_of, read_description, shown_command, split_command
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import RunRecord

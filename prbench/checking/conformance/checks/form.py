@@ -247,12 +247,7 @@ def _answered(subject: MethodSubject) -> dict[Any, Answer]:
 
 
 def by_condition(
-    answers: Mapping[Any, Answer],
-    is_wrong: Callable[[Answer], bool],
-    remedy: str,
-    *,
-    said: str,
-    things: str,
+    answers: Mapping[Any, Answer], is_wrong: Callable[[Answer], bool], remedy: str, *, said: str, things: str
 ) -> Iterator[Finding]:
     """Fail each condition whose answer is wrong, and pass them together if none is."""
     wrong = {condition: answer for condition, answer in answers.items() if is_wrong(answer)}
