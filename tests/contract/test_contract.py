@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from prbench.contract import GIVEN, Adapter, Condition, ConditionBatch, Motions, Trainable, batch_noise, sequence_noise
+from prbench.contract import GIVEN, Condition, ConditionBatch, Motions, batch_noise, sequence_noise
 
 
 def fields_of(condition: Condition, n: int = 3) -> dict:
@@ -71,29 +71,11 @@ def test_a_part_of_a_batch_is_complete_in_itself(condition):
         assert np.array_equal(mine, expected)
 
 
-def test_a_batch_cannot_be_changed():
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        batch(Condition.NONE).condition = Condition.TEXT  # type: ignore[misc]
-
-
 def test_motions_leave_their_padding_out():
     joints = np.full((2, 4, 22, 3), np.nan)
     joints[0, :2], joints[1, :4] = 1.0, 2.0
     ragged = Motions(joints, np.array([2, 4])).ragged()
     assert ragged[:, 0, 0].tolist() == [1, 1, 2, 2, 2, 2]
-
-
-def test_any_object_of_the_right_form_is_an_adapter():
-    class Made:
-        name = "made"
-        conditions = frozenset({Condition.NONE})
-
-        def generate(self, batch, *, seed):
-            return Motions(np.zeros((len(batch), 50, 22, 3)), batch.n_frames)
-
-    assert isinstance(Made(), Adapter)
-    assert not isinstance(Made(), Trainable)
-    assert not isinstance(object(), Adapter)
 
 
 SEEDS = (3, 2**63 - 1, 40, 0)

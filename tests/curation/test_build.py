@@ -420,28 +420,6 @@ def kill_after(process: subprocess.Popen, out: Path, parts: int, delay: float) -
     process.wait()
 
 
-def test_killed_while_its_parts_are_removed_it_builds_again_with_the_same_bytes(tmp_path: Path, monkeypatch) -> None:
-    out = tmp_path / "adt"
-    with monkeypatch.context() as patch:
-        patch.setattr(shutil, "rmtree", remove_tables_and_die)
-        with pytest.raises(Interrupted):
-            build_from_sources(some_sources(3), out)
-    assert len(list(tmp_path.rglob("receipt.json"))) == 3  # halves that look finished
-    finished = folder_bytes(out)
-    assert build_from_sources(some_sources(3), out).reused == 0
-    assert folder_bytes(out) == finished
-    assert list(tmp_path.iterdir()) == [out]
-
-
-def remove_tables_and_die(folder: Path, ignore_errors: bool = False) -> None:
-    """Stands for a kill between the first files that ``rmtree`` deletes and the others."""
-    tables = list(folder.rglob("*.arrow"))
-    for table in tables:
-        table.unlink()
-    if tables:
-        raise Interrupted
-
-
 def test_killed_with_workers_it_leaves_none_of_them_at_work(tmp_path: Path) -> None:
     out = tmp_path / "adt"
     kill_after(start(out, workers=2), out, parts=2, delay=0.0)
@@ -494,12 +472,6 @@ def test_half_written_folders_of_this_dataset_are_removed_and_of_others_kept(tmp
     build_from_sources(some_sources(1), tmp_path / "adt")
     assert not removed.exists()
     assert all(folder.exists() for folder in kept)
-
-
-def test_a_failed_recording_is_tried_again(tmp_path: Path) -> None:
-    broken = [SceneSource("a", problem="file"), SceneSource("b")]
-    interrupted_build(tmp_path / "adt", broken, 1)
-    assert build_from_sources(broken, tmp_path / "adt").reused == 0
 
 
 def make_shards(folder: Path, sources, count: int, **settings) -> list[Path]:

@@ -251,11 +251,6 @@ def info(unit: str = "m", **said) -> MetricInfo:
     return MetricInfo("made_up", "Made up", unit, **about)
 
 
-def test_a_metric_cannot_forget_whether_it_compares_with_the_recorded_motion():
-    with pytest.raises(TypeError, match="compares_with_recorded"):
-        MetricInfo("x", "X", "m", higher_is_better=False, main=False, position=30)  # type: ignore[call-arg]
-
-
 def test_rates_are_printed_in_percent_and_all_other_units_as_they_are():
     printed = {
         unit: (info(unit).scale, printed_unit(unit), exported_unit(unit)) for unit in ("rate", "ratio", "m", "°")

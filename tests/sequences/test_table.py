@@ -25,7 +25,7 @@ from prbench.protocol.published import QUANTITIES
 from prbench.recording.streams import HandSource
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import write_fold
-from prbench.sequences.schema import identity_of_rows, with_metadata
+from prbench.sequences.schema import identity_of_rows
 from prbench.sequences.sequence import (
     EVENTS,
     OUTCOMES,
@@ -157,12 +157,6 @@ def test_all_sequences_are_equally_likely_to_be_chosen_whatever_the_size_of_thei
         order = by_share(names, [name.split("/")[1] for name in names])
         chosen.update(name.split("-")[1].split("/")[0] for name in order[:5])
     assert chosen["small"] / 2 == pytest.approx(chosen["large"] / 8, rel=0.05)
-
-
-def test_schema_metadata_says_units_and_joint_set():
-    metadata = with_metadata(SEQUENCES, protocol_version=1).metadata
-    assert metadata[b"joint_set"] == b"humanml3d-22"
-    assert metadata[b"unit_length"] == b"m"
 
 
 IDS = ["adt/rec_1/cup/pick/10.5/suit", "adt/rec_1/cup/put/12.25/suit", "adt/rec_2/cup/pick/10.75/egoallo"]
