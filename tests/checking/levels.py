@@ -29,20 +29,9 @@ class Verification:
     Events that are ``thin``, and those around which the object was not tracked, are left out of every number but their
     own count and the hands.
 
-    Attributes:
-        recordings: Number of recordings.
-        true_events: Number of events that were acted out.
-        thin: Number of events within the sensors' resolution of a threshold.
-        recall: Share of the true events that were found.
-        precision: Share of the found events that are true.
-        timing: Found minus true event time, seconds.
-        priming_recall: Share of the matched events with a true prime that were primed.
-        false_primes: Share of the matched events without a true prime that were primed all the same.
-        prime: Found minus true prime time (first look of at least 50 ms), seconds.
-        prime_first: Found minus true first instant of looking there at all, seconds.
-        hands: Counts of located events by the hand that they name: ``right``, ``wrong`` or ``unknown``.
-        expected_sequences: Number of sequences that were acted out.
-        missed_sequences: Id and outcome of those of the expected ones that did not become sequences.
+    Times are in seconds: ``timing`` is found minus true event time, ``prime`` and ``prime_first`` found minus true
+    prime time (first look of at least 50 ms, first instant of any look). ``thin`` events lie within the sensors'
+    resolution of a threshold. ``hands`` counts located events by the hand that they name: right, wrong or unknown.
     """
 
     recordings: int

@@ -433,15 +433,6 @@ def test_the_record_holds_what_the_program_says_and_no_path_of_the_machine(own, 
     assert "cmd:" not in written
 
 
-def test_what_a_program_declares_is_honoured(own, table, tmp_path):
-    own.write(hello="introduction.update(max_frames=80, motionless=True)")
-    run_method(request(table, tmp_path / "out", own.method))
-    record = RunRecord.read(tmp_path / "out")
-    assert record.method.max_frames == 80
-    assert record.method.motionless
-    assert record.tables[0].unsupported > 0
-
-
 def test_a_program_and_the_same_method_in_process_give_the_same_bytes(own, table, tmp_path, install):
     own.write()
     install("made", adapter_source(body="joints = joints.astype(np.float32)"))
@@ -532,14 +523,6 @@ def test_another_version_of_the_program_does_not_go_on_in_the_folder(own, table,
         run_method(request(table, tmp_path / "out", own.method))
 
 
-def test_an_error_of_a_program_names_the_sequence(own, table, tmp_path):
-    refusal = '{"message": "error", "batch": header["batch"], "text": "no way to " + rows["opaque_id"][0]}'
-    own.write(body=f"write({refusal})\ncontinue")
-    with pytest.raises(AdapterError, match=r"method 'drawn': .*: no way to synthetic-adt/rec"):
-        run_method(request(table, tmp_path / "out", own.method))
-    assert not (tmp_path / "out").exists()
-
-
 def test_wrong_lengths_and_late_answers_end_the_run_and_keep_what_was_finished(own, table, tmp_path):
     own.write(body='if header["batch"] == 2: joints[0] = joints[0][66:]')
     with pytest.raises(AdapterError, match=r"method 'drawn', sequence synthetic-adt.*: expected \d+ frames, found \d+"):
@@ -553,12 +536,6 @@ def test_wrong_lengths_and_late_answers_end_the_run_and_keep_what_was_finished(o
     assert (report.batches_found, report.batches_made) == (2, 2)
     run_method(request(table, tmp_path / "whole", own.method))
     assert reproducible_bytes(tmp_path / "out") == reproducible_bytes(tmp_path / "whole")
-
-
-def test_a_batch_that_does_not_fit_in_the_programs_memory_is_run_in_halves(own, table, tmp_path):
-    full = '{"message": "error", "batch": header["batch"], "text": "full", "out_of_memory": True}'
-    own.write(body=f"if len(joints) > 2:\n    write({full})\n    continue")
-    assert run_method(request(table, tmp_path / "out", own.method)).batches_made == 4
 
 
 def test_ctrl_c_ends_the_program_keeps_what_was_finished_and_the_same_command_resumes(own, table, tmp_path):

@@ -138,22 +138,6 @@ def test_wrong_motions_are_told_by_the_name_of_the_sequence(workshop: Workshop) 
             generate_checked(adapter, batch, seed=0, method="made", sequence_ids=names)
 
 
-def test_a_batch_that_does_not_fit_in_memory_is_asked_for_in_halves(workshop: Workshop) -> None:
-    source = STANDING.replace(
-        "    rows =",
-        """
-    if header["rows"] > 1:
-        write({"message": "error", "batch": header["batch"], "text": "no memory", "out_of_memory": True})
-        continue
-    rows =""",
-    )
-    adapter = started(with_libraries(workshop.program(source)))
-    workshop.started.append(adapter)
-    motions, halvings = generate_checked(adapter, BATCH, seed=0, method="made", sequence_ids=["a", "b", "c"])
-    np.testing.assert_array_equal(motions.ragged(), EXPECTED)
-    assert halvings == 2
-
-
 def test_closing_ends_the_program_well_and_for_good(workshop: Workshop) -> None:
     adapter = workshop.start(HONEST.replace("while", "import atexit; atexit.register(open, 'ended', 'w')\nwhile"))
     adapter.close()
@@ -194,15 +178,6 @@ def test_a_program_without_a_folder_starts_in_an_empty_one_that_vanishes(worksho
     assert not (workshop.folder / folder).exists()
 
 
-def test_waiting_for_an_answer_costs_no_time_beyond_it(workshop: Workshop) -> None:
-    adapter = workshop.start(HONEST)
-    adapter.generate(BATCH, seed=0)
-    begun = time.perf_counter()
-    for _ in range(20):
-        adapter.generate(BATCH, seed=0)
-    assert time.perf_counter() - begun < 1.0  # 20 answers of 4 kB; a wait in slices would take 4 s
-
-
 HALF = "motions(read()[0], None, bytes=len(GOOD)); stdout.write(GOOD[:500]); stdout.flush()"
 PROTOCOL = [
     Case(
@@ -210,21 +185,14 @@ PROTOCOL = [
     ),
     Case("prints behind the header", "motions(read()[0], None, bytes=8); print('epoch 1')", "payload, found none"),
     Case("garbage for a payload", "motions(read()[0], b'x' * 999)", "expected an Arrow IPC stream as payload, fou"),
-    Case("empty payload", "motions(read()[0], b'')", "expected an Arrow IPC stream as payload, fou"),
-    Case("truncated stream", "motions(read()[0], GOOD[:700])", "expected an Arrow IPC stream as payload, fou"),
     Case("no payload", "motions(read()[0], None)", "answered without a payload"),
     Case("huge payload", "motions(read()[0], None, bytes=2**40)", "payload of 1,099,511,627,776 bytes, where at most"),
     Case("another batch", "motions(read()[0], batch=7)", "answered batch 7, where batch 0 was due"),
-    Case("batch as text", "motions(read()[0], batch='0')", r'answered batch "0" \(a string\), where batch 0 was due'),
-    Case("batch with decimals", "motions(read()[0], batch=0.0)", "answered batch 0.0 .a number with decimals., where"),
     Case("batch as false", "motions(read()[0], batch=False)", "answered batch false, where batch 0 was due"),
     Case("no batch", "motions(read()[0], batch=None)", "answered without the number of a batch, where batch 0 was due"),
     Case(
         "memory as text", "read(); write({'message': 'error', 'out_of_memory': 'yes'})", "'out_of_memory' .yes. .a str"
     ),
-    Case("bytes behind", "motions(read()[0], GOOD + b'abc')", "nothing behind the end of the Arrow stream, found 3 by"),
-    Case("an Arrow file", "motions(read()[0], b'ARROW1' + GOOD)", "an Arrow file .* Write the stream format"),
-    Case("passes with decimals", "motions(read()[0], network_passes=4.0)", "declared 4.0 .* network_passes"),
     Case("another message", "read(); write({'message': 'hello'})", "answered with the message 'hello', where"),
     Case("wrong passes", "motions(read()[0], network_passes=-4)", "declared -4 network_passes"),
     Case("error", "h, _ = read(); write({'message': 'error', 'batch': 0, 'text': 'no floor'})", "error: no floor. It"),
@@ -317,9 +285,6 @@ LETTERS = [
     Case("deeply nested", RAW.format("b'{\"a\":' * 9000 + b'\\n'"), "is no message: .*no JSON in UTF-8"),
     Case("no object", RAW.format("b'{\"hello\": 1}\\n'"), "no JSON object with a text under 'message'"),
     Case("no number", RAW.format('b\'{"message": "hello", "wire": NaN}\\n\''), "NaN is no JSON"),
-    Case("negative bytes", "hello(bytes=-1)", "'bytes' is -1, no whole number"),
-    Case("bytes as text", "hello(bytes='7')", r"'bytes' is \"7\" \(a string\), no whole number"),
-    Case("bytes of null", "hello(bytes=None)", "'bytes' is null, no whole number"),
     Case(
         "huge payload", "hello(bytes=10**15)", "announced a payload of 1,000,000,000,000,000 bytes, where at most 1,0"
     ),
