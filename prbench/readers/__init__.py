@@ -40,7 +40,8 @@ from typing import (
 import msgspec
 
 from prbench.datasets import ENTRY_POINT_GROUP, SYNTHETIC_PREFIX, find_reader, origin_of
-from prbench.errors import InputFileError, PrbenchError, UsageError, did_you_mean
+from prbench.errors import PrbenchError, UsageError, did_you_mean
+from prbench.files.bounded import require
 from prbench.files.storage import file_digest
 from prbench.readers.extents import Extent, shortfalls
 from prbench.readers.files import decode_json
@@ -195,14 +196,9 @@ def require_marked(root: Path, recordings: Mapping[str, str]) -> None:
         InputFileError: naming one of them.
     """
     for name, dataset in recordings.items():
-        if lacks_mark(name, dataset):
-            raise InputFileError(
-                root,
-                "",
-                expected=f"{SYNTHETIC_FILE} beside recordings whose names say that they are invented",
-                found=f"{name} without it",
-                remedy=f"Copy {SYNTHETIC_FILE} of the tree that they come from, too.",
-            )
+        expected = f"{SYNTHETIC_FILE} beside recordings whose names say that they are invented"
+        remedy = f"Copy {SYNTHETIC_FILE} of the tree that they come from, too."
+        require(root, (not lacks_mark(name, dataset), "", expected, f"{name} without it", remedy))
 
 
 def require_one_origin(root: Path, datasets: Iterable[str]) -> None:
@@ -212,14 +208,9 @@ def require_one_origin(root: Path, datasets: Iterable[str]) -> None:
         InputFileError: if the names of the recordings' datasets differ.
     """
     names = sorted(set(datasets))
-    if len(names) > 1:
-        raise InputFileError(
-            root,
-            "",
-            expected="recordings that are all real or all invented",
-            found=f"{' and '.join(names)} together",
-            remedy=f"Give a folder that holds one of them; {SYNTHETIC_FILE} marks what is invented.",
-        )
+    expected = "recordings that are all real or all invented"
+    remedy = f"Give a folder that holds one of them; {SYNTHETIC_FILE} marks what is invented."
+    require(root, (len(names) <= 1, "", expected, f"{' and '.join(names)} together", remedy))
 
 
 @runtime_checkable

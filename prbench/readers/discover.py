@@ -7,7 +7,7 @@ from pathlib import Path
 
 from prbench.datasets import installed_readers, origin_of, readable_datasets
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
-from prbench.files.bounded import foreign_input
+from prbench.files.bounded import foreign_input, require
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import SYNTHETIC_FILE, Reader, RecordingFiles, read_synthetic_tree, reader_for
 from prbench.readers.found import names_in
@@ -81,14 +81,9 @@ def discover(root: Path | str) -> Discovery:
                     broken.append(answer)
             elif answer is not None:
                 found.append(answer)
-    if not found and not broken:
-        raise InputFileError(
-            root,
-            "",
-            expected=f"recordings of {', '.join(reader.dataset for reader in readers)}, here or one folder below",
-            found=names_in(root),
-            remedy=" ".join(["`prbench datasets` says which files each dataset consists of.", *unusable]),
-        )
+    expected = f"recordings of {', '.join(reader.dataset for reader in readers)}, here or one folder below"
+    remedy = " ".join(["`prbench datasets` says which files each dataset consists of.", *unusable])
+    require(root, (found or broken, "", expected, names_in(root), remedy))
     return Discovery(tuple(sorted(found, key=lambda each: (each.dataset, str(each.root)))), tuple(broken))
 
 

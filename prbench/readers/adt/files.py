@@ -112,14 +112,9 @@ def find_recordings(root: Path | str, options: AdtOptions = _DEFAULTS) -> tuple[
         if options.poses == "egoallo":
             files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
         recordings.append(RecordingFiles(dataset, folder.name, folder, tuple(files)))
-    if not recordings:
-        raise InputFileError(
-            root,
-            "",
-            expected=f"recordings of ADT: folders that hold {adt.METADATA_FILE}",
-            found=names_in(root),
-            remedy="Give the folder whose sub-folders are the recordings, or one recording.",
-        )
+    expected = f"recordings of ADT: folders that hold {adt.METADATA_FILE}"
+    remedy = "Give the folder whose sub-folders are the recordings, or one recording."
+    require(root, (recordings, "", expected, names_in(root), remedy))
     return tuple(recordings)
 
 
@@ -306,27 +301,20 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
     if metadata.subtours is not None:
         remedy = "Download the sequence again: its present release has one flat folder a recording."
         raise InputFileError(path, "subtours", expected="layout v2.0", found="layout v1.x", remedy=remedy)
-    if metadata.gt_time_domain != adt.TIME_DOMAIN:
-        raise InputFileError(
-            path,
-            "gt_time_domain",
-            expected=f"'{adt.TIME_DOMAIN}' (the device clock)",
-            found=f"'{metadata.gt_time_domain}'" if metadata.gt_time_domain else "nothing",
-            remedy="Times on another clock would not meet gaze and poses; use a release on the device clock.",
-        )
+    expected = f"'{adt.TIME_DOMAIN}' (the device clock)"
+    remedy = "Times on another clock would not meet gaze and poses; use a release on the device clock."
+    found = f"'{metadata.gt_time_domain}'" if metadata.gt_time_domain else "nothing"
+    require(path, (metadata.gt_time_domain == adt.TIME_DOMAIN, "gt_time_domain", expected, found, remedy))
     concurrent = metadata.concurrent_sequence or ""
     objects, remarks = read_objects(*(found.require(role, _FILES[role]) for role in (INSTANCES, BOXES, OBJECTS)))
     size, device_from_rgb = read_size_and_camera(found.path(CALIBRATION))
     path = found.require(TRAJECTORY, adt.TRAJECTORY_FILE)
     trajectory = read_trajectory(path)
-    if np.linalg.norm(trajectory.up - np.array(adt.UP)) > 1e-3:
-        raise InputFileError(
-            path,
-            "gravity columns",
-            expected="gravity along -Y (ADT scenes are Y up)",
-            found=f"up = {(np.round(trajectory.up, 3) + 0.0).tolist()}",
-            remedy="This looks like a native MPS trajectory; use the recording's own aria_trajectory.csv.",
-        )
+    expected = "gravity along -Y (ADT scenes are Y up)"
+    remedy = "This looks like a native MPS trajectory; use the recording's own aria_trajectory.csv."
+    found = f"up = {(np.round(trajectory.up, 3) + 0.0).tolist()}"
+    is_y_up = np.linalg.norm(trajectory.up - np.array(adt.UP)) <= 1e-3
+    require(path, (is_y_up, "gravity columns", expected, found, remedy))
     body = None
     if options.poses == "egoallo":
         # The glasses' central pupil frame, which EgoAllo's outputs refer to.

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from prbench.errors import InputFileError
 from prbench.geometry.skeleton import invert_rigid
 from prbench.geometry.timelines import require_overlap, stream_ranges
 from prbench.protocol.manifests import Manifest
@@ -58,14 +57,9 @@ def recording_from_adt(
         StreamsDoNotOverlap: if glasses, gaze, objects and the wearer's body share no instant.
         InputFileError: if there is no pose of the glasses at all.
     """
-    if len(readings.glasses.time_us) == 0:
-        raise InputFileError(
-            readings.recording_id,
-            "",
-            expected="poses of the glasses",
-            found="none",
-            remedy="Copy or download the recording again.",
-        )
+    expected = "poses of the glasses"
+    remedy = "Copy or download the recording again."
+    require(readings.recording_id, (len(readings.glasses.time_us) != 0, "", expected, "none", remedy))
     device = glasses_stream(readings.glasses)
     span = float(device.times[0]), float(device.times[-1])
     head, camera = head_and_camera(device, readings.glasses_size or ASSUMED_SIZE, readings.device_from_rgb)

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import require_column
+from prbench.files.bounded import require
 from prbench.limits import FARTHEST_POSITION, LARGEST_ANGLE, LONGEST_LINE
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.trajectory import read_near, read_trajectory
@@ -129,14 +130,9 @@ def read_warnings(path: Source) -> tuple[str, ...]:
             details = [report.get("message"), *report.get("errors", []), *report.get("warnings", [])]
             said = "; ".join(str(detail) for detail in details if detail)[:160]
             reason = f" ({said})" if said else ""
-            if report["status"] == "ERROR":
-                raise InputFileError(
-                    shown(path),
-                    str(operator),
-                    expected="no operator with the status ERROR",
-                    found=f"ERROR{reason}",
-                    remedy="The services could not compute this stream; leave the recording out, or request it again.",
-                )
+            expected = "no operator with the status ERROR"
+            remedy = "The services could not compute this stream; leave the recording out, or request it again."
+            require(shown(path), (report["status"] != "ERROR", str(operator), expected, f"ERROR{reason}", remedy))
             warnings.append(f"{shown(path).parent.name}: {operator} warns{reason}")
     return tuple(warnings)
 

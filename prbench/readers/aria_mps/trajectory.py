@@ -10,8 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Int
 
-from prbench.errors import InputFileError
-from prbench.files.bounded import foreign_input
+from prbench.files.bounded import foreign_input, require
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.files import (
     Column,
@@ -105,14 +104,8 @@ def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
     graphs = tuple(sorted(counts, key=lambda name: -counts[name]))
     kept = codes == names.index(graphs[0]) if graphs else np.zeros(len(codes), dtype=bool)
     require_poses(source, position, rotation, used=kept)
-    if not kept.any():
-        raise InputFileError(
-            shown(source),
-            "",
-            expected="at least one pose of the glasses",
-            found="none",
-            remedy="The recording has no ground truth; download it again.",
-        )
+    expected = "at least one pose of the glasses"
+    require(shown(source), (kept.any(), "", expected, "none", "The recording has no ground truth; download it again."))
     # Gravity is a constant of a world, so that the first row of the kept one tells it.
     down = gravity[kept][0]
     return mps.AriaTrajectory(

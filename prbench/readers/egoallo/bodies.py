@@ -11,7 +11,7 @@ import numpy as np
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
-from prbench.files.bounded import foreign_input
+from prbench.files.bounded import foreign_input, require
 from prbench.geometry.timelines import covered
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP
 from prbench.readers.egoallo import format as ego
@@ -116,27 +116,18 @@ def read_own_output(path: Path, cpf: PoseStream) -> ego.EgoAlloOutput:
     rows = slice(max(int(first) - 1, 0), int(last) + 1)
     cpf = PoseStream(cpf.times[rows], cpf.position[rows], cpf.rotation[rows], cpf.valid[rows])
     posed = covered(cpf.times, cpf.valid, times, max_gap=LONGEST_POSE_STEP)
+    is_within = ((times >= begin) & (times <= end)).any()
+    expected = f"times of this recording, {begin:.3f} … {end:.3f} s on the device clock"
+    found = f"{times[0]:.3f} … {times[-1]:.3f} s: the output belongs to another recording"
+    require(path, (posed.any() or is_within, ego.TIMES, expected, found, _ELSEWHERE))
     if not posed.any():
-        if ((times >= begin) & (times <= end)).any():
-            return output  # all of it lies in a gap of the trajectory: nothing tells, and its frames become invalid
-        raise InputFileError(
-            path,
-            ego.TIMES,
-            expected=f"times of this recording, {begin:.3f} … {end:.3f} s on the device clock",
-            found=f"{times[0]:.3f} … {times[-1]:.3f} s: the output belongs to another recording",
-            remedy=_ELSEWHERE,
-        )
+        return output  # all of it lies in a gap of the trajectory: nothing tells, and its frames become invalid
     expected, _ = cpf.pose_at(times[posed])
     points = output.world_from_cpf[posed, 4:].astype(np.float64)
     distance = float(np.median(np.linalg.norm(points - expected, axis=1)))
-    if not distance <= ego.LARGEST_CPF_ERROR:
-        raise InputFileError(
-            path,
-            ego.WORLD_FROM_CPF,
-            expected=f"head poses of this recording at the same times, to {ego.LARGEST_CPF_ERROR * 100:.0f} cm",
-            found=f"a median distance of {distance * 100:.1f} cm: the output belongs to another recording or world",
-            remedy=_ELSEWHERE,
-        )
+    expected = f"head poses of this recording at the same times, to {ego.LARGEST_CPF_ERROR * 100:.0f} cm"
+    found = f"a median distance of {distance * 100:.1f} cm: the output belongs to another recording or world"
+    require(path, (distance <= ego.LARGEST_CPF_ERROR, ego.WORLD_FROM_CPF, expected, found, _ELSEWHERE))
     return output
 
 

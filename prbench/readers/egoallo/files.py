@@ -11,6 +11,7 @@ from typing import Literal
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
+from prbench.files.bounded import require
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize
 from prbench.readers.egoallo import format as ego
@@ -142,14 +143,9 @@ def aria_inputs(root: Path, found: RecordingFiles, name: str = mps.TRAJECTORY_FI
         InputFileError: if it has no trajectory, or an archive is damaged.
     """
     sources = {file.role: source_of(file) for file in found.files}
-    if mps.TRAJECTORY not in sources:
-        raise InputFileError(
-            found.folder / name,
-            "",
-            expected=f"the trajectory of {found.recording_id}",
-            found="no such file",
-            remedy="Download the recording's SLAM files; without them no body can be estimated.",
-        )
+    expected = f"the trajectory of {found.recording_id}"
+    remedy = "Download the recording's SLAM files; without them no body can be estimated."
+    require(found.folder / name, (mps.TRAJECTORY in sources, "", expected, "no such file", remedy))
     # The recording's own VRS file: beside its files, or by its name below a folder VRS.
     places = [found.folder / vrs for vrs in (*_VRS_NAMES, f"{found.recording_id}.vrs")]
     below = (path for base in ("VRS", "*/VRS") for path in root.glob(f"{base}/**/{found.recording_id}*.vrs"))

@@ -16,7 +16,7 @@ import numpy as np
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
-from prbench.files.bounded import require_rows, require_size
+from prbench.files.bounded import require, require_rows, require_size
 from prbench.readers import ReaderOptions, synthetic_tree_around
 from prbench.readers.aria_mps.files import find_mps_files, read_mps
 from prbench.readers.aria_mps.format import GAZE, TIME_COLUMN, TRAJECTORY
@@ -127,14 +127,9 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
                 skip_reason=None if metadata is None else why_unusable(metadata),
             )
         )
-    if not found:
-        raise InputFileError(
-            root,
-            "",
-            expected=f"recordings of HOT3D: folders that hold {hot3d.METADATA_FILE}, at most two levels down",
-            found=names_in(root),
-            remedy="Give the folder of the recordings. Clips in tar files (HOT3D-Clips) are another format.",
-        )
+    expected = f"recordings of HOT3D: folders that hold {hot3d.METADATA_FILE}, at most two levels down"
+    remedy = "Give the folder of the recordings. Clips in tar files (HOT3D-Clips) are another format."
+    require(root, (found, "", expected, names_in(root), remedy))
     return tuple(sorted(found, key=lambda recording: recording.recording_id))
 
 
@@ -235,14 +230,9 @@ def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
     poses = read_poses_by_body(
         path, body={hot3d.OBJECT_ID: str}, time=hot3d.TIME, position=hot3d.POSITION, rotation=hot3d.ROTATION
     )
-    if not poses:
-        raise InputFileError(
-            path,
-            "",
-            expected="rows of poses",
-            found="none",
-            remedy="metadata.json says that this ground truth is there; download the recording again.",
-        )
+    expected = "rows of poses"
+    remedy = "metadata.json says that this ground truth is there; download the recording again."
+    require(path, (poses, "", expected, "none", remedy))
     return {uid: hot3d.PoseRows(*rows) for uid, rows in poses.items()}
 
 
@@ -261,14 +251,9 @@ def read_glb(path: Path) -> hot3d.Mesh:
         length = int.from_bytes(content[12:16], "little")
         description = msgspec.json.decode(content[20 : 20 + length])
         largest = max((accessor["count"] for accessor in description.get("accessors", ())), default=0)
-        if largest > len(content):
-            raise InputFileError(
-                path,
-                "accessors",
-                expected=f"at most {len(content):,} entries, one a byte of the file",
-                found=f"{largest:,}",
-                remedy="Download the object library again.",
-            )
+        expected = f"at most {len(content):,} entries, one a byte of the file"
+        remedy = "Download the object library again."
+        require(path, (largest <= len(content), "accessors", expected, f"{largest:,}", remedy))
         # Whatever a broken file makes the parser stumble over, the user needs its name.
         scene = trimesh.load_scene(io.BytesIO(content), file_type="glb", process=False, skip_materials=True)
         mesh = scene.to_mesh()
@@ -317,14 +302,11 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
     }
     mps = read_mps(found, thin=False)
     up = mps.trajectory.up
-    if np.linalg.norm(up - np.array([0.0, 0.0, 1.0])) > 1e-3:
-        raise InputFileError(
-            found.folder / hot3d.MPS_FOLDER,
-            "gravity columns of the trajectory",
-            expected="gravity along -Z (HOT3D's world is Z up)",
-            found=f"up = {(np.round(up, 3) + 0.0).tolist()}",
-            remedy="This trajectory belongs to another dataset; download the recording's own.",
-        )
+    expected = "gravity along -Z (HOT3D's world is Z up)"
+    remedy = "This trajectory belongs to another dataset; download the recording's own."
+    seen = f"up = {(np.round(up, 3) + 0.0).tolist()}"
+    is_z_up = np.linalg.norm(up - np.array([0.0, 0.0, 1.0])) <= 1e-3
+    require(found.folder / hot3d.MPS_FOLDER, (is_z_up, "gravity columns of the trajectory", expected, seen, remedy))
     body = read_bodies(found, cpf=mps_streams(mps, world_from_source=np.eye(4)).head)
     return hot3d.Hot3dReadings(
         recording_id=found.recording_id,

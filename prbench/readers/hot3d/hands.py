@@ -129,14 +129,9 @@ def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], tuple[str, ..
                 lines.append(_UMETRACK_DECODER.decode(line))
             except (msgspec.DecodeError, UnicodeDecodeError):
                 bad += 1
-    if not lines:
-        raise InputFileError(
-            path,
-            "",
-            expected="hand poses, one JSON object a line",
-            found=f"{bad} lines that are none" if bad else "an empty file",
-            remedy="metadata.json says that this ground truth is there; download the recording again.",
-        )
+    expected = "hand poses, one JSON object a line"
+    remedy = "metadata.json says that this ground truth is there; download the recording again."
+    require(path, (lines, "", expected, f"{bad} lines that are none" if bad else "an empty file", remedy))
     times = np.array([line.timestamp_ns for line in lines], dtype=np.int64)
     require_increasing(path, times, unit="ns", place="record", first=1)
     hands = []
@@ -154,8 +149,7 @@ def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], tuple[str, ..
         length = np.linalg.norm(rotation, axis=1)
         wrong = ~(np.isfinite(position).all(axis=1) & np.isfinite(angles).all(axis=1))
         wrong |= ~(np.abs(length - 1) <= _QUATERNION_TOLERANCE)
-        if wrong.any():
-            row = int(np.argmax(wrong))
+        for row in np.flatnonzero(wrong)[:1]:
             raise InputFileError(
                 path,
                 f"{side} hand at {time_ns[row]} ns",
@@ -179,13 +173,10 @@ def read_profile(path: Path) -> hot3d.HandModel:
     require(path, ("hand_model" in profile, "", "the key 'hand_model'", "an empty object", "Download it again."))
     model = profile["hand_model"]
     for row, weights in enumerate(model.dense_bone_weights):
-        if len(weights) != N_BONES or not abs(sum(weights) - 1) <= 1e-3:
-            raise InputFileError(
-                path,
-                f"dense_bone_weights, row {row}",
-                expected=f"{N_BONES} numbers that sum to 1",
-                found=f"{len(weights)} that sum to {sum(weights):g}",
-            )
+        expected = f"{N_BONES} numbers that sum to 1"
+        found = f"{len(weights)} that sum to {sum(weights):g}"
+        is_fine = len(weights) == N_BONES and abs(sum(weights) - 1) <= 1e-3
+        require(path, (is_fine, f"dense_bone_weights, row {row}", expected, found, ""))
     vertices = max(len(model.mesh_vertices), 1)
     for name, rows in (
         ("dense_bone_weights", vertices),
