@@ -5,9 +5,9 @@ The file holds what a predictor may see, and nothing that names it. Source: docs
 
 from __future__ import annotations
 
+import contextlib
 import tempfile
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +27,9 @@ from prbench.harness.request import ProgressCallback, RunRequest, silent
 from prbench.harness.run import score_prepared
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.predictions import PredictionRows, write_part
-from prbench.harness.run_folder.record import FILE, MethodRecord
+from prbench.harness.run_folder.record import MethodRecord
 from prbench.harness.run_folder.summary import DatasetSummary
+from prbench.harness.score_request import listed
 from prbench.sequences.dataset_info import notice, require_may_pass_on
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, require_futures
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
@@ -40,7 +41,6 @@ FORMAT_VERSION = 1
 _ELSEWHERE = "offline"
 _LARGEST = 8 * 1024**3  # bytes of one array
 _LARGEST_IDS = 1024**3
-_NAMED = 3  # ids listed in a message
 _REMEDY = "Export the windows again with `prbench export-conditions --benchmark motion-prediction`."
 
 
@@ -236,20 +236,10 @@ def score_futures(
     info, batch = read_windows(conditions)
     _require_from_table(info, batch, conditions, data)
     joints = _joints(futures, info, batch)
-    method = MethodRecord(
-        name=called,
-        kind=FILE,
-        package=futures.name,
-        version=file_digest(futures)[:12],
-        weights=None,
-        weights_digest=None,
-        options={},
-        max_frames=None,
-        native_fps=None,
-        motionless=False,
-        one_design=one_design,
-    )
-    with _folder(out) as folder, sole_writer(folder):
+    method = MethodRecord.of_file(called, futures.name, file_digest(futures), one_design=one_design)
+    with contextlib.ExitStack() as held:
+        folder = out or Path(held.enter_context(tempfile.TemporaryDirectory(prefix="prbench-futures-"))) / "run"
+        held.enter_context(sole_writer(folder))
         asked = RunRequest(
             benchmark=BENCHMARK,
             method=called,
@@ -283,15 +273,6 @@ def score_futures(
             write_part(path, ids, [keys] * info.samples, samples, protocol_version=rules.version)
         summaries = score_prepared(prepared, run, engine=engine or InProcess(), progress=progress)
     return summaries[0], record.method.origin
-
-
-@contextmanager
-def _folder(out: Path | None) -> Iterator[Path]:
-    if out is not None:
-        yield out
-        return
-    with tempfile.TemporaryDirectory(prefix="prbench-futures-") as temporary:
-        yield Path(temporary) / "run"
 
 
 def _require_from_table(info: WindowsFileInfo, batch: ObservedBatch, path: Path, data: Sequence[Path]) -> None:
@@ -340,8 +321,8 @@ def _joints(
     if missing or unknown or repeated or len(ids) != len(joints):
         raise PredictionsError(
             f"{path}: expected the {len(wanted)} windows of the conditions file, each once, found {len(ids)} ids and"
-            f" {len(joints)} rows of joints: missing {_listed(missing)}, repeated {_listed(repeated)}, unknown"
-            f" {_listed(unknown)}."
+            f" {len(joints)} rows of joints: missing {listed(missing)}, repeated {listed(repeated)}, unknown"
+            f" {listed(unknown)}."
         )
     place = {name: row for row, name in enumerate(ids)}
     ordered = joints[[place[name] for name in wanted]]
@@ -350,8 +331,3 @@ def _joints(
     except AdapterError as error:
         raise PredictionsError(str(error)) from error
     return ordered.astype(np.float32)
-
-
-def _listed(names: list[str]) -> str:
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return f"{len(names)} ({', '.join(names[:_NAMED])}{more})" if names else "none"

@@ -244,7 +244,7 @@ def require_complete(
         )
     raise PredictionsError(
         f"{request.predictions}: expected the {expected}{each}, found {len(there - set(missing))}:"
-        f" missing {_listed(missing)}, repeated {_listed(repeated)}, unknown {_listed(sorted(unknown))}"
+        f" missing {listed(missing)}, repeated {listed(repeated)}, unknown {listed(sorted(unknown))}"
         f"{f', samples that were not asked for {surplus[:_NAMED]}' if surplus else ''}. {remedy}"
     )
 
@@ -252,7 +252,8 @@ def require_complete(
 _NAMED = 3  # ids listed in a message
 
 
-def _listed(names: list[str]) -> str:
+def listed(names: list[str]) -> str:
+    """Return how many names there are, and the first three."""
     if not names:
         return "0"
     return f"{len(names)} ({', '.join(names[:_NAMED])}{', …' if len(names) > _NAMED else ''})"

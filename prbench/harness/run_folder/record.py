@@ -71,6 +71,14 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     one_design: bool = False
     isolation: str | None = None
 
+    @classmethod
+    def of_file(cls, name: str, file: str, digest: str, **declared: Any) -> MethodRecord:
+        """Return the record of finished motions or futures in a file; ``declared`` are other fields."""
+        nothing = {"weights": None, "weights_digest": None, "options": {}, "max_frames": None, "native_fps": None}
+        return cls(
+            name=name, kind=FILE, package=file, version=digest[:12], **nothing | {"motionless": False} | declared
+        )
+
     @property
     def origin(self) -> str:
         """Origin of the method, from where, and how it was kept apart, in words for tables."""
