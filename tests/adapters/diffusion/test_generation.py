@@ -13,7 +13,6 @@ from prbench.geometry import skeleton
 from prbench.geometry.skeleton import BONES, Joint
 from prbench.randomness import sequence_generator
 from prbench.representation import REST_OFFSETS
-from prbench_adapters.diffusion import generation
 from prbench_adapters.diffusion.configuration import EncodedCondition
 from prbench_adapters.diffusion.generation import (
     Guided,
@@ -28,6 +27,7 @@ from prbench_adapters.diffusion.generation import (
     with_bone_lengths,
 )
 from tests.adapters.diffusion import tiny
+from tests.adapters.diffusion.goal_batches import conditions
 from tests.fakes import STANDING, smooth_motion
 
 LENGTHS = [21, 10, 20, 33, 9, 5, 20, 40]  # neither sorted, nor inside the parts that are computed together
@@ -58,14 +58,6 @@ def test_a_motion_does_not_depend_on_the_batch_around_it(model, settings):
     assert np.abs(together.joints[0, :20] - together.joints[2, :20]).max() > 1e-2  # other seeds, other motions
 
 
-def test_motions_do_not_depend_on_how_rows_are_put_together(model, monkeypatch):
-    batch = tiny.text_batch(LENGTHS)
-    as_planned = generate(model, batch, SETTINGS["ddpm"])
-    monkeypatch.setattr(generation, "parts_of_similar_length", lambda n_frames, largest: [np.arange(len(n_frames))])
-    in_one = generate(model, batch, SETTINGS["ddpm"])
-    np.testing.assert_allclose(as_planned.ragged(), in_one.ragged(), rtol=0, atol=1e-4)
-
-
 def test_the_text_matters_only_where_it_is_heard(model):
     batch = tiny.text_batch([12, 12])
     swapped = dataclasses.replace(batch, text=tuple(reversed(tiny.TEXTS)))
@@ -73,12 +65,6 @@ def test_the_text_matters_only_where_it_is_heard(model):
         settings = SamplingSettings(guidance=guidance, sampler="ddim")
         difference = generate(model, batch, settings).joints - generate(model, swapped, settings).joints
         assert bool(np.abs(difference).max() > 1e-3) is heard
-
-
-def test_motions_start_over_the_origin_and_face_forward(model):
-    joints = generate(model, tiny.text_batch([10]), SETTINGS["ddim"]).joints
-    np.testing.assert_allclose(joints[0, 0, 0, [0, 2]], 0.0, atol=1e-6)
-    assert joints.dtype == np.float32
 
 
 @pytest.fixture
@@ -105,14 +91,6 @@ def test_one_pass_of_twice_the_batch_is_two_passes_combined(network):
     denoise = Guided(network, condition, N_FRAMES, 2.5)
     torch.testing.assert_close(denoise(NOISY, 3), expected, rtol=0, atol=1e-12)
     assert (conditional - unconditional).abs().max() > 1e-3
-
-
-def test_the_unconditional_half_keeps_the_vector_and_the_padding():
-    condition = _condition()
-    silent = condition.without_text()
-    assert not silent.text.any()
-    assert silent.vector is condition.vector
-    assert silent.padding is condition.padding
 
 
 def test_without_guidance_there_is_one_pass(network):
@@ -154,84 +132,38 @@ def _lists(n_frames: list[int], largest: int) -> list[list[int]]:
     return [part.tolist() for part in parts_of_similar_length(np.array(n_frames), largest)]
 
 
-def test_a_part_ends_where_the_shortest_would_be_padded_by_more_than_a_quarter():
+def test_parts_end_when_full_or_where_the_shortest_would_be_padded_by_more_than_a_quarter():
     assert _lists([50, 40, 51, 100], 8) == [[1, 0], [2], [3]]
-
-
-def test_a_part_ends_when_it_is_full():
     assert _lists([10, 10, 10, 10, 10], 2) == [[0, 1], [2, 3], [4]]
 
 
-def test_every_row_is_in_one_part():
-    n_frames = np.random.default_rng(0).integers(20, 240, 50)
-    parts = parts_of_similar_length(n_frames, 7)
-    assert sorted(np.concatenate(parts).tolist()) == list(range(50))
-    assert all(n_frames[part].max() <= 1.25 * n_frames[part].min() for part in parts)
-
-
-def test_the_noise_of_a_sequence_depends_on_its_seed_alone():
-    alone = start_noise([7], np.array([5]))[0]
-    first, second = start_noise([9, 7], np.array([8, 5])), start_noise([7, 9], np.array([5, 8]))
-    assert torch.equal(first[1, :5], alone)
-    assert torch.equal(second[0, :5], alone)
-    assert torch.equal(second[1], first[0])
-    assert not torch.equal(first[0, :5], alone)
-
-
-def test_the_noise_is_that_of_the_sequences_generator_and_padding_is_zero():
-    noise = SequenceNoise([3, 4], np.array([2, 4]))
-    first, second = noise.draw(), noise.draw()
-    generator = sequence_generator(3)
-    for drawn in (first, second):
-        expected = generator.standard_normal((2, 263), dtype=np.float32)
-        assert np.array_equal(drawn[0, :2].numpy(), expected)
-        assert not drawn[0, 2:].any()
-
-
-def test_a_longer_sequence_of_the_same_seed_begins_alike():
+def test_the_noise_is_that_of_the_sequences_generator_whatever_the_batch_and_padding_is_zero():
+    for seeds, lengths in (([3, 4], [2, 4]), ([4, 3], [9, 2])):
+        noise, generator = SequenceNoise(seeds, np.array(lengths)), sequence_generator(3)
+        for drawn in (noise.draw(), noise.draw()):
+            row = drawn[seeds.index(3)]
+            assert np.array_equal(row[:2].numpy(), generator.standard_normal((2, 263), dtype=np.float32))
+            assert not row[2:].any()
     assert torch.equal(start_noise([5], np.array([9]))[0, :4], start_noise([5], np.array([4]))[0])
 
 
-def test_the_noise_is_standard_normal():
-    noise = start_noise([1, 2], np.array([200, 200]))
-    assert abs(float(noise.mean())) < 0.01
-    assert abs(float(noise.std()) - 1) < 0.01
-    assert abs(float((noise[0] * noise[1]).mean())) < 0.01
-
-
-SIZES = np.array([0.8, 1.1], dtype=np.float32)
-
-
-@pytest.fixture
-def batch() -> ConditionBatch:
-    """Two bodies of different sizes in the same pose, each with a goal at its own scale."""
-    joints = (STANDING[None] * SIZES[:, None, None]).astype(np.float32)
-    goals = {"goal_location": (np.array([[0.5, 1.0, 2.0]]) * SIZES[:, None]).astype(np.float32)}
-    common = {"n_frames": np.array([5, 5]), "fps": 20.0, "opaque_id": ("a", "b"), "noise_seed": (1, 2)}
-    return ConditionBatch(
-        condition=Condition.GOAL_LOCATION,
-        text=tiny.TEXTS,
-        initial_joints=joints,
-        previous_joints=joints,
-        **common,
-        **goals,
-    )
-
-
-def test_a_model_of_bodies_with_their_own_bones_changes_nothing(batch):
-    bodies = ModelBodies.of(batch, tiny.configuration(goal="location"))
-    assert bodies.batch is batch
-    joints = np.zeros((2, 5, 22, 3), dtype=np.float32)
-    assert bodies.own(joints) is joints
-
-
-def test_a_model_of_one_skeleton_is_given_that_skeleton_and_scaled_goals(batch):
+def test_a_model_of_one_skeleton_is_given_that_skeleton_and_scaled_goals():
+    """Two bodies in one pose that differ by their size alone, so that on one skeleton their goals agree."""
+    given = conditions(Condition.GOAL_LOCATION, 2)
+    sizes = np.float32([0.8, 1.1])[:, None, None]
+    joints, goals = given.initial_joints * sizes, np.float32([[0.5, 1.0, 2.0]]) * sizes[:, 0]
+    batch = dataclasses.replace(given, initial_joints=joints, previous_joints=joints, goal_location=goals)
     bodies = ModelBodies.of(batch, tiny.configuration(goal="location", uniform_skeleton=True))
     wanted = np.linalg.norm(REST_OFFSETS[1:], axis=1)
-    np.testing.assert_allclose(skeleton.bone_lengths(bodies.batch.initial_joints[0]), wanted, atol=1e-5)
-    np.testing.assert_allclose(skeleton.bone_lengths(bodies.batch.previous_joints[1]), wanted, atol=1e-5)
-    goals = bodies.batch.goal_location  # the bodies differ by their size alone, so on one skeleton the goals agree
-    np.testing.assert_allclose(goals[0], goals[1], atol=1e-5)
+    for poses in (bodies.batch.initial_joints, bodies.batch.previous_joints):
+        np.testing.assert_allclose(skeleton.bone_lengths(poses), [wanted, wanted], atol=1e-5)
+    np.testing.assert_allclose(bodies.batch.goal_location[0], bodies.batch.goal_location[1], atol=1e-5)
+    back = bodies.own(np.broadcast_to(bodies.batch.goal_location[:, None, None], (2, 5, 22, 3)).astype(np.float32))
+    np.testing.assert_allclose(back[:, 3, 7], goals, atol=1e-5)
+    plain = ModelBodies.of(batch, tiny.configuration(goal="location"))
+    assert plain.batch is batch
+    motion = np.zeros((2, 5, 22, 3), dtype=np.float32)
+    assert plain.own(motion) is motion
 
 
 WOBBLING = torch.as_tensor(np.stack([smooth_motion(name, 20) for name in "ab"]))
@@ -266,28 +198,12 @@ def test_gradients_reach_every_joint_and_are_finite_for_a_vanished_bone():
     assert not moving[Joint.LEFT_WRIST]
 
 
-def _settings(**options: str) -> SamplingSettings:
-    return sampling_settings(options, guidance=2.5, diffusion_steps=50)
-
-
-def test_the_methods_own_values_stand_unless_others_are_given():
-    assert _settings() == SamplingSettings(guidance=2.5, sampler="ddpm", steps=None)
-    assert _settings(guidance="1", sampler="ddim", steps="10") == SamplingSettings(1.0, "ddim", 10)
-
-
 @pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"guidance": "-1"}, "option 'guidance': expected a number of 0 or more, found '-1'"),
-        ({"guidance": "nan"}, "option 'guidance'"),
-        ({"guidance": "much"}, "option 'guidance'"),
-        ({"sampler": "euler"}, "option 'sampler': expected ddpm or ddim, found 'euler'"),
-        ({"steps": "0"}, "option 'steps': expected a whole number from 1 to 50, found '0'"),
-        ({"steps": "51"}, "option 'steps'"),
-        ({"steps": "2.5"}, "option 'steps'"),
-        ({"steps": "-3"}, "option 'steps'"),
-    ],
+    ("key", "value"),
+    [*(("guidance", bad) for bad in ("-1", "nan", "much")), *(("steps", bad) for bad in ("0", "51", "2.5", "-3"))],
 )
-def test_impossible_values_are_named(options, message):
-    with pytest.raises(ValueError, match=message):
-        _settings(**options)
+def test_impossible_values_are_named(key, value):
+    given = {"guidance": "1", "sampler": "ddim", "steps": "10"}
+    assert sampling_settings(given, guidance=2.5, diffusion_steps=50) == SamplingSettings(1.0, "ddim", 10)
+    with pytest.raises(ValueError, match=f"option '{key}': expected a .*, found '{value}'"):
+        sampling_settings({key: value}, guidance=2.5, diffusion_steps=50)

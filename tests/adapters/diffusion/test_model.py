@@ -6,35 +6,19 @@ import numpy as np
 import pytest
 import torch
 
-from prbench.contract import Condition, ConditionBatch
+from prbench.contract import Condition
 from prbench.errors import AdapterError, InputFileError, UsageError
 from prbench.representation import decode
 from prbench_adapters.diffusion.configuration import (
     ConditionScaling,
     DenoiserConfiguration,
     raw_condition,
-    raw_condition_of,
 )
 from prbench_adapters.diffusion.model import MotionModel, torch_device
 from prbench_adapters.training.weights import read_weights, write_weights
 from tests.adapters.diffusion import tiny
+from tests.adapters.diffusion.goal_batches import conditions
 from tests.fakes import STANDING
-
-
-def _goal_batch(condition: Condition) -> ConditionBatch:
-    joints = np.repeat(STANDING[None], 2, axis=0).astype(np.float32)
-    goal = {"goal_joints": joints + 0.5} if condition is Condition.GOAL_POSE else {"goal_location": joints[:, 21]}
-    return ConditionBatch(
-        condition=condition,
-        n_frames=np.array([5, 7]),
-        fps=20.0,
-        opaque_id=("a", "b"),
-        noise_seed=(1, 2),
-        text=tiny.TEXTS,
-        initial_joints=joints,
-        previous_joints=joints - np.float32(0.01),
-        **goal,
-    )
 
 
 def test_a_written_model_is_read_back(tmp_path):
@@ -45,52 +29,41 @@ def test_a_written_model_is_read_back(tmp_path):
         assert torch.equal(ours, theirs), name
     assert torch.equal(loaded.std, made.std)
     assert loaded.digest == read_weights(path).digest
+    assert not loaded.denoiser.training
+    assert not any(parameter.requires_grad for parameter in loaded.denoiser.parameters())
 
 
-def test_a_smoothed_model_averages_neighbouring_frames():
-    model = tiny.model(smoothed=True)
+@pytest.mark.parametrize("smoothed", [False, True])
+def test_joints_are_those_of_restored_features_and_a_smoothed_model_averages_neighbours(smoothed):
+    model = tiny.model(smoothed=smoothed)
     normalised = torch.randn((2, 6, 263), generator=torch.Generator().manual_seed(0))
     raw = (normalised * model.std + model.mean).numpy()
     expected = raw.copy()
-    expected[:, 1:-1] = (raw[:, :-2] + 2 * raw[:, 1:-1] + raw[:, 2:]) / 4
-    expected[1, 3:] = raw[1, 3:]  # the last frame of the shorter one, and its padding
-    condition = model.encode(tiny.text_batch([6, 4]))
-    found = model.joints(normalised, condition, torch.tensor([6, 4])).numpy()
+    if smoothed:
+        expected[:, 1:-1] = (raw[:, :-2] + 2 * raw[:, 1:-1] + raw[:, 2:]) / 4
+        expected[1, 3:] = raw[1, 3:]  # the last frame of the shorter one, and its padding
+    found = model.joints(normalised, model.encode(tiny.text_batch([6, 4])), torch.tensor([6, 4])).numpy()
     np.testing.assert_allclose(found[0], decode(expected)[0], rtol=0, atol=1e-5)
     np.testing.assert_allclose(found[1, :4], decode(expected)[1, :4], rtol=0, atol=1e-5)
 
 
-def test_weights_are_frozen_and_dropout_is_off(tmp_path):
-    model = MotionModel.load(tiny.write(tmp_path / "w.safetensors"))
-    assert not model.denoiser.training
-    assert not any(parameter.requires_grad for parameter in model.denoiser.parameters())
-
-
-def test_joints_are_those_of_the_restored_features():
-    model = tiny.model()
-    normalised = torch.randn((2, 6, 263), generator=torch.Generator().manual_seed(0))
-    expected = decode((normalised * model.std + model.mean).numpy())
-    np.testing.assert_allclose(
-        model.joints(normalised, model.encode(tiny.text_batch([6, 6])), torch.tensor([6, 6])).numpy(),
-        expected,
-        rtol=0,
-        atol=1e-5,
-    )
-
-
 @pytest.mark.parametrize(("goal", "condition"), [("location", Condition.GOAL_LOCATION), ("pose", Condition.GOAL_POSE)])
-def test_the_condition_vector_is_pose_velocity_and_goal(goal, condition):
-    batch = _goal_batch(condition)
-    model = tiny.model(goal=goal)
+def test_the_condition_vector_is_pose_velocity_in_metres_a_second_and_goal(goal, condition):
+    batch, model = conditions(condition, 2), tiny.model(goal=goal)
     size = model.configuration.condition_size
+    assert size == {"location": 135, "pose": 198}[goal]
+    assert sum(part.stop - part.start for part in model.configuration.condition_parts.values()) == size
     model.scaling = ConditionScaling.of(model.configuration, torch.full((size,), 0.5), torch.full((size,), 2.0))
     encoded = model.encode(batch)
-    flat = batch.initial_joints.reshape(2, 66)
     target = batch.goal_joints.reshape(2, 66) if goal == "pose" else batch.goal_location
+    expected = np.concatenate([batch.initial_joints.reshape(2, 66), np.full((2, 66), 0.2), target], axis=1)
     assert encoded.vector is not None
-    expected = np.concatenate([flat, np.full((2, 66), 0.2), target], axis=1)
     np.testing.assert_allclose(encoded.vector.numpy(), (expected - 0.5) / 2.0, rtol=0, atol=1e-4)
     assert encoded.text.shape == (2, encoded.padding.shape[1], 64)
+    assert tiny.model().encode(batch).vector is None
+    other = tiny.model(goal="location" if goal == "pose" else "pose")
+    with pytest.raises(ValueError, match=f"'{other.configuration.goal}' cannot use '{condition.value}'"):
+        other.encode(batch)
 
 
 def test_other_texts_may_be_asked_for():
@@ -119,52 +92,6 @@ def test_a_device_that_does_not_exist_is_refused(name):
 
 
 LOCATION = DenoiserConfiguration(goal="location")
-POSE = DenoiserConfiguration(goal="pose")
-
-
-def _batch(condition: Condition, n: int = 2) -> ConditionBatch:
-    standing = np.broadcast_to(STANDING.astype(np.float32), (n, 22, 3)).copy()
-    goals = {
-        Condition.GOAL_LOCATION: {"goal_location": np.full((n, 3), 2.0, dtype=np.float32)},
-        Condition.GOAL_POSE: {"goal_joints": standing + np.float32(1.0)},
-    }
-    return ConditionBatch(
-        condition=condition,
-        n_frames=np.full(n, 40),
-        fps=20.0,
-        opaque_id=tuple("ab"[:n]),
-        noise_seed=tuple(range(n)),
-        text=("The person moves across and picks an object.",) * n,
-        initial_joints=standing,
-        previous_joints=standing - np.float32(0.05),
-        **goals[condition],
-    )
-
-
-def test_the_vector_is_pose_then_velocity_in_metres_a_second_then_goal():
-    raw = raw_condition_of(_batch(Condition.GOAL_LOCATION), LOCATION)
-    assert raw is not None
-    assert raw.shape == (2, 135)
-    parts = LOCATION.condition_parts
-    assert torch.allclose(raw[0, parts["initial_pose"]].reshape(22, 3), torch.as_tensor(STANDING, dtype=torch.float32))
-    assert torch.allclose(raw[:, parts["initial_velocity"]], torch.tensor(1.0), atol=1e-5)  # 0.05 m in 1/20 s
-    assert torch.allclose(raw[:, parts["goal"]], torch.tensor(2.0))
-
-
-def test_a_goal_pose_takes_the_place_of_the_location():
-    raw = raw_condition_of(_batch(Condition.GOAL_POSE), POSE)
-    assert raw is not None
-    assert raw.shape == (2, 198)
-    assert torch.allclose(raw[:, POSE.condition_parts["goal"]], raw[:, POSE.condition_parts["initial_pose"]] + 1.0)
-
-
-def test_a_model_without_goal_takes_no_vector():
-    assert raw_condition_of(_batch(Condition.GOAL_POSE), DenoiserConfiguration()) is None
-
-
-def test_the_other_kind_of_goal_is_refused():
-    with pytest.raises(ValueError, match="'pose' cannot use 'goal-loc'"):
-        raw_condition_of(_batch(Condition.GOAL_LOCATION), POSE)
 
 
 def test_standardised_entries_have_mean_0_and_deviation_1():
