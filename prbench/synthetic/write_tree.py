@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -30,7 +30,6 @@ from prbench.synthetic.sensors import Switches
 
 _TRUTH_FOLDER = "truth"
 _TRUTH_SCHEMA = 1
-_TruthTable = Literal["recordings", "events", "fixations", "joints", "objects"]
 
 _STREAMS = ("glasses", "gaze", "objects", "body")
 _METADATA = {"prbench.truth_schema": str(_TRUTH_SCHEMA)}
@@ -38,105 +37,106 @@ _DECIMALS = 5  # 10 micrometres; keeps digests equal where the last bits of a si
 _POINT = pa.list_(pa.float64(), 3)
 
 
-def recordings_table(performance: Performance, *, noise: float = 1.0) -> pa.Table:
-    """Return the one row of a recording: who, where, which clock and which constant errors."""
+# Column of the events' table, attribute of a true event, and type.
+_EVENT_COLUMNS = (
+    ("event_id", "event_id", pa.string()),
+    ("kind", "action", pa.string()),
+    ("tag", "tag", pa.string()),
+    ("object_id", "object_id", pa.string()),
+    ("object_name", "object_name", pa.string()),
+    ("hand", "hand", pa.string()),
+    ("contact_s", "contact_time", pa.float64()),
+    ("event_s", "event_time", pa.float64()),
+    ("release_s", "release_time", pa.float64()),
+    ("goal", "goal", _POINT),
+    ("box_min", "box_min", _POINT),
+    ("box_max", "box_max", _POINT),
+    ("prime_planned_s", "prime_planned", pa.float64()),
+    ("prime_s", "prime_time", pa.float64()),
+    ("prime_first_s", "prime_first", pa.float64()),
+    ("prime_kind", "prime_kind", pa.string()),
+    ("motor_start_s", "motor_start", pa.float64()),
+    ("reach_start_s", "reach_start", pa.float64()),
+    ("expected", "expected", pa.string()),
+    ("thin", "thin", pa.bool_()),
+)
+_LOOK_COLUMNS = (
+    ("start_s", "start", pa.float64()),
+    ("end_s", "end", pa.float64()),
+    ("target", "target", _POINT),
+    ("kind", "kind", pa.string()),
+    ("event_id", "event_id", pa.string()),
+)
+
+
+def shared_tables(performance: Performance, *, noise: float = 1.0) -> dict[str, pa.Table]:
+    """Return the rows of a recording in the tables that all recordings share.
+
+    Returns:
+        ``recordings``: one row: who, where, which clock and which constant errors. ``events``: one row a pick, put or
+        provocation. ``fixations``: one row a planned look.
+    """
     layout = layout_for(performance.preset)
     yaw, pitch = np.rad2deg(layout.gaze_bias(performance, noise=noise, switches=Switches()))
     person = performance.person
-    return _table(
-        {
-            "recording_id": [performance.recording_id],
-            "preset": [performance.preset],
-            "room_id": [performance.room_id],
-            "participant_id": [person.participant_id],
-            "split": [performance.split],
-            "seed": pa.array([performance.seed], pa.int64()),
-            "duration_s": [performance.duration],
-            "stature_m": [person.stature],
-            "neck_tilt_deg": [person.neck_tilt_deg],
-            "style": [dict(sorted(person.parameters.items()))],
-            "clock_offset_s": [dict.fromkeys(_STREAMS, layout.clock_start(performance))],
-            "clock_drift_ppm": [dict.fromkeys(_STREAMS, 0.0)],
-            "gaze_bias_yaw_deg": [float(yaw)],
-            "gaze_bias_pitch_deg": [float(pitch)],
-            "world_from_native": pa.array([np.eye(4).ravel().tolist()], pa.list_(pa.float64(), 16)),
-        }
-    )
+    about = {
+        "recording_id": [performance.recording_id],
+        "preset": [performance.preset],
+        "room_id": [performance.room_id],
+        "participant_id": [person.participant_id],
+        "split": [performance.split],
+        "seed": pa.array([performance.seed], pa.int64()),
+        "duration_s": [performance.duration],
+        "stature_m": [person.stature],
+        "neck_tilt_deg": [person.neck_tilt_deg],
+        "style": [dict(sorted(person.parameters.items()))],
+        "clock_offset_s": [dict.fromkeys(_STREAMS, layout.clock_start(performance))],
+        "clock_drift_ppm": [dict.fromkeys(_STREAMS, 0.0)],
+        "gaze_bias_yaw_deg": [float(yaw)],
+        "gaze_bias_pitch_deg": [float(pitch)],
+        "world_from_native": pa.array([np.eye(4).ravel().tolist()], pa.list_(pa.float64(), 16)),
+    }
+    tables = {"recordings": about}
+    events = [replace(event, object_id=layout.object_id(event.object_id)) for event in layout.events(performance)]
+    for name, columns, rows in (
+        ("events", _EVENT_COLUMNS, events),
+        ("fixations", _LOOK_COLUMNS, performance.fixations),
+    ):
+        tables[name] = {"recording_id": pa.array([performance.recording_id] * len(rows), pa.string())}
+        for column, attribute, kind in columns:
+            values = [getattr(row, attribute) for row in rows]
+            if kind is _POINT:
+                values = [np.asarray(value).tolist() for value in values]
+            tables[name][column] = pa.array(values, kind)
+    return {name: _table(columns) for name, columns in tables.items()}
 
 
-def events_table(performance: Performance) -> pa.Table:
-    """Return one row a pick, put or provocation of one recording."""
-    layout = layout_for(performance.preset)
-    events = layout.events(performance)
-    return _table(
-        {
-            "recording_id": pa.array([performance.recording_id] * len(events), pa.string()),
-            "event_id": pa.array([event.event_id for event in events], pa.string()),
-            "kind": pa.array([event.action for event in events], pa.string()),
-            "tag": pa.array([event.tag for event in events], pa.string()),
-            "object_id": pa.array([layout.object_id(event.object_id) for event in events], pa.string()),
-            "object_name": pa.array([event.object_name for event in events], pa.string()),
-            "hand": pa.array([event.hand for event in events], pa.string()),
-            "contact_s": pa.array([event.contact_time for event in events], pa.float64()),
-            "event_s": pa.array([event.event_time for event in events], pa.float64()),
-            "release_s": pa.array([event.release_time for event in events], pa.float64()),
-            "goal": pa.array([event.goal.tolist() for event in events], _POINT),
-            "box_min": pa.array([event.box_min.tolist() for event in events], _POINT),
-            "box_max": pa.array([event.box_max.tolist() for event in events], _POINT),
-            "prime_planned_s": pa.array([event.prime_planned for event in events], pa.float64()),
-            "prime_s": pa.array([event.prime_time for event in events], pa.float64()),
-            "prime_first_s": pa.array([event.prime_first for event in events], pa.float64()),
-            "prime_kind": pa.array([event.prime_kind for event in events], pa.string()),
-            "motor_start_s": pa.array([event.motor_start for event in events], pa.float64()),
-            "reach_start_s": pa.array([event.reach_start for event in events], pa.float64()),
-            "expected": pa.array([event.expected for event in events], pa.string()),
-            "thin": pa.array([event.thin for event in events], pa.bool_()),
-        }
-    )
-
-
-def fixations_table(performance: Performance) -> pa.Table:
-    """Return one row a planned look."""
-    looks = performance.fixations
-    return _table(
-        {
-            "recording_id": pa.array([performance.recording_id] * len(looks), pa.string()),
-            "start_s": pa.array([look.start for look in looks], pa.float64()),
-            "end_s": pa.array([look.end for look in looks], pa.float64()),
-            "target": pa.array([np.asarray(look.target).tolist() for look in looks], _POINT),
-            "kind": pa.array([look.kind for look in looks], pa.string()),
-            "event_id": pa.array([look.event_id for look in looks], pa.string()),
-        }
-    )
-
-
-def joints_table(performance: Performance, *, rate: float) -> pa.Table:
-    """Return one row a frame: body, segment rotations, eyes, gaze, the head's own direction, planted feet.
+def own_tables(performance: Performance, *, rate: float) -> dict[str, pa.Table]:
+    """Return the tables of which every recording has its own.
 
     Args:
         performance: The truth.
-        rate: Frames a second that are kept; a divisor of the performance's rate.
+        rate: Frames a second of ``joints`` that are kept; a divisor of the performance's rate.
+
+    Returns:
+        ``joints``: one row a frame: body, segment rotations, eyes, gaze, the head's own direction, planted feet.
+        ``objects``: poses of every object's box centre: rows while it moves, and its first and last.
     """
     rows = slice(None, None, round(performance.rate / rate))
-    forward = Rotation.from_quat(performance.head_rotation[rows], scalar_first=True).apply((0.0, 0.0, 1.0))
     times = performance.times[rows]
-    return _table(
-        {
-            "recording_id": _repeated(performance.recording_id, len(times)),
-            "t": times,
-            "joints": _rows(performance.joints[rows]),
-            "rotations": _rows(performance.rotations[rows]),
-            "eye": _rows(performance.eye[rows]),
-            "gaze": _rows(performance.gaze[rows]),
-            "head_forward": _rows(forward),
-            "planted": _rows(performance.planted[rows]),
-        }
-    )
-
-
-def objects_table(performance: Performance) -> pa.Table:
-    """Return the poses of every object's box centre: rows while it moves, and its first and last."""
-    tables = []
+    joints = {
+        "recording_id": _repeated(performance.recording_id, len(times)),
+        "t": times,
+        "joints": _rows(performance.joints[rows]),
+        "rotations": _rows(performance.rotations[rows]),
+        "eye": _rows(performance.eye[rows]),
+        "gaze": _rows(performance.gaze[rows]),
+        "head_forward": _rows(
+            Rotation.from_quat(performance.head_rotation[rows], scalar_first=True).apply((0.0, 0.0, 1.0))
+        ),
+        "planted": _rows(performance.planted[rows]),
+    }
+    objects = []
     layout = layout_for(performance.preset)
     for motion in performance.objects:
         # Rows at rest repeat the one before; without them the file of a long recording stays small.
@@ -147,22 +147,19 @@ def objects_table(performance: Performance) -> pa.Table:
         kept[1:] |= changes
         kept[[0, -1]] = True
         times = performance.times[: len(motion.position)][kept]
-        tables.append(
-            _table(
-                {
-                    "recording_id": _repeated(performance.recording_id, len(times)),
-                    "object_id": _repeated(layout.object_id(motion.object_id), len(times)),
-                    "t": times,
-                    "position": _rows(motion.position[kept]),
-                    "quaternion": _rows(motion.rotation[kept]),
-                    "held_by": motion.held_by[kept].astype(np.int8),
-                }
-            )
-        )
-    return pa.concat_tables(tables)
+        columns = {
+            "recording_id": _repeated(performance.recording_id, len(times)),
+            "object_id": _repeated(layout.object_id(motion.object_id), len(times)),
+            "t": times,
+            "position": _rows(motion.position[kept]),
+            "quaternion": _rows(motion.rotation[kept]),
+            "held_by": motion.held_by[kept].astype(np.int8),
+        }
+        objects.append(_table(columns))
+    return {"joints": _table(joints), "objects": pa.concat_tables(objects)}
 
 
-def write_truth(table: pa.Table, tree: Path, name: _TruthTable, *, part: str | None = None) -> None:
+def write_truth(table: pa.Table, tree: Path, name: str, *, part: str | None = None) -> None:
     """Write one table, or one recording's part of it, below ``truth/``; equal tables give equal bytes."""
     folder = tree / _TRUTH_FOLDER
     path = folder / f"{name}.parquet" if part is None else folder / name / f"{part}.parquet"
@@ -336,17 +333,12 @@ def _write_recording(
     layout.write(readings, root)
     if estimates and layout.write_estimates is not None:
         layout.write_estimates(performance, readings, root, noise=noise)
-    write_truth(joints_table(performance, rate=truth_rate), root, "joints", part=name)
-    write_truth(objects_table(performance), root, "objects", part=name)
+    for table, rows in own_tables(performance, rate=truth_rate).items():
+        write_truth(rows, root, table, part=name)
     summary = WrittenRecording(
         name, performance.split, performance.duration, len(performance.events), len(performance.objects)
     )
-    tables = {
-        "recordings": recordings_table(performance, noise=noise),
-        "events": events_table(performance),
-        "fixations": fixations_table(performance),
-    }
-    return summary, performance.world, tables
+    return summary, performance.world, shared_tables(performance, noise=noise)
 
 
 def write_mark(root: Path, preset: str, seed: int, world: str, split: Mapping[str, str]) -> None:

@@ -11,7 +11,7 @@ import pytest
 from prbench.errors import UsageError
 from prbench.readers import read_synthetic_tree, reader_for
 from prbench.synthetic.people import perform
-from prbench.synthetic.write_tree import WrittenTree, objects_table, synthesize_tree
+from prbench.synthetic.write_tree import WrittenTree, own_tables, synthesize_tree
 from tests.synthetic.true_clips import read_truth
 
 TRUTH_OF_A_FRAME = ("recording_id", "t", "joints", "rotations", "eye", "gaze", "head_forward", "planted")
@@ -79,7 +79,7 @@ def test_truth_tables_hold_what_the_page_lists(tree) -> None:
 
 def test_object_truth_keeps_rows_while_moving_and_both_ends() -> None:
     performance = perform("adt", seed=11, index=3, n_events=2, provocations={})
-    table = objects_table(performance)
+    table = own_tables(performance, rate=30.0)["objects"]
     moved = {motion.object_id for motion in performance.objects if len(motion.position) > 1}
     still = [motion for motion in performance.objects if len(motion.position) == 1]
     counts = {entry["values"]: entry["counts"] for entry in table["object_id"].value_counts().to_pylist()}

@@ -289,7 +289,39 @@ class Person:
 def draw_person(preset: Preset, participant_id: str, rng: np.random.Generator) -> Person:
     """Draw one person for a preset."""
     stature = float(np.clip(rng.normal(1.70, 0.095), 1.50, 1.95))
-    return Person(participant_id, _draw_body(preset, stature, rng), _draw_habits(stature, rng))
+    body = _draw_body(preset, stature, rng)
+
+    def between(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    def degrees(low: float, high: float) -> float:
+        return float(np.deg2rad(rng.uniform(low, high)))
+
+    # The order of the draws is part of every synthetic person.
+    goal_gain = between(0.82, 1.0)
+    habits = Habits(
+        walk_speed=float(np.clip(rng.normal(1.15, 0.12), 0.85, 1.45)),
+        walk_ratio=float(rng.normal(0.0063, 0.0005)) * stature / 1.7,
+        half_stance=between(0.07, 0.12),
+        toe_out=degrees(3.0, 11.0),
+        arm_swing=degrees(14.0, 28.0),
+        stoop=degrees(0.0, 6.0),
+        elbow_flare=between(0.25, 0.55),
+        goal_gain=goal_gain,
+        fill_gain=between(0.50, 0.75),
+        goal_gain_vertical=between(0.80, 1.0),
+        fill_gain_vertical=between(0.35, 0.60),
+        eye_only_range=degrees(8.0, 18.0),
+        head_lag=between(-0.060, 0.030),
+        neck_share=between(0.85, 1.0),
+        chest_share=between(0.45, 0.65),
+        pelvis_share=between(0.10, 0.22),
+        trunk_time=between(0.10, 0.18),
+        reach_time=between(0.85, 1.15),
+        turn_rate=degrees(62.0, 90.0),
+        right_handed=float(rng.random() < 0.9),
+    )
+    return Person(participant_id, body, habits)
 
 
 def _draw_body(preset: Preset, stature: float, rng: np.random.Generator) -> Body:
@@ -316,39 +348,6 @@ def _draw_body(preset: Preset, stature: float, rng: np.random.Generator) -> Body
         forearm=0.154 * arm * stature,
         hand=0.047 * stature,
         eye=_scaled((0.0, 0.012, 0.055), stature),
-    )
-
-
-def _draw_habits(stature: float, rng: np.random.Generator) -> Habits:
-    def between(low: float, high: float) -> float:
-        return float(rng.uniform(low, high))
-
-    def degrees(low: float, high: float) -> float:
-        return float(np.deg2rad(rng.uniform(low, high)))
-
-    # The order of the draws is part of every synthetic person.
-    goal_gain = between(0.82, 1.0)
-    return Habits(
-        walk_speed=float(np.clip(rng.normal(1.15, 0.12), 0.85, 1.45)),
-        walk_ratio=float(rng.normal(0.0063, 0.0005)) * stature / 1.7,
-        half_stance=between(0.07, 0.12),
-        toe_out=degrees(3.0, 11.0),
-        arm_swing=degrees(14.0, 28.0),
-        stoop=degrees(0.0, 6.0),
-        elbow_flare=between(0.25, 0.55),
-        goal_gain=goal_gain,
-        fill_gain=between(0.50, 0.75),
-        goal_gain_vertical=between(0.80, 1.0),
-        fill_gain_vertical=between(0.35, 0.60),
-        eye_only_range=degrees(8.0, 18.0),
-        head_lag=between(-0.060, 0.030),
-        neck_share=between(0.85, 1.0),
-        chest_share=between(0.45, 0.65),
-        pelvis_share=between(0.10, 0.22),
-        trunk_time=between(0.10, 0.18),
-        reach_time=between(0.85, 1.15),
-        turn_rate=degrees(62.0, 90.0),
-        right_handed=float(rng.random() < 0.9),
     )
 
 
