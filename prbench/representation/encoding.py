@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
+from prbench.files.bounded import require
 from prbench.geometry.skeleton import (
     N_JOINTS,
     PARENTS,
@@ -70,44 +71,38 @@ def check_joints(
     Raises:
         InputFileError: naming the source and, where one is to blame, frame and joint.
     """
-    if joints.ndim != 3 or joints.shape[1:] != (N_JOINTS, 3):
-        raise InputFileError(
-            source,
-            "",
-            expected=f"joint positions of the shape (frames, {N_JOINTS}, 3)",
-            found=str(joints.shape),
-            remedy="Give the 22 SMPL body joints in HumanML3D order.",
-        )
-    if len(joints) < min_frames:
-        raise InputFileError(
-            source,
-            "",
-            expected=f"{min_frames} frames or more",
-            found=str(len(joints)),
-            remedy="A row of features holds the step to the next frame; give next_joints with a single frame.",
-        )
+    shape = f"joint positions of the shape (frames, {N_JOINTS}, 3)"
+    order = "Give the 22 SMPL body joints in HumanML3D order."
+    require(source, (joints.ndim == 3 and joints.shape[1:] == (N_JOINTS, 3), "", shape, joints.shape, order))
+    alone = "A row of features holds the step to the next frame; give next_joints with a single frame."
+    require(source, (len(joints) >= min_frames, "", f"{min_frames} frames or more", len(joints), alone))
     check_finite(joints, source)
     extent = float(np.median((joints.max(axis=1) - joints.min(axis=1)).max(axis=-1)))
-    if extent > _TALLEST_BODY:
+    found = f"one whose extent is {extent:,.0f} in the median frame"
+    remedy = "This looks like millimetres: divide by 1,000."
+    require(source, (extent <= _TALLEST_BODY, "", "a body in metres", found, remedy))
+    ankles = (joints[:, Joint.LEFT_ANKLE] + joints[:, Joint.RIGHT_ANKLE]) / 2
+    body = np.median(joints[:, Joint.HEAD] - ankles, axis=0)
+    length = float(np.linalg.norm(body))
+    if upright and body[1] < np.cos(np.deg2rad(_STEEPEST_LEAN)) * length:
+        lean = np.rad2deg(np.arccos(np.clip(body[1] / length, -1, 1)))
+        axis = f"{'-' if body.sum() < 0 else ''}{'xyz'[np.abs(body).argmax()]}"
         raise InputFileError(
             source,
             "",
-            expected="a body in metres",
-            found=f"one whose extent is {extent:,.0f} in the median frame",
-            remedy="This looks like millimetres: divide by 1,000.",
+            expected="bodies along +y, the axis that points up",
+            found=f"a median ankle-to-head vector {lean:.0f} degrees away from it, nearest to {axis}",
+            remedy="Turn the axes (prbench.geometry.skeleton.y_up for Z up),"
+            " or say upright=False if people lie or crawl.",
         )
-    if upright:
-        _check_up_axis(joints, source)
     lengths = np.linalg.norm(joints[:, 1:] - joints[:, PARENTS[1:]], axis=-1)
     bad = np.argwhere(lengths < _SHORTEST_BONE)
     if bad.size:
         frame, bone = bad[0]
-        child = Joint(bone + 1)
-        parent = Joint(PARENTS[bone + 1])
         raise InputFileError(
             source,
-            f"frame {frame}, {child.name.lower()}",
-            expected=f"a distance from {parent.name.lower()}, so that the bone has a direction",
+            f"frame {frame}, {Joint(bone + 1).name.lower()}",
+            expected=f"a distance from {Joint(PARENTS[bone + 1]).name.lower()}, so that the bone has a direction",
             found=f"{lengths[frame, bone]:.1e} m",
             remedy="Leave the motion out, or repair this joint.",
         )
@@ -128,23 +123,6 @@ def check_finite(joints: np.ndarray, source: Path | str) -> None:
             expected="a finite position",
             found=str(joints[frame, joint].tolist()),
             remedy="Leave the motion out, or cut it around the gap.",
-        )
-
-
-def _check_up_axis(joints: np.ndarray, source: Path | str) -> None:
-    ankles = (joints[:, Joint.LEFT_ANKLE] + joints[:, Joint.RIGHT_ANKLE]) / 2
-    body = np.median(joints[:, Joint.HEAD] - ankles, axis=0)
-    length = float(np.linalg.norm(body))
-    if body[1] < np.cos(np.deg2rad(_STEEPEST_LEAN)) * length:
-        lean = np.rad2deg(np.arccos(np.clip(body[1] / length, -1, 1)))
-        axis = f"{'-' if body.sum() < 0 else ''}{'xyz'[np.abs(body).argmax()]}"
-        raise InputFileError(
-            source,
-            "",
-            expected="bodies along +y, the axis that points up",
-            found=f"a median ankle-to-head vector {lean:.0f} degrees away from it, nearest to {axis}",
-            remedy="Turn the axes (prbench.geometry.skeleton.y_up for Z up),"
-            " or say upright=False if people lie or crawl.",
         )
 
 

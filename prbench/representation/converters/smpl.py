@@ -8,7 +8,7 @@ function of the shape, ``J_regressor @ (v_template + shapedirs @ betas)``. Forwa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.files.arrays import Archive
-from prbench.files.bounded import foreign_input
+from prbench.files.bounded import foreign_input, require, require_rows
 from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint, forward_kinematics, rotation_matrices
 
 # ``6d-columns``: first column, then second column of the matrix (HumanML3D). ``6d-rows``: first row, then second row
@@ -59,74 +59,16 @@ def from_matrices(matrices: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray
     return chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
 
 
-def _axis_angle(values: np.ndarray, source: Path | str) -> np.ndarray:
-    largest = float(np.linalg.norm(values, axis=-1).max(initial=0.0))
-    if largest > 4 * np.pi:
-        raise InputFileError(
-            source,
-            "",
-            expected="axis-angle in radians",
-            found=f"an angle of {largest:.0f}",
-            remedy="These look like degrees, or like another form of rotations.",
-        )
-    return from_axis_angle(values)
-
-
-def _quaternion(values: np.ndarray, source: Path | str) -> np.ndarray:
-    """Unit quaternions from such that a network has put out, w first."""
-    lengths = np.linalg.norm(values, axis=-1)
-    _require_one(source, lengths, _UNIT_TOLERANCE, "unit quaternions", "one of the length")
-    return values / lengths[:, None]
-
-
-def _matrix(values: np.ndarray, source: Path | str) -> np.ndarray:
-    matrices = values.reshape(-1, 3, 3)
-    determinants = np.linalg.det(matrices)
-    _require_one(source, determinants, 3 * _UNIT_TOLERANCE, "rotation matrices", "a matrix whose determinant is")
-    return from_matrices(_orthonormal(matrices[..., 0], matrices[..., 1], source))
-
-
-def _require_one(source: Path | str, values: np.ndarray, tolerance: float, expected: str, found: str) -> None:
-    apart = np.abs(values - 1)
-    if apart.max(initial=0.0) > tolerance:
-        raise InputFileError(source, "", expected=expected, found=f"{found} {values[apart.argmax()]:.3g}")
-
-
-def _orthonormal(first: np.ndarray, second: np.ndarray, source: Path | str) -> np.ndarray:
-    """Rotation matrices whose first two columns span the given ones (Gram-Schmidt)."""
-    length = np.linalg.norm(first, axis=-1, keepdims=True)
-    first = first / np.maximum(length, 1e-12)
-    across = second - (first * second).sum(axis=-1, keepdims=True) * first
-    width = np.linalg.norm(across, axis=-1, keepdims=True)
-    if min(length.min(initial=1.0), width.min(initial=1.0)) < _NO_DIRECTION:
-        raise InputFileError(
-            source,
-            "",
-            expected="two directions a rotation",
-            found="two directions that lie along one another, or none",
-            remedy="Is it another of the 6d forms?",
-        )
-    across = across / width
-    return np.stack([first, across, np.cross(first, across)], axis=-1)
-
-
-def _rows(values: np.ndarray, source: Path | str) -> np.ndarray:
-    return from_matrices(np.swapaxes(_orthonormal(values[:, :3], values[:, 3:], source), -1, -2))
-
-
-# Maps each form to the numbers that a rotation takes in it, and to the function that makes quaternions of them.
-_FORMS: Mapping[str, tuple[int, Callable[[np.ndarray, Path | str], np.ndarray]]] = MappingProxyType(
+# Maps each form to the numbers that a rotation takes in it.
+_FORMS: Mapping[str, int] = MappingProxyType(
     {
-        "axis-angle": (3, _axis_angle),
-        "matrix": (9, _matrix),
-        "quaternion-wxyz": (4, _quaternion),
-        "quaternion-xyzw": (4, lambda values, source: _quaternion(values[:, [3, 0, 1, 2]], source)),
-        "6d-columns": (6, lambda values, source: from_matrices(_orthonormal(values[:, :3], values[:, 3:], source))),
-        "6d-rows": (6, _rows),
-        "6d-interleaved": (
-            6,
-            lambda values, source: from_matrices(_orthonormal(values[:, ::2], values[:, 1::2], source)),
-        ),
+        "axis-angle": 3,
+        "matrix": 9,
+        "quaternion-wxyz": 4,
+        "quaternion-xyzw": 4,
+        "6d-columns": 6,
+        "6d-rows": 6,
+        "6d-interleaved": 6,
     }
 )
 
@@ -141,7 +83,7 @@ def numbers_of(form: str) -> int:
         raise UsageError(
             f"unknown form of rotations '{form}'.{did_you_mean(form, _FORMS)} Choose one of: {', '.join(_FORMS)}."
         )
-    return _FORMS[form][0]
+    return _FORMS[form]
 
 
 def quaternions_of(
@@ -160,14 +102,48 @@ def quaternions_of(
             (quaternions of another length, angles that look like degrees).
     """
     size = numbers_of(form)
-    if values.shape[1] % size or not values.shape[1]:
-        found = str(values.shape[1])
-        raise InputFileError(source, "", expected=f"a multiple of {size} numbers a frame ({form})", found=found)
-    if not np.isfinite(values).all():
-        frame = int(np.argwhere(~np.isfinite(values))[0, 0])
-        raise InputFileError(source, f"frame {frame}", expected="finite numbers", found="NaN or infinity")
+    fits = values.shape[1] % size == 0 and values.shape[1] > 0
+    require(source, (fits, "", f"a multiple of {size} numbers a frame ({form})", values.shape[1], ""))
+    require_rows(source, ~np.isfinite(values).all(axis=1), "finite numbers", "NaN or infinity", place="frame", first=0)
     each = values.astype(np.float64).reshape(-1, size)
-    return _FORMS[form][1](each, source).reshape(len(values), -1, 4)
+
+    def require_ones(numbers: np.ndarray, tolerance: float, expected: str, found: str) -> None:
+        apart = np.abs(numbers - 1)
+        if apart.max(initial=0.0) > tolerance:
+            raise InputFileError(source, "", expected=expected, found=f"{found} {numbers[apart.argmax()]:.3g}")
+
+    if form == "axis-angle":
+        largest = float(np.linalg.norm(each, axis=-1).max(initial=0.0))
+        remedy = "These look like degrees, or like another form of rotations."
+        require(source, (largest <= 4 * np.pi, "", "axis-angle in radians", f"an angle of {largest:.0f}", remedy))
+        quaternions = from_axis_angle(each)
+    elif size == 4:
+        if form == "quaternion-xyzw":
+            each = each[:, [3, 0, 1, 2]]
+        lengths = np.linalg.norm(each, axis=-1)
+        require_ones(lengths, _UNIT_TOLERANCE, "unit quaternions", "one of the length")
+        quaternions = each / lengths[:, None]
+    else:
+        first, second = each[:, :3], each[:, 3:6]
+        if form == "matrix":
+            determinants = np.linalg.det(each.reshape(-1, 3, 3))
+            require_ones(determinants, 3 * _UNIT_TOLERANCE, "rotation matrices", "a matrix whose determinant is")
+            first, second = each[:, ::3], each[:, 1::3]
+        elif form == "6d-interleaved":
+            first, second = each[:, ::2], each[:, 1::2]
+        # Two columns become a rotation matrix (Gram-Schmidt); what a network puts out is no exact rotation.
+        length = np.linalg.norm(first, axis=-1, keepdims=True)
+        first = first / np.maximum(length, 1e-12)
+        across = second - (first * second).sum(axis=-1, keepdims=True) * first
+        width = np.linalg.norm(across, axis=-1, keepdims=True)
+        least = min(length.min(initial=1.0), width.min(initial=1.0))
+        found = "two directions that lie along one another, or none"
+        remedy = "Is it another of the 6d forms?"
+        require(source, (least >= _NO_DIRECTION, "", "two directions a rotation", found, remedy))
+        across = across / width
+        matrices = np.stack([first, across, np.cross(first, across)], axis=-1)
+        quaternions = from_matrices(np.swapaxes(matrices, -1, -2) if form == "6d-rows" else matrices)
+    return quaternions.reshape(len(values), -1, 4)
 
 
 # Name in messages of arrays that come from no file.
@@ -252,29 +228,26 @@ class SmplParameters:
         """
         numbers = numbers_of(form)
         flat = _flat(poses, len(transl), "poses", source)
-        if flat.shape[1] < N_JOINTS * numbers or flat.shape[1] % numbers:
-            raise InputFileError(
-                source,
-                "poses",
-                expected=f"{N_JOINTS} or more rotations of {numbers} numbers a frame ({form})",
-                found=f"{flat.shape[1]} numbers",
-                remedy="Name the form of the rotations, and give global_orient and body_pose both.",
-            )
-        if not len(transl) or transl.shape[1:] != (3,) or not np.isfinite(transl).all():
-            raise InputFileError(source, "transl", expected="finite (frames, 3)", found=str(transl.shape))
+        expected = f"{N_JOINTS} or more rotations of {numbers} numbers a frame ({form})"
+        enough = flat.shape[1] >= N_JOINTS * numbers and flat.shape[1] % numbers == 0
+        remedy = "Name the form of the rotations, and give global_orient and body_pose both."
+        moves = len(transl) > 0 and transl.shape[1:] == (3,) and np.isfinite(transl).all()
+        require(
+            source,
+            (enough, "poses", expected, f"{flat.shape[1]} numbers", remedy),
+            (moves, "transl", "finite (frames, 3)", transl.shape, ""),
+        )
         if betas is not None:
-            if betas.ndim not in (1, 2) or not betas.size or not np.isfinite(betas).all():
-                found = str(betas.shape)
-                raise InputFileError(source, "betas", expected="finite (shapes,) or (frames, shapes)", found=found)
+            shaped = betas.ndim in (1, 2) and betas.size > 0 and np.isfinite(betas).all()
+            require(source, (shaped, "betas", "finite (shapes,) or (frames, shapes)", betas.shape, ""))
             betas = betas.reshape(-1, betas.shape[-1]).astype(np.float64).mean(axis=0)
         rotations = quaternions_of(flat[:, : N_JOINTS * numbers], form, source=source)
         return cls(rotations, transl.astype(np.float64), betas, gender)
 
 
 def _flat(values: np.ndarray, frames: int, name: str, source: Path | str) -> np.ndarray:
-    if values.ndim < 2 or len(values) != frames:
-        expected = f"{frames} frames of rotations, as many as transl"
-        raise InputFileError(source, name, expected=expected, found=str(values.shape))
+    expected = f"{frames} frames of rotations, as many as transl"
+    require(source, (values.ndim >= 2 and len(values) == frames, name, expected, values.shape, ""))
     return values.reshape(frames, -1)
 
 
