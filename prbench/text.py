@@ -80,7 +80,7 @@ def padded(texts: Sequence[Float[np.ndarray, "_ dimension"]], dimension: int) ->
 
 HASHED_NGRAMS = "hashed-ngrams"
 DIMENSION = 64
-MOST_WORDS = 32  # Later words of a text are dropped
+MOST_WORDS = 32  # later words of a text are dropped
 _NGRAMS = (3, 4, 5)
 _WORD = re.compile(r"[^\W_]+")
 _DIGESTS = DIMENSION * 2 // hashlib.sha256().digest_size

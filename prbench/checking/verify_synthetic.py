@@ -12,8 +12,8 @@ from prbench.sequences import Event
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import Performance, TrueEvent
 
-_LARGEST_DIFFERENCE = 0.5  # Seconds between a found and a true event that may be the same
-PRIMED_STAGES = ("priming", "clipping", "body", "filters")  # Stages at which it is known whether an event was primed
+_LARGEST_DIFFERENCE = 0.5  # seconds between a found and a true event that may be the same
+PRIMED_STAGES = ("priming", "clipping", "body", "filters")  # stages at which it is known whether an event was primed
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import may_pass_on, notice
 
 FORMAT_VERSION = 1
-METADATA_KEY = "prbench_conditions"  # Name of the array that holds the information as JSON
+METADATA_KEY = "prbench_conditions"  # name of the array that holds the information as JSON
 _LARGEST_ARRAY = 8 * 1024**3
 _POSE = (N_JOINTS, 3)
 # Kind of each array, and the shape of one row of it

@@ -14,10 +14,10 @@ from prbench.harness.synthetic_table import build_synthetic_table
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME as INFO_FILE
 
-SEQUENCES = 12  # Asked about, unless a method is slow
+SEQUENCES = 12  # that a method is asked about, unless it is slow
 _SEED = 2024  # differs from that of the embedded tables, whose people a method may have learnt from
 _EVENTS = 8
-RECORDINGS = (0, 1, 2, 13)  # Numbers of two people to learn from, and of two others (2 and 13) to be asked about
+RECORDINGS = (0, 1, 2, 13)  # numbers of two people to learn from, and of two others (2 and 13) to be asked about
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from typing import Any
 
 from prbench.protocol.manifests import default_benchmark
 
-TIME_LIMIT = 600.0  # Default limit of each call of the method, seconds
-# Default limit of importing and of loading a method, seconds; programs have the same for their hello
+TIME_LIMIT = 600.0  # default limit of each call of the method, seconds
+# Default limit of importing and of loading a method, seconds; a program has as long for its hello
 START_LIMIT = 120.0
 
 

@@ -128,7 +128,7 @@ _LOST = (
     " code under this input."
 )
 _SLOW_START = "If it is only slow, move the work into the first generate(), or raise --start-timeout."
-_Announce = Callable[[str, int, int], None]  # Called before each check with its name, its place and how many there are
+_Announce = Callable[[str, int, int], None]  # called before each check with its name, its place and how many there are
 
 
 class _Lost(Exception):

@@ -17,7 +17,7 @@ _FLABBY = 0.12  # change of the distances that change least, as a share of thems
 _UNSTEADY = 0.25  # the same, beyond which rows of numbers are no positions at all
 _POINT = 1e-6  # size of a pose that is nothing but one point, as a share of the body's size
 _SCALED = 0.10  # deviation from the scale of the initial pose's bones
-# What so many numbers a frame usually are
+# Body parameters that have so many numbers a frame
 BODY_PARAMETERS = {
     66: "22 rotations as axis-angle",
     69: "22 rotations as axis-angle and a translation",
@@ -34,7 +34,7 @@ BODY_PARAMETERS = {
 }
 _CONVERT = "prbench.representation.converters"
 _KNOWN_JOINTS = frozenset({N_JOINTS} | {len(each.source_joints) for each in JOINT_MAPS.values()})
-# Where frames, joints and coordinates may stand besides (frames, joints, 3), and how to put them right
+# Other orders of axes than (frames, joints, 3): the transpose that mends it, its name, and the remedy
 _PLANES = (
     ((0, 2, 1), "(frames, 3, joints)", "Exchange the last two axes: joints.transpose(0, 2, 1)."),
     ((2, 0, 1), "(joints, 3, frames), as in MDM's files", "Move frames to the front: joints.transpose(2, 0, 1)."),

@@ -46,12 +46,12 @@ from prbench.representation import N_FEATURES
 from prbench.sequences import SequenceTable
 
 _LIMIT = 200  # motions that are looked at, so that a large run takes seconds
-_DEFAULT_FPS = 20.0  # The protocol's rate, for files that nothing else is known of
+_DEFAULT_FPS = 20.0  # the protocol's rate, for files that nothing else is known of
 _LARGEST = 8 * 1024**3  # bytes of one array
 _IDS = ("sequence_id", "opaque_id")
 _FORMS = "an .npy or .npz file, Parquet, a folder of .npy or Parquet files, or a run folder"
 _POSE_SIZE = N_JOINTS * 3
-# In the order in which faults hide one another
+# Examinations, in the order in which faults hide one another
 _EXAMINATIONS = (
     examine_empty,
     examine_shape,
@@ -228,7 +228,7 @@ def _from_conditions(names: Sequence[str], path: Path) -> dict[str, Expected]:
     return found
 
 
-# Sequence id, opaque id, number or the file's name of a motion, and its array of any shape
+# Name of a motion (sequence id, opaque id, number or file name), and its array of any shape
 _Named = tuple[str, np.ndarray]
 
 

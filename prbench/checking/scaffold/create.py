@@ -35,7 +35,7 @@ _MODULES = frozenset({"numpy", "pyarrow", "prbench_converters"})  # beside a pro
 _PACKAGE = "prbench.checking.scaffold.templates"
 _MARK = re.compile(r"<<(\w+)>>")
 _PREDICTION = "motion-prediction"
-# The condition of a new method of which nothing is said, by benchmark
+# Condition of a new method for which none is chosen, by benchmark
 _USUAL = {default_benchmark().name: Condition.GOAL_LOCATION.value, _PREDICTION: "pose"}
 _ROW_FIELDS = {
     "text": 'text=("The person walks to the table and picks the cup.",),',

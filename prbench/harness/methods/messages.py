@@ -197,7 +197,7 @@ _POSE = pa.list_(pa.float32(), N_JOINTS * 3)
 _POINT = pa.list_(pa.float64(), 3)
 _POSES = ("initial_joints", "previous_joints", "goal_joints")
 WIRE_VERSION = 1
-HEADER_LIMIT = 65_536  # Bytes of a header line, its end included
+HEADER_LIMIT = 65_536  # bytes of a header line, its end included
 Header = dict[str, Any]
 
 

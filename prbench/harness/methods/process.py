@@ -108,12 +108,12 @@ def _signal_name(number: int) -> str:
     return names.get(number, "unknown")
 
 
-EXIT_SECONDS = 5.0  # Time for a program to end after its stdin was closed
-TERM_SECONDS = 2.0  # Time for it to end after SIGTERM
+EXIT_SECONDS = 5.0  # time for a program to end after its stdin was closed
+TERM_SECONDS = 2.0  # time for it to end after SIGTERM
 _KEPT_LOGS = 100
 _TAIL_BYTES = 8192
 _CHUNK = 1 << 16
-_SLICE = 0.2  # Seconds after which a wait looks whether the program still runs
+_SLICE = 0.2  # seconds after which a wait looks whether the program still runs
 _REMEDY = "Its stdout belongs to the protocol: print to stderr"
 
 

@@ -11,5 +11,5 @@ _BY_SUBJECT = (
     *body.CHECKS,
     *body.RESOURCES,
 )
-# In the order in which they are made: those that need a process of their own come last
+# All checks in their order: those that need a process of their own come last
 CHECKS: tuple[Check, ...] = tuple(sorted(_BY_SUBJECT, key=lambda one: one.fresh))

@@ -15,12 +15,12 @@ from prbench.contract import Condition
 from prbench.geometry.skeleton import bone_lengths
 from prbench.harness.methods.motions import coordinate_problem
 
-_INITIAL_WARNING = 0.10  # Metres between the first frame and the initial pose, mean over joints (median over sequences)
+_INITIAL_WARNING = 0.10  # metres between the first frame and the initial pose, mean over joints (median over sequences)
 _BONES_WARNING = 0.10
-_BONES_FAILURE = 0.50  # Relative change of bone lengths (median over bones and sequences)
-_NO_BODY = frozenset({"shape", "features", "not-finite", "empty-frames", "standardised", "unit", "joint-order"})
-# Kinds of diagnosis that would only be told once more, of bones and of places
-_ELSEWHERE = _NO_BODY | {"up-axis", "left-right", "mirrored", "root", "facing", "position"}
+_BONES_FAILURE = 0.50  # relative change of bone lengths (median over bones and sequences)
+# Kinds of diagnosis that already explain wrong bones, and a wrong first pose
+_EXPLAINS_BONES = frozenset({"shape", "features", "not-finite", "empty-frames", "standardised", "unit", "joint-order"})
+_EXPLAINS_POSE = _EXPLAINS_BONES | {"up-axis", "left-right", "mirrored", "root", "facing", "position"}
 _CANONICAL = (
     "Give positions in the canonical frame of the sequence's first frame: metres, Y up, the pelvis of frame 0 over the"
     " origin and facing +Z (the left side on +X), the lowest joint of the motion on Y = 0."
@@ -83,7 +83,7 @@ def _hidden_by(subject: Subject, kinds: frozenset[str]) -> Finding | None:
 def initial_pose(subject: Subject) -> Iterator[Finding]:
     """Measure the distance between the first frame and ``initial_joints``."""
     given = [condition for condition in subject.working if subject.standard(condition).batch.initial_joints is not None]
-    if hidden := _hidden_by(subject, _ELSEWHERE):
+    if hidden := _hidden_by(subject, _EXPLAINS_POSE):
         yield hidden
         return
     for condition in given:
@@ -106,7 +106,7 @@ def initial_pose(subject: Subject) -> Iterator[Finding]:
 @check("bone-lengths", "one body, of one size, all the time", of_motions=True)
 def bones(subject: Subject) -> Iterator[Finding]:
     """Measure how bone lengths change within a motion, and differ from the initial pose."""
-    if hidden := _hidden_by(subject, _NO_BODY):
+    if hidden := _hidden_by(subject, _EXPLAINS_BONES):
         yield hidden
         return
     for condition in subject.working:
@@ -143,7 +143,7 @@ _FEWEST_ROUNDS = 8
 _SETTLING = 3
 _PATIENCE = 20.0  # seconds for all rounds
 _GROWTH_WARNING = 32 * 1024
-_GROWTH_FAILURE = 128 * 1024  # Bytes a motion that stay behind; 128 KiB are 2.2 GiB in a run over 18,000 sequences
+_GROWTH_FAILURE = 128 * 1024  # bytes a motion that stay behind; 128 KiB are 2.2 GiB in a run over 18,000 sequences
 _LEAST_GROWTH = 4 * 1024 * 1024  # bytes in all that count as growth
 
 

@@ -18,7 +18,7 @@ from prbench.errors import PrbenchError
 from prbench.harness.methods.installed import import_python_method, is_python_method
 from prbench.harness.methods.loading import find_adapter, used_weights, weights_digest
 
-_IMPORT_WARNING = 1.0  # Seconds that importing the module of an entry point should stay below
+_IMPORT_WARNING = 1.0  # seconds that importing the module of an entry point should stay below
 _HEAVY = ("torch", "tensorflow", "jax", "transformers", "pytorch_lightning", "lightning")
 _NO_SUCH_OPTION = "prbench-no-such-option"
 _NO_SUCH_WEIGHTS = Path("prbench-no-such-weights")
