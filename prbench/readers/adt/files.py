@@ -303,8 +303,8 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
         raise InputFileError(path, "subtours", expected="layout v2.0", found="layout v1.x", remedy=remedy)
     expected = f"'{adt.TIME_DOMAIN}' (the device clock)"
     remedy = "Times on another clock would not meet gaze and poses; use a release on the device clock."
-    found = f"'{metadata.gt_time_domain}'" if metadata.gt_time_domain else "nothing"
-    require(path, (metadata.gt_time_domain == adt.TIME_DOMAIN, "gt_time_domain", expected, found, remedy))
+    seen = f"'{metadata.gt_time_domain}'" if metadata.gt_time_domain else "nothing"
+    require(path, (metadata.gt_time_domain == adt.TIME_DOMAIN, "gt_time_domain", expected, seen, remedy))
     concurrent = metadata.concurrent_sequence or ""
     objects, remarks = read_objects(*(found.require(role, _FILES[role]) for role in (INSTANCES, BOXES, OBJECTS)))
     size, device_from_rgb = read_size_and_camera(found.path(CALIBRATION))
@@ -312,9 +312,9 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
     trajectory = read_trajectory(path)
     expected = "gravity along -Y (ADT scenes are Y up)"
     remedy = "This looks like a native MPS trajectory; use the recording's own aria_trajectory.csv."
-    found = f"up = {(np.round(trajectory.up, 3) + 0.0).tolist()}"
+    seen = f"up = {(np.round(trajectory.up, 3) + 0.0).tolist()}"
     is_y_up = np.linalg.norm(trajectory.up - np.array(adt.UP)) <= 1e-3
-    require(path, (is_y_up, "gravity columns", expected, found, remedy))
+    require(path, (is_y_up, "gravity columns", expected, seen, remedy))
     body = None
     if options.poses == "egoallo":
         # The glasses' central pupil frame, which EgoAllo's outputs refer to.

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from prbench.files.bounded import require
 from prbench.geometry.skeleton import invert_rigid
 from prbench.geometry.timelines import require_overlap, stream_ranges
 from prbench.protocol.manifests import Manifest
