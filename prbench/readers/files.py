@@ -12,6 +12,7 @@ import zipfile
 import zlib
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast
 
@@ -81,9 +82,8 @@ def archive_members(archive: Path) -> dict[str, int]:
         with zipfile.ZipFile(archive) as opened:
             return {entry.filename: entry.file_size for entry in opened.infolist() if not entry.is_dir()}
     except zipfile.BadZipFile as error:
-        raise InputFileError(
-            archive, "", expected="a whole zip archive", found=str(error), remedy=_COPY_ARCHIVE_AGAIN
-        ) from error
+        expected = "a whole zip archive"
+        raise InputFileError(archive, "", expected=expected, found=str(error), remedy=_COPY_ARCHIVE_AGAIN) from error
 
 
 @contextlib.contextmanager
@@ -101,7 +101,9 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
             yield file
         return
     require_size(source.archive, largest=LARGEST_ARCHIVE)
-    expected = "a file that can be unpacked"
+    damaged = partial(
+        InputFileError, source.shown, "", expected="a file that can be unpacked", remedy=_COPY_ARCHIVE_AGAIN
+    )
     with contextlib.ExitStack() as stack:
         try:
             archive = stack.enter_context(zipfile.ZipFile(source.archive))
@@ -109,19 +111,14 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
             require_unpackable(source.shown, member)
             file = cast(io.BufferedIOBase, stack.enter_context(archive.open(member)))
         except KeyError as error:
-            raise InputFileError(
-                source.archive, "", expected=f"the file {source.member} in it", found="none"
-            ) from error
+            expected = f"the file {source.member} in it"
+            raise InputFileError(source.archive, "", expected=expected, found="none") from error
         except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError) as error:  # the latter two: encrypted
-            raise InputFileError(
-                source.shown, "", expected=expected, found=str(error), remedy=_COPY_ARCHIVE_AGAIN
-            ) from error
+            raise damaged(found=str(error)) from error
         try:
             yield file
         except (zipfile.BadZipFile, zlib.error, EOFError) as error:
-            raise InputFileError(
-                source.shown, "", expected=expected, found=str(error), remedy=_COPY_ARCHIVE_AGAIN
-            ) from error
+            raise damaged(found=str(error)) from error
 
 
 def read_all(source: Source, *, largest: int = LARGEST_FILE) -> bytes:

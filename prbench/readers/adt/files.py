@@ -47,6 +47,7 @@ class AdtOptions(ReaderOptions, frozen=True, kw_only=True):
     poses_root: Path | None = None
 
 
+# Roles of the files of a recording; a skeleton's is SKELETON_PREFIX and the skeleton's name.
 METADATA = "metadata"
 INSTANCES = "instances"
 OBJECTS = "objects"
@@ -55,7 +56,7 @@ TRAJECTORY = "trajectory"
 GAZE = "gaze"
 ASSOCIATION = "association"
 CALIBRATION = "calibration"
-SKELETON_PREFIX = "skeleton:"  # Roles of the files of a recording; a skeleton's is this and the skeleton's name.
+SKELETON_PREFIX = "skeleton:"
 _FILES = {
     METADATA: adt.METADATA_FILE,
     INSTANCES: adt.INSTANCES_FILE,

@@ -51,13 +51,14 @@ SLAM_FOLDER = "slam"
 GAZE_FOLDER = "eye_gaze"
 HAND_FOLDER = "hand_tracking"
 
+# Roles of the files of one recording.
 TRAJECTORY = "trajectory"
 GAZE = "gaze"
 CALIBRATION = "calibration"
 WRISTS = "wrists"
 SLAM_SUMMARY = "slam_summary"
 GAZE_SUMMARY = "gaze_summary"
-HAND_SUMMARY = "hand_summary"  # Roles of the files of one recording.
+HAND_SUMMARY = "hand_summary"
 
 SIDES = ("left", "right")
 

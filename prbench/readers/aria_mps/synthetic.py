@@ -30,8 +30,9 @@ from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import Sensing, Switches, closed_eyes, gaze_bias_of, measured_gaze
 
 POSE_RATE = 1000
+# Rows a second.
 GAZE_RATE = 10
-_HAND_RATE = 10  # Hz.
+_HAND_RATE = 10
 GLASSES_SIZE: mps.GlassesSize = "DVT-S"
 GRAVITY = (0.0, 0.0, -9.81)  # In the native world.
 

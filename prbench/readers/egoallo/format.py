@@ -33,8 +33,9 @@ N_BETAS = 16
 MODEL_FILE = "smplh/neutral/model.npz"
 N_MODEL_JOINTS = 52
 
+# EgoAllo's defaults, in output frames.
 WINDOW_FRAMES = 128
-WINDOW_OVERLAP = 32  # EgoAllo's defaults, in output frames.
+WINDOW_OVERLAP = 32
 INPUT_STEP = 33  # Every so many poses of a 1 kHz trajectory are used: ``int(rate // 30)``, so 30.3 Hz and not 30.
 LONGEST_STEP = 0.1  # Seconds; a longer step between two frames is a gap that is never bridged.
 SAME_FRAME_NS = 20_000_000  # Frames of two windows closer than this are one frame: steps are 33 ms.

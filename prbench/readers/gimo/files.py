@@ -84,9 +84,10 @@ EVENTS = "events"
 TRANSFORM = "transform"
 NORM = "norm"
 SKELETON = "skeleton"
+# Beginnings of the roles of files of one frame; the frame number follows.
 POSE = "pose:"
 CONE = "gaze:"
-CENTRE = "gaze centre:"  # Beginnings of the roles of files of one frame; the frame number follows.
+CENTRE = "gaze centre:"
 SCENE_MESH = "scene mesh"
 
 

@@ -28,9 +28,10 @@ EVENT_COLUMNS = ("scene", "sequence_path", "start_frame", "end_frame", "event_fr
 CONFIRMED_COLUMN = "confirmed"
 # Columns of a table of proposed events.
 CANDIDATE_COLUMNS = (*EVENT_COLUMNS, CONFIRMED_COLUMN, "confidence", "reason", "activity")
+# Values of the column ``training``; the official loader never uses 2.
 TEST = 0
 TRAIN = 1
-TRAIN_LATER = 2  # Values of the column ``training``; the official loader never uses 2.
+TRAIN_LATER = 2
 # Names of these values in a study of motion prediction.
 PUBLISHED_SPLITS = {TRAIN: "train", TEST: "test", TRAIN_LATER: "unused"}
 GIMO23 = "gimo23"  # That study's joint set: the 22 joints and the jaw.

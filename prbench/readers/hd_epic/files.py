@@ -42,12 +42,13 @@ class HdEpicOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_o
     poses_root: Path | None = None
 
 
+# Roles of the files of a video, beside those of MPS and EgoAllo.
 TIME = "video time"
 LOG = "video log"
 ASSOCIATIONS = "associations"
 MASKS = "masks"
 PRIMING = "priming"
-SLAM_MAP = "slam map"  # Roles of the files of a video, beside those of MPS and EgoAllo.
+SLAM_MAP = "slam map"
 
 _SLAM_ROLES = frozenset({mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY})
 _GAZE_ROLES = frozenset({mps.GAZE, mps.WRISTS, mps.GAZE_SUMMARY, mps.HAND_SUMMARY})

@@ -38,8 +38,9 @@ IMAGE_SIZE = 1408  # Pixels, both ways.
 FOCAL_LENGTH = 607.0  # Pixels, of the 1408 image.
 
 NO_FIXTURE = "Null"
+# Values of ``frame_primed`` that are no frames: tested in vain, never tested.
 NOT_PRIMED = -1
-EXCLUDED = -2  # Values of ``frame_primed`` that are no frames: tested in vain, never tested.
+EXCLUDED = -2
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ docs/specification/hot3d.md#usable-recordings.
 
 from __future__ import annotations
 
+import contextlib
 import io
 from dataclasses import replace
 from pathlib import Path
@@ -55,8 +56,9 @@ HEADSET = "headset"
 INSTANCES = "instances"
 UMETRACK = "umetrack"
 PROFILE = "hand profile"
+# Roles of masks and object models are these and their name or uid.
 MASK_PREFIX = "mask:"
-MODEL_PREFIX = "model:"  # Roles of masks and object models are this and their name or uid.
+MODEL_PREFIX = "model:"
 _FILES = {
     OBJECTS: hot3d.OBJECTS_FILE,
     HEADSET: hot3d.HEADSET_FILE,
@@ -113,7 +115,12 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
         library = next((place for place in places if is_present(place / hot3d.INSTANCES_FILE)), None)
         if library is not None:
             files.append(input_file(INSTANCES, library / hot3d.INSTANCES_FILE))
-            models = [(uid, library / f"{uid}.glb") for uid in _object_ids(folder / hot3d.OBJECTS_FILE)]
+            # Digits only, so that no uid of a file can name a path; none of a missing or damaged file.
+            uids: set[str] = set()
+            with contextlib.suppress(InputFileError):
+                table = read_columns(folder / hot3d.OBJECTS_FILE, {hot3d.OBJECT_ID: str})
+                uids = set(filter(str.isdecimal, table[hot3d.OBJECT_ID].unique().to_pylist()))
+            models = [(uid, library / f"{uid}.glb") for uid in sorted(uids)]
             files += [input_file(f"{MODEL_PREFIX}{uid}", path) for uid, path in models if is_present(path)]
         files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
         tree = synthetic_tree_around(folder, root)
@@ -131,15 +138,6 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
     remedy = "Give the folder of the recordings. Clips in tar files (HOT3D-Clips) are another format."
     require(root, (found, "", expected, names_in(root), remedy))
     return tuple(sorted(found, key=lambda recording: recording.recording_id))
-
-
-def _object_ids(path: Path) -> list[str]:
-    """Digits only, so that no uid of a file can name a path; none of a missing or damaged file."""
-    try:
-        table = read_columns(path, {hot3d.OBJECT_ID: str})
-    except InputFileError:
-        return []
-    return sorted(uid for uid in table[hot3d.OBJECT_ID].unique().to_pylist() if uid.isdecimal())
 
 
 def why_unusable(metadata: Metadata) -> str | None:

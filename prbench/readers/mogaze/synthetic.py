@@ -313,13 +313,39 @@ def write(readings: mogaze.MogazeReadings, root: Path) -> None:
         StorageError: if the disk is full or the folder cannot be written.
     """
     root.mkdir(parents=True, exist_ok=True)
-    writers = (_write_human, _write_objects, _write_gaze, _write_segments)
-    for part, writer in zip(mogaze.PARTS, writers, strict=True):
-        with (
-            atomic_path(root / f"{readings.recording_id}_{part}.hdf5") as temporary,
-            h5py.File(temporary, "w", track_order=False) as file,
-        ):
-            writer(file, readings)
+
+    @contextmanager
+    def new_file(part: str) -> Iterator[h5py.File]:
+        path = root / f"{readings.recording_id}_{part}.hdf5"
+        with atomic_path(path) as temporary, h5py.File(temporary, "w", track_order=False) as file:
+            yield file
+
+    human, objects, gaze, segments = mogaze.PARTS
+    with new_file(human) as file:
+        entry = file.create_dataset(mogaze.HUMAN_DATASET, data=readings.state)
+        entry.attrs[mogaze.COLUMNS_ATTRIBUTE] = np.array(STATE_COLUMNS, dtype="S")
+        entry.attrs[mogaze.START_ATTRIBUTE] = 0
+        entry.attrs[mogaze.FIXED_KEYS_ATTRIBUTE] = np.array(list(readings.fixed), dtype="S")
+        entry.attrs[mogaze.FIXED_VALUES_ATTRIBUTE] = np.array(list(readings.fixed.values()))
+        entry.attrs[mogaze.PARTICIPANT_ATTRIBUTE] = readings.participant_id
+    with new_file(objects) as file:
+        bodies = file.create_group(mogaze.OBJECT_GROUP)
+        for body in readings.bodies:
+            bodies.create_dataset(f"body {body.body_id}", data=np.hstack([body.position, body.rotation]))
+    with new_file(gaze) as file:
+        # One row more than the other files have, as in the release; columns of unknown meaning are zero.
+        rows = np.zeros((len(readings.gaze_points) + 1, _GAZE_COLUMNS))
+        rows[:-1, mogaze.GAZE_POINT] = readings.gaze_points
+        rows[:-1, -1] = readings.gaze_confidence
+        rows[-1] = rows[-2]
+        entry = file.create_dataset(mogaze.GAZE_DATASET, data=rows)
+        entry.attrs[mogaze.CALIBRATION_ATTRIBUTE] = readings.calibration
+    with new_file(segments) as file:
+        kinds = np.dtype([("start", "<i8"), ("end", "<i8"), ("label", f"S{mogaze.LABEL_LENGTH}")])
+        named = [(segment.start, segment.end, segment.label.encode()) for segment in readings.segments]
+        entry = file.create_dataset(mogaze.SEGMENT_DATASET, data=np.array(named, dtype=kinds))
+        labels = dict.fromkeys([mogaze.NULL_LABEL, *(segment.label for segment in readings.segments)])
+        entry.attrs[mogaze.LABELS_ATTRIBUTE] = np.array(list(labels), dtype="S")
 
 
 def box_mesh(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> str:
@@ -327,38 +353,6 @@ def box_mesh(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> str:
     corners = np.where(_CORNERS, high, low).tolist()
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners]
     return "\n".join([*lines, *(f"f {a + 1} {b + 1} {c + 1}" for a, b, c in _FACES), ""])
-
-
-def _write_human(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
-    entry = file.create_dataset(mogaze.HUMAN_DATASET, data=readings.state)
-    entry.attrs[mogaze.COLUMNS_ATTRIBUTE] = np.array(STATE_COLUMNS, dtype="S")
-    entry.attrs[mogaze.START_ATTRIBUTE] = 0
-    entry.attrs[mogaze.FIXED_KEYS_ATTRIBUTE] = np.array(list(readings.fixed), dtype="S")
-    entry.attrs[mogaze.FIXED_VALUES_ATTRIBUTE] = np.array(list(readings.fixed.values()))
-    entry.attrs[mogaze.PARTICIPANT_ATTRIBUTE] = readings.participant_id
-
-
-def _write_objects(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
-    bodies = file.create_group(mogaze.OBJECT_GROUP)
-    for body in readings.bodies:
-        bodies.create_dataset(f"body {body.body_id}", data=np.hstack([body.position, body.rotation]))
-
-
-def _write_gaze(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
-    """Write one row more than the other files have, as in the release; columns of unknown meaning are zero."""
-    rows = np.zeros((len(readings.gaze_points) + 1, _GAZE_COLUMNS))
-    rows[:-1, mogaze.GAZE_POINT], rows[:-1, -1] = readings.gaze_points, readings.gaze_confidence
-    rows[-1] = rows[-2]
-    entry = file.create_dataset(mogaze.GAZE_DATASET, data=rows)
-    entry.attrs[mogaze.CALIBRATION_ATTRIBUTE] = readings.calibration
-
-
-def _write_segments(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
-    kinds = np.dtype([("start", "<i8"), ("end", "<i8"), ("label", f"S{mogaze.LABEL_LENGTH}")])
-    rows = [(segment.start, segment.end, segment.label.encode()) for segment in readings.segments]
-    entry = file.create_dataset(mogaze.SEGMENT_DATASET, data=np.array(rows, dtype=kinds))
-    labels = dict.fromkeys([mogaze.NULL_LABEL, *(segment.label for segment in readings.segments)])
-    entry.attrs[mogaze.LABELS_ATTRIBUTE] = np.array(list(labels), dtype="S")
 
 
 def _write_below(readings: mogaze.MogazeReadings, root: Path) -> None:
