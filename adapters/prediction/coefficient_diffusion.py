@@ -53,10 +53,8 @@ class Whitening(nn.Module):
         super().__init__()
         self.register_buffer("directions", torch.eye(values))
         self.register_buffer("spread", torch.ones(coefficients, values))
-        self.directions: Tensor
-        """Column j is direction j."""
-        self.spread: Tensor
-        """Root mean square along each direction, metres."""
+        self.directions: Tensor  # column j is direction j
+        self.spread: Tensor  # root mean square along each direction, metres
 
     @torch.no_grad()
     def take(self, coefficients: Coefficients) -> None:

@@ -68,18 +68,13 @@ class Fan:
     Attributes:
         colour: ``#rrggbb``.
         joints: Room, metres.
-        scores: ``ade`` and ``fde``, metres.
+        score: ADE and FDE, in words.
     """
 
     label: str
     colour: str
     joints: Float[np.ndarray, "samples future joints 3"]
-    scores: dict[str, float]
-
-    @property
-    def score(self) -> str:
-        """What it scored, in words."""
-        return f"ADE {self.scores['ade']:.2f} m, FDE {self.scores['fde']:.2f} m"
+    score: str
 
     @property
     def shades(self) -> list[tuple[float, float, float]]:
@@ -199,9 +194,9 @@ def view_futures(request: ViewRequest) -> FuturesReport:
         for label, colour, found in zip(labels, METHOD_COLOURS, futures, strict=False):
             joints = found[name]
             error = displacements(frame_errors(joints[None, :, :n], truth.joints[row : row + 1, :n]))
-            scores = {metric: float(error[metric][0]) for metric in ("ade", "fde")}
+            score = f"ADE {error['ade'][0]:.2f} m, FDE {error['fde'][0]:.2f} m"
             in_room = transform_each(truth.room_from_batch[row : row + 1], joints[None])[0]
-            fans.append(Fan(label, colour, in_room, scores))
+            fans.append(Fan(label, colour, in_room, score))
         synthetic = table.info.dataset.startswith(SYNTHETIC_PREFIX)
         shown.append(
             ShownWindow(

@@ -57,24 +57,9 @@ def prediction_metrics() -> tuple[MetricInfo, ...]:
     return tuple(replace(info, position=position) for position, info in enumerate(infos))
 
 
-def _info(
-    id: str,
-    title: str,
-    *,
-    unit: str = "m",
-    main: bool = False,
-    better: bool | None = _LOWER,
-    ranked: bool = True,
-    is_detail: bool = False,
-) -> MetricInfo:
+def _info(id: str, title: str, *, unit: str = "m", better: bool | None = _LOWER, **more: bool) -> MetricInfo:
+    """Return a score that compares with what happened; its position is set with those of all others."""
+    more = {"main": False, **more}
     return MetricInfo(
-        id=id,
-        title=title,
-        unit=unit,
-        higher_is_better=better,
-        main=main,
-        position=0,
-        compares_with_recorded=True,
-        ranked=ranked,
-        is_detail=is_detail,
+        id=id, title=title, unit=unit, higher_is_better=better, position=0, compares_with_recorded=True, **more
     )
