@@ -60,7 +60,13 @@ class Question:
 def question(needs: Needs) -> Iterator[Question]:
     """Ask with marks, small files that nodes must see; they are deleted in the end."""
     marks: dict[str, str] = {}
-    folders = sorted({str(_nearest_folder(path)) for path in needs.writes})
+    nearest = set()  # the folder above each result that is there already
+    for path in needs.writes:
+        folder = path.expanduser().absolute().parent
+        while not folder.is_dir():
+            folder = folder.parent
+        nearest.add(str(folder))
+    folders = sorted(nearest)
     try:
         for folder in folders:
             text = secrets.token_hex(16)
@@ -77,14 +83,6 @@ def question(needs: Needs) -> Iterator[Question]:
     finally:
         for name in marks:
             Path(name).unlink(missing_ok=True)
-
-
-def _nearest_folder(path: Path) -> Path:
-    """The folder above a path that is there already."""
-    path = path.expanduser().absolute().parent
-    while not path.is_dir():
-        path = path.parent
-    return path
 
 
 def problems(facts: Mapping[str, Any], asked: Question, answered: float) -> list[str]:

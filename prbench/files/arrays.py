@@ -301,9 +301,18 @@ def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:
         # Reading ahead keeps every row group that was streamed in memory until the file is closed.
         pre_buffer=False,
     )
-    excess = _excess(file.metadata)
-    if excess:
-        raise pa.ArrowInvalid(excess)
+    metadata = file.metadata
+    if metadata.num_rows > MOST_ROWS:
+        raise pa.ArrowInvalid(f"{metadata.num_rows:,} rows declared, expected at most {MOST_ROWS:,}")
+    for number in range(metadata.num_row_groups):
+        group = metadata.row_group(number)
+        for column in map(group.column, range(group.num_columns)):
+            plausible = max(MOST_VALUES, MOST_VALUES_PER_BYTE * column.total_compressed_size)
+            if column.num_values > plausible:
+                raise pa.ArrowInvalid(
+                    f"{column.num_values:,} values of '{column.path_in_schema}' declared in row group {number},"
+                    f" expected at most {plausible:,} in {column.total_compressed_size:,} bytes"
+                )
     return file
 
 
@@ -314,23 +323,6 @@ def read_parquet(path: Path, columns: list[str] | None = None, *, verify: bool =
     if missing:
         raise pa.ArrowInvalid(f"no column '{missing[0]}'")
     return file.read(columns)
-
-
-def _excess(metadata: pq.FileMetaData) -> str:
-    """Say in a few words what a file declares too much of; empty if nothing."""
-    if metadata.num_rows > MOST_ROWS:
-        return f"{metadata.num_rows:,} rows declared, expected at most {MOST_ROWS:,}"
-    for number in range(metadata.num_row_groups):
-        group = metadata.row_group(number)
-        for place in range(group.num_columns):
-            column = group.column(place)
-            plausible = max(MOST_VALUES, MOST_VALUES_PER_BYTE * column.total_compressed_size)
-            if column.num_values > plausible:
-                return (
-                    f"{column.num_values:,} values of '{column.path_in_schema}' declared in row group {number},"
-                    f" expected at most {plausible:,} in {column.total_compressed_size:,} bytes"
-                )
-    return ""
 
 
 _REMEDY = "A number of its files is damaged, or in another unit; compare them with another copy."

@@ -131,7 +131,10 @@ class ConditionSource:
             sample: Index of the motion drawn for each sequence.
         """
         ids = [self.sequence_ids[row] for row in rows]
-        given: dict[str, Any] = {name: _rows_of(getattr(self, name), rows) for name in GIVEN[condition]}
+        given: dict[str, Any] = {}
+        for name in GIVEN[condition]:
+            values = getattr(self, name)
+            given[name] = tuple(values[row] for row in rows) if isinstance(values, tuple) else values[rows]
         return ConditionBatch(
             condition=condition,
             n_frames=self.n_frames[rows],
@@ -230,7 +233,3 @@ def derangement(selection: Selection, *, seed: int) -> Int[np.ndarray, " n"]:
         chosen = int(generator.integers(last))
         order[last], order[chosen] = order[chosen], order[last]
     return order
-
-
-def _rows_of(values: tuple[str, ...] | np.ndarray, rows: np.ndarray) -> tuple[str, ...] | np.ndarray:
-    return tuple(values[row] for row in rows) if isinstance(values, tuple) else values[rows]

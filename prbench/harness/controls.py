@@ -179,8 +179,12 @@ def control_motions(
         plan: Batches of :func:`prbench.harness.planning.plan_batches`.
     """
     if name in ROUND_TRIP_FPS:
+        # To another rate and back, both by linear interpolation, as motions of ``native_fps`` go.
+        step = selection.fps / ROUND_TRIP_FPS[name]
         for motions in _recorded(selection, plan, through_features=False):
-            yield _through_rate(motions, fps=selection.fps, other_fps=ROUND_TRIP_FPS[name])
+            n_frames = native_frames(motions.n_frames, fps=selection.fps, native_fps=ROUND_TRIP_FPS[name])
+            there = resampled(motions, n_frames, step=step)
+            yield resampled(there, motions.n_frames, step=ROUND_TRIP_FPS[name] / selection.fps)
         return
     if name in RECORDED_MOTION:
         yield from _recorded(selection, plan, through_features=name == GROUND_TRUTH_RESAMPLED)
@@ -196,13 +200,6 @@ def control_motions(
             yield cheating_motions(name, start, own.n_frames[places], own.fps)
         else:
             yield scripted_motions(start, own.n_frames[places], own.fps)
-
-
-def _through_rate(motions: Motions, *, fps: float, other_fps: float) -> Motions:
-    """Recorded motions at another rate and back, both by linear interpolation, as motions of ``native_fps`` go."""
-    n_frames = native_frames(motions.n_frames, fps=fps, native_fps=other_fps)
-    there = resampled(motions, n_frames, step=fps / other_fps)
-    return resampled(there, motions.n_frames, step=other_fps / fps)
 
 
 def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]], *, through_features: bool) -> Iterator[Motions]:

@@ -104,11 +104,15 @@ def timing(motions: MotionsToGoal, constants: MetricConstants) -> Timing:
     pelvis = motions.joints[:, :, Joint.PELVIS]
     steps = np.linalg.norm(np.diff(pelvis[..., [0, 2]], axis=1), axis=-1)
     covered = np.cumsum(steps, axis=1)
+    wrist = motions.reaching_wrist
+    away = np.linalg.norm(wrist - wrist[:, -1:], axis=-1) > constants.reach_distance
+    # The frame behind the last one away; 0 for a wrist that never leaves.
+    arrival = np.where(away.any(axis=1), wrist.shape[1] - away[:, ::-1].argmax(axis=1), 0).astype(np.float64)
     return Timing(
         prime=np.where(on_goal.any(axis=1), on_goal.argmax(axis=1), stay.argmin(axis=1)).astype(np.float64)
         / motions.fps,
         half_way=(1.0 + (covered >= covered[:, -1:] / 2 - _ROUNDING).argmax(axis=1)) / motions.fps,
-        wrist_arrival=_arrivals(motions.reaching_wrist, constants.reach_distance) / motions.fps,
+        wrist_arrival=arrival / motions.fps,
     )
 
 
@@ -160,10 +164,3 @@ def _stations(path: Float[np.ndarray, "frames 2"]) -> Float[np.ndarray, "station
         return np.repeat(path[:1], _STATIONS, axis=0)
     wanted = np.linspace(0.0, covered[-1], _STATIONS)
     return np.stack([np.interp(wanted, covered, path[:, axis]) for axis in (0, 1)], axis=-1)
-
-
-def _arrivals(wrist: Float[np.ndarray, "k frames 3"], distance: float) -> Float[np.ndarray, " k"]:
-    away = np.linalg.norm(wrist - wrist[:, -1:], axis=-1) > distance
-    frames = wrist.shape[1]
-    # The frame behind the last one away; 0 for a wrist that never leaves.
-    return np.where(away.any(axis=1), frames - away[:, ::-1].argmax(axis=1), 0).astype(np.float64)

@@ -60,8 +60,31 @@ def default_tables(
         progress: Called after each recording.
         tell: Called with a line that names the process which is building them meanwhile, and is waited for.
     """
-    if not default_tables_are_built():
-        _build(engine, progress, tell)
+    if default_tables_are_built():
+        return tuple(SequenceTable.open(folder) for folder in default_table_folders())
+    # Every later run goes without it.
+    from prbench.harness.synthetic_table import build_synthetic_table, recordings_of_people
+
+    parent = default_folder()
+    with in_turn(parent.with_name(f"{parent.name}.first-run"), tell):  # each build itself holds its folder
+        # Tables that a killed process or another one has finished stay.
+        missing = {
+            layout: recordings_of_people(layout, SEED, PEOPLE)
+            for layout, folder in zip(LAYOUTS, default_table_folders(), strict=True)
+            if not (folder / FILE_NAME).is_file()
+        }
+        total = sum(map(len, missing.values()))
+        done = 0
+        for layout, recordings in missing.items():
+            before = done
+
+            def show(finished: int, _: int, last: str, before: int = before) -> None:
+                progress(before + finished, total, last)
+
+            build_synthetic_table(
+                layout, recordings=recordings, seed=SEED, out=parent / layout, engine=engine, progress=show
+            )
+            done += len(recordings)
     return tuple(SequenceTable.open(folder) for folder in default_table_folders())
 
 
@@ -90,32 +113,6 @@ def default_folder() -> Path:
         *(f"{split} {number}" for split, number in PEOPLE.items()),
     )
     return cache_folder() / "tables" / f"synthetic-{key[:12]}"
-
-
-def _build(engine: Engine, progress: Progress, tell: Callable[[str], None]) -> None:
-    # Every later run goes without it.
-    from prbench.harness.synthetic_table import build_synthetic_table, recordings_of_people
-
-    parent = default_folder()
-    with in_turn(parent.with_name(f"{parent.name}.first-run"), tell):  # each build itself holds its folder
-        # Tables that a killed process or another one has finished stay.
-        missing = {
-            layout: recordings_of_people(layout, SEED, PEOPLE)
-            for layout, folder in zip(LAYOUTS, default_table_folders(), strict=True)
-            if not (folder / FILE_NAME).is_file()
-        }
-        total = sum(map(len, missing.values()))
-        done = 0
-        for layout, recordings in missing.items():
-            before = done
-
-            def show(finished: int, _: int, last: str, before: int = before) -> None:
-                progress(before + finished, total, last)
-
-            build_synthetic_table(
-                layout, recordings=recordings, seed=SEED, out=parent / layout, engine=engine, progress=show
-            )
-            done += len(recordings)
 
 
 def companions(request: RunRequest) -> Iterator[RunRequest]:
@@ -201,10 +198,15 @@ def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], Any]:
 
     def find(record: TableRecord) -> CaseTable | None:
         for table in opened:
-            if _is_table_of(record, table):
+            # Identity says which sequences, content says which numbers; a rebuilt table may share only the first.
+            if (record.identity_digest, record.content_digest) == (table.identity, table.info.content_digest):
                 return table
-        for folder in _embedded():
-            if DatasetInfo.read(folder).content_digest == record.content_digest:
+        # The default tables first: nearly every run was made on them. Then folds, and tables of earlier versions.
+        tables = cache_folder() / "tables"
+        earlier = sorted(path.parent for depth in ("*", "*/*") for path in tables.glob(f"{depth}/{FILE_NAME}"))
+        for folder in dict.fromkeys([*default_table_folders(), *earlier]):
+            there = (folder / FILE_NAME).is_file()
+            if there and DatasetInfo.read(folder).content_digest == record.content_digest:
                 opened.append(SequenceTable.open(folder))
                 return opened[-1]
         return None
@@ -220,21 +222,6 @@ def open_any_table(folder: Path) -> CaseTable:
     """
     known = [load_benchmark(name) for name in benchmarks()]
     return next((each for each in known if (folder / each.table_file).is_file()), known[0]).open_table(folder)
-
-
-def _embedded() -> Iterator[Path]:
-    """Folders of the embedded default tables, of folds, and of other ones that an earlier version left beside them."""
-    tables = cache_folder() / "tables"
-    earlier = sorted(path.parent for depth in ("*", "*/*") for path in tables.glob(f"{depth}/{FILE_NAME}"))
-    # The tables of the present version first: nearly every run was made on them.
-    for folder in dict.fromkeys([*default_table_folders(), *earlier]):
-        if (folder / FILE_NAME).is_file():
-            yield folder
-
-
-def _is_table_of(record: TableRecord, table: CaseTable) -> bool:
-    # Identity says which sequences, content says which numbers; a rebuilt table may share only the first.
-    return (record.identity_digest, record.content_digest) == (table.identity, table.info.content_digest)
 
 
 def earlier_run(path: Path) -> RunFolder | None:
@@ -281,19 +268,15 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
         control=record.control,
     )
     own_protocol = run.path / PROTOCOL_FILE
+    same = ("benchmark", "limit", "sequences", "samples", "device", "threads")
     return Experiment(
+        **{name: getattr(record, name) for name in same},
         methods=(method,),
-        benchmark=record.benchmark,
         data=tuple(folders),
         split=PARTICIPANTS if record.tables[0].fold else record.split,
         fold=record.tables[0].fold,
-        limit=record.limit,
-        sequences=record.sequences,
         seeds=(record.seed,),
-        samples=record.samples,
         batch_size=record.tables[0].batch_plan.batch_size,
-        device=record.device,
-        threads=record.threads,
         isolate=record.method.isolation is not None,
         protocol=str(own_protocol) if own_protocol.is_file() else None,
     )

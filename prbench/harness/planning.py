@@ -69,7 +69,10 @@ class Selection:
             found += len(chunk)
             # Windows count chosen rows, not rows of the file, so the layout of the table leaves no trace.
             while found >= size:
-                window, pending = _parted(pending, size)
+                last = pending.pop()
+                within = size - sum(batch.num_rows for batch in pending)
+                window = _joined([*pending, last.slice(0, within)])  # shares no memory with the rest
+                pending = [last.slice(within)] if within < last.num_rows else []
                 found = found - size
                 yield slice(start, start + size), SequenceChunk(window)
                 del window  # before the next one is read
@@ -225,14 +228,6 @@ def plan_batches(n_frames: Int[np.ndarray, " n"], batch_size: int) -> list[Int[n
 def plan_digest(sequence_ids: tuple[str, ...], batches: list[Int[np.ndarray, "_"]]) -> str:
     """Over the ids of every batch, in order."""
     return text_digest(*(text_digest(*(sequence_ids[row] for row in batch)) for batch in batches))
-
-
-def _parted(batches: list[pa.RecordBatch], rows: int) -> tuple[pa.RecordBatch, list[pa.RecordBatch]]:
-    """Return the first rows, and the others; these share no memory with the first."""
-    last = batches.pop()
-    within = rows - sum(batch.num_rows for batch in batches)
-    window = _joined([*batches, last.slice(0, within)])
-    return window, [last.slice(within)] if within < last.num_rows else []
 
 
 def _joined(batches: list[pa.RecordBatch]) -> pa.RecordBatch:

@@ -129,7 +129,18 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
             motionless=False,
         )
     else:
-        spec = _spec(request, benchmark)
+        require_weights(request.weights)
+        spec = method_spec(
+            request.method,
+            weights=request.weights,
+            options=request.options,
+            device=request.device,
+            threads=request.threads,
+            isolate=request.isolate,
+            timeout=request.timeout,
+            hidden=(*request.data, request.out or DEFAULT_PARENT),
+            group=benchmark.methods,
+        )
         asked = request.condition
         loaded = spec.load()
         condition = chosen_condition(
@@ -148,21 +159,6 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
     record = run_record(request, condition, method, tuple(datasets), rules)
     out = _default_folder(record) if request.out is None else run_folder_of(request.out)
     return PreparedRun(request, benchmark, record, tuple(datasets), out, rules)
-
-
-def _spec(request: RunRequest, benchmark: Benchmark) -> MethodSpec:
-    require_weights(request.weights)
-    return method_spec(
-        request.method,
-        weights=request.weights,
-        options=request.options,
-        device=request.device,
-        threads=request.threads,
-        isolate=request.isolate,
-        timeout=request.timeout,
-        hidden=(*request.data, request.out or DEFAULT_PARENT),
-        group=benchmark.methods,
-    )
 
 
 def _method(request: RunRequest, spec: MethodSpec, condition: StrEnum) -> MethodRecord:

@@ -15,7 +15,7 @@ Motions of another length than the recorded ones are told with the cause that th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -177,17 +177,11 @@ def _is_copy(motion: np.ndarray, original: np.ndarray, farthest: float) -> bool:
     # A recording in which nothing happens is followed by any motion that stands still.
     if tolerance < _LEAST_TOLERANCE:
         return False
-    return any(
-        max(_distance(laid, original), _distance(original, laid)) <= tolerance for laid in _laid_over(motion, original)
-    )
-
-
-def _laid_over(motion: np.ndarray, original: np.ndarray) -> Iterator[np.ndarray]:
-    """The motion as it is, moved so that the first frames agree, and so that all frames do as well as they can."""
-    yield motion
-    yield _moved(motion, motion[:1], original[:1], scaled=False)
+    # As it is, moved so that the first frames agree, and so that all frames do as well as they can.
+    laid_over = [motion, _moved(motion, motion[:1], original[:1], scaled=False)]
     if len(motion) == len(original):
-        yield _moved(motion, motion, original, scaled=True)
+        laid_over.append(_moved(motion, motion, original, scaled=True))
+    return any(max(_distance(laid, original), _distance(original, laid)) <= tolerance for laid in laid_over)
 
 
 def _moved(motion: np.ndarray, points: np.ndarray, targets: np.ndarray, *, scaled: bool) -> np.ndarray:

@@ -257,9 +257,24 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             for condition in method.conditions or (None,)
             for seed in self.seeds
         ]
+        about = find_benchmark(self.benchmark)
+        same = ("benchmark", "data", "fold", "limit", "sequences", "device", "threads", "isolate", "timeout")
         taken: set[str] = set()
         for method, condition, seed in runs:
-            request = self._request(method, condition, seed)
+            request = RunRequest(
+                **{name: getattr(self, name) for name in same},
+                protocol=Path(self.protocol) if self.protocol else None,
+                out=Path(self.out) if self.out else None,
+                method=method.name,
+                condition=condition,
+                weights=Path(method.weights) if method.weights else None,
+                options=method.option_texts,
+                split="test" if self.fold is not None else self.split,
+                seed=seed,
+                samples=self.samples or about.samples,
+                batch_size=self.batch_size or about.batch_size,
+                control=method.control,
+            )
             if len(runs) > 1:
                 parts = [request.method_label, request.control, request.condition]
                 if len(self.seeds) > 1:
@@ -273,31 +288,6 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
                 taken.add(name)
                 request = replace(request, out=Path(self.out or DEFAULT_PARENT) / name)
             yield request
-
-    def _request(self, method: ExperimentMethod, condition: str | None, seed: int) -> RunRequest:
-        about = find_benchmark(self.benchmark)
-        return RunRequest(
-            method=method.name,
-            benchmark=self.benchmark,
-            data=tuple(Path(folder) for folder in self.data),
-            condition=condition,
-            weights=Path(method.weights) if method.weights else None,
-            options=method.option_texts,
-            split="test" if self.fold is not None else self.split,
-            fold=self.fold,
-            limit=self.limit,
-            sequences=self.sequences,
-            seed=seed,
-            samples=self.samples or about.samples,
-            batch_size=self.batch_size or about.batch_size,
-            device=self.device,
-            threads=self.threads,
-            control=method.control,
-            isolate=self.isolate,
-            timeout=self.timeout,
-            protocol=Path(self.protocol) if self.protocol else None,
-            out=Path(self.out) if self.out else None,
-        )
 
 
 @foreign_input()

@@ -35,6 +35,9 @@ from prbench.metrics.registry import LENGTH_MISMATCH
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.shown import quoted
 
+# Fields that a run's record and its request share.
+_SHARED = ("benchmark", "condition", "split", "limit", "sequences", "seed", "samples", "device", "threads", "control")
+
 
 def request_of(record: RunRecord, data: Sequence[Path], *, folder: Path, **changes: Any) -> RunRequest:
     """Return the request that a run was made by, as far as its results depend on it.
@@ -49,20 +52,10 @@ def request_of(record: RunRecord, data: Sequence[Path], *, folder: Path, **chang
     given: dict[str, Any] = {
         "method": record.method.name,
         "data": tuple(data),
-        "benchmark": record.benchmark,
-        "condition": record.condition,
-        "split": record.split,
-        "limit": record.limit,
-        "sequences": record.sequences,
-        "seed": record.seed,
-        "samples": record.samples,
         "batch_size": record.tables[0].batch_plan.batch_size or 1,
-        "device": record.device,
-        "threads": record.threads,
-        "control": record.control,
         "protocol": own_protocol if own_protocol.is_file() else None,
     }
-    return RunRequest(**(given | changes))
+    return RunRequest(**(given | {name: getattr(record, name) for name in _SHARED} | changes))
 
 
 def cases_of_run(run: RunFolder, table: CaseTable, *, limit: int | None = None) -> tuple[RunRequest, Any, Any]:
@@ -147,7 +140,13 @@ def require_scores(files: DatasetFolder, stored: CodedScores, made: CodedScores)
         RunError: naming the first row that differs.
     """
     # Keys first: values can only be compared where both tables hold the same rows.
-    if (row := _first_other_key(stored, made)) is not None:
+    pieces = itertools.zip_longest(made.pieces(), stored.pieces(), fillvalue=SCORES.empty_table())
+    for number, (ours, theirs) in enumerate(pieces):
+        one, other = (table.select(_KEYS) for table in (ours, theirs))
+        if one.equals(other):
+            continue
+        rows = itertools.zip_longest(one.to_pylist(), other.to_pylist())
+        row = number * PIECE + next(place for place, (first, second) in enumerate(rows) if first != second)
         raise RunError(
             f"{files.scores}, row {row}: expected {_row(made, row)} from the motions and their table, found"
             f" {_row(stored, row)} ({len(made)} and {len(stored)} rows). The file was edited. {_AGAIN}"
@@ -163,17 +162,6 @@ def require_scores(files: DatasetFolder, stored: CodedScores, made: CodedScores)
             f" {files.predictions.name} scores on its table, found {found[row]:.6g} ({wrong.size} of"
             f" {len(found)} values differ). The scores or the motions were edited. {_AGAIN}"
         )
-
-
-def _first_other_key(stored: CodedScores, made: CodedScores) -> int | None:
-    """Return the first row of which two scores differ in sequence, sample, metric or flag; None without any."""
-    pieces = enumerate(itertools.zip_longest(made.pieces(), stored.pieces(), fillvalue=SCORES.empty_table()))
-    for number, (expected, found) in pieces:
-        one, other = (table.select(_KEYS) for table in (expected, found))
-        if not one.equals(other):
-            rows = itertools.zip_longest(one.to_pylist(), other.to_pylist())
-            return number * PIECE + next(place for place, (first, second) in enumerate(rows) if first != second)
-    return None
 
 
 def _row(scores: CodedScores, row: int) -> str:

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -113,9 +114,10 @@ def settled_by_conditions(
     info = conditions.info
     path = request.conditions
     assert path is not None
-    for name in ("condition", "seed", "split", "limit", "max_frames", "native_fps"):
+    names = ("condition", "seed", "split", "limit", "max_frames", "native_fps")
+    stated: dict[str, Any] = {name: getattr(info, name) for name in names}
+    for name, found in stated.items():
         asked = getattr(request, name)
-        found = getattr(info, name)
         if asked is not None and asked != found:
             flag = f"--{name.replace('_', '-')}"
             shown = "none" if found is None else found
@@ -137,19 +139,18 @@ def settled_by_conditions(
     has_goals = bool(GOALS & set(given_columns(info.condition)))
     different = []
     for control in (None, SHUFFLED_GOAL) if has_goals else (None,):
-        wanted = ExportRequest(
-            data=request.data,
-            condition=info.condition,
-            out=path,
-            seed=info.seed,
-            samples=info.samples,
-            split=info.split,
-            limit=info.limit,
-            max_frames=info.max_frames,
-            native_fps=info.native_fps,
-            control=control,
-        )
-        difference = _first_difference(conditions, conditions_of(tables, wanted)[0])
+        wanted = ExportRequest(data=request.data, out=path, samples=info.samples, control=control, **stated)
+        made = conditions_of(tables, wanted)[0]
+        difference = None  # column and row of the file that the tables do not give
+        if len(made) != len(conditions):
+            difference = f"{len(conditions)} rows"
+        else:
+            for name in ("opaque_id", "sample", "noise_seed", "n_frames", "fps", *conditions.given):
+                wrong = np.asarray(getattr(conditions, name)) != np.asarray(getattr(made, name))
+                rows = np.flatnonzero(wrong.reshape(len(made), -1).any(axis=1))
+                if rows.size:
+                    difference = f"column '{name}', row {rows[0]}"
+                    break
         if difference is None:
             break
         different.append(difference)
@@ -160,28 +161,7 @@ def settled_by_conditions(
         )
     if request.control not in (None, control):
         raise UsageError(f"--control {request.control}: the goals in {path} are each sequence's own.")
-    return replace(
-        request,
-        condition=info.condition,
-        control=control,
-        seed=info.seed,
-        split=info.split,
-        limit=info.limit,
-        max_frames=info.max_frames,
-        native_fps=info.native_fps,
-    )
-
-
-def _first_difference(conditions: ConditionsFile, made: ConditionsFile) -> str | None:
-    """Column and row of the file that the tables do not give; None if there is none."""
-    if len(made) != len(conditions):
-        return f"{len(conditions)} rows"
-    for name in ("opaque_id", "sample", "noise_seed", "n_frames", "fps", *conditions.given):
-        wrong = np.asarray(getattr(conditions, name)) != np.asarray(getattr(made, name))
-        rows = np.flatnonzero(wrong.reshape(len(made), -1).any(axis=1))
-        if rows.size:
-            return f"column '{name}', row {rows[0]}"
-    return None
+    return replace(request, control=control, **stated)
 
 
 def require_complete(

@@ -91,16 +91,13 @@ def nodded(joints: np.ndarray, nod: np.ndarray) -> np.ndarray:
     neck = joints[..., Joint.NECK, :]
     bone = joints[..., Joint.HEAD, :] - neck
     left = joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :]
-    left = left - _along(left, bone) * bone
+    squared = np.maximum((bone * bone).sum(axis=-1, keepdims=True), 1e-12)
+    left = left - (left * bone).sum(axis=-1, keepdims=True) / squared * bone
     left = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
     angle = -nod[..., None]  # a positive turn about the left axis looks down
     nodded = joints.copy()
     nodded[..., Joint.HEAD, :] = neck + bone * np.cos(angle) + np.cross(left, bone) * np.sin(angle)
     return nodded
-
-
-def _along(vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    return (vectors * axis).sum(axis=-1, keepdims=True) / np.maximum((axis * axis).sum(axis=-1, keepdims=True), 1e-12)
 
 
 def glide(joints: np.ndarray, goal: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from prbench.harness.preparation import PreparedRun, prepare_run
 from prbench.harness.request import ProgressCallback, RunRequest, silent
 from prbench.harness.results import request_of
 from prbench.harness.run import RunPart, RunReport, generate_all, prepared_folder, scored_parts, tidied
-from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.record import RunRecord
 from prbench.object_stores.inputs import fetched
 from prbench.object_stores.store import is_url
@@ -170,7 +170,19 @@ def merge_run_shards(
         ]
         missing = [(part, index) for part in parts for index in part.missing()]
         for part, index in missing:
-            _copy_batch(part, index, found[f"{part.dataset.name} batch {index}"])
+            folder, shard = found[f"{part.dataset.name} batch {index}"]
+            files = RunFolder(folder, part.prepared.record).dataset(part.dataset.name)
+            if not part.has(index, files):
+                raise ShardError(
+                    f"{files.part(index)}: expected a whole batch of shard {shard.shard}, found a damaged file or other"
+                    " sequences. Copy the shard again, or delete the file; then: Run its command"
+                    f" (--shard {shard.shard}) again."
+                )
+            # The measurement first, so that a batch is never without it.
+            for place in (DatasetFolder.batch_cost, DatasetFolder.part):
+                if place(files, index).is_file():
+                    with atomic_path(place(part.files, index)) as temporary:
+                        shutil.copyfile(place(files, index), temporary)
         summaries = scored_parts(parts)
     return RunReport(merged, summaries, batches_made=len(missing), batches_found=len(found) - len(missing))
 
@@ -186,23 +198,3 @@ def _named_batches(prepared: PreparedRun) -> dict[str, tuple[str, int]]:
 
 def _batches_of(record: ShardRecord) -> list[str]:
     return [record.plan[place] for place in record.shard.places(len(record.plan))]
-
-
-def _copy_batch(part: RunPart, index: int, source: tuple[Path, ShardRecord]) -> None:
-    """Copy one batch with its measurement."""
-    folder, record = source
-    files = RunFolder(folder, part.prepared.record).dataset(part.dataset.name)
-    if not part.has(index, files):
-        raise ShardError(
-            f"{files.part(index)}: expected a whole batch of shard {record.shard}, found a damaged file or other"
-            f" sequences. Copy the shard again, or delete the file; then: Run its command (--shard {record.shard})"
-            " again."
-        )
-    # The measurement first, so that a batch is never without it.
-    for copied, target in (
-        (files.batch_cost(index), part.files.batch_cost(index)),
-        (files.part(index), part.files.part(index)),
-    ):
-        if copied.is_file():
-            with atomic_path(target) as temporary:
-                shutil.copyfile(copied, temporary)

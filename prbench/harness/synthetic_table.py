@@ -21,7 +21,7 @@ from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.layouts import layout_for, synthetic_recording
 from prbench.synthetic.people.perform import name_of_recording, perform
 from prbench.synthetic.people.world import Source, Split, assign
-from prbench.synthetic.performance import ObjectMotion, Performance
+from prbench.synthetic.performance import Performance
 
 # Called with finished recordings, all of them, and the one that was finished last.
 Progress = Callable[[int, int, str], None]
@@ -64,7 +64,23 @@ class Staging:
         if not all(track.movable for track in recording.objects):
             return recording
         start = recording.span[0]
-        furniture = tuple(_standing(piece, start) for piece in performance.objects if not piece.movable)
+        furniture = tuple(
+            # Worlds of synthetic recordings are those of their performances.
+            ObjectTrack(
+                object_id=piece.object_id,
+                name=piece.name,
+                category=piece.category,
+                times=np.array([start]),
+                position=piece.position[:1],
+                rotation=piece.rotation[:1],
+                valid=np.ones(1, dtype=bool),
+                box_min=-piece.half_extents,
+                box_max=piece.half_extents,
+                movable=False,
+            )
+            for piece in performance.objects
+            if not piece.movable
+        )
         return replace(recording, furniture=furniture)
 
     def described(self) -> dict[str, str]:
@@ -80,22 +96,6 @@ class Staging:
             "synthetic_provocations": shares,
             "synthetic_generator": str(GENERATOR_VERSION),
         }
-
-
-def _standing(piece: ObjectMotion, start: float) -> ObjectTrack:
-    """Return the track of a piece of furniture; worlds of synthetic recordings are those of their performances."""
-    return ObjectTrack(
-        object_id=piece.object_id,
-        name=piece.name,
-        category=piece.category,
-        times=np.array([start]),
-        position=piece.position[:1],
-        rotation=piece.rotation[:1],
-        valid=np.ones(1, dtype=bool),
-        box_min=-piece.half_extents,
-        box_max=piece.half_extents,
-        movable=False,
-    )
 
 
 @dataclass(frozen=True)

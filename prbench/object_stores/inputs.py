@@ -119,31 +119,27 @@ def _fetched_file(store: Store, tell: Tell) -> Path:
     url = store.url
     found = store.describe()
     if found is None:
-        raise _no_manifest(store)
+        # It names no file and holds no manifest.
+        remedy = "Correct the URL."
+        if store.read(UNFINISHED, largest=LARGEST_MANIFEST) is not None:
+            what = "an unfinished one"
+            remedy = "Run the command that writes it again with the same --out: it goes on, here or on another machine."
+        elif store.is_empty():
+            what = "nothing"
+        else:
+            what = f"other files and no {FINISHED}"
+            remedy = (
+                "Only what prbench has finished is read there. Of a folder that was copied by another program:"
+                " `python -m prbench.object_stores.store DIR` writes the manifest to copy with it, last."
+            )
+        expected = "a finished folder of prbench, or a file"
+        raise InputFileError(str(url), "", expected=expected, found=what, remedy=remedy)
     path = url.cache / "file" / text_digest(found.version, str(found.size))[:16] / url.name
     with in_turn(path, tell):
         # An object without a version may have changed and kept its size.
         if not found.version or not _has_size(path, found.size):
             _download_all(store, [lambda: store.download("", path, size=found.size)], [found.size], tell)
     return path
-
-
-def _no_manifest(store: Store) -> InputFileError:
-    """Say why a URL cannot be read, which names no file and holds no manifest."""
-    remedy = "Correct the URL."
-    if store.read(UNFINISHED, largest=LARGEST_MANIFEST) is not None:
-        found = "an unfinished one"
-        remedy = "Run the command that writes it again with the same --out: it goes on, here or on another machine."
-    elif store.is_empty():
-        found = "nothing"
-    else:
-        found = f"other files and no {FINISHED}"
-        remedy = (
-            "Only what prbench has finished is read there. Of a folder that was copied by another program:"
-            " `python -m prbench.object_stores.store DIR` writes the manifest to copy with it, last."
-        )
-    expected = "a finished folder of prbench, or a file"
-    return InputFileError(str(store.url), "", expected=expected, found=found, remedy=remedy)
 
 
 def fetched_native(text: str, dataset: str | None, *, tell: Tell = lambda _: None) -> Path:

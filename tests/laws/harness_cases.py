@@ -57,7 +57,7 @@ def _request(out: Path, **changes: object) -> RunRequest:
 @contextmanager
 def _made_installed() -> Iterator[None]:
     """Install the method ``made``, which draws noise, and give runs a cache that they share."""
-    site = made_once("site", lambda path: write_package(path, "made", adapter_source()))
+    site = made_once("site", lambda path: write_package(path, "made", adapter_source(), package="prbench_made_once"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PRBENCH_CACHE", f"{os.environ['PRBENCH_TESTS_SHARED']}/cache-of-runs")
         patch.syspath_prepend(str(site))

@@ -123,7 +123,16 @@ def _read(archive: Archive, path: Path) -> dict[str, Any]:
         whole[name] = values.astype(np.int64)
     n_frames = whole["n_frames"]
     frames = _frames_of(archive.header("joints"), path, n_frames)
-    gaze = _gaze_columns(archive, path, frames)
+    gaze = [name for name in GAZE_COLUMNS if name in present]
+    if len(gaze) == 1:
+        raise PredictionsError(f"{path}: expected both arrays {' and '.join(GAZE_COLUMNS)}, found {gaze[0]} alone.")
+    for name in gaze:
+        header = archive.header(name)
+        if header.shape != (*frames, 3) or not _is_floating(header.dtype):
+            raise PredictionsError(
+                f"{path}, '{name}': expected the shape {(*frames, 3)} of float32 or float64, as the joints have"
+                f" frames, found {header.shape} of {header.dtype}."
+            )
 
     def split(name: str, *shape: int) -> list[np.ndarray]:
         """The array's motions, one after the other."""
@@ -174,25 +183,6 @@ def _read_by_name(archive: Archive, path: Path) -> dict[str, Any] | None:
         "store": ArrayMotions(tuple(motions), tuple(f"{path}, '{name}', sample {sample}" for name, sample in keys)),
         "has_gaze": False,
     }
-
-
-def _gaze_columns(archive: Archive, path: Path, frames: tuple[int, ...]) -> list[str]:
-    """Names of the arrays of gaze, both or none; they have the frames of the joints.
-
-    Raises:
-        PredictionsError: if one is missing, or of another shape.
-    """
-    present = [name for name in GAZE_COLUMNS if name in archive.members]
-    if len(present) == 1:
-        raise PredictionsError(f"{path}: expected both arrays {' and '.join(GAZE_COLUMNS)}, found {present[0]} alone.")
-    for name in present:
-        header = archive.header(name)
-        if header.shape != (*frames, 3) or not _is_floating(header.dtype):
-            raise PredictionsError(
-                f"{path}, '{name}': expected the shape {(*frames, 3)} of float32 or float64, as the joints have"
-                f" frames, found {header.shape} of {header.dtype}."
-            )
-    return present
 
 
 def _is_floating(dtype: np.dtype) -> bool:

@@ -228,8 +228,20 @@ class ParquetMotions:
             table = _open(path).read_row_group(group, columns=["joints", *self.gaze])
         rows = _as_rows(table["joints"].combine_chunks(), path, first_row=first_row)
         if self.gaze:
-            columns = [_rays(table[name].combine_chunks(), path, name) for name in self.gaze]
-            for name, (_, offsets) in zip(self.gaze, columns, strict=True):
+            columns = []
+            for name in self.gaze:
+                column = table[name].combine_chunks()
+                starts, items, _, leaves = _flattened(column)
+                if (
+                    (items[starts] % 3).any()
+                    or not pa.types.is_floating(leaves.type)
+                    or pa.types.is_float16(leaves.type)
+                ):
+                    raise PredictionsError(
+                        f"{path}, column '{name}': expected x y z for each frame, found {column.type}."
+                    )
+                columns.append(_numbers(leaves).reshape(-1, 3))
+                offsets = items[starts] // 3
                 other = np.flatnonzero(np.diff(offsets) != np.diff(rows.offsets))
                 if other.size:
                     row = int(other[0])
@@ -238,7 +250,7 @@ class ParquetMotions:
                         f"{path}, row {first_row + row}, column '{name}': expected gaze in each of its {frames} frames,"
                         f" found {found}."
                     )
-            rows = PredictionRows(rows.values, rows.offsets, np.stack([values for values, _ in columns], axis=1))
+            rows = PredictionRows(rows.values, rows.offsets, np.stack(columns, axis=1))
         # The sequences of a window are asked for in parts, and lie in the same row groups.
         if sum(kept.values.nbytes for kept in self._cache.values()) > _CACHED_BYTES:
             self._cache.clear()
@@ -291,15 +303,6 @@ def _as_rows(column: pa.Array, path: Path, *, first_row: int) -> PredictionRows:
             f" {np.diff(frames)[wrong[0]]} numbers."
         )
     return PredictionRows(values.reshape(-1, N_JOINTS, 3), rows)
-
-
-def _rays(column: pa.Array, path: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return points or directions of all rows after one another, (total, 3), and where each row begins."""
-    rows, items, _, leaves = _flattened(column)
-    offsets = items[rows]
-    if (offsets % 3).any() or not (pa.types.is_float32(leaves.type) or pa.types.is_float64(leaves.type)):
-        raise PredictionsError(f"{path}, column '{name}': expected x y z for each frame, found {column.type}.")
-    return _numbers(leaves).reshape(-1, 3), offsets // 3
 
 
 def _numbers(leaves: pa.Array) -> np.ndarray:
