@@ -1,4 +1,4 @@
-"""Skeleton: joints and chains, the canonical frame, and the head-forward vector."""
+"""The skeleton: names of joints, headings, canonical frame, head-forward vector, Z up to Y up."""
 
 from __future__ import annotations
 
@@ -17,15 +17,21 @@ from prbench.geometry.skeleton import (
     CHAINS,
     N_JOINTS,
     PARENTS,
+    Y_UP_FROM_Z_UP,
     Joint,
     bone_lengths,
     canonical_frame,
     facing_yaw,
     head_forward,
     invert_rigid,
+    match_names,
+    normalised,
     transform_points,
+    y_up,
+    z_up,
 )
 from tests.metrics.motions import STANDING, random_motion, standing
+from tests.readers.gimo_sample import skeleton
 
 
 def yaw_matrix(yaw: float) -> np.ndarray:
@@ -168,3 +174,52 @@ def test_a_pose_without_axes_has_no_direction_and_no_nan() -> None:
         forward, degenerate = head_forward(pose, 7.4)
         assert degenerate
         np.testing.assert_allclose(forward, 0, atol=1e-9)
+
+
+POINTS = np.random.default_rng(3).normal(size=(4, 5, 3))
+
+
+def test_what_was_up_is_up_and_nothing_is_mirrored() -> None:
+    np.testing.assert_array_equal(y_up(np.array([1.0, 2.0, 3.0])), [1.0, 3.0, -2.0])
+    assert np.linalg.det(Y_UP_FROM_Z_UP[:3, :3]) == pytest.approx(1.0)
+
+
+def test_points_and_matrix_are_the_same_turn() -> None:
+    np.testing.assert_array_equal(y_up(POINTS), transform_points(Y_UP_FROM_Z_UP, POINTS))
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_there_and_back_changes_no_bit(kind) -> None:
+    points = POINTS.astype(kind)
+    assert z_up(y_up(points)).dtype == kind
+    np.testing.assert_array_equal(z_up(y_up(points)), points)
+
+
+@pytest.mark.parametrize("name", ["LeftUpLeg", "left_up_leg", "Actor:L_UpLeg", "mixamorig:LeftUpLeg", "Left Up-Leg"])
+def test_spellings_of_one_name_are_one(name) -> None:
+    assert normalised(name) == "leftupleg"
+
+
+def test_shoulder_means_collar_or_shoulder_by_the_names_beside_it() -> None:
+    sides = [
+        f"{side}{part}"
+        for part in ("Hip", "Knee", "Ankle", "Toe", "Collar", "Shoulder", "Elbow", "Wrist")
+        for side in ("Left", "Right")
+    ]
+    joints = ["Hips", "Chest", "Spine", "Spine1", "Neck", "Head", *sides]
+    columns, _, _ = match_names(joints)
+    names = [joints[column] for column in columns]
+    assert -1 not in columns
+    assert names[Joint.LEFT_SHOULDER] == "LeftShoulder"
+    assert names[Joint.LEFT_COLLAR] == "LeftCollar"
+    assert [names[Joint.SPINE1], names[Joint.SPINE2], names[Joint.SPINE3]] == ["Spine", "Spine1", "Chest"]
+    suit = [joint.name for joint in skeleton().joints]
+    of_suit, _, _ = match_names(suit)
+    assert suit[of_suit[Joint.LEFT_COLLAR]] == "LeftShoulder"
+    assert suit[of_suit[Joint.LEFT_SHOULDER]] == "LeftArm"
+
+
+def test_names_that_nobody_knows_are_told() -> None:
+    columns, unmatched, _ = match_names(["Hips", "Schwanz"])
+    assert unmatched == ("Schwanz",)
+    assert columns.count(-1) == 21

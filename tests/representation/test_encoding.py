@@ -1,14 +1,30 @@
-"""Joints to features and back: laws, hand-worked rows, degenerate poses."""
+"""Joints to features and back: laws, hand-worked rows, degenerate poses; clips before, bodies on one skeleton."""
 
 from __future__ import annotations
+
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.geometry.skeleton import PARENTS, Joint
-from prbench.representation import BLOCKS, canonicalise, decode, encode, mirror, rest_offsets
-from prbench.representation.features import REST_DIRECTIONS, REST_OFFSETS
+from prbench.errors import InputFileError
+from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths, facing_yaw
+from prbench.representation import (
+    BLOCKS,
+    REST_OFFSETS,
+    UniformSkeleton,
+    canonicalise,
+    check_joints,
+    decode,
+    encode,
+    mirror,
+    rest_offsets,
+    retarget,
+    root_scale,
+)
+from prbench.representation.features import BONE_LENGTHS, REST_DIRECTIONS
 from tests.fakes import STANDING, smooth_motion
 from tests.representation.motions import decode_rotations, turned, walk
 
@@ -176,3 +192,105 @@ def test_features_of_the_mirror_turn_the_other_way():
     joints = walk("other way", 60)
     own, image = encode(joints), encode(mirror(joints))
     assert np.allclose(image[:, :4], own[:, :4] * (-1, -1, 1, 1), atol=1e-6)
+
+
+def test_the_canonical_frame_is_that_of_the_tables():
+    joints = (turned(smooth_motion("clip", 30), 2.2) + np.array([3.0, -0.4, 1.0])).astype(np.float32)
+    canonical = canonicalise(joints)
+    assert canonical.dtype == np.float32
+    assert np.allclose(canonical[0, 0, ::2], 0.0, atol=1e-6)
+    assert facing_yaw(canonical[0]) == pytest.approx(0.0, abs=1e-6)
+    assert canonical[..., 1].min() == pytest.approx(0.0, abs=1e-6)
+    assert np.allclose(canonicalise(canonical), canonical, atol=1e-6)
+
+
+DOORS = [encode, canonicalise, retarget]
+
+
+def moving(n_frames: int = 6) -> np.ndarray:
+    return smooth_motion("checks", n_frames)
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize(("axes", "named"), [([0, 2, 1], "z"), ([1, 0, 2], "x")])
+def test_another_axis_that_points_up_is_named(door, axes, named):
+    joints = moving()[..., axes]
+    assert np.isfinite(door(joints, upright=False)).all()  # a person may lie
+
+
+@pytest.mark.parametrize(("lean", "refused"), [(59.0, False), (61.0, True)])
+def test_sixty_degrees_are_the_limit(lean, refused):
+    ankles, head = STANDING[[7, 8]].mean(axis=0), STANDING[15]
+    own = np.arctan2(head[2] - ankles[2], head[1] - ankles[1])
+    angle = np.deg2rad(lean) - own
+    cos, sin = np.cos(angle), np.sin(angle)
+    leaning = STANDING @ np.array([[1, 0, 0], [0, cos, sin], [0, -sin, cos]])
+    if refused:
+        with pytest.raises(InputFileError, match="61 degrees"):
+            check_joints(np.stack([leaning, leaning]))
+    else:
+        check_joints(np.stack([leaning, leaning]))
+
+
+def test_torch_is_not_imported_by_the_numpy_side_or_the_controls():
+    code = "import sys, prbench.representation, prbench.harness.controls; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+SMALL = (STANDING * 0.6).astype(np.float32)
+
+
+def unit_bones(joints: np.ndarray) -> np.ndarray:
+    bones = joints[..., 1:, :] - joints[..., PARENTS[1:], :]
+    return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
+
+
+def test_every_bone_keeps_its_direction_and_takes_the_common_length():
+    joints = walk("retarget", 20)
+    uniform = retarget(joints)
+    assert uniform.dtype == joints.dtype
+    assert np.allclose(bone_lengths(uniform), BONE_LENGTHS[1:], atol=1e-6)
+    assert np.allclose(unit_bones(uniform), unit_bones(joints), atol=1e-5)
+
+
+def test_the_path_is_scaled_by_the_right_leg_alone():
+    joints = walk("path", 20)
+    thigh, shin = joints[0, [5, 8]] - joints[0, [2, 5]]
+    scale = (0.390126109 + 0.425707549) / (np.linalg.norm(thigh) + np.linalg.norm(shin))
+    assert root_scale(joints[0]) == pytest.approx(scale)
+    assert np.allclose(retarget(joints)[:, Joint.PELVIS], joints[:, Joint.PELVIS] * scale, atol=1e-6)
+
+
+def test_a_body_of_the_uniform_skeleton_stays_as_it_is():
+    uniform = retarget(walk("twice", 20))
+    assert np.allclose(retarget(uniform), uniform, atol=1e-6)
+
+
+def test_own_bone_lengths_make_an_own_rest_skeleton():
+    offsets = rest_offsets(SMALL)
+    assert np.allclose(np.linalg.norm(offsets[1:], axis=-1), bone_lengths(SMALL))
+    assert np.allclose(retarget(np.stack([SMALL, SMALL]), offsets=offsets), SMALL, atol=1e-6)
+
+
+def test_conditions_go_in_and_motion_comes_back_at_the_body_s_scale():
+    """A body proportioned as the uniform skeleton, at two sizes: the way there and back is the identity."""
+    uniform = retarget(walk("sizes", 20))
+    motions = np.stack([uniform * 0.7, uniform * 1.2]).astype(np.float32)
+    goals = np.array([[0.5, 0.9, 1.5], [-1.0, 1.1, 0.4]])
+    skeleton = UniformSkeleton.of(motions[:, 0])
+    assert np.allclose(skeleton.scale, (1 / 0.7, 1 / 1.2))
+    assert np.allclose(skeleton.poses(motions), uniform, atol=2e-6)
+    assert np.allclose(skeleton.poses(motions[:, 0]), uniform[0], atol=2e-6)
+    assert np.allclose(skeleton.locations(goals), goals / [[0.7], [1.2]])
+    assert np.allclose(skeleton.own_scale(skeleton.poses(motions)), motions, atol=2e-6)
+    assert np.allclose(skeleton.own_scale(skeleton.locations(goals)), goals)
+
+
+def test_single_poses_of_a_batch_are_those_of_the_motion():
+    motion = walk("pose", 10)
+    skeleton = UniformSkeleton.of(motion[:1])
+    assert np.allclose(skeleton.poses(motion[None])[0], retarget(motion), atol=1e-6)
+
+
+def test_rest_offsets_follow_the_rest_directions():
+    assert np.allclose(np.linalg.norm(REST_OFFSETS, axis=-1), BONE_LENGTHS)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from prbench.errors import UsageError
 from prbench.representation import BLOCKS, Statistics, StatisticsAccumulator
 
 
@@ -63,11 +61,6 @@ def test_standardised_features_come_back():
     statistics = of(rows)
     assert np.allclose(statistics.restore(statistics.standardise(rows)), rows, rtol=1e-5)
     assert np.allclose(statistics.standardise(rows).mean(axis=0), 0.0, atol=1e-4)
-
-
-def test_nothing_has_no_statistics():
-    with pytest.raises(UsageError, match="found none"):
-        StatisticsAccumulator().result()
 
 
 def test_evaluators_weigh_root_and_contacts_up():

@@ -1,4 +1,4 @@
-"""Every named skeleton: a known motion as that skeleton sees it comes back, with the error that the guide states."""
+"""Maps of joints: known skeletons give a known motion back, with the errors that the guide states; maps of the user."""
 
 from __future__ import annotations
 
@@ -8,16 +8,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from prbench.errors import InputFileError
 from prbench.geometry.skeleton import XSENS_SEGMENTS, Joint, bone_lengths, head_forward
 from prbench.protocol.manifests import load_manifest
 from prbench.representation import mirror
-from prbench.representation.converters import JOINT_MAPS, check_limbs, check_sides
-from prbench.representation.converters.named_skeletons import LIMBS
-from tests.representation.converters.bodies import joint_errors
+from prbench.representation.converters import (
+    JOINT_MAPS,
+    JointMap,
+    check_limbs,
+    check_sides,
+    joint_map,
+    joint_map_by_names,
+)
+from prbench.representation.converters.named_skeletons import LIMBS, parse_expression
+from tests.representation.converters.bodies import joint_errors, person
 from tests.representation.converters.foreign import known_motion, seen_as
+from tests.representation.motions import turned
 
 GUIDE = Path(__file__).parents[3] / "docs" / "wrapping.md"
+
+
 TILT = 38.3  # degrees, of the person's own neck-head bone
+
+
 EXACT = {"humanml3d-22", "humanml3d-chains", "xsens-23", "mixamo", *(name for name in JOINT_MAPS if name[:4] == "smpl")}
 
 
@@ -154,9 +167,98 @@ def test_the_suit_is_mapped_as_the_corpus_reader_maps_it() -> None:
 
 
 def test_exchanged_sides_of_any_skeleton_are_noticed() -> None:
-    from prbench.errors import InputFileError
 
     known = JOINT_MAPS["h36m-17"]
     wrong = [known.source_joints.index(swapped(name)) for name in known.source_joints]
     with pytest.raises(InputFileError, match="left and right"):
         check_sides(known.to_22(seen_as("h36m-17")[:, wrong]), feet=False)
+
+
+LIMB_NAMES = [joint.name.lower() for joint in LIMBS]
+
+
+IDENTITY = {name: name for name in LIMB_NAMES}
+
+
+def test_a_map_picks_mixes_and_offsets() -> None:
+    own = JointMap.of("own", (*LIMB_NAMES, "crown"), {**IDENTITY, "head": "crown - 0.2 @above"})
+    source = np.zeros((1, 13, 3))
+    source[0, :12] = person(1)[0, list(LIMBS)]
+    source[0, 12] = 0.0, 1.8, 0.0
+    joints = own.to_22(source)
+    hips = (joints[0, Joint.LEFT_HIP] + joints[0, Joint.RIGHT_HIP]) / 2
+    shoulders = (joints[0, Joint.LEFT_SHOULDER] + joints[0, Joint.RIGHT_SHOULDER]) / 2
+    trunk = np.linalg.norm(shoulders - hips)
+    assert joints[0, Joint.HEAD] == pytest.approx(np.array([0.0, 1.8 - 0.2 * trunk, 0.0]))
+    assert Joint.HEAD not in own.completed
+    assert np.array_equal(joints[0, list(LIMBS)], source[0, :12])
+
+
+def test_completed_joints_turn_and_move_with_the_body() -> None:
+    own = JointMap.of("limbs", LIMB_NAMES, IDENTITY)
+    limbs = person()[:, list(LIMBS)].astype(np.float64)
+    moved = own.to_22(turned(limbs, 1.1) + np.array([2.0, 0.0, 5.0]))
+    assert np.allclose(moved, turned(own.to_22(limbs), 1.1) + np.array([2.0, 0.0, 5.0]))
+    assert np.allclose(own.to_22(limbs * 1.2), own.to_22(limbs) * 1.2)
+
+
+def test_from_the_limbs_alone_every_joint_lies_within_a_few_centimetres() -> None:
+    own = JointMap.of("limbs", LIMB_NAMES, IDENTITY)
+    truth = known_motion()[0]
+    errors = joint_errors(own.to_22(truth[:, list(LIMBS)]), truth)
+    assert len(own.completed) == 10
+    assert max(errors[joint] for joint in LIMBS) < 1e-6
+    assert max(errors.values()) < 0.06
+
+
+def test_a_foot_that_keeps_its_direction_while_the_trunk_turns_costs_a_few_centimetres_more() -> None:
+    """Completed feet point to where the trunk does; no limb says that a foot does not."""
+    own = JointMap.of("limbs", LIMB_NAMES, IDENTITY)
+    truth = person()  # its trunk turns by 60 degrees, its left foot does not
+    errors = joint_errors(own.to_22(truth[:, list(LIMBS)]), truth)
+    feet = {Joint.LEFT_FOOT, Joint.RIGHT_FOOT}
+    assert max(errors[joint] for joint in Joint if joint not in feet) < 0.06
+    assert 0.06 < max(errors[joint] for joint in feet) < 0.08
+
+
+def test_whole_millimetres_keep_their_fractions() -> None:
+    whole = np.round(person(5)[:, list(LIMBS)] * 1000).astype(np.int64)
+    joints = JointMap.of("limbs", LIMB_NAMES, IDENTITY).to_22(whole)
+    assert np.allclose(joints / 1000, JointMap.of("limbs", LIMB_NAMES, IDENTITY).to_22(whole / 1000))
+
+
+@pytest.mark.parametrize(
+    "rename",
+    [
+        lambda joint: "mixamorig:" + joint,
+        lambda joint: joint.replace("Left", "Left_").replace("Right", "Right_").lower(),
+        lambda joint: "Character1:" + joint,
+    ],
+)
+def test_names_of_animation_software_are_matched_in_any_order(rename) -> None:
+    mixamo = joint_map("mixamo")
+    order = np.random.default_rng(0).permutation(len(mixamo.source_joints))
+    names = [rename(mixamo.source_joints[index]) for index in order]
+    source = np.empty((3, 22, 3))
+    for target, expression in mixamo.expressions.items():
+        source[:, mixamo.source_joints.index(expression.joints[0][0])] = person(3)[:, target]
+    assert np.allclose(joint_map_by_names(names).to_22(source[:, order]), person(3))
+
+
+KNOWN = ("Hips", "Left Hand", "neck", "head", "j1")
+
+
+@pytest.mark.parametrize(
+    ("text", "joints", "axes"),
+    [
+        ("neck", (("neck", 1.0),), ()),
+        ("neck + head", (("neck", 0.5), ("head", 0.5)), ()),
+        ("0.25 neck + .75 head", (("neck", 0.25), ("head", 0.75)), ()),
+        ("1.5 neck - 0.5 Hips", (("neck", 1.5), ("Hips", -0.5)), ()),
+        ("neck + 0.1 @up - 0.2 @forward", (("neck", 1.0),), (("@up", 0.1), ("@forward", -0.2))),
+        ("Left Hand", (("Left Hand", 1.0),), ()),
+    ],
+)
+def test_what_can_be_said(text, joints, axes) -> None:
+    read = parse_expression(text, KNOWN, where="map")
+    assert (read.joints, read.axes) == (joints, axes)

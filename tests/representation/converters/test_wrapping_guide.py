@@ -33,7 +33,7 @@ from prbench.representation.encoding import MIRRORED_JOINTS, retarget
 from tests.fakes import fake_dataset
 from tests.representation.converters.bodies import mean_error, person, person_rotations, write_body_model
 from tests.representation.converters.foreign import known_motion, seen_as
-from tests.representation.converters.test_smpl_joints import written
+from tests.representation.converters.test_smpl import written
 from tests.representation.motions import turned
 
 GUIDE = (Path(__file__).parents[3] / "docs" / "wrapping.md").read_text(encoding="utf-8")

@@ -1,13 +1,19 @@
-"""Slab test and near miss: hand-worked rays, degenerate boxes and directions, and independent oracles."""
+"""Rays, boxes and meshes: hand-worked cases, degenerate ones, and independent oracles."""
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 import warnings
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
 
-from prbench.geometry.shapes import near_miss, slab_test
+from prbench.errors import MissingExtraError, UnloadableExtraError
+from prbench.geometry.shapes import Boxes, TriangleMesh, deepest, import_open3d, near_miss, slab_test
+from tests.slow_meshes import SlowMesh
 
 UNIT_BOX = (np.array([[-1.0, -1.0, -1.0]]), np.array([[1.0, 1.0, 1.0]]))
 
@@ -163,3 +169,118 @@ def test_no_rays_or_no_boxes_give_empty_results() -> None:
     none, one = np.empty((0, 3)), np.ones((1, 3))
     assert slab_test(none, none, one, one).hit.shape == (0, 1)
     assert near_miss(one, one, none, none).distance.shape == (1, 0)
+
+
+def boxes(*centres, half=(0.5, 0.5, 0.5), turn=None, offsets=None) -> Boxes:
+    count = len(centres)
+    rotation = np.eye(3) if turn is None else turn
+    return Boxes(
+        np.array(centres, dtype=float).reshape(-1, 3),
+        np.repeat(rotation[None], count, axis=0),
+        np.repeat(np.array(half, dtype=float)[None], count, axis=0),
+        np.array([0, count] if offsets is None else offsets),
+    )
+
+
+def test_depth_is_the_distance_to_the_nearest_side():
+    one = boxes((0, 0.5, 2), half=(1.0, 0.5, 0.3))
+    points = np.array([(0, 0.5, 2), (0, 0.9, 2), (0.95, 0.5, 2), (0, 0.5, 2.4), (0, 5, 0)])
+    assert one.depth(points)[:, 0] == pytest.approx([0.3, 0.1, 0.05, -0.1, -4.0])
+
+
+def test_a_turned_box_is_measured_along_its_own_axes():
+    turn = Rotation.from_euler("y", 45, degrees=True).as_matrix()
+    turned = boxes((0, 0, 0), half=(1.0, 1.0, 0.1), turn=turn)
+    along = turn @ (0.9, 0, 0)
+    assert turned.depth(np.array([along, (0.9, 0, 0)]))[:, 0] == pytest.approx([0.1, 0.1 - 0.9 * np.sqrt(0.5)])
+
+
+def test_moving_boxes_and_points_together_changes_no_depth():
+    rng = np.random.default_rng(0)
+    transform = np.eye(4)
+    transform[:3, :3] = Rotation.from_rotvec((0.1, -1.1, 0.7)).as_matrix()
+    transform[:3, 3] = (1.0, -2.0, 0.5)
+    several = boxes((0, 0, 0), (1, 1, 1), turn=Rotation.from_rotvec((0.2, -1.1, 0.7)).as_matrix())
+    points = rng.normal(size=(40, 3))
+    moved = points @ transform[:3, :3].T + transform[:3, 3]
+    assert several.placed(transform).depth(moved) == pytest.approx(several.depth(points))
+
+
+def test_leaving_out_boxes_that_are_far_away_changes_no_depth():
+    rng = np.random.default_rng(3)
+    motion = rng.normal(size=(12, 22, 3))
+    scene = boxes(*rng.uniform(-6, 6, size=(30, 3)), turn=Rotation.from_rotvec((0.4, -1.1, 0.7)).as_matrix())
+    everything = np.maximum(scene.depth(motion.reshape(-1, 3)).max(axis=1), 0).reshape(12, 22).max(axis=1)
+    assert not scene.reached(motion.reshape(-1, 3)).all()
+    assert deepest(motion, scene) == pytest.approx(everything)
+
+
+def test_parts_and_joins_keep_every_box_with_its_sequence():
+    three = boxes((0, 0, 0), (1, 0, 0), (2, 0, 0), offsets=[0, 2, 2, 3])
+    assert len(three) == 3
+    assert three.part(2, 3).centre.tolist() == [[2, 0, 0]]
+    assert len(three.part(1, 2).centre) == 0
+    again = Boxes.joined([three.part(row, row + 1) for row in range(3)])
+    assert again.offsets.tolist() == [0, 2, 2, 3]
+    assert three.chosen(np.array([False, True, True])).offsets.tolist() == [0, 1, 1, 2]
+
+
+def test_arrays_that_do_not_belong_together_are_refused():
+    with pytest.raises(ValueError, match="offsets must rise from 0 to 1"):
+        boxes((0, 0, 0), offsets=[0, 2])
+
+
+FAR_AWAY = np.array([7.0, 1.5, -9.0])
+
+
+SQUARE = np.array([[-1.0, -1.0, 2.0], [1.0, -1.0, 2.0], [1.0, 1.0, 2.0], [-1.0, 1.0, 2.0]])
+
+
+TWO_TRIANGLES = np.array([(0, 1, 2), (0, 2, 3)])
+
+
+needs_open3d = pytest.mark.skipif(importlib.util.find_spec("open3d") is None, reason="needs the extra open3d")
+
+
+def _crowd() -> tuple[np.ndarray, np.ndarray]:
+    """Random triangles, several metres from the origin, where float32 is coarse."""
+    return np.random.default_rng(5).normal(size=(90, 3)) + FAR_AWAY, np.arange(90).reshape(-1, 3)
+
+
+@needs_open3d
+def test_closest_points_are_those_of_a_slow_loop() -> None:
+    points = np.random.default_rng(6).normal(size=(400, 3)) * 2 + FAR_AWAY
+    corners = _crowd()[0][:20]
+    points = np.concatenate([points, corners, corners + 1e-5])
+    expected = SlowMesh(*_crowd()).distance(points)
+    assert TriangleMesh(*_crowd()).distance(points) == pytest.approx(expected, abs=1e-6)
+
+
+@needs_open3d
+def test_points_outside_a_ball_are_as_far_as_from_its_surface() -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=5)
+    origins = np.random.default_rng(2).normal(size=(700, 3))
+    origins *= 3 / np.linalg.norm(origins, axis=1, keepdims=True)
+    mesh = TriangleMesh(np.array(sphere.vertices), np.array(sphere.faces))
+    assert mesh.distance(origins) == pytest.approx(2.0, abs=2e-3)
+
+
+@needs_open3d
+def test_no_points_have_no_distances() -> None:
+    mesh = TriangleMesh(SQUARE, TWO_TRIANGLES)
+    assert mesh.distance(np.empty((0, 3))).shape == (0,)
+
+
+def test_without_open3d_the_message_says_how_to_install_it(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(MissingExtraError, match=r"^drawing needs .*pip install 'prbench\[open3d\]'"):
+        import_open3d("drawing")
+
+
+def test_a_library_that_the_system_lacks_is_named(monkeypatch, tmp_path) -> None:
+    """Open3D's wheel on a server without the libraries of a desktop."""
+    (tmp_path / "open3d.py").write_text("raise ImportError('libusb-1.0.so.0: cannot open shared object file')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
+    with pytest.raises(UnloadableExtraError, match=r"libusb-1\.0\.so\.0.*apt-get install libusb-1\.0-0"):
+        import_open3d("drawing")
