@@ -24,7 +24,7 @@ from tests.checking.scaffold import calculations
 from tests.docs.interpreters import older_python
 from tests.representation.converters.bodies import person, person_rotations
 from tests.representation.converters.test_features import absolute
-from tests.representation.converters.test_smpl_joints import written
+from tests.representation.converters.test_smpl import written
 
 OURS = SimpleNamespace(
     **{
