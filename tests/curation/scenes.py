@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from prbench.geometry.skeleton import Joint
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.recording import BodyStream, GazeStream, HandStream, ObjectTrack, OtherPerson, PoseStream, Recording
 from tests.fakes import STANDING
@@ -100,8 +100,26 @@ def scene(**changes: object) -> Recording:
     return dataclasses.replace(recording, **changes)
 
 
+def elsewhere(recording: Recording, turn: Rotation, shift: np.ndarray) -> Recording:
+    """The same recording in a world that is turned and moved."""
+
+    def moved(points: np.ndarray) -> np.ndarray:
+        return turn.apply(points.reshape(-1, 3)).reshape(points.shape) + shift
+
+    def placed(stream):
+        rotation = (turn * Rotation.from_quat(stream.rotation, scalar_first=True)).as_quat(scalar_first=True)
+        return dataclasses.replace(stream, position=moved(stream.position), rotation=rotation)
+
+    gaze = recording.gaze
+    return dataclasses.replace(
+        recording,
+        body=dataclasses.replace(recording.body, joints=moved(recording.body.joints)),
+        gaze=dataclasses.replace(gaze, origin=moved(gaze.origin), direction=turn.apply(gaze.direction)),
+        head=placed(recording.head),
+        hands=tuple(dataclasses.replace(hand, points=moved(hand.points)) for hand in recording.hands),
+        objects=tuple(map(placed, recording.objects)),
+    )
+
+
 def stranger(times: np.ndarray, points: np.ndarray) -> OtherPerson:
     return OtherPerson("T", (hand("right", times, points),))
-
-
-LEFT_WRIST, RIGHT_WRIST = Joint.LEFT_WRIST, Joint.RIGHT_WRIST

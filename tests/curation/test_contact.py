@@ -119,7 +119,6 @@ def test_a_rule_about_surfaces_needs_them() -> None:
 def test_hot3d_lists_the_rule_of_the_paper_and_its_alternatives() -> None:
     manifest = load_manifest("hot3d")
     rule = manifest.in_hand_rule(None)
-    assert rule is not None
     assert (rule.contact, rule.target, rule.distance) == ("hand_vertex", "origin", 0.05)
     targets = {name: entry.target for name, entry in manifest.in_hand_alternatives.items()}
     assert targets == {"surface": "surface", "box": "oriented_box", "wrist": "oriented_box"}

@@ -30,42 +30,37 @@ def prime(looks: list[tuple[float, float, tuple[float, float, float]]], event_ti
     return find_prime(TIMES, np.zeros((len(TIMES), 3)), direction, BOX, event_time, CONSTANTS)
 
 
-def test_the_first_of_two_looks_counts() -> None:
-    found = prime([(9.0, 9.2, (0, 0, 1)), (12.0, 13.0, (0, 0, 1))])
-    assert isinstance(found, Prime)
-    assert (found.time, found.kind) == (pytest.approx(9.0), "hit")
-    assert found.uncertainty == pytest.approx(1 / 30)
+AT_IT, AWAY = (0, 0, 1), (0, 0, -1)
 
 
-def test_a_look_before_the_window_or_after_the_event_does_not_count() -> None:
-    found = prime([(4.0, 4.9, (0, 0, 1)), (15.1, 16.0, (0, 0, 1))])
-    assert isinstance(found, Decision)
-    assert found.outcome == "not_primed"
-
-
-def test_both_ends_of_the_window_belong_to_it() -> None:
-    for start, end in ((5.0, 5.01), (15.0, 15.01)):
-        found = prime([(start, end, (0, 0, 1))])
-        assert isinstance(found, Prime), (start, found)
-
-
-def test_a_ray_that_passes_four_centimetres_beside_the_box_is_a_near_miss() -> None:
-    # Closest to the centre near z = 2; the box ends at 0.1 m, so the ray passes about 0.04 m outside it.
-    found = prime([(9.0, 9.2, (0.14, 0, 2.0))])
-    assert isinstance(found, Prime)
-    assert found.kind == "near_miss"
-    assert found.distance == pytest.approx(0.0393, abs=0.002)
+@pytest.mark.parametrize(
+    ("looks", "found"),
+    [
+        pytest.param([(9.0, 9.2, AT_IT), (12.0, 13.0, AT_IT)], ("hit", 9.0, 0.0), id="the first of two looks"),
+        pytest.param([(9.0, 9.01, AT_IT), (12.0, 13.0, AT_IT)], ("hit", 9.0, 0.0), id="a single sample"),
+        pytest.param([(5.0, 5.01, AT_IT)], ("hit", 5.0, 0.0), id="at the beginning of the window"),
+        pytest.param([(15.0, 15.01, AT_IT)], ("hit", 15.0, 0.0), id="at the event"),
+        pytest.param([(4.0, 4.9, AT_IT), (15.1, 16.0, AT_IT)], "not_primed", id="before the window, after the event"),
+        pytest.param([(9.0, 9.2, AWAY)], "not_primed", id="away from the place"),
+        # Closest to the centre near z = 2; the box ends at 0.1 m, so the ray passes about 0.04 m outside it.
+        pytest.param([(9.0, 9.2, (0.14, 0, 2.0))], ("near_miss", 9.0, 0.0393), id="four centimetres beside it"),
+    ],
+)
+def test_looks_that_prime(looks, found) -> None:
+    prime_found = prime(looks)
+    if isinstance(found, str):
+        assert prime_found.outcome == found
+        return
+    kind, time, distance = found
+    assert (prime_found.kind, prime_found.time) == (kind, pytest.approx(time))
+    assert prime_found.distance == pytest.approx(distance, abs=0.002)
+    assert prime_found.uncertainty == pytest.approx(1 / 30)
 
 
 def test_a_ray_that_passes_eight_centimetres_beside_the_box_tells_its_distance() -> None:
     found = prime([(9.0, 9.2, (0.18, 0, 2.0))])
-    assert isinstance(found, Decision)
     assert found.value == pytest.approx(0.08, abs=0.003)
     assert found.threshold == 0.05
-
-
-def test_looking_away_from_the_place_is_no_prime() -> None:
-    assert isinstance(prime([(9.0, 9.2, (0, 0, -1))]), Decision)
 
 
 def test_a_lost_sample_before_the_look_widens_the_uncertainty() -> None:
@@ -74,7 +69,6 @@ def test_a_lost_sample_before_the_look_widens_the_uncertainty() -> None:
     recording = scene(gaze=dataclasses.replace(stream, valid=~lost))
     place = Place(np.array([0.0, 1.6, 3.0]), np.array([-0.1, 1.5, 2.9]), np.array([0.1, 1.7, 3.1]))
     found = find_prime(*gaze_rays(recording, "eye"), place, 15.0, CONSTANTS)
-    assert isinstance(found, Prime)
     assert found.time == pytest.approx(9.0)
     assert found.uncertainty == pytest.approx(6 / 30)
 
@@ -87,7 +81,6 @@ def test_the_uncertainty_is_the_time_since_the_sample_before_and_for_the_first_u
     directions = np.tile([0.0, 1.0, 0.0], (4, 1))
     directions[look] = [0.0, 0.0, 1.0]
     found = find_prime(times, np.zeros((4, 3)), directions, BOX, 15.0, CONSTANTS)
-    assert isinstance(found, Prime)
     assert (found.time, found.uncertainty) == (times[look], pytest.approx(uncertainty))
 
 
@@ -115,14 +108,11 @@ def lasting(looks: list[tuple[float, float]], shortest: float, *, gap_at: float 
 
 def test_a_look_that_is_too_short_does_not_prime_and_the_next_one_does() -> None:
     found = lasting([(9.0, 9.05), (12.0, 13.0)], 0.1)
-    assert isinstance(found, Prime)
     assert found.time == pytest.approx(12.0)
     # From the first sample to the last: three periods of 30 Hz are 0.1 s.
     found = lasting([(9.0, 9.0 + 3.5 / 30), (12.0, 13.0)], 0.1)
-    assert isinstance(found, Prime)
     assert found.time == pytest.approx(9.0)
     found = lasting([(9.0, 9.05)], 0.1)
-    assert isinstance(found, Decision)
     assert found.outcome == "not_primed"
 
 
@@ -212,33 +202,24 @@ def test_the_choice_stands_in_the_options_of_the_build() -> None:
     assert CurationOptions().described(MANIFEST, PROTOCOL)["priming"] == "rule"
 
 
-def test_wrists_are_those_of_the_hands_and_else_of_the_body() -> None:
+def test_wrists_are_those_of_the_hands_else_of_the_body_else_null() -> None:
     slow = clock(10)
     left = hand("left", slow, finger_path(slow), contact="wrist")
     recording = _recording(PRIMED_AT_12, None, hands=(left,))
     _, events = _curated(recording)
-    assert events["pick"].left_wrist == pytest.approx(finger_path(np.array([PICK]))[0])
+    at_pick = pytest.approx(finger_path(np.array([PICK]))[0])
+    assert events["pick"].left_wrist == at_pick
     body = recording.body
-    assert body is not None
-    at_pick = body.joints[np.searchsorted(body.times, PICK - 1e-9), 21]
-    assert events["pick"].right_wrist == pytest.approx(at_pick, abs=1e-6)
+    of_body = body.joints[np.searchsorted(body.times, PICK - 1e-9), 21]
+    assert events["pick"].right_wrist == pytest.approx(of_body, abs=1e-6)
 
-
-def test_without_a_body_primed_events_stay_with_their_wrists() -> None:
-    slow = clock(10)
-    left = hand("left", slow, finger_path(slow), contact="wrist")
-    curated, events = _curated(_recording(PRIMED_AT_12, None, hands=(left,), body=None))
+    curated, events = _curated(dataclasses.replace(recording, body=None))
     assert curated.sequences == ()
-    assert events["pick"].outcome == "no_body"
-    assert events["pick"].prime_time == 12.0
-    assert events["pick"].left_wrist == pytest.approx(finger_path(np.array([PICK]))[0])
+    assert (events["pick"].outcome, events["pick"].prime_time) == ("no_body", 12.0)
+    assert events["pick"].left_wrist == at_pick
     assert events["pick"].right_wrist is None
 
-
-def test_a_wrist_that_was_not_seen_around_the_event_is_null() -> None:
-    slow = clock(10)
-    left = hand("left", slow, finger_path(slow), contact="wrist")
     unseen = dataclasses.replace(left, valid=np.abs(slow - PICK) > 0.3)
-    _, events = _curated(_recording(PRIMED_AT_12, None, hands=(unseen,), body=None))
+    _, events = _curated(dataclasses.replace(recording, hands=(unseen,), body=None))
     assert events["pick"].left_wrist is None
     assert events["put"].left_wrist is not None

@@ -119,7 +119,6 @@ def scene(*, looks: bool = True, moves: bool = True) -> Recording:
 
 def test_the_stop_of_a_stretched_arm_under_gaze_is_proposed() -> None:
     found = propose_pick(scene())
-    assert found is not None
     assert abs(found.time - REACH) < 0.15
     assert found.hand == "right"
     assert found.confidence > 0.8
@@ -129,22 +128,18 @@ def test_the_stop_of_a_stretched_arm_under_gaze_is_proposed() -> None:
 
 def test_gaze_makes_the_difference() -> None:
     with_gaze, without = propose_pick(scene()), propose_pick(scene(looks=False))
-    assert with_gaze is not None
-    assert without is not None
     assert without.confidence < with_gaze.confidence
     assert "no gaze" in without.reason
 
 
 def test_a_hint_chooses_the_stop_beside_it() -> None:
     found = propose_pick(scene(), hint=FALSE_REACH + 0.2)
-    assert found is not None
     assert abs(found.time - FALSE_REACH) < 0.15
     assert found.reason.startswith("hint -0.")
 
 
 def test_a_hint_counts_even_where_nothing_stops() -> None:
     found = propose_pick(scene(moves=False), hint=5.0)
-    assert found is not None
     assert found.time == 5.0
     assert found.confidence < 0.8
 
