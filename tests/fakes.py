@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from prbench.randomness import named_generator
-from prbench.sequences import DatasetInfo, Event, Recording, Sequence, SequenceTable
-from prbench.sequences.dataset_info import FunnelCounts
+from prbench.sequences import CorpusInfo, CorpusTable, DatasetInfo, Event, Recording, Sequence, SequenceTable
+from prbench.sequences.corpus import (
+    ANNOTATION_OUTCOMES,
+    Annotation,
+    Caption,
+    Clip,
+    CorpusRecord,
+    corpus_batch,
+    write_corpus,
+)
+from prbench.sequences.dataset_info import CorpusCounts, FunnelCounts
 from prbench.sequences.sequence import SCENES, SceneBox, event_batch, recording_batch, row_batch, sequence_batch
 from prbench.sequences.write import write_dataset
 
@@ -135,6 +146,55 @@ def fake_box(
     return SceneBox(recording, "77", "Counter_1", "counter", *place, entered)
 
 
+def fake_event(row: Sequence, **changes) -> Event:
+    """The event that became a sequence."""
+    event = Event(
+        event_id=row.sequence_id.rsplit("/", 1)[0], recording_id=row.recording_id, sequence_id=row.sequence_id,
+        object_id=row.object_id, object_name=row.object_name, action=row.action, hand=row.hand,
+        event_time=row.event_time, prime_time=row.prime_time, prime_kind=row.prime_kind,
+        location=row.goal_location, box_min=row.goal_box_world_min, box_max=row.goal_box_world_max,
+        outcome="sequence", stage="filters", value=1.0, threshold=0.2,
+    )  # fmt: skip
+    return replace(event, **changes)
+
+
+def write_rows(folder: Path, rows: Iterable[Sequence]) -> SequenceTable:
+    """Write a dataset of some sequences, without events and recordings, and open it."""
+    rows = sorted(rows, key=lambda row: row.sequence_id)
+    tables = {"events": [event_batch([])], "recordings": [recording_batch([])]}
+    write_dataset(folder, fake_info(rows[0].dataset), sequences=[sequence_batch(rows)], **tables)
+    return SequenceTable.open(folder)
+
+
+def fake_clip(index: int, n_frames: int = 60, *, fps: float = 20.0, **changes) -> Clip:
+    """Clip ``index`` of a made-up corpus: smooth motion with one caption."""
+    motion = smooth_motion(f"clip{index}", n_frames + 2)
+    clip = Clip(
+        sequence_id=f"made-up/rec/{index}", dataset="made-up", recording_id="rec", participant_id="P0", split="train",
+        split_group="rec", kind="atomic_action", captions=(Caption("walks on", "atomic_action"),), fps=fps,
+        n_frames=n_frames, start_time=0.0, end_time=n_frames / fps, text_start=0.0, text_end=n_frames / fps,
+        cut=False, mirrored=False, clock_method="same", clock_offset=0.0, clock_quality=None, approximate=False,
+        pose_source="fake", head_tilt_deg=7.4, joints=motion[1:-1], previous_joints=motion[0],
+        previous_source="recorded", next_joints=motion[-1], next_source="recorded", world_from_canonical=np.eye(4),
+    )  # fmt: skip
+    return replace(clip, **changes)
+
+
+def write_clips(folder: Path, clips: Iterable[Clip], annotations: Iterable[Annotation] = (), **more) -> CorpusTable:
+    """Write a corpus of one recording; ``more`` are fields of its row. Open it without looking at it."""
+    clips = list(clips)
+    counts = CorpusCounts(
+        recordings_found=1, recordings_read=1, recordings_failed=0, recordings_skipped=0, annotations=len(clips),
+        clips=len(clips), captions=sum(len(clip.captions) for clip in clips), approximate_clips=0, frames=0,
+    )  # fmt: skip
+    info = CorpusInfo(**(msgspec.structs.asdict(fake_info("made-up")) | {"counts": counts}))
+    outcomes = dict.fromkeys(ANNOTATION_OUTCOMES, 0)
+    record = CorpusRecord("rec", "P0", "train", "rec", 60.0, outcomes, "same", None, "read", "", **more)
+    rows = {"clips": clips, "annotations": list(annotations), "recordings": [record]}
+    tables = {name: [corpus_batch(name, each)] if each else [] for name, each in rows.items()}
+    return CorpusTable(folder, write_corpus(folder, info, tables))
+
+
 def fake_dataset(
     folder: Path,
     n: int = 48,
@@ -148,16 +208,6 @@ def fake_dataset(
         (fake_sequence(index, dataset=dataset, recordings=recordings) for index in range(n)),
         key=lambda row: row.sequence_id,
     )
-    events = [
-        Event(
-            event_id=row.sequence_id.rsplit("/", 1)[0], recording_id=row.recording_id, sequence_id=row.sequence_id,
-            object_id=row.object_id, object_name=row.object_name, action=row.action, hand=row.hand,
-            event_time=row.event_time, prime_time=row.prime_time, prime_kind=row.prime_kind,
-            location=row.goal_location, box_min=row.goal_box_world_min, box_max=row.goal_box_world_max,
-            outcome="sequence", stage="filters", value=1.0, threshold=0.2,
-        )
-        for row in rows
-    ]  # fmt: skip
     splits = {row.recording_id: row.split for row in rows}
     records = [
         Recording(
@@ -170,7 +220,7 @@ def fake_dataset(
         folder,
         fake_info(dataset),
         sequences=[sequence_batch(rows)] if rows else [],
-        events=[event_batch(events)],
+        events=[event_batch(fake_event(row) for row in rows)],
         recordings=[recording_batch(records)],
         scenes=[row_batch(boxes, SCENES)],
     )

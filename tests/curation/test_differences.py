@@ -14,30 +14,17 @@ import pytest
 from prbench.curation.differences import compare_builds
 from prbench.errors import UsageError
 from prbench.sequences import DatasetInfo
-from prbench.sequences.sequence import Event, Recording, event_batch, recording_batch, sequence_batch
+from prbench.sequences.sequence import Recording, event_batch, recording_batch, sequence_batch
 from prbench.sequences.write import write_dataset
-from tests.fakes import fake_info, fake_sequence
+from tests.fakes import fake_event, fake_info, fake_sequence
 
 ROWS = sorted((fake_sequence(index, recordings=2) for index in range(6)), key=lambda row: row.sequence_id)
-
-
-def event_of(row, **changes) -> Event:
-    return dataclasses.replace(
-        Event(
-            event_id=row.sequence_id.rsplit("/", 1)[0], recording_id=row.recording_id, sequence_id=row.sequence_id,
-            object_id=row.object_id, object_name=row.object_name, action=row.action, hand=row.hand,
-            event_time=row.event_time, prime_time=row.prime_time, prime_kind=row.prime_kind,
-            location=row.goal_location, box_min=row.goal_box_world_min, box_max=row.goal_box_world_max,
-            outcome="sequence", stage="filters", value=1.0, threshold=0.2,
-        ),
-        **changes,
-    )  # fmt: skip
 
 
 def write(
     folder: Path, rows=ROWS, events=None, *, failed: str = "", recording: Mapping[str, Any] = {}, lacks: str = ""
 ) -> Path:
-    events = [event_of(row) for row in rows] if events is None else events
+    events = [fake_event(row) for row in rows] if events is None else events
     names = sorted({row.recording_id for row in ROWS} - {lacks})
     records = [
         Recording(
@@ -75,8 +62,8 @@ def test_a_build_does_not_differ_from_itself(first) -> None:
 
 
 def test_a_lost_sequence_comes_with_the_stage_and_the_number_that_decided(first) -> None:
-    lost = event_of(ROWS[0], outcome="not_primed", stage="priming", value=0.09, threshold=0.05, sequence_id=None)
-    found = changes_to(first, ROWS[1:], [lost, *map(event_of, ROWS[1:])])
+    lost = fake_event(ROWS[0], outcome="not_primed", stage="priming", value=0.09, threshold=0.05, sequence_id=None)
+    found = changes_to(first, ROWS[1:], [lost, *map(fake_event, ROWS[1:])])
     assert found == [("lost", "sequence", "not_primed", "priming: 0.090 (threshold 0.05)")]
     second = first.with_name("second")
     assert [c.kind for c in compare_builds(second, first).changes] == ["gained"]
@@ -123,7 +110,7 @@ def test_other_poses_under_the_same_name_are_seen(first, amount) -> None:
     ],
 )
 def test_every_column_of_a_sequence_is_compared(first, column, value) -> None:
-    events = [event_of(row) for row in ROWS]
+    events = [fake_event(row) for row in ROWS]
     changed = [dataclasses.replace(ROWS[0], **{column: value}), *ROWS[1:]]
     assert changes_to(first, changed, events) == [("values", "sequence", "sequence", column)]
 
@@ -134,9 +121,9 @@ def test_every_column_of_a_sequence_is_compared(first, column, value) -> None:
 )
 @pytest.mark.parametrize("outcome", ["sequence", "not_primed"])
 def test_every_column_of_an_event_is_compared(tmp_path, column, value, outcome) -> None:
-    event = event_of(ROWS[0], outcome=outcome)
-    first = write(tmp_path / "first", ROWS, [event, *map(event_of, ROWS[1:])])
-    events = [dataclasses.replace(event, **{column: value}), *map(event_of, ROWS[1:])]
+    event = fake_event(ROWS[0], outcome=outcome)
+    first = write(tmp_path / "first", ROWS, [event, *map(fake_event, ROWS[1:])])
+    events = [dataclasses.replace(event, **{column: value}), *map(fake_event, ROWS[1:])]
     assert changes_to(first, ROWS, events) == [("values", outcome, outcome, column)]
 
 
@@ -158,11 +145,11 @@ def test_a_recording_without_events_that_one_build_alone_has_is_seen(tmp_path) -
 
 
 def test_a_sequence_that_no_event_names_is_seen(first) -> None:
-    assert changes_to(first, ROWS[1:], [event_of(row) for row in ROWS]) == [
+    assert changes_to(first, ROWS[1:], [fake_event(row) for row in ROWS]) == [
         ("values", "sequence", "sequence", "no row in sequences in one of them")
     ]
-    second = write(first.with_name("second"), ROWS[1:], [event_of(row) for row in ROWS[1:]])
-    third = write(first.with_name("third"), ROWS, [event_of(row) for row in ROWS[1:]])
+    second = write(first.with_name("second"), ROWS[1:], [fake_event(row) for row in ROWS[1:]])
+    third = write(first.with_name("third"), ROWS, [fake_event(row) for row in ROWS[1:]])
     changes = compare_builds(second, third).changes
     assert [(c.kind, c.decided_by) for c in changes] == [("appeared", "a sequence that no event names")]
 

@@ -32,13 +32,11 @@ from prbench.sequences.sequence import (
     RECORDINGS,
     SCENES,
     SEQUENCES,
-    event_batch,
-    recording_batch,
     sequence_batch,
 )
 from prbench.sequences.table import by_share, find_sequence_id, table_statistics
-from prbench.sequences.write import write_dataset, write_table_in_parts
-from tests.fakes import fake_box, fake_dataset, fake_info, fake_sequence
+from prbench.sequences.write import write_table_in_parts
+from tests.fakes import fake_box, fake_dataset, fake_sequence, write_rows
 from tests.laws.curation_cases import edit
 
 
@@ -262,15 +260,7 @@ def test_folds_keep_the_boxes(table, tmp_path):
 
 
 def statistics_of(folder, rows):
-    rows = sorted(rows, key=lambda row: row.sequence_id)
-    write_dataset(
-        folder,
-        fake_info(),
-        sequences=[sequence_batch(rows)],
-        events=[event_batch([])],
-        recordings=[recording_batch([])],
-    )
-    return table_statistics(SequenceTable.open(folder))
+    return table_statistics(write_rows(folder, rows))
 
 
 def test_means_and_spreads_are_those_of_the_columns(tmp_path) -> None:
