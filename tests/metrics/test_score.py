@@ -72,8 +72,8 @@ def test_the_metrics_stand_in_printed_order() -> None:
     assert [info.id for info in RANKED_METRICS] == main[:-1], "a body that stands still is plausible"
     beside = """
         prime_success_onset prime_success_angle first_frame_error first_step floating penetration slow_slides
-        largest_jerk largest_speed reach_success_final reach_wrist location_error_horizontal contact_share bone_length_change
-        prime_success_gaze prime_success_gaze_arrival scene_penetration scene_depth
+        largest_jerk largest_speed reach_success_final reach_wrist location_error_horizontal contact_share
+        bone_length_change prime_success_gaze prime_success_gaze_arrival scene_penetration scene_depth
     """
     assert {info.id for info in METRICS if not info.main} == set(beside.split())
     assert list(score(*random_problem(0, [5]), CONSTANTS)) == [info.id for info in METRICS_OF_MOTIONS]
