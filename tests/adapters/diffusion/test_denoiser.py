@@ -50,30 +50,17 @@ def _inputs(network: Denoiser, batch: int = 3, frames: int = 7, tokens: int = 4,
     return noisy, torch.arange(batch) % network.configuration.diffusion_steps, condition
 
 
-def _padded_condition(condition: EncodedCondition, more: int) -> EncodedCondition:
-    """The same words, and ``more`` columns of padding with garbage in them."""
-    batch, _, dimension = condition.text.shape
-    garbage = torch.full((batch, more, dimension), 7.0, dtype=condition.text.dtype)
-    text = torch.cat([condition.text, garbage], dim=1)
-    padding = torch.cat([condition.padding, torch.ones((batch, more), dtype=torch.bool)], dim=1)
-    return dataclasses.replace(condition, text=text, padding=padding)
-
-
-def test_padding_of_frames_leaves_no_trace(network):
+def test_padding_of_frames_and_of_words_leaves_no_trace(network):
     noisy, step, condition = _inputs(network)
     n_frames = torch.tensor([7, 7, 7])
     plain = network(noisy, step, condition, n_frames)
-    padded = torch.cat([noisy, torch.full((3, 5, 263), 30.0, dtype=noisy.dtype)], dim=1)
-    torch.testing.assert_close(network(padded, step, condition, n_frames)[:, :7], plain, rtol=0, atol=1e-12)
-
-
-def test_padding_of_words_leaves_no_trace(network):
-    noisy, step, condition = _inputs(network)
-    n_frames = torch.tensor([7, 7, 7])
-    plain = network(noisy, step, condition, n_frames)
-    torch.testing.assert_close(
-        network(noisy, step, _padded_condition(condition, 3), n_frames), plain, rtol=0, atol=1e-12
-    )
+    pad = torch.nn.functional.pad
+    garbage, words = pad(condition.text, (0, 0, 0, 3), value=7.0), pad(condition.padding, (0, 3), value=True)
+    for frames, told in (
+        (pad(noisy, (0, 0, 0, 5), value=30.0), condition),
+        (noisy, dataclasses.replace(condition, text=garbage, padding=words)),
+    ):
+        torch.testing.assert_close(network(frames, step, told, n_frames)[:, :7], plain, rtol=0, atol=1e-12)
 
 
 def test_batch_mates_leave_no_trace(network):
@@ -84,12 +71,7 @@ def test_batch_mates_leave_no_trace(network):
         one = slice(row, row + 1)
         alone = network(noisy[one, :n], step[one], condition.rows(one), n_frames[one])
         torch.testing.assert_close(together[one, :n], alone, rtol=0, atol=1e-12)
-
-
-def test_an_explicit_mask_of_nothing_changes_nothing(network):
-    """On an accelerator full batches are masked too, because nobody looks."""
-    noisy, step, condition = _inputs(network)
-    prepared = network.prepare(condition, step)
+    prepared = network.prepare(condition, step)  # on an accelerator full batches are masked too, as nobody looks
     masked = network.denoise(noisy, prepared, torch.ones((3, 7), dtype=torch.bool))
     torch.testing.assert_close(masked, network.denoise(noisy, prepared, None), rtol=0, atol=1e-12)
 
@@ -240,8 +222,6 @@ def test_sizes_that_do_not_fit_are_refused(changes, message):
 
 def test_the_paper_size_has_as_many_parameters_as_measured():
     """17.88 M and 26.3 M without text encoder, with CLIP's 512 numbers (docs/specification/mdm.md#network)."""
-    from prbench_adapters.diffusion.configuration import DenoiserConfiguration
-
     for architecture, millions in (("encoder", 17.88), ("decoder", 26.3)):
         with torch.device("meta"):
             network = Denoiser(DenoiserConfiguration(architecture=architecture, text_dimension=512))
@@ -262,18 +242,13 @@ def _assert_valid_frames_equal(actual, expected, lengths):
         torch.testing.assert_close(actual[row, :n], expected[row, :n], rtol=0, atol=TOLERANCE)
 
 
-def test_a_pass_gives_the_clean_features_of_the_reference(arrays):
-    network = golden.denoiser(arrays)
-    lengths = torch.from_numpy(arrays["lengths"])
-    clean = network(golden.features(arrays["x"]), torch.from_numpy(arrays["t"]), golden.condition(arrays), lengths)
-    _assert_valid_frames_equal(clean, golden.features(arrays["x0"]), lengths)
-
-
-def test_a_guided_pass_gives_the_clean_features_of_the_reference(arrays):
+def test_a_pass_and_a_guided_pass_give_the_clean_features_of_the_reference(arrays):
     """The file has another step in each row, so each row is guided by itself."""
     network, condition = golden.denoiser(arrays), golden.condition(arrays)
     noisy, expected = golden.features(arrays["x"]), golden.features(arrays["x0_guided"])
     lengths = torch.from_numpy(arrays["lengths"])
+    clean = network(noisy, torch.from_numpy(arrays["t"]), condition, lengths)
+    _assert_valid_frames_equal(clean, golden.features(arrays["x0"]), lengths)
     for row in range(2):
         one = slice(row, row + 1)
         denoise = Guided(network, condition.rows(one), lengths[one], 2.5)

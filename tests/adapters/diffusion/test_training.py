@@ -17,6 +17,7 @@ from prbench_adapters.diffusion.training import DiffusionTraining, Objective, fo
 from prbench_adapters.training import SequenceDataset, collate
 from prbench_adapters.training.dataset import MotionBatch
 from tests.adapters.trained import batch_of, build, saved, sequences
+from tests.adapters.training.tables import corpus_table
 from tests.fakes import STANDING
 
 
@@ -58,14 +59,6 @@ def test_fine_tuning_starts_at_the_output_of_the_pretrained_model(data, batch, p
     assert np.array_equal(after.scaling.mean.numpy(), data.condition_statistics(goal)[0])
 
 
-def test_without_pretraining_statistics_are_those_of_the_data(data):
-    module = build("pr", data)
-    own = data.statistics()
-    assert isinstance(own, Statistics)
-    assert np.array_equal(module.mean.numpy(), own.mean)
-    assert np.array_equal(module.std.numpy(), own.std)
-
-
 def test_text_is_hidden_as_often_as_asked_and_the_vector_never(data, batch):
     module = build("pr", data, text_drop=0.3)
     many = torch.cat([module.draw(batch, step).without_text for step in range(300)])
@@ -105,8 +98,11 @@ def test_conditions_know_nothing_of_the_frames_in_between(name, data, batch):
 
 
 @pytest.mark.parametrize("goal", ["location", "pose"])
-def test_the_standardised_vector_of_the_training_data_has_mean_0(data, goal):
-    module = build("pr", data, goal=goal)
+def test_without_pretraining_statistics_are_those_of_the_data_and_conditions_have_mean_0(data, goal):
+    module, own = build("pr", data, goal=goal), data.statistics()
+    assert isinstance(own, Statistics)
+    assert np.array_equal(module.mean.numpy(), own.mean)
+    assert np.array_equal(module.std.numpy(), own.std)
     everything = collate([data[index] for index in range(len(data))])
     vector = module.condition(everything, torch.zeros(len(data), dtype=torch.bool)).vector
     assert vector is not None
@@ -139,16 +135,9 @@ def test_the_true_motion_has_no_loss(data, batch):
     assert {name: float(loss) for name, loss in found.items()} == pytest.approx(dict.fromkeys(found, 0.0), abs=1e-7)
 
 
-def test_goal_locations_are_asked_of_the_data(data):
-    class WithoutGoals(SequenceDataset):
-        def __init__(self) -> None:
-            self.__dict__ |= data.__dict__
-
-        def condition_statistics(self, goal: str):  # as a corpus answers
-            raise TableError("no goal location")
-
-    with pytest.raises(TableError, match="no goal location"):
-        build("pr", WithoutGoals())
+def test_goal_locations_are_asked_of_the_data(tmp_path):
+    with pytest.raises(TableError, match="expected a goal location"):
+        build("pr", SequenceDataset(corpus_table(tmp_path / "corpus"), cache=tmp_path / "cache"))
 
 
 def _zeros(frames: int = 4, batch: int = 1) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

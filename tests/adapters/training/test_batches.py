@@ -51,12 +51,9 @@ def test_a_batch_goes_to_a_device_whole(data):
     assert {tensor.device.type for tensor in tensors} == {"meta"}
 
 
-def test_items_of_two_frame_rates_do_not_mix(data):
+def test_items_of_two_frame_rates_and_fewer_workers_than_none_are_refused(data):
     with pytest.raises(ValueError, match="one frame rate"):
         collate([data[0], replace(data[1], fps=30.0)])
-
-
-def test_fewer_workers_than_none_are_refused(data):
     with pytest.raises(UsageError, match="workers is -1"):
         load_batches(data, LengthBatches(data, 4), workers=-1)
 
@@ -91,17 +88,12 @@ def test_a_run_goes_on_at_any_step(lengths):
         assert planned(lengths, 16, 5, n=1, start_step=start) == whole[start : start + 1]
 
 
-def test_processes_share_a_step_without_a_common_item(lengths):
-    first, second = (planned(lengths, 8, 5, rank, 2, n=30) for rank in (0, 1))
-    seen = [set(chain(*batches)) for batches in (first, second)]
-    assert not seen[0] & seen[1]
-    assert all(len(one) == len(other) for one, other in zip(first, second))
-
-
-def test_two_processes_see_what_one_with_twice_the_batch_sees(lengths):
+def test_two_processes_see_what_one_with_twice_the_batch_sees_and_share_no_item(lengths):
     alone = planned(lengths, 16, 5)
-    halves = (planned(lengths, 8, 5, rank, 2) for rank in (0, 1))
-    assert [set(batch) for batch in alone] == [set(one + other) for one, other in zip(*halves)]
+    for batch, one, other in zip(alone, *(planned(lengths, 8, 5, rank, 2) for rank in (0, 1)), strict=True):
+        assert set(batch) == set(one + other)
+        assert len(one) == len(other) == 8
+        assert not set(one) & set(other)
 
 
 def test_an_epoch_shows_no_item_twice_and_the_next_one_another_order(lengths):
@@ -114,16 +106,11 @@ def test_an_epoch_shows_no_item_twice_and_the_next_one_another_order(lengths):
     assert [index for index, _ in first] != [index for index, _ in second]
 
 
-def test_little_padding_is_trained(lengths):
+def test_little_padding_is_trained_and_long_and_short_batches_come_in_any_order(lengths):
     batches = [lengths[[index for index, _ in batch]] for batch in planned(lengths, 16, 5)]
     padded = sum(len(batch) * batch.max() for batch in batches)
     assert 1 - sum(batch.sum() for batch in batches) / padded < 0.06  # 30 % in random order
-
-
-def test_batches_of_long_and_of_short_items_come_in_any_order(lengths):
-    longest = [lengths[[index for index, _ in batch]].max() for batch in planned(lengths, 16, 5)]
-    steps = np.sign(np.diff(longest))
-    assert 10 < (steps > 0).sum() < 30
+    assert 10 < (np.diff([batch.max() for batch in batches]) > 0).sum() < 30
 
 
 def test_a_small_set_is_shown_several_times_with_new_draws():
@@ -156,6 +143,8 @@ def test_every_item_stands_for_a_stretch_of_starts_with_bodies_and_gaze(windows)
     # Run a: starts 0 … 46 in four stretches; b: 0 … 25 and 101 … 125, in two each; c has no gaze.
     assert len(data) == 4 + 2 + 3
     assert data.lengths.tolist() == [75] * 9
+    assert data.spread(3) == (0, 3, 6)  # of validation, over the table
+    assert data.spread(100) == tuple(range(9))
     for index in range(len(data)):
         for epoch in range(3):
             assert data[index, epoch].joints.shape == (75, 22, 3)
@@ -176,15 +165,11 @@ def test_a_batch_stands_in_the_frame_of_its_last_observed_pose(windows):
     assert batch.motion.shape == (4, 75, 23, 3)
     assert batch.motion[:, 14, 0, [0, 2]].abs().max() < 1e-6
     room = WindowsDataset([windows], choice=WindowChoice(frame="room"))
-    item = room[1]
-    assert np.allclose(room.collate([item]).motion[0, :, :22], item.joints)
-
-
-@pytest.mark.parametrize(("condition", "nodes"), [("pose", 22), ("pose+head", 23), ("pose+gaze", 23)])
-def test_conditions_see_the_same_windows(windows, condition, nodes):
-    data = WindowsDataset([windows], choice=WindowChoice(condition=Condition(condition)))
-    assert data.collate([data[0]]).motion.shape[2] == nodes
-    assert len(data) == 9
+    assert np.allclose(room.collate([room[1]]).motion[0, :, :22], room[1].joints)
+    for condition, nodes in (("pose", 22), ("pose+head", 23), ("pose+gaze", 23)):
+        data = WindowsDataset([windows], choice=WindowChoice(condition=Condition(condition)))
+        assert data.collate([data[0]]).motion.shape[2] == nodes
+        assert len(data) == 9
 
 
 def test_a_tenth_of_the_published_segments_validates(windows):
@@ -199,12 +184,6 @@ def test_people_can_be_left_out(windows):
     assert len(data) == 4
     with pytest.raises(TableError, match="expected windows of split 'train'"):
         WindowsDataset([windows], choice=WindowChoice(left_out=("P0", "P1")))
-
-
-def test_validation_is_spread_over_the_table(windows):
-    data = WindowsDataset([windows])
-    assert data.spread(3) == (0, 3, 6)
-    assert data.spread(100) == tuple(range(9))
 
 
 def test_the_same_table_twice_and_tables_without_gaze_are_refused(windows, tmp_path):

@@ -120,13 +120,10 @@ def test_a_draw_depends_on_seed_epoch_and_index_alone(corpus, cache):
     assert any(there[key].text != other[key].text for key in keys)
 
 
-def test_every_caption_of_a_clip_gets_its_turn(corpus, cache):
-    data = SequenceDataset(corpus, cache=cache)
-    assert {data[0, epoch].text for epoch in range(40)} == set(CAPTIONS)
-    assert data.texts == tuple(sorted(CAPTIONS))
-
-
-def test_tables_and_corpora_mix_and_corpora_have_no_goal(table, corpus, cache):
+def test_tables_and_corpora_mix_and_corpora_have_no_goal_but_several_captions(table, corpus, cache):
+    clips = SequenceDataset(corpus, cache=cache)
+    assert {clips[0, epoch].text for epoch in range(40)} == set(CAPTIONS)
+    assert clips.texts == tuple(sorted(CAPTIONS))
     data = SequenceDataset([table.folder, corpus], cache=cache)
     alone = SequenceDataset(table, cache=cache)
     assert len(data) == len(alone) + 3
@@ -137,11 +134,9 @@ def test_tables_and_corpora_mix_and_corpora_have_no_goal(table, corpus, cache):
 
 
 def test_rows_of_another_split_are_never_seen(table, cache):
-    seen = {split: set(SequenceDataset(table, split=split, cache=cache).sequence_ids) for split in ("train", "test")}
-    scalars = table.scalars().to_pylist()
-    for split, ids in seen.items():
-        assert ids == {row["sequence_id"] for row in scalars if row["split"] == split}
-    assert not seen["train"] & seen["test"]
+    for split in ("train", "test"):
+        expected = {row["sequence_id"] for row in table.scalars().to_pylist() if row["split"] == split}
+        assert set(SequenceDataset(table, split=split, cache=cache).sequence_ids) == expected
 
 
 def test_a_row_that_cannot_be_encoded_is_left_out_and_told(tmp_path):
@@ -189,37 +184,18 @@ def test_condition_statistics_are_in_metres_per_second_and_floored(table, cache,
     assert std[[0, 2]].tolist() == pytest.approx([0.01, 0.01])
 
 
-def test_a_corpus_has_no_goal_locations_to_learn(corpus, cache):
+def test_what_cannot_be_learnt_from_is_refused(table, corpus, cache, tmp_path):
     with pytest.raises(TableError, match="expected a goal location"):
         SequenceDataset(corpus, cache=cache).condition_statistics("location")
-
-
-def test_tables_of_different_frame_rates_are_refused(table, cache, tmp_path):
-    faster = corpus_table(tmp_path / "c", fps=30.0)
-    with pytest.raises(TableError, match=r"one frame rate.*20.*30"):
-        SequenceDataset([table, faster], cache=cache)
-
-
-def test_the_same_table_twice_is_refused(table, cache):
-    with pytest.raises(UsageError, match="given twice"):
-        SequenceDataset([table, table.folder], cache=cache)
-
-
-@pytest.mark.parametrize(
-    ("option", "message"),
-    [
-        ({"split": "Train"}, "train, validation, test"),
-        ({"max_frames": 1}, "at least 2"),
-    ],
-)
-def test_unknown_values_are_answered_with_the_known_ones(table, cache, option, message):
-    with pytest.raises(UsageError, match=message):
-        SequenceDataset(table, cache=cache, **option)
-
-
-def test_a_split_without_rows_says_which_splits_there_are(corpus, cache):
-    with pytest.raises(TableError, match=r"'validation', found 3 of 'train'"):
-        SequenceDataset(corpus, split="validation", cache=cache)
+    for tables, option, error, message in (
+        ([table, corpus_table(tmp_path / "c", fps=30.0)], {}, TableError, r"one frame rate.*20.*30"),
+        ([table, table.folder], {}, UsageError, "given twice"),
+        (table, {"split": "Train"}, UsageError, "train, validation, test"),
+        (table, {"max_frames": 1}, UsageError, "at least 2"),
+        (corpus, {"split": "validation"}, TableError, r"'validation', found 3 of 'train'"),
+    ):
+        with pytest.raises(error, match=message):
+            SequenceDataset(tables, cache=cache, **option)
 
 
 def test_the_set_travels_to_workers_as_paths(table, cache):
@@ -232,7 +208,7 @@ def test_the_set_travels_to_workers_as_paths(table, cache):
 PAGE = Path(__file__).parents[3] / "docs" / "training-data.md"
 
 
-def test_the_worked_example_learns(tmp_path):
+def test_the_worked_example_learns_and_the_page_names_every_field_of_a_batch(tmp_path):
     (example,) = re.findall(r"```python\n(from itertools.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     names: dict = {}
     exec(example, names)
@@ -240,8 +216,5 @@ def test_the_worked_example_learns(tmp_path):
     _, before = names["train"](table.folder, steps=1, cache=tmp_path / "cache")
     _, after = names["train"](table.folder, steps=60, cache=tmp_path / "cache")
     assert after < before / 2
-
-
-def test_the_page_names_every_field_of_a_batch():
     named = set(re.findall(r"`(?:batch\.)?(\w+)`", PAGE.read_text(encoding="utf-8")))
     assert {field.name for field in fields(MotionBatch)} <= named

@@ -54,17 +54,14 @@ def test_a_thinned_curve_keeps_its_end_and_its_order(rows):
     assert thin == sorted(thin, key=lambda row: row["step"])
 
 
-def test_the_same_training_may_go_on(tmp_path):
+def test_the_same_training_may_go_on_and_one_killed_before_its_record_stood_there_begins_anew(tmp_path):
     require_same_training(tmp_path / "new", RECORD)
-    write_record(tmp_path, RECORD)
-    require_same_training(tmp_path, RECORD)
-    require_same_training(tmp_path, with_training(save_every=7, log_every=3))
-
-
-def test_a_training_that_was_killed_before_its_record_stood_there_begins_anew(tmp_path):
     (tmp_path / ".training-abcd1234.partial.json").write_text("{")
     require_same_training(tmp_path, RECORD)
     assert list(tmp_path.iterdir()) == []
+    write_record(tmp_path, RECORD)
+    require_same_training(tmp_path, RECORD)
+    require_same_training(tmp_path, with_training(save_every=7, log_every=3))
 
 
 @pytest.mark.parametrize(
@@ -146,14 +143,11 @@ def method(tmp_path, monkeypatch):
     return install
 
 
-def test_a_task_beside_its_method_needs_no_entry_point_of_its_own(method):
+def test_a_task_beside_its_method_needs_no_entry_point_and_methods_without_one_are_no_tasks(method, monkeypatch):
     method(METHOD + TASK)
     assert installed.list_tasks() == ("mine",)
     assert "made_up_method" not in sys.modules  # listing imports nothing
     assert load_task("mine").name == "mine"
-
-
-def test_methods_without_a_task_and_broken_ones_are_no_tasks(method):
     method(METHOD)
     assert installed.list_tasks() == ()
     with pytest.raises(AdapterError, match="nothing to train is called 'mine'"):
@@ -162,37 +156,24 @@ def test_methods_without_a_task_and_broken_ones_are_no_tasks(method):
     assert installed.list_tasks() == ("mine",)
     with pytest.raises(AdapterError, match=r"made_up_method:training_task.: cannot be loaded: ModuleNotFoundError"):
         load_task("mine")
-
-
-def test_methods_whose_module_is_not_there_are_no_tasks(monkeypatch):
     monkeypatch.setattr(installed, "entry_points_of", points("nowhere.at_all:load", "a b:load", group=METHODS))
     assert installed.list_tasks() == ()
 
 
-def outputs(folder, *, resumed_at):
-    return Outputs(folder, folder / "checkpoints", lambda state: {}, dtype="float32", resumed_at=resumed_at)
-
-
-def logged(folder):
-    """(step, value) of every scalar, as TensorBoard reads them."""
+def test_rows_can_be_read_back_by_tensorboard_and_those_after_a_resumption_replace_what_was_lost(tmp_path):
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    events = EventAccumulator(str(folder))
-    events.Reload()
-    return {name: [(event.step, event.value) for event in events.Scalars(name)] for name in events.Tags()["scalars"]}
-
-
-def test_rows_can_be_read_back_by_tensorboard_and_those_after_a_resumption_replace_what_was_lost(tmp_path):
-    first = outputs(tmp_path, resumed_at=0)
+    given = (tmp_path, tmp_path / "checkpoints", lambda state: {})
+    first = Outputs(*given, dtype="float32", resumed_at=0)
     for step in (1, 2, 3):
         first.add({"step": step, "loss": float(step)}, group="train")
     first.log.flush()  # killed here, after step 3, while the last checkpoint is that of step 2
-    second = outputs(tmp_path, resumed_at=2)
+    second = Outputs(*given, dtype="float32", resumed_at=2)
     second.add({"step": 3, "loss": 30.0}, group="train")
     second.add({"step": 3, "loss": 5.0}, group="validation")
     second.log.close()
     first.log.close()
-    assert logged(tmp_path / "tensorboard") == {
-        "train/loss": [(1, 1.0), (2, 2.0), (3, 30.0)],
-        "validation/loss": [(3, 5.0)],
-    }
+    events = EventAccumulator(str(tmp_path / "tensorboard"))
+    events.Reload()
+    logged = {name: [(row.step, row.value) for row in events.Scalars(name)] for name in events.Tags()["scalars"]}
+    assert logged == {"train/loss": [(1, 1.0), (2, 2.0), (3, 30.0)], "validation/loss": [(3, 5.0)]}

@@ -15,6 +15,7 @@ from prbench_adapters.training.configuration import (
     TrainingConfiguration,
     ValidationConfiguration,
 )
+from prbench_adapters.training.dataset import collate
 from prbench_adapters.training.state import WeightAverage, learning_rate
 from prbench_adapters.training.task import split_model_table
 from prbench_adapters.training.validation import Validation
@@ -22,15 +23,12 @@ from tests.adapters.training.toy import toy
 from tests.fakes import fake_dataset
 
 
-def test_the_rate_rises_linearly_then_falls_as_half_a_cosine():
-    settings = OptimisationConfiguration(steps=8, warmup_steps=4, learning_rate=1.0, schedule="cosine")
-    rates = [learning_rate(step, settings) for step in range(8)]
-    assert rates == pytest.approx([0.25, 0.5, 0.75, 1.0, 1.0, (1 + 0.5**0.5) / 2, 0.5, (1 - 0.5**0.5) / 2])
-
-
-def test_a_constant_rate_stays_after_the_warm_up():
-    settings = OptimisationConfiguration(steps=5, warmup_steps=2, learning_rate=0.4)
-    assert [learning_rate(step, settings) for step in range(5)] == pytest.approx([0.2, 0.4, 0.4, 0.4, 0.4])
+def test_the_rate_rises_linearly_then_stays_or_falls_as_half_a_cosine():
+    cosine = OptimisationConfiguration(steps=8, warmup_steps=4, learning_rate=1.0, schedule="cosine")
+    falling = [0.25, 0.5, 0.75, 1.0, 1.0, (1 + 0.5**0.5) / 2, 0.5, (1 - 0.5**0.5) / 2]
+    constant = OptimisationConfiguration(steps=5, warmup_steps=2, learning_rate=0.4)
+    for settings, rates in ((cosine, falling), (constant, [0.2, 0.4, 0.4, 0.4, 0.4])):
+        assert [learning_rate(step, settings) for step in range(settings.steps)] == pytest.approx(rates)
 
 
 def walked(values, decay, *, warmup):
@@ -44,18 +42,12 @@ def walked(values, decay, *, warmup):
     return float(average.averages["weight"])
 
 
-def test_the_average_follows_its_recurrence():
+def test_the_average_follows_its_recurrence_and_its_warm_up_forgets_the_start_sooner():
+    """(1 + n) / (10 + n) is 2/11 after the first step and 3/12 after the second."""
     assert walked([1.0, 2.0], 0.75, warmup=False) == pytest.approx(0.75 * 0.25 + 0.25 * 2)
-
-
-def test_the_warm_up_forgets_the_start_sooner():
-    # (1 + n) / (10 + n) is 2/11 after the first step and 3/12 after the second
+    assert walked([1.0, 5.0], 0.0, warmup=False) == 5.0
     assert walked([1.0, 2.0], 0.75, warmup=True) == pytest.approx(0.25 * (9 / 11) + 0.75 * 2)
     assert walked([1.0] * 400, 0.75, warmup=True) == pytest.approx(walked([1.0] * 400, 0.75, warmup=False))
-
-
-def test_no_decay_follows_the_weights():
-    assert walked([1.0, 5.0], 0.0, warmup=False) == 5.0
 
 
 def test_the_average_takes_the_place_of_the_weights_and_gives_it_back_even_after_an_error():
@@ -89,11 +81,8 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("'weight' must be at least 0")
 
 
-def test_each_record_gets_its_own_keys():
+def test_each_record_gets_its_own_keys_and_what_is_not_said_has_its_default():
     assert split_model_table({"weight": 2.0, "width": 3}, Networks, Objective) == (Networks(3), Objective(2.0))
-
-
-def test_what_is_not_said_has_its_default():
     assert split_model_table({}, Networks, Objective) == (Networks(), Objective())
 
 
@@ -128,42 +117,23 @@ def table(tmp_path_factory):
     return fake_dataset(tmp_path_factory.mktemp("table") / "data", 48)
 
 
-def changed(**changes):
-    return msgspec.structs.replace(
-        CONFIGURATION, validation=msgspec.structs.replace(CONFIGURATION.validation, **changes)
-    )
-
-
-def measured(tables, configuration=CONFIGURATION):
-    validation = Validation.prepare(tables, configuration)
-    return validation.measure(toy().eval(), torch.device("cpu"))
-
-
-def chosen_ids(table, n):
-    from prbench.sequences.table import by_share
-
-    rows = table.scalars(split="validation")
-    return set(by_share(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist())[:n])
+def measured(tables):
+    return Validation.prepare(tables, CONFIGURATION).measure(toy().eval(), torch.device("cpu"))
 
 
 def test_losses_are_means_over_sequences_whatever_the_batches(table):
     module = toy().eval()
     losses = {}
     for size in (1, 4):
-        validation = Validation.prepare([table], changed(batch_size=size))
+        settings = msgspec.structs.replace(CONFIGURATION.validation, batch_size=size)
+        validation = Validation.prepare([table], msgspec.structs.replace(CONFIGURATION, validation=settings))
         module.generator = lambda step: torch.Generator().manual_seed(0)  # the same noise, to compare the sums alone
-        by_hand = [module(_batch(validation, [place]), 0)["loss"].item() for place in validation.places]
+        by_hand = [module(collate([validation.data[place]]), 0)["loss"].item() for place in validation.places]
         losses[size] = validation.measure(module, torch.device("cpu"))["loss"]
         assert len(by_hand) == 4
         if size == 1:
             assert losses[1] == pytest.approx(np.mean(by_hand), rel=1e-5)
     assert losses[4] == pytest.approx(losses[1], rel=0.2), "other padding draws other noise, but not another loss"
-
-
-def _batch(validation, places):
-    from prbench_adapters.training.dataset import collate
-
-    return collate([validation.data[place] for place in places])
 
 
 def test_tables_without_validation_sequences_are_left_out_unless_it_is_all_of_them(table, tmp_path):

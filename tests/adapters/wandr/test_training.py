@@ -59,6 +59,12 @@ def _walk(n_frames: int, *, wrist: Joint = Joint.RIGHT_WRIST, goal_known: bool =
     )
 
 
+def _condition(module, recordings: Recordings, places: Places, goals: torch.Tensor) -> torch.Tensor:
+    states, delta = recordings.states(places), recordings.deltas(places.later(-1))
+    joints = recordings.joints[places.index]
+    return module._condition(recordings, places, goals, states, delta=delta, joints=joints)
+
+
 @pytest.mark.parametrize("n_frames", [40, 41])
 def test_recordings_come_at_the_networks_rate_and_end_on_the_last_frame(n_frames):
     found = Recordings.of(_walk(n_frames), 30.0)
@@ -83,29 +89,22 @@ def test_left_handed_reaches_are_learnt_from_as_right_handed_ones():
     assert np.allclose(WORLD.to_y_up(left.joints), seen, atol=1e-5)
 
 
-def test_goals_are_in_the_last_frame_where_there_are_some_and_made_up_elsewhere():
+def test_goals_are_in_the_last_frame_where_there_are_some_and_made_up_elsewhere_or_for_a_share():
     sequence = Recordings.of(_walk(40), 30.0)
     places = starts(sequence, 1)
     generator = torch.Generator().manual_seed(0)
     assert (goal_frames(sequence, places, generator) == 60).all()
-
+    shared = torch.stack([goal_frames(sequence, places, generator, pseudo_share=0.5) for _ in range(200)])
+    far = (60 - places.frame) * 0.1 * 20 / 30 >= 1.5
+    assert float((shared[:, 0] == 60).float().mean()) == pytest.approx(0.5, abs=0.1)
+    assert (shared[:, ~far] == 60).all(), "near the goal nothing is far enough away, and the goal stays"
     clip = dataclasses.replace(sequence, has_goal=torch.tensor([False]))
     drawn = torch.stack([goal_frames(clip, places, generator) for _ in range(200)])
     walked = (drawn - places.frame) * 0.1 * 20 / 30
     nothing = drawn == places.frame
-    assert (nothing == ((60 - places.frame) * 0.1 * 20 / 30 < 1.5)).all()
+    assert (nothing == ~far).all()
     assert (walked[~nothing] >= 1.5 - 1e-4).all()
     assert set(drawn[:, 0].tolist()) == set(range(24, 61))  # from the first frame on: 23 frames are 1.53 m
-
-
-def test_a_share_of_the_frames_of_motions_with_a_goal_gets_a_pseudo_goal():
-    sequence = Recordings.of(_walk(40), 30.0)
-    places = starts(sequence, 1)
-    generator = torch.Generator().manual_seed(0)
-    drawn = torch.stack([goal_frames(sequence, places, generator, pseudo_share=0.5) for _ in range(200)])
-    far = (60 - places.frame) * 0.1 * 20 / 30 >= 1.5
-    assert float((drawn[:, 0] == 60).float().mean()) == pytest.approx(0.5, abs=0.1)
-    assert (drawn[:, ~far] == 60).all(), "near the goal nothing is far enough away, and the goal stays"
 
 
 def test_intentions_are_as_limited_in_training_as_in_generation(data, batch):
@@ -114,16 +113,7 @@ def test_intentions_are_as_limited_in_training_as_in_generation(data, batch):
     goals = recordings.n_frames - 1
 
     def velocity(most_speed):
-        module = build("wandr", data, most_speed=most_speed)
-        seen = module._condition(
-            recordings,
-            places,
-            goals,
-            recordings.states(places),
-            delta=recordings.deltas(places.later(-1)),
-            joints=recordings.joints[places.index],
-        )
-        return seen[:, -9:-6]
+        return _condition(build("wandr", data, most_speed=most_speed), recordings, places, goals)[:, -9:-6]
 
     free = velocity(0.0)
     most = float(free.norm(dim=-1).max()) / 2
@@ -207,31 +197,15 @@ def test_conditions_hold_the_goal_and_nothing_else_of_the_future(data, batch):
     places = Places(torch.arange(6), torch.full((6,), 5))
     goals = recordings.n_frames - 1
 
-    def condition(recordings):
-        return module._condition(
-            recordings,
-            places,
-            goals,
-            recordings.states(places),
-            delta=recordings.deltas(places.later(-1)),
-            joints=recordings.joints[places.index],
-        )
-
     changed = recordings.joints.clone()
     changed[:, 6:40] += 0.5
-    before, after = condition(recordings), condition(dataclasses.replace(recordings, joints=changed))
+    before = _condition(module, recordings, places, goals)
+    after = _condition(module, dataclasses.replace(recordings, joints=changed), places, goals)
     assert torch.allclose(before, after, atol=1e-4)
     changed[places.row, goals] += 0.5
-    assert not torch.allclose(before, condition(dataclasses.replace(recordings, joints=changed)), atol=1e-2)
-    at_goal = Places(places.row, goals)
-    assert not module._condition(
-        recordings,
-        at_goal,
-        goals,
-        recordings.states(at_goal),
-        delta=recordings.deltas(Places(places.row, goals - 1)),
-        joints=recordings.joints[at_goal.index],
-    )[:, -9:].any()
+    elsewhere = _condition(module, dataclasses.replace(recordings, joints=changed), places, goals)
+    assert not torch.allclose(before, elsewhere, atol=1e-2)
+    assert not _condition(module, recordings, Places(places.row, goals), goals)[:, -9:].any()
 
 
 @pytest.mark.parametrize("losses", ["single", "chunks"])
