@@ -64,7 +64,7 @@ def trained(data, tmp_path_factory):
     return out, printed.getvalue(), said.getvalue()
 
 
-def test_a_training_prints_lines_and_where_the_weights_are(trained):
+def test_a_training_prints_lines_and_leaves_weights_a_card_and_a_log(trained, data):
     out, printed, said = trained
     assert printed == f"weights: {out / 'weights.safetensors'}\n"
     lines = said.splitlines()
@@ -73,12 +73,8 @@ def test_a_training_prints_lines_and_where_the_weights_are(trained):
     ]  # fmt: skip
     assert "loss " in lines[0]
     assert "root " in lines[2]
-
-
-def test_a_training_leaves_a_card_and_a_log(trained, data):
-    out, *_ = trained
     card = read_json(out / "weights.json")
-    assert card["method"], card["stage"] == ("toy", "pretrain")
+    assert (card["method"], card["stage"]) == ("toy", "pretrain")
     assert (card["finished"], card["steps"], card["devices"]) == (True, 8, 1)
     assert card["configuration"]["model"] == {"width": 6}
     assert card["weights_sha256"] == file_digest(out / "weights.safetensors")
@@ -201,15 +197,10 @@ def test_a_mistake_gives_one_message_and_its_exit_code(arguments, code, message,
     assert not (tmp_path / "out").exists(), "the corrected command must not find another training there"
 
 
-def test_data_and_out_are_asked_for(capsys):
-    assert main(["train", "--method", "toy"]) == 2
-    assert "--data DIR is needed." in capsys.readouterr().err
+def test_a_finished_training_is_reported_as_json_and_data_and_out_are_asked_for(trained, data, capsys):
+    refused(["train", "--method", "toy"], capsys, code=2, message="--data DIR is needed.")
     refused(["train", "--method", "toy", "--data", "a"], capsys, code=2, message="--out DIR is needed.")
-
-
-def test_a_finished_training_is_reported_as_json(trained, data, capsys):
-    out = trained[0] if isinstance(trained, tuple) else trained
-    report = reported(command(data, out, *VALIDATED), capsys)
+    report = reported(command(data, trained[0], *VALIDATED), capsys)
     assert report.trained is not None
     assert report.trained.weights.is_file()
     assert (report.method, report.configuration, report.trained.steps) == ("toy", None, 8)
@@ -250,9 +241,6 @@ def test_refit_learns_from_train_and_validation(data, tmp_path, capsys):
     assert both_ids == parts[0] | parts[1]
     # The folder of one is never gone on with as the other.
     refused(both[:-3] + both[-2:], capsys, code=TrainingError.exit_code, message="holds another training")
-
-
-def test_refit_and_validation_exclude_one_another(data, tmp_path, capsys):
     words = command(data, tmp_path / "out", "--refit", *VALIDATED)
     refused(words, capsys, code=UsageError.exit_code, message="measuring on it would say nothing")
 

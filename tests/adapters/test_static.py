@@ -34,17 +34,14 @@ def fitted(table, folder, **options):
     return static
 
 
-def test_it_is_a_trainable_adapter_for_no_condition():
-    static = load(None, options={}, device="cpu")
-    assert isinstance(static, Adapter)
-    assert isinstance(static, Trainable)
-    assert static.conditions == {Condition.NONE}
-
-
 def test_the_pose_is_the_mean_over_all_training_frames_and_no_others(table, tmp_path):
     rows = [fake_sequence(i) for i in range(24)]
     expected = np.concatenate([row.joints for row in rows if row.split == "train"]).mean(axis=0, dtype=np.float64)
-    motions = fitted(table, tmp_path).generate(asked_for(5, 3), seed=0)
+    static = fitted(table, tmp_path)
+    assert isinstance(static, Adapter)
+    assert isinstance(static, Trainable)
+    assert static.conditions == {Condition.NONE}
+    motions = static.generate(asked_for(5, 3), seed=0)
     assert motions.joints.shape == (2, 5, 22, 3)
     assert list(motions.n_frames) == [5, 3]
     assert np.allclose(motions.joints, expected, atol=1e-9)
@@ -66,19 +63,13 @@ def test_a_second_fit_takes_what_the_first_one_left(table, tmp_path):
     assert np.array_equal(static.generate(asked_for(1), seed=0).joints, first.joints)
 
 
-def test_a_table_without_training_sequences_is_refused(tmp_path):
+def test_a_table_without_training_sequences_motions_before_a_fit_and_weights_are_refused(tmp_path):
     table = fake_dataset(tmp_path / "d", 2, recordings=12)
     only_test = SequenceTable(tmp_path / "d", table.info)
     object.__setattr__(only_test, "chunks", lambda **_: iter(()))
     with pytest.raises(AdapterError, match=r"none in split 'train'"):
         fitted(only_test, tmp_path / "fit")
-
-
-def test_motions_before_a_fit_are_refused():
     with pytest.raises(AdapterError, match=r"before it was fitted"):
         load(None, options={}, device="cpu").generate(asked_for(1), seed=0)
-
-
-def test_weights_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"has no weights"):
         load(tmp_path, options={}, device="cpu")

@@ -50,7 +50,7 @@ def _assert_same_networks(model: GMDModel, expected: torch.nn.Module) -> None:
         assert torch.equal(found[name], tensor), name
 
 
-def test_the_averaged_networks_arrive_with_their_statistics_and_projection(files, tmp_path):
+def test_the_averaged_networks_arrive_with_their_statistics_projection_and_configuration(files, tmp_path):
     imported = import_public(files, tmp_path / "gmd.safetensors")
     model = GMDModel.load(tmp_path / "gmd.safetensors")
     _assert_same_networks(model, tiny.released_networks(0))
@@ -59,11 +59,7 @@ def test_the_averaged_networks_arrive_with_their_statistics_and_projection(files
         assert torch.equal(getattr(model.space, part), getattr(expected, part))
     assert imported.copies == {"motion": "model_avg", "trajectory": "model_avg"}
     assert imported.parameters == sum(tensor.numel() for tensor in tiny.released_networks(0).parameters())
-
-
-def test_the_configuration_is_that_of_the_released_models(files, tmp_path):
-    import_public(files, tmp_path / "gmd.safetensors")
-    found = GMDModel.load(tmp_path / "gmd.safetensors").configuration
+    found = model.configuration
     assert (found.motion_widths, found.trajectory_widths, found.condition_width) == ((16, 8, 8), (8, 16), 8)
     assert (found.diffusion_steps, found.padded_frames, found.padding_step, found.emphasis) == (1000, 224, 8, 10.0)
     assert (found.text_encoder, found.text_dimension) == ("clip-vit-b32", 512)
@@ -126,16 +122,13 @@ class _RunsCode:
         return os.mkdir, (str(self.path),)
 
 
-def test_code_in_a_checkpoint_is_not_run(files, tmp_path):
+def test_code_in_a_checkpoint_is_not_run_and_an_old_pytorch_that_would_is_refused(files, tmp_path, monkeypatch):
     torch.save({"model_avg": {"a": _RunsCode(tmp_path / "ran")}}, files.motion)
     message = r"model000500000\.pt: expected a checkpoint of numbers alone, found one that asks for '\w+\.mkdir'.*"
     with pytest.raises(InputFileError, match=message + r"keep its tensors alone.*torch\.save"):
         import_public(files, tmp_path / "gmd.safetensors")
     assert not (tmp_path / "ran").exists()
     assert not list(tmp_path.glob("gmd*"))
-
-
-def test_an_old_pytorch_that_could_run_code_is_refused(files, tmp_path, monkeypatch):
     monkeypatch.setattr(torch, "__version__", "2.5.1+cpu")
     with pytest.raises(UsageError, match=r"needs PyTorch 2\.6 or later, found 2\.5\.1\+cpu \(CVE-2025-32434\)"):
         import_public(files, tmp_path / "gmd.safetensors")
@@ -165,18 +158,11 @@ def test_what_is_wrong_in_a_checkpoint_is_named(files, tmp_path, change, message
         import_public(files, tmp_path / "gmd.safetensors")
 
 
-def test_exchanged_checkpoints_are_told(files, tmp_path):
-    exchanged = dataclasses.replace(files, motion=files.trajectory, trajectory=files.motion)
-    with pytest.raises(
-        InputFileError, match=r"expected shape \(8, 263, 5\), found shape \(8, 4, 5\)\. Give the motion"
-    ):
-        import_public(exchanged, tmp_path / "gmd.safetensors")
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [
         (None, "expected a checkpoint .*found no such file"),
+        ("trajectory", r"expected shape \(8, 263, 5\), found shape \(8, 4, 5\)\. Give the motion"),
         (b"<html>not found</html>", r"expected a checkpoint of torch\.save .*found another format.*unpack it first"),
         ({"state_dict": torch.nn.Linear(1, 1)}, "found one that asks for 'torch.nn.modules.linear.Linear'"),
         ({"epoch": 3}, "'epoch': expected a tensor, found a int"),
@@ -186,7 +172,9 @@ def test_exchanged_checkpoints_are_told(files, tmp_path):
 )
 def test_other_files_are_refused(files, tmp_path, content, message):
     files.motion.unlink()
-    if isinstance(content, bytes):
+    if content == "trajectory":
+        files = dataclasses.replace(files, motion=files.trajectory)
+    elif isinstance(content, bytes):
         files.motion.write_bytes(content)
     elif content is not None:
         torch.save(content, files.motion)
@@ -239,10 +227,8 @@ def test_the_command_exits_with_the_code_of_the_error_and_writes_nothing(files, 
 
 
 def test_help_shows_an_example_and_needs_no_torch():
-    code = (
-        "import sys\nfrom prbench_adapters.gmd.import_public import main\n"
-        "try:\n    main(['--help'])\nfinally:\n    print('torch' in sys.modules)"
-    )
+    code = "import sys\nfrom prbench_adapters.gmd.import_public import main\n"
+    code += "try:\n    main(['--help'])\nfinally:\n    print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0
     assert "--projection dataset/rand_proj.npy --out gmd-public.safetensors" in done.stdout
