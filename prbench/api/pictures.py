@@ -244,7 +244,10 @@ def progress(description: str) -> Iterator[ProgressCallback]:
     Args:
         description: What is being done, in a few words.
     """
-    if _in_notebook():
+    # In a Jupyter kernel IPython is there already; it is never imported for this question.
+    ipython = sys.modules.get("IPython")
+    shell = None if ipython is None else ipython.get_ipython()
+    if getattr(shell, "kernel", None) is not None:
         with _cell_bar(description) as callback:
             yield callback
     elif sys.stderr is not None and sys.stderr.isatty():
@@ -258,15 +261,6 @@ def progress(description: str) -> Iterator[ProgressCallback]:
 
 def _silent(done: int, total: int, last: str) -> None:
     """Say nothing: a script's output and a log belong to whoever wrote the script."""
-
-
-def _in_notebook() -> bool:
-    """Return True in a Jupyter kernel; IPython is there already then, and is never imported for this question."""
-    ipython = sys.modules.get("IPython")
-    if ipython is None:
-        return False
-    shell = ipython.get_ipython()
-    return getattr(shell, "kernel", None) is not None
 
 
 @contextlib.contextmanager

@@ -15,7 +15,6 @@ from prbench.datasets import ON_SYNTHETIC_DATA, SYNTHETIC_PREFIX
 
 if TYPE_CHECKING:
     from prbench.harness.run import RunReport
-    from prbench.harness.run_folder import RunFolder
     from prbench.harness.run_folder.record import TableRecord
     from prbench.harness.run_folder.summary import (
         DatasetAgreement,
@@ -235,31 +234,6 @@ def _mean(found: MetricSummary | MeanOverDatasets | None, info: MetricInfo, *, h
     return _DASH if found is None or hidden else f"{found.mean * printed_scale(info.unit):.2f}"
 
 
-def _print_sequence_scores(run: RunFolder, metrics: Sequence[MetricInfo]) -> None:
-    """Print what every motion of a run scored, sequence by sequence."""
-    from prbench.harness.run_folder import read_scores
-    from prbench.metrics import printed_unit
-
-    for table in run.record.tables:
-        rows = read_scores(run.dataset(table.dataset).scores).to_pylist()
-        for name in dict.fromkeys(row["sequence_id"] for row in rows):
-            values = {(row["metric"], row["sample"]): row for row in rows if row["sequence_id"] == name}
-            samples = sorted({sample for _, sample in values})
-            lines = []
-            for metric in metrics:
-                found = [values[metric.id, sample] for sample in samples if (metric.id, sample) in values]
-                cells = [f"{each['value']:.3f}{printed_unit(metric.unit)}" for each in found]
-                if metric.unit == "rate":
-                    cells = ["yes" if each["value"] >= 0.5 else "no" for each in found]
-                remarks = dict.fromkeys(each["flag"].replace("_", " ") for each in found if each["flag"])
-                if found:
-                    lines.append((metric.title, *cells, "; ".join(remarks)))
-            header = ("metric", *(f"sample {sample}" if len(samples) > 1 else "value" for sample in samples), "")
-            title = f"{name}: {run.record.method.name}, {run.record.condition}"
-            print_table(title, header, lines, numbers=range(1, len(samples) + 1))
-        _print_synthetic([table])
-
-
 class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
     """One finished run.
 
@@ -352,12 +326,32 @@ def _agreements(report: RunReport) -> list[DatasetAgreement | None]:
 
 def _print_run(report: RunReport, *, single: bool) -> None:
     from prbench.harness.benchmark import load_benchmark
+    from prbench.harness.run_folder import read_scores
     from prbench.harness.run_folder.summary import share_a_mean
+    from prbench.metrics import printed_unit
 
     record = report.folder.record
     metrics = load_benchmark(record.benchmark).metrics
     if single:
-        _print_sequence_scores(report.folder, metrics)
+        # What every motion scored, sequence by sequence.
+        for table in record.tables:
+            rows = read_scores(report.folder.dataset(table.dataset).scores).to_pylist()
+            for name in dict.fromkeys(row["sequence_id"] for row in rows):
+                values = {(row["metric"], row["sample"]): row for row in rows if row["sequence_id"] == name}
+                samples = sorted({sample for _, sample in values})
+                lines = []
+                for metric in metrics:
+                    found = [values[metric.id, sample] for sample in samples if (metric.id, sample) in values]
+                    cells = [f"{each['value']:.3f}{printed_unit(metric.unit)}" for each in found]
+                    if metric.unit == "rate":
+                        cells = ["yes" if each["value"] >= 0.5 else "no" for each in found]
+                    remarks = dict.fromkeys(each["flag"].replace("_", " ") for each in found if each["flag"])
+                    if found:
+                        lines.append((metric.title, *cells, "; ".join(remarks)))
+                header = ("metric", *(f"sample {sample}" if len(samples) > 1 else "value" for sample in samples), "")
+                title = f"{name}: {record.method.name}, {record.condition}"
+                print_table(title, header, lines, numbers=range(1, len(samples) + 1))
+            _print_synthetic([table])
         return
     agreements = _agreements(report)
     shared: dict[str, Any] = {"origin": record.method.origin, "motionless": record.method.motionless}

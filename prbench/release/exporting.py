@@ -5,7 +5,9 @@ Beyond the layout it writes the ``prbench`` block of each entry and the arrays o
 
 from __future__ import annotations
 
+import io
 import json
+import zipfile
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,15 +18,14 @@ import prbench
 from prbench.errors import UsageError
 from prbench.files.storage import atomic_folder, inside, require_replaceable, sole_writer, write_json
 from prbench.release.layout import (
+    BLOCK_COLUMNS,
     EXPORT_RECORD,
     FURTHER,
     FURTHER_ARRAYS,
     GAZES,
     MOTIONS,
     TARGETS,
-    block_of,
     folder_of,
-    pack_arrays,
 )
 from prbench.release.report import ExportedTable, ExportReleaseReport
 from prbench.sequences import SequenceTable
@@ -95,6 +96,7 @@ def _written(table: SequenceTable, folder: Path) -> Iterator[tuple[str, dict[str
     """Write the arrays of every sequence and yield its key and entry."""
     events = table.events().select(["sequence_id", "event_id"])
     event_of = dict(zip(events["sequence_id"].to_pylist(), events["event_id"].to_pylist()))
+    # Unknown where the table itself came from a release whose goals could not be placed.
     goal_frame = "known" if table.info.why_not_scored is None else "unknown"
     rows = (sequence for chunk in table.chunks(rows=64) for sequence in sequences_in(chunk.batch))
     for index, sequence in enumerate(rows):
@@ -105,8 +107,13 @@ def _written(table: SequenceTable, folder: Path) -> Iterator[tuple[str, dict[str
             single = np.ascontiguousarray(values, dtype=np.float32)
             np.save(folder / name / f"{key}.npy", single, allow_pickle=False)
         further = {name: getattr(sequence, name) for name in FURTHER_ARRAYS}
-        present = {name: values for name, values in further.items() if values is not None}
-        (folder / FURTHER / f"{key}.npz").write_bytes(pack_arrays(present))
+        with zipfile.ZipFile(folder / FURTHER / f"{key}.npz", "w", zipfile.ZIP_STORED) as archive:
+            for name, values in further.items():
+                if values is not None:
+                    content = io.BytesIO()
+                    np.lib.format.write_array(content, np.ascontiguousarray(values), allow_pickle=False)
+                    # A fresh ZipInfo holds a fixed date, so that equal arrays give equal bytes.
+                    archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue())
         event_id = event_of.get(sequence.sequence_id) or sequence.sequence_id.rsplit("/", 1)[0]
         # The layout's fields, and those beside them that other tools may read.
         fields = {
@@ -123,4 +130,11 @@ def _written(table: SequenceTable, folder: Path) -> Iterator[tuple[str, dict[str
         }
         if sequence.hand:
             fields["hand"] = sequence.hand
-        yield key, fields | {"prbench": block_of(sequence, event_id=event_id, goal_frame=goal_frame)}
+        block: dict[str, Any] = {"sequence_id": sequence.sequence_id, "event_id": event_id}
+        for column in BLOCK_COLUMNS:
+            value = getattr(sequence, column.name)
+            if isinstance(value, np.ndarray):
+                value = value.ravel().tolist()
+            block[column.name] = None if value != value else value  # NaN alone differs from itself
+        block |= {"motion_frame": "canonical", "goal_frame": goal_frame, "extra": dict(sequence.extra)}
+        yield key, fields | {"prbench": block}

@@ -13,8 +13,6 @@ import json
 import math
 import os
 import re
-import zipfile
-from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -29,7 +27,6 @@ from prbench.files.bounded import foreign_input, read_text, read_whole
 from prbench.limits import HARMLESS_SIZE, LARGEST_JSON
 from prbench.protocol.manifests import read_toml
 from prbench.readers.found import names_in
-from prbench.sequences import Sequence
 from prbench.sequences.schema import is_bulky
 from prbench.sequences.sequence import SEQUENCES
 
@@ -269,21 +266,9 @@ def read_array(path: Path, per_frame: tuple[int, ...]) -> tuple[np.ndarray, byte
     return header.shaped(np.frombuffer(content, header.dtype, math.prod(header.shape), header.offset)), content
 
 
-def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """Pack arrays as an uncompressed ``.npz``, with equal bytes for equal values."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
-        for name, values in arrays.items():
-            content = io.BytesIO()
-            np.lib.format.write_array(content, np.ascontiguousarray(values), allow_pickle=False)
-            # A fresh ZipInfo holds a fixed date, so that equal arrays give equal bytes.
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue())
-    return stream.getvalue()
-
-
 @foreign_input()
 def read_further(path: Path, n_frames: int) -> tuple[dict[str, np.ndarray], bytes]:
-    """Read the arrays of a ``.npz`` that :func:`pack_arrays` made, without trusting it.
+    """Read the arrays of a ``.npz`` that an export wrote, without trusting it.
 
     Returns:
         The arrays by name, and the bytes of the file.
@@ -311,12 +296,12 @@ def read_further(path: Path, n_frames: int) -> tuple[dict[str, np.ndarray], byte
 
 
 _IN_THE_LAYOUT = ("dataset", "split", "fps", "prime_frame", "goal_location")
-_COLUMNS = [each for each in SEQUENCES if not is_bulky(each.type) and each.name not in _IN_THE_LAYOUT]
+BLOCK_COLUMNS = [each for each in SEQUENCES if not is_bulky(each.type) and each.name not in _IN_THE_LAYOUT]
 _JSON = {pa.string(): str, pa.float64(): float, pa.int32(): int}
 
 
 _TYPES: dict[str, Any] = {}
-for _column in _COLUMNS:
+for _column in BLOCK_COLUMNS:
     if pa.types.is_fixed_size_list(_column.type):
         _size = msgspec.Meta(min_length=_column.type.list_size, max_length=_column.type.list_size)
         _TYPES[_column.name] = Annotated[list[float], _size]
@@ -334,23 +319,6 @@ _Block = msgspec.defstruct(
         ("goal_frame", Literal["known", "unknown"], "known"),
     ],
 )
-
-
-def block_of(sequence: Sequence, *, event_id: str, goal_frame: str) -> dict[str, Any]:
-    """Return the block of a sequence, as JSON holds it.
-
-    Args:
-        sequence: One row of the table.
-        event_id: Id of its event.
-        goal_frame: ``unknown`` where the table itself came from a release whose goals could not be placed.
-    """
-    block: dict[str, Any] = {"sequence_id": sequence.sequence_id, "event_id": event_id}
-    for column in _COLUMNS:
-        value = getattr(sequence, column.name)
-        if isinstance(value, np.ndarray):
-            value = value.ravel().tolist()
-        block[column.name] = None if value != value else value  # NaN alone differs from itself
-    return block | {"motion_frame": "canonical", "goal_frame": goal_frame, "extra": dict(sequence.extra)}
 
 
 def convert_block(value: Any, *, fps: float, primed_frame: float, n_frames: int) -> dict[str, Any] | None:

@@ -11,12 +11,6 @@ from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 
 
-@pytest.mark.parametrize("command", [["adapters"], ["adapters", "list"], ["adapters", "new"], ["adapters", "check"]])
-def test_every_command_has_help_with_an_example(command, capsys):
-    assert main([*command, "--help"]) == 0
-    assert "example:\n  prbench adapters " in capsys.readouterr().out
-
-
 def test_the_list_is_columns_or_json(capsys):
     assert main(["adapters", "list", "static"]) == 0
     header, row = capsys.readouterr().out.splitlines()

@@ -100,7 +100,12 @@ def run_table(
             notice(notes[-1])
         parts = [Table(number="2", title="nothing could be run", notes=tuple(notes))]
         if finished:
-            board = make_leaderboard(collect_runs(finished, check=_as_just_scored))
+
+            def check(run: RunFolder, table: TableRecord) -> CheckedSummary:
+                """Take scores that this very call has made or held against the motions."""
+                return replace(RunChecker().check(run, table), unverified="")
+
+            board = make_leaderboard(collect_runs(finished, check=check))
             # A table of the common sequences takes the place of that of all: one line, one set of sequences.
             board = Leaderboard(of_all_methods(board.tables), board.macro, board.notes)
             parts = methods_table(board, "2", with_published=False, named=True)
@@ -109,11 +114,6 @@ def run_table(
             remove_leftovers(folder / name)  # of a process that was killed while it wrote them
             write_tables(parts, folder / name)  # last, after all rows: a table on disk is a finished one
     return TableReport(folder, parts, failed)
-
-
-def _as_just_scored(run: RunFolder, table: TableRecord) -> CheckedSummary:
-    """Take scores that this very call has made or held against the motions."""
-    return replace(RunChecker().check(run, table), unverified="")
 
 
 @foreign_input()
