@@ -7,7 +7,6 @@ import pickle
 import re
 import shutil
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -19,6 +18,7 @@ from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent, csv_ext
 from prbench.readers.found import InputFile, input_file
 from prbench.readers.hd_epic.files import extents as hd_epic_extents
 from prbench.synthetic.write_tree import synthesize_tree
+from tests.shared import made_once
 
 WHOLE = Extent("glasses", "poses.csv", 100.0, 160.0)
 
@@ -68,19 +68,18 @@ def test_files_without_a_time_have_no_ends(tmp_path, content) -> None:
     assert (extent.first, extent.last) == (None, None)
 
 
-@pytest.fixture(scope="module")
-def trees(tmp_path_factory) -> Callable[[str], Path]:
-    made: dict[str, Path] = {}
+def tree(layout: str) -> Path:
+    """A synthetic recording in a layout, made once a run and not to be changed."""
 
-    def tree(layout: str) -> Path:
-        if layout not in made:
-            root = tmp_path_factory.mktemp("trees") / layout
-            estimates = layout == "adt"
-            written = synthesize_tree(layout, root, recordings=1, seed=4, n_events=2, estimates=estimates)
-            made[layout] = written.root
-        return made[layout]
+    def make(root: Path) -> None:
+        synthesize_tree(layout, root / layout, recordings=1, seed=4, n_events=2, estimates=layout == "adt")
 
-    return tree
+    return made_once(f"whole-{layout}", make) / layout
+
+
+def copy_of(layout: str, folder: Path) -> Path:
+    """The recording, ready to be cut."""
+    return Path(shutil.copytree(tree(layout), folder / layout))
 
 
 def first_of(root: Path) -> RecordingFiles:
@@ -105,9 +104,19 @@ def keep_lines_of_member(archive: Path, name: str, share: float) -> None:
             cut.writestr(entry, b"".join(lines[: int(len(lines) * share)]) if entry.endswith(name) else content)
 
 
+def keep_rows(path: Path, name: str, share: float) -> None:
+    """Cut the only array, or the first array of a group, of an HDF5 file."""
+    with h5py.File(path, "r+") as file:
+        entry = file[name]
+        entry = entry[sorted(entry)[0]] if isinstance(entry, h5py.Group) else entry
+        rows, place, attributes = np.asarray(entry), entry.name, dict(entry.attrs)
+        del file[place]
+        file.create_dataset(place, data=rows[: int(len(rows) * share)]).attrs.update(attributes)
+
+
 @pytest.mark.parametrize("layout", ["adt", "hot3d", "hd-epic", "mogaze"])
-def test_whole_recordings_of_every_layout_raise_no_alarm(trees, layout) -> None:
-    assert cut_short(first_of(trees(layout))) == ()
+def test_whole_recordings_of_every_layout_raise_no_alarm(layout) -> None:
+    assert cut_short(first_of(tree(layout))) == ()
 
 
 @pytest.mark.parametrize("dataset", ["adt", "hot3d", "hd-epic"])
@@ -116,48 +125,46 @@ def test_real_samples_raise_no_alarm(samples, dataset) -> None:
         assert cut_short(found) == ()
 
 
+SLAM_AND_GAZE = "HD-EPIC/SLAM-and-Gaze/*"
+
+
 @pytest.mark.parametrize(
-    ("layout", "pattern", "stream"),
+    ("layout", "pattern", "member", "stream"),
     [
-        ("adt", "*/scene_objects.csv", "objects"),
-        ("adt", "*/aria_trajectory.csv", "glasses"),
-        ("adt", "*/eyegaze.csv", "gaze"),
-        ("hot3d", "*/dynamic_objects.csv", "objects"),
-        ("hot3d", "*/headset_trajectory.csv", "glasses' ground truth"),
-        ("hot3d", "*/umetrack_hand_pose_trajectory.jsonl", "hands"),
-        ("hot3d", "*/masks/mask_object_pose_available.csv", "mask"),
-        ("hot3d", "*/mps/slam/closed_loop_trajectory.csv", "glasses"),
-        ("hot3d", "*/mps/eye_gaze/*_eye_gaze.csv", "gaze"),
-        ("hd-epic", "HD-EPIC/Videos/*/*_mp4_to_vrs_time_ns.csv", "video frames"),
+        ("adt", "*/scene_objects.csv", "", "objects"),
+        ("adt", "*/aria_trajectory.csv", "", "glasses"),
+        ("adt", "*/eyegaze.csv", "", "gaze"),
+        ("hot3d", "*/dynamic_objects.csv", "", "objects"),
+        ("hot3d", "*/headset_trajectory.csv", "", "glasses' ground truth"),
+        ("hot3d", "*/umetrack_hand_pose_trajectory.jsonl", "", "hands"),
+        ("hot3d", "*/masks/mask_object_pose_available.csv", "", "mask"),
+        ("hot3d", "*/mps/slam/closed_loop_trajectory.csv", "", "glasses"),
+        ("hot3d", "*/mps/eye_gaze/*_eye_gaze.csv", "", "gaze"),
+        ("hd-epic", "HD-EPIC/Videos/*/*_mp4_to_vrs_time_ns.csv", "", "video frames"),
+        ("hd-epic", f"{SLAM_AND_GAZE}/SLAM/multi/*.zip", "closed_loop_trajectory.csv", "glasses"),
+        ("hd-epic", f"{SLAM_AND_GAZE}/GAZE_HAND/*.zip", "general_eye_gaze.csv", "gaze"),
+        ("hd-epic", f"{SLAM_AND_GAZE}/GAZE_HAND/*.zip", "wrist_and_palm_poses.csv", "hands"),
+        ("mogaze", "*_gaze_data.hdf5", "gaze", "gaze"),
+        ("mogaze", "*_human_data.hdf5", "data", "body"),
+        ("mogaze", "*_object_data.hdf5", "bodies", "objects"),
+        ("mogaze", "*_segmentations.hdf5", "segments", "labels"),
     ],
 )
-def test_a_file_cut_at_a_line_boundary_is_named_by_stream_and_file(trees, tmp_path, layout, pattern, stream) -> None:
-    copy = Path(shutil.copytree(trees(layout), tmp_path / layout))
+def test_a_file_that_stops_early_is_named_by_stream_and_file(tmp_path, layout, pattern, member, stream) -> None:
+    copy = copy_of(layout, tmp_path)
     (path,) = copy.glob(pattern)
-    keep_lines(path, 0.6)
+    if path.suffix == ".zip":
+        keep_lines_of_member(path, member, 0.6)
+    elif path.suffix == ".hdf5":
+        keep_rows(path, member, 0.6)
+    else:
+        keep_lines(path, 0.6)
     (message,) = cut_short(first_of(copy))
-    assert message.startswith(f"{stream} ({path.name}) ends ")
+    assert message.startswith(f"{stream} ({member if path.suffix == '.zip' else path.name}) ends ")
 
 
-@pytest.mark.parametrize(
-    ("name", "stream"),
-    [
-        ("closed_loop_trajectory.csv", "glasses"),
-        ("general_eye_gaze.csv", "gaze"),
-        ("wrist_and_palm_poses.csv", "hands"),
-    ],
-)
-def test_what_lies_in_an_archive_is_looked_at_too(trees, tmp_path, name, stream) -> None:
-    copy = Path(shutil.copytree(trees("hd-epic"), tmp_path / "hd-epic"))
-    folder = "SLAM/multi" if stream == "glasses" else "GAZE_HAND"
-    (archive,) = copy.glob(f"HD-EPIC/SLAM-and-Gaze/*/{folder}/*.zip")
-    keep_lines_of_member(archive, name, 0.6)
-    (message,) = cut_short(first_of(copy))
-    assert message.startswith(f"{stream} ({name}) ends ")
-
-
-def test_of_a_large_archived_file_reading_tells_the_end(trees, tmp_path, monkeypatch) -> None:
-    copy = Path(shutil.copytree(trees("hd-epic"), tmp_path / "hd-epic"))
+def test_of_a_large_archived_file_reading_tells_the_end(tmp_path, monkeypatch) -> None:
+    copy = copy_of("hd-epic", tmp_path)
     (archive,) = copy.glob("HD-EPIC/SLAM-and-Gaze/*/SLAM/multi/*.zip")
     keep_lines_of_member(archive, "closed_loop_trajectory.csv", 0.6)
     shutil.rmtree(copy / "egoallo")
@@ -170,8 +177,8 @@ def test_of_a_large_archived_file_reading_tells_the_end(trees, tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("layout", ["adt", "hot3d", "hd-epic"])
-def test_bodies_of_egoallo_that_lack_their_last_windows_are_told(trees, tmp_path, layout) -> None:
-    copy = Path(shutil.copytree(trees(layout), tmp_path / layout))
+def test_bodies_of_egoallo_that_lack_their_last_windows_are_told(tmp_path, layout) -> None:
+    copy = copy_of(layout, tmp_path)
     outputs = sorted(copy.rglob("egoallo_outputs/*.npz"), key=lambda path: int(path.stem.split("_")[-1].split("-")[0]))
     for path in outputs[1:]:
         path.unlink()
@@ -179,33 +186,8 @@ def test_bodies_of_egoallo_that_lack_their_last_windows_are_told(trees, tmp_path
     assert message.startswith(f"body by EgoAllo ({outputs[0].name}) ends ")
 
 
-@pytest.mark.parametrize(
-    ("part", "name", "stream"),
-    [
-        ("gaze_data", "gaze", "gaze"),
-        ("human_data", "data", "body"),
-        ("object_data", "bodies", "objects"),
-        ("segmentations", "segments", "labels"),
-    ],
-)
-def test_arrays_of_mogaze_that_are_shorter_than_the_others_are_told(trees, tmp_path, part, name, stream) -> None:
-    copy = Path(shutil.copytree(trees("mogaze"), tmp_path / "mogaze"))
-    (path,) = copy.glob(f"*_{part}.hdf5")
-    with h5py.File(path, "r+") as file:
-        entry = file[name]
-        if isinstance(entry, h5py.Group):
-            entry = entry[sorted(entry)[0]]
-        rows = np.asarray(entry)
-        place, attributes = entry.name, dict(entry.attrs)
-        del file[place]
-        kept = file.create_dataset(place, data=rows[: int(len(rows) * 0.6)])
-        kept.attrs.update(attributes)
-    (message,) = cut_short(first_of(copy))
-    assert message.startswith(f"{stream} ({path.name}) ends ")
-
-
-def test_a_suit_that_begins_late_is_normal_and_one_that_ends_early_is_not(trees, tmp_path) -> None:
-    copy = Path(shutil.copytree(trees("adt"), tmp_path / "adt"))
+def test_a_suit_that_begins_late_is_normal_and_one_that_ends_early_is_not(tmp_path) -> None:
+    copy = copy_of("adt", tmp_path)
     (path,) = copy.glob("*/Skeleton_*.json")
     frames = re.findall(rb'"timestamp_ns":\d+', path.read_bytes())
     path.write_bytes(b'{"frames":[{%s}]}' % b"},{".join(frames[len(frames) // 2 :]))
@@ -235,35 +217,19 @@ def test_frames_that_a_partial_copy_of_gimo_lacks_are_told(tmp_path) -> None:
     assert message.startswith("body (299.pkl) ends 3.4 s before the recording does")
 
 
-def write_csv(path) -> None:
-    path.write_text("time,x,y\n1,2,3\n2,3,4\n")
-
-
-def write_json(path) -> None:
-    path.write_text(json.dumps({"a": [1, 2, {"b": 3}]}))
-
-
-def write_json_lines(path) -> None:
-    path.write_text('{"a": 1}\n{"a": 2222}\n')
-
-
 def write_hdf5(path) -> None:
     with h5py.File(path, "w") as file:
         file["data"] = np.arange(20000.0)
 
 
-def write_npz(path) -> None:
-    np.savez(path, a=np.arange(50.0))
-
-
-def write_pickle(path) -> None:
-    path.write_bytes(pickle.dumps({"a": list(range(100))}))
-
-
 KINDS = {
-    "t.csv": write_csv, "t.json": write_json, "t.jsonl": write_json_lines, "t.hdf5": write_hdf5, "t.npz": write_npz,
-    "t.pkl": write_pickle,
-}  # fmt: skip
+    "t.csv": lambda path: path.write_text("time,x,y\n1,2,3\n2,3,4\n"),
+    "t.json": lambda path: path.write_text(json.dumps({"a": [1, 2, {"b": 3}]})),
+    "t.jsonl": lambda path: path.write_text('{"a": 1}\n{"a": 2222}\n'),
+    "t.hdf5": write_hdf5,
+    "t.npz": lambda path: np.savez(path, a=np.arange(50.0)),
+    "t.pkl": lambda path: path.write_bytes(pickle.dumps({"a": list(range(100))})),
+}
 
 
 @pytest.mark.parametrize("name", KINDS)
