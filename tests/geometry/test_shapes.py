@@ -265,12 +265,6 @@ def test_points_outside_a_ball_are_as_far_as_from_its_surface() -> None:
     assert mesh.distance(origins) == pytest.approx(2.0, abs=2e-3)
 
 
-@needs_open3d
-def test_no_points_have_no_distances() -> None:
-    mesh = TriangleMesh(SQUARE, TWO_TRIANGLES)
-    assert mesh.distance(np.empty((0, 3))).shape == (0,)
-
-
 def test_without_open3d_the_message_says_how_to_install_it(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(MissingExtraError, match=r"^drawing needs .*pip install 'prbench\[open3d\]'"):

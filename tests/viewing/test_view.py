@@ -26,6 +26,7 @@ def place(tmp_path_factory) -> Path:
     place = tmp_path_factory.mktemp("views")
     fake_dataset(place / "table", 24)
     fake_dataset(place / "other", 16)
+    fake_dataset(place / "mogaze", 8, dataset="synthetic-mogaze")
     data = (place / "table",)
     for method, name, limit in (
         ("scripted", "scripted", None),
@@ -34,6 +35,8 @@ def place(tmp_path_factory) -> Path:
     ):
         request = RunRequest(method=method, data=data, condition=Condition.GOAL_LOCATION, limit=limit, out=place / name)
         run_method(request)
+    (place / "interrupted").mkdir()
+    (place / "interrupted" / "run.json").write_bytes((place / "scripted" / "run.json").read_bytes())
     return place
 
 
@@ -88,12 +91,9 @@ def test_the_recorded_motion_is_scored_as_the_ground_truth_run_scores_it(place):
             assert scene.motions[0].scores[metric] == values[scene.sequence_id, metric]
 
 
-def test_a_ground_truth_run_is_not_drawn_twice(place):
-    (scene,) = scenes_of(_request(place, "truth", limit=1))
-    assert [motion.label for motion in scene.motions] == [RECORDED]
-
-
-def test_several_runs_show_what_they_have_in_common(place):
+def test_several_runs_show_what_they_have_in_common_or_the_sequence_that_a_part_of_an_id_names(place):
+    (scene,) = scenes_of(_request(place, "scripted", sequences=("/obj5/",)))
+    assert "/obj5/" in scene.sequence_id
     scenes = scenes_of(_request(place, "scripted", "few"))
     assert {scene.sequence_id for scene in scenes} == set(
         Predictions.open(place / "few" / "synthetic-adt/predictions").ids
@@ -102,17 +102,6 @@ def test_several_runs_show_what_they_have_in_common(place):
         "scripted, goal-loc (scripted)",
         "scripted, goal-loc (few)",
     ]
-
-
-def test_a_table_alone_shows_recorded_motion(place):
-    scenes = scenes_of(_request(place, limit=5))
-    assert len(scenes) == 5
-    assert all(len(scene.motions) == 1 for scene in scenes)
-
-
-def test_one_sequence_by_a_part_of_its_id(place):
-    (scene,) = scenes_of(_request(place, "scripted", sequences=("/obj5/",)))
-    assert "/obj5/" in scene.sequence_id
 
 
 def test_an_embedded_table_is_found_by_its_digest(place, tmp_path, monkeypatch):
@@ -126,18 +115,6 @@ def test_an_embedded_table_is_found_by_its_digest(place, tmp_path, monkeypatch):
     assert scenes_of(_request(place, "scripted", data=(), limit=1))
 
 
-def test_another_table_is_refused_with_both_digests(place):
-    digests = [SequenceTable.open(place / name).info.content_digest[:12] for name in ("table", "other")]
-    with pytest.raises(RunError, match=f"{digests[0]}….*{digests[1]}…"):
-        scenes_of(_request(place, "scripted", data=(place / "other",)))
-
-
-def test_a_table_of_another_name_is_refused(place, tmp_path):
-    fake_dataset(tmp_path / "mogaze", 8, dataset="synthetic-mogaze")
-    with pytest.raises(RunError, match="is of synthetic-adt; --data names synthetic-mogaze"):
-        scenes_of(_request(place, "scripted", data=(tmp_path / "mogaze",)))
-
-
 def test_a_sequence_that_the_run_left_out_is_told_with_the_reason(place):
     ids = SequenceTable.open(place / "table").scalars(split="train")["sequence_id"].to_pylist()
     with pytest.raises(UsageError, match="the run was of split 'test'"):
@@ -149,14 +126,6 @@ def test_a_sequence_that_the_run_left_out_is_told_with_the_reason(place):
         scenes_of(_request(place, "few", sequences=(missing,)))
 
 
-def test_a_run_without_predictions_is_told(place, tmp_path):
-    run = tmp_path / "interrupted"
-    run.mkdir()
-    (run / "run.json").write_bytes((place / "scripted" / "run.json").read_bytes())
-    with pytest.raises(RunError, match="expected the predictions of a run, found none"):
-        scenes_of(ViewRequest(out=Path("a.png"), runs=(run,), data=(place / "table",)))
-
-
 def test_an_interrupted_run_is_shown_without_scores(place, tmp_path):
     run = tmp_path / "unscored"
     (run / "synthetic-adt/predictions").mkdir(parents=True)
@@ -165,11 +134,6 @@ def test_an_interrupted_run_is_shown_without_scores(place, tmp_path):
     (run / "synthetic-adt/predictions" / part.name).write_bytes(part.read_bytes())
     (scene,) = scenes_of(ViewRequest(out=Path("a.png"), runs=(run,), data=(place / "table",), limit=1))
     assert score_row(scene, scene.motions[1])[1:3] == ("–", "–")
-
-
-def test_a_folder_that_is_no_run_is_told(place):
-    with pytest.raises(RunError, match="expected a run folder"):
-        scenes_of(_request(place, "table"))
 
 
 def test_recorded_motion_gaze_and_goal_of_none_are_left_out(place, tmp_path):
@@ -229,18 +193,44 @@ def test_a_folder_as_file_is_refused(tmp_path):
         view(ViewRequest(out=tmp_path / "a.png", data=(tmp_path,)))
 
 
-def test_requests_that_do_not_fit_together(tmp_path):
-    out = tmp_path / "a.png"
-    with pytest.raises(UsageError, match="nothing to view"):
-        ViewRequest(out=out)
-    with pytest.raises(UsageError, match="leave --limit out"):
-        ViewRequest(out=out, data=(tmp_path,), sequences=("a",), limit=2)
-    with pytest.raises(UsageError, match="at most 6 runs"):
-        ViewRequest(out=out, runs=tuple(tmp_path / str(number) for number in range(7)))
-    with pytest.raises(UsageError, match="more than once"):
-        ViewRequest(out=out, runs=(tmp_path, tmp_path))
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ({}, "nothing to view"),
+        ({"data": (Path("t"),), "sequences": ("a",), "limit": 2}, "leave --limit out"),
+        ({"runs": tuple(Path(str(number)) for number in range(7))}, "at most 6 runs"),
+        ({"runs": (Path("a"), Path("a"))}, "more than once"),
+    ],
+)
+def test_requests_that_do_not_fit_together(asked, told):
+    with pytest.raises(UsageError, match=told):
+        ViewRequest(out=Path("a.png"), **asked)
 
 
-def test_a_sample_that_was_not_drawn_is_told(place):
-    with pytest.raises(RunError, match="a sample from 0 to 0, found 3"):
-        scenes_of(_request(place, "scripted", sample=3))
+@pytest.mark.parametrize(
+    ("run", "options", "told"),
+    [
+        ("scripted", {"data": "mogaze"}, "is of synthetic-adt; --data names synthetic-mogaze"),
+        ("scripted", {"sample": 3}, "a sample from 0 to 0, found 3"),
+        ("table", {}, "expected a run folder"),
+        ("interrupted", {}, "expected the predictions of a run, found none"),
+    ],
+)
+def test_what_a_run_cannot_show_is_told(place, run, options, told):
+    if "data" in options:
+        options = {"data": (place / options["data"],)}
+    with pytest.raises(RunError, match=told):
+        scenes_of(_request(place, run, **options))
+
+
+def test_another_table_is_refused_with_both_digests(place):
+    digests = [SequenceTable.open(place / name).info.content_digest[:12] for name in ("table", "other")]
+    with pytest.raises(RunError, match=f"{digests[0]}….*{digests[1]}…"):
+        scenes_of(_request(place, "scripted", data=(place / "other",)))
+
+
+@pytest.mark.parametrize(("runs", "options", "count"), [((), {"limit": 5}, 5), (("truth",), {"limit": 1}, 1)])
+def test_recorded_motion_stands_alone_without_runs_and_with_that_of_itself(place, runs, options, count):
+    scenes = scenes_of(_request(place, *runs, **options))
+    assert len(scenes) == count
+    assert {tuple(motion.label for motion in scene.motions) for scene in scenes} == {(RECORDED,)}

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.geometry.skeleton import Joint, bone_lengths
-from prbench.readers.adt import find_recordings, read_readings, read_recording
+from prbench.readers.adt import find_recordings, read_recording
 from prbench.readers.adt import format as adt
 from prbench.readers.adt import synthetic as layout
 from prbench.readers.adt.synthetic import LAYOUT, native_object_id, sense
@@ -19,7 +19,6 @@ from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import OtherPerson, Performance
 from prbench.synthetic.sensors import Switches, device_start_us
-from tests.comparing import differences
 from tests.synthetic.plausibility import recorded_bone_change
 
 
@@ -84,15 +83,6 @@ def test_a_skeleton_without_glasses_is_somebody_else(readings, tmp_path) -> None
     recording = read_recording(find_recordings(tmp_path / "stranger")[0])
     assert recording.body is None
     assert [person.person_id for person in recording.other_people] == ["Skeleton_C"]
-
-
-def test_readings_survive_the_text(readings, tmp_path) -> None:
-    layout.write(readings, tmp_path / readings.recording_id)
-    back = read_readings(find_recordings(tmp_path)[0])
-    # Gravity and world frames, which the file holds, are not sensed.
-    back = replace(back, glasses=replace(back.glasses, up=np.zeros(3), graph_uids=()))
-    markers_are_not_read = tuple(replace(person, markers=None) for person in readings.skeletons)
-    assert list(differences(back, replace(readings, skeletons=markers_are_not_read))) == []
 
 
 def test_lost_gaze_rows_leave_the_others_as_they_are(performance) -> None:
@@ -184,18 +174,6 @@ def test_recorded_bodies_keep_their_bones(performance) -> None:
     assert body is not None
     # Between first and third joint of the spine there is one native bone, which a bending back shortens a little.
     assert recorded_bone_change([body.joints]) < 0.01
-
-
-def test_readings_have_the_resolution_of_the_files(performance) -> None:
-    readings = sense(performance)
-    for values in (
-        readings.glasses.position,
-        readings.gaze.yaw,
-        readings.skeletons[0].joints,
-        readings.objects[0].box_max,
-    ):
-        known = values[np.isfinite(values)] * 1e6
-        assert known == pytest.approx(np.rint(known), abs=1e-6)
 
 
 def test_twice_the_noise_is_twice_the_error(performance) -> None:

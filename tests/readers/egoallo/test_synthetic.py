@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.errors import InputFileError
 from prbench.geometry.skeleton import Joint, bone_lengths, head_forward, invert_rigid
 from prbench.geometry.timelines import interpolate, slerp
 from prbench.protocol.manifests import load_manifest
@@ -124,20 +122,6 @@ def test_bones_keep_the_persons_lengths_whatever_the_noise(person, trajectory):
     )
 
 
-def test_each_error_has_its_own_switch_and_stream(person, trajectory):
-    everything = sense_egoallo(person, trajectory)
-    still_feet = sense_egoallo(person, trajectory, switches=replace(Switches(), foot_slip=False))
-    height = [output.world_from_root[0, :, 6] for output in everything]
-    for one, other in zip(height, [output.world_from_root[0, :, 6] for output in still_feet], strict=True):
-        np.testing.assert_array_equal(one, other)
-    elbow = Joint.LEFT_ELBOW - 1
-    np.testing.assert_allclose(everything[0].body_quats[0, :, elbow], still_feet[0].body_quats[0, :, elbow], atol=1e-6)
-    level = sense_egoallo(person, trajectory, switches=replace(Switches(), root_height=False))
-    first, last = level[0].world_from_root[0, 96:, 6], level[1].world_from_root[0, :32, 6]
-    np.testing.assert_allclose(first, last, atol=1e-6)
-    assert np.abs(everything[0].world_from_root[0, 96:, 6] - everything[1].world_from_root[0, :32, 6]).min() > 1e-4
-
-
 def test_windows_overlap_by_32_frames_of_33_ms_and_the_head_is_exact(person, trajectory):
     outputs = sense_egoallo(person, trajectory)
     assert len(outputs) > 3
@@ -175,14 +159,3 @@ def test_the_written_model_has_the_keys_of_smplh_and_the_same_rest_joints(tmp_pa
         assert model["J_regressor"].shape[0] == 52
         assert model["shapedirs"].shape[2] == 16
     assert not list(differences(read_smplh_rest(tmp_path / "model.npz"), synthetic_smplh()))
-
-
-def test_outputs_of_another_recording_are_refused(person, trajectory, tmp_path, monkeypatch):
-    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
-    write_outputs(sense_egoallo(person, trajectory), tmp_path / "rec" / "egoallo_outputs")
-    write_smplh_model(tmp_path / "smplh" / "neutral" / "model.npz")
-    found = RecordingFiles("hd-epic", "rec", tmp_path / "rec", find_outputs(tmp_path, tmp_path / "rec", "rec"))
-    other = _trajectory(perform("hd-epic", seed=11, index=4, n_events=1, provocations={}))
-    cpf = PoseStream(other.time_us / 1e6, other.position, other.rotation, other.quality > 0)
-    with pytest.raises(InputFileError, match="another recording"):
-        read_bodies(found, cpf=cpf)

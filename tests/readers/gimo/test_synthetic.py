@@ -13,9 +13,7 @@ from prbench.readers import reader_for
 from prbench.readers.gimo.synthetic import LAYOUT, sense
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors import Switches
 from prbench.synthetic.write_tree import synthesize_tree
-from tests.comparing import differences
 
 
 @pytest.fixture(scope="module")
@@ -60,15 +58,6 @@ def test_gaze_points_lie_on_the_ray_and_on_something(performance) -> None:
     np.testing.assert_allclose(points, eye + along[:, None] * gaze, atol=1e-3)
     assert along.min() > 0.05
     assert along.max() < 10
-
-
-def test_switching_one_error_off_leaves_the_others_alone(performance) -> None:
-    all_on = sense(performance)
-    still = sense(performance, switches=replace(Switches(), gaze_losses=False))
-    assert len(still.gaze.frames) > len(all_on.gaze.frames)
-    assert list(differences(all_on.body, still.body)) == []
-    kept = np.isin(still.gaze.frames, all_on.gaze.frames)
-    np.testing.assert_array_equal(still.gaze.points[kept], all_on.gaze.points)
 
 
 def test_rooms_share_their_scan() -> None:

@@ -90,15 +90,6 @@ def test_annotated_times_and_points_err_as_much_as_specified() -> None:
     assert lost / n < 0.15
 
 
-def test_masks_are_lost_as_often_as_the_noise_says() -> None:
-    performance = perform("hd-epic", seed=77, index=0, n_events=6, rate=30.0, provocations={})
-    clock = sensors.sense_video_clock(Sensing(performance, 0.0, Switches()))
-    kept = [len(track.masks) for track in sensors._annotated_tracks(Sensing(performance, 20.0, Switches()), clock)]
-    assert set(kept) == {0}, "20 times 5 %"
-    ideal = sensors._annotated_tracks(Sensing(performance, 20.0, Switches.ideal()), clock)
-    assert {len(track.masks) for track in ideal} <= {2, 3}
-
-
 def test_repeated_and_skipped_images() -> None:
     performance = perform("hd-epic", seed=5, index=0, n_events=6, rate=30.0)
     clock = sensors.sense_video_clock(Sensing(performance, 20.0, Switches()))

@@ -150,13 +150,6 @@ def test_any_rate_comes_to_the_same_motion_at_20_fps(fps) -> None:
         at_rate(line(np.arange(n - 1) / fps), fps, n_frames=wanted)
 
 
-def test_every_third_frame_of_59_fps_would_be_another_motion() -> None:
-    n = 60
-    by_index = line(np.arange(n) / 59)[::2]
-    by_time = at_rate(line(np.arange(n) / 59), 59.0)
-    assert np.abs(by_index[:20] - by_time[:20]).max() > 0.9  # 19 frames later it is a third of a second behind
-
-
 def test_as_many_frames_as_the_motion_covers() -> None:
     assert len(at_rate(np.zeros((31, 2)), 30.0)) == 21
     assert len(at_rate(np.zeros((30, 2)), 30.0)) == 20

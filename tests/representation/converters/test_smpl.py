@@ -173,11 +173,3 @@ def test_matrices_there_and_back_lose_nothing_at_half_turns_either() -> None:
     matrices = Rotation.from_rotvec(VECTORS).as_matrix()
     assert np.allclose(rotation_matrices(from_matrices(matrices)), matrices, rtol=0, atol=1e-14)
     assert np.allclose(rotation_matrices(from_axis_angle(VECTORS)), matrices, rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize("shape", [(30,), (6, 5)])
-def test_any_leading_axes_will_do(shape) -> None:
-    vectors = RNG.normal(size=(*shape, 3))
-    matrices = rotation_matrices(from_axis_angle(vectors))
-    assert matrices.shape == (*shape, 3, 3)
-    assert from_matrices(matrices).shape == (*shape, 4)

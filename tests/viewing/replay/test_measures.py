@@ -9,6 +9,7 @@ from prbench.geometry.skeleton import Joint
 from prbench.metrics import MotionBatch
 from prbench.metrics.reach_success import reach_success
 from prbench.protocol.manifests import load_protocol
+from prbench.viewing.figures import flattened
 from prbench.viewing.replay.scene import (
     RECORDED_COLOUR,
     Gaze,
@@ -90,3 +91,9 @@ def test_prime_and_event_are_named_when_they_happen():
     assert phase(scene, scene.prime_frame).strip() == "prime"
     assert phase(scene, scene.n_frames - 1).strip() == "pick"
     assert phase(scene, 10) == ""
+
+
+def test_figures_keep_their_height_and_show_what_lies_in_the_picture_plane() -> None:
+    points = np.array([[1.0, 1.7, 2.0], [1.0, 0.0, 2.5]])
+    flat = flattened(points, np.array([1.0, 0.9, 2.0]), np.array([0.0, 0.0, 1.0]), 3.0)
+    assert flat == pytest.approx(np.array([[3.0, 1.7], [3.5, 0.0]]))
