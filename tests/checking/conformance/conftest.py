@@ -16,6 +16,7 @@ from prbench.checking.conformance.subject import Subject
 from prbench.harness.methods.loading import forget_loaded_methods, method_spec
 from prbench.harness.synthetic_table import build_synthetic_table
 from tests.checking.conformance.methods_under_test import FAULTS
+from tests.shared import made_once
 
 MODULE = "prbench_methods_under_test"
 BROKEN = {"cannotimport": "import no_such_package_of_prbench", "slowimport": "import time; time.sleep(1.1)"}
@@ -43,9 +44,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session")
-def cases(tmp_path_factory: pytest.TempPathFactory) -> Cases:
+def cases() -> Cases:
     """Three of the twelve synthetic test sequences."""
-    return synthetic_cases(tmp_path_factory.mktemp("invented"), limit=3)
+    return synthetic_cases(made_once("conformance-cases", synthetic_cases), limit=3)
 
 
 @pytest.fixture(scope="session")
@@ -55,11 +56,10 @@ def people(cases: Cases) -> Cases:
 
 
 @pytest.fixture(scope="session")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data() -> Path:
     """A dataset of a few test sequences, which a child opens faster than it makes them."""
-    folder = tmp_path_factory.mktemp("invented") / "table"
-    build_synthetic_table("adt", (2,), 2024, folder, n_events=3, noise=0.0, provocations={})
-    return folder
+    settings = {"n_events": 3, "noise": 0.0, "provocations": {}}
+    return made_once("conformance-data", lambda folder: build_synthetic_table("adt", (2,), 2024, folder, **settings))
 
 
 @pytest.fixture
