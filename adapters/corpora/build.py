@@ -20,7 +20,7 @@ from prbench.engine import Engine, InProcess, is_out_of_memory
 from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, PrbenchError
 from prbench.files.storage import require_replaceable, sole_writer, text_digest
-from prbench.protocol.manifests import digest_of, load_protocol
+from prbench.protocol.manifests import digest_of, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences import parts
 from prbench.sequences.corpus import (
@@ -318,10 +318,9 @@ def _write_corpus(
     protocol = load_protocol()
     manifest = corpus.manifest
     synthetic = dataset.startswith(SYNTHETIC_PREFIX)
-    real = None if synthetic else manifest
-    title = "Invented people and what they do"
-    if manifest is not None:
-        title = f"Invented recordings in the layout of {manifest.title}" if synthetic else manifest.title
+    terms = (manifest or load_manifest("nymeria")).terms(synthetic=synthetic)
+    if manifest is None:
+        terms["title"] = "Invented people and what they do"
     receipts = [receipt for _, receipt, _ in finished]
     records, reused = _records(finished)
     statuses = Counter(record.status for record in records)
@@ -333,8 +332,6 @@ def _write_corpus(
         protocol_version=protocol.version,
         protocol_digest=protocol.digest,
         dataset=dataset,
-        title=title,
-        synthetic=synthetic,
         prbench_version=prbench.__version__,
         manifest_digest=_manifest_digest(corpus),
         input_digest=text_digest(*(text for receipt in receipts for text in (receipt.name, receipt.input_digest))),
@@ -362,10 +359,7 @@ def _write_corpus(
         ),
         identity_digest="",  # this and the next are filled in when the tables are written
         content_digest="",
-        licence="MIT (invented by prbench, no recorded person)" if real is None else real.licence,
-        redistribution="yes" if real is None else real.redistribution,
-        homepage="" if real is None else real.homepage,
-        citation="" if real is None else real.citation.strip(),
+        **terms,
     )
     folders = [folder for folder, _, _ in finished]
     tables = {table: parts.read_batches(folders, table) for table in CORPUS_TABLES}

@@ -575,15 +575,9 @@ def _write_table(
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
     protocol = load_prediction_protocol()
     synthetic = dataset.startswith(SYNTHETIC_PREFIX)
-    terms = {name: getattr(manifest, name) for name in ("title", "licence", "redistribution", "homepage", "citation")}
-    if synthetic:
-        terms = {
-            "title": f"Invented recordings in the layout of {manifest.title}",
-            "licence": "MIT (invented by prbench, no recorded person)",
-            "redistribution": "yes",
-            "homepage": "",
-            "citation": "",
-        }
+    terms = manifest.terms(synthetic=synthetic)
+    if not synthetic:
+        terms["citation"] = manifest.citation  # not stripped: earlier tables keep their bytes
     read = [each for each in finished if each.receipt.status == "read"]
     info = WindowsInfo(
         **terms,
@@ -591,7 +585,6 @@ def _write_table(
         protocol_version=protocol.version,
         protocol_digest=protocol.digest,
         dataset=dataset,
-        synthetic=synthetic,
         prbench_version=prbench.__version__,
         manifest_digest=settings["manifest"],
         input_digest=text_digest(*(text for each in read for text in (each.recording_id, each.receipt.input_digest))),

@@ -316,14 +316,14 @@ def describe(
         chosen[OPTION] = protocol.label
     # BibTeX of the dataset and, where they are not its own, of the body poses.
     body = manifest.body_source(dict(options.reader).get("poses"))
-    citation = "\n\n".join(text.strip() for text in (manifest.citation, body.citation) if text)
+    terms = manifest.terms(synthetic=synthetic)
+    if not synthetic:
+        terms["citation"] = "\n\n".join(text.strip() for text in (manifest.citation, body.citation) if text)
     return DatasetInfo(
         schema_version=SCHEMA_VERSION,
         protocol_version=protocol.version,
         protocol_digest=protocol.digest,
         dataset=dataset,
-        title=f"Invented recordings in the layout of {manifest.title}" if synthetic else manifest.title,
-        synthetic=synthetic,
         prbench_version=prbench.__version__,
         manifest_digest=digest_of(manifest),
         input_digest=text_digest(*(text for r in receipts for text in (r.record.recording_id, r.input_digest))),
@@ -340,10 +340,7 @@ def describe(
         ),
         identity_digest="",
         content_digest="",
-        licence="MIT (invented by prbench, no recorded person)" if synthetic else manifest.licence,
-        redistribution="yes" if synthetic else manifest.redistribution,
-        homepage="" if synthetic else manifest.homepage,
-        citation="" if synthetic else citation,
+        **terms,
     )
 
 

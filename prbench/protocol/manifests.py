@@ -7,7 +7,7 @@ import tomllib
 from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import msgspec
 
@@ -101,6 +101,20 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     test_recordings: tuple[str, ...] = ()
     validation_recordings: tuple[str, ...] = ()
     train_recordings: tuple[str, ...] = ()
+
+    def terms(self, *, synthetic: bool) -> dict[str, Any]:
+        """Return title, licence, redistribution, homepage, citation and ``synthetic`` of a table of its recordings.
+
+        Args:
+            synthetic: True where the recordings were invented in the dataset's layout.
+        """
+        if synthetic:
+            title = f"Invented recordings in the layout of {self.title}"
+            licence = "MIT (invented by prbench, no recorded person)"
+            nothing = {"homepage": "", "citation": ""}
+            return {"title": title, "licence": licence, "redistribution": "yes", "synthetic": True, **nothing}
+        kept = {name: getattr(self, name) for name in ("title", "licence", "redistribution", "homepage")}
+        return {**kept, "citation": self.citation.strip(), "synthetic": False}
 
     def in_hand_rule(self, name: str | None) -> InHandRule | None:
         """The dataset's own rule (None where its events are annotated), or one of its alternatives by name.

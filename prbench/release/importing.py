@@ -321,23 +321,10 @@ def terms_of(dataset: str, manifest: Manifest, exported: Mapping[str, Any] | Non
     Data that our exporter wrote are no part of the study's release; what its record says can make terms stricter than
     the manifest's, never looser.
     """
-    if dataset.startswith(SYNTHETIC_PREFIX):
-        return {
-            "title": f"Invented recordings in the layout of {manifest.title}",
-            "licence": "MIT (invented by prbench, no recorded person)",
-            "redistribution": "yes",
-            "homepage": "",
-            "citation": "",
-            "synthetic": True,
-        }
-    terms: dict[str, Any] = {
-        "title": manifest.title,
-        "licence": manifest.licence,
-        "redistribution": manifest.redistribution,
-        "homepage": manifest.homepage,
-        "citation": manifest.citation.strip(),
-        "synthetic": False,
-    }
+    synthetic = dataset.startswith(SYNTHETIC_PREFIX)
+    terms = manifest.terms(synthetic=synthetic)
+    if synthetic:
+        return terms
     if exported is not None:
         # The record lies beside the data and anybody can edit it, so it may only make the terms stricter.
         stated = str(exported.get("redistribution", manifest.redistribution))
