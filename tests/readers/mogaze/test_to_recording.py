@@ -11,10 +11,12 @@ from scipy.spatial.transform import Rotation
 from prbench.geometry.skeleton import Joint
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze.format import LINKS, STATE_COLUMNS, MogazeReadings, Segment
-from prbench.readers.mogaze.to_recording import held_index, published_tracks, recording_from_mogaze
+from prbench.readers.mogaze.to_recording import published_tracks, recording_from_mogaze
 from prbench.recording import Recording
 from prbench.recording.streams import PublishedTrack
 from tests.recording.mogaze_scene import CUP, GOGGLES, PICK, PUT, STANDING_HEIGHT, N, still_life
+
+CUP_TRACK = next(body for body in still_life().bodies if body.body_id == CUP).position
 
 
 def _recording(readings: MogazeReadings, **options) -> Recording:
@@ -82,9 +84,7 @@ def test_the_body_tells_the_hand_of_an_object_that_it_holds() -> None:
 
 
 def test_a_put_takes_the_median_place_of_the_next_twelve_frames() -> None:
-    readings = still_life()
-    cup = next(body for body in readings.bodies if body.body_id == CUP)
-    position = cup.position.copy()
+    readings, position = still_life(), CUP_TRACK.copy()
     position[PUT : PUT + 3, 2] += 0.02  # still settling at the end of the segment
     position[PUT + 13 :, 2] += 0.5  # and pushed away later
     _, put = _recording(_with_body(readings, CUP, position=position)).annotated_events
@@ -92,9 +92,7 @@ def test_a_put_takes_the_median_place_of_the_next_twelve_frames() -> None:
 
 
 def test_the_place_of_a_put_ends_where_the_next_movement_begins() -> None:
-    readings = still_life()
-    cup = next(body for body in readings.bodies if body.body_id == CUP)
-    position = cup.position.copy()
+    readings, position = still_life(), CUP_TRACK.copy()
     position[PUT + 5 :] += (0.0, 0.0, 0.3)
     moved = _with_body(readings, CUP, position=position)
     segments = (0, PICK, "null"), (PICK, PUT, "cup_red"), (PUT, PUT + 4, "null"), (PUT + 4, PUT + 60, "cup_red")
@@ -103,22 +101,39 @@ def test_the_place_of_a_put_ends_where_the_next_movement_begins() -> None:
     assert again.location == pytest.approx([0.5, 0.8, 0.5])
 
 
-def test_one_object_after_another_gives_a_put_and_a_pick_at_the_border() -> None:
-    events = _events((0, 99, "null"), (100, 200, "cup_red"), (201, 300, "plate_red"), (301, 479, "null"))
-    assert [(e.action, e.object_name, round(e.event_time * 120)) for e in events.annotated_events] == [
-        ("pick", "cup_red", 100),
-        ("put", "cup_red", 200),
-        ("pick", "plate_red", 201),
-        ("put", "plate_red", 300),
-    ]
+# Segments, the events that they stand for as (action, object, frame), and a part of the reader's messages.
+SEGMENTS = {
+    "one object after another": (
+        [(0, 99, "null"), (100, 200, "cup_red"), (201, 300, "plate_red"), (301, 479, "null")],
+        [("pick", "cup_red", 100), ("put", "cup_red", 200), ("pick", "plate_red", 201), ("put", "plate_red", 300)],
+        "",
+    ),
+    "neighbours with one label": (
+        [(0, 99, "null"), (99, 150, "null"), (150, 200, "cup_red"), (200, 240, "cup_red"), (240, 479, "null")],
+        [("pick", "cup_red", 150), ("put", "cup_red", 240)],
+        "2 segments with the label",
+    ),
+    "an unknown thing between two movements": (
+        [(10, 50, "cup_red"), (50, 90, "spoon"), (90, 130, "cup_red")],
+        [("pick", "cup_red", 10), ("put", "cup_red", 50), ("pick", "cup_red", 90), ("put", "cup_red", 130)],
+        "no such object",
+    ),
+    "in hand at either end": (
+        [(0, 100, "plate_red"), (100, 200, "null"), (200, N, "cup_red")],
+        [("put", "plate_red", 100), ("pick", "cup_red", 200)],
+        "is in hand when the recording begins: no pick",
+    ),
+    "no segments": ([], [], "no segments, so no events"),
+}
 
 
-def test_neighbours_with_one_label_are_merged() -> None:
-    double = _events(
-        (0, 99, "null"), (99, 150, "null"), (150, 200, "cup_red"), (200, 240, "cup_red"), (240, 479, "null")
-    )
-    assert [round(event.event_time * 120) for event in double.annotated_events] == [150, 240]
-    assert any("2 segments with the label" in message for message in double.messages)
+@pytest.mark.parametrize("name", SEGMENTS)
+def test_segments_become_events(name) -> None:
+    segments, events, says = SEGMENTS[name]
+    recording = _events(*segments)
+    found = [(event.action, event.object_name, round(event.event_time * 120)) for event in recording.annotated_events]
+    assert found == events
+    assert says in " ".join(recording.messages)
 
 
 def test_bad_segments_are_left_out_with_a_word_each() -> None:
@@ -128,28 +143,6 @@ def test_bad_segments_are_left_out_with_a_word_each() -> None:
     assert sum("is left out" in message for message in recording.messages) == 4
     assert any("spoon" in message and "no such object" in message for message in recording.messages)
     assert any("sorted" in message for message in recording.messages)
-
-
-def test_an_object_between_two_movements_of_unknown_things_is_not_merged() -> None:
-    events = _events((10, 50, "cup_red"), (50, 90, "spoon"), (90, 130, "cup_red")).annotated_events
-    assert [(event.action, round(event.event_time * 120)) for event in events] == [
-        ("pick", 10), ("put", 50), ("pick", 90), ("put", 130),
-    ]  # fmt: skip
-
-
-def test_what_is_in_hand_at_either_end_of_a_recording_is_half_an_event() -> None:
-    recording = _events((0, 100, "plate_red"), (100, 200, "null"), (200, N, "cup_red"))
-    assert [(event.action, event.object_name) for event in recording.annotated_events] == [
-        ("put", "plate_red"),
-        ("pick", "cup_red"),
-    ]
-    assert sum("in hand when the recording" in message for message in recording.messages) == 2
-
-
-def test_no_segments_no_events() -> None:
-    recording = _events()
-    assert recording.annotated_events == ()
-    assert recording.messages == ("no segments, so no events",)
 
 
 def test_an_object_that_is_lost_around_its_events_is_placed_where_it_was_seen_at_rest() -> None:
@@ -182,16 +175,8 @@ def test_low_confidence_is_bridged_for_a_quarter_of_a_second() -> None:
 def test_confidence_at_the_threshold_counts_and_nothing_is_held_before_the_first_look() -> None:
     confidence = np.full(N, 0.6)
     confidence[:50] = 0.0
-    assert np.flatnonzero(~_recording(replace(still_life(), gaze_confidence=confidence)).gaze.valid).tolist() == list(
-        range(50)
-    )
-
-
-def test_held_index_by_hand() -> None:
-    valid = np.array([False, True, False, False, False, True])
-    index, recent = held_index(valid, 2)
-    assert index.tolist() == [0, 1, 1, 1, 1, 5]
-    assert recent.tolist() == [False, True, True, True, False, True]
+    gaze = _recording(replace(still_life(), gaze_confidence=confidence)).gaze
+    assert np.flatnonzero(~gaze.valid).tolist() == list(range(50))
 
 
 @pytest.mark.parametrize("loss", [np.nan, 0.0], ids=["NaN", "zero quaternion"])
