@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from prbench.board import audit as workflow
 from prbench.cli import main
 from prbench.harness.run_folder import RunFolder
@@ -21,6 +23,7 @@ def test_every_control_is_printed_under_every_metric(tmp_path, capsys):
     assert "never compare them with published ones" in shown
 
 
+@pytest.mark.slow
 def test_of_several_tables_means_stand_first_and_each_table_follows_with_v(tmp_path, capsys, monkeypatch):
     folders = []
     for name in ("adt", "gimo"):

@@ -56,6 +56,7 @@ def test_what_does_not_fit_together_is_refused(words, message, table, tmp_path, 
     assert not (tmp_path / "t").exists()
 
 
+@pytest.mark.slow
 def test_what_suits_a_table_reaches_its_rows(table, tmp_path, capsys):
     words = ["--method", "static", "--condition", "all", "--split", "train", "--limit", "3", "--seed", "5"]
     words += ["--samples", "2", "--batch-size", "2", "--threads", "2", "--workers", "2"]
