@@ -143,17 +143,17 @@ def _follow(
     if event.rejected is not None or event.place is None:
         return event.rejected or Decision("no_location", "location"), None, None
     prime: Prime | Decision
+    published = event.published_priming
     if options.priming != "published":
         prime = find_prime(*rays, event.place, event.event_time, protocol.curation)
-    elif event.published_priming is None:
+    elif published is None:
         prime = Decision("not_published", PUBLISHED_STAGE)  # nothing in the dataset's file belongs to this event
-    elif event.published_priming.outcome == "excluded":
+    elif published.outcome == "excluded":
         prime = Decision("excluded_by_dataset", PUBLISHED_STAGE)  # it was never tested
-    elif event.published_priming.outcome == "not_primed" or event.published_priming.prime_time is None:
+    elif published.outcome == "not_primed" or published.prime_time is None:
         prime = Decision("not_primed", PUBLISHED_STAGE)
     else:
-        told = event.published_priming
-        prime = Prime(told.prime_time, "published", float("nan"), told.uncertainty)
+        prime = Prime(published.prime_time, "published", float("nan"), published.uncertainty)
     if isinstance(prime, Decision):
         return prime, None, None
     piece = clip(recording, prime_time=prime.time, event_time=event.event_time, protocol=protocol)
