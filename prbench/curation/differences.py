@@ -114,8 +114,19 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
         row = (sequences[0].get(name) or sequences[1][name]) | {"outcome": "sequence"}
         pair = (row, None) if name in sequences[0] else (None, row)
         changes.append((0.0, _told(*pair, "vanished" if pair[0] else "appeared", "a sequence that no event names")))
+    # Recordings with other values; what follows from changes of their events, which are reported, is left out.
     reported = {change.recording_id for _, change in changes}
-    changes += [(0.0, change) for change in _changed_recordings(recordings[0], recordings[1], reported)]
+    for name in sorted(recordings[0].keys() | recordings[1].keys()):
+        status, later = (rows[name]["status"] if name in rows else "" for rows in recordings)
+        if status and later:
+            follows = (*OUTCOMES, "status", "message") if name in reported else ()
+            columns = ", ".join(_differing(recordings[0][name], recordings[1][name], besides=follows))
+            if columns:
+                changes.append((0.0, Change("values", name, "", status, later, columns)))
+        elif name not in reported:
+            kind = "vanished" if status else "appeared"
+            only = "recording in one of the builds only"
+            changes.append((0.0, Change(kind, name, "", status, later, only)))
     order = {kind: rank for rank, kind in enumerate(KINDS)}
     changes.sort(key=lambda item: (order[item[1].kind], item[1].recording_id, item[0], item[1].event))
     settings = [(name, str(getattr(one, name)), str(getattr(other, name))) for name in _SETTINGS]
@@ -223,20 +234,6 @@ def _same(one: Any, other: Any) -> bool:
     if isinstance(one, list) and isinstance(other, list):
         return len(one) == len(other) and all(map(_same, one, other))
     return one == other
-
-
-def _changed_recordings(one: dict[str, Row], other: dict[str, Row], reported: Collection[str]) -> Iterator[Change]:
-    """Recordings with other values; what follows from changes of their events, which are reported, is left out."""
-    for name in sorted(one.keys() | other.keys()):
-        first, second = (rows[name]["status"] if name in rows else "" for rows in (one, other))
-        if first and second:
-            follows = (*OUTCOMES, "status", "message") if name in reported else ()
-            columns = _differing(one[name], other[name], besides=follows)
-            if columns:
-                yield Change("values", name, "", first, second, ", ".join(columns))
-        elif name not in reported:
-            kind = "vanished" if first else "appeared"
-            yield Change(kind, name, "", first, second, "recording in one of the builds only")
 
 
 def _told(one: Row | None, other: Row | None, kind: str, decided_by: str) -> Change:
