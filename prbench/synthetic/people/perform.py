@@ -33,7 +33,7 @@ from prbench.synthetic.people.person import PRESETS, Person, Preset, Trunk, draw
 from prbench.synthetic.people.plan import OPENING, Plan, plan_recording, shares_for
 from prbench.synthetic.people.reaching import shoulder_in_posture, solve_posture
 from prbench.synthetic.people.truth import Scene, events_of_others, move_objects, true_events
-from prbench.synthetic.people.walking import BasePath, Feet, place_feet, plan_steps, pose_legs, sample_base
+from prbench.synthetic.people.walking import BasePath, Feet, Legs, place_feet, plan_steps, pose_legs, sample_base
 from prbench.synthetic.people.world import Room, Source, World, assign, draw_room, seated
 from prbench.synthetic.performance import Fixation, ObjectMotion, OtherPerson, Performance
 
@@ -136,6 +136,7 @@ def assemble(
     eye = head_joint + turn(head.yaw, head.pitch, np.array(body.eye))
     hands = turn_hands(plan, arms, times)
     head_rotation = rotation_quaternion(head.yaw, head.pitch)
+    neck = rotation_quaternion(neck_yaw, neck_pitch)
     hips = np.stack(trunk.hips, axis=1)
     shoulders = np.stack(trunk.shoulders, axis=1)
     joints = np.empty((len(head_joint), N_JOINTS, 3))
@@ -154,14 +155,40 @@ def assemble(
         (Joint.LEFT_WRIST, arms.wrist),
     ):
         joints[:, left : left + 2] = pair  # the right joint of a pair follows the left one
-    # World from segment at each joint: trunk and feet y up, limbs y along the bone, x the hinge.
-    neck = rotation_quaternion(neck_yaw, neck_pitch)
-    turned = np.empty((len(head_rotation), N_JOINTS, 4))
+    return Motion(
+        joints=joints,
+        rotations=_segment_rotations(trunk, neck, head_rotation, legs, feet, arms, hands),
+        head=head,
+        head_rotation=head_rotation,
+        eye=eye,
+        hands=hands,
+        finger_bases=arms.wrist + body.hand * hands[..., 1],
+        planted=feet.planted,
+        base=base,
+        gaze_plan=gaze_plan,
+        misses=misses,
+    )
+
+
+def _segment_rotations(
+    trunk: Trunk,
+    neck: Float[np.ndarray, "n 4"],
+    head: Float[np.ndarray, "n 4"],
+    legs: Legs,
+    feet: Feet,
+    arms: Arms,
+    hands: Float[np.ndarray, "n 2 3 3"],
+) -> Float[np.ndarray, "n 22 4"]:
+    """Return world from segment at each joint: trunk and feet y up, limbs y along the bone, x the hinge."""
+    hips = np.stack(trunk.hips, axis=1)
+    shoulders = np.stack(trunk.shoulders, axis=1)
+    turned = np.empty((len(head), N_JOINTS, 4))
     for joint, yaw, pitch in zip(
         (Joint.PELVIS, Joint.SPINE1, Joint.SPINE2, Joint.SPINE3), trunk.yaws, trunk.pitches, strict=True
     ):
         turned[:, joint] = rotation_quaternion(yaw, pitch)
-    turned[:, Joint.NECK], turned[:, Joint.HEAD] = neck, head_rotation
+    turned[:, Joint.NECK] = neck
+    turned[:, Joint.HEAD] = head
     knee_hinge = np.cross(legs.knee - hips, legs.ankle - legs.knee)
     foot = rotation_quaternion(feet.yaw, feet.pitch)
     limbs = (
@@ -177,19 +204,7 @@ def assemble(
         for left, bone, hinge in limbs:
             turned[:, left + side] = quaternion(frame_of_bone(bone[:, side], hinge[:, side]))
         turned[:, Joint.LEFT_WRIST + side] = quaternion(hands[:, side])
-    return Motion(
-        joints=joints,
-        rotations=turned,
-        head=head,
-        head_rotation=head_rotation,
-        eye=eye,
-        hands=hands,
-        finger_bases=arms.wrist + body.hand * hands[..., 1],
-        planted=feet.planted,
-        base=base,
-        gaze_plan=gaze_plan,
-        misses=misses,
-    )
+    return turned
 
 
 _EVENTS = 2
@@ -241,25 +256,8 @@ def perform(
     room = draw_room(constants, f"R{room_number:03d}", room_rng, bystander_objects)
     shares = shares_for(constants, provocations)
     plan, motion, times = _acted(constants, source, room, person, index, n_events, rate, shares)
-    # The true gaze, after moving fills that would prime a goal too early; the head stays as it was.
-    gaze_plan = motion.gaze_plan
-    shifts = source.generator("recording", index, "repair")
-    gaze = np.empty((0, 3))
-    for left in reversed(range(_REPAIRS + 1)):
-        gaze = move_eyes(gaze_plan.looks, motion.head, motion.eye, times, source.generator("recording", index, "eye"))
-        better = repaired(plan, gaze_plan, motion.eye, gaze, times, shifts) if left else gaze_plan
-        if better is gaze_plan:
-            break
-        gaze_plan = better
-    # Draw ids of sixteen decimal digits, distinct within the recording.
-    count = len(plan.items) + _OTHERS_OBJECTS
-    rng = source.generator("object", index, "id")
-    numbers: list[int] = []
-    while len(numbers) < count:
-        number = int(rng.integers(10**15, 9 * 10**15))
-        if number not in numbers:
-            numbers.append(number)
-    ids = [str(number) for number in numbers]
+    gaze_plan, gaze = _look(source, index, plan, motion, times)
+    ids = _draw_ids(source, index, len(plan.items) + _OTHERS_OBJECTS)
     objects = move_objects(plan, motion.joints[:, 20:22], motion.hands, times, ids[:-_OTHERS_OBJECTS])
     recording_id = name_of_recording(preset, seed, index)
     scene = Scene(times, motion.joints, motion.eye, gaze)
@@ -305,6 +303,33 @@ def perform(
         ),
         other_people=others,
     )
+
+
+def _look(
+    source: Source, index: int, plan: Plan, motion: Motion, times: np.ndarray
+) -> tuple[GazePlan, Float[np.ndarray, "n 3"]]:
+    """Return the looks and the true gaze, after moving fills that would prime a goal too early; the head stays."""
+    gaze_plan = motion.gaze_plan
+    shifts = source.generator("recording", index, "repair")
+    gaze = np.empty((0, 3))
+    for left in reversed(range(_REPAIRS + 1)):
+        gaze = move_eyes(gaze_plan.looks, motion.head, motion.eye, times, source.generator("recording", index, "eye"))
+        better = repaired(plan, gaze_plan, motion.eye, gaze, times, shifts) if left else gaze_plan
+        if better is gaze_plan:
+            break
+        gaze_plan = better
+    return gaze_plan, gaze
+
+
+def _draw_ids(source: Source, index: int, count: int) -> list[str]:
+    """Draw ids of sixteen decimal digits, distinct within the recording."""
+    rng = source.generator("object", index, "id")
+    numbers: list[int] = []
+    while len(numbers) < count:
+        number = int(rng.integers(10**15, 9 * 10**15))
+        if number not in numbers:
+            numbers.append(number)
+    return [str(number) for number in numbers]
 
 
 def _acted(
