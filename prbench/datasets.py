@@ -43,7 +43,7 @@ def installed_readers() -> tuple[InstalledEntry, ...]:
 
 
 def readable_datasets() -> tuple[str, ...]:
-    """Names of the datasets that have a reader, sorted."""
+    """Return the names of the datasets that have a reader, sorted."""
     return tuple(reader.name for reader in installed_readers() if not reader.problem)
 
 
@@ -67,7 +67,7 @@ def find_reader(dataset: str) -> InstalledEntry:
 
 
 def own_datasets() -> tuple[str, ...]:
-    """Names of the datasets and corpora whose manifests come with prbench, sorted."""
+    """Return the names of the datasets and corpora whose manifests come with prbench, sorted."""
     files = resources.files("prbench_data_manifests").iterdir()
     return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
 

@@ -83,7 +83,7 @@ class ReaderOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
-        """Names of all options."""
+        """Return the names of all options."""
         return tuple(field.name for field in msgspec.structs.fields(cls))
 
 
@@ -91,7 +91,7 @@ Options = TypeVar("Options", bound=ReaderOptions)
 
 
 def parse_options(form: type[Options], given: Mapping[str, str], *, dataset: str) -> Options:
-    """Options of a reader from texts.
+    """Return the options of a reader that texts stand for.
 
     Raises:
         UsageError: for a name that the reader does not know, or a value that is none of its kind.
@@ -113,7 +113,7 @@ def parse_options(form: type[Options], given: Mapping[str, str], *, dataset: str
 
 
 def described_options(options: ReaderOptions) -> dict[str, str]:
-    """Options as text without places of this machine: of a file its digest, of a folder its name."""
+    """Return options as text without places of this machine: of a file its digest, of a folder its name."""
     described = {}
     for name in options.names():
         value = getattr(options, name)
@@ -154,7 +154,7 @@ _TREE = msgspec.json.Decoder(SyntheticTree)
 
 
 def read_synthetic_tree(root: Path) -> SyntheticTree | None:
-    """The mark of a synthetic tree: in ``root``, or beside it if ``root`` is one of its recordings.
+    """Read the mark of a synthetic tree: in ``root``, or beside it if ``root`` is one of its recordings.
 
     Returns:
         None for a folder of real recordings.
@@ -169,7 +169,7 @@ def read_synthetic_tree(root: Path) -> SyntheticTree | None:
 
 
 def synthetic_tree_around(folder: Path, root: Path) -> SyntheticTree | None:
-    """The mark that a recording's folder lies under: the nearest one on the way up to ``root``, or beside it.
+    """Return the mark that a recording's folder lies under: the nearest one on the way up to ``root``, or beside it.
 
     Roots may be given one level too high; what is invented has to keep its name and splits there, too.
 
@@ -224,7 +224,7 @@ class Reader(Protocol):
 
     @property
     def options(self) -> ReaderOptions:
-        """The user's choices; the class of the default value tells which options there are."""
+        """Return the user's choices; the class of the default value tells which options there are."""
         ...
 
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
@@ -286,11 +286,11 @@ class AnnotatedByHand(Reader, Protocol):
 
     @property
     def annotation_columns(self) -> tuple[str, ...]:
-        """Columns of the table, those of a proposal included."""
+        """Return the columns of the table, those of a proposal included."""
         ...
 
     def annotation_line(self, found: RecordingFiles) -> AnnotationLine:
-        """The line of one recording, still to be filled in.
+        """Return the line of one recording, still to be filled in.
 
         Raises:
             InputFileError: for files that cannot be made out.

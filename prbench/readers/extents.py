@@ -105,7 +105,7 @@ def can_be_looked_at(file: InputFile) -> bool:
 
 
 def csv_extent(stream: str, file: InputFile, column: str, seconds: float) -> Extent:
-    """The extent of a CSV file.
+    """Return the extent of a CSV file.
 
     Args:
         stream: What it holds.
@@ -124,7 +124,7 @@ def csv_extent(stream: str, file: InputFile, column: str, seconds: float) -> Ext
 
 
 def _extent(stream: str, file: InputFile, head: Iterable[float], tail: Iterable[float], seconds: float) -> Extent:
-    """From the earliest time near the beginning of a file to the latest near its end; their unit in seconds."""
+    """Return the extent from the earliest time near the beginning of a file to the latest near its end."""
     first = min(head, default=None)
     last = max(tail, default=None)
     return Extent(
@@ -136,7 +136,7 @@ def _extent(stream: str, file: InputFile, head: Iterable[float], tail: Iterable[
 
 
 def _both_ends(file: InputFile) -> tuple[bytes, bytes]:
-    """The first and the last bytes; of a small file or a member of an archive all of it where that is less."""
+    """Return the first and the last bytes; of a small file or a member of an archive all of it where that is less."""
     if not file.member:
         with open_regular(file.path) as plain:
             return plain.read(_END), read_end(file.path, _END)
@@ -146,7 +146,7 @@ def _both_ends(file: InputFile) -> tuple[bytes, bytes]:
 
 
 def _cells(lines: Iterable[bytes], place: int) -> Iterable[float]:
-    """The numbers of one column that can be times."""
+    """Return the numbers of one column that can be times."""
     for line in lines:
         values = line.split(b",", place + 1)
         try:
@@ -158,7 +158,7 @@ def _cells(lines: Iterable[bytes], place: int) -> Iterable[float]:
 
 
 def json_extent(stream: str, file: InputFile) -> Extent:
-    """The extent of a JSON or JSON lines file whose frames have a ``timestamp_ns``."""
+    """Return the extent of a JSON or JSON lines file whose frames have a ``timestamp_ns``."""
     head, tail = _both_ends(file)
     first, last = (map(float, _NAMED_TIME.findall(part)) for part in (head, tail))
     return _extent(stream, file, first, last, 1e-9)

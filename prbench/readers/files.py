@@ -54,7 +54,7 @@ class ZippedFile:
 
     @property
     def name(self) -> str:
-        """Its own name, without folders."""
+        """Return its own name, without folders."""
         return self.member.rpartition("/")[2]
 
 
@@ -72,7 +72,7 @@ def shown(source: Source) -> Path:
 
 
 def archive_members(archive: Path) -> dict[str, int]:
-    """Names of the files in an archive, with their sizes in bytes when unpacked.
+    """Return the names of the files in an archive, with their sizes in bytes when unpacked.
 
     Raises:
         InputFileError: if it is no zip archive, or its table of contents is damaged.
@@ -88,7 +88,7 @@ def archive_members(archive: Path) -> dict[str, int]:
 
 @contextlib.contextmanager
 def opened(source: Source) -> Iterator[io.BufferedIOBase]:
-    """The bytes of a source as a stream; a damaged archive becomes an error that says what to do.
+    """Return the bytes of a source as a stream; a damaged archive becomes an error that says what to do.
 
     Raises:
         InputFileError: if there is no such file or member, it is too large, or the archive is damaged or encrypted.
@@ -122,7 +122,7 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
 
 
 def read_all(source: Source, *, largest: int = LARGEST_FILE) -> bytes:
-    """All bytes of a source (see :func:`opened` for what it raises).
+    """Read all bytes of a source (see :func:`opened` for what it raises).
 
     Args:
         source: A plain file, or one in an archive.
@@ -153,7 +153,7 @@ class _RememberingTail(io.RawIOBase):
         self.tail = b""
 
     def readable(self) -> bool:
-        """It can be read."""
+        """Return True: it can be read."""
         return True
 
     def read(self, size: int = -1) -> bytes:
@@ -312,7 +312,7 @@ def require_integers(path: Source, table: pa.Table, columns: Mapping[str, Column
 
 
 def column_vectors(table: pa.Table, names: tuple[str, ...]) -> Float[np.ndarray, "n k"]:
-    """Some number columns side by side."""
+    """Return some number columns side by side."""
     return np.column_stack([table[name].to_numpy() for name in names])
 
 
@@ -420,7 +420,7 @@ def must_exist(path: Source) -> Iterator[None]:
 
 
 def missing_file(path: Source) -> InputFileError:
-    """The error for a required file that is not there."""
+    """Return the error for a required file that is not there."""
     return InputFileError(
         shown(path), "", expected="this file", found="no such file", remedy="Download the recording again."
     )
@@ -428,7 +428,7 @@ def missing_file(path: Source) -> InputFileError:
 
 @foreign_input()
 def read_header(path: Source) -> list[str]:
-    """Column names of a CSV file.
+    """Read the column names of a CSV file.
 
     Raises:
         InputFileError: if the file is missing, is no text, or its first line is too long.
@@ -448,7 +448,7 @@ def read_header(path: Source) -> list[str]:
 
 
 def header_names(line: bytes) -> list[str]:
-    """Column names in a header line.
+    """Return the column names in a header line.
 
     Raises:
         UnicodeDecodeError: if it is no text.
@@ -469,7 +469,7 @@ def read_poses_by_body(
     rotation: tuple[str, ...],
     static_time: int | None = None,
 ) -> dict[Any, Poses]:
-    """Poses of every body of a file, each in the order of time.
+    """Read the poses of every body of a file, each in the order of time.
 
     Args:
         path: CSV with a header line.

@@ -47,7 +47,7 @@ class FilesOnDemand(Sequence[InputFile]):
         return tuple(self._list_files())
 
     def __getitem__(self, index: Any) -> Any:
-        """One of the files, or some, in the order of the listing."""
+        """Return one of the files, or some, in the order of the listing."""
         return self._files[index]
 
     def __len__(self) -> int:
@@ -59,7 +59,7 @@ class FilesOnDemand(Sequence[InputFile]):
         return isinstance(other, Sequence) and self._files == tuple(other)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Another process gets the list itself."""
+        """Pass the list itself on to another process."""
         return tuple, (self._files,)
 
 
@@ -92,11 +92,11 @@ class RecordingFiles:
             raise RecordingUnusable(f"{self.recording_id} is skipped: {reason}.")
 
     def path(self, role: str) -> Path | None:
-        """The file of one role, or None where it was not found."""
+        """Return the file of one role, or None where it was not found."""
         return next((file.path for file in self.files if file.role == role), None)
 
     def require(self, role: str, name: str) -> Path:
-        """The file of one role.
+        """Return the file of one role.
 
         Raises:
             InputFileError: if it was not found; ``name`` tells the user what was looked for.
@@ -115,7 +115,7 @@ class RecordingFiles:
 
 
 def existing_folder(root: Path | str, expected: str) -> Path:
-    """The folder that a user gave to a search, in full.
+    """Return the folder that a user gave to a search, in full.
 
     Raises:
         InputFileError: if there is none; ``expected`` tells the user what was looked for.
@@ -127,7 +127,7 @@ def existing_folder(root: Path | str, expected: str) -> Path:
 
 
 def input_file(role: str, path: Path) -> InputFile:
-    """An existing file with its size; 0 for a link that leads nowhere, which reading it reports."""
+    """Return an existing file with its size; 0 for a link that leads nowhere, which reading it reports."""
     try:
         return InputFile(role, path, path.stat().st_size)
     except OSError:  # a link that leads nowhere, found by its name

@@ -136,7 +136,7 @@ class PoseStream:
         _check_poses("glasses", self)
 
     def pose_at(self, query: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 4"]]:
-        """Position and rotation interpolated between valid samples, end values held beyond them."""
+        """Return the position and rotation interpolated between valid samples, end values held beyond them."""
         return _pose_at(self, query)
 
 
@@ -204,13 +204,13 @@ class ObjectTrack:
             require_near(f"surface of {name}", self.surface.vertices, farthest=LARGEST_OBJECT)
 
     def pose_at(self, query: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 4"]]:
-        """Position and rotation interpolated between valid samples, end values held beyond them."""
+        """Return the position and rotation interpolated between valid samples, end values held beyond them."""
         return _pose_at(self, query)
 
     def world_box(
         self, position: Float[np.ndarray, "m 3"], rotation: Float[np.ndarray, "m 4"]
     ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
-        """World-aligned boxes (lower, upper corners) around the eight turned corners, one a pose."""
+        """Return the world-aligned boxes (lower, upper corners) around the eight turned corners, one a pose."""
         matrix = np.abs(Rotation.from_quat(rotation, scalar_first=True).as_matrix())
         centre = position + Rotation.from_quat(rotation, scalar_first=True).apply((self.box_min + self.box_max) / 2)
         reach = (matrix * ((self.box_max - self.box_min) / 2)).sum(axis=-1)
@@ -338,11 +338,11 @@ class Recording:
         _require_distinct("events", [f"{event.native_key} ({event.action})" for event in self.annotated_events])
 
     def hand_streams(self, contact: ContactPoint) -> tuple[HandStream, ...]:
-        """The wearer's streams of one kind of contact point."""
+        """Return the wearer's streams of one kind of contact point."""
         return tuple(stream for stream in self.hands if stream.contact == contact)
 
     def object(self, object_id: str) -> ObjectTrack:
-        """The track of one object.
+        """Return the track of one object.
 
         Raises:
             KeyError: for an id that the recording does not hold.
@@ -361,7 +361,7 @@ _LONGEST_EXCURSION = 0.1  # seconds; what may be interpolated
 def plausible_body_frames(
     times: Float[np.ndarray, " n"], joints: Float[np.ndarray, "n 22 3"]
 ) -> Bool[np.ndarray, " n"]:
-    """Frames that are finite, not all at the origin, keep their bone lengths, and do not jump.
+    """Return True for frames that are finite, not all at the origin, keep their bone lengths, and do not jump.
 
     A frame is implausible when it holds a NaN, when all joints are (0, 0, 0), when a bone differs from the recording's
     median length by more than 20 %, or when it belongs to an excursion: at most 0.1 s between two steps in which
@@ -396,7 +396,7 @@ def plausible_body_frames(
 def hold_neighbours(
     values: Float[np.ndarray, "n *shape"], valid: Bool[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n *shape"]:
-    """Invalid rows replaced by the nearest valid one (of two equally near the earlier); zeros if none is valid."""
+    """Replace invalid rows by the nearest valid one (of two equally near the earlier); zeros if none is valid."""
     index = np.flatnonzero(valid)
     if len(index) == 0:
         return np.zeros_like(values)
@@ -422,7 +422,7 @@ Wrists = Mapping[Side, tuple[Float[np.ndarray, "3"], Literal["tracked", "body"]]
 
 
 def wrists_at(hands: Sequence[HandStream], body: BodyStream | None, time: float) -> Wrists:
-    """The wearer's known wrists at one instant, left before right: as tracked, else the body's.
+    """Return the wearer's known wrists at one instant, left before right: as tracked, else the body's.
 
     Args:
         hands: The wearer's hand streams; those that are no wrists are passed over.
@@ -447,7 +447,7 @@ def wrists_at(hands: Sequence[HandStream], body: BodyStream | None, time: float)
 
 
 def reaching_hand(wrists: Wrists, place: Float[np.ndarray, "3"]) -> tuple[Side | None, HandSource | None]:
-    """The hand whose wrist is nearest to a place, and what told it; None and None where the wrists do not decide.
+    """Return the hand whose wrist is nearest to a place, and its source; None and None where wrists do not decide.
 
     They do not where none is known, where the nearest is too far away, and where both are about equally far.
 
@@ -467,7 +467,7 @@ def reaching_hand(wrists: Wrists, place: Float[np.ndarray, "3"]) -> tuple[Side |
 def _point_at(
     times: Float[np.ndarray, " n"], points: Float[np.ndarray, "n 3"], valid: np.ndarray, time: float
 ) -> Float[np.ndarray, "3"] | None:
-    """A point between two valid samples that are close to each other; None elsewhere."""
+    """Return a point between two valid samples that are close to each other; None elsewhere."""
     near = slice(*np.searchsorted(times, [time - _LONGEST_WRIST_GAP, time + _LONGEST_WRIST_GAP]))
     instant = np.array([time])
     if not covered(times[near], valid[near], instant, max_gap=_LONGEST_WRIST_GAP).all():

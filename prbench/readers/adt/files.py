@@ -132,7 +132,7 @@ def _is_recording(folder: Path) -> bool:
 
 
 def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
-    """The streams of one recording, on the device clock.
+    """Return the streams of one recording, on the device clock.
 
     Glasses and objects come from one tracking system, and tell how long there is ground truth. Gaze and the suit run
     longer; the suit may begin late.
@@ -186,7 +186,7 @@ _SKELETON = msgspec.json.Decoder(_SkeletonFile)
 def read_objects(
     instances_path: Path, boxes_path: Path, poses_path: Path
 ) -> tuple[tuple[adt.AdtObject, ...], tuple[str, ...]]:
-    """All objects that have a name, a box and a pose, by id; people are no objects.
+    """Read all objects that have a name, a box and a pose, by id; people are no objects.
 
     Returns:
         The objects, and remarks on those that lack one of the three.
@@ -234,7 +234,7 @@ def read_objects(
 
 
 def read_skeletons(found: RecordingFiles) -> tuple[adt.AdtSkeleton, ...]:
-    """Every tracked person of a recording; none where it has no association file.
+    """Read every tracked person of a recording; none where it has no association file.
 
     Raises:
         InputFileError: if the association or a skeleton's file is missing or damaged, or a skeleton has other joints

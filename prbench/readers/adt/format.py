@@ -79,7 +79,7 @@ def is_hinged(name: str, category: str) -> bool:
 
 
 def body_joints(joints: Float[np.ndarray, "n 51 3"], mapping: Sequence[str]) -> Float[np.ndarray, "n 22 3"]:
-    """The 22 joints from the 51 native ones.
+    """Return the 22 joints from the 51 native ones.
 
     Args:
         joints: Native joints, metres.

@@ -46,7 +46,7 @@ Poses = Literal["native", "egoallo"]
 def recording_from_adt(
     readings: adt.AdtReadings, manifest: Manifest, *, dataset: str, poses: Poses = "native"
 ) -> Recording:
-    """Streams in the world from native readings.
+    """Return the streams in the world from native readings.
 
     Args:
         readings: Content of the native files.
@@ -148,7 +148,7 @@ def recording_from_adt(
 def _body_and_hands(
     person: adt.AdtSkeleton, manifest: Manifest, span: tuple[float, float]
 ) -> tuple[BodyStream, tuple[HandStream, ...]]:
-    """The 22 joints, and wrists and middle-finger bases; implausible frames are masked and filled.
+    """Return the 22 joints, and wrists and middle-finger bases; implausible frames are masked and filled.
 
     So are frames outside ``span``, the time in which the glasses were tracked: there is no ground truth.
     """
@@ -167,7 +167,7 @@ def _body_and_hands(
 
 
 def glasses_stream(poses: AriaTrajectory) -> PoseStream:
-    """Poses of the device in the scene; quality 0 is invalid."""
+    """Return the poses of the device in the scene; quality 0 is invalid."""
     rotation = poses.rotation / np.linalg.norm(poses.rotation, axis=1, keepdims=True)
     return PoseStream(poses.time_us / 1e6, poses.position, rotation, poses.quality > 0)
 
@@ -213,7 +213,7 @@ _GRAPH_UID = "adt-scene-z-up"
 
 
 def prepared_trajectory(glasses: AriaTrajectory) -> AriaTrajectory:
-    """Poses of the device in the scene turned to Z up, every millisecond from the first to the last one.
+    """Return the poses of the device in the scene turned to Z up, every millisecond from the first to the last one.
 
     Gaps are bridged, since EgoAllo counts poses instead of reading clocks; bodies within them are taken for invalid
     when they are read.
@@ -235,7 +235,7 @@ def prepared_trajectory(glasses: AriaTrajectory) -> AriaTrajectory:
 
 
 def turned_to_z_up(glasses: AriaTrajectory) -> PoseStream:
-    """Poses of the device in the scene turned to Z up, device seconds."""
+    """Return the poses of the device in the scene turned to Z up, device seconds."""
     device = glasses_stream(glasses)
     turn = Rotation.from_matrix(adt.Z_UP_FROM_SCENE[:3, :3])
     rotation = turn * Rotation.from_quat(device.rotation, scalar_first=True)

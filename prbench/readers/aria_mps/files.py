@@ -52,7 +52,7 @@ _USUAL_FOLDERS = ("slam", "trajectory", "eye_gaze", "hand_tracking")
 
 
 def find_mps_files(root: Path) -> tuple[InputFile, ...]:
-    """The files of one recording, under their present or old names.
+    """Find the files of one recording, under their present or old names.
 
     Args:
         root: The folder of one recording's outputs, or a zip archive of it; in a folder, archives are looked into too.
@@ -94,7 +94,7 @@ def find_mps_files(root: Path) -> tuple[InputFile, ...]:
 
 
 def find_gaze_file(folder: Path) -> Path | None:
-    """The preferred gaze file of a folder, under its new or an old name; None if there is none."""
+    """Find the preferred gaze file of a folder, under its new or an old name; None if there is none."""
     return next((folder / name for name in mps.GAZE_FILES if is_present(folder / name)), None)
 
 
@@ -246,7 +246,7 @@ def read_gaze_angles(path: Source) -> mps.GazeAngles:
 
 
 def read_size_and_camera(path: Source | None) -> tuple[mps.GlassesSize | None, Float[np.ndarray, "4 4"] | None]:
-    """Size of the glasses, which the distance of the SLAM cameras tells, and pose of the RGB camera; None without file.
+    """Read the size of the glasses, which the distance of the SLAM cameras tells, and the pose of the RGB camera.
 
     Raises:
         InputFileError: as :func:`read_first_calibration`.

@@ -82,7 +82,7 @@ _RGB_PITCH = np.deg2rad(8.0)  # optical axis below CPF z
 
 
 def device_from_cpf(size: GlassesSize) -> Float[np.ndarray, "4 4"]:
-    """Nominal pose of the central pupil frame on the glasses, from the CAD drawing.
+    """Return the nominal pose of the central pupil frame on the glasses, from the CAD drawing.
 
     Source: docs/specification/aria-mps.md#device-frame-and-cameras.
     """
@@ -93,7 +93,7 @@ def device_from_cpf(size: GlassesSize) -> Float[np.ndarray, "4 4"]:
 
 
 def cpf_from_rgb() -> Float[np.ndarray, "4 4"]:
-    """Nominal pose of the RGB camera: left temple, 8 degrees down, mounted on its side (image x points down)."""
+    """Return the nominal pose of the RGB camera: left temple, 8 degrees down, on its side (image x points down)."""
     cosine = np.cos(_RGB_PITCH)
     sine = np.sin(_RGB_PITCH)
     transform = np.eye(4)
@@ -103,12 +103,12 @@ def cpf_from_rgb() -> Float[np.ndarray, "4 4"]:
 
 
 def glasses_size(slam_baseline: float) -> GlassesSize:
-    """Size of the glasses from the distance between their SLAM cameras, metres."""
+    """Return the size of the glasses from the distance between their SLAM cameras, metres."""
     return "DVT-S" if slam_baseline < _SLAM_BASELINE_LIMIT else "DVT-L"
 
 
 def gaze_directions_cpf(yaw: Float[np.ndarray, " n"], pitch: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-    """Unit gaze vectors ``normalise(tan yaw, tan pitch, 1)`` in the central pupil frame.
+    """Return the unit gaze vectors ``normalise(tan yaw, tan pitch, 1)`` in the central pupil frame.
 
     Args:
         yaw: Radians, positive looks left.
@@ -129,7 +129,7 @@ def gaze_angles(directions_cpf: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndar
 
 
 def combined_yaw(left: Float[np.ndarray, "*n"], right: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """One yaw for both eyes: ``atan((tan left + tan right) / 2)``."""
+    """Return one yaw for both eyes: ``atan((tan left + tan right) / 2)``."""
     return np.arctan((np.tan(left) + np.tan(right)) / 2)
 
 
@@ -220,7 +220,7 @@ class MpsReadings:
 def wanted_times_us(
     gaze_us: Int[np.ndarray, " n"], first_us: int, last_us: int, rate: float = POSE_RATE, *, from_us: int | None = None
 ) -> Int[np.ndarray, " m"]:
-    """Times around which poses of the glasses are needed: the gaze times and a regular grid over the trajectory.
+    """Return the times around which poses of the glasses are needed: the gaze times and a regular grid.
 
     Args:
         gaze_us: Gaze times, microseconds on the device clock; those outside of the stretch do not count.
@@ -241,7 +241,7 @@ def wanted_times_us(
 
 
 def rows_around(time_us: Int[np.ndarray, " n"], wanted_us: Int[np.ndarray, " m"]) -> Int[np.ndarray, " k"]:
-    """Rows on both sides of every wanted time: the last one before it, and the first one at or after it.
+    """Return the rows on both sides of every wanted time: the last one before it, and the first one at or after it.
 
     Args:
         time_us: Time of every row, increasing; at least one.
@@ -265,7 +265,7 @@ def thinned(readings: MpsReadings, rate: float = POSE_RATE) -> MpsReadings:
 
 
 def trajectory_rows(whole: AriaTrajectory, rows: Int[np.ndarray, " k"]) -> AriaTrajectory:
-    """Some rows of a trajectory."""
+    """Return some rows of a trajectory."""
     return replace(
         whole,
         time_us=whole.time_us[rows],

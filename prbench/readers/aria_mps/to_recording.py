@@ -48,7 +48,7 @@ def mps_streams(
     seconds_before_device: float = 0.0,
     least_confidence: float = 0.0,
 ) -> MpsStreams:
-    """Poses of glasses, eyes and camera, gaze rays and wrists.
+    """Return the poses of glasses, eyes and camera, gaze rays and wrists.
 
     A pose is invalid where its quality is below 0.5; steps above 50 ms are gaps that neither gaze nor wrists bridge.
 
@@ -94,7 +94,7 @@ def mps_streams(
 def head_and_camera(
     device: PoseStream, size: mps.GlassesSize, device_from_rgb: Float[np.ndarray, "4 4"] | None
 ) -> tuple[PoseStream, PoseStream]:
-    """World poses of the central pupil frame and of the RGB camera.
+    """Return the world poses of the central pupil frame and of the RGB camera.
 
     Args:
         device: World poses of the glasses.
@@ -107,7 +107,7 @@ def head_and_camera(
 
 
 def part_poses(device: PoseStream, device_from_part: Float[np.ndarray, "4 4"]) -> PoseStream:
-    """World poses of a part of the glasses (CPF, a camera) from those of the device."""
+    """Return the world poses of a part of the glasses (CPF, a camera) from those of the device."""
     rotation = Rotation.from_quat(device.rotation, scalar_first=True)
     return PoseStream(
         times=device.times,
@@ -125,7 +125,7 @@ def gaze_in_world(
     *,
     same_instant: float,
 ) -> GazeStream:
-    """Gaze rays in the world: origin = CPF origin, direction = rotated ``normalise(tan yaw, tan pitch, 1)``.
+    """Return the gaze rays in the world: origin = CPF origin, direction = rotated ``normalise(tan yaw, tan pitch, 1)``.
 
     A ray is invalid when an angle is not finite or beyond 60 degrees, or when no valid pose lies within
     ``same_instant`` and none on both sides at most 50 ms apart.

@@ -87,7 +87,7 @@ def read_near(source: Source, gaze_us: Int[np.ndarray, " n"], rate: float = mps.
 
 
 def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
-    """The poses of one world in a table of :data:`COLUMNS`.
+    """Return the poses of one world in a table of :data:`COLUMNS`.
 
     Raises:
         InputFileError: if there is none, or a pose is no pose.

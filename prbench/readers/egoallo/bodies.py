@@ -39,7 +39,7 @@ _SHAPES: dict[str, tuple[int | str, ...]] = {
 
 
 def read_smplh_rest(path: Path) -> RestJoints:
-    """Rest joints of the model, linear in the shape; of its 52 joints the first 22.
+    """Read the rest joints of the model, linear in the shape; of its 52 joints the first 22.
 
     Raises:
         InputFileError: if the file is missing, damaged, or no SMPL-H model with 16 shapes.
@@ -132,7 +132,7 @@ def read_own_output(path: Path, cpf: PoseStream) -> ego.EgoAlloOutput:
 
 
 def read_bodies(found: RecordingFiles, *, cpf: PoseStream) -> ego.EgoAlloBody | None:
-    """The body of one recording from its output files (:func:`find_outputs` put them into ``found``).
+    """Read the body of one recording from its output files (:func:`find_outputs` put them into ``found``).
 
     Args:
         found: The recording's files.

@@ -38,7 +38,7 @@ def find_outputs(
     *,
     smplh_model: Path | None = None,
 ) -> tuple[InputFile, ...]:
-    """Output files of one recording, and the body model where there is one; nothing where there are no outputs.
+    """Find the output files of one recording, and the body model; nothing where there are no outputs.
 
     Of several places the first with outputs counts: the recording's folder in ``poses_root`` if that is given, the
     recording's own folder, the recording's folder in ``root/egoallo``.
@@ -67,7 +67,7 @@ def find_outputs(
 
 
 def find_model(root: Path, smplh_model: Path | None = None) -> Path | None:
-    """The body model: the given one, else that of ``PRBENCH_SMPLH_MODEL``, else ``root/smplh/neutral/model.npz``.
+    """Find the body model: the given one, that of ``PRBENCH_SMPLH_MODEL``, or ``root/smplh/neutral/model.npz``.
 
     Returns:
         A path that the user named, whether it exists or not; of the place below ``root`` only an existing file.
@@ -80,7 +80,7 @@ def find_model(root: Path, smplh_model: Path | None = None) -> Path | None:
 
 
 def body_extent(found: RecordingFiles) -> tuple[Extent, ...]:
-    """All outputs of a recording together, on the device clock; nothing without outputs that can be read."""
+    """Return the extent of all outputs of a recording, on the device clock; nothing without readable outputs."""
     times = {}
     for path in (file.path for file in found.files if file.role.startswith(OUTPUT_ROLE)):
         with contextlib.suppress(InputFileError):  # a damaged one is told by whoever reads it
@@ -161,7 +161,7 @@ def aria_inputs(root: Path, found: RecordingFiles, name: str = mps.TRAJECTORY_FI
 
 
 def points_beside(found: RecordingFiles) -> Source | None:
-    """The semi-dense point cloud beside the trajectory, in the same folder or archive; None where there is none."""
+    """Return the semi-dense point cloud beside the trajectory, in the same folder or archive, or None."""
     trajectory = next((file for file in found.files if file.role == mps.TRAJECTORY), None)
     if trajectory is None:
         return None

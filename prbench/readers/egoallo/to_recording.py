@@ -24,7 +24,7 @@ NO_OUTPUTS = "no EgoAllo outputs: no body (`prbench poses egoallo` says how to m
 
 
 def body_from_outputs(outputs: Sequence[ego.EgoAlloOutput], rest: RestJoints) -> ego.EgoAlloBody | None:
-    """One body from the windows of one recording: in the order of their first times, frames that two hold once.
+    """Return one body from the windows of one recording: in the order of their first times, frames that two hold once.
 
     Of each window the first guess counts, with its shape averaged over time; float32, as the files are. Where windows
     overlap the one that begins earlier is kept. Gaps between windows stay gaps.
@@ -81,7 +81,7 @@ def body_stream(
     seconds_before_device: float = 0.0,
     head: PoseStream | None = None,
 ) -> BodyStream:
-    """The 22 joints in the recording's world and on its clock; implausible frames are masked and filled.
+    """Return the 22 joints in the recording's world and on its clock; implausible frames are masked and filled.
 
     Args:
         body: Joints in the source world, on the device clock.

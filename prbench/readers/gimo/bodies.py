@@ -36,7 +36,7 @@ class PoseDecoder:
     biases: tuple[Float[np.ndarray, " _"], ...]
 
     def rotations(self, latent: Float[np.ndarray, "n 32"]) -> Float[np.ndarray, "n 21 3 3"]:
-        """Rotations of the joints 1 to 21 in their parents."""
+        """Return the rotations of the joints 1 to 21 in their parents."""
         values = latent.astype(np.float64)
         for layer in (0, 1):
             values = values @ self.weights[layer].T + self.biases[layer]
@@ -129,7 +129,7 @@ _SHAPE_KEYS = ("beta", "expression")
 
 
 def read_poses(files: Mapping[int, Path]) -> gimo.SmplxPoses:
-    """Parameters of all frames that have a file, in the order of the frames.
+    """Read the parameters of all frames that have a file, in the order of the frames.
 
     Raises:
         InputFileError: if a file is damaged, names foreign classes, lacks a key, or has another size or NaN in it.
@@ -161,7 +161,7 @@ def read_poses(files: Mapping[int, Path]) -> gimo.SmplxPoses:
 def joints_from_parameters(
     poses: gimo.SmplxPoses, decoder: PoseDecoder, rest: Float[np.ndarray, "joints 3"]
 ) -> gimo.LocalJoints:
-    """The 22 joints, and the jaw, of every frame that has parameters.
+    """Return the 22 joints, and the jaw, of every frame that has parameters.
 
     Args:
         poses: The pelvis is at ``trans`` plus the model's own rest pelvis.

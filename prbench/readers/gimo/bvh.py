@@ -92,7 +92,7 @@ def read_bvh(path: Path) -> BvhMotion:
 
 
 def _read_hierarchy(path: Path, text: str) -> tuple[BvhJoint, ...]:
-    """The joints in the order of the file, parents first; offsets in the file's unit."""
+    """Return the joints in the order of the file, parents first; offsets in the file's unit."""
     joints: list[BvhJoint] = []
     open_joints: list[int] = []  # index of every joint whose brace is open; -1 for an end site
     name: str | None = ""
@@ -144,7 +144,7 @@ def _number(word: str) -> float:
 
 
 def joint_positions(motion: BvhMotion) -> Float[np.ndarray, "n j 3"]:
-    """Positions of all joints in the frame and unit of the file.
+    """Return the positions of all joints in the frame and unit of the file.
 
     Rotations are applied in the order of their channels (``Z X Y`` means R = Rz Rx Ry). Position channels stand in for
     the offset of their joint; programs differ in whether a root's offset is added to them, which shifts the whole body.

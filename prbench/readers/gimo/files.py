@@ -73,7 +73,7 @@ class GimoOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_onl
 
     @property
     def route(self) -> Literal["smplx", "bvh"]:
-        """The way to the joints that these options choose."""
+        """Return the way to the joints that these options choose."""
         if self.body != "auto":
             return self.body
         return "smplx" if self.vposer_model and self.smplx_model else "bvh"
@@ -92,7 +92,7 @@ SCENE_MESH = "scene mesh"
 
 
 def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFiles, ...]:
-    """Every segment of ``dataset.csv`` with its files; those that cannot be built carry the reason.
+    """Find every segment of ``dataset.csv`` with its files; those that cannot be built carry the reason.
 
     Raises:
         InputFileError: if there is no readable ``dataset.csv``, none of its sequences is there (listing them), or the
@@ -144,7 +144,7 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFile
 
 
 def _events_in(path: Path | None) -> tuple[EventRow, ...]:
-    """The table of events; an empty one where the user has none."""
+    """Return the table of events; an empty one where the user has none."""
     return read_events(path) if path is not None and is_present(path) else ()
 
 
@@ -179,7 +179,7 @@ def _files(
 
 
 def _by_frame(folder: Path) -> dict[str, dict[int, Path]]:
-    """Files by ending (``.pkl``, ``_center.ply``) and frame; others, without a whole number as name, are left out."""
+    """Return files by ending (``.pkl``, ``_center.ply``) and frame; names without a whole number are left out."""
     found: dict[str, dict[int, Path]] = {}
     for name in names_of(folder):
         stem = _frame_of(name)
@@ -192,7 +192,7 @@ def _by_frame(folder: Path) -> dict[str, dict[int, Path]]:
 
 
 def names_of(folder: Path) -> list[str]:
-    """Names of all that lies in a folder, in no order; none if there is no such folder."""
+    """Return the names of all that lies in a folder, in no order; none if there is no such folder."""
     if not folder.is_dir():
         return []
     with os.scandir(folder) as entries:
@@ -207,7 +207,7 @@ def _frame_of(name: str) -> str | None:
 
 
 def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
-    """The frames that the table promises, and those that have files; nothing is said of what has none at all."""
+    """Return the frames that the table promises, and those that have files; nothing is said of what has none at all."""
     segment = row_of(found)[0].segment
     promised = segment.start_frame / gimo.FRAME_RATE, segment.end_frame / gimo.FRAME_RATE
     streams = [Extent("segment", gimo.TABLE_FILE, *promised)]
@@ -221,7 +221,7 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
 
 
 def row_of(found: RecordingFiles) -> tuple[Row, tuple[Row, ...]]:
-    """The row of ``dataset.csv`` that a recording stands for, and all rows.
+    """Return the row of ``dataset.csv`` that a recording stands for, and all rows.
 
     Raises:
         InputFileError: if the table has changed since the search.
@@ -236,7 +236,7 @@ def row_of(found: RecordingFiles) -> tuple[Row, tuple[Row, ...]]:
 
 
 def frames_of(found: RecordingFiles, role: str) -> dict[int, Path]:
-    """Files of one kind by frame."""
+    """Return the files of one kind by frame."""
     return {int(file.role.removeprefix(role)): file.path for file in found.files if file.role.startswith(role)}
 
 
@@ -273,7 +273,7 @@ def read_readings(found: RecordingFiles, options: GimoOptions) -> gimo.GimoReadi
 
 
 def _body(found: RecordingFiles, options: GimoOptions) -> gimo.LocalJoints | gimo.LocalSkeleton:
-    """Joints by the first way that is open."""
+    """Return the joints by the first way that is open."""
     poses = frames_of(found, POSE)
     skeleton = found.path(SKELETON)
     pickles = f"{gimo.POSE_FOLDER}/<frame>.pkl"
@@ -301,7 +301,7 @@ def _body(found: RecordingFiles, options: GimoOptions) -> gimo.LocalJoints | gim
 
 
 def _meshes(found: RecordingFiles) -> tuple[Occluder, ...]:
-    """The scanned room as triangles; none where the copy lacks it, which curation reports.
+    """Return the scanned room as triangles; none where the copy lacks it, which curation reports.
 
     Raises:
         InputFileError: if the mesh cannot be read, or has points only.

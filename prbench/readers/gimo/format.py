@@ -63,22 +63,22 @@ class Segment:
 
     @property
     def key(self) -> tuple[str, str, int, int]:
-        """Values that identify the row."""
+        """Return the values that identify the row."""
         return self.scene, self.sequence, self.start_frame, self.end_frame
 
     @property
     def name(self) -> str:
-        """The recording id: scene, sequence and frames, without characters that file names forbid."""
+        """Return the recording id: scene, sequence and frames, without characters that file names forbid."""
         return f"{self.group}_{self.start_frame}-{self.end_frame}"
 
     @property
     def group(self) -> str:
-        """Scene and sequence: what segments of one recording have in common."""
+        """Return the scene and sequence: what segments of one recording have in common."""
         return f"{_plain(self.scene)}_{_plain(self.sequence)}"
 
     @property
     def frames(self) -> Int[np.ndarray, " n"]:
-        """All frame numbers, both ends included."""
+        """Return all frame numbers, both ends included."""
         return np.arange(self.start_frame, self.end_frame + 1)
 
 
@@ -104,11 +104,11 @@ class SceneTransform:
     room_from_scene: Float[np.ndarray, "4 4"]
 
     def room_from_body(self) -> Float[np.ndarray, "4 4"]:
-        """Rigid: canonical room from the suit's own frame, metres of the body."""
+        """Return the rigid transform from the suit's own frame to the canonical room, metres of the body."""
         return self._metric(self.room_from_scene) @ self._metric(self.scene_from_body)
 
     def room_from_scan(self) -> Float[np.ndarray, "4 4"]:
-        """Canonical room from scan coordinates; shrinks by the scale."""
+        """Return the transform from scan coordinates to the canonical room; it shrinks by the scale."""
         return self._metric(self.room_from_scene) @ np.diag([1 / self.scale, 1 / self.scale, 1 / self.scale, 1.0])
 
     def _metric(self, transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
@@ -133,7 +133,7 @@ class SmplxPoses:
     latent: Float[np.ndarray, "n 32"]
 
     def pelvis(self) -> Float[np.ndarray, "n 3"]:
-        """Pelvis joint without any body model, suit frame, metres."""
+        """Return the pelvis joint without any body model, suit frame, metres."""
         return self.trans.astype(np.float64) + np.array(REST_PELVIS)
 
 

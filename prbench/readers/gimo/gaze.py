@@ -30,7 +30,7 @@ _ROTATION_TOLERANCE = 1e-3
 
 
 def read_gaze(cones: Mapping[int, Path], centres: Mapping[int, Path]) -> tuple[gimo.GazePoints, tuple[str, ...]]:
-    """The gaze point of every frame that has one: the first vertex of ``<frame>_center.ply``.
+    """Read the gaze point of every frame that has one: the first vertex of ``<frame>_center.ply``.
 
     A frame has none when one of its two files is missing, damaged or without vertices, or when the point is the origin.
 
@@ -63,7 +63,7 @@ def read_gaze(cones: Mapping[int, Path], centres: Mapping[int, Path]) -> tuple[g
 
 
 def read_vertices(path: Path) -> Float[np.ndarray, "v 3"]:
-    """Positions of all vertices of a PLY file whose first element is ``vertex``, in the unit of the file.
+    """Read the positions of all vertices of a PLY file whose first element is ``vertex``, in the unit of the file.
 
     Raises:
         InputFileError: if the file is missing, no binary PLY, shorter than its header says, or its vertices have no
@@ -112,7 +112,7 @@ def read_vertices(path: Path) -> Float[np.ndarray, "v 3"]:
 
 
 def read_transform(info: Path, norm: Path) -> gimo.SceneTransform:
-    """Scale and both matrices of a segment.
+    """Read the scale and both matrices of a segment.
 
     Args:
         info: ``transform_info*.json``.

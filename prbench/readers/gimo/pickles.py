@@ -108,7 +108,7 @@ class _TensorUnpickler(pickle._Unpickler):
 
 
 def _tensor(storage: np.ndarray, offset: int, shape: tuple[int, ...], strides: tuple[int, ...], *_: Any) -> np.ndarray:
-    """``torch._utils._rebuild_tensor_v2``; what follows the strides (gradient, hooks) concerns training."""
+    """Stand for ``torch._utils._rebuild_tensor_v2``; what follows the strides (gradient, hooks) concerns training."""
     size = math.prod(shape)
     # A stride of 0 shows one number many times: no format needs it, and a small file would unpack to any size.
     if size > storage.size:

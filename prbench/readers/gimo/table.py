@@ -65,7 +65,7 @@ class EventRow:
 
 
 def read_segments(path: Path) -> tuple[Row, ...]:
-    """All segments in the order of the file, each once.
+    """Read all segments in the order of the file, each once.
 
     The byte-order mark, further columns and unnamed ones are welcome; the eighth column, where it is unnamed, holds
     hints. A hint that is no frame of its segment is no hint.
@@ -120,7 +120,7 @@ def read_segments(path: Path) -> tuple[Row, ...]:
 
 
 def _read_lines(path: Path, columns: Iterable[str], remedy: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Header of a CSV file, and its further lines that hold anything, with their numbers."""
+    """Return the header of a CSV file, and its further lines that hold anything, with their numbers."""
     try:
         require_size(path)
         with open(path, encoding="utf-8-sig", newline="") as file:
@@ -138,7 +138,7 @@ def _read_lines(path: Path, columns: Iterable[str], remedy: str) -> tuple[list[s
 
 
 def _whole(text: str) -> int:
-    """The frame number in a cell; -1 where there is none."""
+    """Return the frame number in a cell; -1 where there is none."""
     try:
         value = float(text)
     except ValueError:
@@ -147,7 +147,7 @@ def _whole(text: str) -> int:
 
 
 def overlapping(rows: Sequence[Row], row: Row) -> tuple[gimo.Segment, ...]:
-    """Other segments of the same sequence that share frames with one."""
+    """Return the other segments of the same sequence that share frames with one."""
     mine = row.segment
     return tuple(
         other.segment
@@ -160,7 +160,7 @@ def overlapping(rows: Sequence[Row], row: Row) -> tuple[gimo.Segment, ...]:
 
 
 def read_events(path: Path) -> tuple[EventRow, ...]:
-    """All lines of an events table.
+    """Read all lines of an events table.
 
     Raises:
         InputFileError: naming line and column: for a missing column, a value that is no frame number, an action other
@@ -211,7 +211,7 @@ def _is_frame(text: str) -> bool:
 def events_of(
     row: Row, table: Sequence[EventRow], *, hints: bool
 ) -> tuple[tuple[gimo.EventFrame, ...], tuple[str, ...], str | None]:
-    """The picks of one segment: those of the table where it names the segment, else the hint of ``dataset.csv``.
+    """Return the picks of one segment: those of the table where it names the segment, else the hint of ``dataset.csv``.
 
     Returns:
         The picks, remarks, and the reason why there are none (None where there are some).
@@ -265,7 +265,7 @@ def require_one_split(path: Path, rows: Sequence[Row], table: Sequence[EventRow]
 
 
 def hints_in_both_splits(rows: Sequence[Row]) -> frozenset[SegmentKey]:
-    """Segments whose hint is also a frame of a segment of the other split that has the same hint."""
+    """Return the segments whose hint is also a frame of a segment of the other split that has the same hint."""
     splits: dict[tuple[str, str, int], dict[bool, list[SegmentKey]]] = {}
     for row in rows:
         segment = row.segment

@@ -34,7 +34,7 @@ _SHORTEST_LOOK = 0.01  # metres; nearer to the eyes a point gives no direction
 
 
 def recording_from_gimo(readings: gimo.GimoReadings, manifest: Manifest, *, dataset: str) -> Recording:
-    """Streams in the canonical room from native readings.
+    """Return the streams in the canonical room from native readings.
 
     The pose of the glasses is unknown. Gaze rays begin at the head joint and end at the points on the scan.
 
@@ -96,7 +96,7 @@ def recording_from_gimo(readings: gimo.GimoReadings, manifest: Manifest, *, data
 
 
 def _body(readings: gimo.GimoReadings, manifest: Manifest) -> tuple[BodyStream, list[str]]:
-    """The 22 joints on every frame of the segment; short gaps interpolated, long ones invalid."""
+    """Return the 22 joints on every frame of the segment; short gaps interpolated, long ones invalid."""
     remarks = []
     if isinstance(readings.body, gimo.LocalJoints):
         frames = readings.body.frames
@@ -128,7 +128,7 @@ def filled(
     *,
     longest: int,
 ) -> tuple[Float[np.ndarray, "m joints 3"], Bool[np.ndarray, " m"]]:
-    """Joints on the wanted frames: interpolated across at most ``longest`` missing ones, else held and invalid."""
+    """Return joints on the wanted frames: interpolated across at most ``longest`` missing ones, else held, invalid."""
     # Between two frames that are n + 1 apart n are missing.
     known = frames.astype(np.float64)
     asked = wanted.astype(np.float64)
@@ -140,7 +140,7 @@ def filled(
 def _events(
     readings: gimo.GimoReadings, body: BodyStream, manifest: Manifest
 ) -> tuple[tuple[AnnotatedEvent, ...], list[str]]:
-    """Picks with the wrist as their place: the dataset knows no objects.
+    """Return the picks with the wrist as their place: the dataset knows no objects.
 
     Source: docs/specification/gimo.md#objects-and-events.
     """
@@ -181,7 +181,7 @@ def _events(
 def published_track(
     readings: gimo.GimoReadings, recording: Recording, manifest: Manifest, *, with_jaw: bool
 ) -> PublishedTrack:
-    """The one row of ``dataset.csv`` that a recording is, every frame of it.
+    """Return the one row of ``dataset.csv`` that a recording is, every frame of it.
 
     Args:
         readings: Content of the files of the segment.

@@ -71,7 +71,7 @@ _MAP = msgspec.json.Decoder(dict[str, str | int])
 
 
 def read_tracks(associations: Path, masks: Path, video: str) -> tuple[tuple[hd_epic.ObjectTrack, ...], tuple[str, ...]]:
-    """All movements of one video in the order of time, and remarks.
+    """Read all movements of one video in the order of time, and remarks.
 
     Objects may have tracks out of order or overlapping in time: they are sorted, and stay apart.
 
@@ -122,7 +122,7 @@ def read_tracks(associations: Path, masks: Path, video: str) -> tuple[tuple[hd_e
 
 
 def _decoded(decoder: msgspec.json.Decoder, path: Path, video: str):
-    """The part of one video of a file that holds all; None where it does not know the video."""
+    """Return the part of one video of a file that holds all; None where it does not know the video."""
     with must_exist(path):
         status = path.stat()
     entry = _videos(path, status.st_size, status.st_mtime_ns).get(video)
@@ -136,12 +136,12 @@ def _decoded(decoder: msgspec.json.Decoder, path: Path, video: str):
 
 @lru_cache(maxsize=8)
 def _videos(path: Path, _size: int, _changed_ns: int) -> dict[str, msgspec.Raw]:
-    """The file cut into its videos, none of them parsed; opened anew when it has changed."""
+    """Return the file cut into its videos, none of them parsed; opened anew when it has changed."""
     return decode_json(path, _VIDEOS)
 
 
 def _numbers(values: list[float | None] | list[float] | None, count: int) -> Float[np.ndarray, " k"] | None:
-    """So many finite numbers, or None."""
+    """Return so many finite numbers, or None."""
     if values is None or len(values) != count or any(value is None for value in values):
         return None
     array = np.array(values, dtype=np.float64)
@@ -166,7 +166,7 @@ def read_priming(path: Path, video: str) -> tuple[hd_epic.PublishedSide, ...]:
 
 
 def read_video_clock(path: Path, log: Path | None) -> tuple[hd_epic.VideoClock, tuple[str, ...]]:
-    """Row i of the time file is video frame i; times may repeat (image shown twice) and jump (image skipped).
+    """Read the device time of every video frame; times may repeat (image shown twice) and jump (image skipped).
 
     Args:
         path: ``<video>_mp4_to_vrs_time_ns.csv``, in nanoseconds; some writers give them a decimal point.
@@ -204,7 +204,7 @@ def read_video_clock(path: Path, log: Path | None) -> tuple[hd_epic.VideoClock, 
 
 
 def slam_number(path: Path) -> dict[str, str]:
-    """Number of the archive by name of the video; keys of the file are ``P01/<video>.vrs``.
+    """Return the number of the archive by name of the video; keys of the file are ``P01/<video>.vrs``.
 
     Raises:
         InputFileError: if the file is missing or damaged.

@@ -110,7 +110,7 @@ def find_recordings(root: Path | str, options: HdEpicOptions) -> tuple[Recording
 
 
 def _mapped(path: Path) -> dict[str, str]:
-    """Videos and numbers of a SLAM map; none where it is missing or damaged, which reading reports."""
+    """Return videos and numbers of a SLAM map; none where it is missing or damaged, which reading reports."""
     try:
         return slam_number(path)
     except InputFileError:
@@ -118,7 +118,7 @@ def _mapped(path: Path) -> dict[str, str]:
 
 
 def _present(role: str, places: Iterable[Path]) -> list[InputFile]:
-    """The first of several places at which something lies."""
+    """Return the first of several places at which something lies."""
     path = next((place for place in places if is_present(place)), None)
     return [] if path is None else [input_file(role, path)]
 
@@ -143,7 +143,7 @@ def _annotation_files(given: Path | None, places: Iterable[Path]) -> list[InputF
 
 
 def _mps_files(base: Path, video: str) -> tuple[list[InputFile], str | None]:
-    """MPS files of a video: gaze and hands from its own archive, the trajectory from the multi-recording SLAM.
+    """Return the MPS files of a video: gaze and hands from its own archive, the trajectory from the multi-recording SLAM.
 
     The trajectory of the video's own archive, if there is one, has a world of its own and is not used.
 
@@ -176,7 +176,7 @@ def _listed(place: Path | None, roles: frozenset[str]) -> list[InputFile]:
 
 
 def _archive_or_folder(folder: Path, name: str) -> Path | None:
-    """``folder/name`` where somebody unpacked it (also one level deeper), else ``folder/name.zip``."""
+    """Return ``folder/name`` where somebody unpacked it (also one level deeper), else ``folder/name.zip``."""
     for place in (folder / name, *sorted(folder.glob(f"*/{name}"))):
         if place.is_dir():
             return place
@@ -188,7 +188,7 @@ _MPS = {mps.GAZE: "gaze", mps.WRISTS: "hands"}
 
 
 def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
-    """The streams of one video, on the device clock.
+    """Return the streams of one video, on the device clock.
 
     Poses of the glasses lie in archives of hundreds of megabytes: their end is known once the video is read.
     """
@@ -241,7 +241,7 @@ def read_readings(found: RecordingFiles) -> hd_epic.HdEpicReadings:
 
 
 def _read_mps(found: RecordingFiles) -> mps.MpsReadings:
-    """Trajectory, gaze and hands; what is missing is named by the archive that a download by video leaves out."""
+    """Read trajectory, gaze and hands; a missing file is named by the archive that a download by video leaves out."""
     for file in found.files:
         if file.role.startswith(UNREADABLE):
             find_mps_files(file.path)

@@ -50,7 +50,7 @@ class VideoClock:
     device_ns: Int[np.ndarray, " frames"]
 
     def device_seconds(self, frames: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Device time of (fractions of) frames, seconds: linear between the rows, by the frame rate beyond the last."""
+        """Return the device time of (fractions of) frames, seconds: linear between rows, by the frame rate beyond."""
         last = len(self.device_ns) - 1
         inside = np.clip(frames, 0, last)
         start = self.device_ns[0]
@@ -58,7 +58,7 @@ class VideoClock:
         return start / 1e9 + since_start / 1e9 + (frames - inside) / FPS
 
     def frames(self, device_seconds: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """The inverse: frame numbers of device times; the first frame of a repeat."""
+        """Return the frame numbers of device times; of a repeat the first one."""
         first = np.append(True, np.diff(self.device_ns) > 0)
         start = self.device_ns[0]
         since_start = (self.device_ns[first] - start).astype(np.float64)
@@ -70,12 +70,12 @@ class VideoClock:
 
     @property
     def repeats(self) -> int:
-        """Frames whose image is that of the frame before."""
+        """Count the frames whose image is that of the frame before."""
         return int((np.diff(self.device_ns) == 0).sum())
 
     @property
     def span(self) -> tuple[float, float]:
-        """Device time of the first and the last frame, seconds."""
+        """Return the device time of the first and the last frame, seconds."""
         return float(self.device_ns[0] / 1e9), float(self.device_ns[-1] / 1e9)
 
 

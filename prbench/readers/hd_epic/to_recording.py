@@ -33,7 +33,7 @@ from prbench.recording.streams import (
 
 
 def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest, *, dataset: str) -> Recording:
-    """Streams in the world, and the annotated events, from native readings.
+    """Return the streams in the world, and the annotated events, from native readings.
 
     Gaze before the first and after the last video frame is masked: priming windows end where the video does.
 
@@ -111,7 +111,7 @@ def annotated_events(
     body: BodyStream | None,
     thresholds: Mapping[str, float],
 ) -> tuple[tuple[AnnotatedEvent, ...], tuple[str, ...]]:
-    """Pick (lift) and put (release) of every movement, in the order of time, and remarks.
+    """Return the pick (lift) and put (release) of every movement, in the order of time, and remarks.
 
     Args:
         readings: Tracks with masks, the video's clock, and the published priming.
@@ -157,7 +157,7 @@ def annotated_events(
 
 
 def masks_of_sides(track: hd_epic.ObjectTrack) -> tuple[hd_epic.ObjectMask | None, hd_epic.ObjectMask | None]:
-    """The masks that show a movement's start and its end, by nearest frame and whatever their order in the list.
+    """Return the masks that show a movement's start and its end, by nearest frame and whatever their order in the list.
 
     A single mask serves the nearer side. Of two or more, each side gets one of its own, with the least total distance.
     How far a mask may lie is decided elsewhere.
@@ -177,7 +177,7 @@ def masks_of_sides(track: hd_epic.ObjectTrack) -> tuple[hd_epic.ObjectMask | Non
 
 
 def _sides(track: hd_epic.ObjectTrack, clock: hd_epic.VideoClock, farthest: float) -> list[MovementSide]:
-    """Both sides of a movement, without a mask that does not show them, and with the reason."""
+    """Return both sides of a movement, without a mask that does not show them, and with the reason."""
     frames = np.array([track.start, track.end]) * hd_epic.FPS
     sides = []
     for is_start, frame, mask, inside in zip(
@@ -204,7 +204,7 @@ def published_priming(
     clock: hd_epic.VideoClock,
     thresholds: Mapping[str, float],
 ) -> tuple[list[PublishedPriming | None], tuple[str, ...]]:
-    """What the dataset publishes about each event, and remarks on what found no partner.
+    """Return what the dataset publishes about each event, and remarks on what found no partner.
 
     An entry belongs to an event of the same side whose frame (annotated time or mask) is within 1 and whose location
     within 1 mm; each entry serves one event, nearest first.

@@ -152,7 +152,7 @@ def why_unusable(metadata: Metadata) -> str | None:
 
 
 def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
-    """The streams of one recording, each clock from its own start.
+    """Return the streams of one recording, each clock from its own start.
 
     Ground truth and glasses have different clocks, which only reading all poses relates. The glasses record from the
     beginning to the end of the ground truth, or longer; so they are at least as long.
@@ -191,7 +191,7 @@ _INSTANCES = msgspec.json.Decoder(dict[str, _Instance])
 
 
 def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], tuple[str, ...]]:
-    """All objects that a recording tracks, by uid, and remarks.
+    """Read all objects that a recording tracks, by uid, and remarks.
 
     An object without a model keeps its poses; without a name it is called by its uid.
 
@@ -219,7 +219,7 @@ def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], 
 
 
 def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
-    """Poses of every body of the file, by uid; uids stay text.
+    """Return the poses of every body of the file, by uid; uids stay text.
 
     Raises:
         InputFileError: if the file or a column is missing, it has no rows, a pose is no pose, or the clock of a body
@@ -321,7 +321,7 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
 
 
 def read_mask(path: Path) -> hot3d.Mask:
-    """One mask of the RGB stream, in the order of time.
+    """Read one mask of the RGB stream, in the order of time.
 
     Raises:
         InputFileError: if the file or a column is missing, or a value is neither True nor False.

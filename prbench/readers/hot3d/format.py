@@ -46,7 +46,7 @@ _PAIR_NS = 1_000_000  # Rows closer than this belong to one instant: RGB and SLA
 
 
 def first_of_pairs(time_ns: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Rows that are not within a millisecond of the row before them: one of RGB and SLAM camera an instant."""
+    """Return True for rows that are a millisecond or more after the row before: one of RGB and SLAM camera."""
     return np.diff(time_ns, prepend=time_ns[:1] - _PAIR_NS) >= _PAIR_NS
 
 

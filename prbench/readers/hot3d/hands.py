@@ -92,7 +92,7 @@ def pose_points(
     *,
     mirrored: bool,
 ) -> Float[np.ndarray, "n v 3"]:
-    """World positions of points of the hand: linear blend skinning, then the wrist's pose.
+    """Return the world positions of points of the hand: linear blend skinning, then the wrist's pose.
 
     Args:
         points: Points of the hand at rest, in the frame of the wrist, metres.
@@ -114,7 +114,7 @@ def pose_points(
 
 
 def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], tuple[str, ...]]:
-    """Both hands over time, and remarks; lines that are no JSON are left out and counted.
+    """Read both hands over time, and remarks; lines that are no JSON are left out and counted.
 
     Raises:
         InputFileError: if the file is missing or holds no line at all, a pose is no pose, or time runs backwards.
@@ -164,7 +164,7 @@ def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], tuple[str, ..
 
 
 def read_profile(path: Path) -> hot3d.HandModel:
-    """The user's left hand, metres.
+    """Read the user's left hand, metres.
 
     Raises:
         InputFileError: if the file is missing or damaged, an array has another shape, or weights do not sum to 1.

@@ -60,7 +60,7 @@ class ClockMatch:
     rows: int
 
     def truth_ns(self, device_ns: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-        """Times of the ground truth's clock, in integers (device times may exceed what a float holds exactly)."""
+        """Return times of the ground truth's clock, in integers: device times may exceed what a float holds."""
         shift = round(self.offset_ns) + self.origin_ns
         since = device_ns - shift
         if self.drift == 0.0:
@@ -70,7 +70,7 @@ class ClockMatch:
 
     @property
     def remark(self) -> str:
-        """Messages for the user."""
+        """Return messages for the user."""
         drift = f", drift {self.drift * 1e6:+.2f} ppm" if self.drift else ""
         return (
             f"clocks aligned by {self.matched} of {self.rows} headset rows:"
@@ -168,7 +168,7 @@ def match_clocks(
 def _with_drift(
     seconds: Float[np.ndarray, " k"], low: Float[np.ndarray, " k"], high: Float[np.ndarray, " k"]
 ) -> tuple[float, float, float]:
-    """Offset (ns), drift (ns a second) and margin (ns) of the line that stays furthest inside of all intervals."""
+    """Return offset (ns), drift (ns a second), margin (ns) of the line that stays furthest inside of all intervals."""
     ones = np.ones_like(seconds)
     above = np.column_stack([-ones, -seconds, ones])
     below = np.column_stack([ones, seconds, ones])
@@ -187,7 +187,7 @@ def _with_drift(
 def recording_from_hot3d(
     readings: hot3d.Hot3dReadings, manifest: Manifest, *, dataset: str, meshes: bool = False
 ) -> Recording:
-    """Streams in the world from native readings.
+    """Return the streams in the world from native readings.
 
     Args:
         readings: Content of the native files.
@@ -309,7 +309,7 @@ def _on_truth_clock(mps: MpsReadings, clock: ClockMatch) -> MpsReadings:
 def hand_streams(
     readings: hot3d.Hot3dReadings, good: Callable[[Int[np.ndarray, " n"]], Bool[np.ndarray, " n"]]
 ) -> tuple[tuple[HandStream, ...], tuple[str, ...]]:
-    """Wrists and vertices of both hands at the instants where they are tracked, and remarks.
+    """Return the wrists and vertices of both hands at the instants where they are tracked, and remarks.
 
     Vertices are kept as float32 (a tenth of a micrometre within the room): they are the bulk of a recording.
 
@@ -337,7 +337,7 @@ def hand_streams(
 def umetrack_points(
     rows: hot3d.HandRows, model: hot3d.HandModel | None
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n v 3"]]:
-    """Times, wrist and vertices of one hand, one row an instant; without a model no vertices. Source world, metres."""
+    """Return times, wrist and vertices (none without a model) of one hand, one row an instant; source world, metres."""
     kept = hot3d.first_of_pairs(rows.time_ns)
     position = rows.position[kept]
     vertices = np.empty((int(kept.sum()), 0, 3))
@@ -352,7 +352,7 @@ def umetrack_points(
 def object_track(
     entry: hot3d.Hot3dObject, good: Bool[np.ndarray, " n"], longest_gap: float, *, meshes: bool = False
 ) -> ObjectTrack:
-    """The track of one object: one row an instant, gaps longer than ``longest_gap`` seconds marked as such.
+    """Return the track of one object: one row an instant, gaps longer than ``longest_gap`` seconds marked as such.
 
     Rows are missing in real recordings, and a missing row is a gap: nothing is held. Short ones are interpolated by
     whoever asks for a pose. Without a model the box is the object's origin.

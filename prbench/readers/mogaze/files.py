@@ -38,7 +38,7 @@ _Kind = TypeVar("_Kind", h5py.Dataset, h5py.Group)
 
 @contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
-    """An HDF5 file, open for reading.
+    """Return an HDF5 file, open for reading.
 
     Raises:
         InputFileError: if it cannot be opened, or a read inside fails.
@@ -53,7 +53,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
 
 def _entry(path: Path, parent: h5py.Group, name: str, kind: type[_Kind], called: str) -> _Kind:
-    """What stands under a name in this very file; a link that leads elsewhere is never followed."""
+    """Return what stands under a name in this very file; a link that leads elsewhere is never followed."""
     link = parent.get(name, getlink=True)
     elsewhere = link is not None and not isinstance(link, h5py.HardLink)
     found = f"a link ({type(link).__name__})"
@@ -71,7 +71,7 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def dataset(path: Path, parent: h5py.Group, name: str) -> h5py.Dataset:
-    """One dataset of a file or group.
+    """Return one dataset of a file or group.
 
     Raises:
         InputFileError: if it is missing, listing what is there, or lies in another file.
@@ -80,7 +80,7 @@ def dataset(path: Path, parent: h5py.Group, name: str) -> h5py.Dataset:
 
 
 def stored_values(path: Path, entry: h5py.Dataset) -> np.ndarray:
-    """All values of a dataset; what it declares is held against what is stored before anything is allocated.
+    """Return all values of a dataset; what it declares is held against what is stored before anything is allocated.
 
     Raises:
         InputFileError: if it declares more than its stored bytes can hold, or its values lie in other files.
@@ -98,7 +98,7 @@ def stored_values(path: Path, entry: h5py.Dataset) -> np.ndarray:
 
 
 def numbers(path: Path, entry: h5py.Dataset, *, columns: int) -> Float[np.ndarray, "n columns"]:
-    """A table of numbers with at least ``columns`` columns.
+    """Return a table of numbers with at least ``columns`` columns.
 
     Raises:
         InputFileError: if it is of another shape or kind.
@@ -110,7 +110,7 @@ def numbers(path: Path, entry: h5py.Dataset, *, columns: int) -> Float[np.ndarra
 
 
 def _attribute(path: Path, entry: h5py.Dataset, name: str) -> np.ndarray:
-    """One attribute as an array; refused if it is missing, empty or too large."""
+    """Return one attribute as an array; refused if it is missing, empty or too large."""
     where = f"attributes of {entry.name}"
     require(path, (name in entry.attrs, where, f"'{name}'", _listed(entry.attrs), _COPY_AGAIN))
     stored = entry.attrs.get_id(name)
@@ -131,7 +131,7 @@ def _number_attribute(path: Path, entry: h5py.Dataset, name: str) -> Float[np.nd
 
 
 def _words(values: np.ndarray | Sequence[object]) -> list[str]:
-    """Texts, whether the file holds them as bytes (padded or not) or as strings."""
+    """Return the texts, whether the file holds them as bytes (padded or not) or as strings."""
     return [
         value.decode("utf-8", "replace").rstrip("\0") if isinstance(value, bytes) else str(value) for value in values
     ]
@@ -139,7 +139,7 @@ def _words(values: np.ndarray | Sequence[object]) -> list[str]:
 
 @foreign_input()
 def read_scene(path: Path) -> dict[int, tuple[str, Path | None]]:
-    """Names and meshes of the bodies, by id.
+    """Read the names and meshes of the bodies, by id.
 
     A mesh is None where the scene names none, or none of that name lies in the dataset's folder.
 
@@ -165,7 +165,7 @@ def read_scene(path: Path) -> dict[int, tuple[str, Path | None]]:
 
 
 def find_mesh(folder: Path, source: str) -> Path | None:
-    """The mesh that a scene names: relative to the parent of the dataset's folder, to the folder, or by its base name.
+    """Find the mesh that a scene names: relative to the folder's parent, to the folder, or by its base name.
 
     A path that leads out of the dataset's folder is never followed.
 
@@ -182,7 +182,7 @@ def find_mesh(folder: Path, source: str) -> Path | None:
 
 
 def read_mesh(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Vertices (metres, in the frame of the body) and triangles of a mesh.
+    """Read the vertices (metres, in the frame of the body) and triangles of a mesh.
 
     Raises:
         InputFileError: if the file holds no triangles.
@@ -255,7 +255,7 @@ def find_recordings(root: Path | str, *, include_excluded: bool = False) -> tupl
 
 
 def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
-    """The streams of one recording: frames at one rate, all from frame 0; labels begin and end with nothing in hand."""
+    """Return the streams of one recording: frames at one rate, all from frame 0, labels with nothing in hand."""
     human, objects, gaze, segments = mogaze.PARTS
     streams = {human: "body", objects: "objects", gaze: "gaze", segments: "labels"}
     extents = []
@@ -274,7 +274,7 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
 
 
 def _last(content: h5py.File, role: str) -> int | None:
-    """Last frame of a file's shortest array or of its last label; None where it holds none."""
+    """Return the last frame of a file's shortest array or of its last label; None where it holds none."""
     if role == mogaze.PARTS[3]:
         rows = content[mogaze.SEGMENT_DATASET]
         if not isinstance(rows, h5py.Dataset) or rows.ndim != 1 or len(rows) == 0:
@@ -383,7 +383,7 @@ def read_readings(found: RecordingFiles, manifest: Manifest, *, meshes: bool = F
 
 
 def _read_poses(path: Path) -> dict[int, Float[np.ndarray, "n 7"]]:
-    """Position and quaternion (x y z w) of each tracked body by id, in the order of the file."""
+    """Return the position and quaternion (x y z w) of each tracked body by id, in the order of the file."""
     poses: dict[int, Float[np.ndarray, "n 7"]] = {}
     with opened(path) as file:
         bodies = _entry(path, file, mogaze.OBJECT_GROUP, h5py.Group, "a group")

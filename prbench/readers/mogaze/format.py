@@ -43,7 +43,7 @@ UNREMARKABLE_LENGTH_DIFFERENCE = 2  # Frames.
 
 
 def kind_of_body(name: str) -> str:
-    """Kind of a body: ``cup``, ``plate``, ``jug``, ``bowl``, ``table``, ``laiva_shelf``, ``red_chair`` → ``chair``.
+    """Return the kind of a body: ``cup_red`` → ``cup``, ``laiva_shelf`` → ``laiva_shelf``, ``red_chair`` → ``chair``.
 
     Colours and numbers are left out; a name that follows no known pattern is its own kind.
     """
@@ -63,7 +63,7 @@ def gaze_directions(
     calibration: Float[np.ndarray, "3 3"],
     points: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Unit gaze directions in the dataset's world (docs/specification/mogaze.md#head-pose-and-gaze-ray).
+    """Return the unit gaze directions in the dataset's world (docs/specification/mogaze.md#head-pose-and-gaze-ray).
 
     Args:
         goggles_rotation: Goggles to world.
@@ -191,7 +191,7 @@ HEAD_FROM_CPF = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
 
 
 def link_offsets(fixed: Mapping[str, float]) -> Float[np.ndarray, "21 3"]:
-    """Constant offset of each link in its parent's frame, metres; zero for the base.
+    """Return the constant offset of each link in its parent's frame, metres; zero for the base.
 
     Limits of the model are not applied: the data hold negative offsets where it allows [0, 1].
 
@@ -213,7 +213,7 @@ def link_offsets(fixed: Mapping[str, float]) -> Float[np.ndarray, "21 3"]:
 def link_poses(
     state: Float[np.ndarray, "n 66"], offsets: Float[np.ndarray, "21 3"]
 ) -> tuple[Float[np.ndarray, "n 21 3"], Float[np.ndarray, "n 21 3 3"]]:
-    """Positions (metres) and rotations of the 21 links in the dataset's world (Z up).
+    """Return the positions (metres) and rotations of the 21 links in the dataset's world (Z up).
 
     Args:
         state: Columns as in :data:`STATE_COLUMNS`; rows with NaN give NaN.
@@ -225,7 +225,7 @@ def link_poses(
 
 
 def intrinsic_xyz(angles: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rotation matrices Rx(a) Ry(b) Rz(c), radians."""
+    """Return the rotation matrices Rx(a) Ry(b) Rz(c), radians."""
     (cos_x, cos_y, cos_z), (sin_x, sin_y, sin_z) = (np.moveaxis(f(angles), -1, 0) for f in (np.cos, np.sin))
     matrix = np.empty((*angles.shape, 3))
     matrix[..., 0, 0] = cos_y * cos_z
@@ -241,7 +241,7 @@ def intrinsic_xyz(angles: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*
 
 
 def body_joints(positions: Float[np.ndarray, "n 21 3"], mapping: Sequence[str]) -> Float[np.ndarray, "n 22 3"]:
-    """The 22 joints from the 21 links.
+    """Return the 22 joints from the 21 links.
 
     Args:
         positions: Positions of the links, metres.

@@ -38,7 +38,7 @@ _ROUNDING = 1e-9  # s
 
 
 def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *, dataset: str) -> Recording:
-    """Streams in the world from native readings.
+    """Return the streams in the world from native readings.
 
     Args:
         readings: Content of the native files.
@@ -120,7 +120,7 @@ def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *
 
 
 def seen(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, " n"]:
-    """Frames in which a body was tracked: finite, with a quaternion of about unit length."""
+    """Return True for frames in which a body was tracked: finite, with a quaternion of about unit length."""
     length = np.linalg.norm(rotation, axis=1)
     return np.isfinite(position).all(axis=1) & (np.abs(length - 1) < _UNIT_TOLERANCE)
 
@@ -128,7 +128,7 @@ def seen(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"])
 def _gaze(
     readings: mogaze.MogazeReadings, goggles: mogaze.MogazeBody, manifest: Manifest
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"], bool]:
-    """Directions in the world, which of them are valid, and whether the gaze points are metres."""
+    """Return the directions in the world, which of them are valid, and whether the gaze points are metres."""
     tracked = seen(goggles.position, goggles.rotation)
     confident = readings.gaze_confidence >= manifest.thresholds["gaze_confidence"]
     points = readings.gaze_points
@@ -181,7 +181,7 @@ def _track(
 def annotated_events(
     segments: Sequence[Segment], tracks: Sequence[ObjectTrack], body: BodyStream, rest_window: int
 ) -> tuple[tuple[AnnotatedEvent, ...], tuple[str, ...]]:
-    """Picks at the start, puts at the end of every segment in which an object moves.
+    """Return the picks at the start, puts at the end of every segment in which an object moves.
 
     The place of a pick is the object's last pose before it, that of a put the median pose over the ``rest_window``
     frames after it, clipped to the next movement.
@@ -268,14 +268,14 @@ def annotated_events(
 
 
 def _resting_before(track: ObjectTrack, frame: int) -> tuple[np.ndarray, np.ndarray]:
-    """The last pose seen up to a frame, else the first one after it."""
+    """Return the last pose seen up to a frame, else the first one after it."""
     seen = np.flatnonzero(track.valid)
     index = seen[max(int(np.searchsorted(seen, frame, side="right")) - 1, 0)]
     return track.position[index], track.rotation[index]
 
 
 def _resting_after(track: ObjectTrack, frame: int, stop: int, moved_again: int) -> tuple[np.ndarray, np.ndarray]:
-    """The median pose over ``[frame, stop]``; where the object is not seen then, its next pose at rest or its last."""
+    """Return the median pose over ``[frame, stop]``; of an unseen object its next pose at rest or its last."""
     window = np.arange(frame, min(stop, len(track.valid) - 1) + 1)
     window = window[track.valid[window]]
     if len(window) == 0:
@@ -294,7 +294,7 @@ FEWEST_GAZE = 0.8  # Share of a segment's frames with confident gaze; the segmen
 def published_tracks(
     readings: mogaze.MogazeReadings, recording: Recording, *, least_confidence: float
 ) -> tuple[PublishedTrack, ...]:
-    """Every row of ``segments`` as a pick or a place, cut to its first and last confident gaze.
+    """Return every row of ``segments`` as a pick or a place, cut to its first and last confident gaze.
 
     A row without an object in motion is the pick that comes next (``pick_001``), one with an object is the ``place``.
     Rows that end before they begin, and a row like the one before it, are left out.
