@@ -143,7 +143,7 @@ def _annotation_files(given: Path | None, places: Iterable[Path]) -> list[InputF
 
 
 def _mps_files(base: Path, video: str) -> tuple[list[InputFile], str | None]:
-    """Return the MPS files of a video: gaze and hands from its own archive, the trajectory from the multi-recording SLAM.
+    """Return the MPS files of a video: gaze and hands of its own archive, the trajectory of the multi-recording SLAM.
 
     The trajectory of the video's own archive, if there is one, has a world of its own and is not used.
 
