@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import load_array
-from prbench.files.bounded import foreign_input, require_rows
+from prbench.files.bounded import foreign_input, require, require_rows
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.representation.encoding import decode, yaw_matrices
 from prbench.representation.features import (
@@ -164,9 +164,9 @@ def read_feature_statistics(mean: Path, std: Path) -> Statistics:
     vectors = []
     for path in (mean, std):
         values = load_array(path, remedy=remedy)
-        if values.shape != (N_FEATURES,) or values.dtype.kind not in "fiu":
-            found = f"shape {values.shape} of {values.dtype}"
-            raise InputFileError(path, "", expected=f"{N_FEATURES} numbers", found=found, remedy=remedy)
+        fits = values.shape == (N_FEATURES,) and values.dtype.kind in "fiu"
+        found = f"shape {values.shape} of {values.dtype}"
+        require(path, (fits, "", f"{N_FEATURES} numbers", found, remedy))
         require_rows(path, ~np.isfinite(values), "a finite number", "NaN or infinity", place="column", first=0)
         vectors.append(values.astype(np.float32))
     means, stds = vectors
@@ -194,15 +194,10 @@ def feature_rows(output: np.ndarray, *, source: str = FEATURES) -> Float[np.ndar
         return output
     if output.ndim == 3 and output.shape[1] == N_FEATURES:
         return np.moveaxis(output, 1, 2)
-    raise InputFileError(
-        source,
-        "",
-        expected="(batch, rows, 263), (rows, 263) or (batch, 263, 1, rows)",
-        found=str(output.shape),
-        remedy="251 features are those of the KIT skeleton of 21 joints; they are not read."
-        if N_FEATURES - 12 in output.shape
-        else "",
-    )
+    of_kit = "251 features are those of the KIT skeleton of 21 joints; they are not read."
+    remedy = of_kit if N_FEATURES - 12 in output.shape else ""
+    expected = "(batch, rows, 263), (rows, 263) or (batch, 263, 1, rows)"
+    raise InputFileError(source, "", expected=expected, found=str(output.shape), remedy=remedy)
 
 
 def motions_from_features(
@@ -233,13 +228,8 @@ def motions_from_features(
     Raises:
         InputFileError: if there are too few rows, a number is not finite, or the check fails.
     """
-    if len(features) != len(n_frames):
-        raise InputFileError(
-            source,
-            "",
-            expected=f"features of {len(n_frames)} motions, one for each of n_frames",
-            found=str(len(features)),
-        )
+    expected = f"features of {len(n_frames)} motions, one for each of n_frames"
+    require(source, (len(features) == len(n_frames), "", expected, len(features), ""))
     names = [f"{source}, row {row}" for row in range(len(features))]
     if sequences is not None:
         names = [f"{name} (sequence {sequence})" for name, sequence in zip(names, sequences)]
@@ -288,14 +278,9 @@ def joints_from_features(
 def _used_rows(features: np.ndarray, wanted: int, root: Root, source: str) -> np.ndarray:
     """The rows that the frames wanted come from, float64, relative root."""
     rows = len(features)
-    if not 1 <= wanted <= rows + 1 or rows == 0:
-        raise InputFileError(
-            source,
-            "",
-            expected=f"{wanted} rows, or {wanted - 1}, for {wanted} frames",
-            found=str(rows),
-            remedy="Ask the model for as many rows as the batch's n_frames.",
-        )
+    expected = f"{wanted} rows, or {wanted - 1}, for {wanted} frames"
+    remedy = "Ask the model for as many rows as the batch's n_frames."
+    require(source, (1 <= wanted <= rows + 1 and rows > 0, "", expected, rows, remedy))
     used = features[: min(wanted, rows)].astype(np.float64)
     bad = np.argwhere(~np.isfinite(used))
     if bad.size:

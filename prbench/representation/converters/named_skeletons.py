@@ -17,7 +17,8 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float, Num
 
-from prbench.errors import InputFileError, UsageError, did_you_mean
+from prbench.errors import UsageError, did_you_mean
+from prbench.files.bounded import require
 from prbench.geometry.skeleton import CHAINS, N_JOINTS, XSENS_SEGMENTS, Joint, match_names
 
 # Directions of the trunk, each as long as the trunk (middle of the hips to middle of the shoulders): ``@up`` along it,
@@ -224,14 +225,10 @@ class JointMap:
         Raises:
             InputFileError: if the array has another number of joints.
         """
-        if joints.ndim != 3 or joints.shape[1:] != (len(self.source_joints), 3):
-            raise InputFileError(
-                source,
-                "",
-                expected=f"(frames, {len(self.source_joints)}, 3) for the skeleton '{self.name}'",
-                found=str(joints.shape),
-                remedy="Name the skeleton that the joints are of (JOINT_MAPS), or write its map.",
-            )
+        fits = joints.ndim == 3 and joints.shape[1:] == (len(self.source_joints), 3)
+        expected = f"(frames, {len(self.source_joints)}, 3) for the skeleton '{self.name}'"
+        remedy = "Name the skeleton that the joints are of (JOINT_MAPS), or write its map."
+        require(source, (fits, "", expected, joints.shape, remedy))
         native = joints.astype(np.float64)
         columns = {name: index for index, name in enumerate(self.source_joints)}
         body = np.full((len(joints), N_JOINTS, 3), np.nan)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Num
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.files.bounded import require_rows
+from prbench.files.bounded import require, require_rows
 from prbench.geometry.skeleton import (
     N_JOINTS,
     PARENTS,
@@ -122,8 +122,7 @@ def at_rate(
         InputFileError: if a rate is no positive number, or the motion ends before the last frame that is asked for.
     """
     for rate in (fps, wanted_fps):
-        if not (np.isfinite(rate) and rate > 0):
-            raise InputFileError(source, "", expected="a frame rate above 0", found=f"{rate:g}")
+        require(source, (np.isfinite(rate) and rate > 0, "", "a frame rate above 0", f"{rate:g}", ""))
     return at_times(np.arange(len(values)) / fps, values, n_frames=n_frames, wanted_fps=wanted_fps, source=source)
 
 
@@ -147,8 +146,7 @@ def at_times(
     Raises:
         InputFileError: if there is no frame, time does not increase, or the motion is too short.
     """
-    if not len(times):
-        raise InputFileError(source, "times", expected="increasing times, at least one", found="none")
+    require(source, (len(times) > 0, "times", "increasing times, at least one", "none", ""))
     require_rows(
         source,
         np.diff(times) <= 0,
@@ -160,14 +158,10 @@ def at_times(
     covered = float(times[-1] - times[0])
     most = int(np.floor((covered + _ROUNDING) * wanted_fps)) + 1
     wanted = most if n_frames is None else n_frames
-    if wanted > most:
-        raise InputFileError(
-            source,
-            "",
-            expected=f"{(wanted - 1) / wanted_fps:.3f} s of motion, for {wanted} frames at {wanted_fps:g} fps",
-            found=f"{covered:.3f} s ({len(times)} frames)",
-            remedy="Ask the model for frames_needed(n_frames, fps) frames; a motion is never stretched.",
-        )
+    expected = f"{(wanted - 1) / wanted_fps:.3f} s of motion, for {wanted} frames at {wanted_fps:g} fps"
+    found = f"{covered:.3f} s ({len(times)} frames)"
+    remedy = "Ask the model for frames_needed(n_frames, fps) frames; a motion is never stretched."
+    require(source, (wanted <= most, "", expected, found, remedy))
     query = times[0] + np.arange(wanted) / wanted_fps
     return interpolate(times.astype(np.float64), values, query).astype(np.result_type(values.dtype, np.float32))
 
@@ -193,14 +187,12 @@ def check_limbs(joints: Float[np.ndarray, "frames 22 3"], *, source: Path | str 
             factor of 1.6.
     """
     check_finite(joints, source)
-    if not len(joints):
-        raise InputFileError(source, "", expected="one frame or more", found="none")
+    require(source, (len(joints) > 0, "", "one frame or more", "none", ""))
     bones = np.linalg.norm(joints[:, 1:] - joints[:, PARENTS[1:]], axis=-1)
     median = dict(zip(Joint, [0.0, *np.median(bones, axis=0).tolist()]))
     # All limbs too long or too short by one factor: another unit.
     factor = float(np.median([median[end] for pair in _LIMB_PAIRS for end in pair])) / _ADULT_LIMB
-    if factor < _TINIEST_BODY:
-        raise InputFileError(source, "", expected="joints of a body", found="joints that lie on one another")
+    require(source, (factor >= _TINIEST_BODY, "", "joints of a body", "joints that lie on one another", ""))
     if not 1 / 3 < factor < 3:
         name = min(UNITS, key=lambda unit: abs(np.log(factor * UNITS[unit])))
         remedy = f"This looks like {name}: say unit='{name}'."
@@ -285,15 +277,12 @@ def check_sides(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True, 
         InputFileError: if left and right are exchanged, or the world is left-handed.
     """
     cosine = front_of_legs(joints, feet=feet)
-    if cosine is not None and cosine < _BACKWARDS:
-        raise InputFileError(
-            source,
-            "left and right",
-            expected="feet and knees that point to the body's front",
-            found=f"a mean cosine of {cosine:.2f} between them and the front that hips and shoulders give",
-            remedy="Left and right joints are exchanged, or the world is left-handed: check the order of the joints,"
-            " then say left_handed=True.",
-        )
+    if cosine is None:
+        return
+    expected = "feet and knees that point to the body's front"
+    found = f"a mean cosine of {cosine:.2f} between them and the front that hips and shoulders give"
+    remedy = "Left and right joints are exchanged, or the world is left-handed: check the order of the joints, then say"
+    require(source, (cosine >= _BACKWARDS, "left and right", expected, found, f"{remedy} left_handed=True."))
 
 
 Height = Literal["pelvis", "floor"]

@@ -316,15 +316,11 @@ class RestJoints:
             return self.template
         known = self.directions.shape[-1]
         if len(betas) > known:
-            if np.any(betas[known:]):
-                raise InputFileError(
-                    "betas",
-                    "",
-                    expected=f"at most the {known} shape numbers of the body model",
-                    found=str(len(betas)),
-                    remedy="The shape belongs to another model (SMPL-H 'extended' has 16); take the model that it was"
-                    " fitted with.",
-                )
+            expected = f"at most the {known} shape numbers of the body model"
+            remedy = (
+                "The shape belongs to another model (SMPL-H 'extended' has 16); take the one that it was fitted with."
+            )
+            require("betas", (not np.any(betas[known:]), "", expected, len(betas), remedy))
             betas = betas[:known]
         return self.template + self.directions[..., : len(betas)] @ betas.astype(np.float64)
 
@@ -347,10 +343,11 @@ def read_rest_joints(path: Path, *, joints: int | None = None, how_to_get: str =
         InputFileError: if the file is missing, a pickle, no archive of plain arrays, or its arrays do not fit together.
     """
     path = path.expanduser()
-    if not path.exists():
-        raise InputFileError(path, "", expected="your own body model", found="no such file", remedy=how_to_get)
-    if path.suffix == ".pkl":
-        raise InputFileError(path, "", expected="an .npz archive", found="a pickle", remedy=HOW_TO_CONVERT)
+    require(
+        path,
+        (path.exists(), "", "your own body model", "no such file", how_to_get),
+        (path.suffix != ".pkl", "", "an .npz archive", "a pickle", HOW_TO_CONVERT),
+    )
     archive = Archive(path, remedy=HOW_TO_CONVERT)
     archive.require((REGRESSOR, TEMPLATE, SHAPES))
     arrays = archive.load((REGRESSOR, TEMPLATE, SHAPES))
@@ -364,15 +361,11 @@ def read_rest_joints(path: Path, *, joints: int | None = None, how_to_get: str =
         and shapes.ndim == 3
         and shapes.shape[:2] == (points, 3)
     )
-    if not fits or not all(np.isfinite(array).all() for array in (regressor, template, shapes)):
-        rows = joints or f"at least {N_JOINTS}"
-        raise InputFileError(
-            path,
-            "",
-            expected=f"finite v_template (v, 3), J_regressor ({rows}, v) and shapedirs (v, 3, shapes)",
-            found=f"{template.shape}, {regressor.shape} and {shapes.shape}",
-            remedy="This is the model of another body.",
-        )
+    fits = fits and all(np.isfinite(array).all() for array in (regressor, template, shapes))
+    rows = joints or f"at least {N_JOINTS}"
+    expected = f"finite v_template (v, 3), J_regressor ({rows}, v) and shapedirs (v, 3, shapes)"
+    found = f"{template.shape}, {regressor.shape} and {shapes.shape}"
+    require(path, (fits, "", expected, found, "This is the model of another body."))
     if len(regressor) == SMPLX_JOINTS:  # columns of the face's expression follow those of the shape
         shapes = shapes[..., : 300 if shapes.shape[2] >= 400 else 10]
     body = regressor[:N_JOINTS]
