@@ -215,7 +215,7 @@ def recording_from_hot3d(
     streams = mps_streams(mps, world_from_source=Y_UP_FROM_Z_UP)
     checked = len(readings.masks.get("qa_pass", ((),))[0]) > 0
     skipped_start = 0.0 if checked else manifest.thresholds["skipped_start_without_qa"]
-    """Seconds without use at the start, where no mask tells that the hands are right from the first frame."""
+    # Seconds without use at the start, where no mask tells that the hands are right from the first frame.
     first_ns = int(headset.time_ns[0]) + round(skipped_start * 1e9)
 
     def flag(time_ns: Int[np.ndarray, " n"], name: hot3d.MaskName) -> Bool[np.ndarray, " n"]:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.adt import format as adt
@@ -20,16 +19,13 @@ def test_named_contact_joints_have_the_documented_numbers() -> None:
     assert adt.MIDDLE_FINGER_BASES == (15, 34)
 
 
-@pytest.mark.parametrize(
-    ("name", "category", "hinged"),
-    [
-        ("Apartment_BedroomDoor", "door", True),
-        ("Apartment_CabinetDrawerF", "part of a cabinet/wardrobe", True),
-        ("OfficeDrawer_2", "cabinets and shelves", True),
-        ("WoodenBowl", "bowl", False),
-        ("UtilityCart", "cabinets and shelves", False),
-        ("IndoorPlant", "house plant", False),
-    ],
-)
-def test_doors_and_drawers_are_told_by_category_or_name(name, category, hinged) -> None:
-    assert adt.is_hinged(name, category) == hinged
+def test_doors_and_drawers_are_told_by_category_or_name() -> None:
+    assert adt.is_hinged("Apartment_BedroomDoor", "door")
+    assert adt.is_hinged("Apartment_CabinetDrawerF", "part of a cabinet/wardrobe")
+    assert adt.is_hinged("OfficeDrawer_2", "cabinets and shelves")
+    for name, category in (
+        ("WoodenBowl", "bowl"),
+        ("UtilityCart", "cabinets and shelves"),
+        ("IndoorPlant", "house plant"),
+    ):
+        assert not adt.is_hinged(name, category)

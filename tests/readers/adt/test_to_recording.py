@@ -37,14 +37,11 @@ def test_what_is_written_by_hand_comes_out(readings, tmp_path) -> None:
     assert names == [(side, contact) for contact in contacts for side in ("left", "right")]
     for hand, point in zip(recording.hands, (*STANDING[20:], *FINGER_BASES), strict=True):
         assert hand.points[7, 0] == pytest.approx(point)
+    assert float(TABLE) != TABLE
+    assert str(TABLE) in {track.object_id for track in recording.objects}, "ids never pass through floats"
     fork = recording.object(str(FORK))
     assert fork.movable
     assert fork.times[0] == pytest.approx(5000.0000007, abs=1e-9)
-
-
-def test_ids_never_pass_through_floats(readings, tmp_path) -> None:
-    assert float(TABLE) != TABLE
-    assert str(TABLE) in {track.object_id for track in _through_files(readings, tmp_path).objects}
 
 
 def test_the_gaze_ray_starts_between_the_eyes_and_looks_along_z_of_the_cpf(readings, tmp_path) -> None:

@@ -156,17 +156,14 @@ def test_a_build_names_what_is_missing_and_goes_on(tmp_path) -> None:
     assert (report.info.counts.recordings_found, report.info.counts.recordings_failed) == (3, 0)
 
 
-def test_a_segment_without_event_is_skipped_and_counted(tmp_path) -> None:
+def test_a_segment_without_event_is_skipped_and_options_and_terms_stand_in_the_table(tmp_path) -> None:
     root = sample.write_root(tmp_path / "GIMO", replace(sample.readings(), events=()))
-    report = build_dataset("gimo", root, tmp_path / "table")
-    assert (report.records[0].status, report.info.counts.recordings_skipped) == ("skipped", 1)
-    assert "no event is annotated for it" in report.records[0].message
-
-
-def test_options_stand_in_the_table(root, tmp_path) -> None:
     options = BuildOptions(reader=(("hints", "false"), ("training_2", "drop")))
     report = build_dataset("gimo", root, tmp_path / "table", options=options)
+    assert (report.records[0].status, report.info.counts.recordings_skipped) == ("skipped", 1)
+    assert "no event is annotated for it" in report.records[0].message
     assert {"false", "drop"} <= set(report.info.options.values())
+    assert report.info.redistribution == "none", "nothing of GIMO may be passed on"
 
 
 def test_a_scene_mesh_is_moved_into_the_room(root) -> None:

@@ -48,25 +48,18 @@ def test_mark_unnamed_columns_and_hints_are_understood(tmp_path) -> None:
     assert first.name == "room_S_10-50"
 
 
-def test_without_action_and_unnamed_columns_too(tmp_path) -> None:
-    (row,) = read_segments(table(tmp_path, "S,10,50,room,t.json,1"))
+def test_shorter_tables_named_columns_and_foreign_letters(tmp_path) -> None:
+    (row,) = read_segments(table(tmp_path, "2022:01/x,1,2,living room,t.json,1"))
     assert (row.segment.activity, row.segment.hint, row.remarks) == ("", None, ())
-
-
-def test_a_named_eighth_column_is_no_hint(tmp_path) -> None:
+    assert row.segment.name == "living-room_2022-01-x_1-2", "no character that files forbid"
     (row,) = read_segments(table(tmp_path, "S,10,50,room,t.json,1,a,33", header=f"{HEADER},action,person"))
-    assert row.segment.hint is None
+    assert row.segment.hint is None, "a named eighth column is no hint"
 
 
 def test_a_repeated_row_is_dropped_and_reported(tmp_path) -> None:
     line = "2022-01-21-200703,209,613,room,t.json,1"
     first, _ = read_segments(table(tmp_path, line, "S,1,2,room,t.json,1", line))
     assert first.remarks == ("line 2 of dataset.csv is repeated in line 4; the repetition is left out",)
-
-
-def test_names_of_recordings_hold_no_character_that_files_forbid(tmp_path) -> None:
-    (row,) = read_segments(table(tmp_path, "2022:01/x,1,2,living room,t.json,1"))
-    assert row.segment.name == "living-room_2022-01-x_1-2"
 
 
 def test_overlapping_segments_know_each_other(tmp_path) -> None:

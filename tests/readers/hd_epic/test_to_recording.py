@@ -42,29 +42,20 @@ def located(frame: float, mask_frame: int, place: np.ndarray) -> MovementSide:
     return MovementSide(track(frame / 30, frame / 30 + 1, shown), True, frame, shown, "")
 
 
-def frames(pair: tuple[ObjectMask | None, ObjectMask | None]) -> tuple[int | None, ...]:
-    return tuple(None if each is None else each.frame for each in pair)
-
-
-def test_masks_are_assigned_by_frame_and_not_by_their_order() -> None:
-    assert frames(masks_of_sides(track(7.0, 9.4, mask(282), mask(210)))) == (210, 282)
-
-
-def test_a_single_mask_serves_the_nearer_side_only() -> None:
-    assert frames(masks_of_sides(track(1.0, 5.0, mask(40)))) == (40, None)
-    assert frames(masks_of_sides(track(1.0, 5.0, mask(140)))) == (None, 140)
-
-
-def test_of_more_than_two_masks_the_nearest_serve() -> None:
-    assert frames(masks_of_sides(track(1.0, 5.0, mask(90), mask(149), mask(31), mask(60)))) == (31, 149)
-
-
-def test_both_sides_of_a_short_movement_have_a_mask_of_their_own() -> None:
-    assert frames(masks_of_sides(track(1.0, 1.04, mask(32), mask(30)))) == (30, 32)
-
-
-def test_no_mask_serves_nobody() -> None:
-    assert masks_of_sides(track(1.0, 2.0)) == (None, None)
+@pytest.mark.parametrize(
+    ("start", "end", "frames", "served"),
+    [
+        (7.0, 9.4, (282, 210), (210, 282)),  # by frame, not by the order in the file
+        (1.0, 5.0, (40,), (40, None)),  # a single mask serves the nearer side
+        (1.0, 5.0, (140,), (None, 140)),
+        (1.0, 5.0, (90, 149, 31, 60), (31, 149)),
+        (1.0, 1.04, (32, 30), (30, 32)),  # both sides of a short movement have a mask of their own
+        (1.0, 2.0, (), (None, None)),
+    ],
+)
+def test_each_side_of_a_movement_has_the_mask_nearest_to_it(start, end, frames, served) -> None:
+    masks = masks_of_sides(track(start, end, *map(mask, frames)))
+    assert tuple(each and each.frame for each in masks) == served
 
 
 def _readings(*tracks: ObjectTrack, priming=None, clock=CLOCK) -> hd_epic.HdEpicReadings:
@@ -184,16 +175,9 @@ def test_an_entry_serves_one_event_and_the_nearer_one() -> None:
     primings, remarks = _match([side(210, HERE, 135)], events)
     assert [priming is not None for priming in primings] == [False, True]
     assert remarks == ("published priming: nothing about 1 of 2 located events",)
-
-
-def test_entries_without_an_event_are_counted() -> None:
     _, remarks = _match([side(212, HERE, 135), side(500, HERE, 400)])
     assert remarks == ("published priming: 1 of 2 entries belong to no event",)
-
-
-def test_a_primed_frame_beyond_the_time_file_tells_nothing() -> None:
-    (priming,), _ = _match([side(212, HERE, 5000)])
-    assert priming is None
+    assert _match([side(212, HERE, 5000)])[0] == [None], "a primed frame beyond the time file tells nothing"
 
 
 MANIFEST = load_manifest("hd-epic")
