@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 # Set before Ray is imported: it would replace the loopback address by the machine's own, and tell its makers of us.
 os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -61,6 +63,16 @@ class LocalCluster:
     def shutdown(self) -> None:
         """End all nodes."""
         self._cluster.shutdown()
+
+
+def workers() -> list[psutil.Process]:
+    """Return the workers of our own cluster, whose nodes are children of this process."""
+    found = []
+    for process in psutil.Process().children(recursive=True):
+        with contextlib.suppress(psutil.Error):
+            if "RayWorker" in " ".join(process.cmdline()):
+                found.append(process)
+    return found
 
 
 def _patiently(start: Callable[[], Any]) -> Any:

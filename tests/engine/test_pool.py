@@ -8,49 +8,22 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
-import pyarrow as pa
 import pytest
 
 from prbench.engine import InProcess, ProcessPool, engine_for
 from prbench.errors import InputFileError, MemoryFullError
+from tests.engine.work import Short, fail_on_three
 
 
 def square(value: int) -> int:
     return value * value
 
 
-def fail_on_three(value: int) -> int:
-    if value == 3:
-        raise InputFileError("x.csv", "row 3", expected="a number", found="three", remedy="Count again.")
-    return value
-
-
 def die(value: int) -> int:
     os.kill(os.getpid(), signal.SIGKILL)
     return value
-
-
-@dataclass(frozen=True)
-class Short:
-    """Work for whose item 3 the memory does not suffice, so many times; a file a try counts them."""
-
-    folder: Path
-    times: int
-    how: str
-
-    def __call__(self, value: int) -> int:
-        tries = len(list(self.folder.iterdir()))
-        if value == 3 and tries < self.times:
-            (self.folder / str(tries)).touch()
-            if self.how == "killed":
-                os.kill(os.getpid(), signal.SIGKILL)
-            if self.how == "told":
-                raise InputFileError("x.csv", "", expected="less", found="too much") from MemoryError()
-            raise pa.lib.ArrowMemoryError("malloc of size 4398046511104 failed")
-        return value
 
 
 def test_both_engines_give_the_same_results_in_order():

@@ -22,8 +22,7 @@ from prbench.engine.nodes import Needs
 from prbench.engine.on_ray import RayEngine
 from prbench.errors import ClusterError, InputFileError, MemoryFullError
 from tests.curation.sources import folder_bytes, some_sources
-from tests.engine.local_cluster import ROOT
-from tests.engine.ray_kills import workers
+from tests.engine.local_cluster import ROOT, workers
 from tests.engine.work import Short, fail_on_three, first_and_last, where
 from tests.fakes import fake_dataset
 

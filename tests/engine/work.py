@@ -8,6 +8,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import pyarrow as pa
+
 from prbench.errors import InputFileError
 
 
@@ -38,6 +40,10 @@ class Short:
             (self.folder / str(tries)).touch()
             if self.how == "killed":
                 os.kill(os.getpid(), signal.SIGKILL)
+            if self.how == "told":
+                raise InputFileError("x.csv", "", expected="less", found="too much") from MemoryError()
+            if self.how == "arrow":
+                raise pa.lib.ArrowMemoryError("malloc of size 4398046511104 failed")
             raise MemoryError("malloc of size 4398046511104 failed")
         return value
 
