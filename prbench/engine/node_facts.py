@@ -35,28 +35,7 @@ def node_facts(wanted: dict) -> dict:
     Returns:
         Versions, digests and sizes by name or path; what is missing is empty, or None for a number.
     """
-    return {
-        "python": platform.python_version(),
-        "prbench": _version("prbench"),
-        "code": _code_digest(),
-        "packages": {name: _version(name) for name in wanted["packages"]},
-        "reads": {path: _fingerprint(path) for path in wanted["reads"]},
-        "marks": {path: _read_soon(path, text) for path, text in wanted["marks"].items()},
-        "room": {path: _free(path) for path in (*wanted["room"], tempfile.gettempdir())},
-        "folder": not wanted["folder"] or os.path.isdir(wanted["folder"]),  # noqa: PTH112
-        "time": time.time(),
-    }
-
-
-def _version(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return ""
-
-
-def _code_digest() -> str:
-    """Digest of the installed code: two working copies may have the same version and differ."""
+    # Digest of the installed code: two working copies may have the same version and differ.
     digest = hashlib.sha256()
     for package in _CODE:
         try:
@@ -68,37 +47,45 @@ def _code_digest() -> str:
                 if path.suffix in _SUFFIXES:
                     digest.update(f"{package}/{path.relative_to(root).as_posix()}".encode() + b"\0")
                     digest.update(path.read_bytes() + b"\0")
-    return digest.hexdigest()
-
-
-def _fingerprint(path: str) -> str:
-    """Tell whether another machine means the same by a path: the size of a file, the names in a folder."""
-    try:
-        if os.path.isdir(path):  # noqa: PTH112 - texts come in, and go out
-            with os.scandir(path) as entries:
-                # A build keeps its parts and locks in names with a dot, which come and go.
-                names = sorted(entry.name for entry in entries if not entry.name.startswith("."))
-            return "folder " + hashlib.sha256("\0".join(names[:_NAMES]).encode()).hexdigest()
-        return f"file of {os.stat(path).st_size} bytes"  # noqa: PTH116
-    except OSError:
-        return ""
-
-
-def _read_soon(path: str, expected: str) -> str:
-    """Read a short file that another machine has just written; empty if it does not appear."""
-    until = time.monotonic() + _PATIENCE_S
-    while True:
+    # Whether another machine means the same by a path: the size of a file, the names in a folder.
+    reads = dict.fromkeys(wanted["reads"], "")
+    for name in reads:
         with contextlib.suppress(OSError):
-            text = Path(path).read_text(encoding="utf-8")
-            if text == expected:
-                return text
-        if time.monotonic() > until or not Path(path).parent.is_dir():
-            return ""
-        time.sleep(0.1)
+            if os.path.isdir(name):  # noqa: PTH112 - texts come in, and go out
+                with os.scandir(name) as entries:
+                    # A build keeps its parts and locks in names with a dot, which come and go.
+                    names = sorted(entry.name for entry in entries if not entry.name.startswith("."))
+                reads[name] = "folder " + hashlib.sha256("\0".join(names[:_NAMES]).encode()).hexdigest()
+            else:
+                reads[name] = f"file of {os.stat(name).st_size} bytes"  # noqa: PTH116
+    # Short files that another machine has just written; empty where they do not appear.
+    marks = dict.fromkeys(wanted["marks"], "")
+    for name, text in wanted["marks"].items():
+        until = time.monotonic() + _PATIENCE_S
+        while not marks[name] and time.monotonic() < until and Path(name).parent.is_dir():
+            with contextlib.suppress(OSError):
+                marks[name] = text if Path(name).read_text(encoding="utf-8") == text else ""
+            if not marks[name]:
+                time.sleep(0.1)
+    room: dict[str, int | None] = dict.fromkeys((*wanted["room"], tempfile.gettempdir()))
+    for name in room:
+        with contextlib.suppress(OSError):
+            room[name] = shutil.disk_usage(name).free
+    return {
+        "python": platform.python_version(),
+        "prbench": _version("prbench"),
+        "code": digest.hexdigest(),
+        "packages": {name: _version(name) for name in wanted["packages"]},
+        "reads": reads,
+        "marks": marks,
+        "room": room,
+        "folder": not wanted["folder"] or os.path.isdir(wanted["folder"]),  # noqa: PTH112
+        "time": time.time(),
+    }
 
 
-def _free(path: str) -> int | None:
+def _version(package: str) -> str:
     try:
-        return shutil.disk_usage(path).free
-    except OSError:
-        return None
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return ""

@@ -141,7 +141,16 @@ class RayEngine:
 
     def _hired(self) -> Staff:
         """Connect, check every node, and make ready for workers."""
-        ray = _import_ray(self._address)
+        if self._address is not None and _host_and_port(self._address)[0] in _LOOPBACK:
+            # Ray replaces a loopback address by the machine's own, at which a head that is bound to loopback does not
+            # listen; this setting keeps it, and has to be there before Ray is imported.
+            os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
+        try:
+            for name in ("cloudpickle", "exceptions", "util.scheduling_strategies"):
+                importlib.import_module(f"ray.{name}")
+            ray = importlib.import_module("ray")
+        except ImportError as error:
+            raise MissingExtraError("ray", "ray", "--engine ray") from error
         with _sigterm_noted():
             _connect(ray, self._address, self._undo)  # which puts a handler there that leaves at once
         stop = self._undo.enter_context(_sigterm_noted())
@@ -344,19 +353,6 @@ class RayCluster:
     def _full(self) -> tuple[type[Exception], ...]:
         exceptions = self._ray.exceptions
         return exceptions.OutOfDiskError, exceptions.ObjectStoreFullError
-
-
-def _import_ray(address: str | None) -> ModuleType:
-    if address is not None and _host_and_port(address)[0] in _LOOPBACK:
-        # Ray replaces a loopback address by the machine's own, at which a head that is bound to loopback does not
-        # listen; this setting keeps it, and has to be there before Ray is imported.
-        os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
-    try:
-        for name in ("cloudpickle", "exceptions", "util.scheduling_strategies"):
-            importlib.import_module(f"ray.{name}")
-        return importlib.import_module("ray")
-    except ImportError as error:
-        raise MissingExtraError("ray", "ray", "--engine ray") from error
 
 
 def _connect(ray: ModuleType, address: str | None, undo: contextlib.ExitStack) -> None:

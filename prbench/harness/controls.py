@@ -40,7 +40,7 @@ from prbench.harness.methods.installed import (
 )
 from prbench.harness.methods.motions import native_frames, resampled
 from prbench.harness.planning import WINDOW, Selection, select
-from prbench.harness.scripted import CHEATS, ScriptedStart, cheating_motions, scripted_motions
+from prbench.harness.scripted import CHEATS, ScriptedStart, scripted_motions
 from prbench.representation import decode, encode
 from prbench.sequences.sequence import SequenceChunk
 from prbench.sequences.table import SequenceTable
@@ -197,7 +197,7 @@ def control_motions(
         own, places = source.around(rows)
         start = ScriptedStart(own.initial_joints[places], own.goal_location[places], own.head_tilt_deg[places])
         if name in CHEATS:
-            yield cheating_motions(name, start, own.n_frames[places], own.fps)
+            yield Motions(CHEATS[name](start, own.n_frames[places], own.fps).astype(np.float32), own.n_frames[places])
         else:
             yield scripted_motions(start, own.n_frames[places], own.fps)
 

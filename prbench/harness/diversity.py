@@ -132,13 +132,22 @@ def spreads(motions: MotionsToGoal, constants: MetricConstants) -> dict[str, flo
     poses = joints - joints[:, :, [Joint.PELVIS]]
     ground = joints[:, :, Joint.PELVIS][..., [0, 2]]
     speed = np.linalg.norm(np.diff(motions.reaching_wrist.astype(np.float64), axis=1), axis=-1) * motions.fps
+    # Points at equal shares of the length of each path: its form without its speed.
+    stations = []
+    for path in ground:
+        covered = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=-1))])
+        if covered[-1] < _SHORTEST_PATH:
+            stations.append(np.repeat(path[:1], _STATIONS, axis=0))
+            continue
+        wanted = np.linspace(0.0, covered[-1], _STATIONS)
+        stations.append(np.stack([np.interp(wanted, covered, path[:, axis]) for axis in (0, 1)], axis=-1))
     apd = average_pairwise_distance(joints)
     times = timing(motions, constants)
     return {
         "apd": apd,
         "apd_joint": apd / per_joint,
         "apd_pose": average_pairwise_distance(poses) / per_joint,
-        "path": _pair_mean(np.stack([_stations(path) for path in ground])),
+        "path": _pair_mean(np.stack(stations)),
         "prime_time": float(times.prime.std(ddof=1)),
         "half_way": float(times.half_way.std(ddof=1)),
         "wrist_arrival": float(times.wrist_arrival.std(ddof=1)),
@@ -155,12 +164,3 @@ def average_pairwise_distance(motions: Float[np.ndarray, "k frames joints 3"]) -
 def _pair_mean(tracks: Float[np.ndarray, "k places dimensions"]) -> float:
     """Mean over pairs and places of the distance of two tracks."""
     return float(np.mean([np.linalg.norm(one - other, axis=-1).mean() for one, other in combinations(tracks, 2)]))
-
-
-def _stations(path: Float[np.ndarray, "frames 2"]) -> Float[np.ndarray, "stations 2"]:
-    """Points at equal shares of the length of a path: its form without its speed."""
-    covered = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=-1))])
-    if covered[-1] < _SHORTEST_PATH:
-        return np.repeat(path[:1], _STATIONS, axis=0)
-    wanted = np.linspace(0.0, covered[-1], _STATIONS)
-    return np.stack([np.interp(wanted, covered, path[:, axis]) for axis in (0, 1)], axis=-1)

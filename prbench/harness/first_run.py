@@ -194,7 +194,12 @@ def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], Any]:
     Raises:
         TableError: if a named one cannot be opened; the function raises it for one in the cache.
     """
-    opened = [open_any_table(folder) for folder in data]
+    known = [load_benchmark(name) for name in benchmarks()]
+    opened: list[CaseTable] = []
+    for folder in data:
+        # A folder that holds no table is opened as one of the default benchmark, which says so.
+        benchmark = next((each for each in known if (folder / each.table_file).is_file()), known[0])
+        opened.append(benchmark.open_table(folder))
 
     def find(record: TableRecord) -> CaseTable | None:
         for table in opened:
@@ -212,16 +217,6 @@ def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], Any]:
         return None
 
     return find
-
-
-def open_any_table(folder: Path) -> CaseTable:
-    """Open a table of whatever benchmark; a folder that holds none is opened as one of the default benchmark.
-
-    Raises:
-        TableError: if it holds none, or a damaged one.
-    """
-    known = [load_benchmark(name) for name in benchmarks()]
-    return next((each for each in known if (folder / each.table_file).is_file()), known[0]).open_table(folder)
 
 
 def earlier_run(path: Path) -> RunFolder | None:

@@ -145,9 +145,26 @@ def is_recorded_motion(predicted: MotionBatch, recorded: MotionBatch) -> Bool[np
     found = np.zeros(recorded.n_sequences, dtype=bool)
     for part in (_WHOLE, _LOWER, _UPPER):
         for row in np.flatnonzero(~found & _same_reach(predicted, recorded, part)):
-            motion = predicted.values[predicted.offsets[row] : predicted.offsets[row + 1], part.joints]
-            original = recorded.values[recorded.offsets[row] : recorded.offsets[row + 1], part.joints]
-            found[row] = _is_copy(motion.astype(np.float64), original.astype(np.float64), part.farthest)
+            motion = predicted.values[predicted.offsets[row] : predicted.offsets[row + 1], part.joints].astype(
+                np.float64
+            )
+            original = recorded.values[recorded.offsets[row] : recorded.offsets[row + 1], part.joints].astype(
+                np.float64
+            )
+            # A person who settles in the first frames, stands, and leaves in the last ones is far off that straight
+            # way and yet near to any body that stands there all the time. Such a body does not leave its own straight
+            # way; a copy does.
+            departure = min(_distance(original, original[[0, -1]]), _distance(motion, motion[[0, -1]]))
+            tolerance = min(part.farthest, _SHARE * departure)
+            # A recording in which nothing happens is followed by any motion that stands still.
+            if tolerance < _LEAST_TOLERANCE:
+                continue
+            # As it is, moved so that the first frames agree, and so that all frames do as well as they can.
+            laid_over = [motion, _moved(motion, motion[:1], original[:1], scaled=False)]
+            if len(motion) == len(original):
+                laid_over.append(_moved(motion, motion, original, scaled=True))
+            away = [max(_distance(laid, original), _distance(original, laid)) for laid in laid_over]
+            found[row] = min(away) <= tolerance
     return found
 
 
@@ -166,22 +183,6 @@ def _extremes(motions: MotionBatch, part: _Part) -> Float[np.ndarray, "pairs_and
     apart = [np.linalg.norm(motions.values[:, one] - motions.values[:, other], axis=1) for one, other in part.pairs]
     ends = [end.reduceat(distances, motions.first) for distances in apart for end in (np.minimum, np.maximum)]
     return np.stack(ends)
-
-
-def _is_copy(motion: np.ndarray, original: np.ndarray, farthest: float) -> bool:
-    """Compare two motions of some joints, (frames, joints, 3) float64, metres."""
-    # A person who settles in the first frames, stands, and leaves in the last ones is far off that straight way and yet
-    # near to any body that stands there all the time. Such a body does not leave its own straight way; a copy does.
-    departure = min(_distance(original, original[[0, -1]]), _distance(motion, motion[[0, -1]]))
-    tolerance = min(farthest, _SHARE * departure)
-    # A recording in which nothing happens is followed by any motion that stands still.
-    if tolerance < _LEAST_TOLERANCE:
-        return False
-    # As it is, moved so that the first frames agree, and so that all frames do as well as they can.
-    laid_over = [motion, _moved(motion, motion[:1], original[:1], scaled=False)]
-    if len(motion) == len(original):
-        laid_over.append(_moved(motion, motion, original, scaled=True))
-    return any(max(_distance(laid, original), _distance(original, laid)) <= tolerance for laid in laid_over)
 
 
 def _moved(motion: np.ndarray, points: np.ndarray, targets: np.ndarray, *, scaled: bool) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -71,7 +72,19 @@ def score_predictions(
     """
     tables = open_tables(request.data)
     engine = engine or InProcess()
-    run = _run_of(request.predictions) if given is None else None
+    run = None
+    path = request.predictions
+    # A run is named by its folder, by that of a dataset, or by the predictions in there.
+    for base in (path, path.parent, path.parent.parent) if given is None else ():
+        if run is None and (base / run_record.FILE_NAME).is_file():
+            there = RunFolder.open(base)
+            parts = [there.dataset(table.dataset) for table in there.record.tables]
+            if path == base or any(path in (part.path, part.predictions) for part in parts):
+                run = there
+    if run is not None and run.record.method.kind == run_record.FILE:
+        raise RunError(
+            f"{run.path}: holds the scores of {run.record.method.package}, not its motions. Score that file again."
+        )
     with nullcontext() if request.out is None else sole_writer(request.out):
         if run is not None:
             protocol, reports = _score_run(run, tables, request, engine, progress)
@@ -147,7 +160,14 @@ def _score_file(
     found = require_complete(predictions, request, selections, seed=seed, samples=samples)
     digest = ""  # takes long, and nobody asks for it where nothing is written
     if request.out is not None:
-        digest = predictions_digest(path) if given is None else given[1]
+        if given is not None:
+            digest = given[1]
+        elif path.is_file():
+            digest = file_digest(path)
+        else:
+            files = sorted(file for file in path.rglob("*") if file.is_file())
+            named = ((file.relative_to(path).as_posix(), file_digest(file)) for file in files)
+            digest = text_digest(*itertools.chain.from_iterable(named))
     record = RunRecord(
         schema_version=RUN_SCHEMA_VERSION,
         prbench_version=prbench.__version__,
@@ -229,31 +249,3 @@ def _written(
         one.summary.write(part)
     write_protocol(folder, protocol)
     return tuple(replace(one, folder=part) for part, one in zip(parts, reports, strict=True))
-
-
-def predictions_digest(path: Path) -> str:
-    """Return the SHA-256 of a file, or of the names and contents of a folder's files."""
-    if path.is_file():
-        return file_digest(path)
-    files = sorted(file for file in path.rglob("*") if file.is_file())
-    return text_digest(*(part for file in files for part in (file.relative_to(path).as_posix(), file_digest(file))))
-
-
-def _run_of(path: Path) -> RunFolder | None:
-    """The run that a path belongs to: its folder, its part for a dataset, or the predictions in there.
-
-    Raises:
-        RunError: if the folder holds the scores of a submission, without motions.
-    """
-    for base in (path, path.parent, path.parent.parent):
-        if not (base / run_record.FILE_NAME).is_file():
-            continue
-        run = RunFolder.open(base)
-        parts = [run.dataset(table.dataset) for table in run.record.tables]
-        if path == base or any(path in (part.path, part.predictions) for part in parts):
-            if run.record.method.kind == run_record.FILE:
-                raise RunError(
-                    f"{base}: holds the scores of {run.record.method.package}, not its motions. Score that file again."
-                )
-            return run
-    return None

@@ -206,19 +206,6 @@ _RISE_DURATION = 0.5  # s
 _Joints = Float[np.ndarray, "batch frames 22 3"]
 
 
-def cheating_motions(name: str, start: ScriptedStart, n_frames: Int[np.ndarray, " batch"], fps: float) -> Motions:
-    """Return the motions of one cheat.
-
-    Args:
-        name: A key of :data:`CHEATS`.
-        start: First poses, goals and head tilts; canonical frame, metres.
-        n_frames: Frames of each sequence.
-        fps: Frames per second.
-    """
-    joints = CHEATS[name](start, n_frames, fps)
-    return Motions(joints.astype(np.float32), n_frames)
-
-
 def _stare(start: ScriptedStart, n_frames: np.ndarray, fps: float) -> _Joints:  # noqa: ARG001
     return _looking(start, np.ones((len(n_frames), int(n_frames.max()))))
 

@@ -67,8 +67,18 @@ def fetched(text: str, *, tell: Tell = lambda _: None) -> Path:
         manifest = finished_manifest(store)
         if manifest is None:
             return _fetched_file(store, tell)
+        folder = store.url.cache / manifest.digest[:16] / store.url.name
         try:
-            return _fetched_folder(store, manifest, tell)
+            with in_turn(folder, tell):
+                fetch_files(store, manifest, lambda name, folder=folder: folder / name, tell)
+                folder.mkdir(parents=True, exist_ok=True)
+                os.utime(folder.parent)  # used now
+                # Delete copies of other states of a folder that nobody has used for some days.
+                for other in folder.parent.parent.iterdir():
+                    is_state = len(other.name) == 16 and other.is_dir() and other != folder.parent
+                    if is_state and time.time() - other.stat().st_mtime > _UNUSED_DAYS * 86_400:
+                        remove_folder(other)
+            return folder
         except InputFileError:
             # Whoever replaces a folder deletes the older files after the new manifest stands.
             if last_try or finished_manifest(store) == manifest:
@@ -99,20 +109,6 @@ def fetch_files(store: Store, manifest: FolderManifest, target: Callable[[str], 
 
     sizes = [file.size for file in missing.values()]
     _download_all(store, [download(name) for name in missing], sizes, tell)
-
-
-def _fetched_folder(store: Store, manifest: FolderManifest, tell: Tell) -> Path:
-    folder = store.url.cache / manifest.digest[:16] / store.url.name
-    with in_turn(folder, tell):
-        fetch_files(store, manifest, lambda name: folder / name, tell)
-        folder.mkdir(parents=True, exist_ok=True)
-        os.utime(folder.parent)  # used now
-        # Delete copies of other states of a folder that nobody has used for some days.
-        for other in folder.parent.parent.iterdir():
-            is_state = len(other.name) == 16 and other.is_dir() and other != folder.parent
-            if is_state and time.time() - other.stat().st_mtime > _UNUSED_DAYS * 86_400:
-                remove_folder(other)
-    return folder
 
 
 def _fetched_file(store: Store, tell: Tell) -> Path:

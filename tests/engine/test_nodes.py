@@ -135,10 +135,11 @@ def test_the_digest_of_the_code_is_that_of_all_its_files(tmp_path, monkeypatch):
         package.mkdir()
         (package / "__init__.py").write_text("x = 1\n")
     monkeypatch.setattr(node_facts.importlib.util, "find_spec", lambda name: _Spec(tmp_path / name))
-    before = node_facts._code_digest()
-    assert node_facts._code_digest() == before
+    asked = {"packages": [], "reads": [], "marks": {}, "room": [], "folder": ""}
+    before = node_facts.node_facts(asked)["code"]
+    assert node_facts.node_facts(asked)["code"] == before
     shutil.copy(tmp_path / "prbench/__init__.py", tmp_path / "prbench_adapters/other.py")
-    assert node_facts._code_digest() != before
+    assert node_facts.node_facts(asked)["code"] != before
 
 
 class _Spec:

@@ -349,20 +349,14 @@ def _another_shard(changes: dict[str, object], told: str) -> BadInput:
 
 _OTHERS = [
     _another_run({"seed": 1}, "seed: expected 1 for this run, found 5"),
-    _another_run({"samples": 2}, "samples: expected 2"),
     _another_run({"batch_size": 3}, "tables.synthetic-adt.batch_plan.batch_size: expected 3 for this run, found 4"),
     _another_run({"limit": 5}, "limit: expected 5 for this run, found nothing"),
-    _another_run({"split": "train"}, "split: expected train"),
-    _another_run({"condition": "goal-loc"}, "condition: expected goal-loc"),
     _another_run({"control": "shuffled-goal"}, "control: expected shuffled-goal"),
     _another_run({"method": "static"}, "method.name: expected static for this run, found made"),
     _another_run({"threads": 2}, "threads: expected 2"),
     _another_shard({"seed": 1}, "seed: expected 5, found 1, unlike "),
     _another_shard({"method": "static"}, "method.name: expected made, found static"),
-    _another_shard({"samples": 2}, "samples: expected 1, found 2"),
     _another_shard({"batch_size": 5}, "tables.synthetic-adt.batch_plan.batch_size: expected 4, found 5"),
-    _another_shard({"condition": "goal-loc"}, "condition: expected none, found goal-loc"),
-    _another_shard({"split": "train"}, "split: expected test, found train"),
 ]
 _SYNTHETIC = [
     BadInput("a synthetic table without sensors", lambda folder: build_synthetic_table("kitchen", 1, 0, folder / "t"),
