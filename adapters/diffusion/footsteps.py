@@ -90,7 +90,11 @@ def _swings(
     swings: list[list[_Swing]] = [[], []]
     for foot, share in enumerate(behind):
         if share:
-            stop = _touchdown(wanted[:, foot], share, fps)
+            # A toe that flies in frame 0 may stand when it is slow, after the rest of a swing.
+            quick = np.linalg.norm(np.diff(wanted[:, foot], axis=0), axis=1) * fps > _QUICK
+            rest = max(round((1 - share) * SWING * fps), 1)
+            slow = np.flatnonzero(~quick[rest : 2 * rest])
+            stop = min(rest + (int(slow[0]) if len(slow) else rest), n - 1)
             swings[foot].append(_Swing(0, stop, wanted[0, foot], _landing(wanted[:, foot], stop, length), share))
     frame = 0
     while frame < n - _END * fps:
@@ -113,14 +117,6 @@ def _swings(
         else:
             frame += 1
     return swings
-
-
-def _touchdown(wanted: Float[np.ndarray, "frames 2"], share: float, fps: float) -> int:
-    """The first frame in which a toe that flies in frame 0 may stand: when it is slow, after the rest of a swing."""
-    quick = np.linalg.norm(np.diff(wanted, axis=0), axis=1) * fps > _QUICK
-    rest = max(round((1 - share) * SWING * fps), 1)
-    slow = np.flatnonzero(~quick[rest : 2 * rest])
-    return min(rest + (int(slow[0]) if len(slow) else rest), len(wanted) - 1)
 
 
 def _landing(wanted: Float[np.ndarray, "frames 2"], stop: int, length: int) -> Float[np.ndarray, "2"]:

@@ -13,7 +13,6 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -312,10 +311,27 @@ def import_public(files: PublicFiles, out: Path) -> Imported:
     tensors |= {"statistics.mean": space.mean, "statistics.std": space.std, "projection": space.projection}
     metadata = weights_header(KIND, configuration, representation_entry(configuration.representation))
     copies = {"motion": motion.copy, "trajectory": trajectory.copy}
-    # After everything was checked: a wrong file leaves no weights behind.
-    write_weights(out, tensors, metadata, _card(files, configuration, copies, networks))
-    others = tuple(path for role, path in files.by_role().items() if role in RELEASED and not is_released(role, path))
     parameters = sum(tensor.numel() for tensor in networks.values())
+    # prbench trained nothing of this, so there are no curves and no scores.
+    card = {
+        "card_version": _CARD_VERSION,
+        "prbench": prbench.__version__,
+        "method": "gmd",
+        "stage": "imported",
+        "origin": _ORIGIN,
+        "licence": _LICENCE,
+        "trained_on": "HumanML3D, by the authors of GMD",
+        "parameters": parameters,
+        "configuration": {"model": msgspec.to_builtins(configuration)},
+        "files": {
+            role: {"name": path.name, "sha256": file_digest(path)}
+            | ({"copy": copies[role]} if role in copies else {"as_released": is_released(role, path)})
+            for role, path in files.by_role().items()
+        },
+    }
+    # After everything was checked: a wrong file leaves no weights behind.
+    write_weights(out, tensors, metadata, card)
+    others = tuple(path for role, path in files.by_role().items() if role in RELEASED and not is_released(role, path))
     return Imported(configuration, copies, parameters, others)
 
 
@@ -389,25 +405,3 @@ def original_name(name: str) -> str:
     for pattern, replacement in _RENAMED:
         name = re.sub(pattern, replacement, name)
     return name
-
-
-def _card(
-    files: PublicFiles, configuration: GMDConfiguration, copies: Mapping[str, str], networks: Mapping[str, Tensor]
-) -> dict[str, Any]:
-    """Say where the weights come from; prbench trained nothing of this, so there are no curves and no scores."""
-    return {
-        "card_version": _CARD_VERSION,
-        "prbench": prbench.__version__,
-        "method": "gmd",
-        "stage": "imported",
-        "origin": _ORIGIN,
-        "licence": _LICENCE,
-        "trained_on": "HumanML3D, by the authors of GMD",
-        "parameters": sum(tensor.numel() for tensor in networks.values()),
-        "configuration": {"model": msgspec.to_builtins(configuration)},
-        "files": {
-            role: {"name": path.name, "sha256": file_digest(path)}
-            | ({"copy": copies[role]} if role in copies else {"as_released": is_released(role, path)})
-            for role, path in files.by_role().items()
-        },
-    }

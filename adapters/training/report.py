@@ -17,7 +17,7 @@ import torch
 import prbench
 from prbench.errors import MissingExtraError, StorageError, TrainingError
 from prbench.files.bounded import foreign_input, read_whole
-from prbench.files.storage import read_json, remove_leftovers, write_json
+from prbench.files.storage import read_json, remove_leftovers
 from prbench.harness.preparation import package_versions
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.sequences.folds import OPTION
@@ -119,15 +119,6 @@ def require_same_training(out: Path, record: TrainingRecord) -> None:
                 f"{out}: holds another training: '{key}' is {then} there, but {now} was asked for."
                 " Repeat the command of that training to go on with it, or choose another folder for --out."
             )
-
-
-def write_record(out: Path, record: TrainingRecord) -> None:
-    """Mark a folder as that of a training.
-
-    Raises:
-        StorageError: if it cannot be written.
-    """
-    write_json(out / RECORD, msgspec.to_builtins(record))
 
 
 @foreign_input()

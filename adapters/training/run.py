@@ -13,7 +13,7 @@ import torch
 
 from prbench.engine import Engine, InProcess, close_engine
 from prbench.errors import TrainingStopped, UsageError
-from prbench.files.storage import sole_writer
+from prbench.files.storage import sole_writer, write_json
 from prbench.harness.methods.installed import load_task
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.folds import fold_table, parse_fold
@@ -28,12 +28,12 @@ from prbench_adapters.training.configuration import (
 from prbench_adapters.training.dataset import SequenceDataset, configured_dataset
 from prbench_adapters.training.loop import Progress, fit, make_fabric, silent
 from prbench_adapters.training.report import (
+    RECORD,
     WEIGHTS,
     TrainingRecord,
     require_same_training,
     table_record,
     training_card,
-    write_record,
 )
 from prbench_adapters.training.state import Row
 from prbench_adapters.training.store import REFIT, parts_of
@@ -207,7 +207,7 @@ def _run(
     close_engine(engine)  # its workers have nothing more to do
     fabric.barrier()  # nobody may find the folder half made
     if fabric.is_global_zero:
-        write_record(request.out, record)  # now that everything fits together
+        write_json(request.out / RECORD, msgspec.to_builtins(record))  # now that everything fits together
 
     def batches(start: int) -> Iterable[Any]:
         rank, world_size = fabric.global_rank, fabric.world_size

@@ -22,9 +22,11 @@ from prbench.randomness import sequence_generator
 from prbench.representation import check_joints, mirror
 from prbench_adapters.diffusion.generation import choice, number, require_known
 from prbench_adapters.diffusion.method import own_weights, require_goals_within_reach
+from prbench_adapters.diffusion.model import torch_device
 from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.kinematics import rest_offsets
-from prbench_adapters.wandr.network import BodyState, WandrNetwork, clean_delta, intentions, load_network
+from prbench_adapters.training.weights import read_weights
+from prbench_adapters.wandr.network import KIND, BodyState, WandrNetwork, clean_delta, intentions, network_of
 
 Hand = Literal["right", "nearest", "left"]
 
@@ -167,7 +169,12 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
     most_speed = number(options, "most-speed", 0.0) or math.inf if "most-speed" in options else None
     hand = cast(Hand, choice(options, "hand", get_args(Hand)))
     path = own_weights(WANDR.name, weights)
-    return WANDR(load_network(path, device), path, hand=hand, most_speed=most_speed)
+    where = torch_device(device)
+    network = network_of(read_weights(path, kind=KIND)).eval().requires_grad_(False)
+    # A motion is hundreds of steps, each on the last one's result; in double precision what rounding adds stays below
+    # a micrometre, whatever the batch.
+    network = network.to(where, torch.float32 if where.type == "mps" else torch.float64)
+    return WANDR(network, path, hand=hand, most_speed=most_speed)
 
 
 @torch.no_grad()

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -15,7 +14,6 @@ from jaxtyping import Float
 from torch import nn
 
 from prbench.geometry.skeleton import N_JOINTS, Joint
-from prbench_adapters.diffusion.model import torch_device
 from prbench_adapters.kinematics import (
     fitted_rotations,
     forward_kinematics,
@@ -23,7 +21,7 @@ from prbench_adapters.kinematics import (
     rows_of,
     unit,
 )
-from prbench_adapters.training.weights import Weights, read_weights, weights_header
+from prbench_adapters.training.weights import Weights, weights_header
 
 # Numbers of a change: step of the pelvis, turn of the root, turns of the 21 other joints.
 DELTA_SIZE = 3 + 6 * N_JOINTS
@@ -300,18 +298,3 @@ def network_of(weights: Weights) -> WandrNetwork:
     network = WandrNetwork(weights.configuration(WandrConfiguration))
     weights.load_into(network, "network")
     return network
-
-
-def load_network(path: Path, device: str) -> WandrNetwork:
-    """A frozen network in double precision, where the device has that.
-
-    A motion is hundreds of steps, each on the last one's result; in double precision what rounding adds stays below a
-    micrometre, whatever the batch.
-
-    Raises:
-        AdapterError: if there is no such device.
-        InputFileError: if the file holds no weights of WANDR, or misshaped ones.
-    """
-    where = torch_device(device)
-    network = network_of(read_weights(path, kind=KIND)).eval().requires_grad_(False)
-    return network.to(where, torch.float32 if where.type == "mps" else torch.float64)

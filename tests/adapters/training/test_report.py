@@ -20,7 +20,6 @@ from prbench_adapters.training.report import (
     TrainingRecord,
     require_same_training,
     thinned,
-    write_record,
 )
 
 TABLE = TableRecord(
@@ -59,7 +58,7 @@ def test_the_same_training_may_go_on_and_one_killed_before_its_record_stood_ther
     (tmp_path / ".training-abcd1234.partial.json").write_text("{")
     require_same_training(tmp_path, RECORD)
     assert list(tmp_path.iterdir()) == []
-    write_record(tmp_path, RECORD)
+    write_json(tmp_path / "training.json", msgspec.to_builtins(RECORD))
     require_same_training(tmp_path, RECORD)
     require_same_training(tmp_path, with_training(save_every=7, log_every=3))
 
@@ -76,7 +75,7 @@ def test_the_same_training_may_go_on_and_one_killed_before_its_record_stood_ther
     ],
 )
 def test_another_training_is_refused_by_the_first_key_that_differs(other, message, tmp_path):
-    write_record(tmp_path, RECORD)
+    write_json(tmp_path / "training.json", msgspec.to_builtins(RECORD))
     with pytest.raises(TrainingError, match=message):
         require_same_training(tmp_path, other)
 
