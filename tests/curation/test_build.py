@@ -196,45 +196,38 @@ def test_options_that_fit_no_dataset_are_refused_before_anything_is_built(root, 
     assert not (tmp_path / "out").exists()
 
 
-@pytest.fixture(scope="module")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("native") / "tree"
-    synthesize_tree("adt", root, recordings=2, seed=8, size="tiny", n_events=4)
-    return root
-
-
-def test_a_synthetic_tree_is_named_and_split_as_its_mark_says(tree: Path, tmp_path: Path) -> None:
-    build_dataset("adt", tree, tmp_path / "table")
+def test_a_synthetic_tree_is_named_and_split_as_its_mark_says(adt_tree: Path, tmp_path: Path) -> None:
+    build_dataset("adt", adt_tree, tmp_path / "table")
     table = SequenceTable.open(tmp_path / "table")
     assert (table.info.dataset, table.info.synthetic, table.info.redistribution) == ("synthetic-adt", True, "yes")
     splits = dict(zip(*(table.recordings()[name].to_pylist() for name in ("recording_id", "split")), strict=True))
-    mark = read_json(tree / "synthetic.json")
+    mark = read_json(adt_tree / "synthetic.json")
     assert isinstance(mark, dict)
     assert splits == mark["split"]
 
 
-def test_where_the_files_lie_leaves_no_trace(tree: Path, tmp_path: Path) -> None:
-    shutil.copytree(tree, tmp_path / "elsewhere" / "copy")
-    build_dataset("adt", tree, tmp_path / "one")
+def test_where_the_files_lie_leaves_no_trace(adt_tree: Path, tmp_path: Path) -> None:
+    shutil.copytree(adt_tree, tmp_path / "elsewhere" / "copy")
+    build_dataset("adt", adt_tree, tmp_path / "one")
     build_dataset("adt", tmp_path / "elsewhere" / "copy", tmp_path / "two")
     assert folder_bytes(tmp_path / "one") == folder_bytes(tmp_path / "two")
     assert str(tmp_path).encode() not in b"".join(folder_bytes(tmp_path / "one").values())
 
 
-def test_the_dry_run_counts_and_writes_nothing(tree: Path, tmp_path: Path) -> None:
-    before = sorted(tree.rglob("*"))
-    plan = plan_build("adt", tree)
+def test_the_dry_run_counts_and_writes_nothing(adt_tree: Path, tmp_path: Path) -> None:
+    before = sorted(adt_tree.rglob("*"))
+    plan = plan_build("adt", adt_tree)
     assert len(plan.recordings) == 2
     assert plan.input_bytes > 1e6
     assert plan.estimated_seconds > 0
-    assert sorted(tree.rglob("*")) == before
-    assert len(plan_build("adt", tree, BuildOptions(recordings="*seq001*")).recordings) == 1
+    assert sorted(adt_tree.rglob("*")) == before
+    assert len(plan_build("adt", adt_tree, BuildOptions(recordings="*seq001*")).recordings) == 1
     assert list(tmp_path.iterdir()) == []
 
 
-def test_known_bad_and_damaged_recordings_are_named_and_the_others_built(tree: Path, tmp_path: Path) -> None:
+def test_known_bad_and_damaged_recordings_are_named_and_the_others_built(adt_tree: Path, tmp_path: Path) -> None:
     copy = tmp_path / "tree"
-    shutil.copytree(tree, copy)
+    shutil.copytree(adt_tree, copy)
     good, other = sorted(path for path in copy.iterdir() if path.name.startswith("Apartment"))
     other.rename(copy / "Apartment_release_clean_seq139_M1292")
     shutil.copytree(good, copy / "Apartment_release_cut_M1292")
