@@ -276,7 +276,10 @@ def test_a_module_started_apart_finds_what_this_process_finds(tmp_path, monkeypa
     monkeypatch.syspath_prepend("")
     monkeypatch.delenv("PYTHONPATH", raising=False)
     words = python_words("only_here", "word")
-    monkeypatch.chdir("/")  # a relative entry of sys.path means the folder in which this process stood
+    # A relative entry of sys.path means the folder in which this process stood; nothing of another folder is imported.
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere/json.py").write_text("raise SystemExit('not the library')")
+    monkeypatch.chdir(tmp_path / "elsewhere")
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["word", str(tmp_path), "False", "__main__", "only_here.py"]
 
@@ -296,12 +299,12 @@ def test_a_variable_that_a_library_sets_is_not_the_users_unless_they_set_it(set_
     assert done.stdout.strip() == seen
 
 
-def test_numerical_libraries_compute_with_the_threads_that_were_asked_for():
+def test_numerical_libraries_compute_with_the_threads_that_were_asked_for(monkeypatch):
     torch = pytest.importorskip("torch")
-    before = torch.get_num_threads()
-    with process.computing_threads(2):
-        assert torch.get_num_threads() == 2
-        with process.computing_threads(1):
-            assert torch.get_num_threads() == 1
-            assert {library["num_threads"] for library in threadpool_info()} == {1}
-    torch.set_num_threads(before)
+    asked: list[int] = []
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 7)
+    monkeypatch.setattr(torch, "set_num_threads", asked.append)
+    for threads in (2, 1):
+        with process.computing_threads(threads):
+            assert {library["num_threads"] for library in threadpool_info()} == {threads}
+    assert asked == [2, 1]
