@@ -138,10 +138,7 @@ def test_table_s3_has_its_own_published_rows(tmp_path):
 
 
 def test_a_foreign_method_never_takes_a_row_of_the_study(tmp_path):
-    folder = write_real(tmp_path / "a")
-    record = json.loads((folder / "run.json").read_text())
-    record["method"] |= {"kind": "package", "name": "mine"}
-    (folder / "run.json").write_text(json.dumps(record))
+    write_real(tmp_path / "a", about={"kind": "package", "name": "mine"})
     (table,) = methods_table(board_of(tmp_path), "2", with_published=False)
     assert [each.title[:6] for each in table.blocks] == ["Beside"]
 

@@ -78,24 +78,15 @@ TABLE = {
         "stranger-finetuned": _FINETUNED,
     },
     "rows": [
-        {"label": "Static", "method": "static", "weights": "mean-training-pose", "condition": "none"},
-        {"label": "Breaker", "method": "breaker", "weights": "breaker-finetuned", "condition": "text"},
-        {"label": "Stranger", "method": "stranger", "weights": "stranger-finetuned", "condition": "text"},
-        {
-            "label": "Absent",
-            "method": "absent",
-            "weights": "absent-finetuned",
-            "condition": "goal-loc",
-            "bundled": "absent-small",
-        },
-        {"label": "Reacher †", "method": "reacher", "weights": "reacher-pretrained", "condition": "goal-loc"},
-        {
-            "label": "Reacher",
-            "method": "reacher",
-            "weights": "reacher-finetuned",
-            "condition": "goal-loc",
-            "bundled": "reacher-small",
-        },
+        dict(zip(("label", "method", "weights", "condition", "bundled"), row))
+        for row in (
+            ("Static", "static", "mean-training-pose", "none"),
+            ("Breaker", "breaker", "breaker-finetuned", "text"),
+            ("Stranger", "stranger", "stranger-finetuned", "text"),
+            ("Absent", "absent", "absent-finetuned", "goal-loc", "absent-small"),
+            ("Reacher †", "reacher", "reacher-pretrained", "goal-loc"),
+            ("Reacher", "reacher", "reacher-finetuned", "goal-loc", "reacher-small"),
+        )
     ],
 }
 

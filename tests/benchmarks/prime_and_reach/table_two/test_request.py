@@ -64,14 +64,11 @@ def test_bundled_weights_of_the_methods_that_have_some_are_there(shipped):
             assert (files / homes[row.method] / "weights" / f"{row.bundled}.safetensors").is_file(), row.bundled
 
 
-def test_every_row_has_a_block_and_weights_that_are_listed(shipped):
+def test_rows_have_blocks_weights_and_names_that_fit_folders(shipped):
     conditions = [block.condition for block in shipped.blocks]
     assert sorted(conditions) == sorted(set(conditions))
     assert {row.condition for row in shipped.rows} == set(conditions)
     assert {row.weights for row in shipped.rows} == set(shipped.weights)
-
-
-def test_names_are_fit_for_folders_and_unique(shipped):
     names = [row.name for row in shipped.rows]
     assert len(set(names)) == len(names) == 18
     assert "goal-pose-dno-finetuned" in names

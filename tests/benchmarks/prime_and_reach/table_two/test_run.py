@@ -270,16 +270,16 @@ def test_what_a_killed_process_was_writing_is_cleared_away(small_tables, tmp_pat
 
 def test_requests_that_do_not_fit_together_are_refused(small_tables, tmp_path):
     table = small_tables[0]
-    with pytest.raises(UsageError, match=r"expected METHOD\.spread="):
-        request(table, out=tmp_path / "t", options={"spread": "1"})
-    with pytest.raises(UsageError, match=r"expected METHOD\.spread="):
-        request(table, out=tmp_path / "t", options={"reachr.spread": "1"})
-    with pytest.raises(UsageError, match="expected a folder of weights for a table, found no folder"):
-        request(table, out=tmp_path / "t", weights=tmp_path / "nowhere")
     (tmp_path / "misnamed").mkdir()
     (tmp_path / "misnamed/reacher.safetensors").touch()
-    with pytest.raises(UsageError, match=r"found a folder without any.*reacher-finetuned"):
-        request(table, out=tmp_path / "t", weights=tmp_path / "misnamed")
+    for wrong, message in (
+        ({"options": {"spread": "1"}}, r"expected METHOD\.spread="),
+        ({"options": {"reachr.spread": "1"}}, r"expected METHOD\.spread="),
+        ({"weights": tmp_path / "nowhere"}, "expected a folder of weights for a table, found no folder"),
+        ({"weights": tmp_path / "misnamed"}, r"found a folder without any.*reacher-finetuned"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            request(table, out=tmp_path / "t", **wrong)
     with pytest.raises(UsageError, match="synthetic-adt more than once"):
         run_table(request(table, table, out=tmp_path / "t"))
     with pytest.raises(AdapterError, match="unknown option 'spraed'"):
