@@ -20,28 +20,9 @@ from prbench.tables import Block, Cell, Column, Row, Table, csv_lines, metric_ce
 from prbench.tables import as_markdown as tables_as_markdown
 
 _CSV_COLUMNS = (
-    "table",
-    "dataset",
-    "condition",
-    "method",
-    "variant",
-    "metric",
-    "value",
-    "unit",
-    "higher_is_better",
-    "low",
-    "high",
-    "sequences",
-    "recordings",
-    "detectable",
-    "rank",
-    "verified",
-    "note",
-    "kind",
-    "seconds_per_motion",
-    "passes_per_motion",
-    "memory_mebibytes",
-    "parameters",
+    *("table", "dataset", "condition", "method", "variant", "metric", "value", "unit", "higher_is_better"),
+    *("low", "high", "sequences", "recordings", "detectable", "rank", "verified", "note", "kind"),
+    *("seconds_per_motion", "passes_per_motion", "memory_mebibytes", "parameters"),
 )
 _FEW = "†"
 FORMATS = ("md", "csv", "json")

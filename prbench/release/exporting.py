@@ -17,16 +17,7 @@ import numpy as np
 import prbench
 from prbench.errors import UsageError
 from prbench.files.storage import atomic_folder, inside, require_replaceable, sole_writer, write_json
-from prbench.release.layout import (
-    BLOCK_COLUMNS,
-    EXPORT_RECORD,
-    FURTHER,
-    FURTHER_ARRAYS,
-    GAZES,
-    MOTIONS,
-    TARGETS,
-    folder_of,
-)
+from prbench.release import layout
 from prbench.release.report import ExportedTable, ExportReleaseReport
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import NOTICE_FILE, notice, require_may_pass_on
@@ -53,7 +44,7 @@ def export_release(
     """
     out = Path(out)
     opened = [SequenceTable.open(folder).with_sequences() for folder in tables]
-    names = [folder_of(table.info.dataset) for table in opened]
+    names = [layout.folder_of(table.info.dataset) for table in opened]
     folders = [inside(out, name) for name in names]
     for name in names:
         if names.count(name) > 1:
@@ -61,16 +52,16 @@ def export_release(
     for table, folder in zip(opened, folders):
         # All tables are checked before the first is written: a refusal leaves nothing behind.
         require_may_pass_on(table.info, "a release", permitted)
-        require_replaceable(folder, EXPORT_RECORD, kind="export")
+        require_replaceable(folder, layout.EXPORT_RECORD, kind="export")
     written = []
     for table, folder in zip(opened, folders):
         info = table.info
         said = notice(info, permitted)
         with sole_writer(folder), atomic_folder(folder) as temporary:
-            for name in (MOTIONS, GAZES, FURTHER):
+            for name in (layout.MOTIONS, layout.GAZES, layout.FURTHER):
                 (temporary / name).mkdir()
             count = 0
-            with open(temporary / TARGETS, "w", encoding="utf-8", newline="\n") as file:
+            with open(temporary / layout.TARGETS, "w", encoding="utf-8", newline="\n") as file:
                 for count, (key, entry) in enumerate(_written(table, temporary), 1):
                     # One entry a line, written as it comes: the file of a large table never stands in memory.
                     line = json.dumps(entry, ensure_ascii=False, allow_nan=False)
@@ -84,7 +75,7 @@ def export_release(
                 "permission_stated": info.dataset in permitted,
                 "frame": "canonical",
             }
-            write_json(temporary / EXPORT_RECORD, record)
+            write_json(temporary / layout.EXPORT_RECORD, record)
             if said:
                 text = f"{said}\n\nLicence: {info.licence}\n{info.homepage}\n\n{info.citation}\n"
                 (temporary / NOTICE_FILE).write_text(text, encoding="utf-8")
@@ -103,11 +94,11 @@ def _written(table: SequenceTable, folder: Path) -> Iterator[tuple[str, dict[str
         key = f"{index:010d}"
         # The layout has no column of validity, so NaN has to say it.
         gaze = np.where(sequence.gaze_valid[:, None], sequence.gaze_direction, np.float32(np.nan))
-        for name, values in ((MOTIONS, sequence.joints), (GAZES, gaze)):
+        for name, values in ((layout.MOTIONS, sequence.joints), (layout.GAZES, gaze)):
             single = np.ascontiguousarray(values, dtype=np.float32)
             np.save(folder / name / f"{key}.npy", single, allow_pickle=False)
-        further = {name: getattr(sequence, name) for name in FURTHER_ARRAYS}
-        with zipfile.ZipFile(folder / FURTHER / f"{key}.npz", "w", zipfile.ZIP_STORED) as archive:
+        further = {name: getattr(sequence, name) for name in layout.FURTHER_ARRAYS}
+        with zipfile.ZipFile(folder / layout.FURTHER / f"{key}.npz", "w", zipfile.ZIP_STORED) as archive:
             for name, values in further.items():
                 if values is not None:
                     content = io.BytesIO()
@@ -131,7 +122,7 @@ def _written(table: SequenceTable, folder: Path) -> Iterator[tuple[str, dict[str
         if sequence.hand:
             fields["hand"] = sequence.hand
         block: dict[str, Any] = {"sequence_id": sequence.sequence_id, "event_id": event_id}
-        for column in BLOCK_COLUMNS:
+        for column in layout.BLOCK_COLUMNS:
             value = getattr(sequence, column.name)
             if isinstance(value, np.ndarray):
                 value = value.ravel().tolist()

@@ -23,16 +23,7 @@ from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, read_json, require_replaceable, sole_writer, text_digest
 from prbench.geometry.skeleton import WRISTS, Joint, invert_rigid, transform_points
 from prbench.protocol.manifests import Manifest, digest_of, load_citations, load_manifest, load_protocol
-from prbench.release.layout import (
-    EXPORT_RECORD,
-    SYNTHETIC_PREFIX,
-    TARGETS,
-    dataset_of,
-    find_datasets,
-    load_known,
-    read_array,
-    read_further,
-)
+from prbench.release import layout
 from prbench.release.reading import (
     POSE_SOURCE,
     ImportOptions,
@@ -74,8 +65,8 @@ def make_row(
         return one.fields.get(found.mapping.get(canonical, ""))
 
     # Motion, goal and gaze come into the canonical frame by one and the same transform.
-    joints = read_array(one.motion, (22, 3))[0].astype(np.float64)
-    gaze = None if one.gaze is None else read_array(one.gaze, (3,))[0]
+    joints = layout.read_array(one.motion, (22, 3))[0].astype(np.float64)
+    gaze = None if one.gaze is None else layout.read_array(one.gaze, (3,))[0]
     directions, valid = clean_gaze(gaze, len(joints))
     motion_from_canonical = one.motion_from_canonical
     if one.block is not None:
@@ -144,7 +135,7 @@ def make_row(
     if one.block is not None and one.further is not None:
         # Restore the row that our exporter wrote.
         values = {name: one.block[name] for name in one.block if name in SEQUENCES.names and name != "extra"}
-        arrays, _ = read_further(one.further, sequence.n_frames)
+        arrays, _ = layout.read_further(one.further, sequence.n_frames)
         values |= {name: array.astype(bool if name == "gaze_valid" else np.float64) for name, array in arrays.items()}
         sequence = dataclasses.replace(sequence, **values, extra={**sequence.extra, **one.block["extra"]})
     return sequence, _event(sequence, one.event_id)
@@ -213,8 +204,8 @@ def import_release(
     root = Path(root)
     out = Path(out)
     if dataset is not None:
-        dataset = dataset_of(dataset) or dataset  # users may write it as the authors do: HD-EPIC
-    found = find_datasets(root, dataset)
+        dataset = layout.dataset_of(dataset) or dataset  # users may write it as the authors do: HD-EPIC
+    found = layout.find_datasets(root, dataset)
     targets = {name: out if dataset is not None else out / name for name, _ in found}
     for target in targets.values():
         # Before anything is read: a folder that holds something else must not be noticed after an hour.
@@ -236,17 +227,19 @@ def import_release(
 def _import_dataset(
     dataset: str, folder: Path, out: Path, options: ImportOptions, progress: Callable[[str, str], None]
 ) -> ImportReport:
-    manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
+    manifest = load_manifest(dataset.removeprefix(layout.SYNTHETIC_PREFIX))
     exported = None
-    if (folder / EXPORT_RECORD).is_file():
-        record = read_json(folder / EXPORT_RECORD)
+    if (folder / layout.EXPORT_RECORD).is_file():
+        record = read_json(folder / layout.EXPORT_RECORD)
         exported = record if isinstance(record, dict) else None
     found = read_release(dataset, folder, options, progress)
     # Tables are sorted by id, so that a release in another order gives the same bytes.
     found.sequences.sort(key=lambda one: one.sequence_id)
     for one, other in itertools.pairwise(found.sequences):
         if one.sequence_id == other.sequence_id:
-            raise InputFileError(TARGETS, one.sequence_id, expected="one entry", found="two with this sequence_id")
+            raise InputFileError(
+                layout.TARGETS, one.sequence_id, expected="one entry", found="two with this sequence_id"
+            )
     progress(dataset, f"writing {len(found.sequences)} sequences")
     # Source recordings where the release names them, else one unknown recording for each split.
     sequences_of: dict[str, list[ReleasedSequence]] = defaultdict(list)
@@ -298,7 +291,7 @@ def _import_dataset(
         replace=options.replace,
         incomplete=[each.recording_id for each in records] if found.left_out else (),
     )
-    known = None if dataset.startswith(SYNTHETIC_PREFIX) else load_known().datasets.get(dataset)
+    known = None if dataset.startswith(layout.SYNTHETIC_PREFIX) else layout.load_known().datasets.get(dataset)
     report = ImportReport(
         dataset=dataset,
         title=info.title,
@@ -321,7 +314,7 @@ def terms_of(dataset: str, manifest: Manifest, exported: Mapping[str, Any] | Non
     Data that our exporter wrote are no part of the study's release; what its record says can make terms stricter than
     the manifest's, never looser.
     """
-    synthetic = dataset.startswith(SYNTHETIC_PREFIX)
+    synthetic = dataset.startswith(layout.SYNTHETIC_PREFIX)
     terms = manifest.terms(synthetic=synthetic)
     if synthetic:
         return terms
@@ -356,7 +349,7 @@ def _describe(
         dataset=found.dataset,
         prbench_version=prbench.__version__,
         manifest_digest=digest_of(manifest),
-        input_digest=text_digest(file_digest(found.folder / TARGETS), *arrays),
+        input_digest=text_digest(file_digest(found.folder / layout.TARGETS), *arrays),
         options=options,
         # A release holds sequences alone, so every event has passed all stages.
         counts=FunnelCounts(

@@ -19,21 +19,7 @@ from jaxtyping import Bool, Float
 from prbench.errors import InputFileError, UsageError
 from prbench.files.storage import bytes_digest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame
-from prbench.release.layout import (
-    FURTHER,
-    GAZES,
-    MOTIONS,
-    SYNTHETIC_PREFIX,
-    TARGETS,
-    convert_block,
-    index_of,
-    letters,
-    list_files,
-    load_known,
-    read_array,
-    read_further,
-    read_targets,
-)
+from prbench.release import layout
 from prbench.release.report import Certainty, Inference, SequenceProblem, count_splits
 
 AS_THE_MOTIONS = "as the motions"
@@ -160,19 +146,19 @@ def read_release(
             whole.
         UsageError: if the user names a field that does not exist.
     """
-    files = list_files(folder)
-    progress(dataset, f"reading {TARGETS}")
-    entries = read_targets(folder / TARGETS)
+    files = layout.list_files(folder)
+    progress(dataset, f"reading {layout.TARGETS}")
+    entries = layout.read_targets(folder / layout.TARGETS)
     names = list(dict.fromkeys(name for fields in entries.values() for name in fields))
-    mapping = _map_fields(folder / TARGETS, names, options.field_map)
+    mapping = _map_fields(folder / layout.TARGETS, names, options.field_map)
     fps, rate = _frame_rate(folder, list(entries.values()), mapping, options.fps)
     unmapped = [name for name in names if name not in mapping.values()]
     found = ReleasedDataset(dataset, folder, files, mapping, unmapped, fps, inferences=[rate])
     progress(dataset, f"measuring {len(entries)} sequences")
     for key, fields in entries.items():
         _read_sequence(found, key, fields)
-    for index in sorted(set(files[MOTIONS]) - {index_of(key) for key in entries}):
-        found.note(f"{index:010d}", f"a motion without an entry in {TARGETS}", left_out=True)
+    for index in sorted(set(files[layout.MOTIONS]) - {layout.index_of(key) for key in entries}):
+        found.note(f"{index:010d}", f"a motion without an entry in {layout.TARGETS}", left_out=True)
     left_out = found.left_out
     if left_out and (options.on_error == "fail" or not found.sequences):
         key, reason = next(iter(left_out.items()))
@@ -180,7 +166,7 @@ def read_release(
         raise InputFileError(folder, f"sequence {key}", expected="a complete sequence", found=reason + more)
     _judge(found)
     # Counts that differ from the study's, as those of a later release may; they say nothing about synthetic people.
-    known = None if dataset.startswith(SYNTHETIC_PREFIX) else load_known().datasets.get(dataset)
+    known = None if dataset.startswith(layout.SYNTHETIC_PREFIX) else layout.load_known().datasets.get(dataset)
     found.warnings += [
         f"{row.split}: {row.found} sequences, the study has {row.study}."
         for row in count_splits((each.subset for each in found.sequences), known)
@@ -196,7 +182,7 @@ def _map_fields(where: Path, names: list[str], given: Mapping[str, str]) -> dict
         UsageError: if the user names a field that does not exist.
         InputFileError: if two names of a field that is needed are there, or none; lists the names.
     """
-    known = load_known()
+    known = layout.load_known()
     for canonical, name in given.items():
         if canonical not in known.fields:
             raise UsageError(f"--field-map: there is no field '{canonical}'; there are: {', '.join(known.fields)}.")
@@ -206,7 +192,7 @@ def _map_fields(where: Path, names: list[str], given: Mapping[str, str]) -> dict
     for canonical, aliases in known.fields.items():
         if canonical in given:
             continue
-        fitting = [name for name in names if letters(name) in aliases and name not in mapping.values()]
+        fitting = [name for name in names if layout.letters(name) in aliases and name not in mapping.values()]
         needed = canonical in known.required_fields
         if needed and len(fitting) != 1:
             # Guessing between two goals or two splits would silently give a wrong benchmark.
@@ -219,7 +205,7 @@ def _map_fields(where: Path, names: list[str], given: Mapping[str, str]) -> dict
                 remedy=f"Say which it is: --field-map {canonical}={fitting[0] if fitting else 'NAME'}",
             )
         if fitting:
-            mapping[canonical] = min(fitting, key=lambda name: aliases.index(letters(name)))
+            mapping[canonical] = min(fitting, key=lambda name: aliases.index(layout.letters(name)))
     return mapping
 
 
@@ -231,7 +217,7 @@ def _frame_rate(
     Raises:
         InputFileError: if nothing tells it.
     """
-    known = load_known()
+    known = layout.load_known()
     stated = {number for entry in entries if (number := _number(entry.get(mapping.get("fps", "")))) is not None}
     primes = [number for entry in entries if (number := _number(entry.get(mapping["primed_frame"]))) is not None]
     mode = Counter(primes).most_common(1)[0][0] if primes else 0.0
@@ -257,7 +243,7 @@ def _frame_rate(
 
 def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) -> None:
     """Read and measure one sequence; all problems of it are noted, so that a user sees them at once."""
-    index = index_of(key)
+    index = layout.index_of(key)
     if index is None:
         found.note(key, "an entry without a motion: its key holds no number", left_out=True)
         return
@@ -289,16 +275,16 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
         found.note(key, text, left_out=True)
         return
     gaze_file, gaze_content = _read_gaze(found, key, index, n_frames)
-    further, further_content = found.files[FURTHER].get(index), b""
+    further, further_content = found.files[layout.FURTHER].get(index), b""
     if further is not None:
         try:
-            further_content = read_further(further, n_frames)[1]
+            further_content = layout.read_further(further, n_frames)[1]
         except InputFileError:
             found.note(key, "further: damaged or of another motion, not used")
             further = None
     block = None
     if further is not None:
-        block = convert_block(value("prbench"), fps=found.fps, primed_frame=primed, n_frames=n_frames)
+        block = layout.convert_block(value("prbench"), fps=found.fps, primed_frame=primed, n_frames=n_frames)
     source = value("source").strip() if isinstance(value("source"), str) else ""
     event = f"{found.dataset}/{index:010d}"
     named = {
@@ -312,7 +298,7 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
         ReleasedSequence(
             fields=fields,
             index=index,
-            motion=found.files[MOTIONS][index],
+            motion=found.files[layout.MOTIONS][index],
             gaze=gaze_file,
             further=further,
             block=block,
@@ -331,19 +317,19 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
 
 def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarray, np.ndarray, bytes] | None:
     """Return the joints of a sequence, the pose of its canonical frame and the file's bytes; None if it is unusable."""
-    path = found.files[MOTIONS].get(index)
+    path = found.files[layout.MOTIONS].get(index)
     if path is None:
         found.note(key, "no file in motions", left_out=True)
         return None
     try:
-        joints, content = read_array(path, (22, 3))
+        joints, content = layout.read_array(path, (22, 3))
         joints = joints.astype(np.float64)
         if len(joints) < 2:
             problem = f"expected 2 frames or more, found {len(joints)}"
         elif not np.isfinite(joints).all():
             problem = "expected finite numbers, found NaN or infinity"
         else:
-            rules = load_known()
+            rules = layout.load_known()
             pose = canonical_frame(joints)
             # The matrix is a turn about y and a shift, so two entries hold the whole angle.
             yaw = np.degrees(np.arctan2(pose[0, 2], pose[0, 0]))
@@ -359,12 +345,12 @@ def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarr
 
 def _read_gaze(found: ReleasedDataset, key: str, index: int, n_frames: int) -> tuple[Path | None, bytes]:
     """Return the file of a sequence's gaze and its bytes; None where it is missing or wrong, which costs the gaze."""
-    path = found.files[GAZES].get(index)
+    path = found.files[layout.GAZES].get(index)
     if path is None:
         found.note(key, "no file in gazes: no gaze")
         return None, b""
     try:
-        gaze, content = read_array(path, (3,))
+        gaze, content = layout.read_array(path, (3,))
     except InputFileError as error:
         found.note(key, f"gaze: expected {error.expected}, found {error.found}: no gaze")
         return None, b""
@@ -382,7 +368,7 @@ def _judge(found: ReleasedDataset) -> None:
     Raises:
         InputFileError: if they have not that size, or another unit is stated.
     """
-    rules = load_known()
+    rules = layout.load_known()
     units = {str(each.fields.get(found.mapping.get("units", ""), "")).strip().lower() for each in found.sequences}
     stated = units.pop() if len(units) == 1 else ""
     size = float(np.median([each.pelvis_to_head for each in found.sequences]))
@@ -427,7 +413,7 @@ def clean_gaze(gaze: np.ndarray | None, n_frames: int) -> tuple[Float[np.ndarray
 
     NaN, zero and lengths far from 1 are invalid; lengths near 1 are made exact.
     """
-    rules = load_known()
+    rules = layout.load_known()
     directions = np.full((n_frames, 3), np.nan) if gaze is None else gaze.astype(np.float64)
     length = np.linalg.norm(directions, axis=1)
     valid = np.abs(length - 1) <= rules.gaze_tolerance

@@ -140,16 +140,8 @@ def diagnose_looking(motion: MotionBatch, targets: ScoringTargets, constants: Me
 
 
 _NUMBERS = (
-    "miss_deg",
-    "miss_up_deg",
-    "miss_aside_deg",
-    "best_time",
-    "first_look",
-    "longest_stay",
-    "ray_elevation_deg",
-    "goal_elevation_deg",
-    "ray_azimuth_deg",
-    "goal_azimuth_deg",
+    *("miss_deg", "miss_up_deg", "miss_aside_deg", "best_time", "first_look", "longest_stay"),
+    *("ray_elevation_deg", "goal_elevation_deg", "ray_azimuth_deg", "goal_azimuth_deg"),
 )
 _STAYS = ("stays", "stays_with_elevation", "stays_with_azimuth")
 
