@@ -28,10 +28,6 @@ DEFAULT_LIMIT = 4
 Progress = Callable[[int, int, str], None]
 
 
-def _silent(done: int, total: int, last: str) -> None:
-    """Say nothing."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class ViewRequest:
     """The sequences and runs that a user wants to see.
@@ -90,7 +86,7 @@ class ViewReport:
         return tuple(dict.fromkeys(scene.notice for scene in self.scenes if scene.notice))
 
 
-def view(request: ViewRequest, progress: Progress = _silent) -> ViewReport:
+def view(request: ViewRequest, progress: Progress = lambda *_: None) -> ViewReport:
     """Render runs, or recorded motion, into one file.
 
     Raises:

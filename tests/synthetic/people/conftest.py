@@ -2,47 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import functools
+from collections.abc import Callable
 
 import pytest
 
-from prbench.synthetic.people import PRESETS, perform
+from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
 from tests.shapes import unchecked
 
 N_RECORDINGS = 20
 
 
-class Crowds(Mapping[str, list[Performance]]):
-    """Twenty recordings of every preset, each preset's acted out when it is first asked for.
-
-    Two processes share the tests, and only some tests look at every preset.
-    """
-
-    def __init__(self) -> None:
-        self._acted: dict[str, list[Performance]] = {}
-
-    def __getitem__(self, preset: str) -> list[Performance]:
-        if preset not in self._acted:
-            with unchecked():
-                self._acted[preset] = [_act(preset, index) for index in range(N_RECORDINGS)]
-        return self._acted[preset]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(PRESETS)
-
-    def __len__(self) -> int:
-        return len(PRESETS)
-
-
 @pytest.fixture(scope="session")
-def crowds() -> Crowds:
-    """Twenty recordings of every preset, without provocations, at 60 Hz."""
-    return Crowds()
+def crowd() -> Callable[[str], list[Performance]]:
+    """From a preset to twenty recordings of it, without provocations, at 60 Hz, acted out when first asked for."""
 
+    @functools.cache
+    def act(preset: str) -> list[Performance]:
+        with unchecked():
+            numbers = range(N_RECORDINGS)
+            return [perform(preset, seed=3, index=n, n_events=6, rate=60.0, provocations={}) for n in numbers]
 
-def _act(preset: str, index: int) -> Performance:
-    return perform(preset, seed=3, index=index, n_events=6, rate=60.0, provocations={})
+    return act
 
 
 @pytest.fixture(scope="session")

@@ -31,11 +31,11 @@ REACH = {"hd-epic": (0.6, 1.0), "mogaze": (0.6, 1.0), "hot3d": (0.6, 1.0), "adt"
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
-def test_people_move_look_and_act_as_they_should(crowds: dict[str, list[Performance]], preset: str) -> None:
-    crowd = crowds[preset]
-    assert implausible(measure(crowd)) == {}
-    assert out_of_range(preset, measure_behaviour(crowd)) == {}
-    clips = clips_of(crowd)
+def test_people_move_look_and_act_as_they_should(crowd, preset: str) -> None:
+    people = crowd(preset)
+    assert implausible(measure(people)) == {}
+    assert out_of_range(preset, measure_behaviour(people)) == {}
+    clips = clips_of(people)
     deviations = sequence_statistics(clips).deviations(TARGETS[preset])
     assert {name: value for name, value in deviations.items() if abs(value) > 1 / 3} == {}
     scores = truth_scores(clips)
@@ -47,11 +47,9 @@ def test_people_move_look_and_act_as_they_should(crowds: dict[str, list[Performa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
-def test_few_goals_are_given_up_and_truth_says_which_are_seen(
-    crowds: dict[str, list[Performance]], preset: str
-) -> None:
-    events = [event for performance in crowds[preset] for event in performance.events]
-    assert len(events) > 0.75 * 6 * len(crowds[preset])
+def test_few_goals_are_given_up_and_truth_says_which_are_seen(crowd, preset: str) -> None:
+    events = [event for performance in crowd(preset) for event in performance.events]
+    assert len(events) > 0.75 * 6 * len(crowd(preset))
     seen = {tag: [each.prime_time is not None for each in events if each.tag == tag] for tag in ("plain", "unprimed")}
     assert np.mean(seen["plain"]) > 0.97
     assert np.mean(seen["unprimed"]) < 0.35
@@ -62,8 +60,9 @@ def test_few_goals_are_given_up_and_truth_says_which_are_seen(
 
 
 @pytest.mark.slow
-def test_near_looks_are_near_misses(crowds: dict[str, list[Performance]]) -> None:
-    near = [e for crowd in crowds.values() for p in crowd for e in p.events if e.tag == "near" and e.prime_kind]
+def test_near_looks_are_near_misses(crowd) -> None:
+    people = [performance for preset in PRESETS for performance in crowd(preset)]
+    near = [event for each in people for event in each.events if event.tag == "near" and event.prime_kind]
     assert np.mean([event.prime_kind == "near_miss" for event in near]) > 0.7
 
 
