@@ -1,7 +1,7 @@
 """``prbench study ITEM --train``: train and run the rows of Tables 3, 4, S4 to S7, and make the table of what there is.
 
 Every step goes into a folder that its content names, so that the same command goes on with what an interruption has
-left, and rows that share a training or a run share its folder. A row that fails ends nothing but itself.
+left, and rows that share a training or a run share its folder. When a row fails, the others go on.
 """
 
 from __future__ import annotations

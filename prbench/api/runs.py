@@ -348,14 +348,12 @@ def run(
         benchmark: What is asked of the method: ``prime-and-reach``, or ``motion-prediction`` on tables of windows.
         condition: What the method is given: nothing (``none``), a sentence (``text``), the pose at the goal
             (``goal-pose``), or the goal's place (``goal-loc``); for motion prediction ``pose``, ``pose+head`` or
-            ``pose+gaze``. By default what ``prbench run`` takes without
-            ``--condition``.
+            ``pose+gaze``. By default the only condition that the method takes.
         data: A table or its folder, or several; without it prbench's own five tables of synthetic people are used.
         out: Run folder; by default one below ``runs`` whose name says what was run.
         split: The sequences to run; ``participants`` goes with ``fold``, ``published`` with motion prediction.
         fold: Such as ``2/6``: the participants of this fold are tested on.
-        limit: Number of sequences of each dataset, of every recording its share; without ``data``
-            10 by default.
+        limit: Number of sequences of each dataset, of every recording its share; without ``data`` 10 by default.
         sequence: Run these only: ids, or parts of ids that fit one sequence only.
         weights: Bundled weights of the method by name, a file or a folder.
         option: Options of the method, by name.

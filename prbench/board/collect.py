@@ -50,7 +50,7 @@ def cost_of(files: DatasetFolder) -> dict[str, float | None]:
     motions = cost.motions + cost.warm_up_motions
     if not motions or not cost.seconds + cost.warm_up_seconds:
         return UNMEASURED
-    # A run of a single batch has warm-up alone, which is dearer than what follows, and better than nothing.
+    # A run of a single batch has a warm-up alone: slower than later batches, but the only measurement.
     seconds = cost.seconds_per_motion
     memory = cost.peak_device_bytes if cost.peak_device_bytes is not None else cost.peak_process_bytes
     return {

@@ -89,7 +89,7 @@ def note_unread(records: Iterable[Recording | CorpusRecord], *, reused: int) -> 
 def note_recordings(records: Iterable[Recording], *, reused: int) -> None:
     """Name the recordings that are missing from a table, cut short, so that events may be missing, or without sequence.
 
-    What a reader remarks of a recording without sequences is seldom the cause, so the outcomes of its events are told.
+    For a recording without sequences the outcomes of its events are printed: the reader's remarks are seldom the cause.
     """
     records = list(records)
     note_unread(records, reused=reused)

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 def datasets(*, name: str | None, root: Path | None, cite: tuple[Path, ...]) -> Answer:
     """List the datasets with licence and terms, how to obtain them, and what of them is below a folder.
 
-    With NAME everything about that one is told.
+    With NAME only that dataset is shown, with everything known about it.
     """
     from prbench.checking.catalogue import Catalogue, catalogue, citation_text
     from prbench.readers.discover import usable_readers

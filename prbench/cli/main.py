@@ -220,7 +220,7 @@ def print_document(document: Document) -> None:
 def _encoded(document: Document) -> bytes:
     """Encode a document; what JSON cannot say (NaN, infinity) becomes null."""
     report = msgspec.json.encode(document.report, enc_hook=_plain).decode()
-    # Messages in a report name places as well. Notes stay as they were told: some say where a local copy lies.
+    # Messages in a report name places as well. Notes stay unchanged: some say where a local copy lies.
     document = msgspec.structs.replace(document, report=msgspec.Raw(session().shown_place(report).encode()))
     return msgspec.json.format(msgspec.json.encode(document), indent=2)
 

@@ -1,6 +1,7 @@
 """``prbench run``: methods over tables, scored.
 
-A method of another package runs in a child process: it may leave that process, and the shell is still told the truth.
+A method of another package runs in a child process: if the method ends that process, the exit code is right all the
+same.
 """
 
 from __future__ import annotations
@@ -286,7 +287,7 @@ def _note_found(batches: int) -> None:
 
 @contextlib.contextmanager
 def _told(request: RunRequest, what: str) -> Iterator[Callable[[Progress], None]]:
-    """Tell how a method is isolated, and show the progress of its run."""
+    """Print how a method is isolated, and show the progress of its run."""
     if request.isolate:
         from prbench.harness.methods.isolation import available_fence
         from prbench.harness.methods.programs import runs_in_container
@@ -327,7 +328,7 @@ def _on_embedded_tables(experiment: Experiment, engine: Engine) -> Experiment:
     from prbench.harness.methods.installed import METHOD_CONTROLS, is_program
     from prbench.harness.methods.loading import chosen_condition, find_adapter, load_adapter
 
-    # An unknown method, or one that has to be told its condition, is refused before half a minute goes into tables.
+    # An unknown method, or one that needs --condition, is refused before tables are built for half a minute.
     for method in experiment.methods:
         if method.name in METHOD_CONTROLS or is_program(method.name):
             continue

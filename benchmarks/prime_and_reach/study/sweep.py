@@ -78,7 +78,7 @@ def sweep(run: GenuineRun, *, engine: Engine) -> Sweep:
         sums += successes.sum(axis=-1)
         motions += successes.shape[-1]
     rates = sums / motions
-    # Hold the sweep against the stored scores where both have the same limits.
+    # Where both have the same limits, the sweep has to give the stored scores.
     if constants.prime_window in windows and constants.prime_distance in distances:
         found = rates[windows.index(constants.prime_window), distances.index(constants.prime_distance)]
         of_metric = np.array(scores["metric"].to_pylist()) == _METRIC

@@ -343,7 +343,7 @@ def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> li
 
 
 def _why_no_weights(row: StudyRow, run: RunRequest) -> str | None:
-    """Return why a row without weights of the user's own has none, or None if it has or needs none."""
+    """Return why no weights are found for a row without the user's own; None if some are found, or none are needed."""
     weights = load_table_two().weights[row.weights]
     if weights.state == "none":
         return None

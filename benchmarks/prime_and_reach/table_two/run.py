@@ -1,8 +1,8 @@
 """Work through the rows of Table 2, unattended.
 
 ``plan.json`` says what was asked for; every row is a run folder of its own, which resumes. A row that cannot be run is
-skipped with a reason, one that fails ends nothing but itself and is tried again by the next call.
-Whatever moment the table was killed at, the same request goes on and ends with the same numbers.
+skipped with a reason, when one fails, the others go on, and the next call tries it again.
+After a kill at any moment the same request goes on and ends with the same numbers.
 """
 
 from __future__ import annotations
