@@ -84,4 +84,4 @@ def condition(arrays: dict[str, np.ndarray]) -> EncodedCondition:
 
 def features(array: np.ndarray) -> Tensor:
     """(batch, channel, frame) as (batch, frame, channel)."""
-    return torch.from_numpy(array).transpose(1, 2).contiguous()
+    return torch.from_numpy(array.astype(np.float32)).transpose(1, 2).contiguous()

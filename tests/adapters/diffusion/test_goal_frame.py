@@ -53,8 +53,10 @@ _FIRST_ANKLE = N_POSE_FEATURES - 12
 
 
 @pytest.mark.parametrize("goal", ["location", "pose"])
-def test_a_motion_is_decoded_from_its_features(goal):
-    frame = GoalFrame.of(_raw(JOINTS, _location(JOINTS) if goal == "location" else JOINTS[:, -1]))
+def test_a_motion_is_decoded_from_its_features_and_conditions_have_their_size(goal):
+    raw = _raw(JOINTS, _location(JOINTS) if goal == "location" else JOINTS[:, -1])
+    assert seen_condition(raw).shape == (2, seen_size(goal))
+    frame = GoalFrame.of(raw)
     found = frame.decode(frame.encode(JOINTS, FPS), LENGTHS, FPS)
     torch.testing.assert_close(
         found, JOINTS, rtol=0, atol=1e-2
@@ -84,12 +86,8 @@ def test_features_are_the_same_wherever_the_world_is_turned():
     here = GoalFrame.of(_raw(JOINTS, goal))
     there = GoalFrame.of(_raw(turned, goal @ turn.T + shift))
     torch.testing.assert_close(there.encode(turned, FPS), here.encode(JOINTS, FPS), rtol=0, atol=1e-5)
-
-
-def test_the_goal_lies_ahead_of_the_first_pelvis():
-    frame = GoalFrame.of(_raw(JOINTS, _location(JOINTS)))
-    assert float(frame.first[:, 0].abs().max()) < 1e-6
-    assert float(frame.first[:, 2].max()) < 0.0
+    assert float(here.first[:, 0].abs().max()) < 1e-6, "the goal lies ahead of the first pelvis"
+    assert float(here.first[:, 2].max()) < 0.0
 
 
 def test_padding_leaves_no_trace():
@@ -170,9 +168,3 @@ def test_a_toe_is_planted_where_it_is_low_and_still():
     joints[0, :, Joint.RIGHT_FOOT, 1] = 0.2
     assert planted(joints, FPS)[0, :, 0].tolist() == [True, True, True, False, False, False]
     assert not bool(planted(joints, FPS)[0, :, 1].any())
-
-
-@pytest.mark.parametrize("goal", ["location", "pose"])
-def test_the_condition_has_the_size_that_is_announced(goal):
-    raw = _raw(JOINTS, _location(JOINTS) if goal == "location" else JOINTS[:, -1])
-    assert seen_condition(raw).shape == (2, seen_size(goal))

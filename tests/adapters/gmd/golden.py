@@ -6,19 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from prbench_adapters.gmd.model import GMDConfiguration, TemporalUNet
 from prbench_adapters.gmd.public_weights import Checkpoint, parameters_of, widths_of
+from tests.adapters.diffusion.golden import features, load
+
+__all__ = ["checkpoint", "features", "load", "network"]
 
 STEPS = 1000
 WINDOW = 224
-
-
-def load(samples: Path, name: str) -> dict[str, np.ndarray]:
-    """The arrays of one file."""
-    with np.load(samples / "metrics" / "networks" / f"{name}.npz", allow_pickle=False) as file:
-        return dict(file)
 
 
 def checkpoint(arrays: dict[str, np.ndarray]) -> Checkpoint:
@@ -35,8 +31,3 @@ def network(arrays: dict[str, np.ndarray]) -> TemporalUNet:
     unet = TemporalUNet(arrays["x_t"].shape[1], widths_of(found), configuration)
     unet.load_state_dict(parameters_of(found, unet))
     return unet.eval().requires_grad_(False)
-
-
-def features(array: np.ndarray) -> Tensor:
-    """(batch, channel, frame) as (batch, frame, channel)."""
-    return torch.from_numpy(array.astype(np.float32)).transpose(1, 2).contiguous()

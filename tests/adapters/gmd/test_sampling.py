@@ -13,6 +13,7 @@ from torch import Tensor
 
 from prbench.contract import ConditionBatch
 from prbench.geometry.skeleton import Joint
+from prbench.harness.methods.loading import load_adapter
 from prbench_adapters.diffusion.generation import SequenceNoise
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.gmd import sampling
@@ -124,6 +125,21 @@ def test_the_goal_scale_matters_and_zero_takes_no_gradient(model, monkeypatch):
     monkeypatch.setattr(torch.autograd, "grad", None)
     free = generate(model, batch, GMDSettings(steps=5, goal_scale=0.0)).joints
     assert not np.allclose(guided, free, atol=1e-3)
+
+
+def test_smoothed_motions_average_neighbouring_frames_and_keep_their_keyframes():
+    batch = tiny.batch((14, 9))
+    plain, smooth = (generate(tiny.model(smoothed=each), batch, GMDSettings(steps=2)).joints for each in (False, True))
+    for row, n in enumerate(batch.n_frames):
+        pelvis, expected = smooth[row, :n, 0], plain[row, :n, 0].copy()
+        expected[1:-1] = (plain[row, : n - 2, 0] + 2 * plain[row, 1 : n - 1, 0] + plain[row, 2:n, 0]) / 4
+        assert np.allclose(pelvis, expected, atol=1e-5)
+
+
+def test_options_reach_the_settings(tmp_path):
+    weights = tiny.write(tmp_path / "tiny.safetensors")
+    given = {"keyframes": "pose", "guidance": "1", "goal-scale": "30", "steps": "7", "bones": "initial"}
+    assert load_adapter("gmd", weights, given, "cpu").settings == GMDSettings(1.0, 30.0, "pose", 7, "initial")
 
 
 def test_each_step_imputes_and_guides_as_its_noise_asks(monkeypatch):

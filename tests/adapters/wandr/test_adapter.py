@@ -105,12 +105,6 @@ def test_left_hands_are_right_hands_in_a_mirror():
     assert np.allclose(left.joints, mirror(right.joints), atol=1e-6)
 
 
-def _spoilt(batch, name, place, value):
-    values = getattr(batch, name).copy()
-    values[place] = value
-    return replace(batch, **{name: values})
-
-
 @pytest.mark.parametrize(
     ("name", "place", "value", "message"),
     [
@@ -119,8 +113,10 @@ def _spoilt(batch, name, place, value):
     ],
 )
 def test_what_cannot_be_is_refused(name, place, value, message):
+    values = getattr(tiny.batch(), name).copy()
+    values[place] = value
     with pytest.raises(InputFileError, match=message):
-        _method().generate(_spoilt(tiny.batch(), name, place, value), seed=0)
+        _method().generate(replace(tiny.batch(), **{name: values}), seed=0)
 
 
 def test_weights_are_found_and_declared(tmp_path):
