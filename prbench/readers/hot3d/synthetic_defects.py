@@ -16,7 +16,6 @@ from prbench.synthetic.layouts import Damage, Defect, change_cells, change_json,
 
 _TRAJECTORY = f"{hot3d.MPS_FOLDER}/{SLAM_FOLDER}/{TRAJECTORY_FILE}"
 _GAZE_FILES = f"{hot3d.MPS_FOLDER}/{GAZE_FOLDER}/*_eye_gaze.csv"
-_BROKEN_LINES = slice(100, 130)
 
 Rows = list[list[str]]
 
@@ -52,6 +51,20 @@ def _shift_a_third(rows: Rows) -> Rows:
     return [[row[0], str(int(row[1]) + 3_000_000), *row[2:]] if n > later else row for n, row in enumerate(rows)]
 
 
+def _hand_lines(change: Callable[[list[bytes]], list[bytes]]) -> Damage:
+    """Return a damage that changes the lines of hand poses."""
+
+    def apply(root: Path, recording: str) -> None:
+        path = root / recording / hot3d.UMETRACK_FILE
+        path.write_bytes(b"\n".join(change(path.read_bytes().splitlines())) + b"\n")
+
+    return apply
+
+
+def _without_hands(line: bytes) -> bytes:
+    return json.dumps({"timestamp_ns": msgspec.json.decode(line)["timestamp_ns"], "hand_poses": {}}).encode()
+
+
 def _lose_an_object(rows: Rows) -> Rows:
     """Remove a quarter of one object's instants, RGB and SLAM rows alike."""
     uid = rows[0][0]
@@ -75,19 +88,6 @@ def _fail_the_start(root: Path, recording: str) -> None:
     path.write_text("\n".join([header, *(",".join(flag) for flag in flags)]) + "\n", encoding="utf-8")
 
 
-def _break_lines(root: Path, recording: str) -> None:
-    path = root / recording / hot3d.UMETRACK_FILE
-    lines = path.read_bytes().splitlines()
-    lines[_BROKEN_LINES] = [line[: len(line) // 2] for line in lines[_BROKEN_LINES]]
-    path.write_bytes(b"\n".join(lines) + b"\n")
-
-
-def _lose_hands(root: Path, recording: str) -> None:
-    path = root / recording / hot3d.UMETRACK_FILE
-    times = [msgspec.json.decode(line)["timestamp_ns"] for line in path.read_bytes().splitlines()]
-    path.write_text("".join(json.dumps({"timestamp_ns": time, "hand_poses": {}}) + "\n" for time in times))
-
-
 def _lose_gaze_angles(root: Path, recording: str) -> None:
     """Empty the angles of every row, as while eyes are closed."""
     for path in (root / recording).glob(_GAZE_FILES):
@@ -105,6 +105,10 @@ _ELSEWHERE = _with_rows(
 _JUMP = _with_rows(hot3d.HEADSET_FILE, _shift_a_third)
 _GAP = _with_rows(_TRAJECTORY, lambda rows: [*rows[: len(rows) // 2], *rows[len(rows) // 2 + 1000 :]])  # a second
 _LOST_OBJECT = _with_rows(hot3d.OBJECTS_FILE, _lose_an_object)
+_BROKEN_LINES = _hand_lines(
+    lambda lines: [line[: len(line) // 2] if 100 <= number < 130 else line for number, line in enumerate(lines)]
+)
+_NO_HANDS = _hand_lines(lambda lines: [_without_hands(line) for line in lines])
 _NO_BODIES = _without(f"{{}}/{OUTPUT_FOLDER}/*")
 
 DEFECTS: tuple[Defect, ...] = (
@@ -123,6 +127,6 @@ DEFECTS: tuple[Defect, ...] = (
     Defect("nan-gaze", "no gaze row holds an angle", _lose_gaze_angles, "read", "nothing can be primed"),
     Defect("lost-object", "rows missing", _LOST_OBJECT, "read", "of its poses"),
     Defect("failed-start", "the first second is wrong", _fail_the_start, "read", "fail the quality check"),
-    Defect("broken-lines", "thirty damaged lines of hand poses", _break_lines, "read", "damaged and left out"),
-    Defect("lost-hands", "hands never tracked", _lose_hands, "read", "never tracked"),
+    Defect("broken-lines", "thirty damaged lines of hand poses", _BROKEN_LINES, "read", "damaged and left out"),
+    Defect("lost-hands", "hands never tracked", _NO_HANDS, "read", "never tracked"),
 )

@@ -45,11 +45,6 @@ def _forget(part: str, of: Callable[[h5py.File], Any], key: str) -> Damage:
     return apply
 
 
-def _lose_body_frames(rows: np.ndarray) -> np.ndarray:
-    rows[100:140] = np.nan
-    return rows
-
-
 def _disorder_segments(rows: np.ndarray) -> np.ndarray:
     """Add segments out of order, repeated, ending before they begin, beyond the recording, and of unknown things."""
     bad = [(70, 60, b"null"), (10_000_000, 10_000_100, b"null"), (5, 20, b"spoon")]
@@ -68,7 +63,9 @@ def _raise_floor(root: Path, recording: str) -> None:
 
 
 _SHORTER = _with_rows(GAZE, mogaze.GAZE_DATASET, lambda rows: rows[:-20])
-_NO_BODY = _with_rows(HUMAN, mogaze.HUMAN_DATASET, _lose_body_frames)
+_NO_BODY = _with_rows(
+    HUMAN, mogaze.HUMAN_DATASET, lambda rows: np.concatenate([rows[:100], rows[100:140] * np.nan, rows[140:]])
+)
 _BLIND = _with_rows(GAZE, mogaze.GAZE_DATASET, lambda rows: np.column_stack([rows[:, :-1], np.full(len(rows), 0.1)]))
 _DISORDER = _with_rows(SEGMENTS, mogaze.SEGMENT_DATASET, _disorder_segments)
 

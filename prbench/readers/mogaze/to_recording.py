@@ -144,17 +144,15 @@ def _gaze(
             points[tracked],  # a direction is the same in any unit
         )
     measured = confident & np.isfinite(native).all(axis=1)
-    source, recent = held_index(measured, int(manifest.thresholds["gaze_hold"] * mogaze.RATE + _ROUNDING))
+    # The last measured frame before each frame is held for a while.
+    frames = np.arange(len(measured))
+    last = np.maximum.accumulate(np.where(measured, frames, -1))
+    source = np.maximum(last, 0)
+    longest = int(manifest.thresholds["gaze_hold"] * mogaze.RATE + _ROUNDING)
+    recent = (last >= 0) & (frames - last <= longest)
     usable = measured[source]
     held = native[source] @ _TO_WORLD.T
     return np.where(usable[:, None], held, (0.0, 0.0, 1.0)), recent & tracked, bool(in_metres)
-
-
-def held_index(valid: Bool[np.ndarray, " n"], longest: int) -> tuple[np.ndarray, Bool[np.ndarray, " n"]]:
-    """Return the last valid frame before each frame, and whether it is at most ``longest`` frames ago."""
-    frames = np.arange(len(valid))
-    last = np.maximum.accumulate(np.where(valid, frames, -1))
-    return np.maximum(last, 0), (last >= 0) & (frames - last <= longest)
 
 
 def _track(
