@@ -116,18 +116,7 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
     elif request.is_control:
         asked = request.condition
         condition = next(iter(benchmark.conditions)) if asked is None else benchmark.condition(asked)
-        method = MethodRecord(
-            name=request.method,
-            kind=CONTROL,
-            package="prbench",
-            version=prbench.__version__,
-            weights=None,
-            weights_digest=None,
-            options={},
-            max_frames=None,
-            native_fps=None,
-            motionless=False,
-        )
+        method = MethodRecord.bare(request.method, CONTROL, "prbench", prbench.__version__)
     else:
         require_weights(request.weights)
         spec = method_spec(

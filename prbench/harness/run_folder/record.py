@@ -74,10 +74,14 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     @classmethod
     def of_file(cls, name: str, file: str, digest: str, **declared: Any) -> MethodRecord:
         """Return the record of finished motions or futures in a file; ``declared`` are other fields."""
-        nothing = {"weights": None, "weights_digest": None, "options": {}, "max_frames": None, "native_fps": None}
-        return cls(
-            name=name, kind=FILE, package=file, version=digest[:12], **nothing | {"motionless": False} | declared
-        )
+        return cls.bare(name, FILE, file, digest[:12], **declared)
+
+    @classmethod
+    def bare(cls, name: str, kind: str, package: str, version: str, **declared: Any) -> MethodRecord:
+        """Return the record of a method without weights, options and limits, apart from what is ``declared``."""
+        nothing: dict[str, Any] = {"weights": None, "weights_digest": None, "options": {}, "motionless": False}
+        nothing |= {"max_frames": None, "native_fps": None}
+        return cls(name=name, kind=kind, package=package, version=version, **nothing | declared)
 
     @property
     def origin(self) -> str:
