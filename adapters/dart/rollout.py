@@ -38,7 +38,7 @@ class Primitive:
     Attributes:
         history: Standardised, in the primitive's frame of reference.
         latent: Divided by the latents' std.
-        features: Standardised, likewise.
+        features: Standardised features of the future frames, in the same frame of reference.
         placement: Placement of its frame of reference in the world.
         joints: Joints of the future frames, in the world, metres.
     """

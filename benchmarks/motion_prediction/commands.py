@@ -27,7 +27,7 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         folder: The table of windows that was written; null with ``--shard``.
-        built: The content of its ``windows.json``; null likewise.
+        built: The content of its ``windows.json``; null with ``--shard``.
         shard: The shard that was made, with ``--shard``; else null.
     """
 

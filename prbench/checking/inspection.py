@@ -126,7 +126,7 @@ def inspect_folders(
 
     Args:
         folders: Tables, datasets, or folders that hold several datasets.
-        thorough: See :func:`inspect_folder`; likewise the others.
+        thorough: Read every recording as a build would (:func:`inspect_folder`).
         progress: Called with done, total and the recording's name.
 
     Raises:

@@ -150,7 +150,7 @@ def fetched_native(text: str, dataset: str | None, *, tell: Tell = lambda _: Non
         tell: Called with a line before something is fetched.
 
     Raises:
-        UsageError: see :func:`fetched`; likewise the others.
+        UsageError, MissingExtraError, StorageError: as :func:`fetched` raises them.
         InputFileError: if nothing lies there that a reader asks for.
     """
     known = opened_elsewhere(text)

@@ -9,7 +9,7 @@ All that knows a dataset lies in its folder here, and its numbers in its manifes
                       the options
 ``to_recording.py``   readings → ``Recording``: metres, Y up, seconds, 22 joints; the only place where units change
 others                what one dataset has besides: tables of segments, hand models, skeletons, pickles, annotations
-``synthetic*.py``     the same files of invented people
+``synthetic*.py``     the same files of synthetic people
 ====================  ==================================================================================================
 
 ``aria_mps`` and ``egoallo`` serve several datasets. ``files``, ``found`` and ``extents`` help any. The entry-point
@@ -259,7 +259,7 @@ class KnowsEnds(Reader, Protocol):
 
         Raises:
             PrbenchError: for files that cannot be made out.
-            OSError: likewise.
+            OSError: if a file cannot be opened.
         """
         ...
 
