@@ -55,13 +55,30 @@ def test_the_scores_are_those_of_a_run_on_the_window(tmp_path):
 
 def test_what_is_not_given_is_left_out_and_text_shows_the_main_metrics():
     measures = prbench.measure_futures(PREDICTED, RECORDED, goal=RECORDED[-1, 20])
-    assert measures["wrist_to_goal"] == pytest.approx(0.1 * np.sqrt(3))
+    at_event = {name: value / np.sqrt(3) for name, value in measures.items() if "_to_goal" in name or "_at_" in name}
+    assert at_event == pytest.approx(
+        {
+            "wrist_to_goal": 0.1,
+            "wrist_to_goal_mean": 0.15,
+            "wrist_to_goal_recorded": 0.0,
+            "pelvis_at_event": 0.1,
+            "pelvis_at_event_mean": 0.15,
+        }
+    )
     assert measures["mpjpe"] == pytest.approx(0.1 * np.sqrt(3))
     assert measures.left_out["ade@0.5s"] == "needs fps"
     assert measures.left_out["bone_error_percent"] == "needs last_observed"
     assert "MMADE left out: needs similar_futures" in repr(measures)
     assert "joint/" not in repr(measures)
     assert set(measures) <= {info.id for info in load_benchmark("motion-prediction").metrics}
+
+
+def test_horizons_end_with_their_frame():
+    drifting = (RECORDED + 0.01 * np.arange(1, 61)[:, None, None] * np.array([1.0, 0.0, 0.0]))[None]
+    measures = prbench.measure_futures(drifting, RECORDED, fps=30)
+    for seconds, frames in ((0.5, 15), (1, 30), (2, 60)):
+        assert measures[f"fde@{seconds}s"] == pytest.approx(0.01 * frames * np.sqrt(22))
+        assert measures[f"ade@{seconds}s"] == pytest.approx(0.01 * (frames + 1) / 2 * np.sqrt(22))
 
 
 NAN = np.where(np.arange(60)[:, None, None] == 7, np.nan, RECORDED)

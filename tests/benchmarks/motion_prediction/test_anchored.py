@@ -21,7 +21,7 @@ def tables(tmp_path_factory) -> tuple[SequenceTable, WindowsTable]:
     folder = tmp_path_factory.mktemp("anchored")
 
     def looking_about(index, **more):
-        row = fake_sequence(index, **more)
+        row = fake_sequence(index, n_frames={0: 48, 1: 50}.get(index), **more)
         frames = np.arange(row.n_frames)
         directions = np.stack([np.sin(frames / 9), 0 * frames, np.cos(frames / 9)], axis=1)
         return dataclasses.replace(row, gaze_direction=directions, gaze_valid=frames % 7 > 0)
@@ -77,6 +77,17 @@ def test_a_predictor_is_not_told_when_the_event_happens(tables):
     assert asked == {40}
     assert len(scored) > 1
     assert min(scored) >= 10
+
+
+def test_a_window_has_all_its_observed_frames_and_half_a_second_to_come(tables):
+    _, table = tables
+    ids = table.windows["window_id"].to_pylist()
+    anchored = {
+        n: [name.rsplit("/", 2)[1:] for name in ids if f"/obj{index}/" in name] for index, n in ((0, 48), (1, 50))
+    }
+    # The prime is frame 40; the half second up to 2 s before the event begins with frame n - 50.
+    assert anchored[48] == [["event-1.5", "8"], ["event-1", "18"], ["event-0.5", "28"]]
+    assert anchored[50] == [["event-2", "0"], ["event-1.5", "10"], ["event-1", "20"], ["event-0.5", "30"]]
 
 
 def test_nearest_pasts_hold_their_pose_after_the_event(tables):

@@ -79,9 +79,10 @@ def test_a_long_gap_of_the_body_cuts_and_a_short_one_is_filled():
     np.testing.assert_allclose(np.diff(cut.joints[:, 0, 0]), 1 / 30, atol=1e-9)
 
 
-def test_no_window_ends_its_observation_inside_a_gap():
-    # Frame 14 is the last observed one of the first window.
-    (cut,) = runs_of_recording(recording(30.0, 5.0, lost=(0.46, 0.47)), RULES, split="test")
+@pytest.mark.parametrize(("rate", "lost"), [(30.0, (0.46, 0.47)), (30.3, (0.45, 0.48))])
+def test_no_window_ends_its_observation_inside_a_gap(rate, lost):
+    # Frame 14, at 0.467 s, is the last observed one of the first window.
+    (cut,) = runs_of_recording(recording(rate, 5.0, lost=lost), RULES, split="test")
     assert [window.exclusion for window in cut.windows] == ["gap_at_border", "", "", "", "", ""]
 
 
