@@ -29,10 +29,10 @@ from prbench_adapters.diffusion.optimised_generation import optimise_noise
 _PRODUCTS = ("mm", "addmm", "bmm", "baddbmm", "_scaled_dot_product")
 _PROMPT = "The person moves across and picks an object."
 _DIFFUSION_STEPS = 50
-# Of the deterministic chain, in one iteration of noise optimisation.
+# Steps of the deterministic chain in one iteration of noise optimisation.
 _OPTIMISATION_STEPS = 10
 _GUIDANCE = 2.5
-# Of the prompt in DistilBERT's vocabulary, its two special ones included.
+# Word pieces of the prompt in DistilBERT's vocabulary, the two special ones included.
 _WORD_PIECES = 11
 SIZES = {
     "paper": {"width": 512, "heads": 4, "layers": 8, "feed_forward": 1024},
@@ -41,7 +41,7 @@ SIZES = {
 
 
 class _Recorder(TorchDispatchMode):
-    """Notes every product that runs inside."""
+    """Records every matrix product that runs inside the block."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -90,7 +90,7 @@ def products_of(work: Callable[[], object]) -> Callable[[], None]:
 
 
 class FixedText:
-    """Stands for a text encoder whose vectors are known: random ones, the same for every text and for everybody."""
+    """A text encoder in place of a real one: the same random vectors for every text."""
 
     def __init__(self, dimension: int, tokens: int) -> None:
         self.name = "fixed"
@@ -98,7 +98,7 @@ class FixedText:
         self.vectors = np.random.default_rng(0).normal(size=(tokens, dimension)).astype(np.float32)
 
     def encode(self, texts: Sequence[str]) -> EncodedText:
-        """The one answer, once a text."""
+        """Return the same vectors for every text."""
         tokens = np.tile(self.vectors, (len(texts), 1, 1))
         return EncodedText(tokens, np.zeros(tokens.shape[:2], dtype=bool))
 

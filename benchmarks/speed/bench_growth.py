@@ -40,7 +40,7 @@ WORKS = {
     "board": f"leaderboard export {_RUNS}",
     "inspect": "inspect {table}",
     "view": "view --data {table} --out {out}/view.png",
-    "export conditions": "export-conditions --data {table} --condition goal-loc --out {out}/conditions.parquet",
+    "export conditions": "export-conditions --data {table} --condition goal-loc --out {out}/conditions.npz",
     "export release": "export-release {table} --out {out}/release",
     "iterate": "iterate {table}",
     "one by id": "find_one {table}",

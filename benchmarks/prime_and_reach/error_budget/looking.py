@@ -18,7 +18,7 @@ LATE = "looks late"
 MISS = "misses"
 NEVER = "never looks"
 UNDEFINED = "undefined"
-# In the order in which they are asked for: the first that holds is the motion's cause.
+# Causes in the order in which they are asked for: the first that holds is the motion's cause.
 CAUSES = (PRIMED, SLOW, STAY, EARLY, LATE, MISS, NEVER, UNDEFINED)
 
 # Degrees beyond which a head is not said to look towards a goal: eyes alone turn that far from where a head points,

@@ -34,7 +34,7 @@ FAR = "stands too far"
 LEAVES = "comes and leaves"
 UNDER_WAY = "under way"
 SHORT = "stops short"
-# In the order in which they are asked for.
+# Causes in the order in which they are asked for.
 REACH_CAUSES = (REACHED, FAR, LEAVES, UNDER_WAY, SHORT)
 
 _SHOULDERS = (Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER)
