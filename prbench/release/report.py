@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from prbench.release.layout import KnownDataset
 
 FILE_NAME = "import_report.json"
-# Words for how sure an inference is, in this order: stated and confirmed; measured with room for doubt; taken for granted; not found out.
+# Words for: stated and confirmed; measured with room for doubt; taken for granted; not found out.
 Certainty = Literal["certain", "likely", "assumed", "unknown"]
 
 
