@@ -9,7 +9,6 @@ import numpy as np
 
 A_THOUSAND = 1000
 GUIDED_FROM, LINE_FROM = 20, 100
-UNTIL = {"end": (0, 0), "demo": (20, 1), "evaluation": (20, 20)}
 
 
 def alphas_cumprod(steps: int) -> np.ndarray:
@@ -51,26 +50,23 @@ class Keyframes:
         x, z = (np.interp(np.arange(frames), places, [known[n][axis] for n in places]) for axis in (0, 1))
         return {n: np.array([x[n], z[n]]) for n in range(max(self.at) + 1)}
 
-    def gradient(self, root: np.ndarray, kind: str) -> np.ndarray:
-        """Of the mean error over both coordinates of all keyframes."""
+    def gradient(self, root: np.ndarray) -> np.ndarray:
+        """Of the mean absolute error over both coordinates of all keyframes."""
         found = np.zeros_like(root)
         for n, wanted in self.at.items():
-            error = root[n] - wanted
-            found[n] = (np.sign(error) if kind == "absolute" else 2 * error) / (2 * len(self.at))
+            found[n] = np.sign(root[n] - wanted) / (2 * len(self.at))
         return found
 
 
 @dataclass(frozen=True)
 class Stage:
-    """What both stages share: T, the linear network, statistics, and how the goal is taken."""
+    """What both stages share: T, the linear network, statistics, weight and clamp of the goal."""
 
     steps: int
     over_frames: np.ndarray
     over_columns: np.ndarray
     mean: np.ndarray
     std: np.ndarray
-    kind: str = "absolute"
-    until: str = "end"
     scale: float = 100.0
     most: float = 6.0
 
@@ -93,7 +89,7 @@ class Stage:
     def goal_gradient(self, clean: np.ndarray, keyframes: Keyframes) -> np.ndarray:
         """Of the goal with respect to standardised clean features."""
         found = np.zeros_like(clean)
-        found[:, 1:3] = keyframes.gradient(clean[:, 1:3] * self.std[1:3] + self.mean[1:3], self.kind) * self.std[1:3]
+        found[:, 1:3] = keyframes.gradient(clean[:, 1:3] * self.std[1:3] + self.mean[1:3]) * self.std[1:3]
         return found
 
 
@@ -112,11 +108,10 @@ def trajectory(stage: Stage, keyframes: Keyframes, draws: list[np.ndarray]) -> n
             gradient = (inner - np.sqrt(1 - now) * stage.back(inner)) / np.sqrt(now)
             mean = mean - posterior.variance * stage.scale * gradient
         x = mean + np.sqrt(posterior.variance) * next(remaining) if t else mean
-        if stage.reached(t, UNTIL[stage.until][0]):
-            fresh = next(remaining)
-            for n, xz in (line if stage.reached(t, LINE_FROM) else keyframes.at).items():
-                target = stage.standardised(np.asarray(xz))
-                x[n, 1:3] = np.sqrt(before) * target + np.sqrt(1 - before) * fresh[n, 1:3]
+        fresh = next(remaining)
+        for n, xz in (line if stage.reached(t, LINE_FROM) else keyframes.at).items():
+            target = stage.standardised(np.asarray(xz))
+            x[n, 1:3] = np.sqrt(before) * target + np.sqrt(1 - before) * fresh[n, 1:3]
     return x * stage.std + stage.mean
 
 
@@ -131,13 +126,12 @@ def motion(stage: Stage, projection: np.ndarray, followed: np.ndarray, draws: li
         if stage.reached(t, GUIDED_FROM):
             gradient = stage.back(stage.goal_gradient(clean @ inverse, keyframes) @ inverse.T)
             guided = guided - posterior.variance * stage.scale * gradient
-        if stage.reached(t, UNTIL[stage.until][1]):
-            overwritten = clean @ inverse
-            overwritten[:, 1:3] = stage.standardised(followed)
-            imputed = posterior.clean * (overwritten @ projection) + posterior.noisy * x
-            combined = guided @ inverse
-            combined[:, 1:3] = (imputed @ inverse)[:, 1:3]
-            guided = combined @ projection
+        overwritten = clean @ inverse
+        overwritten[:, 1:3] = stage.standardised(followed)
+        imputed = posterior.clean * (overwritten @ projection) + posterior.noisy * x
+        combined = guided @ inverse
+        combined[:, 1:3] = (imputed @ inverse)[:, 1:3]
+        guided = combined @ projection
         x = guided + np.sqrt(posterior.variance) * next(remaining) if t else guided
     return x @ inverse * stage.std + stage.mean
 
