@@ -18,7 +18,7 @@ from prbench.curation.poses.states import prepare
 from prbench.errors import InputFileError, UsageError
 from prbench.geometry.skeleton import Joint
 from prbench.readers import reader_for
-from prbench.readers.aria_mps.trajectory import read_trajectory
+from prbench.readers.aria_mps.files import read_trajectory
 from prbench.readers.egoallo.synthetic import write_smplh_model
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.cli.reports import printed_document, refused, reported

@@ -21,9 +21,8 @@ from prbench.errors import RecordingUnusable
 from prbench.readers import reader_for
 from prbench.readers.adt import synthetic as adt_layout
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.files import find_mps_files, read_gaze_angles, read_mps
+from prbench.readers.aria_mps.files import find_mps_files, read_gaze_angles, read_mps, read_near
 from prbench.readers.aria_mps.synthetic import sense_mps, write_mps
-from prbench.readers.aria_mps.trajectory import read_near
 from prbench.readers.egoallo.bodies import read_output, read_smplh_rest
 from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo.bodies import read_pose_decoder, read_rest_joints

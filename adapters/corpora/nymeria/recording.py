@@ -24,8 +24,7 @@ from prbench.geometry.timelines import slerp
 from prbench.protocol.manifests import digest_of, load_manifest
 from prbench.readers import described_options
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.files import find_gaze_file, read_gaze_angles
-from prbench.readers.aria_mps.trajectory import read_near
+from prbench.readers.aria_mps.files import find_gaze_file, read_gaze_angles, read_near
 from prbench.recording.streams import BodyStream, GazeStream, PoseStream, Recording
 from prbench_adapters.corpora.nymeria.clock import ClockOffset, offset_by_correlation, offset_from_file
 from prbench_adapters.corpora.nymeria.files import OFFSET, TRAJECTORY

@@ -15,7 +15,7 @@ from prbench.files.storage import file_digest, text_digest
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.randomness import hash_fraction
 from prbench.readers import ReaderOptions, RecordingFiles, require_one_origin
-from prbench.readers.aria_mps.trajectory import read_near
+from prbench.readers.aria_mps.files import read_near
 from prbench.readers.extents import SEVERAL_SENSORS
 from prbench.sequences.corpus import Annotation, Caption, Clip
 from prbench_adapters.corpora.nymeria import format as nymeria

@@ -23,10 +23,9 @@ from prbench.limits import LARGEST_FILE
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, AriaGlasses, RecordingFiles, reader_for
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.files import read_size_and_camera
+from prbench.readers.aria_mps.files import read_size_and_camera, read_trajectory
 from prbench.readers.aria_mps.format import AriaTrajectory
 from prbench.readers.aria_mps.to_recording import part_poses
-from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.readers.discover import discover, usable_readers
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.bodies import read_own_output

@@ -21,10 +21,9 @@ from prbench.files.bounded import require, require_rows
 from prbench.readers import ReaderOptions, read_synthetic_tree
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.to_recording import ASSUMED_SIZE, turned_to_z_up
-from prbench.readers.aria_mps.files import find_gaze_file, read_gaze_angles, read_size_and_camera
+from prbench.readers.aria_mps.files import find_gaze_file, read_gaze_angles, read_size_and_camera, read_trajectory
 from prbench.readers.aria_mps.format import CALIBRATION_FILE, TIME_COLUMN, GazeAngles, device_from_cpf
 from prbench.readers.aria_mps.to_recording import part_poses
-from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.files import body_extent, find_outputs
 from prbench.readers.extents import Extent, csv_extent, json_extent
@@ -47,6 +46,8 @@ class AdtOptions(ReaderOptions, frozen=True, kw_only=True):
     poses_root: Path | None = None
 
 
+# Roles of the files of a recording; a skeleton's is SKELETON_PREFIX and the skeleton's name.
+# Roles of the files of a recording; a skeleton's is SKELETON_PREFIX and the skeleton's name.
 # Roles of the files of a recording; a skeleton's is SKELETON_PREFIX and the skeleton's name.
 METADATA = "metadata"
 INSTANCES = "instances"

@@ -52,6 +52,8 @@ GAZE_FOLDER = "eye_gaze"
 HAND_FOLDER = "hand_tracking"
 
 # Roles of the files of one recording.
+# Roles of the files of one recording.
+# Roles of the files of one recording.
 TRAJECTORY = "trajectory"
 GAZE = "gaze"
 CALIBRATION = "calibration"

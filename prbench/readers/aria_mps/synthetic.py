@@ -31,6 +31,8 @@ from prbench.synthetic.sensors import Sensing, Switches, closed_eyes, gaze_bias_
 
 POSE_RATE = 1000
 # Rows a second.
+# Rows a second.
+# Rows a second.
 GAZE_RATE = 10
 _HAND_RATE = 10
 GLASSES_SIZE: mps.GlassesSize = "DVT-S"

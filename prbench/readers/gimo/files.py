@@ -85,6 +85,8 @@ TRANSFORM = "transform"
 NORM = "norm"
 SKELETON = "skeleton"
 # Beginnings of the roles of files of one frame; the frame number follows.
+# Beginnings of the roles of files of one frame; the frame number follows.
+# Beginnings of the roles of files of one frame; the frame number follows.
 POSE = "pose:"
 CONE = "gaze:"
 CENTRE = "gaze centre:"

@@ -43,6 +43,8 @@ class HdEpicOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 # Roles of the files of a video, beside those of MPS and EgoAllo.
+# Roles of the files of a video, beside those of MPS and EgoAllo.
+# Roles of the files of a video, beside those of MPS and EgoAllo.
 TIME = "video time"
 LOG = "video log"
 ASSOCIATIONS = "associations"

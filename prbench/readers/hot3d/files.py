@@ -57,6 +57,8 @@ INSTANCES = "instances"
 UMETRACK = "umetrack"
 PROFILE = "hand profile"
 # Roles of masks and object models are these and their name or uid.
+# Roles of masks and object models are these and their name or uid.
+# Roles of masks and object models are these and their name or uid.
 MASK_PREFIX = "mask:"
 MODEL_PREFIX = "model:"
 _FILES = {

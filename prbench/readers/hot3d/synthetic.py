@@ -61,6 +61,8 @@ _PALM_ALONG = (0.08, 0.30, 0.52, 0.74, 0.94)
 _PALM_ACROSS = (-0.35, 0.22)
 _DECIMALS = 6  # of millimetres
 # Bending of each finger joint of an empty and of a holding hand, radians.
+# Bending of each finger joint of an empty and of a holding hand, radians.
+# Bending of each finger joint of an empty and of a holding hand, radians.
 _OPEN = 0.20
 _CLOSED = 0.55
 _SPREAD = 0.03  # Radians; never 0, at which the dataset's own toolkit divides by zero.

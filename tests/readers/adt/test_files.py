@@ -13,8 +13,8 @@ import pytest
 from prbench.errors import InputFileError
 from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.readers.adt import synthetic as layout
+from prbench.readers.aria_mps.files import read_trajectory
 from prbench.readers.aria_mps.format import trajectory_rows
-from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.recording import Recording
 from tests.readers.conftest import still_life
 

@@ -9,9 +9,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.files import find_mps_files, read_first_calibration, read_gaze_angles, read_wrists
+from prbench.readers.aria_mps.files import (
+    find_mps_files,
+    read_first_calibration,
+    read_gaze_angles,
+    read_near,
+    read_trajectory,
+    read_wrists,
+)
 from prbench.readers.aria_mps.to_recording import mps_streams
-from prbench.readers.aria_mps.trajectory import read_near, read_trajectory
 
 official = pytest.importorskip(
     "projectaria_tools.core.mps", reason="the official reader is not installed: pip install 'prbench[official-readers]'"

@@ -7,9 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.geometry.timelines import interpolate, slerp
-from prbench.readers.aria_mps.files import read_first_calibration, read_gaze_angles
+from prbench.readers.aria_mps.files import read_first_calibration, read_gaze_angles, read_trajectory
 from prbench.readers.aria_mps.format import AriaTrajectory, device_from_cpf, gaze_directions_cpf, glasses_size
-from prbench.readers.aria_mps.trajectory import read_trajectory
 
 
 @pytest.fixture(scope="module")

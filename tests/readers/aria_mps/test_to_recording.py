@@ -10,10 +10,9 @@ import pytest
 from prbench.geometry.skeleton import Y_UP_FROM_Z_UP
 from prbench.geometry.timelines import interpolate
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.files import read_gaze_angles, read_size_and_camera, read_wrists
+from prbench.readers.aria_mps.files import read_gaze_angles, read_size_and_camera, read_trajectory, read_wrists
 from prbench.readers.aria_mps.synthetic import sense_mps, with_slam_gaps
 from prbench.readers.aria_mps.to_recording import MpsStreams, mps_streams
-from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.synthetic.people import perform
 
 START_US = 7_000_000_321
