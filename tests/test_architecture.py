@@ -149,7 +149,9 @@ END = "<!-- end of layers -->"
 def _purpose(package: str) -> tuple[str, str]:
     """Path of a package or module, and the first sentence of its docstring."""
     folder = ROOT / "adapters" if package == "prbench_adapters" else ROOT / "prbench" / package
-    path = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
+    path = folder / "__init__.py"
+    if not path.is_file():
+        path = folder.with_suffix(".py")
     docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
     shown = path.parent if path.name == "__init__.py" else path
     return str(shown.relative_to(ROOT)) + "/" * shown.is_dir(), " ".join(docstring.split("\n\n")[0].split())
