@@ -12,7 +12,7 @@ from prbench.errors import PrbenchError
 from prbench.harness.methods.installed import InstalledEntry, list_adapters, offered_twice
 from prbench.harness.methods.loading import load_adapter
 from prbench.harness.methods.motions import Declared
-from prbench.harness.methods.remote import MethodGroup, group_of
+from prbench.harness.methods.remote import group_of
 from prbench.protocol.manifests import PROTOCOL_NAME
 
 _LONGEST_LINE = 300  # characters
@@ -67,26 +67,25 @@ def describe_adapters(names: Iterable[str] | None = None, *, benchmark: str = PR
         try:
             # What a package prints while it is imported is no part of the list.
             with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-                found.append(_described(method, group))
+                adapter = load_adapter(method.name, None, {}, "cpu", group=group)
+                declared = Declared.by(adapter, origin="it", conditions=group.conditions)
+                weights_for = getattr(adapter, "weights_for", None)
+                conditions = sorted(declared.conditions) if weights_for is not None else []
+                paths = [weights_for(condition) for condition in conditions]
         except PrbenchError as error:
             origin = f"adapter '{method.name}' (package {method.package} {method.version}, {method.target}): "
             line = " ".join(str(error).removeprefix(origin).rstrip(".").split())
             shown = line if len(line) <= _LONGEST_LINE else line[: _LONGEST_LINE - 2] + " …"
             found.append(Description(method, error=shown))
+            continue
+        description = Description(
+            method,
+            conditions=tuple(sorted(condition.value for condition in declared.conditions)),
+            fitted=hasattr(adapter, "fit"),
+            max_frames=declared.max_frames,
+            native_fps=declared.native_fps,
+            motionless=declared.motionless,
+            weights=tuple(sorted({Path(path).name for path in paths if path is not None})),
+        )
+        found.append(description)
     return found
-
-
-def _described(method: InstalledEntry, group: MethodGroup) -> Description:
-    adapter = load_adapter(method.name, None, {}, "cpu", group=group)
-    declared = Declared.by(adapter, origin="it", conditions=group.conditions)
-    weights_for = getattr(adapter, "weights_for", None)
-    paths = [weights_for(condition) for condition in sorted(declared.conditions)] if weights_for is not None else []
-    return Description(
-        method,
-        conditions=tuple(sorted(condition.value for condition in declared.conditions)),
-        fitted=hasattr(adapter, "fit"),
-        max_frames=declared.max_frames,
-        native_fps=declared.native_fps,
-        motionless=declared.motionless,
-        weights=tuple(sorted({Path(path).name for path in paths if path is not None})),
-    )
