@@ -85,7 +85,7 @@ class ConditionBatch:
         return len(self.n_frames)
 
     def rows(self, start: int, stop: int) -> ConditionBatch:
-        """A part of the batch; every row is complete in itself."""
+        """Return a part of the batch; every row is complete in itself."""
         part = slice(start, stop)
         return ConditionBatch(
             condition=self.condition,
@@ -138,7 +138,7 @@ class Motions:
     gaze: Gaze | None = None
 
     def ragged(self) -> Shaped[np.ndarray, "total 22 3"]:
-        """The valid frames of all rows after one another."""
+        """Return the valid frames of all rows after one another."""
         valid = np.arange(self.joints.shape[1]) < self.n_frames[:, None]
         return self.joints[valid]
 

@@ -103,7 +103,7 @@ def _normalised(distribution: Distribution) -> str:
 
 
 def _folder_name(distribution: Distribution) -> str:
-    """The package's name as its ``.dist-info`` folder has it, which costs no reading.
+    """Return the package's name as its ``.dist-info`` folder has it, which costs no reading.
 
     A source checkout has ``name.egg-info`` without a version.
     """
@@ -120,7 +120,7 @@ def _field(distribution: Distribution, name: str) -> str:
 
 
 def _lines(distribution: Distribution, group: str) -> list[str]:
-    """The lines of one group of a package's entry points, comments left out."""
+    """Return the lines of one group of a package's entry points, comments left out."""
     try:
         text = distribution.read_text("entry_points.txt") or ""
     except (OSError, ValueError):  # unreadable, or no UTF-8

@@ -217,7 +217,7 @@ class UnloadableExtraError(ErrorOfParts):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """A question to put behind the sentence that refuses a name, its leading space included; empty if none is near.
+    """Return a question for the end of a message that refuses a name, with a leading space; empty if no name is near.
 
     >>> did_you_mean("sttic", ["pr", "static"])
     " Did you mean 'static'?"

@@ -131,7 +131,7 @@ def _means(run: Path, only: Collection[str] | None = None) -> list[str]:
 
 
 def _about(table: SequenceTable, planned: Mapping[str, float], first: Mapping[str, float]) -> list[str]:
-    """Counts of the table, of what it shares with version 2, and of primes that come before the intended look."""
+    """Count a table's sequences, what it shares with version 2, and the primes that come before the intended look."""
     rows = table.scalars(split="test")
     gaps = np.asarray(rows["prime_gap"])
     too_long = int((np.asarray(rows["n_frames"]) > STUDY_LENGTH).sum())

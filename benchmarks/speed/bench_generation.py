@@ -104,7 +104,7 @@ class FixedText:
 
 
 def _model(architecture: Any, options: argparse.Namespace, *, frames_per_token: int = 1) -> MotionModel:
-    """A frozen model with random weights: a decoder of DistilBERT's word pieces, or an encoder of CLIP's one vector."""
+    """Return a frozen, random model: a decoder of DistilBERT's word pieces, or an encoder of CLIP's one vector."""
     torch.manual_seed(0)
     text = FixedText(768, _WORD_PIECES) if architecture == "decoder" else FixedText(512, 1)
     configuration = DenoiserConfiguration(

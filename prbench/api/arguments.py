@@ -42,7 +42,7 @@ def as_path(value: PathLike) -> Path:
 
 @contextlib.contextmanager
 def output_folder(value: PathLike) -> Iterator[Path]:
-    """A folder that the block writes; at a URL it is published when the block ends well.
+    """Yield a folder that the block writes; at a URL it is published when the block ends well.
 
     Args:
         value: Path or URL.
@@ -79,7 +79,7 @@ def optional_output_folder(value: PathLike | None) -> Iterator[Path | None]:
 
 @contextlib.contextmanager
 def output_file(value: PathLike) -> Iterator[Path]:
-    """A file that the block writes; at a URL it is uploaded when the block ends well.
+    """Yield a file that the block writes; at a URL it is uploaded when the block ends well.
 
     Args:
         value: Path or URL.

@@ -29,7 +29,7 @@ FORMATS = ("md", "csv", "json")
 
 
 def export(leaderboard: Leaderboard, format: str) -> str:
-    """The leaderboard as text that ends in a newline.
+    """Return the leaderboard as text that ends in a newline.
 
     Args:
         leaderboard: Result of :func:`prbench.board.tables.make_leaderboard`.

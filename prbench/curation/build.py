@@ -247,7 +247,7 @@ def _write_table(
 
 
 def _require_same_dataset(out: Path, dataset: str) -> None:
-    """A table replaces an older one of its own dataset, never that of another."""
+    """Refuse to replace the table of another dataset."""
     if not (out / FILE_NAME).is_file():
         return
     try:
@@ -259,7 +259,7 @@ def _require_same_dataset(out: Path, dataset: str) -> None:
 
 
 def plan_build(dataset: str, root: Path | str, options: BuildOptions = NO_OPTIONS) -> BuildPlan:
-    """The dry run: what :func:`build_dataset` would read. Writes nothing.
+    """Return the dry run: what :func:`build_dataset` would read. Writes nothing.
 
     Raises:
         UsageError: for a dataset without a reader.

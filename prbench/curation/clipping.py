@@ -104,7 +104,7 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
 
 
 def _outside(span: tuple[float, float], interval: tuple[float, float]) -> Decision | None:
-    """A decision if the interval does not lie within the recording; value and threshold are lengths in seconds."""
+    """Return a decision if the interval does not lie within the recording; its value and threshold are in seconds."""
     start, end = interval
     if end > span[1] + _SLACK:
         return Decision("too_short", "clipping", span[1] - start, end - start)
@@ -121,7 +121,7 @@ def _joints_at(body: BodyStream, times: Float[np.ndarray, " n"]) -> Float[np.nda
 def _around(
     times: Float[np.ndarray, " n"], valid: Bool[np.ndarray, " n"], query: Float[np.ndarray, " m"]
 ) -> Int[np.ndarray, " k"]:
-    """Indices of the valid samples between which the query times lie, with one more on either side; at least one."""
+    """Return indices of the valid samples around the query times, with one more on either side; at least one."""
     usable = np.flatnonzero(valid)
     first, stop = np.searchsorted(times[usable], [query[0], query[-1]])
     return usable[min(max(first - 1, 0), len(usable) - 1) : stop + 1]
@@ -130,7 +130,7 @@ def _around(
 def _neighbour(
     recorded: Float[np.ndarray, "22 3"], is_recorded: bool, inwards: Float[np.ndarray, "n 22 3"]
 ) -> tuple[Float[np.ndarray, "22 3"], FrameSource]:
-    """The frame just outside a clip: recorded, else continued with the speed of the two frames at that end."""
+    """Return the frame just outside a clip: recorded, else continued with the speed of the two frames at that end."""
     if is_recorded:
         return recorded, "recorded"
     if len(inwards) < 2:

@@ -104,7 +104,7 @@ def curate_recording(
 
 
 def split_of(recording_id: str, split_group: str, manifest: Manifest, rule: SplitRule) -> Split:
-    """The manifest's lists where they name the recording or its group, else the hash of the group.
+    """Return the manifest's lists where they name the recording or its group, else the hash of the group.
 
     Its own name decides, so a partial copy of a dataset never moves a recording to another split
     (docs/specification/curation.md#splits).

@@ -75,7 +75,7 @@ class Track:
 def find_departure(
     track: Track, still: Bool[np.ndarray, " n"], start: int, stop: int, *, floor: int, tolerance: float
 ) -> Departure | None:
-    """The last rest before a holding, and the instant at which the object leaves it.
+    """Return the last rest before a holding, and the instant at which the object leaves it.
 
     From the start of the holding the search goes back to the last ``still`` sample; the still run that ends there is
     the rest. It has surely left once it is twice ``tolerance`` away; the boundary is where, on its way there, it passed
@@ -192,7 +192,7 @@ def held_segments(
     minimum_duration: float,
     join_gap: float,
 ) -> Int[np.ndarray, "k 2"]:
-    """Holdings from raw per-sample evidence (docs/specification/curation.md#in-hand-segmentation).
+    """Return holdings from raw per-sample evidence (docs/specification/curation.md#in-hand-segmentation).
 
     Neighbouring runs of ``held`` that are at most ``join_gap`` apart are one piece; pieces shorter than
     ``minimum_duration`` are dropped (debounce); two that are left are joined where every sample between them is
@@ -226,7 +226,7 @@ def _joined(pieces: Int[np.ndarray, "k 2"], together: Bool[np.ndarray, " gaps"])
 
 
 def contact_streams(recording: Recording, rule: InHandRule) -> tuple[HandStream, ...]:
-    """The contact points of the rule: the wearer's, then everybody else's."""
+    """Return the contact points of the rule: the wearer's, then everybody else's."""
     others = (hand for person in recording.other_people for hand in person.hands if hand.contact == rule.contact)
     return (*recording.hand_streams(rule.contact), *others)
 
@@ -285,7 +285,7 @@ def contact_distance(
 def close_to(
     distance: Float[np.ndarray, " n"], times: Float[np.ndarray, " n"], rule: InHandRule
 ) -> Bool[np.ndarray, " n"]:
-    """Samples at which one hand is close: nearer than the rule's distance, or unseen between two such samples.
+    """Return samples at which one hand is close: nearer than the rule's distance, or unseen between two such samples.
 
     Args:
         distance: Distance of that hand, metres; inf where it was not measured.
@@ -303,7 +303,7 @@ def close_to(
 def nearest_hand(
     hands: tuple[HandStream, ...], track: ObjectTrack, rule: InHandRule, time: float, pose: Departure
 ) -> tuple[Side | None, float]:
-    """The side of the hand nearest to an object at one instant, and its distance; (None, inf) if none is measured."""
+    """Return side and distance of the hand nearest to an object at one instant; (None, inf) if none is measured."""
     at = np.array([time])
     distances = [
         float(contact_distance(hand, track, rule, at, pose.position[None], pose.rotation[None])[0]) for hand in hands

@@ -71,7 +71,7 @@ class RecordingSource(Protocol):
         ...
 
     def without_places(self, message: str) -> str:
-        """A message without the folders of this machine, so that equal inputs give equal datasets anywhere."""
+        """Return a message without the folders of this machine, so that equal inputs give equal datasets anywhere."""
         ...
 
 
@@ -125,7 +125,7 @@ class NativeSource:
 
 @foreign_input()
 def native_sources(dataset: str, root: Path | str, options: BuildOptions) -> tuple[NativeSource, ...]:
-    """The recordings of a dataset's folder that the options choose, sorted by id.
+    """Return the recordings of a dataset's folder that the options choose, sorted by id.
 
     Raises:
         UsageError: for a dataset without a reader, or options that it cannot fulfil.

@@ -44,7 +44,7 @@ class CurationOptions:
                 raise UsageError(f"unknown {name.replace('_', ' ')} '{getattr(self, name)}'; known ones: {choices}.")
 
     def in_hand_rule(self, manifest: Manifest) -> InHandRule | None:
-        """The chosen in-hand rule; None where the dataset annotates its events.
+        """Return the chosen in-hand rule; None where the dataset annotates its events.
 
         Raises:
             UsageError: for a name that the manifest does not list.
@@ -68,7 +68,7 @@ class CurationOptions:
             )
 
     def described(self, manifest: Manifest, protocol: BenchmarkProtocol) -> dict[str, str]:
-        """The choices as text, as ``dataset.json`` holds them."""
+        """Return the choices as text, as ``dataset.json`` holds them."""
         rule = self.in_hand_rule(manifest)
         # Named where it is asked for only: tables of the default keep their bytes.
         shortest = protocol.curation.minimum_prime

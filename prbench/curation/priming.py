@@ -37,7 +37,7 @@ class Prime:
 
 
 def gaze_rays(recording: Recording, origin: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (n,), origins (n, 3) and directions (n, 3) of all valid gaze samples, world frame, metres.
+    """Return times (n,), origins (n, 3) and directions (n, 3) of all valid gaze samples, world frame, metres.
 
     Args:
         recording: The recording.
@@ -61,7 +61,7 @@ def find_prime(
     event_time: float,
     constants: CurationConstants,
 ) -> Prime | Decision:
-    """The first gaze sample in ``[event_time - priming_window, event_time]`` that hits or nearly misses the box.
+    """Return the first gaze sample in ``[event_time - priming_window, event_time]`` that hits or nearly misses the box.
 
     Where the constants ask for looks that last, it is the first sample of the first look that does.
 

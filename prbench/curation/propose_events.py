@@ -63,7 +63,7 @@ class Candidate:
 
 
 def propose_pick(recording: Recording, *, hint: float | None = None) -> Candidate | None:
-    """The most probable pick of a recording that should hold one.
+    """Return the most probable pick of a recording that should hold one.
 
     Args:
         recording: A recording that has a body.

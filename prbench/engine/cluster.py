@@ -142,7 +142,7 @@ class Staff:
         self._why = ""
 
     def nodes(self) -> dict[str, Node]:
-        """The machines that are not left out by their ids, looked up now and then."""
+        """Return the machines that are not left out by their ids, looked up now and then."""
         now = self.clock()
         if now - self._looked >= _NODES_EVERY_S:
             self._looked = now
@@ -286,7 +286,7 @@ class Spread:
         self._all_taken = False
 
     def results(self) -> Iterator[Any]:
-        """The results in order; whatever is still at work when this ends is ended."""
+        """Yield the results in order; whatever is still at work when this ends is ended."""
         try:
             while True:
                 self._take_up()

@@ -55,7 +55,7 @@ def is_out_of_memory(error: BaseException | None) -> bool:
 
 
 def answer(function: Callable[[Item], Result], item: Item) -> Result | Full:
-    """The result, or that the memory did not suffice, also where a message already says so."""
+    """Return the result, or that the memory did not suffice, also where a message already says so."""
     try:
         return function(item)
     except Exception as error:
@@ -87,7 +87,7 @@ class Engine(Protocol):
 
 
 def settled(found: Result | Full, item: Item, if_full: IfFull[Item, Result]) -> Result:
-    """The result of the second try, or what stands for it."""
+    """Return the result of the second try, or what stands for it."""
     if not isinstance(found, Full):
         return found
     error = found.error or MemoryFullError(item_name(item), found.reason)
@@ -252,7 +252,7 @@ class _Submitted(Generic[Item]):
             self.future.set_exception(error)
 
     def answer(self) -> Any:
-        """The result, or that there is none for lack of memory."""
+        """Return the result, or that there is none for lack of memory."""
         assert self.future is not None
         try:
             return self.future.result()

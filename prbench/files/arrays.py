@@ -102,7 +102,7 @@ def read_header(stream: IO[bytes], path: Path, where: str, *, remedy: str = "") 
 
 
 def map_array(path: Path, header: ArrayHeader) -> np.ndarray:
-    """The array of a ``.npy`` as a read-only view of its file.
+    """Return the array of a ``.npy`` as a read-only view of its file.
 
     Raises:
         InputFileError: if the file ends too early.
@@ -117,7 +117,7 @@ def map_array(path: Path, header: ArrayHeader) -> np.ndarray:
 
 
 def load_array(path: Path, *, largest: int = LARGEST_ARRAYS, remedy: str = "") -> np.ndarray:
-    """A whole ``.npy``; nothing is allocated before its header agrees with the size of the file.
+    """Return a whole ``.npy``; nothing is allocated before its header agrees with the size of the file.
 
     Args:
         path: The file.
@@ -146,7 +146,7 @@ def load_array(path: Path, *, largest: int = LARGEST_ARRAYS, remedy: str = "") -
 
 
 def _values(stream: IO[bytes], header: ArrayHeader) -> np.ndarray:
-    """The values behind a header, flat, in memory of their own."""
+    """Return the values behind a header, flat, in memory of their own."""
     values = bytearray(header.nbytes)
     filled = 0
     while filled < header.nbytes and (part := stream.read(min(_PIECE, header.nbytes - filled))):
@@ -225,7 +225,7 @@ class Archive:
             return self._header(name, stream)
 
     def read(self, name: str, *, largest: int) -> np.ndarray:
-        """A whole array.
+        """Return a whole array.
 
         Args:
             name: Name of the array.
@@ -255,7 +255,7 @@ class Archive:
 
     @contextlib.contextmanager
     def _opened(self) -> Iterator[zipfile.ZipFile]:
-        """The archive; what is wrong with its bytes becomes an error that names it."""
+        """Yield the archive; what is wrong with its bytes becomes an error that names it."""
         try:
             if self.content is None:
                 require_size(self.path, largest=LARGEST_ARCHIVE)
@@ -282,7 +282,7 @@ class Archive:
 
 
 def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:
-    """A Parquet file whose metadata declares no more than a table or a run can hold.
+    """Return a Parquet file whose metadata declares no more than a table or a run can hold.
 
     Args:
         path: The file.
@@ -317,7 +317,7 @@ def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:
 
 
 def read_parquet(path: Path, columns: list[str] | None = None, *, verify: bool = False) -> pa.Table:
-    """Some columns of a Parquet file, all by default (see :func:`open_parquet` for what it raises)."""
+    """Return some columns of a Parquet file, all by default (see :func:`open_parquet` for what it raises)."""
     file = open_parquet(path, verify=verify)
     missing = [name for name in columns or () if name not in file.schema_arrow.names]
     if missing:

@@ -88,7 +88,7 @@ def read_whole(path: Path, *, largest: int = LARGEST_FILE) -> bytes:
 
 
 def read_text(path: Path, *, encoding: str = "utf-8-sig", largest: int = LARGEST_FILE) -> str:
-    """The text of a file, line breaks as Python has them (see :func:`read_whole` for what it raises).
+    """Return the text of a file, line breaks as Python has them (see :func:`read_whole` for what it raises).
 
     Raises:
         UnicodeDecodeError: if it is no text.
@@ -138,14 +138,14 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def read_end(path: Path, most: int) -> bytes:
-    """The last bytes of a file, at most so many (see :func:`open_regular` for what it raises)."""
+    """Return the last bytes of a file, at most so many (see :func:`open_regular` for what it raises)."""
     with open_regular(path) as file:
         file.seek(max(os.fstat(file.fileno()).st_size - most, 0))
         return file.read()
 
 
 def whole_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:
-    """The lines of an open file with their breaks.
+    """Yield the lines of an open file with their breaks.
 
     Raises:
         InputFileError: naming the first line that is longer than any line of a text file.
@@ -159,7 +159,7 @@ def whole_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:
 
 
 def too_long_line(path: Path, where: str) -> InputFileError:
-    """The error for a line that no text file has."""
+    """Return the error for a line that no text file has."""
     return InputFileError(
         path, where, expected=f"lines of at most {LONGEST_LINE:,} bytes", found="a longer one", remedy=_TOO_LARGE
     )
@@ -247,7 +247,7 @@ def foreign_input(place: Path | str = "input") -> Iterator[None]:
 
 
 def _file_of(error: Exception) -> Path | None:
-    """The file that was being read when an error arose."""
+    """Return the file that was being read when an error arose."""
     named = error.filename if isinstance(error, OSError) else None
     if isinstance(named, str | bytes):
         return Path(os.fsdecode(named))

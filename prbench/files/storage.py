@@ -38,7 +38,7 @@ _FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EISDI
 
 @contextlib.contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary path beside ``path`` that takes its name when the block ends well, and vanishes when it does not.
+    """Yield a temporary path beside ``path`` that takes its name when the block ends well, else vanishes.
 
     The temporary file keeps the suffix of ``path``, so that writers which look at suffixes still work.
 
@@ -63,7 +63,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def atomic_folder(path: Path, *, told_by: str | None = None) -> Iterator[Path]:
-    """A temporary folder beside ``path`` that takes its name when the block ends well, replacing what was there.
+    """Yield a temporary folder beside ``path`` that takes its name when the block ends well, replacing what was there.
 
     Args:
         path: The folder.
@@ -265,7 +265,7 @@ def text_digest(*parts: str) -> str:
 
 
 def inside(root: Path, relative: str) -> Path:
-    """A path below ``root``; names taken from files are resolved with this and never lead out.
+    """Return a path below ``root``; names taken from files are resolved with this and never lead out.
 
     Raises:
         InputFileError: if ``relative`` is absolute or climbs out of ``root``.
@@ -380,7 +380,7 @@ def in_turn(path: Path, tell: Callable[[str], None] = lambda _: None) -> Iterato
 
 
 def lock_file(path: Path) -> Path:
-    """The file beside a result that is there while a process writes it, or after one was killed."""
+    """Return the file beside a result that is there while a process writes it, or after one was killed."""
     return path.with_name(f".{path.name}.lock")
 
 
@@ -395,7 +395,7 @@ class _HeldByAnotherError(ErrorOfParts, StorageError):
 
 
 def _acquired(path: Path) -> FileLock | None:
-    """The lock of a result; None where no lock can be made, as in a folder that can only be read.
+    """Return the lock of a result; None where no lock can be made, as in a folder that can only be read.
 
     Raises:
         _HeldByAnotherError: if another process has it.

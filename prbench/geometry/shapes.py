@@ -179,7 +179,7 @@ class Boxes:
         )
 
     def part(self, start: int, stop: int) -> Boxes:
-        """The boxes of the sequences ``start`` to ``stop - 1``, without copying."""
+        """Return the boxes of the sequences ``start`` to ``stop - 1``, without copying."""
         begin = self.offsets[start]
         end = self.offsets[stop]
         return Boxes(
@@ -190,12 +190,12 @@ class Boxes:
         )
 
     def chosen(self, keep: Bool[np.ndarray, " boxes"]) -> Boxes:
-        """The boxes where ``keep`` is true, each still with its sequence."""
+        """Return the boxes where ``keep`` is true, each still with its sequence."""
         before = np.concatenate([[0], np.cumsum(keep)])
         return Boxes(self.centre[keep], self.rotation[keep], self.half_extents[keep], before[self.offsets])
 
     def of_rows(self, rows: Int[np.ndarray, " m"]) -> Boxes:
-        """The boxes of some sequences, in the order given (copies)."""
+        """Return the boxes of some sequences, in the order given (copies)."""
         return Boxes.joined([self.part(int(row), int(row) + 1) for row in rows])
 
     def placed(self, transform: Float[np.ndarray, "4 4"]) -> Boxes:
@@ -218,7 +218,7 @@ class Boxes:
         return (self.half_extents - np.abs(local)).min(axis=-1)
 
     def reached(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " boxes"]:
-        """The boxes that come into the space that the points span along the axes; no other one holds a point."""
+        """Return the boxes that come into the space that the points span along the axes; no other one holds a point."""
         reach = (np.abs(self.rotation) * self.half_extents[:, None]).sum(axis=-1)
         low = points.min(axis=0)
         high = points.max(axis=0)

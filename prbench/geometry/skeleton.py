@@ -23,7 +23,7 @@ def y_up(points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]
 
 
 def z_up(points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """The inverse of :func:`y_up`."""
+    """Return the inverse of :func:`y_up`."""
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
 
 
@@ -219,13 +219,13 @@ def head_forward(
 
 
 def _normalised(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors and lengths; a vector that is nothing but rounding stays next to zero."""
+    """Return unit vectors and lengths; a vector that is nothing but rounding stays next to zero."""
     length = np.asarray(np.linalg.norm(vectors, axis=-1))
     return vectors / np.where(length > _ROUNDING, length, 1.0)[..., None], length
 
 
 def _orthogonal_part(vectors: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit part of ``vectors`` orthogonal to the unit ``axis``, and the sine of the angle between them."""
+    """Return unit part of ``vectors`` orthogonal to the unit ``axis``, and the sine of the angle between them."""
     unit, _ = _normalised(vectors)
     part = unit - (unit * axis).sum(axis=-1, keepdims=True) * axis
     return _normalised(part)
@@ -273,7 +273,7 @@ _SIDES = {"l": "left", "r": "right"}
 
 
 def normalised(name: str) -> str:
-    """A joint's name without prefix, case and separators: ``Character1:Left_Up-Leg``, ``L_UpLeg`` → ``leftupleg``."""
+    """Return a joint name without prefix, case, separators: ``Character1:Left_Up-Leg``, ``L_UpLeg`` → ``leftupleg``."""
     own = name.rsplit(":", 1)[-1].lower()
     sided = re.sub(r"^(l|r)(?=[ _\-.])", lambda match: _SIDES[match[1]], own)
     return re.sub(r"^mixamorig", "", re.sub(r"[ _\-.]", "", sided))

@@ -106,7 +106,7 @@ class SequenceGrid:
 
     @classmethod
     def ending_at(cls, event_time: float, *, prime_time: float, lead: float, fps: float) -> SequenceGrid:
-        """The grid that covers ``[prime_time - lead, event_time]`` with its last frame on ``event_time``."""
+        """Return the grid that covers ``[prime_time - lead, event_time]`` with its last frame on ``event_time``."""
         # Rounding must not cost a frame; the one added is the event's own.
         n_frames = int(np.floor((event_time - prime_time + lead) * fps + 1e-6)) + 1
         return cls(event_time - (n_frames - 1) / fps, fps, n_frames)
@@ -125,7 +125,7 @@ def stream_ranges(streams: Mapping[str, Float[np.ndarray, " _"] | None]) -> dict
 
 
 def require_overlap(ranges: Mapping[str, tuple[float, float]], *, recording: str) -> tuple[float, float]:
-    """The span that all streams share.
+    """Return the span that all streams share.
 
     Args:
         ranges: First and last time of each stream, seconds.

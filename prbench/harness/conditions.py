@@ -36,7 +36,7 @@ _NONE = Boxes(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 3)), np.array(
 
 
 def solid_boxes(table: SequenceTable) -> dict[str, Boxes] | None:
-    """The solid boxes of every recording of a table, world frame, metres; None where it knows of no boxes."""
+    """Return the solid boxes of every recording of a table, world frame, metres; None where it knows of no boxes."""
     if not table.has_scenes:
         return None
     scenes = table.scenes()
@@ -54,7 +54,7 @@ def solid_boxes(table: SequenceTable) -> dict[str, Boxes] | None:
 
 
 def boxes_around(chunk: SequenceChunk, boxes: Mapping[str, Boxes]) -> Boxes:
-    """The solid boxes of each sequence of a chunk with :data:`SCENE_COLUMNS`, in its canonical frame."""
+    """Return the solid boxes of each sequence of a chunk with :data:`SCENE_COLUMNS`, in its canonical frame."""
     world_from_canonical = chunk.vectors("world_from_canonical").reshape(-1, 4, 4)
     return Boxes.joined(
         [
@@ -147,7 +147,7 @@ class ConditionSource:
     def redrawn(
         self, batch: ConditionBatch, rows: Int[np.ndarray, " rows"], *, seed: int, sample: int
     ) -> ConditionBatch:
-        """The batch of the same rows for another sample: only the noise seeds differ."""
+        """Return the batch of the same rows for another sample: only the noise seeds differ."""
         seeds = tuple(noise_seed(seed, self.sequence_ids[row], sample) for row in rows)
         return dataclasses.replace(batch, noise_seed=seeds)
 

@@ -96,7 +96,7 @@ def read_motions(
 
 
 def at_length(motion: Float[np.ndarray, "frames 22 3"], n_frames: int) -> Float[np.ndarray, "n_frames 22 3"]:
-    """The whole motion in another number of frames, interpolated linearly."""
+    """Return the whole motion in another number of frames, interpolated linearly."""
     place = np.linspace(0.0, len(motion) - 1, n_frames)
     left = np.minimum(place.astype(np.int64), len(motion) - 2)
     share = (place - left)[:, None, None]
@@ -106,7 +106,7 @@ def at_length(motion: Float[np.ndarray, "frames 22 3"], n_frames: int) -> Float[
 def laid_on_goal(
     motion: Float[np.ndarray, "frames 22 3"], its_goal: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "frames 22 3"]:
-    """The motion turned about the vertical through the origin, and moved over the ground, until the goals agree.
+    """Return the motion turned about the vertical through the origin, and moved over the ground, until the goals agree.
 
     In a canonical frame the first pelvis stands over the origin, so this keeps the distance to the goal's direction.
     """
@@ -170,7 +170,7 @@ CONTROLS = (
 def control_motions(
     name: str, selection: Selection, source: ConditionSource | ConditionStream, plan: list[Int[np.ndarray, "_"]]
 ) -> Iterator[Motions]:
-    """The motions of a control for each planned batch, in order.
+    """Yield the motions of a control for each planned batch, in order.
 
     Args:
         name: One of :data:`~prbench.harness.methods.installed.METHOD_CONTROLS`.
@@ -203,7 +203,7 @@ def control_motions(
 
 
 def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]], *, through_features: bool) -> Iterator[Motions]:
-    """Recorded joints; a batch never crosses a window, so one window at a time is in memory."""
+    """Yield recorded joints; a batch never crosses a window, so one window at a time is in memory."""
     # plan_batches forms batches within windows, so no batch ever needs two of them.
     waiting = iter(plan)
     for place, chunk in selection.windows(["joints", "next_joints"]):

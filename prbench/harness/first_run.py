@@ -141,7 +141,7 @@ def companions(request: RunRequest) -> Iterator[RunRequest]:
 
 
 def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[SequenceTable]:
-    """The tables that all runs have in common, in the order of the first run.
+    """Return the tables that all runs have in common, in the order of the first run.
 
     Args:
         runs: One or more.
@@ -186,7 +186,7 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
 
 
 def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], Any]:
-    """A function that finds the table of a run among the named ones and those in prbench's own cache.
+    """Return a function that finds the table of a run among the named ones and those in prbench's own cache.
 
     Args:
         data: Folders of tables of any benchmark.

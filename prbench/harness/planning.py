@@ -50,7 +50,7 @@ class Selection:
         return text_digest(*self.sequence_ids)
 
     def chosen(self, keep: np.ndarray) -> Selection:
-        """The rows where ``keep`` is true."""
+        """Return the rows where ``keep`` is true."""
         return rows_of(self, np.flatnonzero(keep))
 
     def windows(self, columns: list[str], *, rows: int | None = None) -> Iterator[tuple[slice, SequenceChunk]]:
@@ -164,7 +164,7 @@ def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
 
 
 def supported(selection: Selection, *, max_frames: int | None, native_fps: float | None) -> Selection:
-    """The sequences that a method can generate in full; none is ever cut.
+    """Return the sequences that a method can generate in full; none is ever cut.
 
     Args:
         selection: The chosen sequences.

@@ -177,7 +177,7 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
         return load_protocol()
 
     def rules_of(self, run: RunFolder) -> BenchmarkProtocol | None:
-        """The user's own protocol, or prbench's."""
+        """Return the user's own protocol, or prbench's."""
         return run.protocol
 
     def copied_rules(self, rules: BenchmarkProtocol) -> BenchmarkProtocol:
@@ -200,7 +200,7 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
         return open_tables(request.data)
 
     def rules(self, request: RunRequest, tables: Sequence[SequenceTable]) -> BenchmarkProtocol:
-        """The user's own protocol, or prbench's."""
+        """Return the user's own protocol, or prbench's."""
         return protocol_for(request.protocol, (table.described_protocol for table in tables))
 
     def choose(self, request: RunRequest, tables: Sequence[SequenceTable]) -> list[Selection]:
@@ -210,7 +210,7 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
         return [select(table, split=request.split, limit=request.limit) for table in tables]
 
     def answerable(self, request: RunRequest, cases: Selection, method: MethodRecord) -> Selection:
-        """The sequences that are no longer than the method can generate."""
+        """Return the sequences that are no longer than the method can generate."""
         del request
         selection = supported(cases, max_frames=method.max_frames, native_fps=method.native_fps)
         if not len(selection):

@@ -51,7 +51,7 @@ def length_problem(
 
 
 def likely_cause(expected: Int[np.ndarray, " n"], found: Int[np.ndarray, " n"], *, fps: float) -> str:
-    """A sentence that explains all the lengths that are wrong, or nothing."""
+    """Return a sentence that explains all the lengths that are wrong, or nothing."""
     wrong = found != expected
     off = (found - expected)[wrong]
     # Off by one comes first: such lengths also fit a frame rate within the rounding of a frame.
@@ -186,7 +186,7 @@ def _extremes(motions: MotionBatch, part: _Part) -> Float[np.ndarray, "pairs_and
 
 
 def _moved(motion: np.ndarray, points: np.ndarray, targets: np.ndarray, *, scaled: bool) -> np.ndarray:
-    """The motion under the rotation, translation and scale that bring points nearest to their targets (Umeyama)."""
+    """Return the motion under the similarity transform that brings points nearest to their targets (Umeyama)."""
     source = points.reshape(-1, 3)
     target = targets.reshape(-1, 3)
     source_middle = source.mean(axis=0)

@@ -282,7 +282,7 @@ class RunPart:
         return files.has_part(index, self.dataset.ids(self.plan[index]), self.prepared.request.samples)
 
     def tasks(self, wanted: frozenset[int]) -> Iterator[BatchTask]:
-        """The work on some batches, in the order of the plan."""
+        """Yield the work on some batches, in the order of the plan."""
         for index, question in self.dataset.work.questions(wanted):
             yield BatchTask(
                 index=index,

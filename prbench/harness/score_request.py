@@ -167,7 +167,7 @@ def settled_by_conditions(
 def require_complete(
     predictions: Predictions, request: ScoreRequest, selections: Sequence[Selection], *, seed: int, samples: int | None
 ) -> list[int]:
-    """The samples, if every sequence has each of them exactly once and nothing else is there.
+    """Return the samples, if every sequence has each of them exactly once and nothing else is there.
 
     Args:
         predictions: The motions.

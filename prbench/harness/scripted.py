@@ -110,7 +110,7 @@ def glide(joints: np.ndarray, goal: np.ndarray) -> np.ndarray:
 
 
 def reaching(body: np.ndarray, goal: np.ndarray, progress: np.ndarray) -> np.ndarray:
-    """The body with the wrist of one arm moved to the goal as ``progress`` goes from 0 to 1.
+    """Return the body with the wrist of one arm moved to the goal as ``progress`` goes from 0 to 1.
 
     The arm is the one whose wrist is nearer in the first frame; once the body faces the goal, both are about as near.
     The hand's way is a straight line as seen from the body, so that the arm never lags behind while the body glides.
@@ -253,7 +253,7 @@ def _float(start: ScriptedStart, n_frames: np.ndarray, fps: float) -> _Joints:
 
 
 def _looking(start: ScriptedStart, turned: Float[np.ndarray, "batch frames"]) -> _Joints:
-    """The rigid body of the first pose, turned and nodded to the goal by the given share."""
+    """Return the rigid body of the first pose, turned and nodded to the goal by the given share."""
     initial = start.initial_joints.astype(np.float64)
     goal = start.goal_location.astype(np.float64)
     yaw = yaw_to_goal(initial, goal, start.head_tilt_deg)

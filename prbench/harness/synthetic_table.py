@@ -84,7 +84,7 @@ class Staging:
         return replace(recording, furniture=furniture)
 
     def described(self) -> dict[str, str]:
-        """The staging as text, as ``dataset.json`` holds it."""
+        """Return the staging as text, as ``dataset.json`` holds it."""
         shares = (
             "default" if self.provocations is None else " ".join(f"{tag}={share}" for tag, share in self.provocations)
         )
@@ -203,6 +203,6 @@ def recordings_of_people(preset: str, seed: int, people: Mapping[Split, int]) ->
 
 
 def synthetic_source(staging: Staging, index: int) -> SyntheticSource:
-    """Recording ``index`` by name and split, not yet acted out."""
+    """Return recording ``index`` by name and split, not yet acted out."""
     _, _, split = assign(Source(staging.seed, staging.preset, staging.world), index)
     return SyntheticSource(staging, index, name_of_recording(staging.preset, staging.seed, index), split)

@@ -94,7 +94,7 @@ class MotionBatch:
         return MotionBatch(self.values[begin:end], self.offsets[start : stop + 1] - begin)
 
     def shortened(self, n_frames: Int[np.ndarray, " n"]) -> MotionBatch:
-        """The first ``n_frames[i]`` frames of each sequence."""
+        """Return the first ``n_frames[i]`` frames of each sequence."""
         rows = ranges(self.first, n_frames)
         return MotionBatch(self.values[rows], np.concatenate([[0], np.cumsum(n_frames, dtype=np.int64)]))
 
@@ -193,7 +193,7 @@ class GazeRays:
     valid: Bool[np.ndarray, " frames"]
 
     def rows(self, begin: int, end: int) -> GazeRays:
-        """The rays of some consecutive frames, without copying."""
+        """Return the rays of some consecutive frames, without copying."""
         return GazeRays(self.origin[begin:end], self.direction[begin:end], self.valid[begin:end])
 
 
@@ -271,7 +271,7 @@ class ScoringPair:
 def final_reaching_wrist(
     recorded: MotionBatch, goal_location: Float[np.ndarray, "n 3"], hand: Int[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Recorded wrist of the reaching hand at the last frame; if unknown, the wrist nearer to the goal there."""
+    """Return recorded wrist of the reaching hand at the last frame; if unknown, the wrist nearer to the goal there."""
     wrists = recorded.values[recorded.last][:, WRISTS].astype(np.float64)  # (n, 2, 3)
     distance = np.linalg.norm(wrists - goal_location[:, None], axis=-1)
     side = np.where(hand == UNKNOWN_HAND, distance.argmin(axis=1), hand)

@@ -85,7 +85,7 @@ def head_track(
     fps: Float[np.ndarray, " n"],
     constants: MetricConstants,
 ) -> RayTrack:
-    """The head-forward ray against the goal; frames without a defined head frame are not usable.
+    """Return the head-forward ray against the goal; frames without a defined head frame are not usable.
 
     Args:
         motion: Canonical frame, metres.
@@ -120,7 +120,7 @@ def gaze_track(
     goal_location: Float[np.ndarray, "n 3"],
     fps: Float[np.ndarray, " n"],
 ) -> RayTrack:
-    """The gaze ray against the goal.
+    """Return the gaze ray against the goal.
 
     An invalid sample is off target, and the turn into it and out of it is unknown.
 

@@ -53,7 +53,7 @@ class Outcome:
 
 @contextlib.contextmanager
 def written_folder(text: str, *, tell: Tell = lambda _: None) -> Iterator[tuple[Path, Outcome]]:
-    """A local folder that becomes the one at a URL when the block ends well.
+    """Yield a local folder that becomes the one at a URL when the block ends well.
 
     It begins as what lies there: the finished folder, or what an interrupted command has uploaded. While the block
     works, and when it fails or is interrupted, finished files are uploaded beside what stood there. At the end
@@ -91,7 +91,7 @@ def written_folder(text: str, *, tell: Tell = lambda _: None) -> Iterator[tuple[
 
 @contextlib.contextmanager
 def written_file(text: str, *, tell: Tell = lambda _: None) -> Iterator[Path]:
-    """A local file that is uploaded when the block ends well, with what the block has written beside it.
+    """Yield a local file that is uploaded when the block ends well, with what the block has written beside it.
 
     A file that lies there already is fetched first, so that whoever never overwrites one sees it.
 

@@ -421,7 +421,7 @@ class FolderManifest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
 
     @classmethod
     def of(cls, files: Mapping[str, StoredFile]) -> FolderManifest:
-        """The manifest of a finished folder."""
+        """Return the manifest of a finished folder."""
         return cls(schema_version=_VERSION, files=dict(sorted(files.items())))
 
     def encoded(self) -> bytes:

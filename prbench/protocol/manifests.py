@@ -117,7 +117,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return {**kept, "citation": self.citation.strip(), "synthetic": False}
 
     def in_hand_rule(self, name: str | None) -> InHandRule | None:
-        """The dataset's own rule (None where its events are annotated), or one of its alternatives by name.
+        """Return the dataset's own rule (None where its events are annotated), or one of its alternatives by name.
 
         Raises:
             UsageError: for a name that the manifest does not list.
@@ -130,11 +130,11 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return self.in_hand_alternatives[name]
 
     def body_source(self, poses: str | None) -> BodySource:
-        """The dataset's own source of bodies, or the one that the reader's option ``poses`` names."""
+        """Return the dataset's own source of bodies, or the one that the reader's option ``poses`` names."""
         return self.body if poses is None else self.other_bodies.get(poses, self.body)
 
     def why_bad(self, recording_id: str) -> str | None:
-        """The reason why a recording must be skipped, or None."""
+        """Return the reason why a recording must be skipped, or None."""
         for name, reason in self.known_bad.items():
             # A sequence of several glasses is named once; the ids of its recordings go on with an underscore.
             if recording_id == name or recording_id.startswith(f"{name}_"):
@@ -278,7 +278,7 @@ def load_manifest(dataset: str) -> Manifest:
 
 @cache
 def load_protocol() -> BenchmarkProtocol:
-    """The protocol of the prime-and-reach benchmark."""
+    """Return the protocol of the prime-and-reach benchmark."""
     return read_toml("prbench_benchmarks.prime_and_reach", "protocol.toml", BenchmarkProtocol)
 
 

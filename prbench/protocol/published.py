@@ -107,7 +107,7 @@ class Assumption:
 
 @cache
 def load_table_one() -> dict[str, PublishedRow]:
-    """The published rows by dataset."""
+    """Return the published rows by dataset."""
     rows = {}
     for row in _csv_rows("table_1_and_s2.csv"):
         spreads = {name: Spread(float(row[f"{name}_mean"]), float(row[f"{name}_sd"])) for name in QUANTITIES}

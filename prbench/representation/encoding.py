@@ -129,7 +129,7 @@ def check_finite(joints: np.ndarray, source: Path | str) -> None:
 def canonicalise(
     joints: Float[np.ndarray, "frames ..."], *, source: Path | str = IN_MEMORY, upright: bool = True
 ) -> Float[np.ndarray, "frames 22 3"]:
-    """The motion with its first pelvis over the origin, facing +Z, and its lowest joint at Y = 0.
+    """Return the motion with its first pelvis over the origin, facing +Z, and its lowest joint at Y = 0.
 
     Steps 2 to 4 of docs/specification/humanml3d.md#forward-conversion;
     :func:`prbench.geometry.skeleton.canonical_frame` is the
@@ -163,7 +163,7 @@ def no_heading(source: Path | str, error: ValueError) -> InputFileError:
 
 
 def mirror(joints: Float[np.ndarray, "*batch 22 3"]) -> Float[np.ndarray, "*batch 22 3"]:
-    """The poses as a mirror at x = 0 shows them: x negated, left and right limbs exchanged."""
+    """Return the poses as a mirror at x = 0 shows them: x negated, left and right limbs exchanged."""
     return joints[..., MIRRORED_JOINTS, :] * np.array([-1, 1, 1], dtype=joints.dtype)
 
 
@@ -175,7 +175,7 @@ def encode(
     source: Path | str = IN_MEMORY,
     upright: bool = True,
 ) -> Float[np.ndarray, "rows 263"]:
-    """The features of a canonical motion, with its own bone lengths.
+    """Return the features of a canonical motion, with its own bone lengths.
 
     Row t holds frame t and the step to frame t + 1. Without ``next_joints`` the last frame has no step and is lost, as
     in the original; with it there are as many rows as frames (docs/specification/pr-model.md#data-and-features). The
@@ -284,7 +284,7 @@ def _turned(vectors: np.ndarray, cos: np.ndarray, sin: np.ndarray) -> np.ndarray
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
-    """Unit vectors; a zero vector stays zero."""
+    """Return unit vectors; a zero vector stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(length > 1e-12, length, 1.0)
 
@@ -323,7 +323,7 @@ _LEG = (Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE)  # ends of the two bones that decid
 
 
 def rest_offsets(joints: Float[np.ndarray, "*batch 22 3"]) -> Float[np.ndarray, "*batch 22 3"]:
-    """The rest skeleton with a pose's own bone lengths: offset of each joint from its parent, metres."""
+    """Return the rest skeleton with a pose's own bone lengths: offset of each joint from its parent, metres."""
     offsets = np.zeros(joints.shape)
     offsets[..., 1:, :] = REST_DIRECTIONS[1:] * bone_lengths(joints)[..., None]
     return offsets
@@ -344,7 +344,7 @@ def retarget(
     source: Path | str = IN_MEMORY,
     upright: bool = True,
 ) -> Float[np.ndarray, "frames 22 3"]:
-    """The motion on the uniform skeleton: every bone keeps its direction, the root's path is scaled about the origin.
+    """Return the motion on the uniform skeleton: bones keep directions, the root's path is scaled about the origin.
 
     Feet no longer stand exactly on the floor; :func:`prbench.representation.canonicalise` puts them there again.
 
@@ -384,7 +384,7 @@ class UniformSkeleton:
     def of(
         cls, initial_joints: Float[np.ndarray, "batch 22 3"], offsets: Float[np.ndarray, "22 3"] = REST_OFFSETS
     ) -> UniformSkeleton:
-        """The change of skeleton for bodies whose first frames are given.
+        """Return the change of skeleton for bodies whose first frames are given.
 
         Raises:
             InputFileError: if a body has no right leg to measure.
@@ -410,7 +410,7 @@ class UniformSkeleton:
 
 
 def _with_lengths(joints: np.ndarray, scale: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Same bone directions, other lengths (22,); the pelvis is scaled (scale broadcasts against poses)."""
+    """Return same bone directions, other lengths (22,); the pelvis is scaled (scale broadcasts against poses)."""
     moved = np.empty(joints.shape)
     moved[..., Joint.PELVIS, :] = joints[..., Joint.PELVIS, :] * np.asarray(scale)[..., None]
     for joint in range(1, N_JOINTS):

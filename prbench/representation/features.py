@@ -122,7 +122,7 @@ class Statistics:
         return (features - self.mean) / self.std
 
     def restore(self, standardised: Float[np.ndarray, "*batch 263"]) -> Float[np.ndarray, "*batch 263"]:
-        """The inverse of :meth:`standardise`."""
+        """Return the inverse of :meth:`standardise`."""
         return standardised * self.std + self.mean
 
     def for_evaluator(self) -> Statistics:

@@ -223,11 +223,11 @@ class CorpusTable(BuiltTable[CorpusInfo]):
         return super()._is_short(field) or field.name == "captions"
 
     def annotations(self) -> pa.Table:
-        """The ``annotations`` table: every text of the source and what became of it."""
+        """Return the ``annotations`` table: every text of the source and what became of it."""
         return self._read("annotations")
 
     def recordings(self) -> pa.Table:
-        """The ``recordings`` table."""
+        """Return the ``recordings`` table."""
         return self._read("recordings")
 
 

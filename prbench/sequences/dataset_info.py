@@ -277,7 +277,7 @@ def require_may_pass_on(terms: _HasTerms, what: str, permitted: Collection[str] 
 
 
 def notice(terms: _HasTerms, permitted: Collection[str] = ()) -> str:
-    """The sentence that a view or export of the dataset's recordings carries; empty where nothing has to be said."""
+    """Return the sentence that views and exports of the dataset carry; empty where nothing has to be said."""
     if _known(terms.redistribution) == "yes":
         return ""
     if terms.redistribution == "non-commercial":
@@ -307,11 +307,11 @@ def run_notice(terms: _HasTerms, *, recorded_motion: bool) -> str:
 
 
 def strictest(redistributions: Iterable[str]) -> str:
-    """The terms of data that stand under several licences at once."""
+    """Return the terms of data that stand under several licences at once."""
     return min((_known(kind) for kind in redistributions), key=_STRICTEST_FIRST.index, default="none")
 
 
 def _known(redistribution: str) -> str:
-    """The kind, or the strictest one for a word that is not known."""
+    """Return the kind, or the strictest one for a word that is not known."""
     # A word from a newer version may forbid more than this one knows.
     return redistribution if redistribution in _STRICTEST_FIRST else "none"

@@ -34,7 +34,7 @@ _RECEIPT = "receipt.json"
 
 
 def work_folder(out: Path) -> Path:
-    """The folder of parts that belongs to the folder of a result; it stands beside it."""
+    """Return the folder of parts that belongs to the folder of a result; it stands beside it."""
     return out.parent / f".{out.name}.work"
 
 
@@ -53,7 +53,7 @@ def write_part(folder: Path, batches: Mapping[str, pa.RecordBatch], receipt: Map
 
 
 def plain(receipt: object) -> Any:
-    """A receipt as JSON knows it; numbers that a reader has taken from arrays become plain ones."""
+    """Return a receipt as JSON knows it; numbers that a reader has taken from arrays become plain ones."""
 
     def plain_number(value: object) -> object:
         if isinstance(value, np.generic):
@@ -73,7 +73,7 @@ def read_receipt(folder: Path) -> dict | None:
 
 
 def read_batches(folders: Iterable[Path], table: str) -> Iterator[pa.RecordBatch]:
-    """The rows of one table from parts, in their order; parts without rows are passed over."""
+    """Yield the rows of one table from parts, in their order; parts without rows are passed over."""
     for folder in folders:
         with pa.OSFile(str(folder / f"{table}.arrow"), "rb") as source:
             for batch in pa.ipc.open_file(source).read_all().to_batches():

@@ -55,7 +55,7 @@ OPTIONAL_TABLES = {"scenes": SCENES}
 
 
 def with_metadata(schema: pa.Schema, *, protocol_version: int) -> pa.Schema:
-    """The schema with version, joint set and units as Parquet metadata, beside what it carries already."""
+    """Return the schema with version, joint set and units as Parquet metadata, beside what it carries already."""
     carried = {key.decode(): value for key, value in (schema.metadata or {}).items()}
     return schema.with_metadata(
         {
@@ -217,7 +217,7 @@ def require_unchanged(
 
 
 def files_of_table(folder: Path, table: str) -> list[Path]:
-    """The Parquet file of a table, or the parts of a folder in order; none where it is absent."""
+    """Return the Parquet file of a table, or the parts of a folder in order; none where it is absent."""
     single = folder / f"{table}.parquet"
     return [single] if single.is_file() else sorted((folder / table).glob("part-*.parquet"))
 
@@ -228,7 +228,7 @@ def table_of(path: str) -> str:
 
 
 def table_parts(folder: Path, name: str) -> list[Path]:
-    """The Parquet files of one table: a single file, or the parts of a folder in order.
+    """Return the Parquet files of one table: a single file, or the parts of a folder in order.
 
     Raises:
         TableError: if neither exists.
@@ -325,7 +325,7 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def open_parquet(path: Path) -> pq.ParquetFile:
-    """A Parquet file, opened.
+    """Return a Parquet file, opened.
 
     Raises:
         TableError: if it is missing or damaged.
@@ -335,7 +335,7 @@ def open_parquet(path: Path) -> pq.ParquetFile:
 
 
 def read_parquet(path: Path, columns: list[str]) -> pa.Table:
-    """Some columns of a Parquet file.
+    """Return some columns of a Parquet file.
 
     Raises:
         TableError: if it is missing or damaged.
@@ -376,7 +376,7 @@ def require_distinct_rows(paths: SequenceOf[Path], column: str, where: Path | st
 
 
 def _kept(batch: pa.RecordBatch, wanted: pa.BooleanArray) -> pa.RecordBatch:
-    """The wanted rows; without a copy where these are all."""
+    """Return the wanted rows; without a copy where these are all."""
     return batch if wanted.true_count == len(wanted) else batch.filter(wanted)
 
 

@@ -111,27 +111,27 @@ class SequenceChunk:
         return self.vectors(name).reshape(-1, N_JOINTS, 3)
 
     def strings(self, name: str) -> list[str]:
-        """A column of text; a missing value is an empty text."""
+        """Return a column of text; a missing value is an empty text."""
         return [value or "" for value in self.batch.column(name).to_pylist()]
 
     def numbers(self, name: str) -> Shaped[np.ndarray, " batch"]:
-        """A column of numbers; a missing value is NaN."""
+        """Return a column of numbers; a missing value is NaN."""
         return self.batch.column(name).to_numpy(zero_copy_only=False)
 
     def vectors(self, name: str) -> Float[np.ndarray, "batch size"]:
-        """A column of fixed-size vectors."""
+        """Return a column of fixed-size vectors."""
         column = self.batch.column(name)
         return column.flatten().to_numpy(zero_copy_only=False).reshape(len(column), column.type.list_size)
 
     def frames(self, name: str) -> np.ndarray:
-        """A column of per-frame values, (total frames, size) or (total frames,); rows without a value have none."""
+        """Return a column of per-frame values, (total frames, size) or (total frames,); a row without one adds none."""
         items = self.batch.column(name).flatten()
         if not pa.types.is_fixed_size_list(items.type):
             return items.to_numpy(zero_copy_only=False)
         return items.flatten().to_numpy(zero_copy_only=False).reshape(len(items), items.type.list_size)
 
     def take(self, rows: SequenceOf[int] | np.ndarray) -> SequenceChunk:
-        """The given rows, in the given order (copies)."""
+        """Return the given rows, in the given order (copies)."""
         return SequenceChunk(self.batch.take(pa.array(np.asarray(rows, dtype=np.int64))))
 
 

@@ -94,7 +94,7 @@ class BuiltTable(Generic[Info]):
         return DescribedTable(self.folder, self.info.protocol_digest, self.info.options)
 
     def part_paths(self, name: str) -> list[Path]:
-        """The Parquet files of one of the tables, in order."""
+        """Return the Parquet files of one of the tables, in order."""
         return table_parts(self.folder, name)
 
     def chunks(
@@ -205,7 +205,7 @@ class SequenceTable(BuiltTable[DatasetInfo]):
         return sum(open_parquet(path).metadata.num_rows for path in self.part_paths("sequences"))
 
     def sequence_ids(self) -> list[str]:
-        """The ids of all sequences in table order."""
+        """Return the ids of all sequences in table order."""
         columns = (read_parquet(path, ["sequence_id"]) for path in self.part_paths("sequences"))
         return [name for column in columns for name in column["sequence_id"].to_pylist()]
 
@@ -239,13 +239,13 @@ class SequenceTable(BuiltTable[DatasetInfo]):
         raise TableError(f"{self.folder}: holds no sequences. {why_no_sequences(self.info)}")
 
     def events(self) -> pa.Table:
-        """The ``events`` table."""
+        """Return the ``events`` table."""
         events = self._read("events")
         require_distinct(events["event_id"].to_pylist(), f"{self.folder}, events")
         return events
 
     def recordings(self) -> pa.Table:
-        """The ``recordings`` table."""
+        """Return the ``recordings`` table."""
         recordings = self._read("recordings")
         require_distinct(recordings["recording_id"].to_pylist(), f"{self.folder}, recordings")
         return recordings
@@ -256,7 +256,7 @@ class SequenceTable(BuiltTable[DatasetInfo]):
         return any(table_of(path) == "scenes" for path in self.info.file_digests)
 
     def scenes(self) -> pa.Table:
-        """The ``scenes`` table: one row a box of each recording, world frame; without rows where none is known.
+        """Return the ``scenes`` table: one row a box of each recording, world frame; without rows where none is known.
 
         Raises:
             TableError: if the file is missing that the description names, or is damaged.
@@ -277,7 +277,7 @@ def why_no_sequences(info: DatasetInfo) -> str:
 
 
 def by_share(sequence_ids: SequenceOf[str], recording_ids: SequenceOf[str]) -> list[str]:
-    """The ids in the order in which a growing limit takes them up: every recording has its share at any limit.
+    """Return the ids in the order in which a growing limit takes them up: every recording has its share at any limit.
 
     A recording of n sequences is taken up n times at equal distances, from a start that its hash decides, and its
     sequences by their hashes. So of 10 sequences from 7 recordings of about the same size one recording gives one or
@@ -304,7 +304,7 @@ def _hash(name: str) -> bytes:
 
 
 def find_sequence_id(wanted: str, known: SequenceOf[str], *, among: str) -> str:
-    """The id that is meant: itself, or the only one that begins or ends with, or else holds, what was typed.
+    """Return the id that is meant: itself, or the only one that begins or ends with, or else holds, what was typed.
 
     Args:
         wanted: What was typed.

@@ -249,7 +249,7 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
 
 
 def _find_event(events: pa.Table, wanted: str) -> int:
-    """The row of the one event that fits.
+    """Return the row of the one event that fits.
 
     Raises:
         UsageError: if none or several fit.

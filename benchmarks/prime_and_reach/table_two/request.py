@@ -96,7 +96,7 @@ class TableTwo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return tuple(dict.fromkeys(row.method for row in self.rows))
 
     def chosen(self, method: str | None, condition: Condition | None) -> tuple[StudyRow, ...]:
-        """The rows of one method or all, under one condition or all.
+        """Return the rows of one method or all, under one condition or all.
 
         Raises:
             UsageError: if there is none.
@@ -118,7 +118,7 @@ class TableTwo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 @cache
 def load_table_two() -> TableTwo:
-    """The rows as they come with prbench.
+    """Return the rows as they come with prbench.
 
     Raises:
         InputFileError: if the file does not fit the data class (naming the key).
@@ -189,14 +189,14 @@ class TableRequest:
         return load_table_two().chosen(self.method, self.condition)
 
     def options_of(self, method: str) -> dict[str, str]:
-        """The options of one method."""
+        """Return the options of one method."""
         # A key with a method's name in front wins over a plain one.
         plain = {key: value for key, value in self.options.items() if "." not in key}
         own = {key.partition(".")[2]: value for key, value in self.options.items() if key.startswith(f"{method}.")}
         return plain | own
 
     def user_weights(self, row: StudyRow) -> Path | None:
-        """The user's own weights of a row: a file, or a folder such as ``prbench train`` leaves."""
+        """Return the user's own weights of a row: a file, or a folder such as ``prbench train`` leaves."""
         return self._weights_named(row.weights)
 
     def _weights_named(self, name: str) -> Path | None:
@@ -206,7 +206,7 @@ class TableRequest:
         return next((path for path in paths if path.exists()), None)
 
     def tables(self) -> list[SequenceTable]:
-        """The tables, in the study's order, others behind by name.
+        """Return the tables, in the study's order, others behind by name.
 
         Raises:
             TableError: if one is missing, empty or of an unknown version.

@@ -134,7 +134,7 @@ def one_file(roots: Mapping[str, Iterable[str]], header: str) -> str:
 
 
 def _origin(module: str, name: str) -> tuple[str, str] | None:
-    """Module that defines a name which a module defines or imports from prbench, and the name; else None."""
+    """Return the module and name behind a name that a module defines or imports from prbench; else None."""
     while all(name not in one.defines for one in _module(module).statements):
         if name not in _module(module).inside:
             return None

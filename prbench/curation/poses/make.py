@@ -95,7 +95,7 @@ class PosesConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     environment: dict[str, str] = {}
 
     def command_line(self, values: Mapping[str, str]) -> list[str]:
-        """The command with its placeholders filled; texts stay single arguments whatever they hold."""
+        """Return the command with its placeholders filled; texts stay single arguments whatever they hold."""
         # Filled per argument and never joined: a path with spaces or quotes stays one argument, and no shell sees it.
         filled = {"python": self.python} | dict(values)
         return [_PLACEHOLDER.sub(lambda match: filled[match[1]], text) for text in self.command]

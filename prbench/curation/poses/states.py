@@ -108,7 +108,7 @@ def prepare(inputs: EgoalloInputs, folder: Path) -> tuple[Path, int]:
 
 
 def source_trajectory(inputs: EgoalloInputs) -> AriaTrajectory:
-    """The poses that EgoAllo is given: the recording's own, or (in a world with Y up) turned and at 1 kHz.
+    """Return the poses that EgoAllo is given: the recording's own, or (in a world with Y up) turned and at 1 kHz.
 
     Raises:
         InputFileError: if the trajectory is damaged.

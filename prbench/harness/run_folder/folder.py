@@ -187,7 +187,7 @@ class RunFolder:
         return protocol_beside(self.path, digest=self.record.protocol_digest, wrong=RunError)
 
     def dataset(self, name: str) -> DatasetFolder:
-        """The part of one dataset.
+        """Return the part of one dataset.
 
         Raises:
             RunError: if the run did not include it.

@@ -32,7 +32,7 @@ _FORMS = "(n, N, 22, 3) padded, or (total, 22, 3) after one another, of float32 
 
 
 def as_float32(joints: np.ndarray) -> Float[np.ndarray, "..."]:
-    """The numbers as a run keeps them, so that every way in scores alike; too large ones become infinite."""
+    """Return the numbers as a run keeps them, so that every way in scores alike; too large ones become infinite."""
     # Infinity is refused later, in words that name the sequence.
     with np.errstate(over="ignore"):
         return np.asarray(joints, dtype=np.float32)
@@ -56,11 +56,11 @@ class ArrayMotions:
         return [self.joints[row] for row in rows], [self.rays[row] for row in rows if self.rays]
 
     def where(self, row: int) -> str:
-        """The file that a row stands in and its place there, for messages."""
+        """Return the file that a row stands in and its place there, for messages."""
         return self.places[row]
 
     def only(self, rows: Sequence[int]) -> ArrayMotions:
-        """Some of the motions, so that a worker is not sent all of them."""
+        """Return some of the motions, so that a worker is not sent all of them."""
         joints, rays = self.motions(rows)
         return ArrayMotions(tuple(joints), tuple(self.places[row] for row in rows), tuple(rays))
 
@@ -135,7 +135,7 @@ def _read(archive: Archive, path: Path) -> dict[str, Any]:
             )
 
     def split(name: str, *shape: int) -> list[np.ndarray]:
-        """The array's motions, one after the other."""
+        """Return the array's motions, one after the other."""
         values = archive.read(name, largest=_LARGEST_ARRAY).reshape(*frames, *shape)
         if len(frames) == 2:
             return [as_float32(motion[:n]) for motion, n in zip(values, n_frames, strict=True)]
@@ -191,7 +191,7 @@ def _is_floating(dtype: np.dtype) -> bool:
 
 
 def _frames_of(header: ArrayHeader, path: Path, n_frames: np.ndarray) -> tuple[int, ...]:
-    """The axes of ``joints`` before those of a pose: (n, N) where it is padded, (total,) where it is not."""
+    """Return the axes of ``joints`` before those of a pose: (n, N) where it is padded, (total,) where it is not."""
     axes = len(header.shape)
     of_pose = 2 if header.shape[-2:] == (N_JOINTS, 3) else 1 if header.shape[-1:] == (POSE_SIZE,) else axes
     frames = header.shape[: axes - of_pose]

@@ -210,7 +210,7 @@ class ParquetMotions:
         return joints, rays
 
     def where(self, row: int) -> str:
-        """The file that a row stands in, for messages."""
+        """Return the file that a row stands in, for messages."""
         return str(self.groups[self._group_of(row)][0])
 
     @cached_property
@@ -458,12 +458,12 @@ class Predictions:
         return key in self._place_of
 
     def where(self, name: str, sample: int) -> str:
-        """The file that a motion stands in and its place there, for messages."""
+        """Return the file that a motion stands in and its place there, for messages."""
         return self.store.where(self._row(name, sample))
 
     @foreign_input()
     def motions(self, ids: Sequence[str], sample: int) -> PredictionRows:
-        """The motions of the given sequences, in the given order; float32, as a run keeps them.
+        """Return the motions of the given sequences, in the given order; float32, as a run keeps them.
 
         Raises:
             PredictionsError: if a motion is empty, damaged, a frame does not have 22 joints, or gaze has other frames

@@ -99,7 +99,7 @@ def check_features(
 
 
 def _steps(motion: np.ndarray) -> tuple[str, str, str, bool] | None:
-    """The pelvis steps by another length in the root block than among the joint velocities."""
+    """Return the pelvis steps by another length in the root block than among the joint velocities."""
     stepped, walked = _step_lengths(motion)
     ratio = stepped / max(walked, 1e-12)
     if 1 / _SAME_SCALE < ratio < _SAME_SCALE:
@@ -176,7 +176,7 @@ def read_feature_statistics(mean: Path, std: Path) -> Statistics:
 
 
 def feature_rows(output: np.ndarray, *, source: str = FEATURES) -> Float[np.ndarray, "batch rows 263"]:
-    """The output of a model as (batch, rows, 263).
+    """Return the output of a model as (batch, rows, 263).
 
     Args:
         output: (rows, 263), (batch, rows, 263), (batch, 263, 1, rows) as MDM and its family have it, or
@@ -276,7 +276,7 @@ def joints_from_features(
 
 
 def _used_rows(features: np.ndarray, wanted: int, root: Root, source: str) -> np.ndarray:
-    """The rows that the frames wanted come from, float64, relative root."""
+    """Return the rows that the frames wanted come from, float64, relative root."""
     rows = len(features)
     expected = f"{wanted} rows, or {wanted - 1}, for {wanted} frames"
     remedy = "Ask the model for as many rows as the batch's n_frames."

@@ -116,7 +116,7 @@ COMPLETIONS: Mapping[Joint, Expression] = MappingProxyType(
 
 
 def trunk_axes(joints: Float[np.ndarray, "*batch 22 3"]) -> dict[str, Float[np.ndarray, "*batch 3"]]:
-    """The axes of expressions, each as long as the trunk; hips and shoulders must be there.
+    """Return the axes of expressions, each as long as the trunk; hips and shoulders must be there.
 
     Args:
         joints: Y up, metres; joints that are still missing may be NaN.
@@ -168,7 +168,7 @@ class JointMap:
 
     @classmethod
     def of(cls, name: str, source_joints: Sequence[str], given: Mapping[str, str]) -> JointMap:
-        """A checked map.
+        """Return a checked map.
 
         Args:
             name: Name that messages begin with.
@@ -212,7 +212,7 @@ class JointMap:
     def to_22(
         self, joints: Num[np.ndarray, "frames ..."], *, source: Path | str = "joints"
     ) -> Float[np.ndarray, "frames 22 3"]:
-        """The 22 joints.
+        """Return the 22 joints.
 
         Args:
             joints: (frames, joints of the source, 3): Y up, right-handed
@@ -244,7 +244,7 @@ class JointMap:
 
 
 def joint_map(name: str) -> JointMap:
-    """A named map.
+    """Return a named map.
 
     Raises:
         UsageError: if there is none of this name (with the nearest one).
@@ -258,7 +258,7 @@ def joint_map(name: str) -> JointMap:
 
 
 def joint_map_by_names(names: Sequence[str], *, name: str = "bvh") -> JointMap:
-    """A map for names as BVH files and animation software have them: Mixamo, Rokoko, CMU, LAFAN1.
+    """Return a map for names as BVH files and animation software have them: Mixamo, Rokoko, CMU, LAFAN1.
 
     Args:
         names: Names of the source's joints in order, with any prefix, case and separators.

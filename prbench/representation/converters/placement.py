@@ -301,7 +301,7 @@ def to_canonical(
     feet: bool = True,
     source: Path | str = IN_MEMORY,
 ) -> Float[np.ndarray, "kept 22 3"]:
-    """A motion of the 22 joints as the benchmark wants one of which no initial pose is known.
+    """Return a motion of the 22 joints as the benchmark wants one of which no initial pose is known.
 
     Axes and unit, then 20 frames a second by time, then the canonical frame: first pelvis over the origin, facing +Z,
     lowest joint of the whole motion at Y = 0. Where an initial pose is known, :func:`placed_on` follows.
@@ -340,7 +340,7 @@ def placed_on(
     height: Height = "pelvis",
     source: Path | str = IN_MEMORY,
 ) -> Float[np.ndarray, "frames 22 3"]:
-    """The motion turned about the vertical and moved, so that its first pose stands where the initial pose does.
+    """Return the motion turned about the vertical and moved, so that its first pose stands where the initial pose does.
 
     The whole motion moves as one; no joint is bent and no bone stretched. What is left between the two first poses is
     the model's own error, which ``prbench adapters check`` reports.
@@ -377,7 +377,7 @@ def on_body_of(
     *,
     source: Path | str = IN_MEMORY,
 ) -> Float[np.ndarray, "frames 22 3"]:
-    """The motion with the bone lengths of the initial pose; every bone keeps its direction.
+    """Return the motion with the bone lengths of the initial pose; every bone keeps its direction.
 
     The path of the pelvis is scaled by the ratio of the right legs, so that feet do not slide; place the motion
     afterwards with :func:`placed_on`. A model that is conditioned on places in its own scale needs them in that scale:
@@ -395,7 +395,7 @@ def on_body_of(
 
 
 def on_floor(joints: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "frames 22 3"]:
-    """The motion with its lowest joint at Y = 0, over all joints and frames."""
+    """Return the motion with its lowest joint at Y = 0, over all joints and frames."""
     lowered = joints.copy()
     lowered[..., 1] -= joints[..., 1].min()
     return lowered
@@ -404,7 +404,7 @@ def on_floor(joints: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "fra
 def in_frame_of(
     joints: Float[np.ndarray, "frames 22 3"], reference: Float[np.ndarray, "others 22 3"]
 ) -> Float[np.ndarray, "frames 22 3"]:
-    """The motion in the canonical frame of another one that lies in the same world.
+    """Return the motion in the canonical frame of another one that lies in the same world.
 
     For models that generate on from a few given frames: ``reference`` is what they were given.
     """

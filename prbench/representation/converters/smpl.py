@@ -89,7 +89,7 @@ def numbers_of(form: str) -> int:
 def quaternions_of(
     values: Float[np.ndarray, "frames numbers"], form: RotationForm, *, source: Path | str = "rotations"
 ) -> Float[np.ndarray, "frames joints 4"]:
-    """Unit quaternions (w x y z) of each frame from its numbers, joint after joint.
+    """Return unit quaternions (w x y z) of each frame from its numbers, joint after joint.
 
     Args:
         values: The numbers of each frame, those of one rotation after those of another.
@@ -253,7 +253,7 @@ def _flat(values: np.ndarray, frames: int, name: str, source: Path | str) -> np.
 
 @foreign_input()
 def read_amass(path: Path) -> SmplParameters:
-    """A motion in the layout of AMASS: SMPL-H (``mocap_framerate``) or SMPL-X (``mocap_frame_rate``); Z up.
+    """Return a motion in the layout of AMASS: SMPL-H (``mocap_framerate``) or SMPL-X (``mocap_frame_rate``); Z up.
 
     Raises:
         InputFileError: if the file is missing, no archive of plain arrays, or lacks ``poses`` or ``trans``.
@@ -332,7 +332,7 @@ class RestJoints:
 
 @foreign_input()
 def read_rest_joints(path: Path, *, joints: int | None = None, how_to_get: str = _DOWNLOAD) -> RestJoints:
-    """The rest joints of a body model in ``.npz`` form; arrays that hold Python objects are never opened.
+    """Return the rest joints of a body model in ``.npz`` form; arrays that hold Python objects are never opened.
 
     Args:
         path: ``SMPLX_NEUTRAL.npz``, ``smplh/neutral/model.npz``, or what :data:`HOW_TO_CONVERT` writes.

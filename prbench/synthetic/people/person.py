@@ -409,7 +409,7 @@ def pose_trunk(
     _, *spine, neck = joints
 
     def both(segment: int, offset: tuple[float, float, float], *origins: np.ndarray) -> tuple[np.ndarray, ...]:
-        """The left and the right joint of a pair, by the offset of the left one in its segment."""
+        """Return the left and the right joint of a pair, by the offset of the left one in its segment."""
         offsets = (np.array(offset), np.array([-offset[0], offset[1], offset[2]]))
         turned = [turn(yaws[segment], pitches[segment], one) for one in offsets]
         return tuple(origin + way for origin, way in zip(origins, turned, strict=True))

@@ -286,5 +286,5 @@ def with_overlay(page: str, scenes: Sequence[Scene], *, hold: float) -> str:
 
 
 def swatch(colour: str) -> str:
-    """A short line in a colour, as HTML."""
+    """Return a short line in a colour, as HTML."""
     return f'<span class="swatch" style="background:{colour}"></span>'
