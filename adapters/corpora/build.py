@@ -375,7 +375,7 @@ def _records(finished: Sequence[_Finished]) -> tuple[tuple[CorpusRecord, ...], i
 
 
 def plan_corpus(name: str, root: Path | str | None, options: CorpusOptions = _DEFAULTS) -> BuildPlan:
-    """The dry run: what :func:`build_corpus` would read. Writes nothing.
+    """Return the dry run: what :func:`build_corpus` would read. Writes nothing.
 
     Raises:
         UsageError: for an unknown corpus or option.

@@ -143,7 +143,7 @@ class CorpusRecording:
         raise NotImplementedError
 
     def without_places(self, message: str) -> str:
-        """A message without the dataset's folder and the one around it: equal inputs give equal corpora anywhere."""
+        """Return a message without the dataset's folder and its parent: equal inputs give equal corpora anywhere."""
         if self.root is not None:
             root = self.root.expanduser().resolve()
             for folder in (root, root.parent):
@@ -174,7 +174,7 @@ class Corpus:
         return load_manifest(self.name)
 
     def chosen(self, options: CorpusOptions) -> Any:
-        """The corpus' own options.
+        """Return the corpus' own options.
 
         Raises:
             UsageError: for an option that it does not know.
@@ -223,7 +223,7 @@ class Corpus:
 
 
 def corpus_for(name: str) -> Corpus:
-    """The corpus of one name.
+    """Return the corpus of one name.
 
     Raises:
         UsageError: for an unknown one, naming those there are.
@@ -234,7 +234,7 @@ def corpus_for(name: str) -> Corpus:
 
 
 def find_groups(corpus: Corpus, root: Path | None, options: CorpusOptions) -> tuple[RecordingGroup, ...]:
-    """The recordings that the options choose, in table order, by groups.
+    """Return the recordings that the options choose, in table order, by groups.
 
     Raises:
         InputFileError: if there is no recording, or none that matches the glob.
@@ -339,7 +339,7 @@ def cut_clip(
 
 
 def _neighbour(motion: np.ndarray, index: int, inwards: np.ndarray) -> tuple[np.ndarray, FrameSource]:
-    """The frame just outside a clip: recorded, else continued with the speed of the two frames at that end."""
+    """Return the frame just outside a clip: recorded, else continued with the speed of the two frames at that end."""
     if 0 <= index < len(motion):
         return motion[index].astype(np.float64), "recorded"
     if len(inwards) < 2:

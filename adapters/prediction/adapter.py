@@ -48,7 +48,7 @@ class LearnedPredictor:
         self.one_design = any(isinstance(network, DLow) for *_, network in loaded)
 
     def weights_for(self, condition: Condition) -> Path:
-        """The weights file in use under a condition."""
+        """Return the weights file in use under a condition."""
         return self._loaded[condition][0]
 
     def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:
@@ -91,7 +91,7 @@ class LearnedPredictor:
     def _observed(
         self, batch: ObservedBatch, seen: SeenWindows, own_from_batch: Float[np.ndarray, "batch 4 4"]
     ) -> Float[np.ndarray, "batch observed nodes 3"]:
-        """The observed nodes in the network's frame and at its rate; never a direction of a later frame."""
+        """Return the observed nodes in the network's frame and at its rate; never a direction of a later frame."""
         # The last observed frame is at 0 at either rate.
         times = np.arange(1 - batch.shape[1], 1) / batch.fps
         own_times = np.arange(1 - seen.observed, 1) / seen.fps

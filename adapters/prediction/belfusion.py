@@ -263,11 +263,11 @@ class PastAutoencoder(nn.Module):
         self.decoder = PoseDecoder(past, past, past, configuration.mlp, values)
 
     def code(self, observed: Motion) -> Past:
-        """The code of observed frames in metres."""
+        """Return the code of observed frames in metres."""
         return last_state(self.encoder, observed.flatten(2))
 
     def forward(self, motion: Motion) -> Motion:
-        """The first frame as it is, and the others from their code."""
+        """Return the first frame as it is, and the others from their code."""
         frames = motion.flatten(2)
         start = frames[:, 0]
         code = self.code(motion[:, 1:])
@@ -322,13 +322,13 @@ class BehaviourAutoencoder(nn.Module):
         return (flat[:, None, -1:] + offsets).unflatten(-1, (-1, 3))
 
     def decode_without_context(self, behaviour: Behaviour) -> Motion:
-        """What the auxiliary decoder can tell of context and future from the behaviour alone."""
+        """Return what the auxiliary decoder can tell of context and future from the behaviour alone."""
         frames = self.configuration.context + self.configuration.predicted
         steps = behaviour[:, None].expand(-1, frames, -1)
         return self.auxiliary_pose(self.auxiliary(steps)[0]).unflatten(-1, (-1, 3))
 
     def loss(self, sequence: Motion, noise: Behaviour, *, coupler_alone: bool = False) -> Losses:
-        """The published losses of encoder, coupler and auxiliary decoder in one, m² a window.
+        """Return the published losses of encoder, coupler and auxiliary decoder in one, m² a window.
 
         Args:
             sequence: Context and future.
@@ -407,11 +407,11 @@ class BeLFusion(nn.Module):
         self.behaviour_max: Tensor
 
     def condition(self, observed: Observed) -> Past:
-        """The code of the past, ±1 over the training windows."""
+        """Return the code of the past, ±1 over the training windows."""
         return _scaled(self.past.code(observed), self.past_min, self.past_max)
 
     def target(self, motion: Motion, noise: Behaviour) -> Behaviour:
-        """The behaviour of whole windows, drawn with standard normal noise, ±1 over the training windows."""
+        """Return the behaviour of whole windows, drawn with standard normal noise, ±1 over the training windows."""
         drawn = self.behaviour.draw(motion[:, self._context_start :], noise)
         return _scaled(drawn, self.behaviour_min, self.behaviour_max)
 

@@ -77,7 +77,7 @@ class Whitening(nn.Module):
 
 
 def dct_rows(coefficients: int, frames: int) -> Float[Tensor, "coefficients frames"]:
-    """The first rows of the orthonormal DCT-II, float64: w_k cos(π(i + ½)k / frames)."""
+    """Return the first rows of the orthonormal DCT-II, float64: w_k cos(π(i + ½)k / frames)."""
     row = torch.arange(coefficients, dtype=torch.float64)[:, None]
     place = torch.arange(frames, dtype=torch.float64)[None] + 0.5
     rows = math.sqrt(2.0 / frames) * torch.cos(math.pi * place * row / frames)
@@ -86,7 +86,7 @@ def dct_rows(coefficients: int, frames: int) -> Float[Tensor, "coefficients fram
 
 
 def padded(observed: Motion, frames: int) -> Tensor:
-    """The observation, followed by copies of its last frame.
+    """Return the observation, followed by copies of its last frame.
 
     Raises:
         ValueError: if it is longer than ``frames``.
@@ -134,11 +134,11 @@ class WindowDCT(nn.Module):
         self.observed_share: Tensor
 
     def forward(self, motion: Float[Tensor, "*batch frames nodes 3"]) -> Tensor:
-        """The first coefficients of each value."""
+        """Return the first coefficients of each value."""
         return self.rows.to(motion.dtype) @ motion.flatten(-2)
 
     def inverse(self, coefficients: Float[Tensor, "*batch coefficients values"]) -> Tensor:
-        """The motion that these coefficients describe; not the original one, whose faster parts are lost."""
+        """Return the motion that these coefficients describe; not the original one, whose faster parts are lost."""
         return (self.rows.T.to(coefficients.dtype) @ coefficients).unflatten(-1, (-1, 3))
 
     def completed(self, coefficients: Tensor, known: Tensor) -> Tensor:
@@ -288,7 +288,7 @@ class ConditionEncoder(nn.Module):
         return coefficients.unflatten(-1, (shape.nodes, 3)).permute(0, 3, 2, 1)
 
     def flat(self, nodes: Graph) -> Coefficients:
-        """The way back from :meth:`nodes`."""
+        """Return the way back from :meth:`nodes`."""
         if self.configuration.legacy_layout:
             return nodes.reshape(len(nodes), self.configuration.coefficients, self.configuration.values)
         return nodes.permute(0, 3, 2, 1).flatten(2)
@@ -599,7 +599,7 @@ class CoefficientDiffusion(nn.Module):
             yield step, float(levels[step]), float(levels[previous])
 
     def _prepared(self, condition: Tensor, kept: Bool[Tensor, " windows"] | None) -> PreparedCondition:
-        """The condition, and for windows that do not keep it what is left of it."""
+        """Return the condition, and for windows that do not keep it what is left of it."""
         if kept is not None and self.configuration.dropped == "both":
             condition = condition * kept[:, None, None]
         return self.denoiser.prepare(condition, None if kept is None else kept[:, None])

@@ -154,7 +154,7 @@ PRESETS = tuple(_PRESETS)  # Names of the configurations of the tables, the abla
 
 
 def preset(name: str, *, n_joints: int, **changes: Any) -> DiffusionConfiguration:
-    """A configuration by name.
+    """Return a configuration by name.
 
     Args:
         name: One of ``PRESETS``.

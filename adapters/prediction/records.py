@@ -144,7 +144,7 @@ def contents(kind: str, record: Record, network: nn.Module) -> tuple[dict[str, t
 
 
 def network_of(weights: Weights, record: Record) -> PredictorNetwork:
-    """The network that a file holds, in evaluation mode.
+    """Return the network that a file holds, in evaluation mode.
 
     Raises:
         InputFileError: if the tensors do not fit the record in the header.

@@ -42,12 +42,12 @@ def from_zero(layer: Layer) -> Layer:
 
 
 def last_state(layer: nn.GRU | nn.LSTM, sequence: Float[Tensor, "batch frames size"]) -> Float[Tensor, "batch state"]:
-    """The state that a sequence leaves in a recurrent layer; batch first."""
+    """Return the state that a sequence leaves in a recurrent layer; batch first."""
     return layer(sequence)[0][:, -1]
 
 
 def latent_noise(seeds: Seeds, size: int, like: Tensor) -> Float[Tensor, "windows samples size"]:
-    """Standard normal noise, each sample's from its own seed and nothing else; of the type and device of ``like``."""
+    """Return standard normal noise, each sample's from its own seed alone; of the type and device of ``like``."""
     draws = [[sequence_generator(seed).standard_normal(size, dtype=np.float32) for seed in row] for row in seeds]
     return torch.from_numpy(np.array(draws)).to(like)
 
@@ -90,7 +90,7 @@ class PoseDecoder(nn.Module):
         self.output = nn.Linear(mlp[-1], values)
 
     def forward(self, code: Tensor, start: Tensor, pose: Tensor, frames: int) -> Float[Tensor, "batch frames values"]:
-        """Outputs of ``frames`` frames from (batch, numbers) each; ``pose`` is what stands before the first."""
+        """Return outputs of ``frames`` frames from (batch, numbers) each; ``pose`` is what stands before the first."""
         state = self.first_state(start)
         poses = []
         for _ in range(frames):
@@ -170,7 +170,7 @@ class CVAE(nn.Module):
         return self.decode(observed, latent_noise(seeds, self.configuration.latent, observed))
 
     def loss(self, observed: Observed, future: Future, noise: Latent) -> Losses:
-        """The loss of the reconstruction from a latent vector drawn with ``noise``, standard normal.
+        """Return the loss of the reconstruction from a latent vector drawn with ``noise``, standard normal.
 
         Returns:
             ``loss``, the weighted sum, and its parts: sums over frames and values, averaged over windows, m².

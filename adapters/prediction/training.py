@@ -146,7 +146,7 @@ class PredictorTraining(TrainingModule):
         self._partners = mirror_partners(record.windows.joints.names)
 
     def forward(self, batch: WindowBatch, step: int) -> Losses:  # pyright: ignore[reportIncompatibleMethodOverride]  # fed with windows
-        """The losses of one batch, and in validation errors of drawn futures.
+        """Return the losses of one batch, and in validation errors of drawn futures.
 
         Returns:
             ``loss`` and its parts; for negative steps also ``ade`` and ``fde``, metres over the flattened pose as the
@@ -187,7 +187,7 @@ class PredictorTraining(TrainingModule):
         }
 
     def shown(self, batch: WindowBatch) -> Motion:
-        """The windows of a batch, with directions that were not measured replaced by measured ones."""
+        """Return the windows of a batch, with directions that were not measured replaced by measured ones."""
         if batch.direction_valid is None:
             return batch.motion
         observed = self.record.windows.observed
@@ -202,7 +202,7 @@ class PredictorTraining(TrainingModule):
         return self.course.at(step / self.calls)
 
     def hidden_matrices(self) -> tuple[nn.Parameter, ...]:
-        """The matrices of the blocks of a denoiser of coefficients."""
+        """Return the matrices of the blocks of a denoiser of coefficients."""
         if not isinstance(self.network, CoefficientDiffusion):
             return ()
         return tuple(each for each in self.network.denoiser.blocks.parameters() if each.ndim == 2)

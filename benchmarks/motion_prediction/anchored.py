@@ -90,7 +90,7 @@ def build_anchored_windows(data: Path | str, out: Path | str, *, only: Collectio
 
 
 def _cut(chunk: SequenceChunk, rules: WindowRules, anchored: AnchoredRules) -> Run:
-    """The only sequence of a chunk in the room, with its windows: up to the prime, and to each lead before the event.
+    """Return the only sequence of a chunk in the room, with its windows: to the prime, and to each lead before the event.
 
     Only windows both of whose halves are there.
     """

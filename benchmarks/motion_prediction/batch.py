@@ -83,11 +83,11 @@ class ObservedBatch:
         return self.observed_joints.shape
 
     def rows(self, start: int, stop: int) -> ObservedBatch:
-        """A part of the batch; every row is complete in itself."""
+        """Return a part of the batch; every row is complete in itself."""
         return self.chosen(range(start, stop))
 
     def chosen(self, rows: Sequence[int]) -> ObservedBatch:
-        """Some rows of the batch, in the order given."""
+        """Return some rows of the batch, in the order given."""
         places = np.asarray(rows, dtype=np.int64)
         return replace(
             self,
@@ -201,5 +201,5 @@ def window_key(window_id: str) -> int:
 
 
 def sample_generator(seed: int, key: int, sample: int) -> np.random.Generator:
-    """The generator of one sample of one window."""
+    """Return the generator of one sample of one window."""
     return named_generator("motion-prediction", seed, key, sample)

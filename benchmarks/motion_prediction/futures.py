@@ -218,7 +218,7 @@ def view_futures(request: ViewRequest) -> FuturesReport:
 
 
 def _read(files: DatasetFolder, chosen: set[str], joints: int) -> dict[str, Float[np.ndarray, "samples future _ 3"]]:
-    """The futures of some windows by id, in the order of their samples and in the frame of the batch."""
+    """Return the futures of some windows by id, in the order of their samples and in the frame of the batch."""
     found: dict[str, list[np.ndarray]] = {}
     for path in sorted(files.predictions.glob("part-*.parquet")):
         rows = read_parquet(path, ["sequence_id", "joints"])

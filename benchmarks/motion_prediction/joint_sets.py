@@ -123,7 +123,7 @@ JOINT_SETS: Mapping[str, JointSet] = {each.name: each for each in (SMPL22, MOGAZ
 
 
 def joint_set(name: str) -> JointSet:
-    """A joint set by name.
+    """Return a joint set by name.
 
     Raises:
         UsageError: for an unknown one.

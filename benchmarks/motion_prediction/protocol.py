@@ -95,5 +95,5 @@ class PredictionProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
 @cache
 def load_prediction_protocol() -> PredictionProtocol:
-    """The protocol of the motion prediction benchmark."""
+    """Return the protocol of the motion prediction benchmark."""
     return read_toml("prbench_benchmarks.motion_prediction", "protocol.toml", PredictionProtocol)

@@ -325,13 +325,13 @@ def _multimodal(predicted: np.ndarray, truth: Truth, rows: np.ndarray, similar: 
 
 
 def ground_truth(batch: ObservedBatch, truth: Truth) -> Futures:
-    """What happened, as the only sample; the last pose is held after an event."""
+    """Return what happened, as the only sample; the last pose is held after an event."""
     frame = np.minimum(np.arange(batch.n_future), truth.n_scored[:, None] - 1)
     return Futures(joints=truth.joints[np.arange(len(batch))[:, None], frame][:, None])
 
 
 def truncation_floor(coefficients: int) -> Reference:
-    """What is left of the true windows when only their first coefficients are kept.
+    """Return what is left of the true windows when only their first coefficients are kept.
 
     A network that describes a window by L coefficients cannot be better than this, whatever it learns.
 
@@ -351,6 +351,6 @@ def truncation_floor(coefficients: int) -> Reference:
 
 
 def references() -> Mapping[str, Reference]:
-    """The references by name, the floor with the protocol's number of coefficients."""
+    """Return the references by name, the floor with the protocol's number of coefficients."""
     coefficients = load_prediction_protocol().evaluation.coefficients
     return {TRUNCATION_FLOOR: truncation_floor(coefficients), GROUND_TRUTH: ground_truth}

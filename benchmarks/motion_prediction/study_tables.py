@@ -94,7 +94,7 @@ class PredictionTables(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 @cache
 def load_tables() -> PredictionTables:
-    """The rows of Tables 1, 2 and 3 in the printed order, and what stands beside them."""
+    """Return the rows of Tables 1, 2 and 3 in the printed order, and what stands beside them."""
     return read_toml(_PACKAGE, "tables.toml", PredictionTables)
 
 
@@ -198,7 +198,7 @@ def prediction_tables(
 
 
 def _predictor(row: TableRow, table: WindowsTable, train: np.ndarray, weights: Path | None, device: str) -> Predictor:
-    """The predictor of a row: without learning, remembered from training windows, or an installed one."""
+    """Return the predictor of a row: without learning, remembered from training windows, or an installed one."""
     if row.method in _WITHOUT_LEARNING:
         return _WITHOUT_LEARNING[row.method]
     if row.method == NearestPast.name:

@@ -137,7 +137,7 @@ class Window:
 
     @classmethod
     def of(cls, row: Mapping[str, Any]) -> Window:
-        """A row of ``windows`` again, as :meth:`row` wrote it."""
+        """Return a row of ``windows`` again, as :meth:`row` wrote it."""
         values: dict[str, Any] = {each.name: row[each.name] for each in fields(cls)}
         return cls(**values | {"goal": None if row["goal"] is None else np.array(row["goal"])})
 
@@ -398,7 +398,7 @@ class WindowsTable:
     def batches(
         self, condition: Condition, chosen: Int[np.ndarray, " n"], *, frame: FrameName = "last-pose", size: int = 64
     ) -> Iterator[tuple[ObservedBatch, Truth]]:
-        """The windows in table order, as a predictor may see them, each with its truth.
+        """Yield the windows in table order, as a predictor may see them, each with its truth.
 
         Args:
             condition: What the predictor knows.
@@ -478,7 +478,7 @@ class WindowsTable:
 
 
 def run_of(row: pa.RecordBatch) -> Run:
-    """The only row of ``streams`` that is given, as a run."""
+    """Return the only row of ``streams`` that is given, as a run."""
 
     def frames(name: str, *shape: int) -> np.ndarray:
         flat = row.column(name).flatten()

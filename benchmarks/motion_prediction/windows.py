@@ -71,7 +71,7 @@ _RATE_TOLERANCE = 0.005
 
 
 def runs_of_recording(recording: Recording, rules: WindowRules, *, split: str) -> Iterator[Run]:
-    """Runs of the 22 joints, cut where the body is missing for longer than the largest gap.
+    """Return runs of the 22 joints, cut where the body is missing for longer than the largest gap.
 
     Args:
         recording: The recording; one without a body yields nothing.
@@ -153,7 +153,7 @@ def _run(recording: Recording, segment: str, rules: WindowRules, *, published_sp
 
 
 def window_starts(n_frames: int, rules: WindowRules) -> Int[np.ndarray, " n"]:
-    """Starts 0, stride, 2 stride, … below ``n_frames`` minus the length of a window, which is excluded itself."""
+    """Return starts 0, stride, 2 stride, … below ``n_frames`` minus the length of a window, which is excluded itself."""
     return np.arange(0, max(n_frames - rules.length, 0), rules.stride)
 
 
@@ -186,7 +186,7 @@ def latest_gaze(
     *,
     oldest: float,
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """The last valid sample not later than each frame; interpolating would read the future across a window's border.
+    """Return the last valid sample not later than each frame; interpolation would read the future of a window.
 
     Args:
         times: Times of the samples, seconds.
@@ -268,7 +268,7 @@ class NativeWindows:
         return self.source.input_digest()
 
     def without_places(self, message: str) -> str:
-        """A message without the folders of this machine."""
+        """Return a message without the folders of this machine."""
         return self.source.without_places(message)
 
     def cut(self, protocol: PredictionProtocol) -> Iterator[Run]:

@@ -50,7 +50,7 @@ class FutureQuestion:
     def _futures(
         self, batch: ObservedBatch, method: LoadedMethod, seed: int, ids: tuple[str, ...]
     ) -> Float[np.ndarray, "batch samples future joints 3"]:
-        """The answer; a batch that does not fit in memory is cut in two."""
+        """Return the answer; a batch that does not fit in memory is cut in two."""
         try:
             futures = ask(method.adapter, batch, n_samples=self.n_samples, seed=seed)
         except PrbenchError:
@@ -140,7 +140,7 @@ class FutureWork(CaseWork):
 
 
 def _of_windows(similar: SimilarPasts, window_ids: tuple[str, ...]) -> SimilarPasts:
-    """What some windows need of the similar pasts of all, so that little goes to a worker."""
+    """Return what some windows need of the similar pasts of all, so that little goes to a worker."""
     places = [similar.places[name] for name in window_ids]
     members = [similar.sets[place] for place in places] + [similar.canonical_sets[place] for place in places]
     kept = np.unique(np.concatenate([*members, places]))

@@ -55,7 +55,7 @@ class Pass:
     name: str
 
     def generator(self, *parts: str) -> np.random.Generator:
-        """The pass's own generator for one purpose, or for one clip."""
+        """Return the pass's own generator for one purpose, or for one clip."""
         path = "/".join(parts).split("/")  # the id of a clip holds slashes
         return named_generator("prbench-text-to-motion", self.seed, self.repetition, self.name, *path)
 
@@ -138,7 +138,7 @@ class EvaluatedClips:
 
 
 def longest(clip: Clip, configuration: EvaluatorConfiguration) -> int:
-    """The most frames that are evaluated of a clip, a multiple of 4."""
+    """Return the most frames that are evaluated of a clip, a multiple of 4."""
     return min(clip.motion.n_frames, configuration.max_frames) // SNIPPET * SNIPPET
 
 
@@ -158,7 +158,7 @@ def draw(clip: Clip, taken: Pass, configuration: EvaluatorConfiguration) -> Draw
 
 
 def recorded_features(clip: Clip, drawn: Draw, configuration: EvaluatorConfiguration) -> Float[np.ndarray, "n 263"]:
-    """The crop, encoded anew in its own canonical frame."""
+    """Return the crop, encoded anew in its own canonical frame."""
     motion = cut(clip.motion, drawn.start, drawn.n_frames, name=clip.sequence_id)
     return encoded(motion, configuration.representation, name=clip.sequence_id)
 
@@ -180,7 +180,7 @@ def _captions_of(table: SequenceTable | CorpusTable, kinds: frozenset[str]) -> d
 def token_vectors(
     name: str, tables: Iterable[SequenceTable | CorpusTable], *, words: str = "", path: str = ""
 ) -> tuple[TokenVectors, str]:
-    """The vectors that an evaluator reads texts with, and the digest of the vocabulary that a user supplied, if any.
+    """Return an evaluator's vectors of words, and the digest of the vocabulary that a user supplied, if any.
 
     Args:
         name: ``glove``, or the name of a text encoder.

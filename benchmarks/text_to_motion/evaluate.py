@@ -125,7 +125,7 @@ class _Row:
         self.motions = len(pairs.captions)
 
     def result(self, source: str, **of_method: Any) -> ResultRow:
-        """The row after at least one repetition."""
+        """Return the row after at least one repetition."""
         return ResultRow(
             source=source,
             metrics={name: Repeated.of(self.values[name]) for name in METRICS if name in self.values},

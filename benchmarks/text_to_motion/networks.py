@@ -68,7 +68,7 @@ class WordVectors:
         return cls(index, vectors, classes, text_digest("\n".join(words), bytes_digest(vectors.tobytes()), listed))
 
     def encode(self, tokens: str) -> Float[np.ndarray, "words 315"]:
-        """The vectors of a caption, each followed by its class as a one-hot vector.
+        """Return the vectors of a caption, each followed by its class as a one-hot vector.
 
         Args:
             tokens: ``word/POS`` after one another; cut to 20, and framed by markers of start and end.
@@ -103,7 +103,7 @@ class GloveCaptions:
         self.vectors, self.tokens, self.source = vectors, tokens, source
 
     def encode(self, texts: Sequence[str]) -> EncodedText:
-        """The vectors of some captions.
+        """Return the vectors of some captions.
 
         Raises:
             InputFileError: if a caption has no tokens.

@@ -184,7 +184,7 @@ class EvaluatorTraining(TrainingModule):
             network.requires_grad_(stage in stages)
 
     def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
-        """The losses of the phase that a step belongs to.
+        """Return the losses of the phase that a step belongs to.
 
         Returns:
             ``loss``, and ``reconstruction`` of the autoencoder or ``positive``, ``negative``, ``ranked`` of the

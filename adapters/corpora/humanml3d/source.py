@@ -249,12 +249,12 @@ class HumanML3DCorpus(Corpus):
         return tuple(sources)
 
     def group_of(self, recording_id: str) -> str:
-        """A hundred motions together: the dataset has tens of thousands, of a few kilobytes each."""
+        """Return a hundred motions together: the dataset has tens of thousands, of a few kilobytes each."""
         return f"{recording_id[:-_FILES_OF_A_GROUP]}xx"
 
 
 def _splits(root: Path) -> dict[str, str]:
-    """The official lists.
+    """Return the official lists.
 
     Raises:
         InputFileError: if none of them is there, or one motion stands in two.

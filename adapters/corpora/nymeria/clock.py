@@ -52,7 +52,7 @@ Signal = tuple[float, Float[np.ndarray, "_"], Bool[np.ndarray, "_"]]
 
 
 def offset_from_file(path: Path, sequence: str) -> ClockOffset | None:
-    """The user's own offset of a sequence; None where the file does not name it.
+    """Return the user's own offset of a sequence; None where the file does not name it.
 
     Raises:
         InputFileError: if the file is no table of numbers.
@@ -71,7 +71,7 @@ def offset_from_file(path: Path, sequence: str) -> ClockOffset | None:
 def offset_by_correlation(
     clean: CleanSuit, time_us: np.ndarray, rotation: Float[np.ndarray, "n 4"], thresholds: Mapping[str, float]
 ) -> tuple[ClockOffset | None, str]:
-    """The offset at which the suit's head turns as the glasses do.
+    """Return the offset at which the suit's head turns as the glasses do.
 
     Args:
         clean: The suit; its longest piece is used.
@@ -158,7 +158,7 @@ def best_agreement(first: Signal, second: Signal, rate: float) -> tuple[float, f
 def offset_by_starts(
     narrations: Sequence[Narration], clean: CleanSuit, thresholds: Mapping[str, float]
 ) -> tuple[ClockOffset | None, str]:
-    """The offset at which the first text begins as long after the suit as it does in sequences of known offset.
+    """Return the offset at which the first text begins as long after the suit as it does in sequences of known offset.
 
     Returns:
         The offset, or None and why not.

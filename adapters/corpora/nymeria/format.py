@@ -80,7 +80,7 @@ class Narration:
 
 
 def participant_of(name: str) -> str:
-    """The wearer's invented name in a sequence's name; the whole name where it does not follow the pattern.
+    """Return the wearer's invented name in a sequence's name; the whole name where it does not follow the pattern.
 
     ``20230607_s0_james_johnson_act0_e72nhq`` is of ``james_johnson``, whatever the session.
     """

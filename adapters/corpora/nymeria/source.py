@@ -141,7 +141,7 @@ _Fate = tuple[str, float | None, float | None, tuple[Piece, int, int] | None]
 def _placed(
     span: Narration, pieces: Sequence[Piece], offset: ClockOffset | None, limits: ClipLimits, coverage: float
 ) -> _Fate:
-    """What becomes of a span: outcome, deciding number, its threshold, and its place in the motion if it has one.
+    """Return what becomes of a span: outcome, deciding number, threshold, and its place in the motion if it has one.
 
     The place is a piece, the native frame on which the clip begins, and the frames of the corpus that are there.
     """
@@ -220,7 +220,7 @@ class NymeriaSource(CorpusRecording):
 
     @foreign_input()
     def suit(self) -> CleanSuit:
-        """The suit, and its motion on the 22 joints.
+        """Return the suit, and its motion on the 22 joints.
 
         Raises:
             InputFileError: if the file does not hold what its format promises.
@@ -249,7 +249,7 @@ class NymeriaSource(CorpusRecording):
         return replace(read, message=self.without_places("; ".join(filter(None, (*messages, read.message)))))
 
     def _offset(self, clean: CleanSuit, narrations: tuple[Narration, ...]) -> tuple[ClockOffset | None, list[str]]:
-        """The first way that works, and why the others did not."""
+        """Return the first way that works, and why the others did not."""
         if not narrations:
             return None, ["no texts of the chosen kinds"]
         path = self.found.path(OFFSET)
@@ -329,7 +329,7 @@ class NymeriaCorpus(Corpus):
 
 
 def split_by_participant(manifest: Manifest, participant_id: str) -> Literal["train", "validation", "test"]:
-    """The manifest's shares of sha256(dataset/participant) / 2**256."""
+    """Return the manifest's shares of sha256(dataset/participant) / 2**256."""
     fraction = hash_fraction(manifest.name, participant_id)
     if fraction >= manifest.thresholds["test_from"]:
         return "test"
