@@ -90,9 +90,9 @@ def build_anchored_windows(data: Path | str, out: Path | str, *, only: Collectio
 
 
 def _cut(chunk: SequenceChunk, rules: WindowRules, anchored: AnchoredRules) -> Run:
-    """Return the only sequence of a chunk in the room, with its windows: to the prime, and to each lead before the event.
+    """Return the only sequence of a chunk in the room, with its windows that have both halves.
 
-    Only windows both of whose halves are there.
+    The windows end at the prime, and at each lead before the event.
     """
     room_from_canonical = chunk.vectors("world_from_canonical").reshape(4, 4)
     text = {name: chunk.strings(name)[0] for name in _TEXT}

@@ -153,7 +153,7 @@ def _run(recording: Recording, segment: str, rules: WindowRules, *, published_sp
 
 
 def window_starts(n_frames: int, rules: WindowRules) -> Int[np.ndarray, " n"]:
-    """Return starts 0, stride, 2 stride, … below ``n_frames`` minus the length of a window, which is excluded itself."""
+    """Return starts 0, stride, 2 stride, … below ``n_frames`` minus a window's length, which is excluded itself."""
     return np.arange(0, max(n_frames - rules.length, 0), rules.stride)
 
 

@@ -249,7 +249,7 @@ class HumanML3DCorpus(Corpus):
         return tuple(sources)
 
     def group_of(self, recording_id: str) -> str:
-        """Return a hundred motions together: the dataset has tens of thousands, of a few kilobytes each."""
+        """Group a hundred motions: the dataset has tens of thousands, of a few kilobytes each."""
         return f"{recording_id[:-_FILES_OF_A_GROUP]}xx"
 
 
