@@ -55,7 +55,7 @@ class World:
         return vectors[..., self.axes] * vectors.new_tensor(self.signs)
 
     def to_y_up(self, vectors: Float[torch.Tensor, "*batch 3"]) -> Float[torch.Tensor, "*batch 3"]:
-        """The inverse of :meth:`from_y_up`."""
+        """Return the inverse of :meth:`from_y_up`."""
         back = tuple(self.axes.index(axis) for axis in range(3))
         return vectors[..., back] * vectors.new_tensor([self.signs[place] for place in back])
 
@@ -111,7 +111,7 @@ def root_orientation(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.
 
 
 def unit(vectors: Float[torch.Tensor, "*batch 3"]) -> Float[torch.Tensor, "*batch 3"]:
-    """Unit vectors; a zero vector stays zero and has no gradient of NaN."""
+    """Return unit vectors; a zero vector stays zero and has no gradient of NaN."""
     square = vectors.square().sum(-1, keepdim=True)
     return vectors * torch.where(square > _SHORTEST**2, square, 1.0).rsqrt()
 
@@ -141,13 +141,13 @@ def forward_kinematics(
 
 
 def rest_offsets(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tensor, "*batch 22 3"]:
-    """The skeleton at rest with the bone lengths of a pose: offset of each joint from its parent, metres."""
+    """Return the skeleton at rest with the bone lengths of a pose: offset of each joint from its parent, metres."""
     lengths = (joints[..., 1:, :] - joints[..., PARENTS[1:], :]).norm(dim=-1, keepdim=True)
     return torch.nn.functional.pad(lengths, (0, 0, 1, 0)) * _tree(joints.dtype, joints.device).rest
 
 
 def rows_of(matrices: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor, "*batch 6"]:
-    """The first two **rows**, one after the other (DART and WANDR; HumanML3D takes columns)."""
+    """Return the first two **rows**, one after the other (DART and WANDR; HumanML3D takes columns)."""
     return matrices[..., :2, :].flatten(-2)
 
 

@@ -52,7 +52,7 @@ class Static:
             self._pose[:, [0, 2]] -= self._pose[Joint.PELVIS, [0, 2]]
 
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - nothing is drawn
-        """The mean pose, ``batch.n_frames`` times."""
+        """Return the mean pose, ``batch.n_frames`` times."""
         if self._pose is None:
             raise AdapterError("adapter 'static' was asked for motions before it was fitted to a table.")
         joints = np.broadcast_to(self._pose, (len(batch), int(batch.n_frames.max()), N_JOINTS, 3))

@@ -158,11 +158,11 @@ def _sampled(
     decoded = 0
 
     def draw() -> Float[Tensor, "batch 1 latent"]:
-        """The next noise of every sequence, drawn from its own seed: neither batch nor length changes a number."""
+        """Return next noise of every sequence, drawn from its own seed: neither batch nor length changes a number."""
         return drawn.draw(model.configuration.latent)
 
     def rolled(sample: SampleLatent) -> Float[Tensor, "batch frames 22 3"]:
-        """The initial pose and what follows it, cut to the longest sequence, zeros behind the others' end; canonical.
+        """Return the initial pose and what follows, cut to the longest sequence, zeros behind each end; canonical.
 
         The world that is rolled out in is the canonical frame with its axes exchanged, so nothing else has to be
         turned back.
@@ -190,7 +190,7 @@ def _sampled(
 
 
 def _rows(batch: ConditionBatch, rows: Int[np.ndarray, " rows"]) -> ConditionBatch:
-    """Some rows of a batch, in this order."""
+    """Return some rows of a batch, in this order."""
     changed = {}
     for field in fields(batch):
         value = getattr(batch, field.name)

@@ -48,7 +48,7 @@ class Placement:
         return Placement(self.rotation[:n], self.origin[:n])
 
     def then(self, inner: Placement) -> Placement:
-        """The placement of a frame of reference that is placed here by ``inner``."""
+        """Return the placement of a frame of reference that is placed here by ``inner``."""
         return Placement(
             self.rotation @ inner.rotation, self.origin + (self.rotation @ inner.origin[..., None])[..., 0]
         )
@@ -121,15 +121,15 @@ class Frames:
         return torch.cat(parts, dim=-1)
 
     def rotations(self) -> Float[Tensor, "batch frames 22 3 3"]:
-        """The root's orientation and the joints' rotations, for forward kinematics."""
+        """Return the root's orientation and the joints' rotations, for forward kinematics."""
         return torch.cat((self.orientation[:, :, None], matrices_of(self.body)), dim=2)
 
     def part(self, start: int, stop: int) -> Frames:
-        """Some of the frames."""
+        """Return some of the frames."""
         return Frames(*(getattr(self, field.name)[:, start:stop] for field in fields(self)))
 
     def canonical(self) -> tuple[Frames, Placement]:
-        """The frames in the frame of reference of the first one, and where that stands."""
+        """Return the frames in the frame of reference of the first one, and where that stands."""
         placement = canonical_placement(self.joints[:, 0])
         back = placement.rotation.mT
         origin = placement.origin
@@ -147,7 +147,7 @@ class Frames:
 
 
 def canonical_placement(joints: Float[Tensor, "batch 22 3"]) -> Placement:
-    """A pose's own frame: origin in its pelvis, x to the right along the ground, z up, y to the front."""
+    """Return a pose's own frame: origin in its pelvis, x to the right along the ground, z up, y to the front."""
     across = joints[:, Joint.RIGHT_HIP] - joints[:, Joint.LEFT_HIP]
     up = torch.zeros_like(across)
     up[:, 2] = 1.0
@@ -270,7 +270,7 @@ class DartSettings:
 
 
 def dart_settings(options: Mapping[str, str], *, diffusion_steps: int) -> DartSettings:
-    """The settings that options ask for.
+    """Return the settings that options ask for.
 
     Args:
         options: The options that were given.
@@ -398,7 +398,7 @@ class LatentDenoiser(nn.Module):
         text: Float[Tensor, "batch dimension"],
         history: Float[Tensor, "batch history 276"],
     ) -> Float[Tensor, "batch 1 latent"]:
-        """The clean latent, divided by its std as the noisy one is.
+        """Return the clean latent, divided by its std as the noisy one is.
 
         Args:
             noisy: Noisy latents.
@@ -519,14 +519,14 @@ class DartModel:
 
 
 def pooled_texts(vectors: TextVectors, texts: tuple[str, ...]) -> Float[Tensor, "batch dimension"]:
-    """The mean of each text's token vectors; zeros for an empty text, which is how the networks are told of none."""
+    """Return mean of each text's token vectors; zeros for an empty text, which is how the networks are told of none."""
     # Text encoders give vectors for an empty text, too, and the networks know none by zeros.
     said = torch.tensor([bool(text.strip()) for text in texts])
     return pooled(*vectors(texts))[:, 0] * said[:, None]
 
 
 def scaling_of(weights: Weights) -> FeatureScaling:
-    """The statistics of a weights file.
+    """Return the statistics of a weights file.
 
     Raises:
         InputFileError: if there are none.

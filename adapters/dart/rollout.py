@@ -53,7 +53,7 @@ class Primitive:
 def first_history(
     previous: Float[Tensor, "batch 22 3"], initial: Float[Tensor, "batch 22 3"]
 ) -> tuple[Frames, Placement]:
-    """The history that a motion starts from: the frame before it and its first, in the world with Z up, metres.
+    """Return the history that a motion starts from: the frame before it and its first, in the world with Z up, metres.
 
     What leads on from the first frame is not known; the body is taken to go on as it came.
     """
@@ -103,7 +103,7 @@ def roll_out(
 
 
 def next_history(future: Frames) -> tuple[Frames, Placement]:
-    """The last frames of a primitive as the history of the next, and where its frame of reference stands in this one.
+    """Return a primitive's last frames as the history of the next, and the next one's frame of reference in this one.
 
     That frame of reference is taken from the predicted joints.
     """
@@ -143,7 +143,7 @@ class PreparedDenoiser:
         self.projected_context, self.projected_times = self.project(self.context), self.project(self.times)
 
     def __call__(self, noisy: Float[Tensor, "batch 1 latent"], step: int) -> Float[Tensor, "batch 1 latent"]:
-        """The clean latent from a noisy one at a diffusion step."""
+        """Return the clean latent from a noisy one at a diffusion step."""
         rows = len(noisy)
         latent = self.denoiser.latent_embedding(noisy[:, 0]) + self.places[_LATENT]
         stream = _tokens(self.times[step], self.context, latent)
@@ -188,7 +188,7 @@ class GuidedDenoiser(Guidance):
         self.denoiser, self.text = denoiser, text
 
     def under(self, history: Float[Tensor, "batch history 276"]) -> Callable[[Tensor, int], Tensor]:
-        """The guided estimate of clean latents as the samplers take it: of noisy latents and diffusion step.
+        """Return the guided estimate of clean latents as the samplers take it: of noisy latents and diffusion step.
 
         Where there are fewer histories than texts, they are those of the first motions.
         """
@@ -206,7 +206,7 @@ def by_ddim(
     *,
     steps: int | None = None,
 ) -> SampleLatent:
-    """A fixed, differentiable map from the noise of each primitive to its latent: η = 0, all steps unless given."""
+    """Return a fixed, differentiable map from each primitive's noise to its latent: η = 0, all steps unless given."""
 
     def sample(number: int, history: Tensor) -> Tensor:
         return sample_ddim(denoiser.under(history), schedule, noise[number, : len(history)], steps=steps)

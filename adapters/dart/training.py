@@ -92,7 +92,7 @@ def window(
 def drawn_starts(
     n_frames: Int[Tensor, " batch"], primitives: int, configuration: DartConfiguration, generator: torch.Generator
 ) -> Int[Tensor, " batch"]:
-    """A uniformly drawn first frame for each motion, from which the whole window fits where it can."""
+    """Return a uniformly drawn first frame for each motion, from which the whole window fits where it can."""
     latest = (n_frames - HISTORY_FRAMES - primitives * configuration.future_frames).clamp_min(0)
     drawn = torch.rand(len(n_frames), generator=generator, dtype=torch.float64)
     return (drawn * (latest + 1)).long().clamp_max(latest)
@@ -130,7 +130,7 @@ def primitives_of(
     configuration: DartConfiguration,
     device: torch.device | str = "cpu",
 ) -> Iterator[Frames]:
-    """The primitives of some motions, end to end from the first frame, each in its own frame of reference."""
+    """Yield the primitives of some motions, end to end from the first frame, each in its own frame of reference."""
     for first in range(0, len(places), _ITEMS_AT_ONCE):
         items = [data[place] for place in places[first : first + _ITEMS_AT_ONCE]]
         batch = collate(items).to(device)
@@ -347,7 +347,7 @@ class DartTraining(TrainingModule):
     def _losses(
         self, cut: Window, text: Tensor | None, share_of_own: float, generator: torch.Generator
     ) -> dict[str, Tensor]:
-        """The losses of the VAE, or with texts of the denoiser, averaged over primitives inside their motion."""
+        """Return the losses of the VAE, or with texts of the denoiser, averaged over primitives inside their motion."""
         scaling = FeatureScaling(self.mean, self.std)
         weights = self.objective
         device = cut.valid.device
@@ -409,7 +409,7 @@ class DartTraining(TrainingModule):
 
     @torch.no_grad()
     def _sampled_history(self, history: Tensor, text: Tensor, generator: torch.Generator) -> Frames:
-        """The end of a primitive from the whole sampling loop, as it will be at inference but without guidance."""
+        """Return end of a primitive from the whole sampling loop, as it will be at inference but without guidance."""
         was_training = self.denoiser.training
         self.denoiser.eval()
         shape = (len(history), 1, self.configuration.latent)
@@ -456,7 +456,7 @@ class DartTraining(TrainingModule):
         return tensors, metadata
 
     def hidden_matrices(self) -> tuple[nn.Parameter, ...]:
-        """The matrices of all transformer layers; without a gradient, those of the other network stay as they are."""
+        """Return the matrices of all transformer layers; those of the other network have no gradient and stay."""
         layers = (module for module in self.modules() if isinstance(module, TransformerLayer))
         return tuple(matrix for layer in layers for matrix in layer.parameters() if matrix.ndim == 2)
 

@@ -156,15 +156,15 @@ class EncodedCondition:
         return len(self.text)
 
     def without_text(self) -> EncodedCondition:
-        """The unconditional half of guidance: zeros for the text vectors; its padding and the vector stay."""
+        """Return the unconditional half of guidance: zeros for the text vectors; its padding and the vector stay."""
         return replace(self, text=torch.zeros_like(self.text))
 
     def rows(self, index: slice | Sequence[int] | torch.Tensor) -> EncodedCondition:
-        """Some of the motions, in the order of ``index``."""
+        """Return some of the motions, in the order of ``index``."""
         return self._each(lambda values: values[index])
 
     def then(self, other: EncodedCondition) -> EncodedCondition:
-        """These motions and those of ``other`` as one batch; both have the same number of tokens.
+        """Return these motions and those of ``other`` as one batch; both have the same number of tokens.
 
         Raises:
             ValueError: if only one of the two has a vector.
@@ -195,7 +195,7 @@ def raw_condition(
     goal: Float[torch.Tensor, "batch 22 3"] | Float[torch.Tensor, "batch 3"],
     fps: float,
 ) -> Float[torch.Tensor, "batch size"]:
-    """Initial pose (m), initial velocity (m/s) and goal (m) of each sequence, flattened and joined, unscaled.
+    """Return initial pose (m), initial velocity (m/s) and goal (m) of each sequence, flattened and joined, unscaled.
 
     Args:
         initial_joints: The first frame, canonical, metres.

@@ -63,7 +63,7 @@ class CrossAttention(nn.Module):
         return key, value
 
     def of_one_token(self, memory: Float[Tensor, "batch 1 width"]) -> Float[Tensor, "batch 1 width"]:
-        """The result for a memory of one token, equal for every query: softmax over one key is 1."""
+        """Return the result for a memory of one token, equal for every query: softmax over one key is 1."""
         width = memory.shape[-1]
         # The second half of the joint projection makes the values.
         value = functional.linear(memory, self.key_value.weight[width:], self.key_value.bias[width:])
@@ -288,7 +288,7 @@ class Denoiser(nn.Module):
         prepared: PreparedCondition,
         visible: Bool[Tensor, "batch frames"] | None,
     ) -> Float[Tensor, "batch frames 263"]:
-        """The part of :meth:`forward` that depends on the noisy features; ``visible`` is :func:`frame_mask`'s."""
+        """Return part of :meth:`forward` that depends on the noisy features; ``visible`` is :func:`frame_mask`'s."""
         frames = noisy.shape[1]
         noisy, visible = self._tokens(noisy, visible)
         stream = self.frame_embedding(noisy)
@@ -317,7 +317,7 @@ class Denoiser(nn.Module):
         return nn.functional.pad(noisy, (0, 0, 0, missing)).unflatten(1, (-1, together)).flatten(2), visible
 
     def prepare(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> PreparedCondition:
-        """The part of :meth:`forward` that depends on condition and step; ``step`` has one entry a row, or one for all.
+        """Return the part of :meth:`forward` that depends on condition and step; ``step`` has one entry, or one a row.
 
         A memory of one token becomes a constant per layer, except in training, where its queries and keys take part.
         """
@@ -359,7 +359,7 @@ class Denoiser(nn.Module):
 def frame_mask(
     n_frames: Int[Tensor, " batch"], frames: int, device: torch.device
 ) -> Bool[Tensor, "batch frames"] | None:
-    """True for valid frames; None if all are.
+    """Return True for valid frames; None if all are.
 
     That is looked at only if ``n_frames`` lies on the CPU: elsewhere the host would have to wait for the device.
     """
@@ -470,7 +470,7 @@ class FrameDenoiser(nn.Module):
         return self.denoise(noisy, self.prepare(condition, step), visible)
 
     def prepare(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> Float[Tensor, "batch width"]:
-        """The part of :meth:`forward` that depends on condition and step; ``step`` has one entry a row, or one for all.
+        """Return the part of :meth:`forward` that depends on condition and step; ``step`` has one entry, or one a row.
 
         Raises:
             ValueError: if the condition has no vector.
@@ -487,7 +487,7 @@ class FrameDenoiser(nn.Module):
         prepared: Float[Tensor, "batch width"],
         visible: Bool[Tensor, "batch frames"] | None,
     ) -> Float[Tensor, "batch frames features"]:
-        """The part of :meth:`forward` that depends on the noisy features; ``visible`` is :func:`frame_mask`'s."""
+        """Return part of :meth:`forward` that depends on the noisy features; ``visible`` is :func:`frame_mask`'s."""
         frames = noisy.shape[1]
         if visible is None:
             visible = torch.ones(noisy.shape[:2], dtype=torch.bool, device=noisy.device)

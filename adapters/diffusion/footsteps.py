@@ -155,7 +155,7 @@ def _ending_as_wanted(
 def _way(
     wanted: Float[np.ndarray, "frames 3"], swings: list[_Swing], fps: float, *, keeps_last: bool
 ) -> Float[np.ndarray, "frames 3"]:
-    """The toe's way: the lowest wanted heights above the floor while it stands, and between them the swings."""
+    """Return the toe's way: the lowest wanted heights above the floor while it stands, and between them the swings."""
     n = len(wanted)
     frames = np.arange(n)
     edges = [0, *(frame for swing in swings for frame in (swing.start, swing.stop)), n - 1]

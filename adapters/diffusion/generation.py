@@ -72,7 +72,7 @@ class SequenceNoise:
         self._n_frames, self._device = n_frames, device
 
     def draw(self, columns: int = N_FEATURES) -> Float[torch.Tensor, "batch frames columns"]:
-        """The next noise of every sequence; as long as the longest."""
+        """Return the next noise of every sequence; as long as the longest."""
         noise = np.zeros((len(self._n_frames), int(self._n_frames.max()), columns), dtype=np.float32)
         for row, (generator, n) in enumerate(zip(self._generators, self._n_frames, strict=True)):
             noise[row, :n] = generator.standard_normal((int(n), columns), dtype=np.float32)
@@ -86,7 +86,7 @@ def start_noise(
     *,
     columns: int = N_FEATURES,
 ) -> Float[torch.Tensor, "batch frames columns"]:
-    """The noise that sampling starts from, and that noise optimisation starts with: the first draw of each sequence."""
+    """Return noise that sampling starts from, and noise optimisation too: the first draw of each sequence."""
     return SequenceNoise(noise_seed, n_frames, device).draw(columns)
 
 
@@ -103,7 +103,7 @@ class ModelBodies:
 
     @classmethod
     def of(cls, batch: ConditionBatch, configuration: Any) -> ModelBodies:
-        """The batch on the skeleton of the model, as its configuration says.
+        """Return the batch on the skeleton of the model, as its configuration says.
 
         Without an initial pose (condition ``text``) the body is not known; then the motion keeps the model's size.
         """
@@ -160,7 +160,7 @@ def with_bone_lengths(
 
 
 def on_own_bones(motions: Motions, batch: ConditionBatch) -> Motions:
-    """The motions with the bone lengths of the initial pose in every frame."""
+    """Return the motions with the bone lengths of the initial pose in every frame."""
     lengths = bone_lengths(torch.as_tensor(batch.initial_joints, dtype=torch.float32))
     joints = with_bone_lengths(torch.as_tensor(motions.joints, dtype=torch.float32), lengths)
     return replace(motions, joints=joints.numpy())
@@ -187,11 +187,11 @@ class Guidance:
         self.passes = 0
 
     def both(self, conditional: Tensor, unconditional: Tensor) -> Tensor:
-        """The rows of a pass: the conditional ones, and with guidance the unconditional ones behind them."""
+        """Return the rows of a pass: the conditional ones, and with guidance the unconditional ones behind them."""
         return torch.cat((conditional, unconditional)) if self.doubled else conditional
 
     def estimate(self, predict: Callable[[Tensor], Tensor], noisy: Tensor) -> Tensor:
-        """The guided estimate; ``predict`` gets the noisy rows of :meth:`both` halves."""
+        """Return the guided estimate; ``predict`` gets the noisy rows of :meth:`both` halves."""
         rows = self.both(noisy, noisy)
         self.passes += len(rows)
         predicted = predict(rows)
@@ -237,7 +237,7 @@ class Guided(Guidance):
     def __call__(
         self, noisy: Float[Tensor, "batch frames features"], step: int
     ) -> Float[Tensor, "batch frames features"]:
-        """The guided estimate of the clean features at ``step`` of the training schedule."""
+        """Return the guided estimate of the clean features at ``step`` of the training schedule."""
 
         def predict(rows: Tensor) -> Tensor:
             frames = rows.shape[1]
@@ -353,7 +353,7 @@ def require_known(options: Mapping[str, str], known: Iterable[str]) -> None:
 
 
 def number(options: Mapping[str, str], key: str, default: float, *, least: float = 0.0) -> float:
-    """A finite number of at least ``least``.
+    """Return a finite number of at least ``least``.
 
     Raises:
         ValueError: naming the option.
@@ -371,7 +371,7 @@ def number(options: Mapping[str, str], key: str, default: float, *, least: float
 
 
 def whole_number(options: Mapping[str, str], key: str, *, most: int) -> int | None:
-    """A whole number from 1 to ``most``; None if the option is not given.
+    """Return a whole number from 1 to ``most``; None if the option is not given.
 
     Raises:
         ValueError: naming the option.
@@ -400,7 +400,7 @@ def choice(options: Mapping[str, str], key: str, values: tuple[str, ...], defaul
 def sampling_settings(
     options: Mapping[str, str], *, guidance: float, diffusion_steps: int, samplers: tuple[str, ...] = SAMPLERS
 ) -> SamplingSettings:
-    """The options ``guidance``, ``sampler`` and ``steps``; ``one-pass`` walks as ``ddim`` does.
+    """Return the options ``guidance``, ``sampler`` and ``steps``; ``one-pass`` walks as ``ddim`` does.
 
     Args:
         options: The options that were given.

@@ -84,7 +84,7 @@ class GoalFrame:
 
     @classmethod
     def of(cls, raw: Float[Tensor, "batch size"]) -> GoalFrame:
-        """The frame of a condition vector.
+        """Return the frame of a condition vector.
 
         Args:
             raw: Initial pose, initial velocity and goal (:func:`~.configuration.raw_condition`).
@@ -249,7 +249,7 @@ class GoalFrame:
         return torch.cat((*parts, pose[..., end] + moves.flatten(2), pose[..., end.stop :]), dim=2)
 
     def _missing(self, pose: Tensor, last: Int[Tensor, " batch"]) -> Float[Tensor, "batch 2 3"]:
-        """What each wrist lacks to touch the goal in the last frame; zeros for the one that is farther away."""
+        """Return what each wrist lacks to touch the goal in the last frame; zeros for the one that is farther away."""
         wrists = self._joints(pose)[torch.arange(len(pose), device=pose.device), last][:, WRISTS]
         missing = functional.pad(self.height[:, None, None], (1, 1)) - wrists
         distance = _length(missing)
@@ -292,12 +292,12 @@ class GoalFrame:
         return self._turned(joints - self.origin[:, None, None])
 
     def velocity(self, raw: Float[Tensor, "batch size"]) -> Float[Tensor, "batch 66"]:
-        """Initial velocities of a condition vector, seen from the goal, m/s."""
+        """Return initial velocities of a condition vector, seen from the goal, m/s."""
         return self._turned(raw[:, None, _POSE : 2 * _POSE].unflatten(2, (N_JOINTS, 3))).flatten(1)
 
 
 def seen_condition(raw: Float[Tensor, "batch size"]) -> Float[Tensor, "batch seen"]:
-    """A condition vector as a network of goal-frame features is told it, not standardised.
+    """Return a condition vector as a network of goal-frame features is told it, not standardised.
 
     Args:
         raw: Initial pose, initial velocity and goal (:func:`prbench_adapters.diffusion.configuration.raw_condition`).
@@ -346,7 +346,7 @@ def sight(
 def head_axes(
     joints: Float[Tensor, "*batch 22 3"],
 ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
-    """The unit vectors that ``skeleton.head_forward`` mixes: forward without tilt, and neck to head."""
+    """Return the unit vectors that ``skeleton.head_forward`` mixes: forward without tilt, and neck to head."""
     up = _unit(joints[..., Joint.HEAD, :] - joints[..., Joint.NECK, :])
     left = joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :]
     left = _unit(left - (left * up).sum(dim=-1, keepdim=True) * up)
@@ -388,13 +388,13 @@ def _fade(seconds: Tensor) -> Tensor:
 
 
 def planted(joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Bool[Tensor, "batch frames 2"]:
-    """True where a toe is low and still, coming into a frame or going out of it."""
+    """Return True where a toe is low and still, coming into a frame or going out of it."""
     steps = still_steps(joints, fps)
     return functional.pad(steps, (0, 0, 1, 0)) | functional.pad(steps, (0, 0, 0, 1))
 
 
 def still_steps(joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Bool[Tensor, "batch steps 2"]:
-    """True where a toe stays low and in its place from one frame to the next."""
+    """Return True where a toe stays low and in its place from one frame to the next."""
     toes = joints[:, :, TOES]
     low = toes[..., 1] < LOW
     steps = _length(toes[..., ::2].diff(dim=1))

@@ -21,7 +21,7 @@ def bundled_names(folder: Path | None = None) -> list[str]:
 
 
 def bundled_weights(name: str, folder: Path | None = None) -> Path:
-    """The file of bundled weights.
+    """Return the file of bundled weights.
 
     Args:
         name: Without its suffix.
@@ -42,7 +42,7 @@ def bundled_weights(name: str, folder: Path | None = None) -> Path:
 
 
 def resolve(weights: Path | None, default: str, *, folder: Path | None = None) -> Path:
-    """The weights file that is meant.
+    """Return the weights file that is meant.
 
     Args:
         weights: A file; a folder with one weights file in it, such as ``prbench train`` makes; the name of bundled
@@ -72,7 +72,7 @@ def resolve(weights: Path | None, default: str, *, folder: Path | None = None) -
 
 
 def own_weights(method: str, weights: Path | None) -> Path:
-    """The weights file that is meant, for a method that runs on none but its own.
+    """Return the weights file that is meant, for a method that runs on none but its own.
 
     Args:
         method: Its name. The folder ``weights`` beside its code holds those that come with it; ``<method>-small`` is
@@ -152,5 +152,5 @@ class SingleModelMethod:
         self.native_fps: float = model.configuration.fps
 
     def weights_for(self, condition: Condition) -> Path:  # noqa: ARG002 - one model for all
-        """The weights file in use."""
+        """Return the weights file in use."""
         return self.weights

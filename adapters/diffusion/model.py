@@ -215,7 +215,7 @@ def network(configuration: DenoiserConfiguration) -> Denoiser | FrameDenoiser:
 
 
 def goal_frame(condition: EncodedCondition, like: torch.Tensor) -> GoalFrame:
-    """The frame that goal-frame features of these motions are measured in, in the precision of ``like``."""
+    """Return the frame that goal-frame features of these motions are measured in, in the precision of ``like``."""
     assert condition.given is not None
     return GoalFrame.of(condition.given.to(like.dtype))
 
@@ -234,7 +234,7 @@ def require_goal(model: MotionModel, path: Path, goal: str) -> None:
 
 
 def torch_device(name: str) -> torch.device:
-    """The device of this name.
+    """Return the device of this name.
 
     Raises:
         AdapterError: if there is none.
@@ -262,7 +262,7 @@ def stored_statistics(weights: Weights, configuration: DenoiserConfiguration) ->
 
 
 def stored_scaling(weights: Weights, configuration: DenoiserConfiguration) -> ConditionScaling | None:
-    """The scaling of the condition vector in a weights file; None for a model without a goal.
+    """Return the scaling of the condition vector in a weights file; None for a model without a goal.
 
     Raises:
         InputFileError: if it is missing or misshaped.

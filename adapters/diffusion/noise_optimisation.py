@@ -99,7 +99,7 @@ def paper(diffusion_steps: int) -> OptimisationSettings:
 
 
 def dno_paper(diffusion_steps: int) -> OptimisationSettings:
-    """The baseline with the same budget: S = 400; K = T up to 50 steps, else 10.
+    """Return the baseline with the same budget: S = 400; K = T up to 50 steps, else 10.
 
     Source: docs/specification/dno.md#inference-for-the-benchmark.
     """
@@ -154,7 +154,7 @@ def finishing(diffusion_steps: int) -> OptimisationSettings:
 def optimisation_settings(
     options: Mapping[str, str], preset: OptimisationSettings, *, diffusion_steps: int
 ) -> OptimisationSettings:
-    """A preset with the options that were given; the warm-up keeps its share of the iterations.
+    """Return a preset with the options that were given; the warm-up keeps its share of the iterations.
 
     Args:
         options: The options that were given; keys that are in neither list above are not looked at.
@@ -216,7 +216,7 @@ class Targets:
             raise ValueError("a motion is asked for either a goal pose or a goal location")
 
     def rows(self, index: Int[torch.Tensor, " kept"]) -> Targets:
-        """The targets of some of the sequences."""
+        """Return the targets of some of the sequences."""
         given = {field.name: getattr(self, field.name) for field in fields(self)}
         return Targets(**{name: value[index] for name, value in given.items() if value is not None})
 
@@ -268,7 +268,7 @@ def keyframes(
 def _goal_losses(
     joints: Joints, n_frames: Int[torch.Tensor, " batch"], targets: Targets, hand: Hand
 ) -> tuple[_PerSequence, _PerSequence]:
-    """The goal loss as reported and as minimised, m²; they differ for ``hand="nearest"`` only.
+    """Return the goal loss as reported and as minimised, m²; they differ for ``hand="nearest"`` only.
 
     Reported is then the nearer wrist's squared distance, minimised a soft minimum that is never above it, whose
     gradient is shared between wrists that are about equally near.
@@ -306,7 +306,7 @@ def _squared_distance(
 
 
 def last_frame(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, "batch 22 3"]:
-    """The last pose of each sequence's own frames."""
+    """Return the last pose of each sequence's own frames."""
     return joints[torch.arange(len(joints), device=joints.device), n_frames - 1]
 
 
@@ -324,7 +324,7 @@ def _jerk_lengths(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Floa
 
 
 def largest_jerk(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> _PerSequence:
-    """The largest of :func:`_jerk_lengths`, 0 for fewer than four frames.
+    """Return the largest of :func:`_jerk_lengths`, 0 for fewer than four frames.
 
     Source: docs/specification/pr-model.md#latent-noise-optimisation.
     """

@@ -85,7 +85,7 @@ class UnrolledChain:
         return joints if self._lengths is None else with_bone_lengths(joints, self._lengths)
 
     def rows(self, index: Int[torch.Tensor, " kept"]) -> UnrolledChain:
-        """The chain of some of the sequences; passes are counted together."""
+        """Return the chain of some of the sequences; passes are counted together."""
         return UnrolledChain(
             self._model,
             self._condition.rows(index),
@@ -193,7 +193,7 @@ def generate_optimised(
 
 
 def targets_of(batch: ConditionBatch, device: torch.device) -> Targets:
-    """Initial state and goal of a batch as tensors.
+    """Return initial state and goal of a batch as tensors.
 
     Raises:
         ValueError: if the batch has no initial state.

@@ -94,7 +94,7 @@ class CosineSchedule(Chain):
         return self._betas
 
     def kept_steps(self, n: int, spacing: Spacing = "leading") -> Int[np.ndarray, " n"]:
-        """The indices of a chain of ``n`` steps: equal integer stride from 0 (10 of 50 are 0, 5, …, 45).
+        """Return the indices of a chain of ``n`` steps: equal integer stride from 0 (10 of 50 are 0, 5, …, 45).
 
         Where no stride gives exactly ``n`` indices, they are spread as evenly as integers can be, from 0. ``trailing``
         counts from the noisiest step instead (5 of 50 are 9, 19, 29, 39, 49), so that even a short chain starts where
@@ -112,7 +112,7 @@ class CosineSchedule(Chain):
         return strided if len(strided) == n else np.arange(n) * total // n
 
     def chain(self, n: int, spacing: Spacing = "leading") -> Chain:
-        """The chain of :meth:`kept_steps`; the schedule itself if all are kept."""
+        """Return the chain of :meth:`kept_steps`; the schedule itself if all are kept."""
         kept = self.kept_steps(n, spacing)
         return self if n == len(self) else Chain(kept, self.alphas_cumprod[kept])
 

@@ -125,7 +125,7 @@ def losses(
     joints: Float[torch.Tensor, "batch frames 22 3"],
     padding: Bool[torch.Tensor, "batch frames"],
 ) -> dict[str, torch.Tensor]:
-    """The weighted sum ``loss`` and its parts ``features``, ``joints``, ``velocities`` and ``bones``, unweighted.
+    """Return weighted sum ``loss`` and its parts ``features``, ``joints``, ``velocities`` and ``bones``, unweighted.
 
     Sums of squares are divided by the number of features (the study's 263) and of valid frames.
 
@@ -171,7 +171,7 @@ def scored_losses(
     predicted: Float[torch.Tensor, "batch frames 22 3"],
     batch: MotionBatch,
 ) -> dict[str, torch.Tensor]:
-    """The weighted sum ``loss`` of those of :mod:`.scored_losses` that have a weight, and these, unweighted.
+    """Return the weighted sum ``loss`` of those of :mod:`.scored_losses` that have a weight, and these, unweighted.
 
     Args:
         objective: The weights.
@@ -265,7 +265,7 @@ class DiffusionTraining(TrainingModule):
             self.register_buffer(name, values, persistent=False)
 
     def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
-        """The loss of one batch with noise of a random strength, and its parts.
+        """Return the loss of one batch with noise of a random strength, and its parts.
 
         Returns:
             ``loss`` and its parts (:func:`prbench_adapters.diffusion.training.losses`).
@@ -288,7 +288,7 @@ class DiffusionTraining(TrainingModule):
     def standardised(
         self, batch: MotionBatch, condition: EncodedCondition
     ) -> Float[torch.Tensor, "batch frames features"]:
-        """The features of the recorded motions as the network sees them; zeros in padding."""
+        """Return the features of the recorded motions as the network sees them; zeros in padding."""
         if self.denoiser.configuration.features == "humanml3d":
             features = batch.features
         else:
@@ -329,12 +329,12 @@ class DiffusionTraining(TrainingModule):
         return EncodedCondition(text, padding, self.scaling(raw), raw)
 
     def hidden_matrices(self) -> tuple[nn.Parameter, ...]:
-        """The matrices of the layers; weights of neighbours are no matrix."""
+        """Return the matrices of the layers; weights of neighbours are no matrix."""
         named = self.denoiser.layers.named_parameters()
         return tuple(matrix for name, matrix in named if matrix.ndim == 2 and not name.endswith("neighbours"))
 
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-        """The denoiser with its statistics, and the header of its file (``prbench_adapters.training.weights``)."""
+        """Return the denoiser with its statistics, and its file's header."""
         configuration = self.denoiser.configuration
         tensors = {f"denoiser.{name}": tensor for name, tensor in self.denoiser.state_dict().items()}
         tensors |= {"statistics.mean": self.mean, "statistics.std": self.std}

@@ -66,7 +66,7 @@ def decode_absolute(features: Float[Tensor, "*batch frames columns"]) -> Float[T
 
 
 def pose_columns(joints: Float[Tensor, "batch 22 3"], half_turn: Float[Tensor, " batch"]) -> Float[Tensor, "batch 67"]:
-    """The columns that decode to a pose, given its heading: any heading leads back to the same joints.
+    """Return the columns that decode to a pose, given its heading: any heading leads back to the same joints.
 
     Args:
         joints: Canonical frame, metres.
@@ -124,7 +124,7 @@ class FeatureSpace:
         return (raw - self.mean[:columns]) / self.std[:columns]
 
     def restored(self, standardised: Float[Tensor, "*batch columns"]) -> Float[Tensor, "*batch columns"]:
-        """The inverse of :meth:`standardised`."""
+        """Return the inverse of :meth:`standardised`."""
         columns = standardised.shape[-1]
         return standardised * self.std[:columns] + self.mean[:columns]
 
@@ -133,12 +133,12 @@ class FeatureSpace:
         return standardised @ self.projection
 
     def unprojected(self, projected: Float[Tensor, "*batch 263"]) -> Float[Tensor, "*batch 263"]:
-        """The inverse of :meth:`projected`."""
+        """Return the inverse of :meth:`projected`."""
         return projected @ self.inverse
 
 
 def emphasis_projection(emphasis: float) -> Float[Tensor, "263 263"]:
-    """The fixed random matrix A: standard normal entries, rows 0 to 2 times c, all over √(263 - 3 + 3 c²).
+    """Return the fixed random matrix A: standard normal entries, rows 0 to 2 times c, all over √(263 - 3 + 3 c²).
 
     The numbers are rounded to half precision, in which weights may be stored.
     """
@@ -304,7 +304,7 @@ class _Level(nn.Module):
     def forward(
         self, stream: Float[Tensor, "batch channels frames"], condition: Float[Tensor, "batch size"]
     ) -> tuple[Float[Tensor, "batch width frames"], Float[Tensor, "batch width others"]]:
-        """The stream before and after the change of resolution."""
+        """Return the stream before and after the change of resolution."""
         for block in self.blocks:
             stream = block(stream, condition)
         return stream, self.resample(stream)
@@ -418,7 +418,7 @@ class GMDModel:
 
 
 def caption_vectors(texts: TextVectors, captions: tuple[str, ...]) -> Float[torch.Tensor, "batch dimension"]:
-    """The mean over the word pieces of each caption."""
+    """Return the mean over the word pieces of each caption."""
     tokens, padding = texts(captions)
     return pooled(tokens, padding)[:, 0]
 

@@ -49,7 +49,7 @@ _REFUSED = re.compile(r"GLOBAL ([\w.]+)")
 
 
 def read_space(mean: Path, std: Path, projection: Path) -> FeatureSpace:
-    """The feature space of the public checkpoints.
+    """Return the feature space of the public checkpoints.
 
     Args:
         mean: ``Mean_abs_3d.npy``, of features with an absolute root.
@@ -117,7 +117,7 @@ class Checkpoint:
     tensors: dict[str, Tensor]
 
     def require(self, name: str, shape: tuple[int | None, ...]) -> Tensor:
-        """The tensor of this name.
+        """Return the tensor of this name.
 
         Args:
             name: The original's.
@@ -138,7 +138,7 @@ class Checkpoint:
         return tensor.float()
 
     def misfit(self, name: str, expected: str, found: str) -> InputFileError:
-        """An error about one tensor of this file."""
+        """Return an error about one tensor of this file."""
         remedy = (
             "Give the motion network's file as --motion and the trajectory network's as --trajectory, both as GMD was"
             " released (absolute root, U-Net with adaptive group normalisation)."
@@ -258,7 +258,7 @@ class PublicFiles:
     projection: Path
 
     def by_role(self) -> dict[str, Path]:
-        """The files by the names of the fields."""
+        """Return the files by the names of the fields."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
@@ -382,7 +382,7 @@ def _of_level(level: int) -> str:
 
 
 def parameters_of(checkpoint: Checkpoint, unet: TemporalUNet) -> dict[str, Tensor]:
-    """The parameters of one network by our names.
+    """Return the parameters of one network by our names.
 
     Args:
         checkpoint: A checkpoint of the original.
@@ -401,7 +401,7 @@ def parameters_of(checkpoint: Checkpoint, unet: TemporalUNet) -> dict[str, Tenso
 
 
 def original_name(name: str) -> str:
-    """The original's name of a parameter of :class:`prbench_adapters.gmd.model.TemporalUNet`."""
+    """Return the original's name of a parameter of :class:`prbench_adapters.gmd.model.TemporalUNet`."""
     for pattern, replacement in _RENAMED:
         name = re.sub(pattern, replacement, name)
     return name

@@ -38,7 +38,7 @@ class RootGoal:
         return error.sum(dim=(1, 2)) / wanted.clamp_min(1)
 
     def line(self) -> RootGoal:
-        """The way at constant speed from each wanted frame to the next, and to the first from the origin at frame 0.
+        """Return way at constant speed from each wanted frame to the next, and to the first from the origin at frame 0.
 
         Nothing is wanted after the last of them.
         """
@@ -65,7 +65,7 @@ def clean_of_noise(
     state: Float[Tensor, "batch frames columns"],
     noise: Float[Tensor, "batch frames columns"],
 ) -> Float[Tensor, "batch frames columns"]:
-    """The clean estimate that belongs to an estimate of the noise, cut at six standard deviations."""
+    """Return the clean estimate that belongs to an estimate of the noise, cut at six standard deviations."""
     level = float(chain.alphas_cumprod[i])
     clean = (state - math.sqrt(1 - level) * noise) / math.sqrt(level)
     return clean.clamp(-_MOST_DEVIATIONS, _MOST_DEVIATIONS)
@@ -79,7 +79,7 @@ def guided_mean(
     loss: RowLoss | None,
     scale: float,
 ) -> Float[Tensor, "batch frames columns"]:
-    """The posterior mean, moved by scale · β̃ · ∂loss/∂x_t; without a loss no gradient is taken.
+    """Return the posterior mean, moved by scale · β̃ · ∂loss/∂x_t; without a loss no gradient is taken.
 
     Args:
         clean_estimate: State and index in the training schedule, to the clean estimate.
@@ -105,7 +105,7 @@ def guided_mean(
 
 
 def noised(chain: Chain, i: int, mean: Tensor, noise: Tensor) -> Tensor:
-    """A draw from the posterior; at the last step the mean itself."""
+    """Return a draw from the posterior; at the last step the mean itself."""
     return mean + math.sqrt(chain.posterior_variance[i]) * noise if i else mean
 
 
@@ -149,11 +149,11 @@ class Ends:
     n_frames: Int[Tensor, " batch"]
 
     def valid(self) -> Bool[Tensor, "batch frames"]:
-        """True for the frames that there are."""
+        """Return True for the frames that there are."""
         return torch.arange(int(self.n_frames.max()), device=self.first.device) < self.n_frames[:, None]
 
     def root_keyframes(self) -> RootGoal:
-        """The pelvis on the ground in the first and in the last frame."""
+        """Return the pelvis on the ground in the first and in the last frame."""
         frame = torch.arange(int(self.n_frames.max()), device=self.first.device)
         is_last = frame == self.n_frames[:, None] - 1
         xz = torch.where(is_last[..., None], _ground(self.last), _ground(self.first))
@@ -175,7 +175,7 @@ class Ends:
 
 
 def imputed_root(goal: RootGoal, space: FeatureSpace, columns: int) -> Imputed:
-    """The root of the wanted frames as standardised columns."""
+    """Return the root of the wanted frames as standardised columns."""
     values = goal.xz.new_zeros(*goal.wanted.shape, columns)
     where = torch.zeros_like(values, dtype=torch.bool)
     values[..., ROOT_XZ] = (goal.xz - space.mean[ROOT_XZ]) / space.std[ROOT_XZ]
@@ -238,7 +238,7 @@ class GuidedNetwork(Guidance):
     def __call__(
         self, noisy: Float[Tensor, "batch frames columns"], step: int
     ) -> Float[Tensor, "batch frames columns"]:
-        """The guided prediction at ``step`` of the training schedule."""
+        """Return the guided prediction at ``step`` of the training schedule."""
 
         def predict(rows: Tensor) -> Tensor:
             steps = torch.full((len(rows),), step, device=rows.device)
@@ -307,12 +307,12 @@ def sample_motion(
 
 
 def _root_loss(goal: RootGoal, settings: GMDSettings, restored: Callable[[Tensor], Tensor]) -> RowLoss | None:
-    """The loss of the goal on a clean estimate; None if its gradient has no weight."""
+    """Return the loss of the goal on a clean estimate; None if its gradient has no weight."""
     if not settings.goal_scale:
         return None
     return lambda clean: goal.loss(restored(clean)[..., ROOT_XZ])
 
 
 def _step(schedule: CosineSchedule, of_thousand: int) -> int:
-    """A limit of a schedule of 1000 steps in this one."""
+    """Return a limit of a schedule of 1000 steps in this one."""
     return -(-of_thousand * len(schedule) // _THOUSAND)

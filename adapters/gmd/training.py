@@ -129,7 +129,7 @@ class GMDTraining(TrainingModule):
     def _motion_losses(
         self, clean: torch.Tensor, projected: torch.Tensor, batch: MotionBatch, space: FeatureSpace
     ) -> dict[str, torch.Tensor]:
-        """The weighted losses of the motion network: of projected features, and of the joints that they decode to."""
+        """Return the motion network's weighted losses: of projected features, and of the joints that they decode to."""
         objective = DenoiserObjective(
             joint_loss_weight=self.objective.joint_loss_weight,
             velocity_loss_weight=self.objective.velocity_loss_weight,

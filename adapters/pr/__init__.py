@@ -65,7 +65,7 @@ class PR:
         self.native_fps = configurations[0].fps
 
     def weights_for(self, condition: Condition) -> Path:
-        """The weights file that a condition uses.
+        """Return the weights file that a condition uses.
 
         Raises:
             AdapterError: if the weights given are those of the other kind of goal.

@@ -68,7 +68,7 @@ class Ablation:
         return shared | ({"uniform_skeleton": True} if self.pretraining == "humanml3d" else {})
 
     def published(self) -> dict[str, dict[str, float]]:
-        """The study's numbers by dataset and metric; rates from 0 to 1, metres."""
+        """Return the study's numbers by dataset and metric; rates from 0 to 1, metres."""
         return _published()[self.table, self.condition, self.variant]
 
 

@@ -103,13 +103,13 @@ class WindowBatch:
         return len(self.motion)
 
     def to(self, device: torch.device | str, *, non_blocking: bool = False) -> WindowBatch:
-        """The batch on a device."""
+        """Return the batch on a device."""
         valid = self.direction_valid
         moved = None if valid is None else valid.to(device, non_blocking=non_blocking)
         return WindowBatch(self.motion.to(device, non_blocking=non_blocking), moved)
 
     def pin_memory(self) -> WindowBatch:
-        """The batch in page-locked memory, from where a copy to a GPU overlaps with its work."""
+        """Return the batch in page-locked memory, from where a copy to a GPU overlaps with its work."""
         valid = self.direction_valid
         return WindowBatch(self.motion.pin_memory(), None if valid is None else valid.pin_memory())
 
@@ -178,7 +178,7 @@ class WindowsDataset(Dataset[WindowItem]):
         return len(self._stretches)
 
     def __getitem__(self, index: int | tuple[int, int]) -> WindowItem:
-        """The item of a stretch, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""
+        """Return the item of a stretch, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""
         place, epoch = index if isinstance(index, tuple) else (index, 0)
         row, starts = self._stretches[place]
         generator = named_generator("prbench-training-window", self.seed, epoch, place)
@@ -240,7 +240,7 @@ class WindowsDataset(Dataset[WindowItem]):
 
 
 def _common_shape(tables: Sequence[WindowsTable]) -> WindowShape:
-    """The shape of the windows of all tables, which have to be different ones."""
+    """Return the shape of the windows of all tables, which have to be different ones."""
     if not tables:
         raise UsageError("no table was given; name at least one folder of windows.")
     digests = [table.info.content_digest for table in tables]
@@ -319,7 +319,7 @@ class LengthBatches:
         self._seed, self._rank, self._world_size, self._start_step = seed, rank, world_size, start_step
 
     def __iter__(self) -> Iterator[list[Draw]]:
-        """The batches of this process from ``start_step`` on, without end."""
+        """Yield the batches of this process from ``start_step`` on, without end."""
         epoch, skipped = divmod(self._start_step, max(len(self._lengths) // self._together, 1))
         while True:
             for batch in self._epoch(epoch)[skipped:]:
@@ -348,7 +348,7 @@ class LengthBatches:
 def load_batches(
     dataset: SequenceDataset | WindowsDataset, batches: LengthBatches, *, workers: int = 0, pinned: bool = False
 ) -> Iterator[MotionBatch] | Iterator[WindowBatch]:
-    """The batches that a sampler plans, made into tensors; without end, the same ones for any number of workers.
+    """Return the batches that a sampler plans, made into tensors; without end, the same ones for any number of workers.
 
     Args:
         dataset: The items. Workers open its memory-mapped files again; nothing is copied to them.

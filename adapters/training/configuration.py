@@ -180,7 +180,7 @@ def resolve(
 
 
 def as_toml(configuration: TrainingConfiguration) -> str:
-    """The configuration as a TOML file that :func:`load_configuration` reads back."""
+    """Return the configuration as a TOML file that :func:`load_configuration` reads back."""
     tables = msgspec.to_builtins(configuration)
     lines = []
     for name in TABLES:
@@ -236,7 +236,7 @@ def _override(key: str, text: str) -> dict[str, Any]:
 
 
 def _toml_value(value: Any) -> str:
-    """A value in TOML; its strings and numbers are written as JSON writes them."""
+    """Return a value in TOML; its strings and numbers are written as JSON writes them."""
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {_toml_value(item)}" for key, item in value.items()) + " }"
     if isinstance(value, list | tuple):

@@ -104,11 +104,11 @@ class MotionBatch:
         return len(self.n_frames)
 
     def to(self, device: torch.device | str, *, non_blocking: bool = False) -> MotionBatch:
-        """The batch on a device."""
+        """Return the batch on a device."""
         return self._each(lambda tensor: tensor.to(device, non_blocking=non_blocking))
 
     def pin_memory(self) -> MotionBatch:
-        """The batch in page-locked memory, from where a copy to a GPU overlaps with its work."""
+        """Return the batch in page-locked memory, from where a copy to a GPU overlaps with its work."""
         return self._each(lambda tensor: tensor.pin_memory())
 
     def _each(self, change: Callable[[torch.Tensor], torch.Tensor]) -> MotionBatch:
@@ -241,7 +241,7 @@ class SequenceDataset(Dataset[MotionItem]):
         return int(self._starts[-1])
 
     def __getitem__(self, index: int | tuple[int, int]) -> MotionItem:
-        """The item of a row, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""
+        """Return the item of a row, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""
         row, epoch = index if isinstance(index, tuple) else (index, 0)
         if not -len(self) <= row < len(self):
             raise IndexError(f"item {row} of {len(self)}")
@@ -321,7 +321,7 @@ def configured_dataset(
     split: str,
     engine: Engine = _IN_PROCESS,
 ) -> SequenceDataset:
-    """The sequences of a split, as a configuration wants them."""
+    """Return the sequences of a split, as a configuration wants them."""
     wanted = configuration.data
     return SequenceDataset(
         list(tables),
@@ -335,7 +335,7 @@ def configured_dataset(
 
 
 def _common_frame_rate(tables: list[Table], split: str) -> float:
-    """The frame rate of all tables, which have to be different ones."""
+    """Return the frame rate of all tables, which have to be different ones."""
     if not tables:
         raise UsageError("no table was given; name at least one built dataset or corpus.")
     digests = [table.info.content_digest for table in tables]

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def make_fabric(device: str, *, devices: int = 1, precision: str = "32-true", spawn: bool = False) -> Fabric:
-    """The Fabric that a training runs on; launch it before anything else.
+    """Return the Fabric that a training runs on; launch it before anything else.
 
     Args:
         device: ``cpu``, ``cuda``, ``cuda:1``, ``mps``.

@@ -149,7 +149,7 @@ def _flat(value: Any, prefix: str = "") -> dict[str, str]:
 
 
 def training_card(record: TrainingRecord, state: TrainingState, device: torch.device, threads: int) -> dict[str, Any]:
-    """The card of a state.
+    """Return the card of a state.
 
     Args:
         record: What decides the result.

@@ -129,7 +129,7 @@ def resolved(
     stage: str | None = None,
     overrides: Sequence[tuple[str, str]] = (),
 ) -> tuple[str, TrainingConfiguration]:
-    """The stage and the configuration of a training.
+    """Return the stage and the configuration of a training.
 
     Args:
         task: What is trained.
@@ -242,7 +242,7 @@ def _run(
 def _data(
     request: TrainRequest, task: TrainingTask, configuration: TrainingConfiguration, engine: Engine
 ) -> SequenceDataset | WindowsDataset:
-    """The split that is learnt from: sequences, or windows for a task that chooses some."""
+    """Return the split that is learnt from: sequences, or windows for a task that chooses some."""
     split = REFIT if request.refit else "train"
     if hasattr(task, "window_choice"):
         if request.fold is not None:
@@ -271,7 +271,7 @@ def _module(
     configuration: TrainingConfiguration,
     data: SequenceDataset | WindowsDataset,
 ) -> TrainingModule:
-    """The task's module, initialised from the seed alone."""
+    """Return the task's module, initialised from the seed alone."""
     given = data
     if isinstance(data, SequenceDataset):
         given = TrainingData(data, mode=configuration.data.mode, max_frames=configuration.data.max_frames, fps=data.fps)

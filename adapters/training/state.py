@@ -96,7 +96,7 @@ class TrainingState:
 
     @classmethod
     def start(cls, module: TrainingModule, settings: OptimisationConfiguration) -> TrainingState:
-        """The state before the first step; the module is where it will be trained."""
+        """Return the state before the first step; the module is where it will be trained."""
         average = WeightAverage(module, settings.ema, warmup=settings.ema_warmup)
         matrices = list(module.hidden_matrices()) if settings.optimiser == "muon" else []
         if settings.optimiser == "muon" and not matrices:

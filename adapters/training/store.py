@@ -131,7 +131,7 @@ class Row:
 
 @foreign_input()
 def open_table(table: Table | Path | str) -> Table:
-    """A table as it is, or the one that a folder holds, whichever kind it is.
+    """Return a table as it is, or the one that a folder holds, whichever kind it is.
 
     Raises:
         TableError: if the folder holds neither a dataset nor a corpus, or what it holds cannot be read.
@@ -143,7 +143,7 @@ def open_table(table: Table | Path | str) -> Table:
 
 
 def read_rows(table: Table, split: str) -> Iterator[list[Row]]:
-    """The rows of a split in the order of the table, some hundred at a time."""
+    """Yield the rows of a split in the order of the table, some hundred at a time."""
     corpus = isinstance(table, CorpusTable)
     own = ("captions",) if corpus else ("text", "goal_location")
     for chunk in table.chunks(split=split, columns=[*own, "joints", "previous_joints", "next_joints"]):
@@ -168,7 +168,7 @@ REFIT = "train+validation"
 
 
 def parts_of(split: str) -> tuple[str, ...]:
-    """The table's own splits that are meant: two for :data:`REFIT`, otherwise the one itself."""
+    """Return the table's own splits that are meant: two for :data:`REFIT`, otherwise the one itself."""
     return tuple(split.split("+"))
 
 
@@ -227,7 +227,7 @@ class FeatureStore:
         return tuple(self.table["texts"][row].as_py())
 
     def row(self, row: int) -> tuple[Motion, Float[np.ndarray, "n 263"] | None]:
-        """The whole motion of a row and its features, which are None for one that has to be cut first.
+        """Return the whole motion of a row and its features, which are None for one that has to be cut first.
 
         Both are views of the file, not to be written to.
         """
@@ -250,7 +250,7 @@ class FeatureStore:
 
 
 def _arrays(batch: pa.RecordBatch) -> dict[str, np.ndarray]:
-    """The arrays of one record batch by name: views of the mapped file."""
+    """Return the arrays of one record batch by name: views of the mapped file."""
     arrays = {"n_frames": batch.column("n_frames").to_numpy()}
     for name in ("joints", "previous_joints", "next_joints", "goal_location", "features"):
         vectors = batch.column(name)
@@ -330,7 +330,7 @@ def table_store(
 
 
 def _opened(path: Path) -> tuple[_Notes, FeatureStore] | None:
-    """A store and its notes; None if there is none, or it is damaged and has to be made again."""
+    """Return a store and its notes; None if there is none, or it is damaged and has to be made again."""
     try:
         notes = msgspec.convert(read_json(path.with_suffix(".json")), _Notes)
         return notes, FeatureStore(path)
@@ -367,7 +367,7 @@ def _make(table: Table, split: str, encoding: DataConfiguration, path: Path, eng
 
 
 def _encoded_rows(rows: list[Row], encoding: DataConfiguration) -> tuple[pa.RecordBatch, list[LeftOut]]:
-    """The rows of the store for some rows of a table, and those that cannot be used."""
+    """Return the rows of the store for some rows of a table, and those that cannot be used."""
     left_out: list[LeftOut] = []
     columns: dict[str, list] = {name: [] for name in _COLUMNS}
     longest = encoding.max_frames

@@ -115,15 +115,15 @@ class TrainingModule(nn.Module):
         return 1.0
 
     def gradient_groups(self) -> Sequence[Sequence[nn.Parameter]]:
-        """The parameters whose gradients are clipped together, by the norm of each group: all of them by default."""
+        """Return parameters whose gradients are clipped together, by the norm of each group: all of them by default."""
         return (tuple(self.parameters()),)
 
     def hidden_matrices(self) -> Sequence[nn.Parameter]:
-        """The matrices that ``training.optimiser = "muon"`` moves by orthogonal steps: those between hidden layers."""
+        """Return the matrices between hidden layers, which ``training.optimiser = "muon"`` moves by orthogonal steps."""
         return ()
 
     def generator(self, step: int) -> torch.Generator:
-        """A generator on the CPU that depends on seed, step and rank alone, so that a resumed run repeats its draws.
+        """Return a generator on the CPU that depends on seed, step and rank alone: a resumed run repeats its draws.
 
         Draw on the CPU and move the result; then the numbers are the same on every device.
         """

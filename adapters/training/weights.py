@@ -53,7 +53,7 @@ class Weights:
         return self.metadata.get("kind", "")
 
     def configuration(self, kind: type[_Configuration]) -> _Configuration:
-        """The network's configuration from the header.
+        """Return the network's configuration from the header.
 
         Raises:
             InputFileError: if it is not one of ``kind``.
@@ -131,7 +131,7 @@ class Weights:
         module.load_state_dict(found)
 
     def require(self, name: str, shape: tuple[int, ...]) -> torch.Tensor:
-        """The tensor of this name and shape.
+        """Return the tensor of this name and shape.
 
         Raises:
             InputFileError: if there is none.
@@ -149,7 +149,7 @@ class Weights:
 
 
 def origin_of(start: Weights | None) -> tuple[str, ...]:
-    """The line of a card about the initial weights of a training, where it has some."""
+    """Return the line of a card about the initial weights of a training, where it has some."""
     return () if start is None else (f"initial weights {start.path.name}, sha256 {start.digest}",)
 
 
@@ -208,7 +208,7 @@ def _stored(name: str, tensor: torch.Tensor, dtype: str) -> torch.Tensor:
 
 
 def weights_header(kind: str, configuration: msgspec.Struct, representation: str) -> dict[str, str]:
-    """The entries of a header that say what the weights are; the writer adds format and version.
+    """Return the entries of a header that say what the weights are; the writer adds format and version.
 
     Args:
         kind: What the weights are of, such as ``denoiser``.
@@ -223,7 +223,7 @@ def weights_header(kind: str, configuration: msgspec.Struct, representation: str
 
 
 def representation_entry(mode: str) -> str:
-    """The header entry ``representation`` of a network of motion features, such as ``humanml3d-263/continuous``."""
+    """Return header entry ``representation`` of a network of motion features, such as ``humanml3d-263/continuous``."""
     return f"{_REPRESENTATION}/{mode}"
 
 

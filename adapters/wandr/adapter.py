@@ -78,7 +78,7 @@ class WANDR:
         self.native_fps = network.configuration.fps
 
     def weights_for(self, condition: Condition) -> Path:  # noqa: ARG002 - one model
-        """The weights file in use."""
+        """Return the weights file in use."""
         return self.weights
 
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
@@ -139,7 +139,7 @@ class WANDR:
 
 
 def _mirrored_where(left: Bool[np.ndarray, " batch"], batch: ConditionBatch) -> ConditionBatch:
-    """The batch with the rows of left hands as a mirror shows them."""
+    """Return the batch with the rows of left hands as a mirror shows them."""
     assert batch.initial_joints is not None and batch.previous_joints is not None  # noqa: PT018
     assert batch.goal_location is not None
     initial = batch.initial_joints.copy()

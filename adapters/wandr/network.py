@@ -52,11 +52,11 @@ class BodyState:
 
     @classmethod
     def fitted(cls, joints: Float[torch.Tensor, "*batch 22 3"]) -> BodyState:
-        """The state of given joint positions; exact in every bone's direction."""
+        """Return the state of given joint positions; exact in every bone's direction."""
         return cls(joints[..., Joint.PELVIS, :], fitted_rotations(joints))
 
     def __getitem__(self, index: Any) -> BodyState:
-        """The states at these places of the leading axes."""
+        """Return the states at these places of the leading axes."""
         return BodyState(self.pelvis[index], self.rotations[index])
 
     def joints(self, offsets: Float[torch.Tensor, "... 22 3"]) -> Float[torch.Tensor, "*batch 22 3"]:
@@ -74,26 +74,26 @@ class BodyState:
         return torch.cat((self.pelvis[..., 2:], rows_of(root), rows_of(self.rotations[..., 1:, :, :]).flatten(-2)), -1)
 
     def changed(self, delta: Float[torch.Tensor, "*batch 135"]) -> BodyState:
-        """The state after a change; whatever the numbers are, rotations stay rotations."""
+        """Return the state after a change; whatever the numbers are, rotations stay rotations."""
         step = self.yaw @ delta[..., TRANSLATION, None]
         turns = matrices_of(delta[..., 3:].unflatten(-1, (N_JOINTS, 6)))
         return BodyState(self.pelvis + step[..., 0], matrices_of(rows_of(self.rotations @ turns)))
 
     def delta_to(self, following: BodyState) -> Float[torch.Tensor, "*batch 135"]:
-        """The change that leads to another state: :meth:`changed` undoes it."""
+        """Return the change that leads to another state: :meth:`changed` undoes it."""
         step = self.yaw.mT @ (following.pelvis - self.pelvis)[..., None]
         turns = self.rotations.mT @ following.rotations
         return torch.cat((step[..., 0], rows_of(turns).flatten(-2)), -1)
 
 
 def clean_delta(delta: Float[torch.Tensor, "*batch 135"]) -> Float[torch.Tensor, "*batch 135"]:
-    """A predicted change as it acts: its turns made rotations."""
+    """Return a predicted change as it acts: its turns made rotations."""
     turns = rows_of(matrices_of(delta[..., 3:].unflatten(-1, (N_JOINTS, 6))))
     return torch.cat((delta[..., TRANSLATION], turns.flatten(-2)), -1)
 
 
 def yaw_rotation(root: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor, "*batch 3 3"]:
-    """The rotation about z that is the yaw of an orientation, without gradients.
+    """Return the rotation about z that is the yaw of an orientation, without gradients.
 
     It is the first angle of the intrinsic ZYX Euler angles, which is the direction of the body's left axis. For a body
     that lies on its side that angle means nothing; there the facing axis decides. The original computes the yaw outside
@@ -110,7 +110,7 @@ def yaw_rotation(root: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor,
 
 
 def heading_of(yaw: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor, "*batch 3"]:
-    """The horizontal direction that a body of this yaw faces."""
+    """Return the horizontal direction that a body of this yaw faces."""
     return -yaw[..., :, 1]
 
 
@@ -221,7 +221,7 @@ class Standardisation(nn.Module):
         return (values - self.mean) / (self.std + _SMALLEST)
 
     def undone(self, values: Float[torch.Tensor, "*batch size"]) -> Float[torch.Tensor, "*batch size"]:
-        """The values that were standardised."""
+        """Return the values that were standardised."""
         return values * (self.std + _SMALLEST) + self.mean
 
 
@@ -241,7 +241,7 @@ class WandrNetwork(nn.Module):
         delta: Float[torch.Tensor, "*batch 135"],
         intention: Float[torch.Tensor, "*batch 9"],
     ) -> Float[torch.Tensor, "*batch 277"]:
-        """The condition of a step, from a state without yaw, the change that led to it, and intentions; all raw."""
+        """Return condition of a step, from a state without yaw, the change that led to it, and intentions; all raw."""
         return torch.cat((self.seen(seen), self.delta(delta), intention), -1)
 
     def encode(
@@ -257,13 +257,13 @@ class WandrNetwork(nn.Module):
         log_variance: Float[torch.Tensor, "*batch latent"],
         noise: Float[torch.Tensor, "*batch latent"],
     ) -> Float[torch.Tensor, "*batch latent"]:
-        """A latent of the distribution, from standard normal noise."""
+        """Return a latent of the distribution, from standard normal noise."""
         return mean + noise * (log_variance * (1.0 if self.configuration.original_deviation else 0.5)).exp()
 
     def decode(
         self, latent: Float[torch.Tensor, "*batch latent"], condition: Float[torch.Tensor, "*batch 277"]
     ) -> Float[torch.Tensor, "*batch 135"]:
-        """The next change, standardised."""
+        """Return the next change, standardised."""
         return self.decoder(torch.cat((latent, condition), -1))
 
 
@@ -290,7 +290,7 @@ def contents(network: WandrNetwork) -> tuple[dict[str, torch.Tensor], dict[str, 
 
 
 def network_of(weights: Weights) -> WandrNetwork:
-    """The network that a file holds.
+    """Return the network that a file holds.
 
     Raises:
         InputFileError: if the tensors do not fit the configuration in the header.

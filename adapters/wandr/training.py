@@ -56,7 +56,7 @@ class Recordings:
 
     @classmethod
     def of(cls, batch: MotionBatch, fps: float) -> Recordings:
-        """The motions of a batch, left-handed ones as a mirror shows them.
+        """Return the motions of a batch, left-handed ones as a mirror shows them.
 
         A hand is left if the left wrist is nearer to the goal location in the last frame. Clips of a corpus, which have
         no goal location, stay as they are.
@@ -82,7 +82,7 @@ class Recordings:
         return cls(WORLD.from_y_up(torch.where(left, mirrored, joints)), n_frames, has_goal)
 
     def states(self, places: Places) -> BodyState:
-        """The bodies at some places; fitted when asked for, because a step needs few of the frames."""
+        """Return the bodies at some places; fitted when asked for, because a step needs few of the frames."""
         return BodyState.fitted(self.joints[places.index])
 
     @cached_property
@@ -91,7 +91,7 @@ class Recordings:
         return heading_of(yaw_rotation(root_orientation(self.joints)))
 
     def deltas(self, places: Places) -> Float[torch.Tensor, "*places 135"]:
-        """The changes from there to the frames that follow."""
+        """Return the changes from there to the frames that follow."""
         return self.states(places).delta_to(self.states(places.later(1)))
 
     @cached_property
@@ -117,7 +117,7 @@ class Places:
         return Places(self.row, self.frame + frames)
 
     def following(self, frames: int) -> Places:
-        """The frames that follow each of them: (places, frames)."""
+        """Return the frames that follow each of them: (places, frames)."""
         after = torch.arange(1, frames + 1, device=self.frame.device)
         return Places(self.row[:, None].expand(-1, frames), self.frame[:, None] + after)
 
@@ -249,7 +249,7 @@ class WandrTraining(TrainingModule):
         self.network, self.objective, self.origin = network, objective, origin
 
     def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
-        """The loss of one batch, and its parts.
+        """Return the loss of one batch, and its parts.
 
         Returns:
             ``loss``; ``changes``, ``divergence`` and ``positions`` (square centimetres) of single changes, unweighted;
@@ -379,14 +379,14 @@ class WandrTraining(TrainingModule):
         return self.network.decode(self.network.draw(mean, log_variance, noise), condition), mean, log_variance
 
     def _own_change(self, wanted: torch.Tensor, condition: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """The change that a chunk goes on with, standardised."""
+        """Return the change that a chunk goes on with, standardised."""
         if self.objective.own_latents == "encoded":
             return self._reconstructed(wanted, condition, generator)[0]
         latent = torch.randn(len(condition), self.network.configuration.latent, generator=generator)
         return self.network.decode(latent.to(condition), condition)
 
     def hidden_matrices(self) -> tuple[torch.nn.Parameter, ...]:
-        """The matrices of all layers but the first and the last of encoder and decoder."""
+        """Return the matrices of all layers but the first and the last of encoder and decoder."""
         encoder, decoder = (
             [parameter for parameter in stack.parameters() if parameter.ndim == 2]
             for stack in (self.network.encoder, self.network.decoder)
@@ -394,7 +394,7 @@ class WandrTraining(TrainingModule):
         return (*encoder[1:-1], *decoder[1:-1])
 
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-        """The network with its statistics, and the header of its file."""
+        """Return the network with its statistics, and the header of its file."""
         return contents(self.network)
 
 

@@ -47,7 +47,8 @@ def entered_files(commands: list[list[str]]) -> list[str]:
         path = Path(code.co_filename)
         # A module's own code and the bodies of its classes run when it is imported: that is no call.
         called = code.co_flags & inspect.CO_OPTIMIZED and "<module>" not in code.co_name
-        if called and path.is_relative_to(root) and path.relative_to(root).parts[0] in FOLDERS:
+        is_ours = path.is_relative_to(root) and path.relative_to(root).parts[0] in FOLDERS
+        if called and is_ours and path != Path(__file__).resolve():
             files.add(str(path.relative_to(root)))
     return sorted(files)
 
