@@ -519,7 +519,7 @@ class DartModel:
 
 
 def pooled_texts(vectors: TextVectors, texts: tuple[str, ...]) -> Float[Tensor, "batch dimension"]:
-    """Return mean of each text's token vectors; zeros for an empty text, which is how the networks are told of none."""
+    """Return the mean of each text's token vectors; zeros for an empty text, which networks take for none."""
     # Text encoders give vectors for an empty text, too, and the networks know none by zeros.
     said = torch.tensor([bool(text.strip()) for text in texts])
     return pooled(*vectors(texts))[:, 0] * said[:, None]

@@ -119,7 +119,7 @@ class TrainingModule(nn.Module):
         return (tuple(self.parameters()),)
 
     def hidden_matrices(self) -> Sequence[nn.Parameter]:
-        """Return the matrices between hidden layers, which ``training.optimiser = "muon"`` moves by orthogonal steps."""
+        """Return the matrices between hidden layers, which ``training.optimiser = "muon"`` moves orthogonally."""
         return ()
 
     def generator(self, step: int) -> torch.Generator:
