@@ -208,7 +208,12 @@ def _run_all(
     if shard is not None:
         made = [_generated_shard(request, shard, engine) for request in requests]
         answers = [opt.shard_answer(each, each, unit="batches") for each in made]
-        return Answer(RunAnswer(shards=made), lambda: [answer.show() for answer in answers])
+
+        def show_shards() -> None:
+            for answer in answers:
+                answer.show()
+
+        return Answer(RunAnswer(shards=made), show_shards)
     reports = [_generated(request, engine) for request in requests]
     folder = reports[0].folder
     if repeated is not None and folder.path.resolve() != repeated.path.resolve():

@@ -70,8 +70,7 @@ def describe_adapters(names: Iterable[str] | None = None, *, benchmark: str = PR
                 adapter = load_adapter(method.name, None, {}, "cpu", group=group)
                 declared = Declared.by(adapter, origin="it", conditions=group.conditions)
                 weights_for = getattr(adapter, "weights_for", None)
-                conditions = sorted(declared.conditions) if weights_for is not None else []
-                paths = [weights_for(condition) for condition in conditions]
+                paths = [weights_for(each) for each in sorted(declared.conditions)] if weights_for is not None else []
         except PrbenchError as error:
             origin = f"adapter '{method.name}' (package {method.package} {method.version}, {method.target}): "
             line = " ".join(str(error).removeprefix(origin).rstrip(".").split())
