@@ -74,13 +74,12 @@ class Picture:
             StorageError: if the file cannot be written.
         """
         with output_file(path) as file:
-            return _save_scenes(self.scenes, file) if self.scenes else self._save_png(file)
-
-    def _save_png(self, path: Path) -> Path:
-        if path.suffix.lower() != ".png":
-            raise UsageError(f"{path}: expected a file that ends in .png, found '{path.suffix}'.")
-        self._draw(path)
-        return path
+            if self.scenes:
+                return _save_scenes(self.scenes, file)
+            if file.suffix.lower() != ".png":
+                raise UsageError(f"{file}: expected a file that ends in .png, found '{file.suffix}'.")
+            self._draw(file)
+            return file
 
     def _repr_png_(self) -> bytes:
         return self.png
@@ -248,8 +247,23 @@ def progress(description: str) -> Iterator[ProgressCallback]:
     ipython = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
     if getattr(shell, "kernel", None) is not None:
-        with _cell_bar(description) as callback:
-            yield callback
+        from IPython.display import HTML, display  # type: ignore[import-not-found] - there in a notebook alone
+
+        handle = display(HTML(_bar(description, 0, 0, "")), display_id=True)
+        assert handle is not None, "a display with an id can be updated"
+        shown_at = time.monotonic()
+
+        def update(done: int, total: int, last: str) -> None:
+            nonlocal shown_at
+            now = time.monotonic()
+            if now - shown_at >= _SECONDS_BETWEEN_UPDATES:
+                shown_at = now
+                handle.update(HTML(_bar(description, done, total, last)))
+
+        try:
+            yield update
+        finally:
+            handle.update(HTML(""))
     elif sys.stderr is not None and sys.stderr.isatty():
         from rich.console import Console
 
@@ -261,27 +275,6 @@ def progress(description: str) -> Iterator[ProgressCallback]:
 
 def _silent(done: int, total: int, last: str) -> None:
     """Say nothing: a script's output and a log belong to whoever wrote the script."""
-
-
-@contextlib.contextmanager
-def _cell_bar(description: str) -> Iterator[ProgressCallback]:
-    from IPython.display import HTML, display  # type: ignore[import-not-found] - there in a notebook alone
-
-    handle = display(HTML(_bar(description, 0, 0, "")), display_id=True)
-    assert handle is not None, "a display with an id can be updated"
-    shown_at = time.monotonic()
-
-    def callback(done: int, total: int, last: str) -> None:
-        nonlocal shown_at
-        now = time.monotonic()
-        if now - shown_at >= _SECONDS_BETWEEN_UPDATES:
-            shown_at = now
-            handle.update(HTML(_bar(description, done, total, last)))
-
-    try:
-        yield callback
-    finally:
-        handle.update(HTML(""))
 
 
 def _bar(description: str, done: int, total: int, last: str) -> str:

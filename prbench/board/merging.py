@@ -110,9 +110,32 @@ def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> 
             if name in owner:
                 raise RunError(f"{run.path}: sequence {name} is scored in {owner[name]}, too; folds share no sequence.")
             owner[name] = run.path
-    record = _merged_record([run.record for run in runs], sorted(owner))
+    # Whatever differs between folds becomes the digest of all of theirs.
+    records = [run.record for run in runs]
+    tables = [record.tables[0] for record in records]
+    plans = [table.batch_plan for table in tables]
+    together = TableRecord(
+        **{name: getattr(tables[0], name) for name in ("dataset", "title", "synthetic", "redistribution")},
+        identity_digest=text_digest(*(table.identity_digest for table in tables)),
+        content_digest=text_digest(*(table.content_digest for table in tables)),
+        sequences=sum(table.sequences for table in tables),
+        unsupported=sum(table.unsupported for table in tables),
+        selection_digest=text_digest(*sorted(owner)),
+        batch_plan=BatchPlanRecord(
+            batch_size=plans[0].batch_size,
+            batches=sum(plan.batches for plan in plans),
+            digest=text_digest(*(plan.digest for plan in plans)),
+        ),
+        whole_table=tables[0].whole_table,
+    )
+    method = records[0].method
+    weights = [record.method.weights_digest for record in records]
+    if len(set(weights)) > 1:  # each was trained on the other folds
+        digest = text_digest(*(each or "" for each in weights))
+        method = msgspec.structs.replace(method, weights=f"{len(runs)} folds", weights_digest=digest)
+    record = msgspec.structs.replace(records[0], split=f"{len(runs)} folds", method=method, tables=(together,))
     merged = pa.concat_tables(scores)
-    summary = summary_of(record, record.tables[0], merged, {name: recording_key(name) for name in owner})
+    summary = summary_of(record, together, merged, {name: recording_key(name) for name in owner})
     return MergedRun(record, summary, merged, tuple(runs), tuple(unverified))
 
 
@@ -163,30 +186,3 @@ def _in_order(runs: list[RunFolder]) -> list[RunFolder]:
     if missing:
         raise RunError(f"expected a run of each of the {folds} folds, found none of {', '.join(missing)}.")
     return [found[number] for number in sorted(found)]
-
-
-def _merged_record(records: Sequence[RunRecord], sequence_ids: list[str]) -> RunRecord:
-    """Put the records together; whatever differs between folds becomes the digest of all of theirs."""
-    first = records[0]
-    tables = [record.tables[0] for record in records]
-    plans = [table.batch_plan for table in tables]
-    table = TableRecord(
-        **{name: getattr(tables[0], name) for name in ("dataset", "title", "synthetic", "redistribution")},
-        identity_digest=text_digest(*(table.identity_digest for table in tables)),
-        content_digest=text_digest(*(table.content_digest for table in tables)),
-        sequences=sum(table.sequences for table in tables),
-        unsupported=sum(table.unsupported for table in tables),
-        selection_digest=text_digest(*sequence_ids),
-        batch_plan=BatchPlanRecord(
-            batch_size=plans[0].batch_size,
-            batches=sum(plan.batches for plan in plans),
-            digest=text_digest(*(plan.digest for plan in plans)),
-        ),
-        whole_table=tables[0].whole_table,
-    )
-    method = first.method
-    digests = [record.method.weights_digest for record in records]
-    if len(set(digests)) > 1:  # each was trained on the other folds
-        together = text_digest(*(digest or "" for digest in digests))
-        method = msgspec.structs.replace(method, weights=f"{len(records)} folds", weights_digest=together)
-    return msgspec.structs.replace(first, split=f"{len(records)} folds", method=method, tables=(table,))

@@ -221,11 +221,7 @@ def _make_parts(
 
 
 def _write_table(
-    dataset: str,
-    receipts: SequenceOf[PartReceipt],
-    out: Path,
-    options: BuildOptions,
-    extra_options: Mapping[str, str],
+    dataset: str, receipts: SequenceOf[PartReceipt], out: Path, options: BuildOptions, extra_options: Mapping[str, str]
 ) -> BuildReport[DatasetInfo, Recording]:
     """Write the table of all parts of a build."""
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))

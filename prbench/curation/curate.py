@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from prbench.curation.clipping import Clip, clip
-from prbench.curation.events import Decision, PickPutEvent, Place, find_events
+from prbench.curation.events import Decision, PickPutEvent, find_events
 from prbench.curation.options import DEFAULTS, CurationOptions
 from prbench.curation.priming import PUBLISHED_STAGE, Prime, find_prime, gaze_rays
 from prbench.errors import RecordingUnusable
@@ -80,7 +80,36 @@ def curate_recording(
     rows = []
     for event in events:
         decision, prime, sequence = _follow(recording, event, rays, protocol, options, split)
-        rows.append(_event_record(recording, event, decision, prime, sequence))
+        place = event.place
+        published = event.published_priming
+        known = wrists_at(recording.hands, recording.body, event.event_time)
+        wrists = {side: position for side, (position, _) in known.items()}
+        rows.append(
+            Event(
+                event_id=event.event_id,
+                recording_id=recording.recording_id,
+                sequence_id=sequence and sequence.sequence_id,
+                object_id=event.object_id,
+                object_name=event.object_name,
+                action=event.action,
+                hand=event.hand,
+                event_time=event.event_time,
+                prime_time=prime and prime.time,
+                prime_kind=prime and prime.kind,
+                location=place and place.location,
+                box_min=place and place.box_min,
+                box_max=place and place.box_max,
+                outcome=decision.outcome,
+                stage=decision.stage,
+                value=decision.value,
+                threshold=decision.threshold,
+                left_wrist=wrists.get("left"),
+                right_wrist=wrists.get("right"),
+                hand_source=event.hand_source,
+                published_priming=published and published.outcome,
+                published_prime_time=published and published.prime_time,
+            )
+        )
         if sequence is not None:
             sequences.append(sequence)
     lacks = _missing_parts(recording, rule, found=bool(events))
@@ -172,19 +201,15 @@ def _follow(
     decision = Decision("sequence" if moved else "minimum_movement", "filters", value, threshold)
     if not moved:
         return decision, prime, None
-    return decision, prime, _sequence(recording, event, event.place, prime, piece, protocol, split)
+    return decision, prime, _sequence(recording, event, prime, piece, protocol, split)
 
 
 def _sequence(
-    recording: Recording,
-    event: PickPutEvent,
-    place: Place,
-    prime: Prime,
-    piece: Clip,
-    protocol: BenchmarkProtocol,
-    split: str,
+    recording: Recording, event: PickPutEvent, prime: Prime, piece: Clip, protocol: BenchmarkProtocol, split: str
 ) -> Sequence:
     """One row of the table: the clip in its canonical frame."""
+    place = event.place
+    assert place is not None, "an event without a place has no prime"
     grid = piece.grid
     preroll = prime.time - grid.start_time
     # The wrist of the event's hand; where that is unknown, the one nearer to the goal in the last frame.
@@ -251,39 +276,6 @@ def _sequence(
     )
 
 
-def _event_record(
-    recording: Recording, event: PickPutEvent, decision: Decision, prime: Prime | None, sequence: Sequence | None
-) -> Event:
-    place = event.place
-    published = event.published_priming
-    known = wrists_at(recording.hands, recording.body, event.event_time)
-    wrists = {side: position for side, (position, _) in known.items()}
-    return Event(
-        event_id=event.event_id,
-        recording_id=recording.recording_id,
-        sequence_id=sequence and sequence.sequence_id,
-        object_id=event.object_id,
-        object_name=event.object_name,
-        action=event.action,
-        hand=event.hand,
-        event_time=event.event_time,
-        prime_time=prime and prime.time,
-        prime_kind=prime and prime.kind,
-        location=place and place.location,
-        box_min=place and place.box_min,
-        box_max=place and place.box_max,
-        outcome=decision.outcome,
-        stage=decision.stage,
-        value=decision.value,
-        threshold=decision.threshold,
-        left_wrist=wrists.get("left"),
-        right_wrist=wrists.get("right"),
-        hand_source=event.hand_source,
-        published_priming=published and published.outcome,
-        published_prime_time=published and published.prime_time,
-    )
-
-
 def _missing_parts(recording: Recording, rule: InHandRule | None, *, found: bool) -> tuple[str, ...]:
     """Name what a recording lacks to have events (``found`` says if it has some) or sequences."""
     remarks = []
@@ -328,16 +320,6 @@ def scene_boxes(recording: Recording) -> tuple[SceneBox, ...]:
         if body is not None and body.valid.any():
             box = Boxes(centre[None], turn.as_matrix()[None], half_extents[None], np.array([0, 1]))
             entered = float(deepest(body.joints[body.valid], box).max())
-        boxes.append(
-            SceneBox(
-                recording.recording_id,
-                track.object_id,
-                track.name,
-                track.category,
-                centre,
-                rotation,
-                half_extents,
-                entered,
-            )
-        )
+        names = (recording.recording_id, track.object_id, track.name, track.category)
+        boxes.append(SceneBox(*names, centre, rotation, half_extents, entered))
     return tuple(boxes)

@@ -283,10 +283,7 @@ _STAGES = {
         "excluded_by_dataset": "never tested by the dataset itself",
         "not_published": "the dataset publishes nothing about it",
     },
-    "long_enough": {
-        "too_short": "recording or body does not cover the sequence",
-        "no_body": "no body poses",
-    },
+    "long_enough": {"too_short": "recording or body does not cover the sequence", "no_body": "no body poses"},
     "moved_enough": {"minimum_movement": "started beside the goal"},
 }
 
@@ -305,10 +302,7 @@ def describe(
     for receipt in receipts:
         outcomes.update(receipt.record.outcomes)
     statuses = Counter(receipt.record.status for receipt in receipts)
-    chosen = {
-        "recordings": options.recordings,
-        "limit": "all" if options.limit is None else str(options.limit),
-    }
+    chosen = {"recordings": options.recordings, "limit": "all" if options.limit is None else str(options.limit)}
     if options.reader:
         reader = reader_for(manifest.name, dict(options.reader))
         chosen |= {f"reader.{name}": value for name, value in described_options(reader.options).items()}

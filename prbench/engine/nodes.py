@@ -118,29 +118,26 @@ def problems(facts: Mapping[str, Any], asked: Question, answered: float) -> list
             if there:
                 told = f"{name} {_said(there)} is installed there, and {version} here."
             found.append(f"{told} Run there: pip install {name}=={version}")
-    return [*found, *_other_files(facts, asked), *_resources(facts, asked.asked, answered)]
-
-
-def _other_files(facts: Mapping[str, Any], asked: Question) -> Iterator[str]:
     for path, print_here in asked.here["reads"].items():
         there = facts["reads"].get(path, "")
         if there == print_here or not print_here:
             continue
+        told = f"{path} is not there. Mount the data at the same path on every node."
         if there:
-            yield f"{path} holds something else there than here. Put the data on a file system that all nodes share."
-        else:
-            yield f"{path} is not there. Mount the data at the same path on every node."
+            told = f"{path} holds something else there than here. Put the data on a file system that all nodes share."
+        found.append(told)
     if not facts["folder"]:
-        yield (
+        found.append(
             f"{asked.wanted['folder']}, where the command was started, is not there. Name files by absolute paths, or"
             " start it in a folder that all nodes share."
         )
     for mark, text in asked.wanted["marks"].items():
         if facts["marks"].get(mark, "") != text:
-            yield (
+            found.append(
                 f"{Path(mark).parent} is not the same folder there: a file written here is not seen."
                 " Choose an --out on a file system that all nodes share."
             )
+    return [*found, *_resources(facts, asked.asked, answered)]
 
 
 def _resources(facts: Mapping[str, Any], asked: float, answered: float) -> Iterator[str]:

@@ -381,25 +381,14 @@ def _connect(ray: ModuleType, address: str | None, undo: contextlib.ExitStack) -
             " Start one by `ray start --head`, or leave --address out for this machine alone."
         ) from error
     undo.callback(ray.shutdown)
-    undo.enter_context(_quiet(ray))
-
-
-@contextlib.contextmanager
-def _quiet(ray: ModuleType) -> Iterator[None]:
-    """Keep off standard output what Ray has to say of dead workers and nodes, with pages of its logs.
-
-    It belongs to reports there, and what a user needs of it is told by the rules of spreading. Ray has no setting for
-    this; where a later version names its function otherwise, it is heard again.
-    """
+    # Of dead workers and nodes Ray prints pages of its logs to standard output, which belongs to reports; what a user
+    # needs of it is told by the rules of spreading. There is no setting for this; where a later version names its
+    # function otherwise, it is heard again.
     worker = ray._private.worker
     spoken = getattr(worker, "print_to_stdstream", None)
     if spoken is not None:
         worker.print_to_stdstream = lambda *_, **__: None
-    try:
-        yield
-    finally:
-        if spoken is not None:
-            worker.print_to_stdstream = spoken
+        undo.callback(setattr, worker, "print_to_stdstream", spoken)
 
 
 def _require_listening(address: str) -> None:

@@ -140,7 +140,13 @@ class ShardRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         if difference is not None:
             return difference
         if self.plan != other.plan:
-            return _difference_of_plans(self.plan, other.plan)
+            # Say which item only one of the two holds: a node may lack a part of the data.
+            lacking = sorted(set(self.plan) - set(other.plan))
+            added = sorted(set(other.plan) - set(self.plan))
+            numbers = f"plan: expected {len(self.plan)} items, found {len(other.plan)}"
+            if lacking:
+                return f"{numbers}, without '{quoted(lacking[0])}'"
+            return f"{numbers}, with '{quoted(added[0])}'" if added else f"{numbers} in another order"
         if self.count != other.count:
             return f"number of shards: expected {self.count}, found {other.count}"
         return None
@@ -248,16 +254,6 @@ def _difference_of_settings(mine: dict[str, Any], theirs: dict[str, Any]) -> str
         if wanted.get(key) != found.get(key):
             return f"{key}: expected {_shown(wanted.get(key))}, found {_shown(found.get(key))}"
     return None
-
-
-def _difference_of_plans(mine: tuple[str, ...], theirs: tuple[str, ...]) -> str:
-    """Say which item only one of two plans holds: a node may lack a part of the data."""
-    lacking = sorted(set(mine) - set(theirs))
-    added = sorted(set(theirs) - set(mine))
-    numbers = f"plan: expected {len(mine)} items, found {len(theirs)}"
-    if lacking:
-        return f"{numbers}, without '{quoted(lacking[0])}'"
-    return f"{numbers}, with '{quoted(added[0])}'" if added else f"{numbers} in another order"
 
 
 def flat_leaves(value: object, prefix: str = "") -> dict[str, object]:

@@ -160,17 +160,12 @@ def clustered(
     if len(first) != sequence.max() + 1:
         raise ValueError("a sequence belongs to two recordings")
     return ClusteredValues(
-        values[order].astype(np.float64),
-        np.diff(np.append(first, len(values))),
-        np.bincount(pairs[0, first]),
+        values[order].astype(np.float64), np.diff(np.append(first, len(values))), np.bincount(pairs[0, first])
     )
 
 
 def metric_interval(
-    info: MetricInfo,
-    values: Float[np.ndarray, " rows"],
-    recording_ids: Ids,
-    sequence_ids: Ids | None = None,
+    info: MetricInfo, values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None
 ) -> Estimate:
     """Return the interval that fits a metric; arguments as those of :func:`clustered`."""
     if info.unit == "rate":

@@ -133,10 +133,7 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
         asked = request.condition
         loaded = spec.load()
         condition = chosen_condition(
-            loaded.name,
-            loaded.adapter,
-            None if asked is None else benchmark.condition(asked),
-            group=benchmark.methods,
+            loaded.name, loaded.adapter, None if asked is None else benchmark.condition(asked), group=benchmark.methods
         )
         method = _method(request, spec, condition)
     datasets = []
@@ -146,7 +143,16 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
         work = benchmark.work(request, cases, method=method, condition=condition, rules=rules)
         datasets.append(PreparedDataset(chosen, cases, fitted, work))
     record = run_record(request, condition, method, tuple(datasets), rules)
-    out = _default_folder(record) if request.out is None else run_folder_of(request.out)
+    if request.out is None:
+        # runs/<method>-<condition>-<datasets>-<digest>, where the same request finds its folder again. Five names would
+        # make a folder's name too long to be typed; the digest tells which datasets they are.
+        several = len(record.tables) > _NAMED_DATASETS
+        named = f"{len(record.tables)}-datasets" if several else "+".join(table.dataset for table in record.tables)
+        control = f"-{record.control}" if record.control else ""
+        name = f"{record.method.name}{control}-{record.condition}-{named}-{record.short_digest}"
+        out = DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)
+    else:
+        out = run_folder_of(request.out)
     return PreparedRun(request, benchmark, record, tuple(datasets), out, rules)
 
 
@@ -189,11 +195,7 @@ def _method(request: RunRequest, spec: MethodSpec, condition: StrEnum) -> Method
 
 
 def run_record(
-    request: RunRequest,
-    condition: StrEnum,
-    method: MethodRecord,
-    datasets: tuple[PreparedDataset, ...],
-    rules: Any,
+    request: RunRequest, condition: StrEnum, method: MethodRecord, datasets: tuple[PreparedDataset, ...], rules: Any
 ) -> RunRecord:
     """Put down what decides the result of a run.
 
@@ -273,13 +275,3 @@ def package_versions(names: Iterable[str]) -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def _default_folder(record: RunRecord) -> Path:
-    """``runs/<method>-<condition>-<datasets>-<digest>``; the same request finds its folder again."""
-    control = f"-{record.control}" if record.control else ""
-    # Five names would make a folder's name too long to be typed; the digest tells which datasets they are.
-    several = len(record.tables) > _NAMED_DATASETS
-    datasets = f"{len(record.tables)}-datasets" if several else "+".join(table.dataset for table in record.tables)
-    name = f"{record.method.name}{control}-{record.condition}-{datasets}-{record.short_digest}"
-    return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)

@@ -144,7 +144,13 @@ def is_recorded_motion(predicted: MotionBatch, recorded: MotionBatch) -> Bool[np
     """
     found = np.zeros(recorded.n_sequences, dtype=bool)
     for part in (_WHOLE, _LOWER, _UPPER):
-        for row in np.flatnonzero(~found & _same_reach(predicted, recorded, part)):
+        # A quick look at where a copy is possible at all spares nearly all motions the close one.
+        reach = _extremes(predicted, part)
+        expected = _extremes(recorded, part)
+        # A body of another size is a copy, too.
+        scale = expected.sum(axis=0) / np.maximum(reach.sum(axis=0), 1e-9)
+        off = np.minimum(np.abs(scale * reach - expected).max(axis=0), np.abs(reach - expected).max(axis=0))
+        for row in np.flatnonzero(~found & (off < part.reach)):
             motion = predicted.values[predicted.offsets[row] : predicted.offsets[row + 1], part.joints].astype(
                 np.float64
             )
@@ -166,16 +172,6 @@ def is_recorded_motion(predicted: MotionBatch, recorded: MotionBatch) -> Bool[np
             away = [max(_distance(laid, original), _distance(original, laid)) for laid in laid_over]
             found[row] = min(away) <= tolerance
     return found
-
-
-def _same_reach(predicted: MotionBatch, recorded: MotionBatch, part: _Part) -> Bool[np.ndarray, " sequences"]:
-    """Return True where a copy is possible at all: a quick look spares nearly all motions the close one."""
-    found = _extremes(predicted, part)
-    expected = _extremes(recorded, part)
-    # A body of another size is a copy, too.
-    scale = expected.sum(axis=0) / np.maximum(found.sum(axis=0), 1e-9)
-    off = np.minimum(np.abs(scale * found - expected).max(axis=0), np.abs(found - expected).max(axis=0))
-    return np.less(off, part.reach)
 
 
 def _extremes(motions: MotionBatch, part: _Part) -> Float[np.ndarray, "pairs_and_ends sequences"]:

@@ -25,12 +25,7 @@ from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.record import FILE, BatchPlanRecord, MethodRecord, RunCost, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION, CodedScores
-from prbench.harness.score_request import (
-    ScoreReport,
-    ScoreRequest,
-    require_complete,
-    settled_by_conditions,
-)
+from prbench.harness.score_request import ScoreReport, ScoreRequest, require_complete, settled_by_conditions
 from prbench.harness.scoring import ScoringRules, score_selection
 from prbench.protocol.manifests import BenchmarkProtocol
 from prbench.protocol.own_protocol import FILE_NAME, protocol_for, write_protocol

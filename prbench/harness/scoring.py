@@ -40,7 +40,6 @@ from prbench.metrics import (
     score,
 )
 from prbench.metrics.prime_success_gaze import INVALID as INVALID_GAZE
-from prbench.metrics.registry import MetricValues
 from prbench.protocol.manifests import MetricConstants
 from prbench.sequences.sequence import SequenceChunk
 
@@ -244,7 +243,21 @@ def _score_together(part: _Part) -> pa.Table:
                 for value in values
             ]
         by_sample.append(values)
-    return _long_form(part.dataset, chunk.sequence_ids, part.samples, by_sample)
+    # One row a sequence, sample and metric.
+    ids = chunk.sequence_ids
+    names = [values.metric for values in by_sample[0]]
+    repeats = len(part.samples) * len(names)
+    value = np.stack([[column.value for column in values] for values in by_sample])  # (samples, metrics, sequences)
+    flags = [[column.flag for column in values] for values in by_sample]
+    columns = [
+        pa.array(np.repeat(np.array(ids, dtype=object), repeats), pa.string()),
+        pa.array([part.dataset] * (len(ids) * repeats), pa.string()),
+        pa.array(np.tile(np.repeat(np.array(part.samples, dtype=np.int32), len(names)), len(ids))),
+        pa.array(names * (len(ids) * len(part.samples)), pa.string()),
+        pa.array(np.moveaxis(value, 2, 0).reshape(-1)),
+        pa.array([flag[i] for i in range(len(ids)) for columns in flags for flag in columns], pa.string()),
+    ]
+    return pa.Table.from_arrays(columns, schema=SCORES)
 
 
 def _recorded_gaze(chunk: SequenceChunk) -> GazeRays:
@@ -326,19 +339,3 @@ def _at_table_rate(predicted: PredictionRows, recorded: MotionBatch, part: _Part
     found = resampled(Motions(padded(predicted.values), n_frames, gaze=gaze), recorded.n_frames, step=step)
     rays = None if found.gaze is None else np.stack((found.gaze.origin, found.gaze.direction), axis=2)
     return PredictionRows.from_padded(found.joints, found.n_frames, gaze=rays)
-
-
-def _long_form(dataset: str, ids: list[str], samples: Sequence[int], by_sample: list[list[MetricValues]]) -> pa.Table:
-    metrics = [values.metric for values in by_sample[0]]
-    repeats = len(samples) * len(metrics)
-    value = np.stack([[column.value for column in values] for values in by_sample])  # (samples, metrics, sequences)
-    flags = [[column.flag for column in values] for values in by_sample]
-    columns = [
-        pa.array(np.repeat(np.array(ids, dtype=object), repeats), pa.string()),
-        pa.array([dataset] * (len(ids) * repeats), pa.string()),
-        pa.array(np.tile(np.repeat(np.array(samples, dtype=np.int32), len(metrics)), len(ids))),
-        pa.array(metrics * (len(ids) * len(samples)), pa.string()),
-        pa.array(np.moveaxis(value, 2, 0).reshape(-1)),
-        pa.array([flag[i] for i in range(len(ids)) for columns in flags for flag in columns], pa.string()),
-    ]
-    return pa.Table.from_arrays(columns, schema=SCORES)

@@ -240,12 +240,7 @@ def table_parts(folder: Path, name: str) -> list[Path]:
 
 
 def stream_chunks(
-    paths: SequenceOf[Path],
-    columns: list[str],
-    *,
-    split: str | None,
-    ids: Collection[str] | None,
-    rows: int,
+    paths: SequenceOf[Path], columns: list[str], *, split: str | None, ids: Collection[str] | None, rows: int
 ) -> Iterator[SequenceChunk]:
     """Stream rows of Parquet files in order.
 

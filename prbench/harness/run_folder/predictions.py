@@ -362,10 +362,7 @@ def _checked_columns(path: Path, schema: pa.Schema, id_column: str) -> tuple[str
     expected = {
         id_column: (is_text, "text"),
         "sample": (pa.types.is_integer(kinds.get("sample", pa.int32())), "whole numbers"),
-        "joints": (
-            is_lists and is_floating,
-            "numbers with decimals (float or double)" if is_lists else _JOINTS_FORM,
-        ),
+        "joints": (is_lists and is_floating, "numbers with decimals (float or double)" if is_lists else _JOINTS_FORM),
         **{name: (_is_list(kinds[name]), "a list of frames") for name in gaze},
     }
     for name, (fits, wanted) in expected.items():
