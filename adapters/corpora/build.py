@@ -73,15 +73,8 @@ class CorpusJob:
     stop_on_error: bool
     work: Path
 
-    def __call__(self, group: RecordingGroup) -> _Finished:
-        """Make the part of one group."""
-        return self._made(group, None)
-
-    def if_full(self, group: RecordingGroup, error: PrbenchError) -> _Finished:
-        """Make the part of a group for which the memory does not suffice: nothing of it is read, and it says why."""
-        return self._made(group, error)
-
-    def _made(self, group: RecordingGroup, full: PrbenchError | None) -> _Finished:
+    def __call__(self, group: RecordingGroup, full: PrbenchError | None = None) -> _Finished:
+        """Make the part of one group; where the memory does not suffice, nothing of it is read, and it says why."""
         name, recordings = group
         try:
             digest = text_digest(*(recording.input_digest() for recording in recordings if not recording.skip_reason))
@@ -303,7 +296,7 @@ def _make_parts(
     finished = []
     done = 0
     total = sum(len(recordings) for _, recordings in groups)
-    for part in engine.map(job, groups, if_full=job.if_full):
+    for part in engine.map(job, groups, if_full=job):
         finished.append(part)
         done += len(part[1].records)
         if progress is not None:

@@ -110,7 +110,14 @@ def generate(model: DartModel, batch: ConditionBatch, settings: DartSettings) ->
     passes = 0
     primitives = _primitives(model, batch)
     for rows in parts_of_similar_cost(primitives, _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)):
-        own, spent = _sampled(model, _rows(bodies.batch, rows), settings)
+        part = {}
+        for field in fields(bodies.batch):
+            value = getattr(bodies.batch, field.name)
+            if isinstance(value, np.ndarray):
+                part[field.name] = value[rows]
+            elif isinstance(value, tuple):
+                part[field.name] = tuple(value[row] for row in rows)
+        own, spent = _sampled(model, replace(bodies.batch, **part), settings)
         joints[rows, : own.shape[1]] = own
         passes += spent
     return Motions(bodies.own(joints), batch.n_frames, Cost(passes))
@@ -187,15 +194,3 @@ def _sampled(
         with torch.no_grad():
             joints = rolled(by_ddpm(denoiser, model.schedule, draw))
     return joints.cpu().numpy(), denoiser.passes + decoded
-
-
-def _rows(batch: ConditionBatch, rows: Int[np.ndarray, " rows"]) -> ConditionBatch:
-    """Return some rows of a batch, in this order."""
-    changed = {}
-    for field in fields(batch):
-        value = getattr(batch, field.name)
-        if isinstance(value, np.ndarray):
-            changed[field.name] = value[rows]
-        elif isinstance(value, tuple):
-            changed[field.name] = tuple(value[row] for row in rows)
-    return replace(batch, **changed)

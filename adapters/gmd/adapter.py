@@ -84,17 +84,14 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> GM
     require_known(options, _OPTIONS)
     path = own_weights(GMD.name, weights)
     model = GMDModel.load(path, device, text_path=options.get("text-path"))
-    return GMD(model, path, _settings(options, diffusion_steps=model.configuration.diffusion_steps))
-
-
-def _settings(options: Mapping[str, str], *, diffusion_steps: int) -> GMDSettings:
-    return GMDSettings(
+    settings = GMDSettings(
         guidance=number(options, "guidance", GMDSettings.guidance),
         goal_scale=number(options, "goal-scale", GMDSettings.goal_scale),
         keyframes=cast("Keyframes", choice(options, "keyframes", ("root", "pose"))),
-        steps=whole_number(options, "steps", most=diffusion_steps),
+        steps=whole_number(options, "steps", most=model.configuration.diffusion_steps),
         bones="initial" if choice(options, "bones", ("predicted", "initial")) == "initial" else "predicted",
     )
+    return GMD(model, path, settings)
 
 
 def generate(model: GMDModel, batch: ConditionBatch, settings: GMDSettings) -> Motions:
@@ -109,23 +106,19 @@ def generate(model: GMDModel, batch: ConditionBatch, settings: GMDSettings) -> M
     bodies = ModelBodies.of(batch, model.configuration)
     joints = np.zeros((len(batch), int(batch.n_frames.max()), N_JOINTS, 3), dtype=np.float32)
     passes = 0
-    for rows in _parts(batch.n_frames, model):
+    largest = _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)
+    windows = np.array([model.configuration.window(int(n)) for n in batch.n_frames])
+    # Parts of one padded length, which group normalisation sees, and of similar true length.
+    parts = []
+    for window in np.unique(windows):
+        rows = np.flatnonzero(windows == window)
+        parts += [rows[part] for part in parts_of_similar_length(batch.n_frames[rows], largest)]
+    for rows in parts:
         own, spent = _sample(model, bodies.batch, rows, settings)
         joints[rows, : own.shape[1]] = own
         passes += spent
     motions = Motions(bodies.own(joints), batch.n_frames, Cost(passes))
     return on_own_bones(motions, batch) if settings.bones == "initial" else motions
-
-
-def _parts(n_frames: Int[np.ndarray, " batch"], model: GMDModel) -> list[Int[np.ndarray, " _"]]:
-    """Row numbers in parts of one padded length, which group normalisation sees, and of similar true length."""
-    largest = _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)
-    windows = np.array([model.configuration.window(int(n)) for n in n_frames])
-    parts = []
-    for window in np.unique(windows):
-        rows = np.flatnonzero(windows == window)
-        parts += [rows[part] for part in parts_of_similar_length(n_frames[rows], largest)]
-    return parts
 
 
 def _sample(

@@ -11,7 +11,7 @@ import pickle
 import re
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import msgspec
@@ -87,11 +87,6 @@ def read_space(mean: Path, std: Path, projection: Path) -> FeatureSpace:
             remedy="Give --projection rand_proj.npy; inv_rand_proj.npy is its inverse, which prbench computes itself.",
         )
     return FeatureSpace.of(torch.from_numpy(means), torch.from_numpy(deviations), torch.from_numpy(matrix))
-
-
-def is_released(role: str, path: Path) -> bool:
-    """Return True for a file that is, byte for byte, that of the public repository."""
-    return file_digest(path) == RELEASED[role]
 
 
 def _read(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
@@ -257,10 +252,6 @@ class PublicFiles:
     std: Path
     projection: Path
 
-    def by_role(self) -> dict[str, Path]:
-        """Return the files by the names of the fields."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
 
 @dataclass(frozen=True)
 class Imported:
@@ -312,6 +303,8 @@ def import_public(files: PublicFiles, out: Path) -> Imported:
     metadata = weights_header(KIND, configuration, representation_entry(configuration.representation))
     copies = {"motion": motion.copy, "trajectory": trajectory.copy}
     parameters = sum(tensor.numel() for tensor in networks.values())
+    by_role = asdict(files)
+    digests = {role: file_digest(path) for role, path in by_role.items()}
     # prbench trained nothing of this, so there are no curves and no scores.
     card = {
         "card_version": _CARD_VERSION,
@@ -324,14 +317,14 @@ def import_public(files: PublicFiles, out: Path) -> Imported:
         "parameters": parameters,
         "configuration": {"model": msgspec.to_builtins(configuration)},
         "files": {
-            role: {"name": path.name, "sha256": file_digest(path)}
-            | ({"copy": copies[role]} if role in copies else {"as_released": is_released(role, path)})
-            for role, path in files.by_role().items()
+            role: {"name": path.name, "sha256": digests[role]}
+            | ({"copy": copies[role]} if role in copies else {"as_released": digests[role] == RELEASED[role]})
+            for role, path in by_role.items()
         },
     }
     # After everything was checked: a wrong file leaves no weights behind.
     write_weights(out, tensors, metadata, card)
-    others = tuple(path for role, path in files.by_role().items() if role in RELEASED and not is_released(role, path))
+    others = tuple(by_role[role] for role in RELEASED if digests[role] != RELEASED[role])
     return Imported(configuration, copies, parameters, others)
 
 

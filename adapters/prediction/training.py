@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,7 +16,7 @@ from torch import Tensor, nn
 
 from prbench.errors import UsageError
 from prbench.randomness import named_generator
-from prbench_adapters.prediction.belfusion import BehaviourConfiguration, BeLFusion, UNetConfiguration
+from prbench_adapters.prediction.belfusion import BehaviourConfiguration, UNetConfiguration
 from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion, held
 from prbench_adapters.prediction.configuration import PRESETS, DiffusionConfiguration, preset
 from prbench_adapters.prediction.records import (
@@ -239,36 +240,41 @@ def latent_losses(module: PredictorTraining, motion: Motion, generator: torch.Ge
     return module.network.loss(motion[:, :observed], motion[:, observed:], noise)
 
 
-def autoencoder_losses(frozen_from: float) -> Callable[[PredictorTraining, Motion, torch.Generator, int], Losses]:
+def autoencoder_losses(
+    module: PredictorTraining, motion: Motion, generator: torch.Generator, step: int, *, frozen_from: float
+) -> Losses:
     """BeLFusion's autoencoders together: they share no parameter, so that one loss trains both.
 
     Args:
+        module: The networks.
+        motion: Whole windows.
+        generator: Generator of the noise.
+        step: Number of the step.
         frozen_from: Share of the training after which the coupler alone learns of the behaviour's networks.
     """
-
-    def losses(module: PredictorTraining, motion: Motion, generator: torch.Generator, step: int) -> Losses:
-        shape = module.network.configuration
-        past = module.network.past.loss(motion[:, : shape.observed])
-        noise = _normal(generator, motion, len(motion), shape.behaviour)
-        sequence = motion[:, shape.observed - shape.context :]
-        found = module.network.behaviour.loss(sequence, noise, coupler_alone=step >= frozen_from * module.calls)
-        return found | {"loss": past + found["loss"], "past": past}
-
-    return losses
+    shape = module.network.configuration
+    past = module.network.past.loss(motion[:, : shape.observed])
+    noise = _normal(generator, motion, len(motion), shape.behaviour)
+    sequence = motion[:, shape.observed - shape.context :]
+    found = module.network.behaviour.loss(sequence, noise, coupler_alone=step >= frozen_from * module.calls)
+    return found | {"loss": past + found["loss"], "past": past}
 
 
-def belfusion_losses(noises: int) -> Callable[[PredictorTraining, Motion, torch.Generator, int], Losses]:
+def belfusion_losses(
+    module: PredictorTraining,
+    motion: Motion,
+    generator: torch.Generator,
+    step: int,  # noqa: ARG001
+    *,
+    noises: int,
+) -> Losses:
     """BeLFusion's diffusion of behaviours: errors of the best of some noises at one step for each window."""
-
-    def losses(module: PredictorTraining, motion: Motion, generator: torch.Generator, step: int) -> Losses:  # noqa: ARG001
-        size = module.network.configuration.behaviour
-        count = len(motion)
-        index = torch.randint(len(module.network.schedule), (count,), generator=generator).to(motion.device)
-        noise = _normal(generator, motion, count, noises, size)
-        loss = module.network.loss(motion, index, noise, _normal(generator, motion, count, size))
-        return {name: values.mean() for name, values in loss.items()}
-
-    return losses
+    size = module.network.configuration.behaviour
+    count = len(motion)
+    index = torch.randint(len(module.network.schedule), (count,), generator=generator).to(motion.device)
+    noise = _normal(generator, motion, count, noises, size)
+    loss = module.network.loss(motion, index, noise, _normal(generator, motion, count, size))
+    return {name: values.mean() for name, values in loss.items()}
 
 
 class Phases(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -333,7 +339,7 @@ class PredictorTask:
             own = {"n_joints": seen.nodes, "observed": seen.observed, "predicted": seen.predicted}
             network, phases = split_model_table({**sizes, **own}, BehaviourConfiguration, Phases)
             record = AutoencodersRecord(windows=seen, network=network)
-            losses = autoencoder_losses(phases.frozen_from)
+            losses = partial(autoencoder_losses, frozen_from=phases.frozen_from)
             return PredictorTraining(AUTOENCODERS, record, record.build(), losses, course)
         if self.name == "belfusion":
             return _belfusion(sizes, seen, course, initial, data)
@@ -401,26 +407,21 @@ def _belfusion(
         raise UsageError(f"[model]: {error}.") from error
     start.load_into(network.past, "network.past")
     start.load_into(network.behaviour, "network.behaviour")
-    losses = belfusion_losses(objective.noises)
+    losses = partial(belfusion_losses, noises=objective.noises)
     module = PredictorTraining("belfusion", record, network, losses, course, origin_of(start))
-    _take_ranges(module, network, data)
-    return module
-
-
-@torch.no_grad()
-def _take_ranges(module: PredictorTraining, model: BeLFusion, data: WindowsDataset) -> None:
-    """Set the ranges that codes and behaviours are scaled by to those of the training windows and of their mirrors."""
-    shape = model.configuration
+    # Codes and behaviours are scaled by their ranges over the training windows and their mirrors.
     past = []
     behaviour = []
     generator = torch.Generator().manual_seed(0)
-    for motion in module.spread(data):
-        past.append(model.past.code(motion[:, : shape.observed]))
-        noise = torch.randn(len(motion), shape.behaviour, generator=generator)
-        behaviour.append(model.behaviour.draw(motion[:, shape.observed - shape.context :], noise))
-    for name, values in (("past", torch.cat(past)), ("behaviour", torch.cat(behaviour))):
-        getattr(model, f"{name}_min").copy_(values.amin(dim=0))
-        getattr(model, f"{name}_max").copy_(values.amax(dim=0))
+    with torch.no_grad():
+        for motion in module.spread(data):
+            past.append(network.past.code(motion[:, : old.network.observed]))
+            noise = torch.randn(len(motion), old.network.behaviour, generator=generator)
+            behaviour.append(network.behaviour.draw(motion[:, seen.observed - old.network.context :], noise))
+        for name, values in (("past", torch.cat(past)), ("behaviour", torch.cat(behaviour))):
+            getattr(network, f"{name}_min").copy_(values.amin(dim=0))
+            getattr(network, f"{name}_max").copy_(values.amax(dim=0))
+    return module
 
 
 def _started(

@@ -119,7 +119,8 @@ def train(
     fabric = make_fabric(request.device, devices=request.devices, precision=precision)
     fabric.launch()
     torch.set_num_threads(request.threads)  # launching several processes sets one of its own
-    return run(request, task, stage, configuration, fabric, report, engine=engine)
+    with sole_writer(request.out) if fabric.is_global_zero else nullcontext():
+        return run(request, task, stage, configuration, fabric, report, engine=engine)
 
 
 def resolved(
@@ -164,19 +165,6 @@ def run(
     engine: Engine = _IN_PROCESS,
 ) -> TrainedNetwork | None:
     """Train in this process, which is one of those that Fabric has launched; the first one holds the folder."""
-    with sole_writer(request.out) if fabric.is_global_zero else nullcontext():
-        return _run(request, task, stage, configuration, fabric, report, engine)
-
-
-def _run(
-    request: TrainRequest,
-    task: TrainingTask,
-    stage: str,
-    configuration: TrainingConfiguration,
-    fabric: Fabric,
-    report: Callable[[Progress], None],
-    engine: Engine,
-) -> TrainedNetwork | None:
     settings = configuration.training
     validation = None
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
@@ -198,7 +186,14 @@ def _run(
             refit=request.refit,
         )
         require_same_training(request.out, record)
-        module = _module(request, task, stage, configuration, data)
+        given = data
+        if isinstance(data, SequenceDataset):
+            shape = configuration.data
+            given = TrainingData(data, mode=shape.mode, max_frames=shape.max_frames, fps=data.fps)
+        # What a process drew before must not decide the initial weights: they follow from the seed alone.
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(settings.seed)
+            module = task.build(configuration.model, data=cast(Any, given), initial=request.initial, stage=stage)
         if fabric.is_global_zero and configuration.validation.every:
             if isinstance(data, WindowsDataset):
                 validation = Validation.of_windows(data, configuration)
@@ -262,20 +257,3 @@ def _data(
                 )
         folders = tuple(fold_table(folder, request.fold).folder for folder in folders)
     return configured_dataset(folders, configuration, split=split, engine=engine)
-
-
-def _module(
-    request: TrainRequest,
-    task: TrainingTask,
-    stage: str,
-    configuration: TrainingConfiguration,
-    data: SequenceDataset | WindowsDataset,
-) -> TrainingModule:
-    """Return the task's module, initialised from the seed alone."""
-    given = data
-    if isinstance(data, SequenceDataset):
-        given = TrainingData(data, mode=configuration.data.mode, max_frames=configuration.data.max_frames, fps=data.fps)
-    # What a process drew before must not decide the initial weights.
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(configuration.training.seed)
-        return task.build(configuration.model, data=cast(Any, given), initial=request.initial, stage=stage)

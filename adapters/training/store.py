@@ -214,7 +214,18 @@ class FeatureStore:
         self.path = path
         with pa.memory_map(str(path)) as source:  # the batches keep the mapping alive
             self.table = pa.ipc.open_file(source).read_all()
-        self._blocks = [_arrays(batch) for batch in self.table.to_batches()]
+        # The arrays of each record batch by name: views of the mapped file.
+        self._blocks: list[dict[str, np.ndarray]] = []
+        for batch in self.table.to_batches():
+            block = {"n_frames": batch.column("n_frames").to_numpy()}
+            for name in ("joints", "previous_joints", "next_joints", "goal_location", "features"):
+                vectors = batch.column(name)
+                if name in ("joints", "features"):
+                    block[f"{name}_offsets"] = vectors.offsets.to_numpy()
+                    vectors = vectors.values
+                values = vectors.values.to_numpy(zero_copy_only=True).reshape(-1, vectors.type.list_size)
+                block[name] = values.reshape(-1, N_JOINTS, 3) if vectors.type == _POSE else values
+            self._blocks.append(block)
         self._starts = np.cumsum([0, *(len(block["n_frames"]) for block in self._blocks)])
         self.n_frames: Int[np.ndarray, " rows"] = self.table["n_frames"].to_numpy().astype(np.int64)
         self.sequence_ids: list[str] = self.table["sequence_id"].to_pylist()
@@ -247,19 +258,6 @@ class FeatureStore:
 
     def __setstate__(self, path: Path) -> None:
         self.__init__(path)
-
-
-def _arrays(batch: pa.RecordBatch) -> dict[str, np.ndarray]:
-    """Return the arrays of one record batch by name: views of the mapped file."""
-    arrays = {"n_frames": batch.column("n_frames").to_numpy()}
-    for name in ("joints", "previous_joints", "next_joints", "goal_location", "features"):
-        vectors = batch.column(name)
-        if name in ("joints", "features"):
-            arrays[f"{name}_offsets"] = vectors.offsets.to_numpy()
-            vectors = vectors.values
-        values = vectors.values.to_numpy(zero_copy_only=True).reshape(-1, vectors.type.list_size)
-        arrays[name] = values.reshape(-1, N_JOINTS, 3) if vectors.type == _POSE else values
-    return arrays
 
 
 Crop = Literal["end", "random"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -75,7 +75,7 @@ class Recordings:
         right = torch.minimum(left + 1, last[:, None])
         weight = (place - left).clamp(0.0, 1.0)[..., None, None].to(whole.dtype)
         row = torch.arange(len(whole), device=whole.device)[:, None]
-        joints, n_frames = whole[row, left] * (1 - weight) + whole[row, right] * weight, n_frames
+        joints = whole[row, left] * (1 - weight) + whole[row, right] * weight
         mirrored = joints[:, :, list(MIRRORED_JOINTS)] * joints.new_tensor((-1.0, 1.0, 1.0))
         left = (distance[:, 0] < distance[:, 1])[:, None, None, None]
         has_goal = torch.isfinite(batch.goal_location).all(dim=-1)
@@ -321,7 +321,11 @@ class WandrTraining(TrainingModule):
                 target = state.changed(back).joints(offsets).detach()
                 before = recorded[:, step]
             wanted = self.network.delta(back)
-            decoded = self._own_change(wanted, condition, generator)
+            if self.objective.own_latents == "encoded":
+                decoded = self._reconstructed(wanted, condition, generator)[0]
+            else:
+                latent = torch.randn(len(condition), self.network.configuration.latent, generator=generator)
+                decoded = self.network.decode(latent.to(condition), condition)
             delta = clean_delta(self.network.delta.undone(decoded))
             state = state.changed(delta)
             joints = state.joints(offsets)
@@ -377,13 +381,6 @@ class WandrTraining(TrainingModule):
         mean, log_variance = self.network.encode(wanted, condition)
         noise = torch.randn(mean.shape, generator=generator).to(mean)
         return self.network.decode(self.network.draw(mean, log_variance, noise), condition), mean, log_variance
-
-    def _own_change(self, wanted: torch.Tensor, condition: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """Return the change that a chunk goes on with, standardised."""
-        if self.objective.own_latents == "encoded":
-            return self._reconstructed(wanted, condition, generator)[0]
-        latent = torch.randn(len(condition), self.network.configuration.latent, generator=generator)
-        return self.network.decode(latent.to(condition), condition)
 
     def hidden_matrices(self) -> tuple[torch.nn.Parameter, ...]:
         """Return the matrices of all layers but the first and the last of encoder and decoder."""
@@ -449,7 +446,12 @@ class WandrTask:
         # Standardise by the training split.
         seen = []
         deltas = []
-        for batch in _batches(data):
+        train = data.train
+        chosen = range(0, len(train), -(-len(train) // _MOST_MOTIONS))
+        # Similar lengths together, so that little is computed for padding.
+        order = sorted(chosen, key=lambda place: int(train.lengths[place]))
+        for first in range(0, len(order), _TOGETHER):
+            batch = collate([train[place] for place in order[first : first + _TOGETHER]])
             recordings = Recordings.of(batch, network.configuration.fps)
             places = starts(recordings, 1)
             seen.append(recordings.states(places).seen())
@@ -468,15 +470,6 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[WandrConfiguration, Obje
         UsageError: for an unknown key or a value of a wrong kind.
     """
     return split_model_table(model, WandrConfiguration, Objective)
-
-
-def _batches(data: TrainingData) -> Iterator[MotionBatch]:
-    train = data.train
-    chosen = range(0, len(train), -(-len(train) // _MOST_MOTIONS))
-    # Similar lengths together, so that little is computed for padding.
-    order = sorted(chosen, key=lambda place: int(train.lengths[place]))
-    for first in range(0, len(order), _TOGETHER):
-        yield collate([train[place] for place in order[first : first + _TOGETHER]])
 
 
 def _set(into: Standardisation, values: Float[torch.Tensor, "places size"], least: float) -> None:

@@ -11,6 +11,7 @@ import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -177,11 +178,8 @@ def time_startup() -> None:
         "a bare click program, --help": ["-c", _BARE],
         "python -c pass": ["-c", "pass"],
     }
-
-    def call(words: list[str]) -> None:
-        subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL)
-
-    rows = {name: timed(lambda words=words: call(words), 10) for name, words in commands.items()}
+    call = partial(subprocess.run, check=True, stdout=subprocess.DEVNULL)
+    rows = {name: timed(partial(call, [sys.executable, *words]), 10) for name, words in commands.items()}
     print_rows("start-up, wall time of the fastest of ten processes", rows)
 
 

@@ -198,8 +198,33 @@ class _Passes:
         return [self.supported[place] for place in places]
 
     def _features(self, prompts: Sequence[tuple[str, Draw, int]]) -> list[Features]:
-        assert self.adapter is not None
-        return _generated(self.adapter, self.request, prompts, self.evaluator.configuration)
+        """Generate motions for sequence ids with their texts and lengths, each with a sample's noise, and encode them.
+
+        Motions of similar length are made together, so that little is computed for padding; the place breaks ties, so
+        that the order is fixed.
+        """
+        adapter, request, configuration = self.adapter, self.request, self.evaluator.configuration
+        assert adapter is not None
+        order = sorted(range(len(prompts)), key=lambda place: (prompts[place][1].n_frames, place))
+        found: dict[int, Features] = {}
+        for start in range(0, len(order), request.batch_size):
+            places = order[start : start + request.batch_size]
+            chosen = [prompts[place] for place in places]
+            batch = ConditionBatch(
+                condition=Condition.TEXT,
+                n_frames=np.array([one.n_frames for _, one, _ in chosen], dtype=np.int64),
+                fps=configuration.fps,
+                # Methods must not recognise sequences, so they see a digest in place of the id.
+                opaque_id=tuple(text_digest("opaque", str(request.seed), name)[:16] for name, _, _ in chosen),
+                noise_seed=tuple(noise_seed(request.seed, name, sample) for name, _, sample in chosen),
+                text=tuple(one.caption for _, one, _ in chosen),
+            )
+            ids = [name for name, _, _ in chosen]
+            motions, _ = generate_checked(adapter, batch, seed=request.seed, method=adapter.name, sequence_ids=ids)
+            for place, (name, one, _), joints in zip(places, chosen, motions.joints):
+                source = f"{adapter.name}'s motion for {name}"
+                found[place] = generated_features(joints[: one.n_frames], configuration, name=source)
+        return [found[place] for place in range(len(prompts))]
 
 
 def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_: None) -> TextEvaluation:
@@ -219,7 +244,7 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
     configuration = evaluator.configuration
     read = EvaluatedClips.read(request.corpus, split=request.split, kinds=request.kinds, fps=configuration.fps)
     adapter = None if request.method is None else _loaded(request.method, request)
-    supported = tuple(clip for clip in read.clips if adapter is None or _supports(adapter, clip, configuration))
+    supported = read.clips if adapter is None else _supported(adapter, read.clips, configuration)
     fewest = min(len(supported), request.prompts) if adapter else len(read.clips)
     # Diversity draws two disjoint sets of so many motions from one pass.
     if fewest <= request.diversity_pairs:
@@ -300,47 +325,15 @@ def _loaded(method: str, request: TextEvaluationRequest) -> Adapter:
     return adapter
 
 
-def _supports(adapter: Adapter, clip: Clip, configuration: EvaluatorConfiguration) -> bool:
-    """Return True if the method can generate as many frames as a clip may ask for."""
+def _supported(adapter: Adapter, clips: tuple[Clip, ...], configuration: EvaluatorConfiguration) -> tuple[Clip, ...]:
+    """Return the clips of which the method can generate as many frames as they may ask for."""
     declared = Declared.by(adapter, origin=f"adapter '{adapter.name}'")
     if declared.max_frames is None:
-        return True
-    fps = configuration.fps
-    native = native_frames(np.array([longest(clip, configuration)]), fps=fps, native_fps=declared.native_fps or fps)
-    return int(native[0]) <= declared.max_frames
-
-
-def _generated(
-    adapter: Adapter,
-    request: TextEvaluationRequest,
-    prompts: Sequence[tuple[str, Draw, int]],
-    configuration: EvaluatorConfiguration,
-) -> list[Features]:
-    """Generate motions for sequence ids with their texts and lengths, each with the noise of a sample, and encode them.
-
-    Motions of similar length are made together, so that little is computed for padding; the place breaks ties, so
-    that the order is fixed.
-    """
-    order = sorted(range(len(prompts)), key=lambda place: (prompts[place][1].n_frames, place))
-    found: dict[int, Features] = {}
-    for start in range(0, len(order), request.batch_size):
-        places = order[start : start + request.batch_size]
-        chosen = [prompts[place] for place in places]
-        batch = ConditionBatch(
-            condition=Condition.TEXT,
-            n_frames=np.array([one.n_frames for _, one, _ in chosen], dtype=np.int64),
-            fps=configuration.fps,
-            # Methods must not recognise sequences, so they see a digest in place of the id.
-            opaque_id=tuple(text_digest("opaque", str(request.seed), name)[:16] for name, _, _ in chosen),
-            noise_seed=tuple(noise_seed(request.seed, name, sample) for name, _, sample in chosen),
-            text=tuple(one.caption for _, one, _ in chosen),
-        )
-        ids = [name for name, _, _ in chosen]
-        motions, _ = generate_checked(adapter, batch, seed=request.seed, method=adapter.name, sequence_ids=ids)
-        for place, (name, one, _), joints in zip(places, chosen, motions.joints):
-            source = f"{adapter.name}'s motion for {name}"
-            found[place] = generated_features(joints[: one.n_frames], configuration, name=source)
-    return [found[place] for place in range(len(prompts))]
+        return clips
+    lengths = np.array([longest(clip, configuration) for clip in clips])
+    native_fps = declared.native_fps or configuration.fps
+    native = native_frames(lengths, fps=configuration.fps, native_fps=native_fps)
+    return tuple(clip for clip, n_frames in zip(clips, native) if n_frames <= declared.max_frames)
 
 
 def generated_features(

@@ -244,9 +244,10 @@ class EvaluatorTraining(TrainingModule):
             # :func:`contrastive_losses` where there is no wrong pair.
             positive = pairwise_distance(text, motion).square().mean()
             return {"loss": positive, "positive": positive, "negative": torch.zeros_like(positive)}
-        return contrastive_losses(
-            text, motion, shift=shift, margin=self.objective.margin, counted=self._counted(batch, shift)
-        )
+        counted = None
+        if not self.objective.equal_texts_are_negatives:
+            counted = different_texts(batch.text, shift).to(batch.features.device)
+        return contrastive_losses(text, motion, shift=shift, margin=self.objective.margin, counted=counted)
 
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         """Networks and statistics as one object; the decoder is kept where a contrast is still to follow."""
@@ -276,11 +277,6 @@ class EvaluatorTraining(TrainingModule):
         self, features: Float[torch.Tensor, "batch frames 263"]
     ) -> Float[torch.Tensor, "batch frames 259"]:
         return ((features - self.mean) / self.std)[..., :MOVEMENT_FEATURES]
-
-    def _counted(self, batch: MotionBatch, shift: int) -> Bool[torch.Tensor, " batch"] | None:
-        if self.objective.equal_texts_are_negatives:
-            return None
-        return different_texts(batch.text, shift).to(batch.features.device)
 
 
 def _require_snippets(counts: Int[torch.Tensor, " batch"], batch: MotionBatch) -> None:

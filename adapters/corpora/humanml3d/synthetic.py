@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from prbench.files.storage import atomic_path, write_text
 from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.representation import mirror
 from prbench.synthetic.activities import NarratedMotion
-from prbench.synthetic.layouts import Damage, Defect, removed
+from prbench.synthetic.layouts import Defect, removed
 from prbench_adapters.corpora.humanml3d import files as layout
 
 _LONGEST = 9.9  # Seconds of a motion in the dataset.
@@ -103,22 +104,23 @@ def _features_only(root: Path, name: str) -> None:
         np.save(temporary, np.zeros((n, 263), dtype=np.float32), allow_pickle=False)
 
 
-def _on_texts(files: Callable[[Path, str], list[Path]], change: Callable[[str, str], str]) -> Damage:
-    """Return a damage that changes some text files; the change is told the text and the name of the motion."""
-
-    def apply(root: Path, name: str) -> None:
-        for path in files(root, name):
-            path.write_text(change(path.read_text(), name))
-
-    return apply
+def _on_texts(
+    files: Callable[[Path, str], list[Path]], change: Callable[[str, str], str], root: Path, name: str
+) -> None:
+    """Change some text files; the change is told the text and the name of the motion."""
+    for path in files(root, name):
+        path.write_text(change(path.read_text(), name))
 
 
-_NOT_LISTED = _on_texts(
+_NOT_LISTED = partial(
+    _on_texts,
     lambda root, _: [root / file for file in layout.SPLIT_FILES.values()],
     lambda text, name: "".join(f"{other}\n" for other in text.split() if other != name),
 )
 # Newer text files hold nan in place of 0.0.
-_NAN_TIMES = _on_texts(lambda root, name: [_texts(root, name)], lambda text, _: text.replace("#0.0#0.0", "#nan#nan"))
+_NAN_TIMES = partial(
+    _on_texts, lambda root, name: [_texts(root, name)], lambda text, _: text.replace("#0.0#0.0", "#nan#nan")
+)
 
 
 # All defects of the layout.

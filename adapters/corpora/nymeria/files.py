@@ -11,7 +11,7 @@ from pathlib import Path
 
 from prbench.errors import InputFileError
 from prbench.files.bounded import require_size
-from prbench.readers import SYNTHETIC_PREFIX, InputFile, RecordingFiles, require_marked, synthetic_tree_around
+from prbench.readers import SYNTHETIC_PREFIX, RecordingFiles, require_marked, synthetic_tree_around
 from prbench.readers.files import require_column_names
 from prbench.readers.found import input_file
 from prbench_adapters.corpora.nymeria import format as nymeria
@@ -77,20 +77,16 @@ def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
             found="none",
             remedy="Give the folder that holds <date>_<session>_<name>_<act>_<uid> folders.",
         )
-    recordings = tuple(_files(root, name, sequences[name], shared) for name in sorted(sequences))
+    recordings = []
+    for name, files in sorted(sequences.items()):
+        files = files if shared is None else {OFFSET: shared, **files}
+        inputs = tuple(input_file(role, files[role]) for role in sorted(files))
+        folder = files[SUIT].parent.parent if SUIT in files else root / name
+        tree = next(filter(None, (synthetic_tree_around(file.path.parent, root) for file in inputs)), None)
+        dataset, splits = ("nymeria", {}) if tree is None else (f"{SYNTHETIC_PREFIX}nymeria", tree.split)
+        recordings.append(RecordingFiles(dataset, name, folder, inputs, split=splits.get(name)))
     require_marked(root, {recording.recording_id: recording.dataset for recording in recordings})
-    return recordings
-
-
-def _files(root: Path, name: str, files: dict[str, Path], shared: Path | None) -> RecordingFiles:
-    if shared is not None:
-        files = {OFFSET: shared, **files}
-    inputs: list[InputFile] = [input_file(role, files[role]) for role in sorted(files)]
-    suit = files.get(SUIT)
-    folder = root / name if suit is None else suit.parent.parent
-    tree = next(filter(None, (synthetic_tree_around(file.path.parent, root) for file in inputs)), None)
-    dataset, splits = ("nymeria", {}) if tree is None else (f"{SYNTHETIC_PREFIX}nymeria", tree.split)
-    return RecordingFiles(dataset, name, folder, tuple(inputs), split=splits.get(name))
+    return tuple(recordings)
 
 
 _LONGEST_DURATION = 1000.0  # where every duration is longer, the unit is no second

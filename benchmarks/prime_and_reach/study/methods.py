@@ -170,7 +170,12 @@ def _part(table: DatasetTable, number: str, *, with_published: bool, named: bool
         published = published_rows(numbers, _published_label)
         blocks.append(Block(title=_published_title(number, dataset, table), rows=published))
         found = differences([row for _, row in placed], number)
-        blocks.append(_difference_block(found))
+        cells: dict[tuple[str, str], list[Cell]] = {}
+        for cell, remarks in found:
+            mark = " (unverified)" if any(remark.startswith("unverified") for remark in remarks) else ""
+            cells.setdefault((condition_title(cell.condition), f"{cell.method}, {cell.variant}{mark}"), []).append(cell)
+        rows = [Row(text={"condition": key[0], "method": key[1]}, cells=tuple(own)) for key, own in cells.items()]
+        blocks.append(Block(title="Measured minus published", rows=tuple(rows), signed=True))
     if found:
         notes.append(_DIFFERENCES)
         notes += dict.fromkeys(f"{cell.method}: {remark}" for cell, remarks in found for remark in remarks)
@@ -259,15 +264,6 @@ def _published_label(number: PublishedNumber) -> str:
         if (row.method, row.condition.value, variant) == (number.method, number.condition, number.variant):
             return row.label
     return f"{number.method}, {number.variant}"
-
-
-def _difference_block(found: Sequence[tuple[Cell, tuple[str, ...]]]) -> Block:
-    cells: dict[tuple[str, str], list[Cell]] = {}
-    for cell, remarks in found:
-        mark = " (unverified)" if any(remark.startswith("unverified") for remark in remarks) else ""
-        cells.setdefault((condition_title(cell.condition), f"{cell.method}, {cell.variant}{mark}"), []).append(cell)
-    rows = [Row(text={"condition": key[0], "method": key[1]}, cells=tuple(own)) for key, own in cells.items()]
-    return Block(title="Measured minus published", rows=tuple(rows), signed=True)
 
 
 def measured_title(table: DatasetTable) -> str:
