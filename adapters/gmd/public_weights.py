@@ -23,7 +23,7 @@ from torch import Tensor
 import prbench
 from prbench.errors import InputFileError, UsageError
 from prbench.files.arrays import load_array
-from prbench.files.bounded import foreign_input
+from prbench.files.bounded import foreign_input, require
 from prbench.files.storage import file_digest
 from prbench.representation.features import N_FEATURES
 from prbench.text import CLIP
@@ -63,29 +63,21 @@ def read_space(mean: Path, std: Path, projection: Path) -> FeatureSpace:
     deviations = _read(std, (N_FEATURES,))
     remedy = "Give --statistics Mean_abs_3d.npy Std_abs_3d.npy, in this order."
     least = int(deviations.argmin())
-    if deviations[least] <= 0:
-        found = f"{deviations[least]:g}"
-        raise InputFileError(std, f"column {least}", expected="a positive deviation", found=found, remedy=remedy)
+    found = f"{deviations[least]:g}"
+    require(std, (deviations[least] > 0, f"column {least}", "a positive deviation", found, remedy))
     # HumanML3D's own statistics, which are those of relative features, have the same shape.
-    if deviations[ROOT_XZ].max() < _LEAST_DEVIATION_OF_PLACES:
-        raise InputFileError(
-            std,
-            "columns 1 and 2",
-            expected="deviations of where the pelvis stands, some decimetres",
-            found=f"{deviations[ROOT_XZ].max():.3f} m, as of its steps from frame to frame",
-            remedy=f"These seem to be statistics of relative features. {remedy}",
-        )
+    most = deviations[ROOT_XZ].max()
+    expected = "deviations of where the pelvis stands, some decimetres"
+    found = f"{most:.3f} m, as of its steps from frame to frame"
+    remedy = f"These seem to be statistics of relative features. {remedy}"
+    require(std, (most >= _LEAST_DEVIATION_OF_PLACES, "columns 1 and 2", expected, found, remedy))
     matrix = _read(projection, (N_FEATURES, N_FEATURES))
     size = float((matrix.astype(np.float64) ** 2).sum()) / N_FEATURES
     # The repository also holds the inverse, which is as square and as large.
-    if not 1 / _MOST_OFF < size < _MOST_OFF or np.linalg.matrix_rank(matrix.astype(np.float64)) < N_FEATURES:
-        raise InputFileError(
-            projection,
-            "",
-            expected="an emphasis projection that can be inverted, with a mean square of 1 a row",
-            found=f"{size:.3g}",
-            remedy="Give --projection rand_proj.npy; inv_rand_proj.npy is its inverse, which prbench computes itself.",
-        )
+    fits = 1 / _MOST_OFF < size < _MOST_OFF and np.linalg.matrix_rank(matrix.astype(np.float64)) == N_FEATURES
+    expected = "an emphasis projection that can be inverted, with a mean square of 1 a row"
+    remedy = "Give --projection rand_proj.npy; inv_rand_proj.npy is its inverse, which prbench computes itself."
+    require(projection, (fits, "", expected, f"{size:.3g}", remedy))
     return FeatureSpace.of(torch.from_numpy(means), torch.from_numpy(deviations), torch.from_numpy(matrix))
 
 

@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, TableError
-from prbench.files.bounded import foreign_input
+from prbench.files.bounded import foreign_input, require_rows
 from prbench.files.storage import atomic_path, in_turn, read_json, sole_writer, text_digest, write_json
 from prbench.geometry.skeleton import N_JOINTS, Joint, canonical_frame, invert_rigid, transform_points
 from prbench.representation import N_FEATURES, Mode, check_joints, encode
@@ -94,15 +94,10 @@ def check_headings(joints: Float[np.ndarray, "n 22 3"], *, name: str, first: int
     """
     across = joints[:, Joint.RIGHT_HIP] - joints[:, Joint.LEFT_HIP]
     across = across + joints[:, Joint.RIGHT_SHOULDER] - joints[:, Joint.LEFT_SHOULDER]
-    without = np.flatnonzero(np.hypot(across[:, 0], across[:, 2]) < _SHORTEST_ACROSS)
-    if without.size:
-        raise InputFileError(
-            name,
-            f"frame {first + int(without[0])}",
-            expected="a pose with a heading",
-            found="hips and shoulders on one vertical line",
-            remedy="Leave the motion out.",
-        )
+    without = np.hypot(across[:, 0], across[:, 2]) < _SHORTEST_ACROSS
+    found = "hips and shoulders on one vertical line"
+    remedy = "Leave the motion out."
+    require_rows(name, without, "a pose with a heading", found, place="frame", first=first, remedy=remedy)
 
 
 def encoded(motion: Motion, mode: Mode, *, name: str) -> Float[np.ndarray, "n 263"]:

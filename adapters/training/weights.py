@@ -21,7 +21,7 @@ import torch
 from safetensors import SafetensorError
 
 from prbench.errors import InputFileError
-from prbench.files.bounded import foreign_input, read_whole
+from prbench.files.bounded import foreign_input, read_whole, require
 from prbench.files.storage import atomic_path, bytes_digest, write_json
 from prbench.limits import LARGEST_HEADER
 
@@ -269,17 +269,12 @@ def _content(path: Path) -> bytes:
         content = read_whole(path)
     except FileNotFoundError as error:
         raise InputFileError(path, "", expected="a weights file (.safetensors)", found="no such file") from error
-    if content[:4] == b"PK\x03\x04" or (
-        content[:1] == b"\x80" and content[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")
-    ):
-        raise InputFileError(
-            path,
-            "",
-            expected="a safetensors file",
-            found="a pickle (a PyTorch checkpoint)",
-            remedy="Pickles can run code when they are opened, so prbench never does. Load it where you trust it and"
-            " save its tensors with safetensors.",
-        )
+    pickled = content.startswith((b"PK\x03\x04", b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"))
+    remedy = (
+        "Pickles can run code when they are opened, so prbench never does. Load it where you trust it and save its"
+        " tensors with safetensors."
+    )
+    require(path, (not pickled, "", "a safetensors file", "a pickle (a PyTorch checkpoint)", remedy))
     return content
 
 

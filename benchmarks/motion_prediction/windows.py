@@ -25,6 +25,7 @@ from prbench.curation.options import BuildOptions
 from prbench.engine import Engine, InProcess, is_out_of_memory
 from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, PrbenchError
+from prbench.files.bounded import require
 from prbench.files.storage import require_replaceable, sole_writer, text_digest
 from prbench.geometry.skeleton import head_forward
 from prbench.geometry.timelines import covered, interpolate, nearest_index
@@ -454,14 +455,9 @@ def plan_windows(
     name = sources[0].dataset
     manifest = load_manifest(name.removeprefix(SYNTHETIC_PREFIX))
     published = isinstance(reader_for(name, dict(reader)), PublishedForPrediction)
-    if joints == "native" and not published:
-        raise InputFileError(
-            root,
-            "",
-            expected="a dataset with joints of its own that a study of prediction published",
-            found=name,
-            remedy="Leave the option out: every dataset has the 22 joints.",
-        )
+    expected = "a dataset with joints of its own that a study of prediction published"
+    remedy = "Leave the option out: every dataset has the 22 joints."
+    require(root, (published or joints != "native", "", expected, name, remedy))
     native = published and joints != "smpl22"
     chosen = {"joints": "native" if native else "smpl22", "recordings": recordings, "limit": str(limit or "all")}
     chosen |= {f"reader.{key}": value for key, value in reader}

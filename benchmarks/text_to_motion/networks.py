@@ -16,7 +16,7 @@ from torch.nn.utils.rnn import pack_padded_sequence
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import load_array
-from prbench.files.bounded import foreign_input, read_text
+from prbench.files.bounded import foreign_input, read_text, require
 from prbench.files.storage import bytes_digest, text_digest
 from prbench.representation import N_FEATURES, Mode
 from prbench.representation.features import FOOT_CONTACTS
@@ -108,16 +108,13 @@ class GloveCaptions:
         Raises:
             InputFileError: if a caption has no tokens.
         """
+        expected = "word/POS tokens beside every caption, which a GloVe evaluator reads"
+        remedy = (
+            "HumanML3D brings them. For other corpora train an evaluator with model.text=hashed-ngrams or distilbert;"
+            " its numbers form a column of their own."
+        )
         for text in texts:
-            if not self.tokens.get(text):
-                raise InputFileError(
-                    self.source,
-                    "captions",
-                    expected="word/POS tokens beside every caption, which a GloVe evaluator reads",
-                    found=f"none of '{text}'",
-                    remedy="HumanML3D brings them. For other corpora train an evaluator with model.text=hashed-ngrams"
-                    " or distilbert; its numbers form a column of their own.",
-                )
+            require(self.source, (self.tokens.get(text), "captions", expected, f"none of '{text}'", remedy))
         return padded([self.vectors.encode(self.tokens[text]) for text in texts], self.dimension)
 
 

@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float, Int
 from torch import nn
 from torch.nn.functional import pairwise_distance
 
-from prbench.errors import InputFileError, TableError, UsageError
-from prbench.files.bounded import foreign_input
+from prbench.errors import TableError, UsageError
+from prbench.files.bounded import foreign_input, require
 from prbench.representation import N_FEATURES, Statistics
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.text import TextEncoder as TokenVectors
@@ -399,13 +399,9 @@ def load_evaluator(
     tokens, words_digest = token_vectors(configuration.text, tables, words=str(words or ""), path=text_path or "")
     # Other word vectors would load without an error and give numbers that mean nothing.
     trained_with = weights.metadata.get("words", "")
-    if trained_with != words_digest:
-        raise InputFileError(
-            weights.path,
-            "header entry 'words'",
-            expected=f"the word vectors and lists that it was trained with (sha256 {trained_with[:12]}…)",
-            found=f"others (sha256 {words_digest[:12]}…)",
-        )
+    expected = f"the word vectors and lists that it was trained with (sha256 {trained_with[:12]}…)"
+    found = f"others (sha256 {words_digest[:12]}…)"
+    require(weights.path, (trained_with == words_digest, "header entry 'words'", expected, found, ""))
     movement = MovementEncoder(configuration.movement_width)
     motion = motion_encoder(configuration)
     text = TextEncoder(configuration, tokens.dimension)

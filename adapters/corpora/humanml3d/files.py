@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import load_array
-from prbench.files.bounded import read_text
+from prbench.files.bounded import read_text, require_rows
 from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.limits import HARMLESS_SIZE
 from prbench.sequences.corpus import Caption
@@ -91,11 +91,8 @@ def read_joints(path: Path) -> Float[np.ndarray, "frames 22 3"]:
         found = f"{joints.shape} of {joints.dtype}"
         raise InputFileError(path, "", expected="numbers of the shape (2 or more, 22, 3)", found=found)
     joints = joints.astype(np.float64)
-    bad = np.flatnonzero(~np.isfinite(joints).all(axis=(1, 2)))
-    if bad.size:
-        raise InputFileError(
-            path, f"frame {bad[0]}", expected="finite positions", found="NaN", remedy="Leave the motion out."
-        )
+    bad = ~np.isfinite(joints).all(axis=(1, 2))
+    require_rows(path, bad, "finite positions", "NaN", place="frame", first=0, remedy="Leave the motion out.")
     trunk = float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=-1)))
     if trunk > _LONGEST_TRUNK:
         found = f"{trunk:.0f} from pelvis to head"

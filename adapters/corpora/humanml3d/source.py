@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError, UsageError
-from prbench.files.bounded import foreign_input, read_text
+from prbench.files.bounded import foreign_input, read_text, require
 from prbench.files.storage import file_digest, text_digest
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
@@ -222,20 +222,14 @@ class HumanML3DCorpus(Corpus):
                 (layout.TEXTS_FOLDER, ".txt"),
             )
         )
-        if not joints:
-            found = f"{len(features)} files of features" if features else "no motions at all"
-            raise InputFileError(
-                root, f"{layout.JOINTS_FOLDER}/", expected="joint files of HumanML3D", found=found, remedy=_MAKE_JOINTS
-            )
-        if not texts:
-            packed = (root / layout.TEXTS_ARCHIVE).is_file()
-            raise InputFileError(
-                root,
-                f"{layout.TEXTS_FOLDER}/",
-                expected="text files of HumanML3D",
-                found=f"{layout.TEXTS_ARCHIVE}, not unpacked" if packed else "none",
-                remedy="Unpack texts.zip of the dataset's repository here.",
-            )
+        held = f"{len(features)} files of features" if features else "no motions at all"
+        packed = f"{layout.TEXTS_ARCHIVE}, not unpacked" if (root / layout.TEXTS_ARCHIVE).is_file() else "none"
+        unpack = "Unpack texts.zip of the dataset's repository here."
+        require(
+            root,
+            (joints, f"{layout.JOINTS_FOLDER}/", "joint files of HumanML3D", held, _MAKE_JOINTS),
+            (texts, f"{layout.TEXTS_FOLDER}/", "text files of HumanML3D", packed, unpack),
+        )
         splits = _splits(root)
         dataset = f"{SYNTHETIC_PREFIX}humanml3d" if read_synthetic_tree(root) else "humanml3d"
         sources = []
@@ -265,11 +259,8 @@ def _splits(root: Path) -> dict[str, str]:
         for name in read_text(path).split() if path.is_file() else ():
             if splits.setdefault(name, split) != split:
                 raise InputFileError(path, name, expected="motions of one split", found=f"also in {splits[name]}")
-    if not splits:
-        raise InputFileError(
-            root, "train.txt, val.txt, test.txt", expected="the official lists", found="none of them",
-            remedy="Copy them from the dataset's repository.",
-        )  # fmt: skip
+    remedy = "Copy them from the dataset's repository."
+    require(root, (splits, "train.txt, val.txt, test.txt", "the official lists", "none of them", remedy))
     return splits
 
 

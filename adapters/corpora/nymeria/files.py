@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 
 from prbench.errors import InputFileError
-from prbench.files.bounded import require_size
+from prbench.files.bounded import require, require_size
 from prbench.readers import SYNTHETIC_PREFIX, RecordingFiles, require_marked, synthetic_tree_around
 from prbench.readers.files import require_column_names
 from prbench.readers.found import input_file
@@ -69,14 +69,8 @@ def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
         found.setdefault((named or outer)[-1], {}).setdefault(role, path)
     wanted = {SUIT, *nymeria.NARRATION_FILES}
     sequences = {name: files for name, files in found.items() if wanted & files.keys()}
-    if not sequences:
-        raise InputFileError(
-            root,
-            "",
-            expected=f"sequence folders with body/{nymeria.SUIT_FILE}",
-            found="none",
-            remedy="Give the folder that holds <date>_<session>_<name>_<act>_<uid> folders.",
-        )
+    remedy = "Give the folder that holds <date>_<session>_<name>_<act>_<uid> folders."
+    require(root, (sequences, "", f"sequence folders with body/{nymeria.SUIT_FILE}", "none", remedy))
     recordings = []
     for name, files in sorted(sequences.items()):
         files = files if shared is None else {OFFSET: shared, **files}
@@ -123,37 +117,21 @@ def read_narrations(path: Path, kind: str) -> tuple[Narration, ...]:
         for column, name in enumerate(lower)
         if name.startswith(nymeria.ANSWER_PREFIX)
     ]
-    if not answers:
-        raise InputFileError(
-            path,
-            "header",
-            expected="a column whose name begins with 'Describe my'",
-            found=f"the columns {', '.join(header)}",
-            remedy="This is another file, or another version of the format.",
-        )
+    found = f"the columns {', '.join(header)}"
+    remedy = "This is another file, or another version of the format."
+    require(path, (answers, "header", "a column whose name begins with 'Describe my'", found, remedy))
     narrations = []
     for number, row in rows[1:]:
-        if len(row) < len(header):
-            raise InputFileError(
-                path,
-                f"row {number}",
-                expected=f"{len(header)} cells",
-                found=str(len(row)),
-                remedy="The file may be truncated; download it again.",
-            )
+        remedy = "The file may be truncated; download it again."
+        require(path, (len(row) >= len(header), f"row {number}", f"{len(header)} cells", len(row), remedy))
         cells = dict(zip(lower, row, strict=False))
         start, end = (_seconds(path, number, cells[name]) for name in (nymeria.START_COLUMN, nymeria.END_COLUMN))
         texts = tuple((name, row[column].strip()) for column, name in answers)
         narrations.append(Narration(kind, start, end, texts, cells.get(nymeria.ANNOTATOR_COLUMN, "").strip()))
-    durations = [row.end - row.start for row in narrations]
-    if durations and min(durations) > _LONGEST_DURATION:
-        raise InputFileError(
-            path,
-            "start_time, end_time",
-            expected="seconds",
-            found=f"{min(durations):,.0f} or more from start to end in every row",
-            remedy="These look like milliseconds; divide both columns by 1,000.",
-        )
+    shortest = min((row.end - row.start for row in narrations), default=0.0)
+    found = f"{shortest:,.0f} or more from start to end in every row"
+    remedy = "These look like milliseconds; divide both columns by 1,000."
+    require(path, (shortest <= _LONGEST_DURATION, "start_time, end_time", "seconds", found, remedy))
     return tuple(narrations)
 
 
@@ -162,8 +140,6 @@ def _seconds(path: Path, number: int, cell: str) -> float:
         value = float(cell)
     except ValueError:
         value = float("nan")
-    if not abs(value) < float("inf"):
-        raise InputFileError(
-            path, f"row {number}", expected="a time in seconds", found=f"'{cell}'", remedy="Download the file again."
-        )
+    finite = abs(value) < float("inf")
+    require(path, (finite, f"row {number}", "a time in seconds", f"'{cell}'", "Download the file again."))
     return value

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from prbench.errors import InputFileError, UsageError
-from prbench.files.bounded import foreign_input
+from prbench.errors import UsageError
+from prbench.files.bounded import foreign_input, require
 from prbench.files.storage import file_digest, text_digest
 from prbench.geometry.skeleton import Joint, y_up
 from prbench.geometry.timelines import slerp
@@ -169,14 +169,12 @@ class NymeriaWindows:
         # All pieces on one time line; what lies between them is a gap.
         pieces = sorted(motion.pieces, key=lambda piece: piece.start)
         times = np.concatenate([piece.start + np.arange(len(piece.joints)) / SUIT_RATE for piece in pieces])
-        if (np.diff(times) <= 0).any():
-            raise InputFileError(
-                SUIT_FILE,
-                "timestamps_us",
-                expected="pieces of motion one after the other",
-                found="two that overlap in time",
-                remedy="Leave the recording out.",
-            )
+        expected = "pieces of motion one after the other"
+        ordered = not (np.diff(times) <= 0).any()
+        require(
+            SUIT_FILE,
+            (ordered, "timestamps_us", expected, "two that overlap in time", "Leave the recording out."),
+        )
         joints = np.concatenate([piece.joints for piece in pieces]).astype(np.float64)
         body = BodyStream(times, joints, np.ones(len(times), dtype=bool))
         gaze, message = self._gaze(motion)

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
+from prbench.files.bounded import require
 from prbench.geometry.skeleton import XSENS_SEGMENTS, Joint, y_up
 from prbench.protocol.manifests import Manifest
 from prbench_adapters.corpora.nymeria.format import N_SEGMENTS, SUIT_RATE, Suit
@@ -101,14 +102,9 @@ def read_suit(path: Path) -> Suit:
             raise InputFileError(path, key, expected=expected, found=found, remedy=_DOWNLOAD)
     for key, size in _SIZES.items():
         shapes = ((n, N_SEGMENTS * size), (n, N_SEGMENTS, size))
-        if arrays[key].shape not in shapes or not np.issubdtype(arrays[key].dtype, np.floating):
-            raise InputFileError(
-                path,
-                key,
-                expected=f"numbers of the shape {shapes[0]} or {shapes[1]}, for the {n} times",
-                found=f"{arrays[key].dtype} of the shape {arrays[key].shape}",
-                remedy=_DOWNLOAD,
-            )
+        fits = arrays[key].shape in shapes and np.issubdtype(arrays[key].dtype, np.floating)
+        expected = f"numbers of the shape {shapes[0]} or {shapes[1]}, for the {n} times"
+        require(path, (fits, key, expected, f"{arrays[key].dtype} of the shape {arrays[key].shape}", _DOWNLOAD))
         arrays[key] = arrays[key].reshape(n, N_SEGMENTS, size)
     return Suit(
         time_us=np.rint(time).astype(np.int64),
@@ -161,25 +157,15 @@ def clean_suit(suit: Suit, manifest: Manifest, *, path: Path | str, pose_source:
         if finite[first] and stop - first - 1 >= shortest
     ]
     lost = int((~finite).sum())
-    if not stretches:
-        raise InputFileError(
-            path,
-            "timestamps_us",
-            expected=f"at least {thresholds['shortest_piece']:g} s of steady 240 Hz with all positions",
-            found=f"{int(jumps.sum())} time steps off 240 Hz and {lost} frames without position",
-            remedy="The recording is damaged; leave it out.",
-        )
+    expected = f"at least {thresholds['shortest_piece']:g} s of steady 240 Hz with all positions"
+    found = f"{int(jumps.sum())} time steps off 240 Hz and {lost} frames without position"
+    require(path, (stretches, "timestamps_us", expected, found, "The recording is damaged; leave it out."))
     part = np.concatenate([suit.position[first:stop:24, :, 2] for first, stop in stretches])
     top, *feet = (part[:, XSENS_SEGMENTS.index(name)] for name in ("Head", "R_Foot", "L_Foot"))
     height = float(np.median(top - np.mean(feet, axis=0)))
-    if not height > 0.0:
-        raise InputFileError(
-            path,
-            "segment_tXYZ",
-            expected="Z up: the head above the feet",
-            found=f"the head {height:.2f} m above the feet in z",
-            remedy="Other axes than the suit's own are not supported.",
-        )
+    found = f"the head {height:.2f} m above the feet in z"
+    remedy = "Other axes than the suit's own are not supported."
+    require(path, (height > 0.0, "segment_tXYZ", "Z up: the head above the feet", found, remedy))
     messages = []
     if missing.any():
         messages.append(f"{int(missing.sum())} missing segment rotations repeat the frame before")
@@ -211,14 +197,10 @@ def clean_suit(suit: Suit, manifest: Manifest, *, path: Path | str, pose_source:
     walked = np.concatenate(along)
     by_segment = float(np.concatenate(agrees).mean())
     knows = len(walked) >= _FEWEST_WALKING
-    if float(walked.mean() if knows else by_segment) < 0.0:
-        raise InputFileError(
-            path,
-            "segment_tXYZ",
-            expected="a body that faces where it walks" if knows else "hips that face along the pelvis segment's x",
-            found="the opposite",
-            remedy="Left and right segments seem to be swapped; leave the recording out.",
-        )
+    backwards = float(walked.mean() if knows else by_segment) < 0.0
+    expected = "a body that faces where it walks" if knows else "hips that face along the pelvis segment's x"
+    remedy = "Left and right segments seem to be swapped; leave the recording out."
+    require(path, (not backwards, "segment_tXYZ", expected, "the opposite", remedy))
     if by_segment < 0.0:
         messages.append("the pelvis segment's x axis points backwards")
     tilt = measured_head_tilt(suit)

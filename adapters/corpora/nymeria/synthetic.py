@@ -286,8 +286,8 @@ _POSITIONS = "segment_tXYZ"
 _ROTATIONS = "segment_qWXYZ"
 _GROUPS = {"body": "body_motion", "narration": "narration"}  # folder of each download group
 _NO_ROTATION = partial(_on_arrays, [_ROTATIONS], lambda values: _filled(values, np.s_[100:140, 24:28], 0.0))
-_NO_POSITION = _on_arrays(
-    [_POSITIONS], lambda values: _filled(values, np.s_[len(values) // 4 : len(values) // 4 + 30, 9], np.nan)
+_NO_POSITION = partial(
+    _on_arrays, [_POSITIONS], lambda values: _filled(values, np.s_[len(values) // 4 : len(values) // 4 + 30, 9], np.nan)
 )
 _JUMP = partial(
     _on_arrays, ["timestamps_us"], lambda times: times + 24_003_000_000 * (np.arange(len(times)) >= len(times) // 2)
