@@ -61,6 +61,18 @@ _PARTS = {
     "not_learnt": "not learnt",
     "nor_people": "nobody",
 }
+# Column of the causes of each rate, and the causes.
+_CAUSES = {"primed": ("look_cause", LOOK_CAUSES[1:]), "reached": ("reach_cause", REACH_CAUSES[1:])}
+_MEDIANS = {
+    "miss_deg": "look_miss_deg",
+    "miss_up_deg": "look_miss_up_deg",
+    "miss_aside_deg": "look_miss_aside_deg",
+    "look_time": "look_best_time",
+    "smallest": "reach_smallest",
+}
+_STAYS = ("stays", "stays_with_elevation", "stays_with_azimuth")
+# Columns of the motions where they are not named like the numbers.
+_NAMES = _MEDIANS | {name: f"look_{name}" for name in _STAYS}
 _Numbers = dict[str, float | None]
 
 
@@ -146,15 +158,20 @@ def _budget(run: RunFolder, other: RunFolder | None, motions: pa.Table) -> list[
     for name, (own, _) in groups.items():
         ((bone, count),) = Counter(own["worst_bone"].to_pylist()).most_common(1)
         worst_bones[name] = {"worst_bone": f"{bone} {100 * count / len(own):.0f}"}
+
+    def measured(keys: Sequence[str], rate: str = "") -> dict[str, _Numbers]:
+        return {name: _numbers(own, theirs, keys, rate) for name, (own, theirs) in groups.items()}
+
     tables = [
         _table(
             "Prime Success, and why motions are not primed, %",
-            {name: _looking(own, theirs) for name, (own, theirs) in groups.items()},
+            # Undefined causes have no column: they stand in JSON alone.
+            measured(("sequences", "people", "primed", *LOOK_CAUSES[1:]), "primed"),
             {"sequences": "n", "people": "people", "primed": "primed", **_titles(LOOK_CAUSES[1:-1])},
         ),
         _table(
             "Best frame of the window (medians), and the share that would stay on the goal, %",
-            {name: _best_frame(own) for name, (own, _) in groups.items()},
+            measured(("miss_deg", "miss_up_deg", "miss_aside_deg", "look_time", *_STAYS)),
             {
                 "miss_deg": "miss °",
                 "miss_up_deg": "up °",
@@ -169,7 +186,7 @@ def _budget(run: RunFolder, other: RunFolder | None, motions: pa.Table) -> list[
         _gains(motions),
         _table(
             "Reach Success, and why goals are not reached, %",
-            {name: _reaching(own, theirs) for name, (own, theirs) in groups.items()},
+            measured(("sequences", "people", "reached", *REACH_CAUSES[1:], "smallest"), "reached"),
             {
                 "sequences": "n",
                 "people": "people",
@@ -181,7 +198,7 @@ def _budget(run: RunFolder, other: RunFolder | None, motions: pa.Table) -> list[
         ),
         _table(
             "Feet and bones: shares of frames that slide, by phase; change of a bone, %",
-            {name: _bodies(own) for name, (own, _) in groups.items()},
+            measured(("skating", "slides", *(f"slides_{phase}" for phase in PHASES), "bone_change")),
             {
                 "skating": "skating",
                 "slides": "slides",
@@ -260,57 +277,34 @@ def _counts(motions: pa.Table) -> tuple[int, int]:
     return len(ids[0]), len(ids[1])
 
 
-def _mean(motions: pa.Table, name: str, *, scale: float = 100.0) -> float | None:
-    """Mean of the finite values, in % by default; None without any."""
-    values = motions[name].to_numpy().astype(np.float64)
-    known = values[np.isfinite(values)]
-    return scale * float(known.mean()) if known.size else None
-
-
-def _median(motions: pa.Table, name: str, *, size: bool = False) -> float | None:
-    values = motions[name].to_numpy()
-    known = values[np.isfinite(values)]
-    return float(np.median(np.abs(known) if size else known)) if known.size else None
-
-
 def _titles(causes: Sequence[str]) -> dict[str, str]:
     return {cause: _SHORT.get(cause, cause) for cause in causes}
 
 
-def _causes(motions: pa.Table, column: str, causes: Sequence[str]) -> _Numbers:
-    found = motions[column].to_numpy()
-    return {cause: 100 * float((found == cause).mean()) for cause in causes}
+def _numbers(own: pa.Table, people: pa.Table, keys: Sequence[str], rate: str = "") -> _Numbers:
+    """Measure a group of motions.
 
-
-def _looking(own: pa.Table, people: pa.Table) -> _Numbers:
-    shares = _causes(own, "look_cause", LOOK_CAUSES[1:])  # undefined ones have no column: they stand in JSON alone
-    return {"sequences": _counts(own)[0], "people": _mean(people, "primed"), "primed": _mean(own, "primed"), **shares}
-
-
-def _best_frame(own: pa.Table) -> _Numbers:
-    shares = {name: _mean(own, f"look_{name}") for name in ("stays", "stays_with_elevation", "stays_with_azimuth")}
-    return {
-        "miss_deg": _median(own, "look_miss_deg"),
-        "miss_up_deg": _median(own, "look_miss_up_deg"),
-        "miss_aside_deg": _median(own, "look_miss_aside_deg", size=True),
-        "look_time": _median(own, "look_best_time"),
-        **shares,
-    }
-
-
-def _reaching(own: pa.Table, people: pa.Table) -> _Numbers:
-    return {
-        "sequences": _counts(own)[0],
-        "people": _mean(people, "reached"),
-        "reached": _mean(own, "reached"),
-        **_causes(own, "reach_cause", REACH_CAUSES[1:]),
-        "smallest": _median(own, "reach_smallest"),
-    }
-
-
-def _bodies(own: pa.Table) -> _Numbers:
-    names = ("skating", "slides", *(f"slides_{phase}" for phase in PHASES), "bone_change")
-    return {name: _mean(own, name) for name in names}
+    Args:
+        own: The method's motions, or people's.
+        people: The same group of people.
+        keys: What is measured: numbers of sequences, shares of causes in %, medians, else means in %.
+        rate: One of :data:`RATES`, of which people's is told and the causes are.
+    """
+    numbers: _Numbers = {}
+    for key in keys:
+        if key == "sequences":
+            numbers[key] = _counts(own)[0]
+        elif rate and key in _CAUSES[rate][1]:
+            numbers[key] = 100 * float((own[_CAUSES[rate][0]].to_numpy() == key).mean())
+        else:
+            of, name = (people, rate) if key == "people" else (own, _NAMES.get(key, key))
+            values = of[name].to_numpy().astype(np.float64)
+            known = values[np.isfinite(values)]
+            # Sideways misses are as bad to either side.
+            known = np.abs(known) if key == "miss_aside_deg" else known
+            average = np.median if key in _MEDIANS else np.mean
+            numbers[key] = float(average(known)) * (1 if key in _MEDIANS else 100) if known.size else None
+    return numbers
 
 
 def _gains(motions: pa.Table) -> Table:
