@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from prbench.curation import BuildPlan, BuildReport
     from prbench.curation.job import FunnelRow
     from prbench.curation.options import BuildOptions
-    from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
     from prbench.readers.discover import BrokenDataset
     from prbench.sequences import Recording
@@ -161,7 +160,24 @@ def build_dataset(
     part = opt.chosen_shard(shard, replace=given["replace"], dry_run=dry_run, everything=dataset == EVERYTHING)
     chosen = build_options(option=dict(options), **given)
     if propose_events is not None:
-        return _propose(dataset, root, propose_events, dict(options), opt.opened(engine, reads=(root,)))
+        from prbench.curation.propose_events import write_candidates
+
+        where = opt.opened(engine, reads=(root,))
+        with progress(f"looking for reaches in {dataset}") as show:
+            rows, problems = write_candidates(
+                dataset, root, propose_events, options=dict(options), engine=where, progress=show
+            )
+        for name, problem in problems.items():
+            note(f"{name}: {problem}")
+
+        def show_proposals() -> None:
+            found = sum(bool(row["hand"]) for row in rows)
+            print(f"{found} proposals for {len(rows)} segments, {len(problems)} not read")
+            print(
+                f"look at the videos, write yes or no into the column 'confirmed', and build with it: {propose_events}"
+            )
+
+        return Answer(BuildsReport(proposed=rows), show_proposals, NOT_EVERYTHING if problems else 0)
     if dry_run:
         return _plan(dataset, root, chosen, engine if isinstance(engine, int) else 1)
     if out is None:
@@ -198,23 +214,6 @@ def shard_answer(report: ShardReport[Any], made_of: int, *, unit: str, complete:
     """Answer a command that has made one shard of a build."""
     made = made_shard(report, made_of)
     return opt.shard_answer(BuildsReport(shard=made), made, unit=unit, exit_code=0 if complete else NOT_EVERYTHING)
-
-
-def _propose(dataset: str, root: Path, out: Path, options: dict[str, str], engine: Engine) -> Answer:
-    """Propose pick events where a dataset has none, for a person to confirm."""
-    from prbench.curation.propose_events import write_candidates
-
-    with progress(f"looking for reaches in {dataset}") as show:
-        rows, problems = write_candidates(dataset, root, out, options=options, engine=engine, progress=show)
-    for name, problem in problems.items():
-        note(f"{name}: {problem}")
-
-    def show_proposals() -> None:
-        found = sum(bool(row["hand"]) for row in rows)
-        print(f"{found} proposals for {len(rows)} segments, {len(problems)} not read")
-        print(f"look at the videos, write yes or no into the column 'confirmed', and build with it: {out}")
-
-    return Answer(BuildsReport(proposed=rows), show_proposals, NOT_EVERYTHING if problems else 0)
 
 
 def _plan(dataset: str, root: Path, options: BuildOptions, workers: int) -> Answer:

@@ -130,8 +130,20 @@ def run(
     Without --data, five embedded synthetic datasets are used. The same command goes on with an interrupted run.
     With --benchmark motion-prediction, --data names tables of `prbench build-windows`.
     """
+    from prbench.protocol.manifests import default_benchmark, find_benchmark
+
     of_table_two = ALL in (given["method"], given["condition"])
-    _require_fits_benchmark(given, of_table_two, by_file=config is not None)
+    # Conditions of another benchmark are refused, and what only the default one has: embedded tables and Table 2. A
+    # file may name the benchmark; then the experiment is asked.
+    own = default_benchmark()
+    about = find_benchmark(given["benchmark"] or own.name)
+    if config is None and given["condition"] not in (None, ALL, *about.conditions):
+        known = ", ".join(about.conditions)
+        raise UsageError(f"--condition {given['condition']}: expected one of the benchmark {about.name}: {known}.")
+    if not about.default and of_table_two:
+        raise UsageError(f"--method all: makes the rows of the study's Table 2, and belongs to {own.name}.")
+    if not about.default and not given["data"]:
+        raise UsageError(f"--data DIR: {about.name} has no embedded tables; `{about.build}` makes one.")
     part = opt.chosen_shard(shard, view=view, table_two=of_table_two)
     alone = {"config": config, "show-config": show_config, "view": view, "permission": permission}
     of_all = {"with-controls": given["with_controls"]}
@@ -155,26 +167,6 @@ def run(
 
                 return supervised(main, sys.argv[1:], method=method.name)
     return _run_all(experiment, repeated, view=view, permission=permission, choice=engine, shard=part)
-
-
-def _require_fits_benchmark(given: Mapping[str, Any], of_table_two: bool, *, by_file: bool) -> None:
-    """Refuse conditions of another benchmark, and what only the default one has: embedded tables and ``all``.
-
-    Raises:
-        UsageError: naming the option.
-    """
-    from prbench.protocol.manifests import default_benchmark, find_benchmark
-
-    own = default_benchmark()
-    about = find_benchmark(given["benchmark"] or own.name)
-    # A file may name the benchmark; then the experiment is asked.
-    if not by_file and given["condition"] not in (None, ALL, *about.conditions):
-        known = ", ".join(about.conditions)
-        raise UsageError(f"--condition {given['condition']}: expected one of the benchmark {about.name}: {known}.")
-    if not about.default and of_table_two:
-        raise UsageError(f"--method all: makes the rows of the study's Table 2, and belongs to {own.name}.")
-    if not about.default and not given["data"]:
-        raise UsageError(f"--data DIR: {about.name} has no embedded tables; `{about.build}` makes one.")
 
 
 def _run_all(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -263,7 +262,19 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
     if (run_folder_of(parts[0]) / RUN_FILE).is_file() and not (parts[0] / FILE_NAME).is_file():
         if replace:
             raise UsageError("--replace: belongs to a dataset or corpus; these are runs on folds. Leave it out.")
-        return _merged_folds(parts, out, data, workers)
+        from prbench.board.merging import merge_folds
+        from prbench.harness.run import RunReport
+        from prbench.harness.run_folder import RunFolder
+
+        merged = merge_folds(parts, checker=opt.run_checker(data, workers))
+        protocol = merged.folds[0].protocol
+        if protocol is not None and protocol.is_own:
+            note(f"scored under a protocol of your own, {protocol.label}: no number here is the study's")
+        for reason in merged.unverified:
+            note(f"unverified: {reason}")
+        merged.write(out)
+        folds = RunReport(RunFolder.open(out), (merged.summary,), batches_made=0, batches_found=0)
+        return run_answer([folds], single=False)
     if out.resolve() in [folder.resolve() for folder in parts]:
         raise UsageError(f"--out {out}: is one of the shards. Choose another folder.")
     opened = require_whole(parts)
@@ -292,19 +303,3 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
             progress=lambda step: tell(step.done, step.total, f"{step.stage} {step.dataset}"),
         )
     return run_answer([run], single=bool(run.folder.record.sequences))
-
-
-def _merged_folds(runs: Sequence[Path], out: Path, data: tuple[Path, ...], workers: int) -> Answer:
-    from prbench.board.merging import merge_folds
-    from prbench.harness.run import RunReport
-    from prbench.harness.run_folder import RunFolder
-
-    merged = merge_folds(runs, checker=opt.run_checker(data, workers))
-    protocol = merged.folds[0].protocol
-    if protocol is not None and protocol.is_own:
-        note(f"scored under a protocol of your own, {protocol.label}: no number here is the study's")
-    for reason in merged.unverified:
-        note(f"unverified: {reason}")
-    merged.write(out)
-    folds = RunReport(RunFolder.open(out), (merged.summary,), batches_made=0, batches_found=0)
-    return run_answer([folds], single=False)

@@ -76,6 +76,7 @@ def curate_recording(
             f" any of the {len(annotated)} events of this recording. Is the file there, and of the same release?"
         )
     rays = gaze_rays(recording, options.ray_origin or protocol.curation.ray_origin)
+    of_event = ("event_id", "object_id", "object_name", "action", "hand", "event_time", "hand_source")
     sequences = []
     rows = []
     for event in events:
@@ -86,26 +87,17 @@ def curate_recording(
         wrists = {side: position for side, (position, _) in known.items()}
         rows.append(
             Event(
-                event_id=event.event_id,
+                **{name: getattr(event, name) for name in of_event},
                 recording_id=recording.recording_id,
                 sequence_id=sequence and sequence.sequence_id,
-                object_id=event.object_id,
-                object_name=event.object_name,
-                action=event.action,
-                hand=event.hand,
-                event_time=event.event_time,
                 prime_time=prime and prime.time,
                 prime_kind=prime and prime.kind,
                 location=place and place.location,
                 box_min=place and place.box_min,
                 box_max=place and place.box_max,
-                outcome=decision.outcome,
-                stage=decision.stage,
-                value=decision.value,
-                threshold=decision.threshold,
+                **{name: getattr(decision, name) for name in ("outcome", "stage", "value", "threshold")},
                 left_wrist=wrists.get("left"),
                 right_wrist=wrists.get("right"),
-                hand_source=event.hand_source,
                 published_priming=published and published.outcome,
                 published_prime_time=published and published.prime_time,
             )

@@ -77,6 +77,7 @@ def find_events(recording: Recording, rule: InHandRule | None) -> tuple[list[Pic
     Returns:
         The events, and remarks that a user should see.
     """
+    same = ("object_id", "object_name", "action", "event_time", "hand", "hand_source", "published_priming")
     events = []
     for listed in recording.annotated_events:
         place = None
@@ -88,15 +89,9 @@ def find_events(recording: Recording, rule: InHandRule | None) -> tuple[list[Pic
         events.append(
             PickPutEvent(
                 event_id=event_id(recording, listed.object_id, listed.action, listed.event_time),
-                object_id=listed.object_id,
-                object_name=listed.object_name,
-                action=listed.action,
-                event_time=listed.event_time,
+                **{name: getattr(listed, name) for name in same},
                 place=place,
-                hand=listed.hand,
-                hand_source=listed.hand_source,
                 displacement=None,
-                published_priming=listed.published_priming,
                 rejected=Decision("no_location", "location") if place is None else None,
             )
         )

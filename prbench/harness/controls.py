@@ -40,7 +40,7 @@ from prbench.harness.methods.installed import (
 )
 from prbench.harness.methods.motions import native_frames, resampled
 from prbench.harness.planning import WINDOW, Selection, select
-from prbench.harness.scripted import CHEATS, ScriptedStart, scripted_motions
+from prbench.harness.scripted import CHEATS, ScriptedStart, scripted_joints
 from prbench.representation import decode, encode
 from prbench.sequences.sequence import SequenceChunk
 from prbench.sequences.table import SequenceTable
@@ -196,10 +196,8 @@ def control_motions(
     for rows in plan:
         own, places = source.around(rows)
         start = ScriptedStart(own.initial_joints[places], own.goal_location[places], own.head_tilt_deg[places])
-        if name in CHEATS:
-            yield Motions(CHEATS[name](start, own.n_frames[places], own.fps).astype(np.float32), own.n_frames[places])
-        else:
-            yield scripted_motions(start, own.n_frames[places], own.fps)
+        joints = CHEATS.get(name, scripted_joints)(start, own.n_frames[places], own.fps)
+        yield Motions(joints.astype(np.float32), own.n_frames[places])
 
 
 def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]], *, through_features: bool) -> Iterator[Motions]:

@@ -307,14 +307,9 @@ def conditions_of(
             )
         selections.append(selection)
         left_out.append(len(chosen) - len(selection))
+    same = ("condition", "seed", "samples", "split", "limit", "max_frames", "native_fps")
     info = ConditionsInfo(
-        condition=request.condition,
-        seed=request.seed,
-        samples=request.samples,
-        split=request.split,
-        limit=request.limit,
-        max_frames=request.max_frames,
-        native_fps=request.native_fps,
+        **{name: getattr(request, name) for name in same},
         protocol_version=load_protocol().version,
         tables=fingerprints(table.identity for table in tables),
     )

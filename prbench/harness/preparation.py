@@ -177,6 +177,7 @@ def _method(request: RunRequest, spec: MethodSpec, condition: StrEnum) -> Method
         installed = find_adapter(spec.name, entry_points=spec.group.entry_points)
         kind = BUILT_IN if installed.built_in else PACKAGE
         package, version = installed.package, installed.version
+    same = ("max_frames", "native_fps", "motionless", "gaze", "one_design")
     return MethodRecord(
         name=method.name,
         kind=kind,
@@ -185,11 +186,7 @@ def _method(request: RunRequest, spec: MethodSpec, condition: StrEnum) -> Method
         weights=weights[0],
         weights_digest=weights[1],
         options=dict(spec.options),
-        max_frames=declared.max_frames,
-        native_fps=declared.native_fps,
-        motionless=declared.motionless,
-        gaze=declared.gaze,
-        one_design=declared.one_design,
+        **{name: getattr(declared, name) for name in same},
         isolation=spec.isolation,
     )
 
@@ -206,6 +203,7 @@ def run_record(
         datasets: Its tables and plans.
         rules: The benchmark's rules.
     """
+    same = ("benchmark", "control", "split", "limit", "seed", "samples", "device", "threads")
     return RunRecord(
         schema_version=RUN_SCHEMA_VERSION,
         prbench_version=prbench.__version__,
@@ -213,16 +211,10 @@ def run_record(
         protocol_digest=rules.digest,
         method=method,
         condition=condition.value,
-        control=request.control,
-        split=request.split,
-        limit=request.limit,
+        **{name: getattr(request, name) for name in same},
         sequences=tuple(sorted(name for one in datasets for name in one.chosen.sequence_ids))
         if request.sequences
         else (),
-        seed=request.seed,
-        samples=request.samples,
-        device=request.device,
-        threads=request.threads,
         packages=package_versions(_RECORDED_PACKAGES),
         tables=tuple(
             table_record(
@@ -236,7 +228,6 @@ def run_record(
             )
             for one in datasets
         ),
-        benchmark=request.benchmark,
     )
 
 

@@ -32,7 +32,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.contract import Motions
 from prbench.geometry.skeleton import WRISTS, Joint, head_forward
 from prbench.harness.methods.installed import FLOAT, STARE, STARE_LATE, TELEPORT, TREMOR
 
@@ -165,7 +164,9 @@ class ScriptedStart:
     head_tilt_deg: Float[np.ndarray, " batch"]
 
 
-def scripted_motions(start: ScriptedStart, n_frames: Int[np.ndarray, " batch"], fps: float) -> Motions:
+def scripted_joints(
+    start: ScriptedStart, n_frames: Int[np.ndarray, " batch"], fps: float
+) -> Float[np.ndarray, "batch frames 22 3"]:
     """Make the motion of each sequence, which faces its goal at 2.0 s and then reaches it.
 
     Args:
@@ -174,15 +175,8 @@ def scripted_motions(start: ScriptedStart, n_frames: Int[np.ndarray, " batch"], 
         fps: Frame rate, in frames per second.
 
     Returns:
-        Joints (batch, longest, 22, 3), canonical frame, metres, float32.
+        Joints, canonical frame, metres; frames beyond a sequence's own continue its end.
     """
-    return Motions(scripted_joints(start, n_frames, fps).astype(np.float32), n_frames)
-
-
-def scripted_joints(
-    start: ScriptedStart, n_frames: Int[np.ndarray, " batch"], fps: float
-) -> Float[np.ndarray, "batch frames 22 3"]:
-    """Return the joints as float64, canonical frame, metres; frames beyond a sequence's own continue its end."""
     initial = start.initial_joints.astype(np.float64)
     goal = start.goal_location.astype(np.float64)
     time = _times(n_frames, fps)

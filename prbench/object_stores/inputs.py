@@ -64,7 +64,7 @@ def fetched(text: str, *, tell: Tell = lambda _: None) -> Path:
         return known
     store = Store(StoreUrl.parse(text))
     for last_try in (False, True):
-        manifest = finished_manifest(store)
+        manifest = read_manifest(store)
         if manifest is None:
             return _fetched_file(store, tell)
         folder = store.url.cache / manifest.digest[:16] / store.url.name
@@ -81,15 +81,15 @@ def fetched(text: str, *, tell: Tell = lambda _: None) -> Path:
             return folder
         except InputFileError:
             # Whoever replaces a folder deletes the older files after the new manifest stands.
-            if last_try or finished_manifest(store) == manifest:
+            if last_try or read_manifest(store) == manifest:
                 raise
     raise AssertionError
 
 
-def finished_manifest(store: Store) -> FolderManifest | None:
-    """Read the manifest of a finished folder; None if there is none."""
-    content = store.read(FINISHED, largest=LARGEST_MANIFEST)
-    return None if content is None else decode_manifest(content, f"{store.url}/{FINISHED}")
+def read_manifest(store: Store, name: str = FINISHED) -> FolderManifest | None:
+    """Read the manifest of a folder, by default that of a finished one; None if there is none."""
+    content = store.read(name, largest=LARGEST_MANIFEST)
+    return None if content is None else decode_manifest(content, f"{store.url}/{name}")
 
 
 def fetch_files(store: Store, manifest: FolderManifest, target: Callable[[str], Path], tell: Tell) -> None:

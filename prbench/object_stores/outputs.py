@@ -15,10 +15,9 @@ import msgspec
 
 from prbench.errors import InputFileError, StorageError, UsageError
 from prbench.files.storage import file_digest, remove_folder, sole_writer, write_bytes
-from prbench.object_stores.inputs import Tell, fetch_files, finished_manifest
+from prbench.object_stores.inputs import Tell, fetch_files, read_manifest
 from prbench.object_stores.store import (
     FINISHED,
-    LARGEST_MANIFEST,
     OWN_PREFIX,
     UNFINISHED,
     WORK_PREFIX,
@@ -27,7 +26,6 @@ from prbench.object_stores.store import (
     Store,
     StoredFile,
     StoreUrl,
-    decode_manifest,
     opened,
     opened_elsewhere,
     stays_inside,
@@ -175,8 +173,8 @@ class _OutputCopy:
     def begin(self) -> None:
         """Make the local copy equal to what lies there, unless it is newer."""
         store = self.store
-        self.before = finished_manifest(store)
-        self.known = self._unfinished()
+        self.before = read_manifest(store)
+        self.known = read_manifest(store, UNFINISHED)
         if self.before is None and self.known is None and not store.is_empty():
             raise StorageError(
                 f"{store.url}: is not empty and holds no {FINISHED}, so it is nothing that may be replaced. Choose an"
@@ -195,10 +193,6 @@ class _OutputCopy:
             if self.known is not None:
                 self.tell(f"{store.url}: going on with what an interrupted command has uploaded.")
         self._remember()
-
-    def _unfinished(self) -> FolderManifest | None:
-        content = self.store.read(UNFINISHED, largest=LARGEST_MANIFEST)
-        return None if content is None else decode_manifest(content, f"{self.store.url}/{UNFINISHED}")
 
     def _local_is_newest(self) -> bool:
         try:
@@ -296,8 +290,8 @@ class _OutputCopy:
         Raises:
             StorageError: if one has.
         """
-        now = finished_manifest(self.store)
-        unfinished = self._unfinished()
+        now = read_manifest(self.store)
+        unfinished = read_manifest(self.store, UNFINISHED)
         mine = self.known.writer if self.known else None
         begun_since = (
             unfinished is not None
