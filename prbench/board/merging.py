@@ -13,9 +13,9 @@ import msgspec
 import pyarrow as pa
 
 from prbench.errors import RunError, StorageError
-from prbench.files.storage import atomic_folder, sole_writer, text_digest
+from prbench.files.storage import atomic_folder, sole_writer, text_digest, write_json
 from prbench.harness.results import RunChecker, summary_of
-from prbench.harness.run_folder.folder import FOLDS_FILE, FoldRun, RunFolder, read_folds, write_folds
+from prbench.harness.run_folder.folder import FOLDS_FILE, FoldRun, RunFolder, read_folds
 from prbench.harness.run_folder.record import BatchPlanRecord, RunCost, RunRecord, TableRecord, total_cost
 from prbench.harness.run_folder.scores import read_scores, write_scores
 from prbench.harness.run_folder.summary import DatasetSummary
@@ -66,7 +66,7 @@ class MergedRun:
                 files = RunFolder(folder, self.record).dataset(dataset)
                 write_scores(files.scores, [self.scores])
                 total_cost([RunCost.read(run.dataset(dataset).cost) for run in self.folds]).write(files.cost)
-                write_folds(folder, made_from)
+                write_json(folder / FOLDS_FILE, {"folds": msgspec.to_builtins(made_from)})
                 self.summary.write(files.path)
 
 

@@ -219,14 +219,11 @@ def _dataset_table(key: tuple[str, ...], entries: list[LeaderboardRow], separate
                 if all(place in losses[other] for other in shown - {place}):
                     leads[row].add(info.id)
     version = first.record.protocol_version
+    same = ("dataset", "title", "sequences", "synthetic", "redistribution")
     return DatasetTable(
-        dataset=first.summary.dataset,
-        title=first.summary.title,
+        **{name: getattr(first.summary, name) for name in same},
         split=first.record.split,
-        sequences=first.summary.sequences,
         recordings=max(entry.summary.recordings for entry in entries),
-        synthetic=first.summary.synthetic,
-        redistribution=first.summary.redistribution,
         key=key,
         rows=tuple(TableRow(*row) for row in zip(ordered, variants, ranks, map(frozenset, leads), beaten_by)),
         protocol=first.protocol,

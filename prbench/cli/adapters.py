@@ -68,7 +68,7 @@ def list_methods(names: tuple[str, ...], details: bool, converters: Path | None,
         line = f"{converters}: from {converters.stem} import motions_from_features, placed_on"
         return Answer([], lambda: print(line))
     from prbench.harness.methods.installed import list_adapters, no_such_method, offered_twice
-    from prbench.protocol.manifests import default_benchmark, find_benchmark
+    from prbench.protocol.manifests import find_benchmark
 
     about = find_benchmark(benchmark or default_benchmark().name)
     found = list_adapters(about.entry_points)
@@ -156,7 +156,6 @@ def new(*, benchmark: str | None, **given: Any) -> Answer:
     NAME is that of the method, such as glide: what --method will be given.
     """
     from prbench.checking.scaffold import ScaffoldRequest, new_adapter
-    from prbench.protocol.manifests import default_benchmark
 
     request = ScaffoldRequest(benchmark=benchmark or default_benchmark().name, **given)
     made = new_adapter(request)

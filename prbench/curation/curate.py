@@ -224,23 +224,19 @@ def _sequence(
     extra = {} if event.hand_source is None else {"hand_source": event.hand_source}
     if event.tracking_gap is not None:
         extra["placed_in_tracking_gap_of_s"] = f"{event.tracking_gap:.3f}"
+    of_recording = ("dataset", "recording_id", "participant_id", "pose_source", "head_tilt_deg")
+    of_event = ("action", "object_id", "object_name", "hand", "event_time")
     return Sequence(
         sequence_id=f"{event.event_id}/{recording.pose_source}",  # one for each source of body poses
-        dataset=recording.dataset,
-        recording_id=recording.recording_id,
-        participant_id=recording.participant_id,
+        **{name: getattr(recording, name) for name in of_recording},
         split=split,
         split_group=recording.split_group or recording.recording_id,
-        action=event.action,
-        object_id=event.object_id,
-        object_name=event.object_name,
+        **{name: getattr(event, name) for name in of_event},
         text=protocol.text[event.action],
-        hand=event.hand,
         fps=grid.fps,
         n_frames=grid.n_frames,
         start_time=grid.start_time,
         prime_time=prime.time,
-        event_time=event.event_time,
         prime_frame=round(preroll * grid.fps),
         prime_gap=event.event_time - prime.time,
         preroll=preroll,
@@ -250,8 +246,6 @@ def _sequence(
         goal_box_world_max=place.box_max,
         body_movement=body_movement(piece.joints),
         hand_movement=hand_movement(piece.joints, wrist),
-        pose_source=recording.pose_source,
-        head_tilt_deg=recording.head_tilt_deg,
         previous_source=piece.previous_source,
         next_source=piece.next_source,
         gaze_valid=piece.gaze_valid,

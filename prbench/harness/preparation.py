@@ -241,10 +241,7 @@ def table_record(chosen: Cases, cases: Cases, plan: BatchPlanRecord) -> TableRec
     """
     info = cases.table.info
     return TableRecord(
-        dataset=info.dataset,
-        title=info.title,
-        synthetic=info.synthetic,
-        redistribution=info.redistribution,
+        **{name: getattr(info, name) for name in ("dataset", "title", "synthetic", "redistribution")},
         identity_digest=cases.table.identity,
         content_digest=cases.table.content,
         sequences=len(chosen),

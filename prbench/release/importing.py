@@ -91,12 +91,9 @@ def make_row(
     event_time = (len(joints) - 1) / fps
     kept = {name: one.fields[name] for name in found.unmapped if name in one.fields}
     sequence = Sequence(
-        sequence_id=one.sequence_id,
+        **{name: getattr(one, name) for name in ("sequence_id", "recording_id", "participant_id", "split_group")},
         dataset=found.dataset,
-        recording_id=one.recording_id,
-        participant_id=one.participant_id,
         split=one.subset,
-        split_group=one.split_group,
         action=action,
         object_id="",  # the release has none
         object_name="",

@@ -95,17 +95,14 @@ def _introduction(name: str, adapter: Any, given: Path | None, group: MethodGrou
             used = used_weights(adapter, condition, given, origin=f"adapter '{name}'")
         if used is not None and used.exists():
             weights[condition.value] = {"name": used.name, "sha256": weights_digest(used)}
+    same = ("max_frames", "native_fps", "motionless", "gaze", "one_design")
     return {
         "message": "hello",
         "wire": WIRE_VERSION,
         "name": name,
         "version": str(getattr(adapter, "version", "installed")),
         "conditions": sorted(condition.value for condition in declared.conditions),
-        "max_frames": declared.max_frames,
-        "native_fps": declared.native_fps,
-        "motionless": declared.motionless,
-        "gaze": declared.gaze,
-        "one_design": declared.one_design,
+        **{name: getattr(declared, name) for name in same},
         "weights": weights,
         "trainable": hasattr(adapter, "fit"),
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,7 +16,7 @@ from prbench.engine import shards
 from prbench.errors import InputFileError, RunError, StorageError
 from prbench.files.arrays import read_parquet
 from prbench.files.bounded import foreign_input
-from prbench.files.storage import file_digest, inside, remove_half_written, remove_leftovers, write_json
+from prbench.files.storage import file_digest, inside, remove_half_written, remove_leftovers
 from prbench.harness.run_folder import record, summary
 from prbench.harness.run_folder.record import RunRecord, read_record
 from prbench.protocol.manifests import BenchmarkProtocol, default_benchmark
@@ -265,11 +265,6 @@ class FoldRun(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     def key(self) -> tuple[str, str]:
         """Both digests, by which the run is found again."""
         return self.record_sha256, self.scores_sha256
-
-
-def write_folds(folder: Path, folds: Sequence[FoldRun]) -> None:
-    """Write ``folds.json``, which names the runs that a merged one was made of."""
-    write_json(folder / FOLDS_FILE, {"folds": msgspec.to_builtins(folds)})
 
 
 @foreign_input()
