@@ -194,14 +194,10 @@ def require_whole_last_line(
     if header[-1] not in wanted or _HARMLESS.fullmatch(last.rpartition(b",")[2].strip()):
         return
     found = f"'…{last[-40:].decode(errors='replace')}'" if last else "nothing"
-    raise InputFileError(
-        path,
-        "last line",
-        expected=f"a line break at its end (without one, the last '{header[-1]}' may have been cut)",
-        found=found,
-        remedy="Compare its size with the original: if it is smaller, the file is truncated; copy or download it again."
-        " If it is complete, append one line break to the file.",
-    )
+    expected = f"a line break at its end (without one, the last '{header[-1]}' may have been cut)"
+    remedy = "Compare its size with the original: if it is smaller, the file is truncated; copy or download it again."
+    remedy += " If it is complete, append one line break to the file."
+    raise InputFileError(path, "last line", expected=expected, found=found, remedy=remedy)
 
 
 # A time in a JSON file; NumPy has no larger integers.
@@ -267,13 +263,10 @@ def read_blocks(path: Source, columns: Mapping[str, Column]) -> Iterator[pa.Tabl
         except pa.ArrowInvalid as error:
             found = str(error).splitlines()[0]
             named = re.search(r"Row #(\d+)", found)
-            raise InputFileError(
-                shown(path),
-                f"line {named[1]}" if named else "",
-                expected="complete lines of comma-separated values of the right kind",
-                found=f"'{found[:160]}'",
-                remedy=_COPY_AGAIN,
-            ) from error
+            where = f"line {named[1]}" if named else ""
+            expected = "complete lines of comma-separated values of the right kind"
+            found = f"'{found[:160]}'"
+            raise InputFileError(shown(path), where, expected=expected, found=found, remedy=_COPY_AGAIN) from error
     require_whole_last_line(shown(path), columns, header, tail=stream.tail)
 
 
@@ -290,13 +283,9 @@ def require_column_names(path: Source, header: list[str], columns: Iterable[str]
     """
     missing = [name for name in columns if name not in header]
     if missing:
-        raise InputFileError(
-            shown(path),
-            "header",
-            expected=f"a column '{missing[0]}'",
-            found=f"the columns {', '.join(name or '(unnamed)' for name in header)}",
-            remedy="This is another file, or another version of the format.",
-        )
+        found = f"the columns {', '.join(name or '(unnamed)' for name in header)}"
+        remedy = "This is another file, or another version of the format."
+        raise InputFileError(shown(path), "header", expected=f"a column '{missing[0]}'", found=found, remedy=remedy)
 
 
 def require_integers(path: Source, table: pa.Table, columns: Mapping[str, Column], *, first: int = 2) -> None:
@@ -442,9 +431,8 @@ def read_header(path: Source) -> list[str]:
     except FileNotFoundError as error:
         raise missing_file(path) from error
     except UnicodeDecodeError as error:
-        raise InputFileError(
-            shown(path), "", expected="text with comma-separated values", found="other bytes"
-        ) from error
+        expected = "text with comma-separated values"
+        raise InputFileError(shown(path), "", expected=expected, found="other bytes") from error
 
 
 def header_names(line: bytes) -> list[str]:
@@ -497,13 +485,11 @@ def read_poses_by_body(
     same_body = np.diff(codes[order]) == 0
     mixed = np.flatnonzero(same_body & ((grouped[:-1] == static_time) | (grouped[1:] == static_time)))
     if mixed.size:
-        raise InputFileError(
-            path,
-            f"line {int(order[mixed[0] + 1]) + 2}",
-            expected=f"one row of time {static_time} for an object that never moves, or rows with times",
-            found=f"both, or two rows of time {static_time}, for one object",
-            remedy="Remove one of the rows, or download the file again.",
-        )
+        where = f"line {int(order[mixed[0] + 1]) + 2}"
+        expected = f"one row of time {static_time} for an object that never moves, or rows with times"
+        found = f"both, or two rows of time {static_time}, for one object"
+        remedy = "Remove one of the rows, or download the file again."
+        raise InputFileError(path, where, expected=expected, found=found, remedy=remedy)
     backwards = np.flatnonzero(same_body & (np.diff(grouped) <= 0))
     if backwards.size:
         later = backwards[0] + 1

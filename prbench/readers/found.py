@@ -104,13 +104,9 @@ class RecordingFiles:
         path = self.path(role)
         if path is None:
             present = _first_names(sorted({file.path.name for file in self.files})) or "none of the expected files"
-            raise InputFileError(
-                self.folder / name,
-                "",
-                expected="this file",
-                found=f"no such file beside {present}",
-                remedy="Download the recording again.",
-            )
+            found = f"no such file beside {present}"
+            remedy = "Download the recording again."
+            raise InputFileError(self.folder / name, "", expected="this file", found=found, remedy=remedy)
         return path
 
 

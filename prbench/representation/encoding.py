@@ -87,25 +87,19 @@ def check_joints(
     if upright and body[1] < np.cos(np.deg2rad(_STEEPEST_LEAN)) * length:
         lean = np.rad2deg(np.arccos(np.clip(body[1] / length, -1, 1)))
         axis = f"{'-' if body.sum() < 0 else ''}{'xyz'[np.abs(body).argmax()]}"
-        raise InputFileError(
-            source,
-            "",
-            expected="bodies along +y, the axis that points up",
-            found=f"a median ankle-to-head vector {lean:.0f} degrees away from it, nearest to {axis}",
-            remedy="Turn the axes (prbench.geometry.skeleton.y_up for Z up),"
-            " or say upright=False if people lie or crawl.",
-        )
+        expected = "bodies along +y, the axis that points up"
+        found = f"a median ankle-to-head vector {lean:.0f} degrees away from it, nearest to {axis}"
+        remedy = "Turn the axes (prbench.geometry.skeleton.y_up for Z up),"
+        remedy += " or say upright=False if people lie or crawl."
+        raise InputFileError(source, "", expected=expected, found=found, remedy=remedy)
     lengths = np.linalg.norm(joints[:, 1:] - joints[:, PARENTS[1:]], axis=-1)
     bad = np.argwhere(lengths < _SHORTEST_BONE)
     if bad.size:
         frame, bone = bad[0]
-        raise InputFileError(
-            source,
-            f"frame {frame}, {Joint(bone + 1).name.lower()}",
-            expected=f"a distance from {Joint(PARENTS[bone + 1]).name.lower()}, so that the bone has a direction",
-            found=f"{lengths[frame, bone]:.1e} m",
-            remedy="Leave the motion out, or repair this joint.",
-        )
+        where = f"frame {frame}, {Joint(bone + 1).name.lower()}"
+        expected = f"a distance from {Joint(PARENTS[bone + 1]).name.lower()}, so that the bone has a direction"
+        remedy = "Leave the motion out, or repair this joint."
+        raise InputFileError(source, where, expected=expected, found=f"{lengths[frame, bone]:.1e} m", remedy=remedy)
 
 
 def check_finite(joints: np.ndarray, source: Path | str) -> None:
@@ -117,13 +111,10 @@ def check_finite(joints: np.ndarray, source: Path | str) -> None:
     bad = np.argwhere(~np.isfinite(joints).all(axis=-1))
     if bad.size:
         frame, joint = bad[0]
-        raise InputFileError(
-            source,
-            f"frame {frame}, {Joint(joint).name.lower()}",
-            expected="a finite position",
-            found=str(joints[frame, joint].tolist()),
-            remedy="Leave the motion out, or cut it around the gap.",
-        )
+        where = f"frame {frame}, {Joint(joint).name.lower()}"
+        expected = "a finite position"
+        remedy = "Leave the motion out, or cut it around the gap."
+        raise InputFileError(source, where, expected=expected, found=str(joints[frame, joint].tolist()), remedy=remedy)
 
 
 def canonicalise(

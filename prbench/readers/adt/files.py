@@ -346,11 +346,8 @@ def read_gaze(path: Path) -> GazeAngles:
     largest = np.maximum(np.abs(gaze.yaw), np.abs(gaze.pitch))
     known = largest[np.isfinite(largest)]
     if len(known) and (known > _BEHIND).mean() > _TOO_MANY:
-        raise InputFileError(
-            path,
-            "yaw and pitch",
-            expected="angles in radians, below 1.57",
-            found=f"angles up to {known.max():.1f} in {int((known > _BEHIND).sum())} of {len(known)} rows",
-            remedy="They look like degrees; use the file as it was released.",
-        )
+        expected = "angles in radians, below 1.57"
+        found = f"angles up to {known.max():.1f} in {int((known > _BEHIND).sum())} of {len(known)} rows"
+        remedy = "They look like degrees; use the file as it was released."
+        raise InputFileError(path, "yaw and pitch", expected=expected, found=found, remedy=remedy)
     return gaze

@@ -380,9 +380,8 @@ def read_first_calibration(path: Source) -> dict[str, Float[np.ndarray, "4 4"]]:
         poses[camera.label][:3, 3] = camera.pose.translation
     missing = {"camera-slam-left", "camera-slam-right", "camera-rgb"} - poses.keys()
     if missing:
-        raise InputFileError(
-            shown(path), "line 1", expected=f"the camera {min(missing)}", found=", ".join(sorted(poses))
-        )
+        found = ", ".join(sorted(poses))
+        raise InputFileError(shown(path), "line 1", expected=f"the camera {min(missing)}", found=found)
     return poses
 
 

@@ -151,11 +151,6 @@ def read_bodies(found: RecordingFiles, *, cpf: PoseStream) -> ego.EgoAlloBody | 
         return None
     model = found.path(MODEL_ROLE)
     if model is None:
-        raise InputFileError(
-            found.folder,
-            "",
-            expected="the SMPL-H body model, from which joints are computed",
-            found="no model",
-            remedy=HOW_TO_GET,
-        )
+        expected = "the SMPL-H body model, from which joints are computed"
+        raise InputFileError(found.folder, "", expected=expected, found="no model", remedy=HOW_TO_GET)
     return body_from_outputs(outputs, read_smplh_rest(model))

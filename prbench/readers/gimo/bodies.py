@@ -91,13 +91,9 @@ def read_pose_decoder(path: Path) -> PoseDecoder:
     except FileNotFoundError as error:
         raise missing_file(path) from error
     except Exception as error:  # torch raises whatever a damaged archive makes it stumble over
-        raise InputFileError(
-            path,
-            "",
-            expected="a file of weights",
-            found=str(error).splitlines()[0][:200],
-            remedy=f"Take snapshots/TR00_E096.pt of VPoser v1: {VPOSER_PAGE}.",
-        ) from error
+        found = str(error).splitlines()[0][:200]
+        remedy = f"Take snapshots/TR00_E096.pt of VPoser v1: {VPOSER_PAGE}."
+        raise InputFileError(path, "", expected="a file of weights", found=found, remedy=remedy) from error
     # Snapshots of a whole training hold the weights one level deeper.
     for wrapper in ("state_dict", "model_state_dict"):
         state = state[wrapper] if isinstance(state, Mapping) and wrapper in state else state

@@ -318,7 +318,6 @@ def _meshes(found: RecordingFiles) -> tuple[Occluder, ...]:
     except Exception as error:  # trimesh raises whatever the damaged file makes it stumble over
         raise InputFileError(path, "", expected="a triangle mesh", found=f"{type(error).__name__}: {error}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise InputFileError(
-            path, "", expected="triangles", found="points only", remedy=f"Download {gimo.SCENE_MESHES[0]} as well."
-        )
+        remedy = f"Download {gimo.SCENE_MESHES[0]} as well."
+        raise InputFileError(path, "", expected="triangles", found="points only", remedy=remedy)
     return (Occluder(path.name, np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)),)

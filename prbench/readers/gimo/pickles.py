@@ -143,7 +143,6 @@ def load_tensors(path: Path) -> dict[str, np.ndarray]:
         if isinstance(error, _Foreign):
             remedy = "Nothing of it was run; do not open it with other programs."
         found = str(error) or type(error).__name__
-        raise InputFileError(
-            path, "", expected="a pickled dictionary of torch tensors", found=found, remedy=remedy
-        ) from error
+        expected = "a pickled dictionary of torch tensors"
+        raise InputFileError(path, "", expected=expected, found=found, remedy=remedy) from error
     return {str(name): array for name, array in loaded.items()}

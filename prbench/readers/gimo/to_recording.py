@@ -201,13 +201,10 @@ def published_track(
     joints = body.joints
     if with_jaw:
         if not isinstance(fitted, gimo.LocalJoints) or fitted.jaw is None:
-            raise InputFileError(
-                readings.recording_id,
-                "",
-                expected="a jaw: fitted parameters, and an SMPL-X model with its 23rd joint",
-                found="a body without one",
-                remedy="Build the windows on the 22 joints (--joints smpl22).",
-            )
+            expected = "a jaw: fitted parameters, and an SMPL-X model with its 23rd joint"
+            found = "a body without one"
+            remedy = "Build the windows on the 22 joints (--joints smpl22)."
+            raise InputFileError(readings.recording_id, "", expected=expected, found=found, remedy=remedy)
         longest = round(manifest.thresholds["longest_filled_gap"])
         jaw, _ = filled(posed, fitted.jaw[:, None], frames, longest=longest)
         joints = np.concatenate([joints, transform_points(readings.transform.room_from_body(), jaw)], axis=1)

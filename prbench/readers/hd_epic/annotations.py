@@ -85,13 +85,9 @@ def read_tracks(associations: Path, masks: Path, video: str) -> tuple[tuple[hd_e
     """
     objects: dict[str, _Association] | None = _decoded(_ASSOCIATIONS, associations, video)
     if objects is None:
-        raise InputFileError(
-            associations,
-            video,
-            expected="the movements of this video",
-            found="no such key",
-            remedy="Update the annotation repository, or leave the video out with --recordings.",
-        )
+        expected = "the movements of this video"
+        remedy = "Update the annotation repository, or leave the video out with --recordings."
+        raise InputFileError(associations, video, expected=expected, found="no such key", remedy=remedy)
     known = {
         key: hd_epic.ObjectMask(
             mask_id=key,
@@ -129,9 +125,8 @@ def _decoded(decoder: msgspec.json.Decoder, path: Path, video: str):
     try:
         return None if entry is None else decoder.decode(entry)
     except msgspec.DecodeError as error:
-        raise InputFileError(
-            path, video, expected="the keys of this format", found=str(error), remedy=_AGAIN
-        ) from error
+        expected = "the keys of this format"
+        raise InputFileError(path, video, expected=expected, found=str(error), remedy=_AGAIN) from error
 
 
 @lru_cache(maxsize=8)

@@ -262,13 +262,9 @@ def read_glb(path: Path) -> hot3d.Mesh:
     except (InputFileError, MemoryError):
         raise
     except Exception as error:
-        raise InputFileError(
-            path,
-            "",
-            expected="a model in binary glTF",
-            found=f"{type(error).__name__}: {str(error)[:120]}",
-            remedy="The file may be truncated; download the object library again.",
-        ) from error
+        found = f"{type(error).__name__}: {str(error)[:120]}"
+        remedy = "The file may be truncated; download the object library again."
+        raise InputFileError(path, "", expected="a model in binary glTF", found=found, remedy=remedy) from error
     vertices = np.round(np.asarray(mesh.vertices, dtype=np.float64), _METRES)
     if len(vertices) == 0 or len(mesh.faces) == 0 or not np.isfinite(vertices).all():
         raise InputFileError(path, "", expected="triangles with finite corners", found=f"{len(mesh.faces)} triangles")

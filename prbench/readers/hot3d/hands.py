@@ -150,14 +150,12 @@ def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], tuple[str, ..
         wrong = ~(np.isfinite(position).all(axis=1) & np.isfinite(angles).all(axis=1))
         wrong |= ~(np.abs(length - 1) <= _QUATERNION_TOLERANCE)
         for row in np.flatnonzero(wrong)[:1]:
-            raise InputFileError(
-                path,
-                f"{side} hand at {time_ns[row]} ns",
-                expected=f"finite numbers, {N_ANGLES} joint angles and a quaternion of length 1",
-                found=f"position {position[row].tolist()}, quaternion of length {length[row]:.4f},"
-                f" {len(poses[row].joint_angles)} angles",
-                remedy="Remove the line, or download the file again.",
-            )
+            where = f"{side} hand at {time_ns[row]} ns"
+            expected = f"finite numbers, {N_ANGLES} joint angles and a quaternion of length 1"
+            found = f"position {position[row].tolist()}, quaternion of length {length[row]:.4f},"
+            found += f" {len(poses[row].joint_angles)} angles"
+            remedy = "Remove the line, or download the file again."
+            raise InputFileError(path, where, expected=expected, found=found, remedy=remedy)
         hands.append(hot3d.HandRows(side, time_ns, position, rotation, angles))
     remarks = (f"{bad} of {bad + len(lines)} lines of {path.name} are damaged and left out",) if bad else ()
     return tuple(hands), remarks

@@ -198,13 +198,9 @@ def check_limbs(joints: Float[np.ndarray, "frames 22 3"], *, source: Path | str 
         remedy = f"This looks like {name}: say unit='{name}'."
         if not 1 / 2 < factor * UNITS[name] < 2:
             remedy = f"If the model's bodies are normalised, unit={1 / factor:.3g} (metres a unit) makes them adults."
-        raise InputFileError(
-            source,
-            "unit",
-            expected="a body in metres, whose thighs, shins and arms are 20 to 50 cm long",
-            found=f"limbs {factor:.3g} times as long as an adult's",
-            remedy=remedy,
-        )
+        expected = "a body in metres, whose thighs, shins and arms are 20 to 50 cm long"
+        found = f"limbs {factor:.3g} times as long as an adult's"
+        raise InputFileError(source, "unit", expected=expected, found=found, remedy=remedy)
     shortest, longest = _LIMB_LENGTHS
     for pair in _LIMB_PAIRS:
         for end, other in (pair, pair[::-1]):
@@ -214,14 +210,11 @@ def check_limbs(joints: Float[np.ndarray, "frames 22 3"], *, source: Path | str 
             elif not 1 / _LIMB_RATIO < median[end] / max(median[other], 1e-9) < _LIMB_RATIO:
                 expected = f"about {median[other] * 100:.0f} cm, as on the other side"
             if expected:
-                raise InputFileError(
-                    source,
-                    f"{Joint(PARENTS[end]).name.lower()} to {end.name.lower()}",
-                    expected=expected,
-                    found=f"{median[end] * 100:.1f} cm in the median frame",
-                    remedy="The order of the joints is another one: name the skeleton (joint_map) and compare its list"
-                    " with yours.",
-                )
+                where = f"{Joint(PARENTS[end]).name.lower()} to {end.name.lower()}"
+                found = f"{median[end] * 100:.1f} cm in the median frame"
+                remedy = "The order of the joints is another one: name the skeleton (joint_map) and compare its list"
+                remedy += " with yours."
+                raise InputFileError(source, where, expected=expected, found=found, remedy=remedy)
 
 
 # Joints in which thighs, shins, upper arms and forearms end.
