@@ -388,9 +388,8 @@ def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded], *, nan_is_
     except FileNotFoundError as error:
         raise missing_file(path) from error
     except msgspec.ValidationError as error:
-        raise InputFileError(
-            shown(path), "", expected="the keys of this format", found=str(error), remedy="Is this the right file?"
-        ) from error
+        expected, remedy = "the keys of this format", "Is this the right file?"
+        raise InputFileError(shown(path), "", expected=expected, found=str(error), remedy=remedy) from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputFileError(shown(path), "", expected="valid JSON", found=str(error), remedy=_COPY_AGAIN) from error
 

@@ -343,17 +343,8 @@ def _write_recording(
 
 def write_mark(root: Path, preset: str, seed: int, world: str, split: Mapping[str, str]) -> None:
     """Write the mark that tells readers and people that a tree is synthetic, and which recording is in which split."""
-    write_json(
-        root / SYNTHETIC_FILE,
-        {
-            "generator": f"prbench {prbench.__version__}",
-            "version": GENERATOR_VERSION,
-            "seed": seed,
-            "preset": preset,
-            "world": world,
-            "split": dict(split),
-        },
-    )
+    generated = {"generator": f"prbench {prbench.__version__}", "version": GENERATOR_VERSION, "seed": seed}
+    write_json(root / SYNTHETIC_FILE, {**generated, "preset": preset, "world": world, "split": dict(split)})
 
 
 def _amount(size: str) -> tuple[int, int, float]:

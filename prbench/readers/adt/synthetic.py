@@ -338,21 +338,19 @@ def write(readings: adt.AdtReadings, folder: Path) -> None:
         StorageError: if the disk is full or the folder cannot be written.
     """
     with atomic_folder(folder) as target:
-        write_json(
-            target / adt.METADATA_FILE,
-            {
-                "gt_creation_time": _CREATED,
-                "scene": "Synthetic",
-                "is_multi_person": len(readings.skeletons) > 1,
-                "num_skeletons": len(readings.skeletons),
-                "timecode_enabled": 0,
-                "gt_time_domain": adt.TIME_DOMAIN,
-                "dataset_name": "ADT_2023",
-                "serial": readings.serial,
-                "concurrent_sequence": readings.concurrent,
-                "dataset_version": "2.0",
-            },
-        )
+        metadata = {
+            "gt_creation_time": _CREATED,
+            "scene": "Synthetic",
+            "is_multi_person": len(readings.skeletons) > 1,
+            "num_skeletons": len(readings.skeletons),
+            "timecode_enabled": 0,
+            "gt_time_domain": adt.TIME_DOMAIN,
+            "dataset_name": "ADT_2023",
+            "serial": readings.serial,
+            "concurrent_sequence": readings.concurrent,
+            "dataset_version": "2.0",
+        }
+        write_json(target / adt.METADATA_FILE, metadata)
         objects = readings.objects
         instances = [
             _instance(entry.object_id, entry.name, entry.prototype, entry.category, dynamic=entry.dynamic, human=False)

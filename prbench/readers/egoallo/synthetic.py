@@ -301,20 +301,18 @@ def write_outputs(outputs: Sequence[ego.EgoAlloOutput], folder: Path) -> None:
         straight = np.zeros((samples, frames, ego.N_HAND_QUATS, 4), dtype=np.float32)
         straight[..., 0] = 1.0
         with atomic_path(folder / output.name) as temporary:
-            np.savez(
-                temporary,
-                **{
-                    ego.WORLD_FROM_CPF: output.world_from_cpf,
-                    ego.WORLD_FROM_ROOT: output.world_from_root,
-                    ego.BODY_QUATS: output.body_quats,
-                    ego.LEFT_HAND_QUATS: straight,
-                    ego.RIGHT_HAND_QUATS: straight,
-                    ego.CONTACTS: np.zeros((samples, frames, ego.N_BODY_QUATS), dtype=np.float32),
-                    ego.BETAS: output.betas,
-                    ego.FRAME_NUMS: np.arange(start, start + frames),
-                    ego.TIMES: output.time_ns,
-                },
-            )
+            arrays = {
+                ego.WORLD_FROM_CPF: output.world_from_cpf,
+                ego.WORLD_FROM_ROOT: output.world_from_root,
+                ego.BODY_QUATS: output.body_quats,
+                ego.LEFT_HAND_QUATS: straight,
+                ego.RIGHT_HAND_QUATS: straight,
+                ego.CONTACTS: np.zeros((samples, frames, ego.N_BODY_QUATS), dtype=np.float32),
+                ego.BETAS: output.betas,
+                ego.FRAME_NUMS: np.arange(start, start + frames),
+                ego.TIMES: output.time_ns,
+            }
+            np.savez(temporary, **arrays)
         write_text(
             folder / f"{Path(output.name).stem}{ego.ARGUMENTS_SUFFIX}",
             f"start_index: {start}\ntraj_length: {end - start}\nnum_samples: {samples}\n",
@@ -333,15 +331,13 @@ def write_smplh_model(path: Path) -> None:
     owner = np.concatenate([np.arange(22), hands])
     parents = np.concatenate([[_NO_PARENT], np.array(PARENTS[1:]), hands])
     with atomic_path(path) as temporary:
-        np.savez(
-            temporary,
-            **{
-                "f": np.array([[0, 1, 2]], dtype=np.int32),
-                REGRESSOR: np.eye(n),
-                "kintree_table": np.stack([parents, np.arange(n)]).astype(np.uint32),
-                "weights": np.eye(n),
-                "posedirs": np.zeros((n, 3, 9 * (n - 1))),
-                TEMPLATE: rest.template[owner],
-                SHAPES: rest.directions[owner],
-            },
-        )
+        arrays = {
+            "f": np.array([[0, 1, 2]], dtype=np.int32),
+            REGRESSOR: np.eye(n),
+            "kintree_table": np.stack([parents, np.arange(n)]).astype(np.uint32),
+            "weights": np.eye(n),
+            "posedirs": np.zeros((n, 3, 9 * (n - 1))),
+            TEMPLATE: rest.template[owner],
+            SHAPES: rest.directions[owner],
+        }
+        np.savez(temporary, **arrays)

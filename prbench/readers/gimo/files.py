@@ -293,13 +293,10 @@ def _body(found: RecordingFiles, options: GimoOptions) -> gimo.LocalJoints | gim
         assert options.vposer_model is not None
         rest = read_rest_joints(options.smplx_model)
         return joints_from_parameters(read_poses(poses), read_pose_decoder(options.vposer_model), rest)
-    raise InputFileError(
-        found.folder,
-        "",
-        expected="a way to the joints: smplx or bvh",
-        found="; ".join(f"{route} lacks {what}" for route, what in lacking.items()),
-        remedy=f"VPoser v1: {VPOSER_PAGE}; SMPL-X neutral: {SMPLX_PAGE} (options vposer_model and smplx_model).",
-    )
+    expected = "a way to the joints: smplx or bvh"
+    told = "; ".join(f"{route} lacks {what}" for route, what in lacking.items())
+    remedy = f"VPoser v1: {VPOSER_PAGE}; SMPL-X neutral: {SMPLX_PAGE} (options vposer_model and smplx_model)."
+    raise InputFileError(found.folder, "", expected=expected, found=told, remedy=remedy)
 
 
 def _meshes(found: RecordingFiles) -> tuple[Occluder, ...]:

@@ -257,10 +257,8 @@ def write_sequence(readings: gimo.GimoReadings, folder: Path) -> None:
     assert isinstance(readings.body, gimo.LocalSkeleton)  # synthetic bodies are suits
     with atomic_folder(folder) as target:
         transform = readings.transform
-        write_json(
-            target / readings.segment.transformation,
-            {"scale": transform.scale, "transformation": transform.scene_from_body.tolist()},
-        )
+        content = {"scale": transform.scale, "transformation": transform.scene_from_body.tolist()}
+        write_json(target / readings.segment.transformation, content)
         # One pickle of torch tensors a frame, the root with ``requires_grad``, as the fitting program left them.
         poses = readings.body.poses
         zeros = {name: np.zeros(size, dtype=np.float32) for name, size in _UNUSED_KEYS.items()}

@@ -12,7 +12,6 @@ from prbench.synthetic.layouts import Damage, Defect, removed
 
 _SHORT_GAP = 3  # frames
 _LONG_GAP = 15
-_FOREIGN_PICKLE = b"cbuiltins\nprint\n(S'a pickle can call anything'\ntR."
 
 
 def _sequence(root: Path, name: str) -> Path:
@@ -45,6 +44,14 @@ def _edit(find: Callable[[Path, str], Path], change: Callable[[str], str]) -> Da
         path.write_text(change(path.read_text("utf-8")), encoding="utf-8")
 
     return apply
+
+
+def _not_unpacked(root: Path, name: str) -> None:
+    shutil.rmtree(_sequence(root, name))
+
+
+def _foreign_pickle(root: Path, name: str) -> None:
+    _poses(root, name)[1].write_bytes(b"cbuiltins\nprint\n(S'a pickle can call anything'\ntR.")
 
 
 def _no_scale(root: Path, name: str) -> None:
@@ -92,23 +99,11 @@ _SHORT = _remove_poses(_SHORT_GAP)
 _LONG = _remove_poses(_LONG_GAP)
 
 DEFECTS: tuple[Defect, ...] = (
-    Defect(
-        "missing-sequence",
-        "the sequence is not unpacked",
-        lambda root, name: shutil.rmtree(_sequence(root, name)),
-        "skipped",
-        "its folder is missing",
-    ),
+    Defect("missing-sequence", "the sequence is not unpacked", _not_unpacked, "skipped", "its folder is missing"),
     Defect("not-annotated", "nobody annotated a pick", _not_annotated, "skipped", "no event is annotated"),
     Defect("few-missing-poses", "three frames without pose", _SHORT, "read", "3 of"),
     Defect("many-missing-poses", "half a second without poses", _LONG, "read", "15 in gaps too long"),
-    Defect(
-        "foreign-pickle",
-        "a pose that calls a function",
-        lambda root, name: _poses(root, name)[1].write_bytes(_FOREIGN_PICKLE),
-        "failed",
-        "the name 'builtins.print'",
-    ),
+    Defect("foreign-pickle", "a pose that calls a function", _foreign_pickle, "failed", "the name 'builtins.print'"),
     Defect("no-scale", "transform_info without scale", _no_scale, "failed", "missing required field `scale`"),
     Defect("cut-norm", "transform_norm with three rows", _CUT_NORM, "failed", "expected a 4x4 matrix"),
     Defect("cut-gaze", "cut gaze files", _cut_gaze, "read", "damaged gaze files are left out"),

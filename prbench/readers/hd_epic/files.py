@@ -216,13 +216,10 @@ def read_readings(found: RecordingFiles) -> hd_epic.HdEpicReadings:
     for role, name in ((ASSOCIATIONS, hd_epic.ASSOCIATIONS_FILE), (MASKS, hd_epic.MASKS_FILE)):
         path = found.path(role)
         if path is None:
-            raise InputFileError(
-                f"{hd_epic.ANNOTATIONS_FOLDER}/{hd_epic.MOVEMENTS_FOLDER}/{name}",
-                "",
-                expected="this file of the annotation repository",
-                found="none",
-                remedy=f"Clone the repository beside {hd_epic.DATA_FOLDER}, or name it: --option annotations=DIR.",
-            )
+            place = f"{hd_epic.ANNOTATIONS_FOLDER}/{hd_epic.MOVEMENTS_FOLDER}/{name}"
+            expected = "this file of the annotation repository"
+            remedy = f"Clone the repository beside {hd_epic.DATA_FOLDER}, or name it: --option annotations=DIR."
+            raise InputFileError(place, "", expected=expected, found="none", remedy=remedy)
         paths.append(path)
     tracks, track_remarks = read_tracks(paths[0], paths[1], video)
     priming = found.path(PRIMING)
@@ -261,26 +258,19 @@ def _read_mps(found: RecordingFiles) -> mps.MpsReadings:
         key = f"{participant}/{video}.vrs"
         remedy = f"It has no multi-recording SLAM; three videos have {hd_epic.OTHER_SLAM_FOLDER}/*.zip instead."
         require(slam_map, (number is not None, key, "the number of a SLAM zip", "no such key", remedy))
-        raise InputFileError(
-            f"{place}/{number}.zip",
-            "",
-            expected=f"the trajectory of {video}",
-            found=f"SLAM zip {number} of {participant} missing",
-            remedy="Download it: a download by video fetches gaze only, not SLAM.",
-        )
+        expected = f"the trajectory of {video}"
+        lacking = f"SLAM zip {number} of {participant} missing"
+        remedy = "Download it: a download by video fetches gaze only, not SLAM."
+        raise InputFileError(f"{place}/{number}.zip", "", expected=expected, found=lacking, remedy=remedy)
     has_gaze = found.path(mps.GAZE) is not None
     archive = f"{folder}/{hd_epic.GAZE_FOLDER}/mps_{video}_vrs.zip"
     require(archive, (has_gaze, "", "eye gaze of this video", "none", "Download GAZE_HAND of this video."))
     readings = read_mps(found)
     up = readings.trajectory.up
-    require(
-        f"{folder}: {mps.TRAJECTORY_FILE} of {video}",
-        (
-            np.linalg.norm(up - np.array([0.0, 0.0, 1.0])) <= 1e-2,
-            "gravity columns",
-            "gravity along -Z (the kitchens are Z up)",
-            f"up = {(np.round(up, 3) + 0.0).tolist()}",
-            "Masks and bodies stand in the world of the original file; use that one.",
-        ),
-    )
+    is_upright = np.linalg.norm(up - np.array([0.0, 0.0, 1.0])) <= 1e-2
+    expected = "gravity along -Z (the kitchens are Z up)"
+    tilted = f"up = {(np.round(up, 3) + 0.0).tolist()}"
+    remedy = "Masks and bodies stand in the world of the original file; use that one."
+    trajectory = f"{folder}: {mps.TRAJECTORY_FILE} of {video}"
+    require(trajectory, (is_upright, "gravity columns", expected, tilted, remedy))
     return readings

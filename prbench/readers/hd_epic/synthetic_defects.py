@@ -84,9 +84,8 @@ def _other_alignment(root: Path, video: str) -> None:
     path.unlink()
     with zipfile.ZipFile(target, "w") as archive:
         archive.writestr(f"{video}/images.txt", "# Image list with two lines of data per image\n")
-    change_json(
-        path.with_name(hd_epic.SLAM_MAP_FILE), lambda content: content.pop(f"{path.parents[2].name}/{video}.vrs")
-    )
+    key = f"{path.parents[2].name}/{video}.vrs"
+    change_json(path.with_name(hd_epic.SLAM_MAP_FILE), lambda content: content.pop(key))
 
 
 _HALF = _time_rows(lambda rows: rows[: (len(rows) + 1) // 2 - 1])  # half of the lines
@@ -101,32 +100,24 @@ _LOST_POSES = _rows_of(
     mps.TRAJECTORY_FILE,
     lambda rows: [row | (_NO_WORLD if number < len(rows) // 10 else {}) for number, row in enumerate(rows)],
 )
+_NO_TIME = removed(_time_file)
+_NO_GAZE = removed(_gaze_archive)
+_NO_TRACKS = _without_video(hd_epic.ASSOCIATIONS_FILE)
+_NO_MASKS = _without_video(hd_epic.MASKS_FILE)
 
 # What can be done to one video of a synthetic tree.
 DEFECTS = (
-    Defect(
-        "missing-time", "the time csv of the video is not there", removed(_time_file), "failed", hd_epic.TIME_SUFFIX
-    ),
+    Defect("missing-time", "the time csv of the video is not there", _NO_TIME, "failed", hd_epic.TIME_SUFFIX),
     Defect("missing-slam", "a download by video: gaze without SLAM", removed(_slam_archive), "failed", "SLAM zip"),
-    Defect(
-        "missing-gaze", "GAZE_HAND of the video is not there", removed(_gaze_archive), "failed", "Download GAZE_HAND"
-    ),
+    Defect("missing-gaze", "GAZE_HAND of the video is not there", _NO_GAZE, "failed", "Download GAZE_HAND"),
     Defect("truncated-archive", "the SLAM archive is cut off", cut_in_half(_slam_archive), "failed", "zip archive"),
     Defect("truncated-time", "the time csv ends in the middle", _HALF, "read", "it may be truncated"),
     Defect("swapped-clock", "device times in microseconds", _IN_MICROSECONDS, "failed", "streams do not overlap"),
     Defect("nan-gaze", "no gaze angle is a number", _NAN_GAZE, "read", "no valid gaze"),
     Defect("lost-hands", "no hand is ever tracked", _LOST_HANDS, "read", ""),
     Defect("lost-poses", "poses that belong to no world", _LOST_POSES, "read", "are left out"),
-    Defect(
-        "missing-association",
-        "assoc_info.json lacks the video",
-        _without_video(hd_epic.ASSOCIATIONS_FILE),
-        "failed",
-        "no such key",
-    ),
-    Defect(
-        "missing-masks", "mask_info.json lacks the video", _without_video(hd_epic.MASKS_FILE), "read", "have no mask"
-    ),
+    Defect("missing-association", "assoc_info.json lacks the video", _NO_TRACKS, "failed", "no such key"),
+    Defect("missing-masks", "mask_info.json lacks the video", _NO_MASKS, "read", "have no mask"),
     Defect("missing-bodies", "no EgoAllo outputs", _missing_bodies, "read", "no EgoAllo outputs"),
     Defect(
         "foreign-bodies", "EgoAllo outputs of another video", _foreign_bodies, "failed", "belongs to another recording"

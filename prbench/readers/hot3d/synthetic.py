@@ -61,8 +61,6 @@ _PALM_ALONG = (0.08, 0.30, 0.52, 0.74, 0.94)
 _PALM_ACROSS = (-0.35, 0.22)
 _DECIMALS = 6  # of millimetres
 # Bending of each finger joint of an empty and of a holding hand, radians.
-# Bending of each finger joint of an empty and of a holding hand, radians.
-# Bending of each finger joint of an empty and of a holding hand, radians.
 _OPEN = 0.20
 _CLOSED = 0.55
 _SPREAD = 0.03  # Radians; never 0, at which the dataset's own toolkit divides by zero.
@@ -338,19 +336,10 @@ def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
         StorageError: if the disk is full or the folder cannot be written.
     """
     with atomic_folder(folder) as target:
-        write_json(
-            target / hot3d.METADATA_FILE,
-            {
-                "gt_available_status": {
-                    "mano_hand_pose_gt": False,
-                    "object_pose_gt": True,
-                    "umetrack_hand_pose_gt": True,
-                },
-                "headset": hot3d.ARIA,
-                "participant_id": readings.participant_id,
-                "recording_name": readings.recording_id,
-            },
-        )
+        available = {"mano_hand_pose_gt": False, "object_pose_gt": True, "umetrack_hand_pose_gt": True}
+        metadata = {"gt_available_status": available, "headset": hot3d.ARIA}
+        metadata |= {"participant_id": readings.participant_id, "recording_name": readings.recording_id}
+        write_json(target / hot3d.METADATA_FILE, metadata)
         bodies = {entry.object_id: entry.rows for entry in readings.objects}
         write_csv(target / hot3d.OBJECTS_FILE, pose_columns(bodies))
         write_csv(target / hot3d.HEADSET_FILE, pose_columns({_HEADSET_UID: readings.headset}))

@@ -353,16 +353,11 @@ def read_readings(found: RecordingFiles, manifest: Manifest, *, meshes: bool = F
     short = min(lengths, key=lambda name: lengths[name])
     long = max(lengths, key=lambda name: lengths[name])
     n = lengths[short]
-    require(
-        found.folder / found.recording_id,
-        (
-            lengths[long] - n <= mogaze.LONGEST_LENGTH_DIFFERENCE * lengths[long],
-            "",
-            "streams of one length: they share one frame index",
-            f"{n} frames of {short}, {lengths[long]} of {long}",
-            "One of the files is truncated or belongs to another recording; copy or download them again.",
-        ),
-    )
+    is_one_length = lengths[long] - n <= mogaze.LONGEST_LENGTH_DIFFERENCE * lengths[long]
+    expected = "streams of one length: they share one frame index"
+    differing = f"{n} frames of {short}, {lengths[long]} of {long}"
+    remedy = "One of the files is truncated or belongs to another recording; copy or download them again."
+    require(found.folder / found.recording_id, (is_one_length, "", expected, differing, remedy))
     if lengths[long] - n > mogaze.UNREMARKABLE_LENGTH_DIFFERENCE:
         messages.append(f"cut to {n} frames of {short}; {long} has {lengths[long]}")
     match = _PARTICIPANT.fullmatch(found.recording_id)

@@ -57,9 +57,8 @@ def _raise_floor(root: Path, recording: str) -> None:
     heights = [(HUMAN, mogaze.HUMAN_DATASET, STATE_COLUMNS.index("baseTransZ"))]
     heights += [(OBJECTS, name, 2) for name in names]
     for part, name, column in heights:
-        _with_rows(part, name, lambda rows, column=column: rows + _RISE * np.eye(rows.shape[1])[column])(
-            root, recording
-        )
+        raised = _with_rows(part, name, lambda rows, column=column: rows + _RISE * np.eye(rows.shape[1])[column])
+        raised(root, recording)
 
 
 _SHORTER = _with_rows(GAZE, mogaze.GAZE_DATASET, lambda rows: rows[:-20])

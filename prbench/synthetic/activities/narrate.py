@@ -432,7 +432,13 @@ _BESIDE = np.deg2rad(18.0)
 
 def narrate_events(performance: Performance, rng: np.random.Generator) -> tuple[TrueNarration, ...]:
     """Write one narration for every pick and put of a performance, in time order, without overlaps."""
-    narrations = _waiting(performance, rng)
+    narrations = []
+    # The seconds of standing before anything happens; seated people have no words here.
+    first_movement = min([OPENING, *(event.motor_start for event in performance.events)])
+    knees = performance.joints[0, [Joint.LEFT_KNEE, Joint.RIGHT_KNEE], 1].mean()
+    if performance.joints[0, Joint.PELVIS, 1] >= 1.4 * knees:
+        text = sentence([clause(("stand", {}), rng)], rng)
+        narrations.append(TrueNarration("atomic_action", _FIRST_TEXT, first_movement, (text,), ("stand",)))
     for event in sorted(performance.events, key=lambda event: event.event_time):
         if event.expected in ("not_an_event", "excluded_category", "other_wearer"):
             continue
@@ -445,16 +451,6 @@ def narrate_events(performance: Performance, rng: np.random.Generator) -> tuple[
         text = sentence([clause(_goal_facts(performance, event, start), rng)], rng)
         narrations.append(TrueNarration("atomic_action", start, end, (text,), (event.action,)))
     return tuple(narrations)
-
-
-def _waiting(performance: Performance, rng: np.random.Generator) -> list[TrueNarration]:
-    """Describe the seconds of standing before anything happens; seated people have no words here."""
-    end = min([OPENING, *(event.motor_start for event in performance.events)])
-    knees = performance.joints[0, [Joint.LEFT_KNEE, Joint.RIGHT_KNEE], 1].mean()
-    if performance.joints[0, Joint.PELVIS, 1] < 1.4 * knees:
-        return []
-    text = sentence([clause(("stand", {}), rng)], rng)
-    return [TrueNarration("atomic_action", _FIRST_TEXT, end, (text,), ("stand",))]
 
 
 def _goal_facts(performance: Performance, event: TrueEvent, since: float) -> Facts:
