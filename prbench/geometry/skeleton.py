@@ -184,8 +184,7 @@ def forward_kinematics(
 
 
 def head_forward(
-    joints: Float[np.ndarray, "*batch 22 3"],
-    head_tilt_deg: float | Float[np.ndarray, "*batch"],
+    joints: Float[np.ndarray, "*batch 22 3"], head_tilt_deg: float | Float[np.ndarray, "*batch"]
 ) -> tuple[Float[np.ndarray, "*batch 3"], Bool[np.ndarray, "*batch"]]:
     """Head-forward vector H from the joints alone (docs/specification/humanml3d.md#head-forward-vector).
 

@@ -57,9 +57,7 @@ def covered(
 
 
 def interpolate(
-    times: Float[np.ndarray, " n"],
-    values: Float[np.ndarray, "n *shape"],
-    query: Float[np.ndarray, " m"],
+    times: Float[np.ndarray, " n"], values: Float[np.ndarray, "n *shape"], query: Float[np.ndarray, " m"]
 ) -> Float[np.ndarray, "m *shape"]:
     """Linear interpolation along the first axis; outside the range the end values are held.
 
@@ -80,9 +78,7 @@ def interpolate(
 
 
 def slerp(
-    times: Float[np.ndarray, " n"],
-    quaternions: Float[np.ndarray, "n 4"],
-    query: Float[np.ndarray, " m"],
+    times: Float[np.ndarray, " n"], quaternions: Float[np.ndarray, "n 4"], query: Float[np.ndarray, " m"]
 ) -> Float[np.ndarray, "m 4"]:
     """Spherical interpolation of rotations (w x y z) on the shorter arc; outside the range the end values are held."""
     if len(times) == 1:

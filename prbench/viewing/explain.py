@@ -277,12 +277,7 @@ def _find_event(events: pa.Table, wanted: str) -> int:
 
 
 def _stages(
-    event: Event,
-    chunk: SequenceChunk | None,
-    protocol: BenchmarkProtocol,
-    options: dict[str, str],
-    *,
-    shown: bool,
+    event: Event, chunk: SequenceChunk | None, protocol: BenchmarkProtocol, options: dict[str, str], *, shown: bool
 ) -> tuple[StoryStage, ...]:
     # Occlusion and the dataset's own priming are asked for by options and count as the stage of priming.
     decided = STAGES.index("priming" if event.stage in _PART_OF_PRIMING else event.stage)

@@ -107,11 +107,7 @@ def horizontal_direction(offset: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3
 
 
 def draw_figure(
-    axes: Axes,
-    joints: Float[np.ndarray, "22 3"],
-    head_tilt_deg: float,
-    sideways: Float[np.ndarray, "3"],
-    at: float,
+    axes: Axes, joints: Float[np.ndarray, "22 3"], head_tilt_deg: float, sideways: Float[np.ndarray, "3"], at: float
 ) -> None:
     """Draw one pose in a vertical plane, and the head-forward vector as a short line.
 

@@ -268,11 +268,7 @@ def joint_map_by_names(names: Sequence[str], *, name: str = "bvh") -> JointMap:
         UsageError: if a limb joint is not found.
     """
     columns, _, _ = match_names(names)
-    return JointMap.of(
-        name,
-        names,
-        {target: names[column] for target, column in zip(NAMES, columns) if column >= 0},
-    )
+    return JointMap.of(name, names, {target: names[column] for target, column in zip(NAMES, columns) if column >= 0})
 
 
 def _paired(**parts: str) -> dict[str, str]:

@@ -373,9 +373,7 @@ def read_rest_joints(path: Path, *, joints: int | None = None, how_to_get: str =
 
 
 def pose_body(
-    rest: Float[np.ndarray, "22 3"],
-    pelvis: Float[np.ndarray, "frames 3"],
-    rotations: Float[np.ndarray, "frames 22 4"],
+    rest: Float[np.ndarray, "22 3"], pelvis: Float[np.ndarray, "frames 3"], rotations: Float[np.ndarray, "frames 22 4"]
 ) -> tuple[Float[np.ndarray, "frames 22 3"], Float[np.ndarray, "frames 22 3 3"]]:
     """Positions and world rotations of the 22 joints.
 

@@ -432,7 +432,7 @@ _BESIDE = np.deg2rad(18.0)
 
 def narrate_events(performance: Performance, rng: np.random.Generator) -> tuple[TrueNarration, ...]:
     """Write one narration for every pick and put of a performance, in time order, without overlaps."""
-    narrations = []
+    narrations: list[TrueNarration] = []
     # The seconds of standing before anything happens; seated people have no words here.
     first_movement = min([OPENING, *(event.motor_start for event in performance.events)])
     knees = performance.joints[0, [Joint.LEFT_KNEE, Joint.RIGHT_KNEE], 1].mean()

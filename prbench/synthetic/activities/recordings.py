@@ -41,13 +41,7 @@ from prbench.synthetic.people.body import (
 from prbench.synthetic.people.gaze_plan import GazePlan, Look
 from prbench.synthetic.people.kinematics import add_bump, blend, bump, direction, eased_trapezoid, minimum_jerk, turn
 from prbench.synthetic.people.perform import Motion, assemble
-from prbench.synthetic.people.person import (
-    Preset,
-    Trunk,
-    draw_person,
-    seated_pelvis_height,
-    standing_pelvis_height,
-)
+from prbench.synthetic.people.person import Preset, Trunk, draw_person, seated_pelvis_height, standing_pelvis_height
 from prbench.synthetic.people.plan import Plan
 from prbench.synthetic.people.walking import BasePath, Legs, place_feet, plan_steps, pose_legs, sample_base
 from prbench.synthetic.people.world import Room, Source, assign

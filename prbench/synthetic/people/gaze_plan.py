@@ -58,11 +58,7 @@ class GazePlan:
 
 
 def plan_gaze(
-    plan: Plan,
-    base: BasePath,
-    eye: Float[np.ndarray, "n 3"],
-    times: Float[np.ndarray, " n"],
-    rng: np.random.Generator,
+    plan: Plan, base: BasePath, eye: Float[np.ndarray, "n 3"], times: Float[np.ndarray, " n"], rng: np.random.Generator
 ) -> GazePlan:
     """Schedule all looks of a recording.
 

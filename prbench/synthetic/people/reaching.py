@@ -101,11 +101,7 @@ def kept_away(
 
 
 def shoulder_in_posture(
-    person: Person,
-    base: BasePose,
-    hand: int,
-    posture: Posture,
-    pelvis_height: float | None = None,
+    person: Person, base: BasePose, hand: int, posture: Posture, pelvis_height: float | None = None
 ) -> Float[np.ndarray, "3"]:
     """Return where the reaching shoulder is in a posture at a standing place."""
     lean = np.array([posture.lean])

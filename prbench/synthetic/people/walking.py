@@ -399,12 +399,7 @@ def lowered_pelvis(
     return smooth(np.minimum(lowered, allowed), 0.025, rate)
 
 
-def pose_legs(
-    body: Body,
-    hips: Float[np.ndarray, "n 2 3"],
-    pelvis_yaw: Float[np.ndarray, " n"],
-    feet: Feet,
-) -> Legs:
+def pose_legs(body: Body, hips: Float[np.ndarray, "n 2 3"], pelvis_yaw: Float[np.ndarray, " n"], feet: Feet) -> Legs:
     """Find the knees by two-bone kinematics; a swinging foot follows the ankle where the leg is too short for it."""
     wanted = ankles(body, feet)
     knees = []
