@@ -75,9 +75,19 @@ def mps_streams(
         readings.gaze.pitch,
         same_instant=SAME_INSTANT,
     )
-    wrists = (
-        () if readings.wrists is None else _wrists(readings.wrists, device, seconds_before_device, least_confidence)
-    )
+    wrists = []
+    if readings.wrists is not None:
+        times = readings.wrists.time_us / 1e6 - seconds_before_device
+        origin, facing = device.pose_at(times)
+        world_from_device = Rotation.from_quat(facing, scalar_first=True)
+        posed = covered(device.times, device.valid, times, max_gap=mps.LONGEST_POSE_STEP, tolerance=SAME_INSTANT)
+        for index, side in enumerate(SIDES):
+            local = readings.wrists.wrist[:, index]
+            seen = np.isfinite(local).min(axis=1)
+            points = world_from_device.apply(np.where(seen[:, None], local, 0.0)) + origin
+            # Greater, not at least: 0 and -1 both stand for a hand that was not seen.
+            valid = seen & posed & np.greater(readings.wrists.confidence[:, index], least_confidence)
+            wrists.append(HandStream(side, "wrist", times, points[:, None], valid))
     # Tell the user where the glasses were not tracked.
     remarks = []
     steps = np.diff(device.times)
@@ -88,7 +98,7 @@ def mps_streams(
     if outside.any():
         remarks.append(f"{int(outside.sum())} of {len(outside)} gaze rows lie outside the tracked time and are invalid")
     messages = (*readings.messages, *_remarks(readings, gaze), *tuple(remarks))
-    return MpsStreams(device, head, camera, gaze, wrists, messages)
+    return MpsStreams(device, head, camera, gaze, tuple(wrists), messages)
 
 
 def head_and_camera(
@@ -149,24 +159,6 @@ def gaze_in_world(
         direction=Rotation.from_quat(rotation, scalar_first=True).apply(direction_cpf),
         valid=measured & posed,
     )
-
-
-def _wrists(
-    wrists: mps.WristPositions, device: PoseStream, seconds_before_device: float, least_confidence: float
-) -> tuple[HandStream, ...]:
-    times = wrists.time_us / 1e6 - seconds_before_device
-    origin, rotation = device.pose_at(times)
-    turn = Rotation.from_quat(rotation, scalar_first=True)
-    posed = covered(device.times, device.valid, times, max_gap=mps.LONGEST_POSE_STEP, tolerance=SAME_INSTANT)
-    streams = []
-    for index, side in enumerate(SIDES):
-        local = wrists.wrist[:, index]
-        seen = np.isfinite(local).min(axis=1)
-        points = turn.apply(np.where(seen[:, None], local, 0.0)) + origin
-        # Greater, not at least: 0 and -1 both stand for a hand that was not seen.
-        valid = seen & posed & np.greater(wrists.confidence[:, index], least_confidence)
-        streams.append(HandStream(side, "wrist", times, points[:, None], valid))
-    return tuple(streams)
 
 
 def _remarks(readings: mps.MpsReadings, gaze: GazeStream) -> tuple[str, ...]:

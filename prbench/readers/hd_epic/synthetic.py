@@ -13,7 +13,7 @@ import hashlib
 import json
 import tempfile
 import zipfile
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,12 +104,28 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     glasses = dataclasses.replace(glasses, trajectory=dataclasses.replace(glasses.trajectory, graph_uids=world))
     clock = sense_video_clock(sensing)
     tracks = _annotated_tracks(sensing, clock)
+    # What the dataset publishes about priming: each end of a movement that has a mask, but for a few.
+    rng = sensor_generator(performance, "published-priming")
+    published = []
+    for number, track in enumerate(tracks):
+        forgotten = rng.random(2) < _FORGOTTEN
+        start = round(track.start * hd_epic.FPS)
+        end = round(track.end * hd_epic.FPS)
+        for mask in track.masks:
+            if mask.location is None or mask.frame not in (start, end) or forgotten[int(mask.frame == end)]:
+                continue
+            is_start = mask.frame == start
+            first = max(start - _WINDOW, 0) if is_start else max(end - _WINDOW, start)
+            key = f"{number}/{'start' if is_start else 'end'}"
+            primed = _first_look(performance, mask, first)
+            published.append(hd_epic.PublishedSide(key, is_start, mask.frame, mask.location, primed))
+    published.sort(key=lambda side: (int(side.key.split("/")[0]), not side.is_start))
     readings = hd_epic.HdEpicReadings(
         video=performance.recording_id,
         participant_id=performance.person.participant_id,
         clock=clock,
         tracks=tracks,
-        priming=synthetic_priming(performance, tracks),
+        priming=tuple(published),
         glasses=glasses,
         body=None,
     )
@@ -221,27 +237,6 @@ def _fixture(performance: Performance, goal: Float[np.ndarray, "3"]) -> str | No
         return None
     number = int(np.argmin(distances))
     return f"{performance.person.participant_id}_{furniture[number].category.replace(' ', '_')}.{number + 1:03d}"
-
-
-def synthetic_priming(
-    performance: Performance, tracks: Sequence[hd_epic.ObjectTrack]
-) -> tuple[hd_epic.PublishedSide, ...]:
-    """Return one entry for every end of a movement that has a mask, but for a few."""
-    rng = sensor_generator(performance, "published-priming")
-    entries = []
-    for number, track in enumerate(tracks):
-        forgotten = rng.random(2) < _FORGOTTEN
-        start = round(track.start * hd_epic.FPS)
-        end = round(track.end * hd_epic.FPS)
-        for mask in track.masks:
-            if mask.location is None or mask.frame not in (start, end) or forgotten[int(mask.frame == end)]:
-                continue
-            is_start = mask.frame == start
-            first = max(start - _WINDOW, 0) if is_start else max(end - _WINDOW, start)
-            primed = _first_look(performance, mask, first)
-            key = f"{number}/{'start' if is_start else 'end'}"
-            entries.append(hd_epic.PublishedSide(key, is_start, mask.frame, mask.location, primed))
-    return tuple(sorted(entries, key=lambda entry: (int(entry.key.split("/")[0]), not entry.is_start)))
 
 
 def _first_look(performance: Performance, mask: hd_epic.ObjectMask, first: int) -> int:
