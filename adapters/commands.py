@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -106,12 +106,16 @@ def train(
     show_config: bool,
 ) -> Answer | int:
     """Train a method's network on tables; the same command goes on with an interrupted training."""
-    from prbench_adapters.training.run import TrainRequest
+    from prbench.harness.methods.installed import load_task
+    from prbench_adapters.training.configuration import as_toml
+    from prbench_adapters.training.run import TrainRequest, resolved
     from prbench_adapters.training.run import train as run_training
 
     configuration = None if config is None else str(config)
     if show_config:
-        return _configuration(method, configuration, stage=stage, overrides=overrides)
+        _, shown = resolved(load_task(method), configuration, stage=stage, overrides=overrides)
+        report = TrainReport(method=method, configuration=msgspec.to_builtins(shown), trained=None)
+        return Answer(report, lambda: print(as_toml(shown), end=""))
     if not data:
         raise UsageError("--data DIR is needed.")
     if out is None:
@@ -151,19 +155,6 @@ def train(
         return 0
     report = TrainReport(method=method, configuration=None, trained=trained)
     return Answer(report, lambda: print(f"weights: {trained.weights}"))
-
-
-def _configuration(
-    method: str, config: str | None, *, stage: str | None, overrides: Sequence[tuple[str, str]]
-) -> Answer:
-    """Answer with the configuration that a training would have."""
-    from prbench.harness.methods.installed import load_task
-    from prbench_adapters.training.configuration import as_toml
-    from prbench_adapters.training.run import resolved
-
-    _, configuration = resolved(load_task(method), config, stage=stage, overrides=overrides)
-    report = TrainReport(method=method, configuration=msgspec.to_builtins(configuration), trained=None)
-    return Answer(report, lambda: print(as_toml(configuration), end=""))
 
 
 def _in_words(row: Mapping[str, float | int]) -> str:

@@ -407,24 +407,20 @@ class _Layer(nn.Module):
         visible: Bool[Tensor, "batch tokens"],
     ) -> Float[Tensor, "batch tokens width"]:
         stream = stream + self.condition(condition)[:, None]
-        stream = stream + self.dropout(self._attended(self.attention_norm(stream), visible))
-        around = self._with_neighbours(self.feed_forward_norm(stream) * visible[..., None])
-        hidden = functional.gelu(self.expand(around), approximate="tanh")
-        return stream + self.dropout(self.contract(hidden))
-
-    def _with_neighbours(self, stream: Tensor) -> Tensor:
-        padded = functional.pad(stream, (0, 0, _NEIGHBOURS, _NEIGHBOURS))
-        for place, weight in enumerate(self.neighbours):
-            stream = stream + weight * padded[:, place : place + stream.shape[1]]
-        return stream
-
-    def _attended(self, stream: Tensor, visible: Tensor) -> Tensor:
-        parts = self.query_key_value(stream).chunk(3, dim=-1)
+        parts = self.query_key_value(self.attention_norm(stream)).chunk(3, dim=-1)
         query, key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in parts)
         # Written out: for so few tokens it takes a third of the time of the fused kernels of processors.
         scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
         scores = scores.masked_fill(~visible[:, None, None], -math.inf)
-        return self.output((scores.softmax(dim=-1) @ value).transpose(1, 2).flatten(2))
+        attended = self.output((scores.softmax(dim=-1) @ value).transpose(1, 2).flatten(2))
+        stream = stream + self.dropout(attended)
+        # Each token beside its neighbours.
+        around = self.feed_forward_norm(stream) * visible[..., None]
+        padded = functional.pad(around, (0, 0, _NEIGHBOURS, _NEIGHBOURS))
+        for place, weight in enumerate(self.neighbours):
+            around = around + weight * padded[:, place : place + around.shape[1]]
+        hidden = functional.gelu(self.expand(around), approximate="tanh")
+        return stream + self.dropout(self.contract(hidden))
 
 
 class FrameDenoiser(nn.Module):
@@ -491,18 +487,16 @@ class FrameDenoiser(nn.Module):
         frames = noisy.shape[1]
         if visible is None:
             visible = torch.ones(noisy.shape[:2], dtype=torch.bool, device=noisy.device)
-        stream = self.frame_embedding(self._tokens(noisy, visible)) + self._times(frames, visible.sum(dim=1))
+        # Each token's time since the start and before the end.
+        begun = torch.arange(0, frames, self.configuration.frames_per_token, device=visible.device)
+        left = (visible.sum(dim=1)[:, None] - 1 - begun).clamp_min(0)
+        times = self.sinusoid[begun] + self.time_to_end(self.sinusoid[left])
+        stream = self.frame_embedding(self._tokens(noisy, visible)) + times
         shown = self._tokens(visible[..., None], visible).any(dim=2)
         for layer in self.layers:
             stream = layer(stream, prepared, shown)
         clean = self.head(self.head_norm(stream))
         return clean.unflatten(-1, (self.configuration.frames_per_token, -1)).flatten(1, 2)[:, :frames]
-
-    def _times(self, frames: int, n_frames: Int[Tensor, " batch"]) -> Float[Tensor, "batch tokens width"]:
-        """Embeddings of each token's time since the start and before the end."""
-        start = torch.arange(0, frames, self.configuration.frames_per_token, device=n_frames.device)
-        left = (n_frames[:, None] - 1 - start).clamp_min(0)
-        return self.sinusoid[start] + self.time_to_end(self.sinusoid[left])
 
     def _tokens(self, values: Tensor, visible: Bool[Tensor, "batch frames"]) -> Tensor:
         """Join the frames of each token; padded frames are zeros."""

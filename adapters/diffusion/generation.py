@@ -293,12 +293,24 @@ def generate(model: MotionModel, batch: ConditionBatch, settings: SamplingSettin
     joints = np.zeros((len(batch), int(batch.n_frames.max()), N_JOINTS, 3), dtype=np.float32)
     passes = 0
     largest = _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)
+    columns = model.configuration.n_features
     for rows in parts_of_similar_length(batch.n_frames, largest):
-        n_frames = batch.n_frames[rows]
-        noise = SequenceNoise([batch.noise_seed[row] for row in rows], n_frames, model.device)
-        own, spent = _sample(model, condition.rows(rows.tolist()), n_frames, noise, settings)
-        joints[rows, : own.shape[1]] = own
-        passes += spent
+        own = condition.rows(rows.tolist())
+        noise = SequenceNoise([batch.noise_seed[row] for row in rows], batch.n_frames[rows], model.device)
+        lengths = torch.as_tensor(batch.n_frames[rows])
+        with torch.no_grad():
+            denoise = Guided(model.denoiser, own, lengths, settings.guidance)
+            start = settings.noise_scale * noise.draw(columns)
+            # Further noise is drawn from each sequence's own seed, too.
+            if settings.sampler == "ddim":
+                clean = sample_ddim(denoise, model.schedule, start, steps=settings.steps)
+            else:
+                clean = sample_ddpm(
+                    denoise, model.schedule, start, lambda _, noise=noise: noise.draw(columns), steps=settings.steps
+                )
+            found = model.joints(clean, own, lengths, reach=settings.reach, feet=settings.feet)
+        joints[rows, : found.shape[1]] = found.cpu().numpy()
+        passes += denoise.passes
     return Motions(bodies.own(joints), batch.n_frames, Cost(passes))
 
 
@@ -311,27 +323,6 @@ def require_lengths(batch: ConditionBatch, most: int) -> None:
     longest = int(batch.n_frames.max())
     if longest > most:
         raise AdapterError(f"the model generates at most {most} frames, and was asked for {longest}.")
-
-
-@torch.no_grad()
-def _sample(
-    model: MotionModel,
-    condition: EncodedCondition,
-    n_frames: np.ndarray,
-    noise: SequenceNoise,
-    settings: SamplingSettings,
-) -> tuple[np.ndarray, int]:
-    """Joints (rows, frames, 22, 3) and the network passes that they took."""
-    denoise = Guided(model.denoiser, condition, torch.as_tensor(n_frames), settings.guidance)
-    columns = model.configuration.n_features
-    start = settings.noise_scale * noise.draw(columns)
-    if settings.sampler == "ddim":
-        clean = sample_ddim(denoise, model.schedule, start, steps=settings.steps)
-    else:
-        clean = sample_ddpm(denoise, model.schedule, start, lambda _: noise.draw(columns), steps=settings.steps)
-    lengths = torch.as_tensor(n_frames)
-    joints = model.joints(clean, condition, lengths, reach=settings.reach, feet=settings.feet)
-    return joints.cpu().numpy(), denoise.passes
 
 
 SAMPLING_OPTIONS = ("guidance", "sampler", "steps")

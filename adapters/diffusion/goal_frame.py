@@ -143,7 +143,14 @@ class GoalFrame:
         """
         pose = self._pose(features, n_frames, fps)
         if steps:
-            pose = self._stepping(pose, features[..., N_POSE_FEATURES:] > _CERTAIN, n_frames, fps)
+            # Ankles move so that toes stand or swing instead of gliding.
+            stands = (features[..., N_POSE_FEATURES:] > _CERTAIN).cpu().numpy()
+            with torch.no_grad():
+                toes = self._joints(pose)[:, :, TOES].cpu().double().numpy()
+            moves = np.zeros_like(toes)
+            for move, wanted, on_floor, n in zip(moves, toes, stands, n_frames.tolist(), strict=True):
+                move[:n] = stepped(wanted[:n], on_floor[:n], fps, keeps_last=self.last is not None) - wanted[:n]
+            pose = self._moved(pose, torch.as_tensor(moves).to(pose), first=0)
         if reach:
             pose = self._reaching(pose, n_frames, fps)
         return self._turned(self._joints(pose), back=True) + self.origin[:, None, None]
@@ -197,21 +204,6 @@ class GoalFrame:
         order = (Joint.PELVIS, *_TRUNK, *_MIDDLES, *_ENDS, *TOES)
         together = torch.cat((pelvis, trunk, middles, ends, toes), dim=2)
         return together[:, :, [order.index(joint) for joint in range(N_JOINTS)]]
-
-    def _stepping(
-        self,
-        pose: Float[Tensor, "batch frames 66"],
-        stands: Bool[Tensor, "batch frames 2"],
-        n_frames: Tensor,
-        fps: float,
-    ) -> Float[Tensor, "batch frames 66"]:
-        """Move the ankles so that toes stand or swing instead of gliding."""
-        with torch.no_grad():
-            toes = self._joints(pose)[:, :, TOES].cpu().double().numpy()
-            moves = np.zeros_like(toes)
-            for move, wanted, on_floor, n in zip(moves, toes, stands.cpu().numpy(), n_frames.tolist(), strict=True):
-                move[:n] = stepped(wanted[:n], on_floor[:n], fps, keeps_last=self.last is not None) - wanted[:n]
-        return self._moved(pose, torch.as_tensor(moves).to(pose), first=0)
 
     def _reaching(
         self, pose: Float[Tensor, "batch frames 66"], n_frames: Tensor, fps: float

@@ -70,7 +70,13 @@ class TextVectors:
     ) -> tuple[Float[torch.Tensor, "texts tokens dimension"], Bool[torch.Tensor, "texts tokens"]]:
         """Token vectors, zero where there is padding, and the padding itself (True = no token), on the CPU."""
         # Sorted, so that the encoder sees the same batch whatever the order of the rows.
-        self._learn(sorted({text for text in texts if text not in self._known}), texts)
+        missing = sorted({text for text in texts if text not in self._known})
+        if missing:
+            if len(self._known) + len(missing) > _MOST_TEXTS:  # forget all but what this batch needs
+                self._known = {text: self._known[text] for text in texts if text in self._known}
+            encoded = self.encoder.encode(missing)
+            for text, tokens, padding in zip(missing, encoded.tokens, encoded.padding, strict=True):
+                self._known[text] = tokens[~padding].copy()
         vectors = [self._known[text] for text in texts]
         lengths = np.array([len(tokens) for tokens in vectors])
         stacked = np.zeros((len(texts), int(lengths.max()), self.encoder.dimension), dtype=np.float32)
@@ -78,15 +84,6 @@ class TextVectors:
             stacked[row, : len(tokens)] = tokens
         padding = np.arange(stacked.shape[1]) >= lengths[:, None]
         return torch.from_numpy(stacked), torch.from_numpy(padding)
-
-    def _learn(self, missing: list[str], wanted: Sequence[str]) -> None:
-        if not missing:
-            return
-        if len(self._known) + len(missing) > _MOST_TEXTS:  # forget all but what this batch needs
-            self._known = {text: self._known[text] for text in wanted if text in self._known}
-        encoded = self.encoder.encode(missing)
-        for text, tokens, padding in zip(missing, encoded.tokens, encoded.padding, strict=True):
-            self._known[text] = tokens[~padding].copy()
 
 
 class MotionModel:

@@ -12,7 +12,6 @@ from typing import cast
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
 
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
 from prbench.geometry.skeleton import N_JOINTS
@@ -104,6 +103,10 @@ def generate(model: GMDModel, batch: ConditionBatch, settings: GMDSettings) -> M
     """
     require_lengths(batch, model.configuration.max_frames)
     bodies = ModelBodies.of(batch, model.configuration)
+    given = bodies.batch
+    assert given.initial_joints is not None
+    assert given.goal_joints is not None
+    assert given.text is not None
     joints = np.zeros((len(batch), int(batch.n_frames.max()), N_JOINTS, 3), dtype=np.float32)
     passes = 0
     largest = _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)
@@ -114,35 +117,25 @@ def generate(model: GMDModel, batch: ConditionBatch, settings: GMDSettings) -> M
         rows = np.flatnonzero(windows == window)
         parts += [rows[part] for part in parts_of_similar_length(batch.n_frames[rows], largest)]
     for rows in parts:
-        own, spent = _sample(model, bodies.batch, rows, settings)
+        n_frames = torch.as_tensor(given.n_frames[rows], device=model.device)
+        ends = Ends(_tensor(given.initial_joints[rows], model), _tensor(given.goal_joints[rows], model), n_frames)
+        noise = SequenceNoise([given.noise_seed[row] for row in rows], given.n_frames[rows], model.device)
+        text = model.encode(tuple(given.text[row] for row in rows))
+        window = model.configuration.window(int(n_frames.max()))
+        trajectory_network, motion_network = (
+            GuidedNetwork(network, text, n_frames, window=window, scale=settings.guidance)
+            for network in (model.networks.trajectory, model.networks.motion)
+        )
+        keyframes = ends.root_keyframes()
+        trajectory = sample_trajectory(trajectory_network, model.schedule, model.space, keyframes, noise, settings)
+        features = sample_motion(motion_network, model.schedule, model.space, trajectory, ends, noise, settings)
+        if model.configuration.smoothed:
+            features = smoothed(features, n_frames)
+        own = decode_absolute(features).cpu().numpy()
         joints[rows, : own.shape[1]] = own
-        passes += spent
+        passes += trajectory_network.passes + motion_network.passes
     motions = Motions(bodies.own(joints), batch.n_frames, Cost(passes))
     return on_own_bones(motions, batch) if settings.bones == "initial" else motions
-
-
-def _sample(
-    model: GMDModel, batch: ConditionBatch, rows: Int[np.ndarray, " _"], settings: GMDSettings
-) -> tuple[Float[np.ndarray, "rows frames 22 3"], int]:
-    """Joints of some rows, and the network passes that they took."""
-    assert batch.initial_joints is not None
-    assert batch.goal_joints is not None
-    assert batch.text is not None
-    n_frames = torch.as_tensor(batch.n_frames[rows], device=model.device)
-    ends = Ends(_tensor(batch.initial_joints[rows], model), _tensor(batch.goal_joints[rows], model), n_frames)
-    noise = SequenceNoise([batch.noise_seed[row] for row in rows], batch.n_frames[rows], model.device)
-    text = model.encode(tuple(batch.text[row] for row in rows))
-    window = model.configuration.window(int(n_frames.max()))
-    trajectory_network, motion_network = (
-        GuidedNetwork(network, text, n_frames, window=window, scale=settings.guidance)
-        for network in (model.networks.trajectory, model.networks.motion)
-    )
-    keyframes = ends.root_keyframes()
-    trajectory = sample_trajectory(trajectory_network, model.schedule, model.space, keyframes, noise, settings)
-    features = sample_motion(motion_network, model.schedule, model.space, trajectory, ends, noise, settings)
-    if model.configuration.smoothed:
-        features = smoothed(features, n_frames)
-    return decode_absolute(features).cpu().numpy(), trajectory_network.passes + motion_network.passes
 
 
 def _tensor(values: np.ndarray, model: GMDModel) -> torch.Tensor:

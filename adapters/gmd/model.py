@@ -274,11 +274,6 @@ class TemporalUNet(nn.Module):
         # To a fixed length: group normalisation takes its statistics over padding, too.
         stream = nn.functional.pad(stream, (0, window - frames))
         condition = self.condition(self.time_embedding(self.sinusoid[step]) + self.text_embedding(text))
-        return self._through(stream, condition)[..., :frames].transpose(1, 2)
-
-    def _through(
-        self, stream: Float[Tensor, "batch channels window"], condition: Float[Tensor, "batch size"]
-    ) -> Float[Tensor, "batch channels window"]:
         skips = []
         for level in self.down:
             # The stream before the resolution changes is what the way up is given again.
@@ -288,7 +283,7 @@ class TemporalUNet(nn.Module):
             stream = block(stream, condition)
         for level in self.up:
             _, stream = level(torch.cat([stream, skips.pop()], dim=1), condition)
-        return self.head(stream)
+        return self.head(stream)[..., :frames].transpose(1, 2)
 
 
 class _Level(nn.Module):

@@ -229,7 +229,15 @@ class GMDTask:
         if start is not None:
             start.require_same(configuration, apart_from=FREE_TO_CHANGE)
             start.load_into(networks, "networks")
-        space = stored_space(start) if start is not None else _space_of(data, configuration)
+            space = stored_space(start)
+        else:
+            # Statistics of the training split with absolute roots; x and z of the root share one deviation.
+            accumulator = StatisticsAccumulator()
+            for index in range(len(data.train)):
+                accumulator.add(with_absolute_root(torch.tensor(data.train[index].features)).numpy())
+            found = accumulator.result()
+            projection = emphasis_projection(configuration.emphasis)
+            space = FeatureSpace.of(torch.as_tensor(found.mean), torch.as_tensor(found.std), projection)
         origin = (texts.origin, *origin_of(start))
         return GMDTraining(networks, space=space, texts=texts, objective=objective, origin=origin)
 
@@ -241,13 +249,3 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[GMDConfiguration, Object
         UsageError: for an unknown key or a value of a wrong kind.
     """
     return split_model_table(model, GMDConfiguration, Objective)
-
-
-def _space_of(data: TrainingData, configuration: GMDConfiguration) -> FeatureSpace:
-    """Statistics of the training split with absolute roots; x and z of the root share one deviation."""
-    accumulator = StatisticsAccumulator()
-    for index in range(len(data.train)):
-        accumulator.add(with_absolute_root(torch.tensor(data.train[index].features)).numpy())
-    found = accumulator.result()
-    projection = emphasis_projection(configuration.emphasis)
-    return FeatureSpace.of(torch.as_tensor(found.mean), torch.as_tensor(found.std), projection)

@@ -62,8 +62,27 @@ class LearnedPredictor:
             AdapterError: for other joints or another duration than the network was trained on, and for windows without
                 any measured gaze.
         """
-        self._require_fit(batch, *self._loaded[batch.condition], n_samples)
-        _, seen, network = self._loaded[batch.condition]
+        path, seen, network = self._loaded[batch.condition]
+        if batch.joint_names != seen.joints.names:
+            raise AdapterError(
+                f"{self.name}: {path.name} was trained on the {seen.n_joints} joints of {seen.joint_set}, these"
+                f" windows have {len(batch.joint_names)} others. Choose weights that were trained on such windows."
+            )
+        expected = (seen.observed / seen.fps, seen.predicted / seen.fps)
+        found = (batch.shape[1] / batch.fps, batch.n_future / batch.fps)
+        # Half a frame of the slower rate: 10 frames at 20 and 15 at 30 a second last half a second both.
+        if max(abs(a - b) for a, b in zip(expected, found, strict=True)) > 0.5 / min(batch.fps, seen.fps):
+            raise AdapterError(
+                f"{self.name}: {path.name} sees {expected[0]:g} s and predicts {expected[1]:g} s, these windows"
+                f" have {found[0]:g} s and {found[1]:g} s. Choose weights that were trained on such windows."
+            )
+        if isinstance(network, DLow) and n_samples != network.configuration.n_samples:
+            wanted = network.configuration.n_samples
+            raise UsageError(
+                f"{self.name}: its {wanted} samples are one design, of which fewer are no part; expected {wanted}"
+                f" samples, found {n_samples}. Ask for {wanted}, or train one with"
+                f" --set model.n_samples={n_samples}."
+            )
         frames = np.tile(np.eye(4), (len(batch), 1, 1))
         if seen.frame == "last-pose":
             frames = seen.joints.last_pose_frame(batch.observed_joints[:, -1])
@@ -109,30 +128,6 @@ class LearnedPredictor:
             ) from error
         latest = np.searchsorted(times, own_times + _SAME_TIME, side="right") - 1
         return np.concatenate([joints, measured[:, np.maximum(latest, 0)]], axis=2)
-
-    def _require_fit(
-        self, batch: ObservedBatch, path: Path, seen: SeenWindows, network: PredictorNetwork, n_samples: int
-    ) -> None:
-        if batch.joint_names != seen.joints.names:
-            raise AdapterError(
-                f"{self.name}: {path.name} was trained on the {seen.n_joints} joints of {seen.joint_set}, these"
-                f" windows have {len(batch.joint_names)} others. Choose weights that were trained on such windows."
-            )
-        expected = (seen.observed / seen.fps, seen.predicted / seen.fps)
-        found = (batch.shape[1] / batch.fps, batch.n_future / batch.fps)
-        # Half a frame of the slower rate: 10 frames at 20 and 15 at 30 a second last half a second both.
-        if max(abs(a - b) for a, b in zip(expected, found, strict=True)) > 0.5 / min(batch.fps, seen.fps):
-            raise AdapterError(
-                f"{self.name}: {path.name} sees {expected[0]:g} s and predicts {expected[1]:g} s, these windows"
-                f" have {found[0]:g} s and {found[1]:g} s. Choose weights that were trained on such windows."
-            )
-        if isinstance(network, DLow) and n_samples != network.configuration.n_samples:
-            wanted = network.configuration.n_samples
-            raise UsageError(
-                f"{self.name}: its {wanted} samples are one design, of which fewer are no part; expected {wanted}"
-                f" samples, found {n_samples}. Ask for {wanted}, or train one with"
-                f" --set model.n_samples={n_samples}."
-            )
 
 
 def load_predictor(name: str, weights: Path | None, *, options: Mapping[str, str], device: str) -> LearnedPredictor:

@@ -177,20 +177,17 @@ def write_weights(
     """
     stored = {name: _stored(name, tensor, dtype) for name, tensor in tensors.items()}
     header = {**metadata, "format": _FORMAT, "format_version": FORMAT_VERSION}
-    content = _sorted_header(safetensors.torch.save(stored, metadata=header))
+    content = safetensors.torch.save(stored, metadata=header)
+    # The library writes the entries of the header in another order every time; they are sorted here.
+    (length,) = struct.unpack("<Q", content[:8])
+    found = json.loads(content[8 : 8 + length])
+    found["__metadata__"] = dict(sorted(found["__metadata__"].items()))
+    text = json.dumps(found, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 8)  # tensors begin at a multiple of 8
+    content = struct.pack("<Q", len(text)) + text + content[8 + length :]
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)
     write_json(path.with_suffix(".json"), {**card, "weights": path.name, "weights_sha256": bytes_digest(content)})
-
-
-def _sorted_header(content: bytes) -> bytes:
-    """Sort the entries of the header; the library writes them in another order every time."""
-    (length,) = struct.unpack("<Q", content[:8])
-    header = json.loads(content[8 : 8 + length])
-    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
-    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
-    text += b" " * (-len(text) % 8)  # tensors begin at a multiple of 8
-    return struct.pack("<Q", len(text)) + text + content[8 + length :]
 
 
 def _stored(name: str, tensor: torch.Tensor, dtype: str) -> torch.Tensor:
@@ -239,7 +236,16 @@ def read_weights(path: Path, *, kind: str | None = None) -> Weights:
         InputFileError: if there is no such file, it is a pickle or another format, it is damaged, or it holds weights
             of another kind.
     """
-    content = _content(path)
+    try:
+        content = read_whole(path)
+    except FileNotFoundError as error:
+        raise InputFileError(path, "", expected="a weights file (.safetensors)", found="no such file") from error
+    pickled = content.startswith((b"PK\x03\x04", b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"))
+    remedy = (
+        "Pickles can run code when they are opened, so prbench never does. Load it where you trust it and save its"
+        " tensors with safetensors."
+    )
+    require(path, (not pickled, "", "a safetensors file", "a pickle (a PyTorch checkpoint)", remedy))
     # The header of a safetensors file: 8 bytes of length, then JSON.
     if len(content) < 8:
         raise _damaged(path, f"{len(content)} bytes")
@@ -262,20 +268,6 @@ def read_weights(path: Path, *, kind: str | None = None) -> Weights:
         raise _damaged(path, str(error)) from error
     tensors = {name: tensor.float() if tensor.is_floating_point() else tensor for name, tensor in tensors.items()}
     return Weights(path, tensors, metadata, bytes_digest(content))
-
-
-def _content(path: Path) -> bytes:
-    try:
-        content = read_whole(path)
-    except FileNotFoundError as error:
-        raise InputFileError(path, "", expected="a weights file (.safetensors)", found="no such file") from error
-    pickled = content.startswith((b"PK\x03\x04", b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"))
-    remedy = (
-        "Pickles can run code when they are opened, so prbench never does. Load it where you trust it and save its"
-        " tensors with safetensors."
-    )
-    require(path, (not pickled, "", "a safetensors file", "a pickle (a PyTorch checkpoint)", remedy))
-    return content
 
 
 def _require_entry(path: Path, metadata: Mapping[str, str], key: str, expected: str) -> None:

@@ -74,62 +74,54 @@ class FutureQuestion:
         return np.concatenate((first, second))
 
 
+@dataclass(frozen=True, eq=False)
 class FutureWork(CaseWork):
     """See :class:`prbench.harness.benchmark.CaseWork`."""
 
-    def __init__(
-        self,
-        request: RunRequest,
-        cases: WindowCases,
-        *,
-        method: MethodRecord,
-        condition: Condition,
-        protocol: PredictionProtocol,
-    ) -> None:
-        self._request = request
-        self._cases = cases
-        self._method = method
-        self._condition = condition
-        self._rules = protocol.evaluation
+    request: RunRequest
+    cases: WindowCases
+    method: MethodRecord
+    condition: Condition
+    protocol: PredictionProtocol
 
     @property
     def holds_recordings(self) -> bool:
         """True for the predictor that answers with recorded futures."""
-        return self._method.name == NEAREST_PAST
+        return self.method.name == NEAREST_PAST
 
     @cached_property
     def plan(self) -> list[Int[np.ndarray, "_"]]:
         """Windows after one another, in the order of the table; all are as long."""
-        size = self._request.batch_size
-        return [np.arange(start, min(start + size, len(self._cases))) for start in range(0, len(self._cases), size)]
+        size = self.request.batch_size
+        return [np.arange(start, min(start + size, len(self.cases))) for start in range(0, len(self.cases), size)]
 
     def questions(self, wanted: frozenset[int]) -> Iterator[tuple[int, FutureQuestion]]:
         """See :meth:`CaseWork.questions`."""
-        for index, batch, _ in self._batches(self._condition, sorted(wanted)):
-            yield index, FutureQuestion(batch, self._request.samples)
+        for index, batch, _ in self._batches(self.condition, sorted(wanted)):
+            yield index, FutureQuestion(batch, self.request.samples)
 
     def _batches(self, condition: Condition, wanted: list[int]) -> Iterator[tuple[int, ObservedBatch, Truth]]:
         """Read some batches; runs are read once, however many batches they hold."""
         if not wanted:
             return
-        table = self._cases.table
-        places = self._cases.places[np.concatenate([self.plan[index] for index in wanted])]
+        table = self.cases.table
+        places = self.cases.places[np.concatenate([self.plan[index] for index in wanted])]
         # All planned batches but the last one have this size, so those of the table are the planned ones.
-        batches = table.batches(condition, places, frame=self._rules.frame, size=self._request.batch_size)
+        batches = table.batches(condition, places, frame=self.protocol.evaluation.frame, size=self.request.batch_size)
         for index, (batch, truth) in zip(wanted, batches, strict=True):
             yield index, batch, truth
 
     def scores(self, files: DatasetFolder, engine: Engine) -> Iterator[pa.Table]:
         """See :meth:`CaseWork.scores`."""
-        table = self._cases.table
-        similar = SimilarPasts.of(table, self._cases.pool, closer_than=self._rules.similar_past)
+        table = self.cases.table
+        similar = SimilarPasts.of(table, self.cases.pool, closer_than=self.protocol.evaluation.similar_past)
         score = partial(
             _score_part,
             dataset=table.info.dataset,
-            samples=self._request.samples,
+            samples=self.request.samples,
             joints=table.joints,
-            rules=self._rules,
-            one_design=self._method.one_design,
+            rules=self.protocol.evaluation,
+            one_design=self.method.one_design,
         )
         # Joints and truth are the same under every condition.
         parts = (
