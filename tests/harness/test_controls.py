@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from prbench.contract import Condition
+from prbench.contract import Condition, Motions
 from prbench.errors import TableError
 from prbench.geometry.skeleton import BONES, WRISTS, Joint, bone_lengths, head_forward
 from prbench.harness import controls, planning
