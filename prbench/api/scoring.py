@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -191,7 +191,22 @@ def _given(motions: Mapping[str, ArrayLike]) -> tuple[Predictions, str]:
     samples: list[int] = []
     arrays: list[np.ndarray] = []
     for name, value in motions.items():
-        for sample, motion in enumerate(_samples_of(name, value)):
+        if not isinstance(name, str):
+            raise PredictionsError(f"motions: expected sequence ids as keys, found {name!r}.")
+        where = f"{_IN_MEMORY}['{name}']"
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise PredictionsError(f"{where}: expected {_FORM}, found {type(value).__name__} ({error}).") from error
+        if array.shape[-2:] != (N_JOINTS, 3) and array.shape[-1:] == (N_JOINTS * 3,):
+            array = array.reshape(*array.shape[:-1], N_JOINTS, 3)
+        if array.ndim not in (3, 4) or array.shape[-2:] != (N_JOINTS, 3):
+            raise PredictionsError(f"{where}: expected {_FORM}, found the shape {array.shape}.")
+        motions_of_it = [array] if array.ndim == 3 else list(array)
+        if not motions_of_it or not len(motions_of_it[0]):
+            raise PredictionsError(f"{where}: expected a motion, found no frames.")
+        # One motion a sample.
+        for sample, motion in enumerate(motions_of_it):
             ids.append(name)
             samples.append(sample)
             arrays.append(as_float32(motion))
@@ -200,29 +215,6 @@ def _given(motions: Mapping[str, ArrayLike]) -> tuple[Predictions, str]:
     digests = [bytes_digest(np.ascontiguousarray(array).tobytes()) for array in arrays]
     parts = [part for item in zip(ids, map(str, samples), digests, strict=True) for part in item]
     return predictions, text_digest(*parts)
-
-
-def _samples_of(name: object, value: Any) -> list[np.ndarray]:
-    """Return the motions of one sequence, one a sample.
-
-    Raises:
-        PredictionsError: if the key is no text, or the value no array of the right form.
-    """
-    if not isinstance(name, str):
-        raise PredictionsError(f"motions: expected sequence ids as keys, found {name!r}.")
-    where = f"{_IN_MEMORY}['{name}']"
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise PredictionsError(f"{where}: expected {_FORM}, found {type(value).__name__} ({error}).") from error
-    if array.shape[-2:] != (N_JOINTS, 3) and array.shape[-1:] == (N_JOINTS * 3,):
-        array = array.reshape(*array.shape[:-1], N_JOINTS, 3)
-    if array.ndim not in (3, 4) or array.shape[-2:] != (N_JOINTS, 3):
-        raise PredictionsError(f"{where}: expected {_FORM}, found the shape {array.shape}.")
-    motions = [array] if array.ndim == 3 else list(array)
-    if not motions or not len(motions[0]):
-        raise PredictionsError(f"{where}: expected a motion, found no frames.")
-    return motions
 
 
 @dataclass(frozen=True, eq=False, repr=False)

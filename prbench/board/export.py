@@ -328,8 +328,23 @@ def _legend(table: DatasetTable) -> Iterable[str]:
             " present one, and no number of the two is comparable. Run the methods again to compare them."
         )
     yield from table_notes(table)
-    if any(row.ranks for row in table.rows):
-        yield from _groups(table)
+    # The metrics of each condition in which the data separate no two methods, and the order of the others.
+    for condition in dict.fromkeys(row.entry.record.condition for row in table.rows if row.ranks):
+        alike = []
+        ordered = []
+        for info in table.benchmark.main_metrics:
+            groups: dict[int, list[str]] = {}
+            for row in table.rows:
+                if row.entry.record.condition == condition and info.id in row.ranks:
+                    groups.setdefault(row.ranks[info.id], []).append(_words(row.entry.method, row.variant))
+            if list(groups) == [1]:
+                alike.append(info.title)
+            elif groups:
+                parts = [f"{rank}. {', '.join(names)}" for rank, names in sorted(groups.items())]
+                ordered.append(f"{info.title}: {'; '.join(parts)} (methods of one group are not separated).")
+        if alike:
+            yield f"{condition}: the data separate no two methods in {', '.join(alike)}."
+        yield from (f"{condition}, {line}" for line in ordered)
     if table.redistribution == "non-commercial":
         yield "The data may be used for non-commercial purposes only."
     elif table.redistribution == "none":
@@ -371,26 +386,6 @@ def table_notes(table: DatasetTable) -> Iterable[str]:
             )
     for reason in dict.fromkeys(row.entry.unverified for row in table.rows if row.entry.unverified):
         yield f"Unverified: scores that were not held against the motions, because {reason}."
-
-
-def _groups(table: DatasetTable) -> Iterable[str]:
-    """Yield the metrics of each condition in which the data separate no two methods, and the order of the others."""
-    for condition in dict.fromkeys(row.entry.record.condition for row in table.rows if row.ranks):
-        alike = []
-        ordered = []
-        for info in table.benchmark.main_metrics:
-            groups: dict[int, list[str]] = {}
-            for row in table.rows:
-                if row.entry.record.condition == condition and info.id in row.ranks:
-                    groups.setdefault(row.ranks[info.id], []).append(_words(row.entry.method, row.variant))
-            if list(groups) == [1]:
-                alike.append(info.title)
-            elif groups:
-                parts = [f"{rank}. {', '.join(names)}" for rank, names in sorted(groups.items())]
-                ordered.append(f"{info.title}: {'; '.join(parts)} (methods of one group are not separated).")
-        if alike:
-            yield f"{condition}: the data separate no two methods in {', '.join(alike)}."
-        yield from (f"{condition}, {line}" for line in ordered)
 
 
 def _macro_table(macro: MacroTable, *, with_benchmark: bool) -> Table:

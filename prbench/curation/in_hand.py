@@ -150,9 +150,8 @@ def placed_in_gap(departure: Departure, hands: tuple[HandStream, ...], distance:
     rest_time, away_time = departure.gap
     if departure.gap_length <= LONGEST_SURE_GAP:
         return departure
-    times = np.linspace(
-        away_time, rest_time, int(np.ceil(departure.gap_length * _RATE)) + 1
-    )  # from the far side to the rest
+    # From the far side to the rest.
+    times = np.linspace(away_time, rest_time, int(np.ceil(departure.gap_length * _RATE)) + 1)
     measured = [hand for hand in hands if covered(hand.times, hand.valid, times, max_gap=_LONGEST_HAND_GAP).all()]
     paths = [interpolate(hand.times[hand.valid], hand.points[hand.valid].mean(axis=1), times) for hand in measured]
     if paths:

@@ -151,12 +151,10 @@ def is_recorded_motion(predicted: MotionBatch, recorded: MotionBatch) -> Bool[np
         scale = expected.sum(axis=0) / np.maximum(reach.sum(axis=0), 1e-9)
         off = np.minimum(np.abs(scale * reach - expected).max(axis=0), np.abs(reach - expected).max(axis=0))
         for row in np.flatnonzero(~found & (off < part.reach)):
-            motion = predicted.values[predicted.offsets[row] : predicted.offsets[row + 1], part.joints].astype(
-                np.float64
-            )
-            original = recorded.values[recorded.offsets[row] : recorded.offsets[row + 1], part.joints].astype(
-                np.float64
-            )
+            frames = slice(predicted.offsets[row], predicted.offsets[row + 1])
+            motion = predicted.values[frames, part.joints].astype(np.float64)
+            frames = slice(recorded.offsets[row], recorded.offsets[row + 1])
+            original = recorded.values[frames, part.joints].astype(np.float64)
             # A person who settles in the first frames, stands, and leaves in the last ones is far off that straight
             # way and yet near to any body that stands there all the time. Such a body does not leave its own straight
             # way; a copy does.

@@ -232,11 +232,8 @@ class ParquetMotions:
             for name in self.gaze:
                 column = table[name].combine_chunks()
                 starts, items, _, leaves = _flattened(column)
-                if (
-                    (items[starts] % 3).any()
-                    or not pa.types.is_floating(leaves.type)
-                    or pa.types.is_float16(leaves.type)
-                ):
+                is_number = pa.types.is_floating(leaves.type) and not pa.types.is_float16(leaves.type)
+                if (items[starts] % 3).any() or not is_number:
                     raise PredictionsError(
                         f"{path}, column '{name}': expected x y z for each frame, found {column.type}."
                     )
