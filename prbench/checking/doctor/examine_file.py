@@ -37,7 +37,7 @@ from prbench.checking.doctor.place import (
 )
 from prbench.errors import InputFileError, UsageError
 from prbench.files.arrays import Archive, map_array, read_header, read_parquet
-from prbench.files.bounded import foreign_input, open_regular
+from prbench.files.bounded import foreign_input, open_regular, require
 from prbench.files.storage import turn_into_paths
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.conditions import opaque_ids, run_salt
@@ -239,8 +239,7 @@ def read_motions(path: Path) -> list[_Named]:
     Raises:
         InputFileError: if nothing there can be read as numbers.
     """
-    if not path.exists():
-        raise InputFileError(path, "", expected=_FORMS, found="no such file")
+    require(path, (path.exists(), "", _FORMS, "no such file", ""))
     files = [path]
     if path.is_dir():
         runs = [folder for folder in (path, *sorted(path.iterdir())) if (folder / "predictions").is_dir()]
@@ -262,14 +261,12 @@ def read_motions(path: Path) -> list[_Named]:
         else:
             remedy = "Save the joints with np.save: pickles (.pkl, .pt, .pth) are never opened, they can run programs."
             raise InputFileError(file, "", expected=_FORMS, found=f"a file named *{suffix}", remedy=remedy)
-    if not motions:
-        raise InputFileError(path, "", expected="motions", found="none")
+    require(path, (len(motions) > 0, "", "motions", "none", ""))
     return motions
 
 
 def _numbers(values: np.ndarray, path: Path, where: str) -> np.ndarray:
-    if values.dtype.kind not in "fiu":
-        raise InputFileError(path, where, expected="numbers", found=str(values.dtype))
+    require(path, (values.dtype.kind in "fiu", where, "numbers", values.dtype, ""))
     return values
 
 
@@ -319,9 +316,8 @@ def _parquet(path: Path) -> Iterator[_Named]:
         table = read_parquet(path)
     except (pa.ArrowInvalid, OSError) as error:
         raise InputFileError(path, "", expected="a readable Parquet file", found=str(error).splitlines()[0]) from error
-    if "joints" not in table.column_names:
-        found = ", ".join(table.column_names)
-        raise InputFileError(path, "", expected="a column 'joints'", found=found, remedy="Rename the column.")
+    found = ", ".join(table.column_names)
+    require(path, ("joints" in table.column_names, "", "a column 'joints'", found, "Rename the column."))
     id_name = next((name for name in _IDS if name in table.column_names), None)
     names = table[id_name].to_pylist() if id_name else [f"row {row}" for row in range(table.num_rows)]
     for row, name in enumerate(names):

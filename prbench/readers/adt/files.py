@@ -254,9 +254,8 @@ def read_skeletons(found: RecordingFiles) -> tuple[adt.AdtSkeleton, ...]:
             continue
         path = found.require(f"{SKELETON_PREFIX}{person.name}", f"{person.name}.json")
         frames = decode_json(path, _SKELETON, nan_is_null=True).frames
-        if not frames:
-            remedy = f"Download the recording again, or remove {person.name} from the association file."
-            raise InputFileError(path, "frames", expected="frames of a body", found="none", remedy=remedy)
+        remedy = f"Download the recording again, or remove {person.name} from the association file."
+        require(path, (len(frames) > 0, "frames", "frames of a body", "none", remedy))
         times = np.array([frame.timestamp_ns for frame in frames], dtype=np.int64)
         require_increasing(path, times, unit="ns", place="frame", first=0)
         # The numbers of a frame without brackets are a line of comma-separated values, which are parsed fast.
@@ -300,9 +299,8 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
     """
     path = found.require(METADATA, adt.METADATA_FILE)
     metadata = decode_json(path, METADATA_DECODER)
-    if metadata.subtours is not None:
-        remedy = "Download the sequence again: its present release has one flat folder a recording."
-        raise InputFileError(path, "subtours", expected="layout v2.0", found="layout v1.x", remedy=remedy)
+    remedy = "Download the sequence again: its present release has one flat folder a recording."
+    require(path, (metadata.subtours is None, "subtours", "layout v2.0", "layout v1.x", remedy))
     expected = f"'{adt.TIME_DOMAIN}' (the device clock)"
     remedy = "Times on another clock would not meet gaze and poses; use a release on the device clock."
     seen = f"'{metadata.gt_time_domain}'" if metadata.gt_time_domain else "nothing"

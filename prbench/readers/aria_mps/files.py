@@ -320,9 +320,8 @@ def read_gaze_angles(path: Source) -> mps.GazeAngles:
     ranges = (*mps.YAW_RANGE, *mps.LEFT_YAW_RANGE, *mps.RIGHT_YAW_RANGE, *mps.PITCH_RANGE)
     optional = [name for name in (*ranges, mps.DEPTH) if name in names]
     table = read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys((*yaws, mps.PITCH, *optional), float)})
-    if len(table) == 0:
-        remedy = "Without gaze nothing is primed; download it again."
-        raise InputFileError(shown(path), "", expected="gaze rows", found="none", remedy=remedy)
+    remedy = "Without gaze nothing is primed; download it again."
+    require(shown(path), (len(table) > 0, "", "gaze rows", "none", remedy))
     require_increasing(path, table[mps.TIME_COLUMN].to_numpy(), unit="us")
     columns = {name: table[name].to_numpy() for name in table.column_names}
     for name in (*yaws, mps.PITCH):  # their bounds steer no ray

@@ -46,9 +46,8 @@ def read_smplh_rest(path: Path) -> RestJoints:
     """
     rest = read_rest_joints(path, joints=ego.N_MODEL_JOINTS, how_to_get=HOW_TO_GET)
     shapes = rest.directions.shape[-1]
-    if shapes < ego.N_BETAS:
-        expected = f"at least {ego.N_BETAS} shapes (SMPL-H, extended)"
-        raise InputFileError(path, "shapedirs", expected=expected, found=str(shapes), remedy=HOW_TO_GET)
+    expected = f"at least {ego.N_BETAS} shapes (SMPL-H, extended)"
+    require(path, (shapes >= ego.N_BETAS, "shapedirs", expected, shapes, HOW_TO_GET))
     return rest
 
 
@@ -70,8 +69,7 @@ def read_output(path: Path) -> ego.EgoAlloOutput:
     root = arrays[ego.WORLD_FROM_ROOT]
     sizes = {"T": len(times), "S": len(root) if root.ndim == 3 else -1}
     for size, what in (("T", "frame"), ("S", "sample")):
-        if sizes[size] == 0:
-            raise InputFileError(path, "", expected=f"at least one {what}", found=f"{size} = 0", remedy=_AGAIN)
+        require(path, (sizes[size] != 0, "", f"at least one {what}", f"{size} = 0", _AGAIN))
     require_increasing(path, times, unit="ns", place=f"{ego.TIMES}, frame", first=0, remedy=_AGAIN)
     for key, form in _SHAPES.items():
         array = arrays[key]
@@ -87,10 +85,9 @@ def read_output(path: Path) -> ego.EgoAlloOutput:
         if key != ego.BETAS:
             length = np.linalg.norm(array[..., :4].astype(np.float64), axis=-1)
             worst = np.unravel_index(int(np.argmax(np.abs(length - 1))), length.shape)
-            if abs(length[worst] - 1) > ego.QUATERNION_TOLERANCE:
-                place = f"{key}{[int(index) for index in worst]}"
-                found = f"length {length[worst]:.4f}"
-                raise InputFileError(path, place, expected="a quaternion of length 1", found=found, remedy=_AGAIN)
+            is_unit = abs(length[worst] - 1) <= ego.QUATERNION_TOLERANCE
+            place = f"{key}{[int(index) for index in worst]}"
+            require(path, (is_unit, place, "a quaternion of length 1", f"length {length[worst]:.4f}", _AGAIN))
         arrays[key] = array if array.dtype == np.float64 else array.astype(np.float32)
     return ego.EgoAlloOutput(path.name, times.astype(np.int64), *(arrays[key] for key in _SHAPES))
 

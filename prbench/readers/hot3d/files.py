@@ -286,9 +286,8 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
     objects, remarks = read_objects(found)
     path = found.require(HEADSET, hot3d.HEADSET_FILE)
     headsets = _read_pose_rows(path)
-    if len(headsets) > 1:
-        names = f"{len(headsets)}: {', '.join(sorted(headsets)[:3])}"
-        raise InputFileError(path, hot3d.OBJECT_ID, expected="one headset", found=names)
+    names = f"{len(headsets)}: {', '.join(sorted(headsets)[:3])}"
+    require(path, (len(headsets) <= 1, hot3d.OBJECT_ID, "one headset", names, ""))
     hands, hand_remarks = read_umetrack(found.require(UMETRACK, hot3d.UMETRACK_FILE))
     profile = found.path(PROFILE)
     # Those masks that curation honours and the recording has.
