@@ -75,6 +75,7 @@ def test_there_are_three_notebooks_and_the_page_names_them():
     assert all(f"notebooks/{name}.py" in text for name in names)
 
 
+@pytest.mark.slow
 @pytest.mark.unchecked_shapes
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_run_and_show_something(path, elsewhere):

@@ -413,6 +413,7 @@ def kill_after(process: subprocess.Popen, out: Path, parts: int, delay: float) -
     process.wait()
 
 
+@pytest.mark.slow
 def test_killed_with_workers_it_leaves_none_of_them_at_work(tmp_path: Path) -> None:
     out = tmp_path / "adt"
     kill_after(start(out, workers=2), out, parts=2, delay=0.0)

@@ -44,6 +44,7 @@ def build_fakes(monkeypatch, after=lambda: None):
     return built
 
 
+@pytest.mark.slow
 @pytest.mark.unchecked_shapes
 def test_a_run_without_data_builds_the_datasets_once_and_says_where(cache, tmp_path, capsys):
     run = ["run", "--method", "ground-truth", "--split", "train"]

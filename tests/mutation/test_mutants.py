@@ -76,6 +76,7 @@ def test_a_draw_is_decided_by_its_seed_and_takes_each_package_in_turn(tmp_path: 
     assert drawn != draw(mutants, packages=("one", "two"), seed=4, count=8)
 
 
+@pytest.mark.slow
 def test_a_mistake_is_killed_by_the_test_that_notices_it_and_else_survives(tmp_path: Path) -> None:
     pytest.importorskip("resource", reason="computing time is limited on POSIX only")
     from tests.mutation.running import MutatedCopy

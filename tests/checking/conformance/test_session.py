@@ -31,6 +31,7 @@ def test_a_method_that_ends_its_process_fails_and_is_not_asked_again(site, data)
     assert list(outcomes(report)) == [one.name for one in CHECKS]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals end processes elsewhere only")
 def test_after_a_crash_and_a_hang_the_other_checks_go_on(site, data):
     report = check(CheckRequest("diesonblanktextandhangsonthelongest", data=data, time_limit=3.0))
