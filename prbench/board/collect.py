@@ -36,17 +36,17 @@ UNMEASURED: dict[str, float | None] = dict.fromkeys(COSTS)
 
 
 def cost_of(files: DatasetFolder) -> dict[str, float | None]:
-    """Read the cost of one dataset of a run; nothing where the file is missing or damaged, since scores need none.
+    """Read the cost of one dataset of a finished run.
 
     Returns:
         Seconds a motion, batched as the run was, without warm-up; network passes a motion, as the method declares;
         largest memory of the device, else of the process, MiB; parameters of the networks. None where nothing was
         measured or declared.
+
+    Raises:
+        RunError: if the file is missing or damaged.
     """
-    try:
-        cost = RunCost.read(files.cost)
-    except RunError:
-        return UNMEASURED
+    cost = RunCost.read(files.cost)
     motions = cost.motions + cost.warm_up_motions
     if not motions or not cost.seconds + cost.warm_up_seconds:
         return UNMEASURED

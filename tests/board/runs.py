@@ -14,7 +14,7 @@ from prbench.board import collect_runs, export, make_leaderboard
 from prbench.board.tables import Leaderboard
 from prbench.harness.results import CheckedSummary
 from prbench.harness.run_folder.folder import RunFolder
-from prbench.harness.run_folder.record import RunRecord, TableRecord
+from prbench.harness.run_folder.record import RunCost, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import write_scores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
 from prbench.metrics import METRICS
@@ -64,7 +64,7 @@ def write_run(
         path = folder / name
         result.write(path)
         write_scores(path / "scores.parquet", ())
-        (path / "cost.json").write_bytes(b"")
+        RunCost().write(path / "cost.json")
     return folder
 
 

@@ -60,12 +60,18 @@ def test_a_single_batch_is_better_than_nothing(tmp_path):
     assert (entry.cost["seconds"], entry.cost["parameters"]) == (1.0, None)
 
 
-def test_files_controls_and_lost_measurements_have_dashes(tmp_path):
-    write_run(tmp_path / "lost")
+def test_files_and_controls_without_measurements_have_dashes(tmp_path):
+    write_run(tmp_path / "unmeasured")
     run = write_run(tmp_path / "file", "mine", about={"kind": FILE})
     total_cost([]).write(run / "synthetic-adt/cost.json")
     _, _, *rows = cells(export(leaderboard(tmp_path), "md"))
     assert [row[11:15] for row in rows] == [["–"] * 4] * 2
+
+
+def test_a_damaged_cost_is_told(tmp_path):
+    (write_run(tmp_path / "a") / "synthetic-adt/cost.json").write_text("{")
+    with pytest.raises(RunError, match=r"cost\.json: not a valid cost\.json.* Delete it"):
+        leaderboard(tmp_path)
 
 
 def test_parameters_of_networks_are_counted_once_wherever_they_are_held():
