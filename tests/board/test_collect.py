@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from types import SimpleNamespace
 
 import pytest
@@ -72,6 +73,14 @@ def test_a_damaged_cost_is_told(tmp_path):
     (write_run(tmp_path / "a") / "synthetic-adt/cost.json").write_text("{")
     with pytest.raises(RunError, match=r"cost\.json: not a valid cost\.json.* Delete it"):
         leaderboard(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_in_place_of_scores_is_not_waited_for(tmp_path):
+    scores = write_run(tmp_path / "a") / "synthetic-adt/scores.parquet"
+    scores.unlink()
+    os.mkfifo(scores)
+    assert "a: not finished on synthetic-adt" in leaderboard(tmp_path).left_out[0]
 
 
 def test_parameters_of_networks_are_counted_once_wherever_they_are_held():

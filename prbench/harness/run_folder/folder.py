@@ -63,7 +63,8 @@ class DatasetFolder:
     @property
     def finished(self) -> bool:
         """Everything is there, and the scores are whole at their end; the summary is written last."""
-        if not (self.cost.is_file() and (self.path / summary.FILE_NAME).is_file()):
+        # Reading a pipe in place of a file would never end.
+        if not all(path.is_file() for path in (self.cost, self.path / summary.FILE_NAME, self.scores)):
             return False
         try:
             pq.read_metadata(self.scores)
