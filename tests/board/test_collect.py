@@ -80,7 +80,7 @@ def test_a_pipe_in_place_of_scores_is_not_waited_for(tmp_path):
     scores = write_run(tmp_path / "a") / "synthetic-adt/scores.parquet"
     scores.unlink()
     os.mkfifo(scores)
-    assert "a: not finished on synthetic-adt" in leaderboard(tmp_path).left_out[0]
+    assert "a: not finished on synthetic-adt" in collect_runs([tmp_path]).left_out[0]
 
 
 def test_parameters_of_networks_are_counted_once_wherever_they_are_held():
