@@ -1,7 +1,7 @@
 """Every built-in method, with its bundled weights, passes the checks that methods of others are put through.
 
 Short sequences and short sampling keep this quick; ``prbench adapters check`` asks more (``docs/conformance.md``).
-Methods with networks are looked at by the gate, MDM by all.
+Methods with networks are looked at by the gate.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ class TestStatic(AdapterConformance):  # learns from training sequences, which a
     method = "static"
 
 
+@pytest.mark.slow
 class TestMDM(AdapterConformance):
     method = "mdm"
     options: ClassVar = {"sampler": "ddim", "steps": "5"}

@@ -234,6 +234,7 @@ def _missed(index: int, *exact: str) -> list[str]:
     return [line.rpartition(": ")[2] for line in lines]
 
 
+@pytest.mark.slow
 @pytest.mark.unchecked_shapes
 def test_the_sequences_that_curation_misses_are_missed_by_sensors_and_annotators() -> None:
     outcomes: set[str] = set()

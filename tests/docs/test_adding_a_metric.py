@@ -54,6 +54,7 @@ def test_the_hand_checked_cases_of_the_page_hold(checkout):
     assert "3 passed" in run(checkout, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", case)
 
 
+@pytest.mark.slow
 def test_the_metric_obeys_the_laws_that_hold_for_all(checkout):
     laws = "tests/metrics/test_score.py"
     by_name = "test_the_metrics_stand_in_printed_order"  # the page says that its list is to be extended

@@ -161,6 +161,7 @@ def test_the_value_of_gaze_is_paired_between_all_conditions(tables):
     assert metrics == {"ade", "fde", "ade_mean"}  # windows that slide have no goal
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_same_tables_again(windows, tmp_path):
     paths = [tmp_path / "tables.md", tmp_path / "tables.csv", tmp_path / "chart.png"]
     assert main(["study", "prediction", str(windows), "--limit", "2", "--out", *map(str, paths)]) == 0

@@ -331,6 +331,7 @@ def test_prints_of_a_method_and_of_its_libraries_do_no_harm(no_bubblewrap, table
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "quiet" / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_batch_that_does_not_fit_in_the_workers_memory_is_run_in_halves(no_bubblewrap, table, tmp_path, install):
     install("made", adapter_source(body="if len(batch) > 2: raise MemoryError"))
     assert run_method(request(table, tmp_path / "out", "made", isolate=True)).batches_made == 4
