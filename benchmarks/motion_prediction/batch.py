@@ -119,7 +119,7 @@ class Predictor(Protocol):
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Return the name that tables show."""
         ...
 
     @property

@@ -76,7 +76,6 @@ def curate_recording(
             f" any of the {len(annotated)} events of this recording. Is the file there, and of the same release?"
         )
     rays = gaze_rays(recording, options.ray_origin or protocol.curation.ray_origin)
-    of_event = ("event_id", "object_id", "object_name", "action", "hand", "event_time", "hand_source")
     sequences = []
     rows = []
     for event in events:
@@ -87,7 +86,13 @@ def curate_recording(
         wrists = {side: position for side, (position, _) in known.items()}
         rows.append(
             Event(
-                **{name: getattr(event, name) for name in of_event},
+                event_id=event.event_id,
+                object_id=event.object_id,
+                object_name=event.object_name,
+                action=event.action,
+                hand=event.hand,
+                event_time=event.event_time,
+                hand_source=event.hand_source,
                 recording_id=recording.recording_id,
                 sequence_id=sequence and sequence.sequence_id,
                 prime_time=prime and prime.time,
@@ -95,7 +100,10 @@ def curate_recording(
                 location=place and place.location,
                 box_min=place and place.box_min,
                 box_max=place and place.box_max,
-                **{name: getattr(decision, name) for name in ("outcome", "stage", "value", "threshold")},
+                outcome=decision.outcome,
+                stage=decision.stage,
+                value=decision.value,
+                threshold=decision.threshold,
                 left_wrist=wrists.get("left"),
                 right_wrist=wrists.get("right"),
                 published_priming=published and published.outcome,
@@ -224,14 +232,20 @@ def _sequence(
     extra = {} if event.hand_source is None else {"hand_source": event.hand_source}
     if event.tracking_gap is not None:
         extra["placed_in_tracking_gap_of_s"] = f"{event.tracking_gap:.3f}"
-    of_recording = ("dataset", "recording_id", "participant_id", "pose_source", "head_tilt_deg")
-    of_event = ("action", "object_id", "object_name", "hand", "event_time")
     return Sequence(
         sequence_id=f"{event.event_id}/{recording.pose_source}",  # one for each source of body poses
-        **{name: getattr(recording, name) for name in of_recording},
+        dataset=recording.dataset,
+        recording_id=recording.recording_id,
+        participant_id=recording.participant_id,
+        pose_source=recording.pose_source,
+        head_tilt_deg=recording.head_tilt_deg,
         split=split,
         split_group=recording.split_group or recording.recording_id,
-        **{name: getattr(event, name) for name in of_event},
+        action=event.action,
+        object_id=event.object_id,
+        object_name=event.object_name,
+        hand=event.hand,
+        event_time=event.event_time,
         text=protocol.text[event.action],
         fps=grid.fps,
         n_frames=grid.n_frames,
