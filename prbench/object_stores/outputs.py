@@ -144,7 +144,7 @@ class _OutputCopy:
     Attributes:
         before: The finished folder that stood there at the beginning.
         known: What this command, or the one that it goes on from, has uploaded of unfinished work.
-        left_over: Objects of an unfinished manifest that belongs to an earlier state of the folder.
+        left_over: Objects that the last manifest may not name, so that they are deleted after it is written.
         failed: The last upload failed, and that was told.
     """
 
@@ -263,6 +263,8 @@ class _OutputCopy:
         self._require_no_other()
         # The folder has to be known for an unfinished one before the first object lies in it.
         self._announce(self.known.files if self.known else {})
+        # Should a file vanish before all are uploaded, no manifest will name these: the last one removes them.
+        self.left_over |= {file.object or name for name, file in files.items()}
         self._upload(files, taken)
         self._announce(files)
 

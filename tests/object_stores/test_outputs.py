@@ -76,6 +76,26 @@ def test_another_machine_goes_on_with_finished_files_and_parts_beside_the_folder
     assert sorted(contents(url)) == ["a", "b", FINISHED]
 
 
+def test_what_was_uploaded_before_another_file_vanished_does_not_stay(url, monkeypatch):
+    copy = _OutputCopy(Store(StoreUrl.parse(url)), print)
+    copy.begin()
+    write(copy.folder, a="passing", b="vanishes")
+    upload = Store.upload
+
+    def vanishing(store, path, name):
+        upload(store, path, name)
+        (copy.folder / "b").unlink(missing_ok=True)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Store, "upload", vanishing)
+        copy.keep()
+    assert "a" in contents(url)
+    (copy.folder / "a").unlink()
+    write(copy.folder, c="3")
+    copy.publish()
+    assert sorted(contents(url)) == ["c", FINISHED]
+
+
 def test_the_same_machine_goes_on_with_what_was_not_uploaded_yet(url):
     break_off(url, a="1")
     copy = _OutputCopy(Store(StoreUrl.parse(url)), print)
