@@ -273,6 +273,7 @@ class CurationJob:
 # Outcomes that end an event at each stage, in the order of the stages, and what they mean.
 _STAGES = {
     "located": {
+        "unreadable_entry": "an entry of the dataset's annotations that cannot be read",
         "other_wearer": "somebody else's hand was nearer",
         "excluded_category": "doors, drawers and the like",
         "no_location": "never came to rest, or no place annotated",
@@ -285,6 +286,7 @@ _STAGES = {
     },
     "long_enough": {"too_short": "recording or body does not cover the sequence", "no_body": "no body poses"},
     "moved_enough": {"minimum_movement": "started beside the goal"},
+    "sequences": {"low_confidence": "less sure than --min-confidence asks"},
 }
 
 
@@ -353,7 +355,6 @@ def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> F
         recordings_skipped=statuses.get("skipped", 0),
         events=events,
         **by_stage,
-        sequences=outcomes.get("sequence", 0),
     )
 
 
@@ -380,4 +381,4 @@ def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:
         reasons = "; ".join(f"{outcomes[name]} {name}: {why}" for name, why in names.items() if outcomes.get(name))
         rows.append((stage.replace("_", " "), kept, before - kept, reasons))
         before = kept
-    return [*rows, ("sequences", counts.sequences, before - counts.sequences, "")]
+    return rows

@@ -34,8 +34,10 @@ from prbench.sequences.sequence import EVENTS, RECORDINGS, SCENES, SEQUENCES, Se
 from prbench.shown import quoted
 
 # 2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes. 3: ``events`` tell what told
-# the hand.
-SCHEMA_VERSION = 3
+# the hand. 4: ``events`` tell confidence and corrections, ``recordings`` count two more outcomes.
+SCHEMA_VERSION = 4
+# Columns that version 3 lacks. It is read too: what it does not tell is null, what it does not count is 0.
+ADDED_COLUMNS = frozenset({"prime_margin", "event_confidence", "corrected", "unreadable_entry", "low_confidence"})
 # Version of the columns of ``sequences`` alone. It enters the identity of a table, other versions do not.
 SEQUENCES_VERSION = 1
 UNITS = {
@@ -71,17 +73,29 @@ def with_metadata(schema: pa.Schema, *, protocol_version: int) -> pa.Schema:
 def check_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None:
     """Refuse a file of an unknown version or with missing or differently typed columns; further columns are welcome.
 
+    A file of version 3 may lack the columns of version 4 (:func:`with_added_columns`).
+
     Raises:
         TableError: naming the file, what was expected and what was found.
     """
     metadata = schema.metadata or {}
     version = metadata.get(b"prbench_schema_version", b"").decode() or "none"
-    if version != str(SCHEMA_VERSION):
+    if version not in ("3", str(SCHEMA_VERSION)):
         raise TableError(
-            f"{source}: expected schema version {SCHEMA_VERSION}, found {version}."
+            f"{source}: expected schema version 3 or {SCHEMA_VERSION}, found {version}."
             " Build the dataset again with `prbench build-dataset`, or update prbench."
         )
-    check_columns(schema, expected, source=source, what="dataset")
+    lacking = ADDED_COLUMNS if version == "3" else ()
+    check_columns(schema, [field for field in expected if field.name not in lacking], source=source, what="dataset")
+
+
+def with_added_columns(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """Return a table of an older version with today's columns in their places: nulls, or 0 where a column counts."""
+    for place, field in enumerate(schema):
+        if field.name not in table.column_names:
+            missing = None if field.nullable else 0
+            table = table.add_column(place, field, pa.array([missing] * len(table), field.type))
+    return table
 
 
 def check_columns(schema: pa.Schema, expected: Iterable[pa.Field], *, source: str, what: str) -> None:

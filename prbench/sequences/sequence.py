@@ -232,6 +232,8 @@ OUTCOMES = (
     "tracking_lost",
     "excluded_by_dataset",
     "not_published",
+    "unreadable_entry",
+    "low_confidence",
 )
 
 
@@ -376,6 +378,10 @@ class Event:
         published_prime_time: The prime time that the dataset publishes, seconds on the recording's clock; None where it
             publishes none.
         hand_source: What told the hand (docs/table.md#which-hand-reached); None where the hand is unknown.
+        prime_margin: Near-miss distance minus the distance at which gaze passed the place, metres: positive where it
+            was met, negative by what was lacking; None without valid gaze and where only the dataset tells the prime.
+        event_confidence: From 0 to 1 (docs/specification/curation.md#confidence); None where nothing was measured.
+        corrected: What was corrected by hand and why; None otherwise.
     """
 
     event_id: str
@@ -400,6 +406,9 @@ class Event:
     published_priming: str | None = None
     published_prime_time: float | None = None
     hand_source: str | None = None
+    prime_margin: float | None = None
+    event_confidence: float | None = None
+    corrected: str | None = None
 
     def __repr__(self) -> str:
         return f"<Event {self.event_id}: {self.action} of {self.object_name}, {self.outcome}>"

@@ -45,6 +45,7 @@ from prbench.sequences.schema import (
     stream_chunks,
     table_of,
     table_parts,
+    with_added_columns,
 )
 from prbench.sequences.sequence import SequenceChunk
 
@@ -169,7 +170,7 @@ class BuiltTable(Generic[Info]):
             type(self).check(file.schema_arrow, schema, source=str(path))
             with naming(path):
                 tables.append(file.read())
-        return pa.concat_tables(tables)
+        return with_added_columns(pa.concat_tables(tables), schema)
 
 
 class SequenceTable(BuiltTable[DatasetInfo]):

@@ -10,6 +10,7 @@ from collections import Counter
 from pathlib import Path
 from typing import get_args
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -25,7 +26,7 @@ from prbench.protocol.published import QUANTITIES
 from prbench.recording.streams import HandSource
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import write_fold
-from prbench.sequences.schema import identity_of_rows
+from prbench.sequences.schema import ADDED_COLUMNS, digests_of_files, identity_of_rows
 from prbench.sequences.sequence import (
     EVENTS,
     OUTCOMES,
@@ -213,14 +214,31 @@ def test_a_main_table_written_anew_with_equal_values_is_the_same(tmp_path: Path)
     assert SequenceTable.open(table.folder).content == table.content
 
 
-@pytest.mark.parametrize("version", ["1", "2", "4"])
+@pytest.mark.parametrize("version", ["1", "2", "5"])
 def test_a_table_of_another_version_is_refused(tmp_path, version) -> None:
     table = fake_dataset(tmp_path / "d", 6)
     path = table.folder / "events.parquet"
     data = pq.read_table(path)
     pq.write_table(data.replace_schema_metadata({**data.schema.metadata, b"prbench_schema_version": version}), path)
-    with pytest.raises(TableError, match=f"expected schema version 3, found {version}"):
+    with pytest.raises(TableError, match=f"expected schema version 3 or 4, found {version}"):
         table.events()
+
+
+def test_a_table_of_version_3_is_read_with_what_it_lacks_left_open(tmp_path) -> None:
+    table = fake_dataset(tmp_path / "d", 6)
+    expected = {name: getattr(table, name)() for name in ("events", "recordings")}
+    for name in ("sequences", "events", "recordings"):
+        path = table.folder / f"{name}.parquet"
+        data = pq.read_table(path)
+        data = data.drop_columns([each for each in data.column_names if each in ADDED_COLUMNS])
+        pq.write_table(data.replace_schema_metadata({**data.schema.metadata, b"prbench_schema_version": b"3"}), path)
+    digests = digests_of_files(table.folder, ["sequences", "events", "recordings"])
+    msgspec.structs.replace(table.info, schema_version=3, file_digests=digests).write(table.folder)
+    old = SequenceTable.open(table.folder)
+    assert old.content == table.content
+    assert {name: getattr(old, name)() for name in ("events", "recordings")} == expected
+    assert old.events()["event_confidence"].null_count == old.events().num_rows
+    assert set(old.recordings()["low_confidence"].to_pylist()) == {0}
 
 
 def test_the_identity_of_sequences_outlives_columns_of_other_tables() -> None:
