@@ -233,7 +233,7 @@ def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) 
             read = reader_for(found.dataset).read(recording)
         except PrbenchError as error:
             return "unreadable", (str(error),)
-        remarks = read.messages
+        remarks = read.remarks
     shortfalls = cut_short(recording, read)
     return ("cut short" if shortfalls else "complete"), shortfalls + remarks
 

@@ -69,11 +69,10 @@ def curate_recording(
     split = split or split_of(recording.recording_id, group, manifest, protocol.splits)
     rule = options.in_hand_rule(manifest)
     events, remarks = find_events(recording, rule)
-    annotated = recording.annotated_events
-    if options.priming == "published" and annotated and all(each.published_priming is None for each in annotated):
+    if options.priming == "published" and not recording.has_published_priming:
         raise RecordingUnusable(
-            f"{recording.recording_id}: --priming published needs the dataset's own priming results; none belongs to"
-            f" any of the {len(annotated)} events of this recording. Is the file there, and of the same release?"
+            f"{recording.recording_id}: --priming published needs the dataset's own priming results, and their file is"
+            " not there. Download it too, or leave the option out."
         )
     rays = gaze_rays(recording, options.ray_origin or protocol.curation.ray_origin)
     sequences = []
@@ -112,6 +111,29 @@ def curate_recording(
         )
         if sequence is not None:
             sequences.append(sequence)
+    for entry in recording.unreadable:
+        rows.append(
+            Event(
+                event_id=f"{recording.dataset}/{recording.recording_id}/{entry.file}/unreadable/{entry.key}",
+                recording_id=recording.recording_id,
+                sequence_id=None,
+                object_id=entry.key,
+                object_name=entry.file,
+                action="unknown",
+                hand=None,
+                event_time=float("nan"),
+                prime_time=None,
+                prime_kind=None,
+                location=None,
+                box_min=None,
+                box_max=None,
+                outcome="unreadable_entry",
+                stage="in_hand",
+                value=None,
+                threshold=None,
+                unreadable=str(entry),
+            )
+        )
     lacks = _missing_parts(recording, rule, found=bool(events))
     return CuratedRecording(
         sequences=tuple(sorted(sequences, key=lambda row: row.sequence_id)),
@@ -124,7 +146,7 @@ def curate_recording(
             duration=recording.span[1] - recording.span[0],
             outcomes=dict(Counter(row.outcome for row in rows)),
             status="read",
-            message="; ".join((*recording.shortfalls, *recording.messages, *remarks, *lacks)),
+            message="; ".join((*recording.shortfalls, *recording.remarks, *remarks, *lacks)),
             shortfalls=recording.shortfalls,
             lacks=lacks,
         ),

@@ -107,7 +107,7 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
         if change is None:
             unchanged.append(event)
         else:
-            changes.append((event["event_time"], change))
+            changes.append((float(np.nan_to_num(event["event_time"])), change))
     # Sequences of one build only that no event names.
     named = {event["sequence_id"] for event in [*before, *after]}
     for name in sorted((sequences[0].keys() ^ sequences[1].keys()) - named):
@@ -171,7 +171,9 @@ def _pairs(before: list[Row], after: list[Row]) -> Iterator[tuple[Row | None, Ro
         ours, theirs = groups[key]
         gaps = []
         for row, one in enumerate(ours):
-            gaps += [(abs(one["event_time"] - other["event_time"]), row, place) for place, other in enumerate(theirs)]
+            # Entries that cannot be read have no time, and ids of their own.
+            apart = [np.nan_to_num(abs(one["event_time"] - other["event_time"])) for other in theirs]
+            gaps += [(gap, row, place) for place, gap in enumerate(apart)]
         partner: dict[int, int] = {}
         for gap, row, place in sorted(gaps):
             if gap <= _LARGEST_SHIFT and row not in partner and place not in partner.values():

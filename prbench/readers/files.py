@@ -35,6 +35,7 @@ from prbench.files.bounded import (
 )
 from prbench.limits import LARGEST_ARCHIVE, LARGEST_FILE, LARGEST_JSON, LARGEST_TABLE, LARGEST_UNPACKED, LONGEST_LINE
 from prbench.readers.found import InputFile
+from prbench.recording import UnreadableEntry
 
 _PIECE = 2**20
 _COPY_ARCHIVE_AGAIN = "The archive may be truncated; copy or download it again."
@@ -367,14 +368,19 @@ def require_poses(
     )
 
 
+_GOT = re.compile(r"Expected (.+), got (\S+)")  # msgspec's words for a value of another kind
+_NO_NUMBER = re.compile(rb"(?<=[\[,:\s])-?(?:NaN|Infinity)\b")
+
+
 @foreign_input()
-def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded], *, nan_is_null: bool = False) -> Decoded:
+def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded]) -> Decoded:
     """Read a JSON file into a data class; keys that the class does not name are skipped unread.
+
+    A bare ``NaN`` or ``Infinity``, which is no JSON but is written by some programs, counts as ``null``.
 
     Args:
         path: The file.
         decoder: Knows the class.
-        nan_is_null: Take a bare ``NaN``, which is no JSON but is written by some programs, for ``null``.
 
     Raises:
         InputFileError: if the file is missing, is no JSON, or lacks a key (naming it).
@@ -382,9 +388,10 @@ def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded], *, nan_is_
     try:
         # Some programs begin a file with a byte-order mark, which JSON does not know.
         content = read_all(path, largest=LARGEST_JSON).removeprefix(b"\xef\xbb\xbf")
-        if nan_is_null and b"NaN" in content:
-            content = re.sub(rb"(?<=[\[,:\s])-?NaN\b", b"null", content)
-        return decoder.decode(content)
+        try:
+            return decoder.decode(content)
+        except msgspec.DecodeError:
+            return decoder.decode(_NO_NUMBER.sub(b"null", content))
     except FileNotFoundError as error:
         raise missing_file(path) from error
     except msgspec.ValidationError as error:
@@ -392,6 +399,31 @@ def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded], *, nan_is_
         raise InputFileError(shown(path), "", expected=expected, found=str(error), remedy=remedy) from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputFileError(shown(path), "", expected="valid JSON", found=str(error), remedy=_COPY_AGAIN) from error
+
+
+def read_entries(
+    path: Path, entries: Mapping[str, msgspec.Raw], decoder: msgspec.json.Decoder[Decoded], expected: str
+) -> tuple[dict[str, Decoded], list[UnreadableEntry]]:
+    """Decode the entries of an annotation file one by one, so that an odd one never loses its neighbours.
+
+    Args:
+        path: The file, for the record of what is left out.
+        entries: What stands under each key, still undecoded.
+        decoder: Knows the form of an entry.
+        expected: That form in words.
+
+    Returns:
+        The entries of this form in their order, and one record for each other.
+    """
+    readable = {}
+    unreadable = []
+    for key, raw in entries.items():
+        try:
+            readable[key] = decoder.decode(raw)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            found = _GOT.sub(r"\2 instead of \1", str(error)).replace(" - at ", " at ")
+            unreadable.append(UnreadableEntry(path.name, key, expected, found))
+    return readable, unreadable
 
 
 @contextlib.contextmanager

@@ -11,6 +11,7 @@ from prbench.recording.streams import (
     PoseStream,
     PublishedPriming,
     Recording,
+    UnreadableEntry,
     plausible_body_frames,
 )
 
@@ -25,5 +26,6 @@ __all__ = [
     "PoseStream",
     "PublishedPriming",
     "Recording",
+    "UnreadableEntry",
     "plausible_body_frames",
 ]

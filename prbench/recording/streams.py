@@ -28,6 +28,7 @@ from prbench.limits import FARTHEST_POSITION, LARGEST_OBJECT
 from prbench.shown import quoted
 
 _ESTIMATED = frozenset({"egoallo"})
+_ENTRIES_NAMED = 3  # unreadable entries that a message names
 
 
 def is_estimated(pose_source: str) -> bool:
@@ -255,6 +256,26 @@ class Occluder:
 
 
 @dataclass(frozen=True)
+class UnreadableEntry:
+    """One entry of an annotation file that could not be read; its neighbours were.
+
+    Attributes:
+        file: Name of the file.
+        key: Place of the entry in the file.
+        expected: What the entry should hold.
+        found: What it holds instead.
+    """
+
+    file: str
+    key: str
+    expected: str
+    found: str
+
+    def __str__(self) -> str:
+        return f"{self.file}, {quoted(self.key)}: expected {self.expected}, found {quoted(self.found)}"
+
+
+@dataclass(frozen=True)
 class AnnotatedEvent:
     """A pick or put that the dataset itself lists.
 
@@ -302,9 +323,11 @@ class Recording:
             alone.
         occluders: Meshes of scene and objects, loaded only where a reader is asked for them (option ``meshes``).
         hinged_objects: Ids of doors, drawers and the like, where the dataset says so.
+        has_published_priming: True where the dataset's own priming results are there, whatever they say.
         world_from_source: Maps the scene's own coordinates (meshes, point clouds) into this world frame.
         furniture: Things that stand still and are no part of :attr:`objects`, because the dataset tracks none of them.
         messages: Messages of the reader for the user.
+        unreadable: Entries of the annotation files that were left out, because they cannot be read.
         shortfalls: One message for each stream that ends before the recording does; its file may be cut off.
     """
 
@@ -325,9 +348,11 @@ class Recording:
     split_group: str = ""
     occluders: tuple[Occluder, ...] = ()
     hinged_objects: frozenset[str] = frozenset()
+    has_published_priming: bool = False
     world_from_source: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
     furniture: tuple[ObjectTrack, ...] = ()
     messages: tuple[str, ...] = ()
+    unreadable: tuple[UnreadableEntry, ...] = ()
     shortfalls: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -336,6 +361,16 @@ class Recording:
         require_times("ground truth", np.array(self.span, dtype=np.float64))
         _require_distinct("objects", [track.object_id for track in self.objects])
         _require_distinct("events", [f"{event.native_key} ({event.action})" for event in self.annotated_events])
+        _require_distinct("entries", [f"{entry.file}, {entry.key}" for entry in self.unreadable])
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Return the reader's messages, and one that counts the unreadable entries and names the first few."""
+        if not self.unreadable:
+            return self.messages
+        named = "; ".join(map(str, self.unreadable[:_ENTRIES_NAMED]))
+        more = " …" if len(self.unreadable) > _ENTRIES_NAMED else ""
+        return (*self.messages, f"entries that cannot be read and are left out: {len(self.unreadable)}: {named}{more}")
 
     def hand_streams(self, contact: ContactPoint) -> tuple[HandStream, ...]:
         """Return the wearer's streams of one kind of contact point."""

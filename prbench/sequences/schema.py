@@ -37,7 +37,10 @@ from prbench.shown import quoted
 # the hand. 4: ``events`` tell confidence and corrections, ``recordings`` count two more outcomes.
 SCHEMA_VERSION = 4
 # Columns that version 3 lacks. It is read too: what it does not tell is null, what it does not count is 0.
-ADDED_COLUMNS = frozenset({"prime_margin", "event_confidence", "corrected", "unreadable_entry", "low_confidence"})
+ADDED_COLUMNS = frozenset(
+    {"prime_margin", "event_confidence", "corrected", "unreadable"}
+    | {"unreadable_entry", "low_confidence", "annotation_only"}
+)
 # Version of the columns of ``sequences`` alone. It enters the identity of a table, other versions do not.
 SEQUENCES_VERSION = 1
 UNITS = {

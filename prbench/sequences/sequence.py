@@ -234,6 +234,7 @@ OUTCOMES = (
     "not_published",
     "unreadable_entry",
     "low_confidence",
+    "annotation_only",
 )
 
 
@@ -358,9 +359,9 @@ class Event:
         sequence_id: Id of the sequence that the event became; None if it was dropped.
         object_id: The dataset's own id of the object.
         object_name: The dataset's name of the object.
-        action: ``pick`` or ``put``.
+        action: ``pick`` or ``put``; ``unknown`` of an entry that could not be read.
         hand: The hand that reaches, ``left`` or ``right``; None where nothing decides.
-        event_time: Time of the pick or put, seconds on the recording's clock.
+        event_time: Time of the pick or put, seconds on the recording's clock; NaN of an entry that could not be read.
         prime_time: Time of the first look at the object's place, seconds on the recording's clock; None if there was
             none.
         prime_kind: How gaze met the place: ``hit``, ``near_miss`` or ``published``; None if it did not.
@@ -382,6 +383,7 @@ class Event:
             was met, negative by what was lacking; None without valid gaze and where only the dataset tells the prime.
         event_confidence: From 0 to 1 (docs/specification/curation.md#confidence); None where nothing was measured.
         corrected: What was corrected by hand and why; None otherwise.
+        unreadable: File and key of an annotation that could not be read, what was expected and found; None otherwise.
     """
 
     event_id: str
@@ -409,6 +411,7 @@ class Event:
     prime_margin: float | None = None
     event_confidence: float | None = None
     corrected: str | None = None
+    unreadable: str | None = None
 
     def __repr__(self) -> str:
         return f"<Event {self.event_id}: {self.action} of {self.object_name}, {self.outcome}>"

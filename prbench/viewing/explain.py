@@ -85,6 +85,8 @@ class EventStory:
     def title(self) -> str:
         """Action, object, time and hand in one line."""
         event = self.event
+        if event.outcome == "unreadable_entry":
+            return f"entry {event.object_id} of {event.object_name}"
         hand = f", {event.hand} hand" if event.hand else ""
         return f"{event.action} of {event.object_name} ({event.object_id}) at {event.event_time:.3f} s{hand}"
 
@@ -308,6 +310,8 @@ def _stages(
 
 
 def _in_hand(event: Event, options: dict[str, str]) -> str:
+    if event.outcome == "unreadable_entry":
+        return f"this entry of the annotations cannot be read: {event.unreadable}"
     if event.outcome == "other_wearer":
         nearest = "not seen" if event.value is None else f"{_cm(event.value)} away"
         return f"somebody else's hand was nearer: {_cm(event.threshold)} away, the wearer's {nearest}"

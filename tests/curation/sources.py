@@ -13,7 +13,7 @@ from prbench.curation import build_from_sources
 from prbench.engine import engine_for
 from prbench.errors import InputFileError
 from prbench.files.storage import text_digest
-from prbench.recording import Recording
+from prbench.recording import Recording, UnreadableEntry
 from tests.curation.scenes import PICK, PUT, clock, cup_centre, finger_path, hand, scene, track
 
 
@@ -31,6 +31,7 @@ class SceneSource:
     split: str | None = None
     seconds: float = 0.0
     """How long reading takes."""
+    unreadable: tuple[UnreadableEntry, ...] = ()
     short: Path | None = None
     """Folder that holds a file for each time for which the memory will not suffice."""
 
@@ -50,7 +51,8 @@ class SceneSource:
         slow, fast = clock(30), clock(120)
         moved = track(slow, cup_centre(slow, pick, put))
         reaching = hand("left", fast, finger_path(fast, pick, put))
-        return replace(scene(objects=(moved,), hands=(reaching,)), recording_id=self.recording_id, split_group="")
+        recording = scene(objects=(moved,), hands=(reaching,))
+        return replace(recording, recording_id=self.recording_id, split_group="", unreadable=self.unreadable)
 
     def without_places(self, message: str) -> str:
         return message.replace("/home/someone/adt/", "")

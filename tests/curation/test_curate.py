@@ -14,7 +14,7 @@ from prbench.curation import CurationOptions, curate_recording
 from prbench.curation.curate import CuratedRecording, hash_fraction, scene_boxes, split_of
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import Joint, transform_points
-from prbench.recording import BodyStream, ObjectTrack, Recording
+from prbench.recording import BodyStream, ObjectTrack, Recording, UnreadableEntry
 from prbench.sequences.sequence import sequence_batch
 from tests.curation.scenes import (
     DURATION,
@@ -50,6 +50,16 @@ def test_pick_and_put_become_two_sequences() -> None:
     assert [row.text for row in result.sequences] == [PROTOCOL.text["pick"], PROTOCOL.text["put"]]
     assert result.record.outcomes == {"sequence": 2}
     assert sequence_batch(result.sequences).num_rows == 2
+
+
+def test_an_entry_that_cannot_be_read_is_in_the_audit_trail_beside_the_events() -> None:
+    odd = UnreadableEntry("mask_info.json", "m1", "a mask", "`null` instead of `object`")
+    result = curate(dataclasses.replace(scene(), unreadable=(odd,)))
+    assert sorted(outcomes(result)) == ["sequence", "sequence", "unreadable_entry"]
+    (row,) = (event for event in result.events if event.outcome == "unreadable_entry")
+    assert row.unreadable == "mask_info.json, m1: expected a mask, found `null` instead of `object`"
+    assert result.record.outcomes["unreadable_entry"] == 1
+    assert "cannot be read and are left out: 1: mask_info.json, m1" in result.record.message
 
 
 def test_the_grid_ends_at_the_event_and_covers_the_lead() -> None:

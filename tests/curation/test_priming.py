@@ -141,7 +141,8 @@ def _event(action: str, time: float, place: np.ndarray | None, published: Publis
 
 def _recording(pick: PublishedPriming | None, put: PublishedPriming | None, **changes) -> Recording:
     events = (_event("pick", PICK, PLACE_A, pick), _event("put", PUT, PLACE_B, put))
-    return dataclasses.replace(scene(dataset="hd-epic", objects=(), annotated_events=events), **changes)
+    recording = scene(dataset="hd-epic", objects=(), annotated_events=events)
+    return dataclasses.replace(recording, **{"has_published_priming": True, **changes})
 
 
 def _curated(recording: Recording, options: CurationOptions = PUBLISHED):
@@ -186,7 +187,7 @@ def test_the_rule_does_not_look_at_what_is_published_but_tells_it() -> None:
 
 def test_a_recording_of_which_nothing_is_published_is_refused() -> None:
     with pytest.raises(RecordingUnusable, match="--priming published needs the dataset's own priming results"):
-        _curated(_recording(None, None))
+        _curated(_recording(None, None, has_published_priming=False))
 
 
 def test_a_dataset_without_published_priming_is_a_usage_error(tmp_path) -> None:

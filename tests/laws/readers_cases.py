@@ -319,10 +319,8 @@ HD_EPIC = {
         edit_json(f"{_MOVEMENTS}/{hd_epic.ASSOCIATIONS_FILE}", lambda content: content.pop(FIRST)),
         f"{FIRST}: expected the movements of this video",
     ),
-    "masks of another format": told(
-        edit_json(f"{_MOVEMENTS}/{hd_epic.MASKS_FILE}", lambda content: content.update({FIRST: {"m": {"frame": 3}}})),
-        f"{FIRST}: expected the keys of this format",
-    ),
+    "masks that are no JSON": told(write_text(f"{_MOVEMENTS}/{hd_epic.MASKS_FILE}", "{"), "expected valid JSON"),
+    "masks of no video": told(write_text(f"{_MOVEMENTS}/{hd_epic.MASKS_FILE}", "[1]"), "expected the keys"),
     "no gaze archive": told(
         _below(f"HD-EPIC/SLAM-and-Gaze/*/GAZE_HAND/mps_{FIRST}_vrs.zip", Path.unlink),
         f"GAZE_HAND/mps_{FIRST}_vrs.zip: expected eye gaze",

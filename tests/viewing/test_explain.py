@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from prbench.curation import build_from_sources
+from prbench.curation.differences import compare_builds
 from prbench.errors import UsageError
+from prbench.recording import UnreadableEntry
 from prbench.viewing.explain import EventStory, draw_event_story, explain_event
 from tests.curation.scenes import LOOK_A, PLACE_A, clock, gaze, scene, stranger
 from tests.curation.sources import SceneSource
@@ -61,6 +63,15 @@ def test_a_dropped_events_story_ends_where_it_was_dropped(table: Path) -> None:
     assert story.motion is None
     assert "gaze came no nearer to the box than" in story.text()
     assert "(near miss: at most 5.0 cm)" in story.text()
+
+
+def test_an_entry_that_could_not_be_read_tells_what_was_found(tmp_path: Path) -> None:
+    odd = UnreadableEntry("mask_info.json", "m1", "a mask", "`null` instead of `object`")
+    build_from_sources([SceneSource("room", unreadable=(odd,))], tmp_path / "table")
+    story = explain_event(tmp_path / "table", "mask_info.json")
+    assert story.title == "entry m1 of mask_info.json"
+    assert "cannot be read: mask_info.json, m1: expected a mask, found `null`" in story.text()
+    assert compare_builds(tmp_path / "table", tmp_path / "table").equal, "an entry has no time, and is the same entry"
 
 
 def test_event_ids_sequence_ids_and_unique_parts_all_lead_to_the_event(table: Path) -> None:

@@ -253,7 +253,7 @@ def read_skeletons(found: RecordingFiles) -> tuple[adt.AdtSkeleton, ...]:
         if person.name == adt.NOBODY:
             continue
         path = found.require(f"{SKELETON_PREFIX}{person.name}", f"{person.name}.json")
-        frames = decode_json(path, _SKELETON, nan_is_null=True).frames
+        frames = decode_json(path, _SKELETON).frames
         remedy = f"Download the recording again, or remove {person.name} from the association file."
         require(path, (len(frames) > 0, "frames", "frames of a body", "none", remedy))
         times = np.array([frame.timestamp_ns for frame in frames], dtype=np.int64)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -16,148 +16,193 @@ from jaxtyping import Float
 
 from prbench.errors import InputFileError
 from prbench.files.bounded import require, require_rows
-from prbench.limits import MOST_FRAMES
-from prbench.readers.files import decode_json, must_exist, read_columns
+from prbench.limits import FARTHEST_POSITION, LONGEST_RECORDING, MOST_FRAMES
+from prbench.readers.files import decode_json, must_exist, read_columns, read_entries
 from prbench.readers.hd_epic import format as hd_epic
+from prbench.recording import UnreadableEntry
 
-# Number of a video frame; negative ones are marks.
-_Frame = Annotated[int, msgspec.Meta(ge=-MOST_FRAMES, le=MOST_FRAMES)]
+# Number of a video frame; some writers give it a decimal point.
+_Frame = Annotated[float, msgspec.Meta(ge=0, le=MOST_FRAMES, multiple_of=1)]
+_Seconds = Annotated[float, msgspec.Meta(ge=-LONGEST_RECORDING, le=LONGEST_RECORDING)]
+_Metres = Annotated[float, msgspec.Meta(ge=-FARTHEST_POSITION, le=FARTHEST_POSITION)]
+_Point = Annotated[list[_Metres | None], msgspec.Meta(max_length=3)]
 _AGAIN = "Download the file again."
 
 
 class _Track(msgspec.Struct):
-    track_id: str
-    time_segment: tuple[float, float]
-    masks: list[str] = []
+    track_id: str | int
+    time_segment: tuple[_Seconds, _Seconds]
+    masks: list[Any] | None = None
+
+    def __post_init__(self) -> None:
+        start, end = self.time_segment
+        if end < start:
+            raise ValueError(f"an end at {end} s before the start at {start} s")
 
 
 class _Association(msgspec.Struct):
-    name: str
-    tracks: list[_Track]
+    tracks: list[msgspec.Raw]
+    name: Any = None
 
 
 class _Mask(msgspec.Struct):
     frame_number: _Frame
-    location: list[float | None] | None = msgspec.field(name="3d_location", default=None)
-    bbox: list[float] | None = None
-    fixture: str | None = None
+    location: _Point | None = msgspec.field(name="3d_location", default=None)
 
 
 class _PrimeStats(msgspec.Struct):
-    frame_primed: _Frame
+    frame_primed: Annotated[float, msgspec.Meta(ge=hd_epic.EXCLUDED, le=MOST_FRAMES, multiple_of=1)]
 
 
 class _Side(msgspec.Struct):
     frame: _Frame
     prime_stats: _PrimeStats
-    location: list[float | None] | None = msgspec.field(name="3d_location", default=None)
-
-
-class _PrimedObject(msgspec.Struct):
-    start: _Side | None = None
-    end: _Side | None = None
+    location: _Point | None = msgspec.field(name="3d_location", default=None)
 
 
 class _Log(msgspec.Struct):
     num_mp4_frames: int | None = None
 
 
-_VIDEOS = msgspec.json.Decoder(dict[str, msgspec.Raw])
-_ASSOCIATIONS = msgspec.json.Decoder(dict[str, _Association])
-_MASKS = msgspec.json.Decoder(dict[str, _Mask])
-_PRIMING = msgspec.json.Decoder(dict[str, _PrimedObject])
+_ENTRIES = msgspec.json.Decoder(dict[str, msgspec.Raw])
+_TRACK = msgspec.json.Decoder(_Track)
+_ASSOCIATION = msgspec.json.Decoder(_Association)
+_MASK = msgspec.json.Decoder(_Mask)
+_SIDE = msgspec.json.Decoder(_Side)
 _LOG = msgspec.json.Decoder(_Log)
 _MAP = msgspec.json.Decoder(dict[str, str | int])
 
+Unreadable = tuple[UnreadableEntry, ...]
 
-def read_tracks(associations: Path, masks: Path, video: str) -> tuple[tuple[hd_epic.ObjectTrack, ...], tuple[str, ...]]:
-    """Read all movements of one video in the order of time, and remarks.
+
+def read_tracks(
+    associations: Path, masks: Path | None, video: str
+) -> tuple[tuple[hd_epic.ObjectTrack, ...], tuple[str, ...], Unreadable]:
+    """Read all movements of one video in the order of time.
 
     Objects may have tracks out of order or overlapping in time: they are sorted, and stay apart.
 
     Args:
         associations: ``assoc_info.json``.
-        masks: ``mask_info.json``.
+        masks: ``mask_info.json``; None where it is not there, and no movement has a place.
         video: Its name.
 
+    Returns:
+        The movements, remarks, and the entries that cannot be read.
+
     Raises:
-        InputFileError: if a file is missing or damaged, or the first one does not know the video.
+        InputFileError: if a file is missing or no JSON, or the first one does not know the video.
     """
-    objects: dict[str, _Association] | None = _decoded(_ASSOCIATIONS, associations, video)
-    if objects is None:
+    objects, unreadable = _of_video(associations, video)
+    if objects is None or unreadable:
         expected = "the movements of this video"
+        found = unreadable[0].found if unreadable else "no such key"
         remedy = "Update the annotation repository, or leave the video out with --recordings."
-        raise InputFileError(associations, video, expected=expected, found="no such key", remedy=remedy)
-    known = {
-        key: hd_epic.ObjectMask(
-            mask_id=key,
-            frame=mask.frame_number,
-            location=_numbers(mask.location, 3),
-            box_px=_numbers(mask.bbox, 4),
-            fixture=None if mask.fixture in (None, hd_epic.NO_FIXTURE) else mask.fixture,
-        )
-        for key, mask in (_decoded(_MASKS, masks, video) or {}).items()
-    }
+        raise InputFileError(associations, video, expected=expected, found=found, remedy=remedy)
+    listed, odd = ({}, []) if masks is None else _of_video(masks, video)
+    unreadable += odd
+    shown = {}
+    if masks is not None:
+        shown, odd = read_entries(masks, listed or {}, _MASK, "a mask with frame_number and 3d_location")
+        unreadable += odd
+    expected = "an object with its name and its list of tracks"
+    named, odd = read_entries(associations, objects, _ASSOCIATION, expected)
+    unreadable += odd
     tracks = []
+    n_masks = 0
     missing = 0
-    named = 0
-    for key, association in objects.items():
-        for track in association.tracks:
-            start, end = track.time_segment
-            where = f"{video}, track {track.track_id}"
-            finite = bool(np.isfinite(track.time_segment).all())
-            require(associations, (finite, where, "times in seconds", f"{start} to {end}", ""))
-            shown = tuple(known[mask] for mask in track.masks if mask in known)
-            named += len(track.masks)
-            missing += len(track.masks) - len(shown)
-            tracks.append(hd_epic.ObjectTrack(track.track_id, key, association.name, start, end, shown))
+    for key, association in named.items():
+        entries = {f"{key}/tracks[{number}]": raw for number, raw in enumerate(association.tracks)}
+        expected = "a track with track_id, time_segment [start, end] in seconds and masks"
+        movements, odd = read_entries(associations, entries, _TRACK, expected)
+        unreadable += odd
+        name = association.name if isinstance(association.name, str) and association.name.strip() else key
+        used: set[str] = set()
+        for where, track in movements.items():
+            track_id = str(track.track_id)
+            if track_id in used:
+                expected = "a track_id of its own"
+                unreadable.append(UnreadableEntry(associations.name, where, expected, f"'{track_id}' again"))
+                continue
+            used.add(track_id)
+            ids = [mask for mask in track.masks or () if isinstance(mask, str)]
+            n_masks += len(track.masks or ())
+            missing += len(track.masks or ()) - sum(mask in (listed or ()) for mask in ids)
+            seen = tuple(_object_mask(mask, shown[mask]) for mask in ids if mask in shown)
+            tracks.append(hd_epic.ObjectTrack(track_id, key, name, *track.time_segment, seen))
     # Names decide between equal times, so that the order of the file leaves no trace.
     tracks.sort(key=lambda track: (track.start, track.end, track.object_id, track.track_id))
-    remark = f"{missing} of {named} masks of the tracks are not in {masks.name}"
-    return tuple(tracks), (remark,) if missing else ()
+    remarks = ()
+    if masks is None:
+        remarks = (f"no {hd_epic.MASKS_FILE}: no event has a place",)
+    elif missing:
+        remarks = (f"{missing} of {n_masks} masks of the tracks are not in {masks.name}",)
+    return tuple(tracks), remarks, tuple(unreadable)
 
 
-def _decoded(decoder: msgspec.json.Decoder, path: Path, video: str):
-    """Return the part of one video of a file that holds all; None where it does not know the video."""
+def _object_mask(key: str, mask: _Mask) -> hd_epic.ObjectMask:
+    return hd_epic.ObjectMask(key, int(mask.frame_number), _point(mask.location))
+
+
+def _of_video(path: Path, video: str) -> tuple[dict[str, msgspec.Raw] | None, list[UnreadableEntry]]:
+    """Return what a file that holds all videos says of one, by key; None where it does not know the video."""
     with must_exist(path):
         status = path.stat()
     entry = _videos(path, status.st_size, status.st_mtime_ns).get(video)
-    try:
-        return None if entry is None else decoder.decode(entry)
-    except msgspec.DecodeError as error:
-        expected = "the keys of this format"
-        raise InputFileError(path, video, expected=expected, found=str(error), remedy=_AGAIN) from error
+    if entry is None:
+        return None, []
+    of_video, unreadable = read_entries(path, {video: entry}, _ENTRIES, "an object with one key an entry")
+    return of_video.get(video, {}), unreadable
 
 
 @lru_cache(maxsize=8)
 def _videos(path: Path, _size: int, _changed_ns: int) -> dict[str, msgspec.Raw]:
     """Return the file cut into its videos, none of them parsed; opened anew when it has changed."""
-    return decode_json(path, _VIDEOS)
+    return decode_json(path, _ENTRIES)
 
 
-def _numbers(values: list[float | None] | list[float] | None, count: int) -> Float[np.ndarray, " k"] | None:
-    """Return so many finite numbers, or None."""
-    if values is None or len(values) != count or any(value is None for value in values):
+def _point(values: list[float | None] | None) -> Float[np.ndarray, "3"] | None:
+    """Return three numbers, or None."""
+    if values is None or len(values) != 3 or None in values:
         return None
-    array = np.array(values, dtype=np.float64)
-    return array if np.isfinite(array).all() else None
+    return np.array(values, dtype=np.float64)
 
 
-def read_priming(path: Path, video: str) -> tuple[hd_epic.PublishedSide, ...]:
+def read_priming(path: Path, video: str) -> tuple[tuple[hd_epic.PublishedSide, ...], Unreadable]:
     """Read the dataset's own priming results of one video; none for a video that the file does not know.
 
+    A side that is null, a text or empty is not there: nothing is published about it.
+
+    Returns:
+        The sides, and the entries that cannot be read.
+
     Raises:
-        InputFileError: if the file is missing or damaged.
+        InputFileError: if the file is missing or no JSON.
     """
-    objects: dict[str, _PrimedObject] = _decoded(_PRIMING, path, video) or {}
-    return tuple(
+    objects, unreadable = _of_video(path, video)
+    there = {key: raw for key, raw in (objects or {}).items() if not _is_empty(raw)}
+    named, odd = read_entries(path, there, _ENTRIES, "an object with the keys start and end")
+    sides = {
+        f"{key}/{name}": raw
+        for key, entry in named.items()
+        for name, raw in entry.items()
+        if name in ("start", "end") and not _is_empty(raw)
+    }
+    expected = "frame, 3d_location and prime_stats with frame_primed"
+    readable, odd_sides = read_entries(path, sides, _SIDE, expected)
+    published = (
         hd_epic.PublishedSide(
-            f"{key}/{name}", name == "start", side.frame, _numbers(side.location, 3), side.prime_stats.frame_primed
+            key, key.endswith("/start"), int(side.frame), _point(side.location), int(side.prime_stats.frame_primed)
         )
-        for key, primed in objects.items()
-        for name, side in (("start", primed.start), ("end", primed.end))
-        if side is not None
+        for key, side in readable.items()
     )
+    return tuple(published), (*unreadable, *odd, *odd_sides)
+
+
+def _is_empty(raw: msgspec.Raw) -> bool:
+    """Return True for null, a text, and an empty object or list."""
+    text = bytes(raw).translate(None, b" \t\r\n")
+    return text.startswith(b'"') or text in (b"null", b"{}", b"[]")
 
 
 def read_video_clock(path: Path, log: Path | None) -> tuple[hd_epic.VideoClock, tuple[str, ...]]:

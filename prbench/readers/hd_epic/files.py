@@ -221,8 +221,12 @@ def read_readings(found: RecordingFiles) -> hd_epic.HdEpicReadings:
             remedy = f"Clone the repository beside {hd_epic.DATA_FOLDER}, or name it: --option annotations=DIR."
             raise InputFileError(place, "", expected=expected, found="none", remedy=remedy)
         paths.append(path)
-    tracks, track_remarks = read_tracks(paths[0], paths[1], video)
+    tracks, track_remarks, unreadable = read_tracks(paths[0], paths[1], video)
     priming = found.path(PRIMING)
+    published = None
+    if priming is not None:
+        published, odd = read_priming(priming, video)
+        unreadable += odd
     clock, clock_remarks = read_video_clock(found.require(TIME, f"{video}{hd_epic.TIME_SUFFIX}"), found.path(LOG))
     glasses = _read_mps(found)
     head = mps_streams(replace(glasses, wrists=None), world_from_source=np.eye(4)).head
@@ -232,10 +236,11 @@ def read_readings(found: RecordingFiles) -> hd_epic.HdEpicReadings:
         participant_id=found.folder.name,
         clock=clock,
         tracks=tracks,
-        priming=None if priming is None else read_priming(priming, video),
+        priming=published,
         glasses=glasses,
         body=body,
         messages=(*track_remarks, *clock_remarks, *((NO_OUTPUTS,) if body is None else ())),
+        unreadable=unreadable,
     )
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.readers.aria_mps.format import MpsReadings
 from prbench.readers.egoallo.format import EgoAlloBody
+from prbench.recording import UnreadableEntry
 
 DATA_FOLDER = "HD-EPIC"
 ANNOTATIONS_FOLDER = "hd-epic-annotations"
@@ -87,15 +88,15 @@ class ObjectMask:
 
     Attributes:
         location: A single point, world (Z up), metres; None where the file gives none.
-        box_px: x min, y min, x max, y max in the 1408 image.
-        fixture: Fixture under it, for example ``P01_counter.001``; None for ``Null``.
+        box_px: x min, y min, x max, y max in the 1408 image; None in readings, since curation does not use it.
+        fixture: Fixture under it, for example ``P01_counter.001``; None for ``Null`` and in readings.
     """
 
     mask_id: str
     frame: int
     location: Float[np.ndarray, "3"] | None
-    box_px: Float[np.ndarray, "4"] | None
-    fixture: str | None
+    box_px: Float[np.ndarray, "4"] | None = None
+    fixture: str | None = None
 
 
 @dataclass(frozen=True)
@@ -151,3 +152,4 @@ class HdEpicReadings:
     glasses: MpsReadings
     body: EgoAlloBody | None
     messages: tuple[str, ...] = ()
+    unreadable: tuple[UnreadableEntry, ...] = ()

@@ -71,6 +71,7 @@ def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest,
         hands=streams.wrists,
         objects=(),
         annotated_events=events,
+        has_published_priming=readings.priming is not None,
         world_from_source=world,
         messages=(
             *readings.messages,
@@ -78,6 +79,7 @@ def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest,
             *(() if readings.body is None else readings.body.messages),
             *remarks,
         ),
+        unreadable=readings.unreadable,
     )
 
 
