@@ -122,6 +122,9 @@ def find_departure(
     close = np.flatnonzero(out[:-1] <= level / 2)
     home = int(close[-1]) if len(close) else 0
     inner = home + int(np.flatnonzero(out[home + 1 :] > level)[0])
+    # Where tracking was lost on the way, and the object was not away before, it left while nobody saw it.
+    unseen = np.flatnonzero((np.diff(times) > LONGEST_SURE_GAP) & (out[:-1] <= tolerance))
+    inner = max(inner, int(unseen[-1])) if len(unseen) else inner
     share = np.clip((level - out[inner]) / max(out[inner + 1] - out[inner], 1e-12), 0.0, 1.0)
     return Departure(
         time=float(times[inner] + share * (times[inner + 1] - times[inner])),
@@ -173,6 +176,10 @@ _LONGEST_CONTACT_GAP = 1.0
 # Seconds; a hand that is close to an object on both sides of a stretch without measurements never left it (hands leave
 # the view of the glasses while they carry something).
 _LONGEST_UNSEEN = 2.0
+# Seconds for which an object that rests on something keeps its place; a hand that holds something sways more.
+_SHORTEST_REST = 1.0
+# Times the rule's distance within which a hand goes on with a holding, but does not begin one.
+_STAYS_WITHIN = 1.5
 # Bounds the memory that meshes of hands need.
 _VERTICES_AT_ONCE = 200_000
 
@@ -209,10 +216,22 @@ def held_segments(
     """
     pieces = runs(held)
     pieces = _joined(pieces, times[pieces[1:, 0]] - times[pieces[:-1, 1] - 1] <= join_gap + _SLACK)
-    pieces = pieces[times[pieces[:, 1] - 1] - times[pieces[:, 0]] >= minimum_duration - _SLACK]
+    # A tracking gap beside a piece counts as part of it: the object was moved in there, too.
+    first = _across_gap(times, staying, pieces[:, 0], -1)
+    last = _across_gap(times, staying, pieces[:, 1] - 1, 1)
+    pieces = pieces[times[last] - times[first] >= minimum_duration - _SLACK]
     # Counts of samples that end a holding; equal counts on both sides of a gap mean none in it.
     left_before = np.concatenate(([0], np.cumsum(~staying)))
     return _joined(pieces, left_before[pieces[1:, 0]] == left_before[pieces[:-1, 1]])
+
+
+def _across_gap(
+    times: Float[np.ndarray, " n"], staying: Bool[np.ndarray, " n"], samples: Int[np.ndarray, " k"], step: int
+) -> Int[np.ndarray, " k"]:
+    """Return the neighbours of samples where a gap in the track and no end of the holding lies between, else these."""
+    neighbours = np.clip(samples + step, 0, len(times) - 1)
+    across = staying[neighbours] & (np.abs(times[neighbours] - times[samples]) > LONGEST_SURE_GAP + _SLACK)
+    return np.where(across, neighbours, samples)
 
 
 def _joined(pieces: Int[np.ndarray, "k 2"], together: Bool[np.ndarray, " gaps"]) -> Int[np.ndarray, "m 2"]:
@@ -282,21 +301,52 @@ def contact_distance(
 
 
 def close_to(
-    distance: Float[np.ndarray, " n"], times: Float[np.ndarray, " n"], rule: InHandRule
+    distance: Float[np.ndarray, " n"], times: Float[np.ndarray, " n"], resting: Bool[np.ndarray, " n"], limit: float
 ) -> Bool[np.ndarray, " n"]:
-    """Return samples at which one hand is close: nearer than the rule's distance, or unseen between two such samples.
+    """Return samples at which one hand is close: nearer than the limit, or surely so though unseen.
+
+    A hand that leaves the sight while it is close goes on holding the object until that rests, and one that comes into
+    sight close to an object held it all the way from its rest: things do not move alone.
 
     Args:
         distance: Distance of that hand, metres; inf where it was not measured.
         times: Seconds.
-        rule: The distance.
+        resting: Samples at which the object rests (:func:`rests`).
+        limit: Metres.
     """
-    close = distance < rule.distance
+    close = distance < limit
     for start, stop in runs(~np.isfinite(distance)):
-        inside = start > 0 and stop < len(times)
-        if inside and close[start - 1] and close[stop] and times[stop] - times[start - 1] <= _LONGEST_UNSEEN:
-            close[start:stop] = True
+        before = start > 0 and close[start - 1]
+        after = stop < len(times) and close[stop]
+        at_rest = np.flatnonzero(resting[start:stop]) + start
+        if len(at_rest) == 0 or (before and after and times[stop] - times[start - 1] <= _LONGEST_UNSEEN):
+            close[start:stop] = before or after
+            continue
+        if before:
+            close[start : at_rest[0]] = True
+        if after:
+            close[at_rest[-1] + 1 : stop] = True
     return close
+
+
+def rests(
+    times: Float[np.ndarray, " n"], centre: Float[np.ndarray, "n 3"], still: Bool[np.ndarray, " n"], tolerance: float
+) -> Bool[np.ndarray, " n"]:
+    """Return samples at which an object rests on something: it keeps its place, which no hand that holds it does.
+
+    Args:
+        times: Seconds.
+        centre: Middle of its box, metres.
+        still: Samples at which it moves slowly, or not at all.
+        tolerance: Metres that it may be away from its median place.
+    """
+    resting = np.zeros(len(times), dtype=bool)
+    for start, stop in runs(still):
+        apart = np.linalg.norm(centre[start:stop] - np.median(centre[start:stop], axis=0), axis=1)
+        # The tracker jumps now and then, so one sample in twenty does not count.
+        stays = times[stop - 1] - times[start] >= _SHORTEST_REST and np.quantile(apart, 0.95) <= tolerance
+        resting[start:stop] = stays or start == 0 or stop == len(times)
+    return resting
 
 
 def nearest_hand(
@@ -373,11 +423,15 @@ def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHand
     after = np.minimum(times + rule.moving_window / 2, times[-1])
     chord = interpolate(times, centre, after) - interpolate(times, centre, before)
     speed = np.linalg.norm(chord, axis=1) / (after - before)
-    close = np.zeros(len(times), dtype=bool)
-    for hand in hands:
-        close |= close_to(contact_distance(hand, track, rule, times, position, rotation), times, rule)
     still = speed < rule.moving_speed / 2
-    staying = close | ~still  # what never came to rest was not put down
+    resting = rests(times, centre, still, 2 * rule.rest_tolerance)
+    close = np.zeros(len(times), dtype=bool)
+    near = np.zeros(len(times), dtype=bool)
+    for hand in hands:
+        distance = contact_distance(hand, track, rule, times, position, rotation)
+        close |= close_to(distance, times, resting, rule.distance)
+        near |= close_to(distance, times, resting, _STAYS_WITHIN * rule.distance)
+    staying = near | ~still  # what never came to rest was not put down
     held = close & (speed > rule.moving_speed)
     segments = held_segments(
         held, staying, times, minimum_duration=rule.minimum_duration, join_gap=rule.join_gap

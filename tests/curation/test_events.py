@@ -122,6 +122,30 @@ def test_an_object_held_still_in_the_air_stays_one_holding() -> None:
     np.testing.assert_allclose(found[1].place.location, PLACE_B, atol=1e-6)
 
 
+PAUSE = 15.0  # seconds; from here the cup is held in the air, swaying by a centimetre, for 1.5 s
+PAUSED = np.where(SLOW < PAUSE, SLOW, np.where(SLOW < PAUSE + 1.5, PAUSE, SLOW - 1.5))
+SWAYING = cup_centre(PAUSED, put=PUT - 1.5) + 0.01 * minimum_jerk((SLOW - PAUSE) / 1.5)[:, None] * [1, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("unseen", "gap"),
+    [
+        pytest.param((16.0, DURATION), (9, 9), id="the hand leaves the sight during the pause"),
+        pytest.param((0.0, 16.0), (9, 9), id="the hand comes into sight during the pause"),
+        pytest.param((16.6, DURATION), (16.22, 16.47), id="tracking is lost for a quarter of a second as it goes on"),
+    ],
+)
+def test_what_is_held_in_the_air_is_not_put_down_there(unseen, gap) -> None:
+    follower = visit(SWAYING)
+    follower = dataclasses.replace(follower, valid=(unseen[0] > FAST) | (unseen[1] <= FAST))
+    cup = track(SLOW, SWAYING, noise=0.0005)
+    cup = dataclasses.replace(cup, valid=(gap[0] > SLOW) | (gap[1] <= SLOW))
+    pick, put = events(scene(hands=(follower,), objects=(cup,)))
+    assert (pick.action, put.action) == ("pick", "put")
+    assert put.place.location == pytest.approx(SWAYING[-1], abs=0.003)
+    assert (pick.event_time, put.event_time) == pytest.approx((PICK + 0.2, PUT - 0.2), abs=0.3)
+
+
 def test_an_object_that_is_still_in_hand_when_the_recording_ends_was_not_put_down() -> None:
     up = PLACE_A + minimum_jerk((SLOW - PICK) / 1.0)[:, None] * [0, 0.25, 0]
     found = events(scene(objects=(track(SLOW, up),), hands=(visit(up, until=DURATION + 1),)))

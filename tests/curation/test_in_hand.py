@@ -12,7 +12,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prbench.curation.in_hand import close_to, contact_distance, find_holdings, held_segments
+from prbench.curation.in_hand import close_to, contact_distance, find_holdings, held_segments, rests
 from prbench.curation.options import CurationOptions
 from prbench.errors import MissingExtraError, UsageError
 from prbench.protocol.manifests import load_manifest
@@ -125,22 +125,41 @@ def test_hot3d_lists_the_rule_of_the_paper_and_its_alternatives() -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "seconds", "close"),
-    [(0.01, 0.02, 1.5, True), (0.01, 0.02, 2.5, False), (0.01, 0.10, 1.5, False), (0.10, 0.01, 1.5, False)],
+    ("before", "after", "seconds", "resting", "close"),
+    [
+        pytest.param(0.01, 0.02, 1.5, True, True, id="unseen for a moment between two touches"),
+        pytest.param(0.01, 0.02, 2.5, True, False, id="unseen too long"),
+        pytest.param(0.01, 0.10, 1.5, True, False, id="it had left"),
+        pytest.param(0.10, 0.01, 1.5, True, False, id="it came back"),
+        pytest.param(0.01, 0.02, 5.0, False, True, id="the object never rested"),
+        pytest.param(0.01, 0.10, 5.0, False, True, id="carried on out of sight"),
+        pytest.param(0.10, 0.01, 5.0, False, True, id="carried into sight"),
+        pytest.param(0.10, 0.10, 5.0, False, False, id="somebody else carried it"),
+    ],
 )
-def test_a_hand_that_is_unseen_between_two_touches_never_left(before, after, seconds, close) -> None:
+def test_a_hand_that_is_unseen_holds_what_it_held_until_that_rests(before, after, seconds, resting, close) -> None:
     times = np.arange(0.0, 10.0, 0.1)
     distance = np.where(times < 4.0, before, after)
     unseen = (times >= 4.0) & (times < 4.0 + seconds - 0.15)
     distance[unseen] = np.inf
-    assert close_to(distance, times, ORIGIN)[unseen].tolist() == [close] * int(unseen.sum())
+    found = close_to(distance, times, np.full(len(times), resting), 0.05)
+    assert found[unseen].tolist() == [close] * int(unseen.sum())
 
 
-def test_unseen_at_the_start_or_the_end_is_not_close() -> None:
+def test_unseen_at_the_start_or_the_end_is_close_as_far_as_the_object_moves() -> None:
     times = np.arange(0.0, 1.0, 0.1)
     distance = np.full(10, np.inf)
     distance[4:6] = 0.01
-    assert np.flatnonzero(close_to(distance, times, ORIGIN)).tolist() == [4, 5]
+    resting = np.isin(np.arange(10), [0, 1, 2, 7, 8, 9])
+    assert np.flatnonzero(close_to(distance, times, resting, 0.05)).tolist() == [3, 4, 5, 6]
+
+
+@pytest.mark.parametrize(("seconds", "sway", "resting"), [(2.0, 0.001, True), (0.8, 0.001, False), (2.0, 0.02, False)])
+def test_what_keeps_its_place_for_a_second_rests(seconds, sway, resting) -> None:
+    times = np.arange(0.0, 6.0, 0.1)
+    still = (times > 2) & (times < 2.05 + seconds)
+    centre = np.column_stack([np.linspace(0.0, sway, len(times)) * len(times) / still.sum(), 0 * times, 0 * times])
+    assert rests(times, centre, still, 0.005).tolist() == (still & resting).tolist()
 
 
 TIMES = np.arange(30) / 10
@@ -174,6 +193,13 @@ def segments(held: str, staying: str = "") -> list[list[int]]:
 )
 def test_segments_by_hand(held: str, staying: str, expected: list[list[int]]) -> None:
     assert segments(held, staying) == expected
+
+
+@pytest.mark.parametrize(("staying", "expected"), [(".##", [[2, 4]]), ("..##", [])])
+def test_a_tracking_gap_beside_a_piece_is_part_of_it_where_the_hand_stays(staying, expected) -> None:
+    times = TIMES + 0.3 * (TIMES > 0.15)
+    found = held_segments(mask("..##"), mask(staying), times, minimum_duration=0.2, join_gap=0.35)
+    assert found.tolist() == expected
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.lists(st.booleans(), min_size=60, max_size=60))
