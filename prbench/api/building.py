@@ -103,6 +103,7 @@ def build_dataset(
     ray_origin: Literal["eye", "camera"] | None = None,
     priming: Literal["rule", "published"] = "rule",
     minimum_movement: str = "wrist_to_goal",
+    corrections: args.PathLike | None = None,
     protocol: args.PathLike | None = None,
     on_error: Literal["skip", "fail"] = "skip",
     option: Mapping[str, object] | None = None,
@@ -125,6 +126,7 @@ def build_dataset(
         priming: Prime times by the study's equations (``rule``), or taken over where the dataset publishes them.
         minimum_movement: What must be at least 20 cm: ``wrist_to_goal``, ``pelvis_displacement`` or
             ``object_displacement``.
+        corrections: File of a person's corrections of events, CSV or TOML (docs/review.md).
         protocol: Your own ``protocol.toml``, stamped into the table; by default prbench's.
         on_error: Go on without a recording that cannot be read (``skip``), or ``fail`` at once.
         option: Options of the dataset's reader, by name; ``poses`` says where bodies come from, for example ``egoallo``
@@ -164,6 +166,7 @@ def build_dataset(
         ray_origin=ray_origin,
         minimum_movement=minimum_movement,
         priming=priming,
+        corrections=args.as_optional_path(corrections),
     )
     if is_url(root):  # a local copy of the files that the dataset's reader asks for
         from prbench.object_stores.inputs import fetched_native

@@ -134,6 +134,12 @@ def note_recordings(records: Iterable[Recording], *, reused: int) -> None:
     metavar="MEASURE",
     help="What must be at least 20 cm: wrist_to_goal (default), pelvis or object displacement.",
 )
+@click.option(
+    "--corrections",
+    type=opt.PATH,
+    metavar="FILE",
+    help="Events that a person drops, moves, renames or gives another hand or goal (docs/review.md).",
+)
 @opt.protocol_option("every number of the curation, stamped into the table (docs/protocol-choices.md).")
 @opt.on_error_option()
 @opt.reader_options()
@@ -240,6 +246,9 @@ def table_answer(*reports: BuildReport, not_built: Iterable[BrokenDataset] = ())
     complete = not broken
     for report in reports:
         note_recordings(report.records, reused=report.reused)
+        waiting = report.info.options.get("corrections_waiting")
+        if waiting:
+            note(f"corrections of recordings that were not read wait for them: {waiting}")
         counts = report.info.counts
         complete = complete and not counts.recordings_failed and not counts.recordings_cut_short
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import msgspec
 
+from prbench.curation.corrections import Corrections
 from prbench.curation.job import CurationJob, PartReceipt, RecordingSource, describe, native_sources, part_receipt
 from prbench.curation.options import NO_OPTIONS, BuildOptions
 from prbench.engine import Engine, InProcess
@@ -101,7 +102,8 @@ def build_from_sources(
     dataset = sources[0].dataset
     _require_same_dataset(out, dataset)
     with sole_writer(out), working_in_parts(out):
-        receipts = _make_parts(sources, work_folder(out), options, engine, progress)
+        corrections = _corrections_of(sources, options)
+        receipts = _make_parts(sources, work_folder(out), options, corrections, engine, progress)
         return _write_table(dataset, receipts, out, options, extra_options or {})
 
 
@@ -137,8 +139,9 @@ def build_shard_from_sources(
         plan=tuple(source.recording_id for source in sources),
     )
     mine = [sources[place] for place in shard.places(len(sources))]
+    corrections = _corrections_of(sources, options)
     with making_shard(out, record) as work:
-        receipts = _make_parts(mine, work, options, engine, progress)
+        receipts = _make_parts(mine, work, options, corrections, engine, progress)
         finish_shard(out, record, [receipt.folder for receipt in receipts])
     reused = sum(receipt.reused for receipt in receipts)
     return ShardReport(out, shard, len(sources), tuple(receipt.record for receipt in receipts), reused)
@@ -198,10 +201,20 @@ def _in_table_order(sources: SequenceOf[RecordingSource]) -> list[RecordingSourc
     return ordered
 
 
+def _corrections_of(sources: SequenceOf[RecordingSource], options: BuildOptions) -> Mapping[str, Corrections]:
+    """Return the corrections of each recording; refuse those of recordings that a whole build does not have."""
+    if options.corrections is None:
+        return {}
+    names = frozenset(source.recording_id for source in sources)
+    partial = options.recordings != "*" or options.limit is not None
+    return options.corrections.by_recording(sources[0].dataset, names, partial=partial)
+
+
 def _make_parts(
     sources: SequenceOf[RecordingSource],
     work: Path,
     options: BuildOptions,
+    corrections: Mapping[str, Corrections],
     engine: Engine,
     progress: ProgressCallback | None,
 ) -> list[PartReceipt]:
@@ -211,7 +224,7 @@ def _make_parts(
     manifest = load_manifest(sources[0].dataset.removeprefix(SYNTHETIC_PREFIX))
     options.curation.require_fits(manifest)
     protocol = options.protocol or load_protocol()
-    job = CurationJob(manifest, protocol, options.curation, options.on_error == "fail", work)
+    job = CurationJob(manifest, protocol, options.curation, options.on_error == "fail", work, corrections)
     receipts = []
     for receipt in engine.map(job, sources, if_full=job.if_full):
         receipts.append(receipt)
@@ -325,8 +338,8 @@ def found_datasets(root: Path | str, options: BuildOptions) -> tuple[tuple[Found
         UsageError: for options of one dataset, or if one dataset was found twice.
     """
     # Rules and reader's options are named after what one dataset records, so none is meant for all of them.
-    if options.curation.in_hand is not None or options.reader:
-        raise UsageError("--in-hand and --option belong to one dataset; build that dataset by itself.")
+    if options.curation.in_hand is not None or options.reader or options.corrections is not None:
+        raise UsageError("--in-hand, --option and --corrections belong to one dataset; build that dataset by itself.")
     discovery = discover(Path(root))
     twice = [name for name, count in Counter(each.name for each in discovery.found).items() if count > 1]
     if twice:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from prbench.curation.clipping import Clip, clip
+from prbench.curation.corrections import Corrections
 from prbench.curation.events import Decision, PickPutEvent, find_events
 from prbench.curation.options import DEFAULTS, CurationOptions
 from prbench.curation.priming import PUBLISHED_STAGE, Prime, find_prime, gaze_rays
@@ -52,6 +53,7 @@ def curate_recording(
     options: CurationOptions = DEFAULTS,
     *,
     split: str | None = None,
+    corrections: Corrections | None = None,
 ) -> CuratedRecording:
     """Find the events of a recording, prime, clip and filter them (docs/specification/curation.md).
 
@@ -61,14 +63,18 @@ def curate_recording(
         protocol: Constants of the path from event to sequence.
         options: What the user chose.
         split: The split, where the recording carries its own (synthetic trees); None = by the split rule.
+        corrections: A person's corrections of its events, applied before these are primed.
 
     Raises:
+        UnknownEventError: for a correction of an event that is not found.
         RecordingUnusable: if published priming is asked for and the recording has none.
     """
     group = recording.split_group or recording.recording_id
     split = split or split_of(recording.recording_id, group, manifest, protocol.splits)
     rule = options.in_hand_rule(manifest)
     events, remarks = find_events(recording, rule)
+    if corrections is not None:
+        events = corrections.settle(events)
     if options.priming == "published" and not recording.has_published_priming:
         raise RecordingUnusable(
             f"{recording.recording_id}: --priming published needs the dataset's own priming results, and their file is"
@@ -107,6 +113,7 @@ def curate_recording(
                 right_wrist=wrists.get("right"),
                 published_priming=published and published.outcome,
                 published_prime_time=published and published.prime_time,
+                corrected=event.corrected,
             )
         )
         if sequence is not None:
@@ -195,7 +202,7 @@ def _follow(
         return event.rejected or Decision("no_location", "location"), None, None
     prime: Prime | Decision
     published = event.published_priming
-    if options.priming != "published":
+    if options.priming != "published" or event.primed_anew:
         prime = find_prime(*rays, event.place, event.event_time, protocol.curation)
     elif published is None:
         prime = Decision("not_published", PUBLISHED_STAGE)  # nothing in the dataset's file belongs to this event
@@ -252,6 +259,8 @@ def _sequence(
         head_rotation = turned.as_quat(canonical=True, scalar_first=True)
     # What told the hand, and remarks that apply to few sequences only.
     extra = {} if event.hand_source is None else {"hand_source": event.hand_source}
+    if event.corrected is not None:
+        extra["corrected"] = event.corrected
     if event.tracking_gap is not None:
         extra["placed_in_tracking_gap_of_s"] = f"{event.tracking_gap:.3f}"
     return Sequence(

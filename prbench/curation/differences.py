@@ -5,11 +5,11 @@ Numbers are compared to 10 µm (or as little of another unit).
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import math
 from collections import defaultdict
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,7 @@ _SETTINGS = ("dataset", "prbench_version", "protocol_digest", "manifest_digest",
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Change:
     """One event that is not the same in both builds.
 
@@ -61,7 +61,7 @@ class Change:
     decided_by: str
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Difference:
     """Everything that differs between two builds.
 
@@ -103,6 +103,10 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
     unchanged = []
     for pair in _pairs(before, after):
         change = _change(pair, recordings, sequences)
+        said = [row["corrected"] for row in pair if row is not None]
+        if change is not None and len(set(said)) == 2:
+            decided = f"correction: {said[1] or f'taken back: {said[0]}'}; {change.decided_by}"
+            change = dataclasses.replace(change, decided_by=decided.removesuffix("; correction"))
         event = pair[1] or pair[0] or {}
         if change is None:
             unchanged.append(event)
@@ -171,9 +175,11 @@ def _pairs(before: list[Row], after: list[Row]) -> Iterator[tuple[Row | None, Ro
         ours, theirs = groups[key]
         gaps = []
         for row, one in enumerate(ours):
-            # Entries that cannot be read have no time, and ids of their own.
-            apart = [np.nan_to_num(abs(one["event_time"] - other["event_time"])) for other in theirs]
-            gaps += [(gap, row, place) for place, gap in enumerate(apart)]
+            for place, other in enumerate(theirs):
+                # An id stays the event's own, however far a person has moved it. What cannot be read has no time.
+                same = one["event_id"] == other["event_id"]
+                gap = 0.0 if same else float(np.nan_to_num(abs(one["event_time"] - other["event_time"]), nan=np.inf))
+                gaps.append((gap, row, place))
         partner: dict[int, int] = {}
         for gap, row, place in sorted(gaps):
             if gap <= _LARGEST_SHIFT and row not in partner and place not in partner.values():

@@ -51,6 +51,9 @@ class PickPutEvent:
             gaps.
         published_priming: The dataset's own statement about its priming.
         rejected: The reason why the event is not of this recording, where that is known already.
+        primed_anew: True where a person has corrected its time or place: what the dataset publishes is then of another
+            event.
+        corrected: What a person has corrected, why and who; None where nobody has.
     """
 
     event_id: str
@@ -65,6 +68,8 @@ class PickPutEvent:
     tracking_gap: float | None = None
     published_priming: PublishedPriming | None = None
     rejected: Decision | None = None
+    primed_anew: bool = False
+    corrected: str | None = None
 
 
 def find_events(recording: Recording, rule: InHandRule | None) -> tuple[list[PickPutEvent], tuple[str, ...]]:

@@ -17,6 +17,7 @@ from typing import Any, Protocol, runtime_checkable
 import msgspec
 
 import prbench
+from prbench.curation.corrections import DROPPED, Corrections, UnknownEventError
 from prbench.curation.curate import CuratedRecording, curate_recording, split_of
 from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.engine import is_out_of_memory
@@ -200,13 +201,18 @@ def part_receipt(folder: Path, entries: Mapping[str, Any], *, reused: bool) -> P
 
 @dataclass(frozen=True)
 class CurationJob:
-    """Reads and curates one recording and writes its part, unless that part is there already."""
+    """Reads and curates one recording and writes its part, unless that part is there already.
+
+    Attributes:
+        corrections: Maps each recording with corrected events to its corrections.
+    """
 
     manifest: Manifest
     protocol: BenchmarkProtocol
     options: CurationOptions
     stop_on_error: bool
     work: Path
+    corrections: Mapping[str, Corrections]
 
     def __call__(self, source: RecordingSource) -> PartReceipt:
         """Make the part of one recording."""
@@ -232,7 +238,12 @@ class CurationJob:
             return self._left_out(source, "skipped", source.skip_reason)
         try:
             recording = source.read()
-            return curate_recording(recording, self.manifest, self.protocol, self.options, split=source.split)
+            settled = self.corrections.get(source.recording_id)
+            return curate_recording(
+                recording, self.manifest, self.protocol, self.options, split=source.split, corrections=settled
+            )
+        except UnknownEventError:
+            raise  # a correction without its event would be lost in silence
         except Exception as error:
             if is_out_of_memory(error):
                 raise  # the engine tries again when nothing else is done beside it
@@ -254,7 +265,8 @@ class CurationJob:
         return CuratedRecording((), (), RecordingRow(name, "unknown", split, name, 0.0, {}, status, message))
 
     def _folder(self, source: RecordingSource, input_digest: str) -> Path:
-        options = msgspec.json.encode(self.options).decode()
+        corrections = self.corrections.get(source.recording_id)
+        options = msgspec.json.encode((self.options, corrections and corrections.rows)).decode()
         settings = text_digest(digest_of(self.manifest), self.protocol.digest, options)
         return parts.part_folder(self.work, source.recording_id, input_digest, settings)
 
@@ -273,6 +285,7 @@ class CurationJob:
 # Outcomes that end an event at each stage, in the order of the stages, and what they mean.
 _STAGES = {
     "located": {
+        DROPPED: "a person's correction says so",
         "unreadable_entry": "an entry of the dataset's annotations that cannot be read",
         "other_wearer": "somebody else's hand was nearer",
         "excluded_category": "doors, drawers and the like",
@@ -308,6 +321,9 @@ def describe(
     if options.reader:
         reader = reader_for(manifest.name, dict(options.reader))
         chosen |= {f"reader.{name}": value for name, value in described_options(reader.options).items()}
+    if options.corrections is not None:
+        read = (receipt.record.recording_id for receipt in receipts if receipt.record.status == "read")
+        chosen |= options.corrections.described(dataset, read)
     if protocol.is_own:  # tables of prbench's own protocol keep their bytes
         chosen[OPTION] = protocol.label
     # BibTeX of the dataset and, where they are not its own, of the body poses.

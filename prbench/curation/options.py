@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from prbench.curation.corrections import Corrections, read_corrections
 from prbench.curation.priming import RAY_ORIGINS
 from prbench.errors import UsageError
 from prbench.geometry.shapes import import_open3d
@@ -99,6 +100,7 @@ class BuildOptions:
         on_error: ``skip`` reports a recording that cannot be read while the others go on, ``fail`` ends the build.
         protocol: The user's own protocol (:func:`prbench.protocol.own_protocol.read_protocol`); None = prbench's.
         replace: Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.write`).
+        corrections: A person's corrections of events.
     """
 
     curation: CurationOptions = DEFAULTS
@@ -108,6 +110,7 @@ class BuildOptions:
     on_error: Literal["skip", "fail"] = "skip"
     protocol: BenchmarkProtocol | None = None
     replace: bool = False
+    corrections: Corrections | None = None
 
     @property
     def packages(self) -> tuple[str, ...]:
@@ -127,6 +130,7 @@ def build_options(
     option: Mapping[str, str],
     on_error: Literal["skip", "fail"],
     replace: bool,
+    corrections: Path | None,
     **curation: str | None,
 ) -> BuildOptions:
     """Make the options of a build from what a command line or a program says.
@@ -138,11 +142,12 @@ def build_options(
         option: Options of the dataset's reader by name.
         on_error: See :class:`BuildOptions`.
         replace: See :class:`BuildOptions`.
+        corrections: File of corrections.
         curation: Fields of :class:`CurationOptions`.
 
     Raises:
         UsageError: for an unknown choice.
-        InputFileError: if the protocol cannot be read.
+        InputFileError: if the protocol or the corrections cannot be read.
     """
     from prbench.protocol.own_protocol import read_protocol
 
@@ -156,4 +161,5 @@ def build_options(
         on_error=on_error,
         protocol=None if protocol is None else read_protocol(protocol),
         replace=replace,
+        corrections=None if corrections is None else read_corrections(corrections),
     )

@@ -67,9 +67,9 @@ Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
 Action = Literal["pick", "put"]
 ContactPoint = Literal["wrist", "middle_finger_base", "hand_vertex"]
-# Source of an event's hand: the dataset, the in-hand rule's contact points, a tracked wrist, the body's wrist, or which
-# wrist moved more before the event.
-HandSource = Literal["annotated", "contact", "tracked", "body", "movement"]
+# Source of an event's hand: the dataset, the in-hand rule's contact points, a tracked wrist, the body's wrist, which
+# wrist moved more before the event, or a person's correction.
+HandSource = Literal["annotated", "contact", "tracked", "body", "movement", "person"]
 
 
 def _check_stream(times: np.ndarray, *columns: np.ndarray) -> None:

@@ -34,12 +34,12 @@ from prbench.sequences.sequence import EVENTS, RECORDINGS, SCENES, SEQUENCES, Se
 from prbench.shown import quoted
 
 # 2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes. 3: ``events`` tell what told
-# the hand. 4: ``events`` tell confidence and corrections, ``recordings`` count two more outcomes.
+# the hand. 4: ``events`` tell confidence and corrections, ``recordings`` count three more outcomes.
 SCHEMA_VERSION = 4
 # Columns that version 3 lacks. It is read too: what it does not tell is null, what it does not count is 0.
 ADDED_COLUMNS = frozenset(
     {"prime_margin", "event_confidence", "corrected", "unreadable"}
-    | {"unreadable_entry", "low_confidence", "annotation_only"}
+    | {"unreadable_entry", "low_confidence", "annotation_only", "dropped_by_person"}
 )
 # Version of the columns of ``sequences`` alone. It enters the identity of a table, other versions do not.
 SEQUENCES_VERSION = 1

@@ -235,6 +235,7 @@ OUTCOMES = (
     "unreadable_entry",
     "low_confidence",
     "annotation_only",
+    "dropped_by_person",
 )
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
+import re
 from collections.abc import Collection
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -39,7 +40,7 @@ _EVENT = "black"
 _WIDTH = 13.0  # inches
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class StoryStage:
     """One stage of curation and its verdict on the event.
 
@@ -54,7 +55,7 @@ class StoryStage:
     text: str
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class StoryMotion:
     """The sequence that the event became: canonical frame, metres; times in seconds on the recording's clock."""
 
@@ -65,7 +66,7 @@ class StoryMotion:
     gaze: Gaze
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class EventStory:
     """Everything that a built dataset knows about one event.
 
@@ -98,6 +99,7 @@ class EventStory:
             event.event_id,
             self.title,
             f"recording {event.recording_id} ({self.split}) of {self.dataset}; outcome: {event.outcome}",
+            *([f"corrected: {event.corrected}"] if event.corrected else []),
             "",
             *(f"  {_MARKS[s.verdict]} {s.name:<{width}}  {s.text or s.verdict}" for s in self.stages),
         ]
@@ -221,6 +223,9 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
     events = table.events()
     row = _find_event(events, event)
     record = event_of(events, row)
+    if record.corrected and not may_pass_on(table.info, permitted):
+        told = re.sub(r"\bgoal [-+.0-9e ]+", "goal (left out: the licence keeps goals)", record.corrected)
+        record = dataclasses.replace(record, corrected=told)
     recordings = table.recordings()
     index = pc.index(recordings["recording_id"], record.recording_id).as_py()
     chunk = None
@@ -282,9 +287,11 @@ def _stages(
     event: Event, chunk: SequenceChunk | None, protocol: BenchmarkProtocol, options: dict[str, str], *, shown: bool
 ) -> tuple[StoryStage, ...]:
     # Occlusion and the dataset's own priming are asked for by options and count as the stage of priming.
-    decided = STAGES.index("priming" if event.stage in _PART_OF_PRIMING else event.stage)
+    asked = ("correction", *STAGES) if event.stage == "correction" else STAGES
+    decided = asked.index("priming" if event.stage in _PART_OF_PRIMING else event.stage)
     constants = protocol.curation
     texts = {
+        "correction": "dropped by a person",
         "in_hand": _in_hand(event, options),
         "location": _location(event, shown=shown),
         "priming": _priming(event, protocol),
@@ -301,7 +308,7 @@ def _stages(
         measure = options.get("minimum_movement", "wrist_to_goal").replace("_", " ")
         texts["filters"] = f"{measure}: {event.value:.3f} m (at least {event.threshold:.2f} m)"
     stages = []
-    for number, name in enumerate(STAGES):
+    for number, name in enumerate(asked):
         verdict: Verdict = "passed" if number < decided else "not reached"
         if number == decided:
             verdict = "passed" if event.outcome == "sequence" else "stopped here"
@@ -318,7 +325,9 @@ def _in_hand(event: Event, options: dict[str, str]) -> str:
     if event.outcome == "excluded_category":
         return "a door, drawer or the like: turned or slid in its place, not picked up"
     hand = "neither hand is surely the one that reached"
-    if event.hand is not None:
+    if event.hand_source == "person":
+        hand = f"the {event.hand} hand, by a person's correction"
+    elif event.hand is not None:
         hand = f"nearest at the event: the {event.hand} hand{_TOLD_BY.get(event.hand_source or '', '')}"
     return f"{hand} (rule: {options.get('in_hand_rule', 'default')})"
 

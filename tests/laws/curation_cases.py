@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 
 from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.curation.build import build_shard_from_sources, merge_dataset_shards
+from prbench.curation.corrections import COLUMNS, Correction, Corrections, read_corrections
 from prbench.engine.pool import ProcessPool
 from prbench.engine.shards import Shard, require_whole
 from prbench.errors import TableError
@@ -25,6 +26,16 @@ MIXED = (
     SceneSource("broken", problem="file"),
     SceneSource("bad", skip_reason="known to be bad"),
     SceneSource("other_split", split="train"),
+)
+CORRECTED = BuildOptions(
+    corrections=Corrections(
+        "c.csv",
+        "digest",
+        (
+            Correction("adt/room_0/1/pick/14167034", "move", "-0.4", "seen", "MM", "line 2"),
+            Correction("adt/room_1/1/put/17830028", "drop", "", "seen", "MM", "line 3"),
+        ),
+    )
 )
 CHOSEN = BuildOptions(CurationOptions(minimum_movement="pelvis_displacement"), recordings="room_*", limit=3)
 
@@ -75,6 +86,15 @@ SAME_BYTES = [
         "a table by other options",
         {"in one process": _whole(MIXED, options=CHOSEN), "in two shards": _in_shards(2, MIXED, options=CHOSEN)},
         differs={"default options": _whole(some_sources(3))},
+    ),
+    SameBytes(
+        "a corrected table",
+        {
+            "in one process": _whole(MIXED, options=CORRECTED),
+            "by two workers, from the last": _whole(MIXED[::-1], options=CORRECTED, engine=ProcessPool(2)),
+            "in three shards": _in_shards(3, MIXED, options=CORRECTED),
+        },
+        differs={"uncorrected": _whole(MIXED)},
     ),
     SameBytes(
         "a table of two recordings",
@@ -152,7 +172,83 @@ def _read_table(folder: Path) -> object:
     return table.scalars(), table.content, table.events(), table.recordings(), table.scenes()
 
 
+_GOOD = "adt/room_0/1/pick/14167034"
+
+
+def _corrections(folder: Path) -> Path:
+    (folder / "c.csv").write_text(f"{','.join(COLUMNS)}\n{_GOOD},move,-0.4,seen,MM\n")
+    return folder / "c.csv"
+
+
+def _no_corrections(folder: Path) -> Path:
+    (folder / "c.toml").write_text("")
+    return folder / "c.toml"
+
+
+def _as_row(row: str, *told: str) -> tuple[Callable[[Path], object], tuple[str, ...]]:
+    """Put a row in the place of the good one."""
+    return lambda path: path.write_text(f"{','.join(COLUMNS)}\n{row}\n"), ("c.csv, line 2", *told)
+
+
+def _as_bytes(content: bytes, *told: str) -> tuple[Callable[[Path], object], tuple[str, ...]]:
+    return lambda path: path.write_bytes(content), told
+
+
+def _added(row: str, *told: str) -> tuple[Callable[[Path], object], tuple[str, ...]]:
+    """Put a row below the good one."""
+    return lambda path: path.write_text(f"{path.read_text()}{row}\n"), ("c.csv, line 3", *told)
+
+
 BAD_INPUT = [
+    *bad_files(
+        "corrections",
+        _corrections,
+        read_corrections,
+        {
+            "an unknown change": _as_row(f"{_GOOD},delete,,seen,MM", "change: expected drop, move,", "'delete'"),
+            "no id": _as_row(",drop,,seen,MM", "event_id: expected an event_id of events.parquet"),
+            "a move that is no number": _as_row(f"{_GOOD},move,soon,seen,MM", "value: expected seconds", "'soon'"),
+            "a move with a comma": _as_row(f'{_GOOD},move,"-0,4",seen,MM', "such as -0.40, found '-0,4'"),
+            "a move by nothing": _as_row(f"{_GOOD},move,0,seen,MM", "not 0"),
+            "a move to another event": _as_row(f"{_GOOD},move,60,seen,MM", "from -10 to 10"),
+            "a move to nowhere": _as_row(f"{_GOOD},move,nan,seen,MM", "value: expected seconds"),
+            "a third hand": _as_row(f"{_GOOD},hand,both,seen,MM", "value: expected left or right, found 'both'"),
+            "a flat goal": _as_row(f"{_GOOD},goal,1 2,seen,MM", "value: expected x y z in metres"),
+            "a goal beyond the world": _as_row(f"{_GOOD},goal,1 2 1e9,seen,MM", "value: expected x y z in metres"),
+            "a goal of letters": _as_row(f"{_GOOD},goal,1 2 x,seen,MM", "value: expected x y z in metres"),
+            "no name": _as_row(f"{_GOOD},rename,,seen,MM", "value: expected the object's new name"),
+            "a drop with a value": _as_row(f"{_GOOD},drop,1,seen,MM", "value: expected no value for 'drop'"),
+            "no reason": _as_row(f"{_GOOD},drop,,,MM", "reason: expected a reason, found nothing"),
+            "no author": _as_row(f"{_GOOD},drop,,seen,", "author: expected who says so, found nothing"),
+            "too few cells": _as_row(f"{_GOOD},drop", "expected 5 cells, found 2"),
+            "an unquoted comma": _as_row(f"{_GOOD},drop,,no, not this,MM", "expected 5 cells, found 6"),
+            "a quote that never ends": _as_row(f'{_GOOD},drop,,"seen,MM', "values with commas between"),
+            "a row twice": _added(f"{_GOOD},move,-0.4,seen,MM", "'move' of line 2 for the same event"),
+            "a drop of what was moved": _added(f"{_GOOD},drop,,seen,MM", "contradicts the 'move' of line 2"),
+            "an accepted move": _added(f"{_GOOD},accept,,seen,MM", "contradicts the 'move' of line 2"),
+            "semicolons": _as_bytes(
+                ";".join(COLUMNS).encode(), "line 1: expected the columns event_id,", "with commas between the columns"
+            ),
+            "another column": _as_bytes(f"{','.join(COLUMNS)},when".encode(), "line 1: expected the columns", "when"),
+            "a column less": _as_bytes(b"event_id,change,value,reason", "line 1: expected the columns"),
+            "UTF-16": _as_bytes("event_id".encode("utf-16"), "line 1: expected text in UTF-8", "'CSV UTF-8'"),
+            "Latin-1 in line 2": _as_bytes(b"event_id\nM\xfcller", "line 2: expected text in UTF-8", "0xfc"),
+            "nothing": _as_bytes(b"", "line 1: expected the columns", "an empty file"),
+        },
+    ),
+    *bad_files(
+        "corrections in TOML",
+        _no_corrections,
+        read_corrections,
+        {
+            "an unknown key": _as_bytes(b"[[correction]]\nwhen = 1", "correction 1: expected the keys", "'when'"),
+            "no tables": _as_bytes(b"correction = 1", "expected tables [[correction]]"),
+            "other tables": _as_bytes(b"[[corrections]]", "expected tables [[correction]]", "corrections"),
+            "no table": _as_bytes(b"correction = [1]", "correction 1: expected a table, found int"),
+            "a date": _as_bytes(b"[[correction]]\nvalue = 2026-01-01", "correction 1, value: expected text or numbers"),
+            "no TOML": _as_bytes(b"[[correction]", "expected TOML"),
+        },
+    ),
     *bad_files(
         "a table",
         lambda folder: fake_dataset(folder / "d", 6, boxes=[fake_box("rec000")]).folder,
