@@ -6,11 +6,12 @@ Nothing is unpacked to the disk.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
 import re
 import zipfile
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -204,6 +205,7 @@ def require_whole_last_line(
 # A time in a JSON file; NumPy has no larger integers.
 Nanoseconds = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
 Column = type[int] | type[float] | type[str]
+Encoded = TypeVar("Encoded")
 Decoded = TypeVar("Decoded")
 
 _ARROW_TYPES = {int: pa.int64(), float: pa.float64(), str: pa.string()}
@@ -402,15 +404,15 @@ def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded]) -> Decoded
 
 
 def read_entries(
-    path: Path, entries: Mapping[str, msgspec.Raw], decoder: msgspec.json.Decoder[Decoded], expected: str
+    path: Path, entries: Mapping[str, Encoded], decode: Callable[[Encoded], Decoded], expected: str = ""
 ) -> tuple[dict[str, Decoded], list[UnreadableEntry]]:
     """Decode the entries of an annotation file one by one, so that an odd one never loses its neighbours.
 
     Args:
         path: The file, for the record of what is left out.
         entries: What stands under each key, still undecoded.
-        decoder: Knows the form of an entry.
-        expected: That form in words.
+        decode: Decodes one, or raises an error of msgspec, a ``ValueError`` or an ``InputFileError``.
+        expected: The form of an entry in words, where the error does not tell it.
 
     Returns:
         The entries of this form in their order, and one record for each other.
@@ -419,11 +421,20 @@ def read_entries(
     unreadable = []
     for key, raw in entries.items():
         try:
-            readable[key] = decoder.decode(raw)
-        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            readable[key] = decode(raw)
+        except InputFileError as error:
+            unreadable.append(UnreadableEntry(path.name, key, error.expected, error.found))
+        except (msgspec.DecodeError, ValueError) as error:
             found = _GOT.sub(r"\2 instead of \1", str(error)).replace(" - at ", " at ")
             unreadable.append(UnreadableEntry(path.name, key, expected, found))
     return readable, unreadable
+
+
+def told_together(unreadable: list[UnreadableEntry]) -> list[UnreadableEntry]:
+    """Return one record for all unreadable samples of a stream: none of them stands for an event."""
+    if len(unreadable) < 2:
+        return unreadable
+    return [dataclasses.replace(unreadable[0], key=f"{unreadable[0].key} and {len(unreadable) - 1} more")]
 
 
 @contextlib.contextmanager

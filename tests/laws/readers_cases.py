@@ -30,7 +30,7 @@ from prbench.readers.gimo.bvh import read_bvh
 from prbench.readers.gimo.gaze import read_vertices
 from prbench.readers.gimo.pickles import load_tensors
 from prbench.readers.gimo.synthetic import pickled_tensors, ply_bytes, write_bvh
-from prbench.readers.gimo.table import read_events, read_segments
+from prbench.readers.gimo.table import read_segments
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.annotations import read_video_clock
 from prbench.readers.hot3d import format as hot3d
@@ -47,7 +47,6 @@ from tests.readers.damages import (
     cut,
     edit_cells,
     edit_json,
-    edit_json_line,
     edit_lines,
     keep,
     keep_header,
@@ -61,7 +60,7 @@ from tests.readers.damages import (
 from tests.readers.hd_epic_copies import FIRST, write_copy
 from tests.readers.hot3d_trees import first_seconds, write_tree
 from tests.readers.mps_files import gaze_lines, trajectory_lines, write_lines
-from tests.recording.mogaze_scene import CUP, N, write_scene
+from tests.recording.mogaze_scene import N, write_scene
 from tests.shared import made_once
 
 
@@ -80,18 +79,14 @@ def _reads(dataset: str, recording: str | None = None, **options: str) -> Callab
     return read
 
 
-def _copy_of(name: str, make: Callable[[Path], object], below: str = "") -> Callable[[Path], Path]:
+def copy_of(name: str, make: Callable[[Path], object], below: str = "") -> Callable[[Path], Path]:
     """Return a function that copies a folder, which is made once a run, into another one."""
     return lambda folder: Path(shutil.copytree(made_once(name, make), folder / name)) / below
 
 
-def _adt(folder: Path) -> Path:
+def write_adt(folder: Path) -> Path:
     adt_layout.write(still_life(), folder / "still_life")
     return folder / "still_life"
-
-
-def _first_joints(joints: list[list[object]]) -> Damage:
-    return edit_json("Skeleton_T.json", lambda content: content["frames"][0].update(joints=joints))
 
 
 ADT = {
@@ -141,10 +136,6 @@ ADT = {
         "Skeleton_T.json, frame 5",
         "backwards",
     ),
-    "50 joints": told(
-        _first_joints([[0.0, 0.0, 0.0]] * 50), "Skeleton_T.json, frame 0", "51 joints", "150 numbers instead of 153"
-    ),
-    "joints of words": told(_first_joints([["a", "b", "c"]] * 51), "Skeleton_T.json, joints", "numbers"),
     "no frames": told(
         edit_json("Skeleton_T.json", lambda content: content["frames"].clear()), "frames of a body", "none"
     ),
@@ -171,12 +162,6 @@ ADT = {
         "-Y",
         "[0.0, 0.0, 1.0]",
     ),
-    "object without category": told(
-        edit_json("instances.json", lambda content: content["3758151980953788"].pop("category")),
-        "instances.json",
-        "category",
-    ),
-    "box without corner": told(set_cell("3d_bounding_box.csv", 2, 3, ""), "3d_bounding_box.csv, line 2", "corner"),
     "association damaged": told(cut("skeleton_aria_association.json", 20), "skeleton_aria_association.json", "JSON"),
     "metadata damaged": told(cut("metadata.json", 4), "metadata.json: expected valid JSON"),
     "metadata that is no text": told(
@@ -186,7 +171,7 @@ ADT = {
 }
 
 
-def _hot3d(root: Path) -> None:
+def write_hot3d(root: Path) -> None:
     performance = perform("hot3d", seed=11, index=0, n_events=2, provocations={})
     readings = first_seconds(sense(performance, switches=replace(Switches(), hand_losses=False)), 2.0)
     write_tree(readings, root).rename(root / "P0001_a")
@@ -207,10 +192,6 @@ def _more_corners_than_bytes(content: bytes) -> bytes:
     longer = content[: count.start(1)] + b"9" * 9 + content[count.end(1) :]
     length = int.from_bytes(content[12:16], "little") + len(longer) - len(content)
     return longer[:12] + length.to_bytes(4, "little") + longer[16:]
-
-
-def _hand(change: Callable[[dict], object]) -> Damage:
-    return edit_json_line(f"P0001_a/{hot3d.UMETRACK_FILE}", 6, lambda r: change(next(iter(r["hand_poses"].values()))))
 
 
 _OBJECTS = f"P0001_a/{hot3d.OBJECTS_FILE}"
@@ -238,16 +219,6 @@ HOT3D = {
     ),
     "headsets only": told(
         replace_text("assets/instance.json", '"object"', '"headset"'), "expected objects, found headsets only"
-    ),
-    "a hand's long quaternion": told(
-        _hand(lambda hand: hand["wrist_xform"].update(q_wxyz=[2.0, 0, 0, 0])), "quaternion of length 2.0"
-    ),
-    "a hand of 19 angles": told(
-        _hand(lambda hand: hand.update(joint_angles=[0.0] * 19)), "20 joint angles", "19 angles"
-    ),
-    "a word in a mask": told(
-        set_cell("P0001_a/masks/mask_qa_pass.csv", 10, 2, "perhaps"),
-        "mask_qa_pass.csv, line 10: expected True or False, found 'perhaps'",
     ),
     "a model cut off": told(_first_model(lambda content: content[:50]), ".glb: expected a model in binary glTF"),
     "a model of too many corners": told(
@@ -371,8 +342,6 @@ MOGAZE = {
     },
     "no scene": told(remove("scene.xml"), "scene.xml: expected this file"),
     "a scene cut off": told(write_text("scene.xml", "<scene><body"), "scene.xml", "XML"),
-    "a body's id": told(write_text("scene.xml", '<scene><body id="x" name="cup"/></scene>'), "id 'x'"),
-    "a body's name": told(write_text("scene.xml", '<scene><body id="4"/></scene>'), "name ''"),
     "an empty mesh": told(write_text(_CUP_MESH, ""), "cup.obj", "triangles"),
     "a mesh without triangles": told(write_text(_CUP_MESH, "v 0 0 0\n"), "cup.obj", "triangles"),
     "a word in a mesh": told(write_text(_CUP_MESH, "v 0 0 0\nv 1 0 0\nv 0 x 0\nf 1 2 3\n"), "cup.obj", "triangles"),
@@ -380,9 +349,6 @@ MOGAZE = {
     "67 columns": told(replace_rows("human_data", "data", np.zeros((N, 67))), "a name for each of the 67 columns"),
     "5 columns of gaze": told(replace_rows("gaze_data", "gaze", np.zeros((N, 5))), "at least 6 numbers"),
     "short gaze": told(replace_rows("gaze_data", "gaze", np.zeros((N - 40, 7))), "440 frames of gaze_data, 480"),
-    "6 columns of a body": told(
-        replace_rows("object_data", f"bodies/body {CUP}", np.zeros((N, 6))), "at least 7 numbers"
-    ),
     "plain segments": told(replace_rows("segmentations", "segments", np.zeros((3, 3))), "start, end and label"),
     "no description": told(_edit_hdf5("human_data", "data", lambda d: d.attrs.pop("description")), "'description'"),
     "one length": told(
@@ -434,11 +400,6 @@ GIMO = {
         edit_lines("dataset.csv", lambda rows: rows.append(rows[1].replace("2022-01-23-080759", "../../elsewhere"))),
         "a path that leads out of it",
     ),
-    "an event of an unknown segment": told(
-        edit_lines("prbench_events.csv", lambda lines: lines.append("room1,2022-01-23-080759,100,999,139,pick,")),
-        "line 3: expected scene, ",
-        ", found room1, 2022-01-23-080759, 100, 999",
-    ),
 }
 
 
@@ -448,50 +409,8 @@ def _segment_table(folder: Path) -> Path:
     return folder
 
 
-def _segment(line: str) -> Damage:
-    return replace_text("dataset.csv", "S,10,50,room,t.json,1", line)
-
-
 SEGMENTS = {
-    "ends before it starts": told(
-        _segment("S,50,10,room,t.json,1"),
-        "line 2: expected a start_frame that is not behind the end_frame, found 50 to 10",
-    ),
-    "training 3": told(_segment("S,10,50,room,t.json,3"), "line 2: expected training 1 ", ", found 3"),
-    "no training": told(_segment("S,10,50,room,t.json,"), "line 2: expected a whole number 'training', found ''"),
-    **{
-        f"start_frame '{frame}'": told(
-            _segment(f"S,{frame},50,room,t.json,1"),
-            f"dataset.csv, line 2: expected a whole number 'start_frame', found '{frame}'",
-        )
-        for frame in ("nan", "inf", "1e300", "2.5", "ten", "")
-    },
-    "no scene": told(_segment("S,10,50,,t.json,1"), "line 2: expected a 'scene', found nothing"),
-    "two splits": told(
-        _segment("S,1,9,room,t.json,1\nS,1,9,room,t.json,0"),
-        "line 3: expected the same split and transformation as line 2",
-    ),
     "no column": told(replace_text("dataset.csv", "training", "split"), "header: expected a column 'training'"),
-}
-
-
-def _event_table(folder: Path) -> Path:
-    header = "scene,sequence_path,start_frame,end_frame,event_frame,action,hand,confirmed\n"
-    (folder / "events.csv").write_text(header + "a,S,1,90,4,pick,left,yes\n")
-    return folder
-
-
-def _cell(column: int, value: str, found: str) -> tuple[Damage, Sequence[str]]:
-    return told(set_cell("events.csv", 2, column, value), f"line 2, column {found}")
-
-
-EVENTS = {
-    "beyond the segment": _cell(4, "95", "'event_frame': expected a frame from 1 to 90, found 95"),
-    "no frame": _cell(4, "", "'event_frame': expected a frame number, found ''"),
-    "no start": _cell(2, "x", "'start_frame': expected a frame number, found 'x'"),
-    "another action": _cell(5, "grab", "'action': expected pick or put, found 'grab'"),
-    "both hands": _cell(6, "both", "'hand': expected left, right, or nothing, found 'both'"),
-    "perhaps": _cell(7, "maybe", "'confirmed': expected yes, no, or nothing"),
 }
 
 
@@ -734,11 +653,11 @@ SERVICES = {
 }
 
 BAD_INPUT = [
-    *bad_files("files of the services", _copy_of("mps-files", _services), _read_services, SERVICES),
-    *bad_files("an ADT recording", _adt, _reads("adt"), ADT),
-    *bad_files("a HOT3D recording", _copy_of("hot3d-two-seconds", _hot3d), _reads("hot3d"), HOT3D),
+    *bad_files("files of the services", copy_of("mps-files", _services), _read_services, SERVICES),
+    *bad_files("an ADT recording", write_adt, _reads("adt"), ADT),
+    *bad_files("a HOT3D recording", copy_of("hot3d-two-seconds", write_hot3d), _reads("hot3d"), HOT3D),
     *bad_files("a HOT3D hand", _profile, lambda folder: read_profile(folder / "profile.json"), HAND_PROFILE),
-    *bad_files("an HD-EPIC video", _copy_of("hd-epic-two-videos", write_copy), _reads("hd-epic", FIRST), HD_EPIC),
+    *bad_files("an HD-EPIC video", copy_of("hd-epic-two-videos", write_copy), _reads("hd-epic", FIRST), HD_EPIC),
     *bad_files(
         "an HD-EPIC clock",
         _times,
@@ -752,7 +671,6 @@ BAD_INPUT = [
     *bad_files("a MoGaze recording", write_scene, _reads("mogaze"), MOGAZE),
     *bad_files("a GIMO segment", lambda f: gimo_sample.write_root(f, gimo_sample.readings()), _reads("gimo"), GIMO),
     *bad_files("GIMO's segments", _segment_table, lambda folder: read_segments(folder / "dataset.csv"), SEGMENTS),
-    *bad_files("GIMO's events", _event_table, lambda folder: read_events(folder / "events.csv"), EVENTS),
     *bad_files("a BVH file", _bvh, lambda folder: read_bvh(folder / "a.bvh"), BVH),
     *bad_files("a PLY file", _ply, lambda folder: read_vertices(folder / "a.ply"), PLY),
     *bad_files("tensors", _pickle, lambda folder: load_tensors(folder / "0.pkl"), PICKLES),
@@ -764,7 +682,7 @@ BAD_INPUT = [
     *bad_files("gaze of glasses", _gaze, lambda folder: read_gaze_angles(folder / "eyegaze.csv"), GAZE),
     BadInput(
         "an ADT recording that is known to be bad",
-        lambda folder: _reads("adt")(_adt(folder).rename(folder / "Apartment_release_clean_seq139_M1292")),
+        lambda folder: _reads("adt")(write_adt(folder).rename(folder / "Apartment_release_clean_seq139_M1292")),
         ("damaged IMU data",),
         RecordingUnusable,
     ),

@@ -125,7 +125,7 @@ def test_a_hint_of_gimo_that_is_no_frame_is_no_hint(tmp_path, hint):
         "sequence_path,start_frame,end_frame,scene,transformation,training,action,\n"
         f"S,10,50,room,t.json,1,walk,{hint}\n"
     )
-    assert read_segments(path)[0].segment.hint is None
+    assert read_segments(path)[0][0].segment.hint is None
 
 
 def test_rows_of_mogaze_that_are_declared_and_not_stored_are_refused(tmp_path):

@@ -6,6 +6,7 @@ Sources: docs/specification/adt.md#files and docs/specification/adt.md#joints.
 from __future__ import annotations
 
 import io
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -14,10 +15,12 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
+from jaxtyping import Float
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
-from prbench.files.bounded import require, require_rows
+from prbench.files.bounded import require
+from prbench.limits import LARGEST_OBJECT
 from prbench.readers import ReaderOptions, read_synthetic_tree
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.to_recording import ASSUMED_SIZE, turned_to_z_up
@@ -27,9 +30,17 @@ from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.files import body_extent, find_outputs
 from prbench.readers.extents import Extent, csv_extent, json_extent
-from prbench.readers.files import column_vectors, decode_json, read_columns, read_poses_by_body, require_increasing
+from prbench.readers.files import (
+    Nanoseconds,
+    decode_json,
+    read_columns,
+    read_entries,
+    read_poses_by_body,
+    require_increasing,
+    told_together,
+)
 from prbench.readers.found import RecordingFiles, existing_folder, input_file, is_present, names_in
-from prbench.recording import Recording
+from prbench.recording import Recording, UnreadableEntry
 
 
 class AdtOptions(ReaderOptions, frozen=True, kw_only=True):
@@ -170,41 +181,56 @@ class _Association(msgspec.Struct):
     name: str = msgspec.field(name="SkeletonName")
 
 
+class _Associations(msgspec.Struct):
+    people: list[msgspec.Raw] = msgspec.field(name="SkeletonMetadata")
+
+
 class _Frame(msgspec.Struct):
     joints: msgspec.Raw
-    timestamp_ns: int
+    timestamp_ns: Nanoseconds
 
 
 class _SkeletonFile(msgspec.Struct):
-    frames: list[_Frame]
+    frames: list[msgspec.Raw]
 
 
-_INSTANCES = msgspec.json.Decoder(dict[str, _Instance])
-_ASSOCIATIONS = msgspec.json.Decoder(dict[Literal["SkeletonMetadata"], tuple[_Association, ...]])
+_INSTANCES = msgspec.json.Decoder(dict[str, msgspec.Raw])
+_INSTANCE = msgspec.json.Decoder(_Instance)
+_ASSOCIATIONS = msgspec.json.Decoder(_Associations)
+_ASSOCIATION = msgspec.json.Decoder(_Association)
 _SKELETON = msgspec.json.Decoder(_SkeletonFile)
+_FRAME = msgspec.json.Decoder(_Frame)
+_WIDTH = 3 * adt.N_NATIVE_JOINTS
+_NUMBERS = re.compile(rb"[-+.,0-9eEnul]*")  # null stands for NaN
 
 
 def read_objects(
     instances_path: Path, boxes_path: Path, poses_path: Path
-) -> tuple[tuple[adt.AdtObject, ...], tuple[str, ...]]:
+) -> tuple[tuple[adt.AdtObject, ...], tuple[str, ...], list[UnreadableEntry]]:
     """Read all objects that have a name, a box and a pose, by id; people are no objects.
 
     Returns:
-        The objects, and remarks on those that lack one of the three.
+        The objects, remarks on those that lack one of the three, and the entries that cannot be read.
 
     Raises:
         InputFileError: for a missing or damaged file, a pose that is no pose, or a clock that runs backwards.
     """
-    instances = {instance.instance_id: instance for instance in decode_json(instances_path, _INSTANCES).values()}
-    # Lower and upper corner of each object's box in its own frame, metres.
-    table = read_columns(boxes_path, {adt.OBJECT_ID: int, **dict.fromkeys((*adt.BOX_MIN, *adt.BOX_MAX), float)})
-    lower = column_vectors(table, adt.BOX_MIN)
-    upper = column_vectors(table, adt.BOX_MAX)
-    bad = ~(np.isfinite(lower) & np.isfinite(upper) & (lower <= upper)).all(axis=1)
-    require_rows(
-        boxes_path, bad, "a lower and an upper corner", lambda row: f"{lower[row].tolist()} … {upper[row].tolist()}"
+    expected = "an object with its instance_id, names, category, motion_type and instance_type"
+    entries, unreadable = read_entries(
+        instances_path, decode_json(instances_path, _INSTANCES), _INSTANCE.decode, expected
     )
-    boxes = dict(zip(table[adt.OBJECT_ID].to_pylist(), zip(lower, upper, strict=True), strict=True))
+    instances: dict[int, _Instance] = {}
+    for key, instance in entries.items():
+        if instances.setdefault(instance.instance_id, instance) is not instance:
+            found = f"{instance.instance_id} again"
+            unreadable.append(UnreadableEntry(instances_path.name, key, "an instance_id of its own", found))
+    columns = (adt.OBJECT_ID, *adt.BOX_MIN, *adt.BOX_MAX)
+    table = read_columns(boxes_path, dict.fromkeys(columns, str))
+    rows = zip(*(table[name].to_pylist() for name in columns), strict=True)
+    lines = {f"line {number}": row for number, row in enumerate(rows, start=2)}
+    listed, odd = read_entries(boxes_path, lines, _box, "an id, and a lower and an upper corner in metres")
+    boxes = dict(listed.values())
+    unreadable += odd
     known = {key for key, instance in instances.items() if instance.instance_type != "human"}
     poses = read_poses_by_body(
         poses_path,
@@ -229,47 +255,53 @@ def read_objects(
     )
     incomplete = sorted((known | boxes.keys() | poses.keys()) - set(complete) - (instances.keys() - known))
     if not incomplete:
-        return objects, ()
+        return objects, (), unreadable
     named = ", ".join(str(key) for key in incomplete[:5]) + (" …" if len(incomplete) > 5 else "")
-    return objects, (f"{len(incomplete)} objects without name, box or pose are left out: {named}",)
+    remark = f"{len(incomplete)} objects without name, box or pose are left out: {named}"
+    return objects, (remark,), unreadable
 
 
-def read_skeletons(found: RecordingFiles) -> tuple[adt.AdtSkeleton, ...]:
+def _box(cells: tuple[str, ...]) -> tuple[int, Float[np.ndarray, "2 3"]]:
+    """Return an object's id, and the lower and upper corner of its box in its own frame, metres."""
+    corners = np.array([float(cell) for cell in cells[1:]]).reshape(2, 3)
+    if not ((np.abs(corners) <= LARGEST_OBJECT).all() and (corners[0] <= corners[1]).all()):
+        raise ValueError(f"{corners[0].tolist()} … {corners[1].tolist()}")
+    return int(cells[0]), corners
+
+
+def read_skeletons(found: RecordingFiles) -> tuple[tuple[adt.AdtSkeleton, ...], list[UnreadableEntry]]:
     """Read every tracked person of a recording; none where it has no association file.
+
+    Returns:
+        The people, and the entries of the files that cannot be read.
 
     Raises:
         InputFileError: if the association or a skeleton's file is missing or damaged, or a skeleton has other joints
             than the 51.
     """
     association = found.path(ASSOCIATION)
-    known = {"SkeletonMetadata": ()} if association is None else decode_json(association, _ASSOCIATIONS)
-    require(
-        association or "", ("SkeletonMetadata" in known, "", "the key 'SkeletonMetadata'", "an empty object", _AGAIN)
-    )
+    if association is None:
+        return (), []
+    listed = enumerate(decode_json(association, _ASSOCIATIONS).people)
+    entries = {f"SkeletonMetadata[{number}]": raw for number, raw in listed}
+    expected = "a person with AssociatedDeviceSerial, SkeletonId and SkeletonName"
+    people, unreadable = read_entries(association, entries, _ASSOCIATION.decode, expected)
     skeletons = []
-    width = 3 * adt.N_NATIVE_JOINTS
-    names = [str(column) for column in range(width)]
-    for person in known["SkeletonMetadata"]:
+    names = [str(column) for column in range(_WIDTH)]
+    for person in people.values():
         if person.name == adt.NOBODY:
             continue
         path = found.require(f"{SKELETON_PREFIX}{person.name}", f"{person.name}.json")
-        frames = decode_json(path, _SKELETON).frames
+        listed = enumerate(decode_json(path, _SKELETON).frames)
+        expected = f"a time, and the known skeleton of {adt.N_NATIVE_JOINTS} joints with three coordinates"
+        frames, odd = read_entries(path, {f"frame {number}": raw for number, raw in listed}, _frame, expected)
+        told = told_together(odd)
+        unreadable += told
         remedy = f"Download the recording again, or remove {person.name} from the association file."
-        require(path, (len(frames) > 0, "frames", "frames of a body", "none", remedy))
-        times = np.array([frame.timestamp_ns for frame in frames], dtype=np.int64)
+        require(path, (len(frames) > 0, "frames", f"frames of a body: {expected}", told[0] if told else "none", remedy))
+        times = np.array([time for time, _ in frames.values()], dtype=np.int64)
         require_increasing(path, times, unit="ns", place="frame", first=0)
-        # The numbers of a frame without brackets are a line of comma-separated values, which are parsed fast.
-        rows = [bytes(frame.joints).translate(None, b"[] \t\r\n") for frame in frames]
-        numbers = np.array([row.count(b",") + bool(row) for row in rows])
-        require_rows(
-            path,
-            numbers != width,
-            f"joints of the known skeleton of {adt.N_NATIVE_JOINTS} joints with three coordinates",
-            lambda row, numbers=numbers: f"{numbers[row]} numbers instead of {width}",
-            place="frame",
-            first=0,
-            remedy="The order of the joints is a constant of the format; another skeleton cannot be mapped.",
-        )
+        rows = [row for _, row in frames.values()]
         try:
             table = pyarrow.csv.read_csv(
                 io.BytesIO(b"\n".join(rows)),
@@ -283,10 +315,19 @@ def read_skeletons(found: RecordingFiles) -> tuple[adt.AdtSkeleton, ...]:
         joints = np.column_stack([table[name].to_numpy() for name in names]).reshape(-1, adt.N_NATIVE_JOINTS, 3)
         skeleton_id = person.skeleton_id if isinstance(person.skeleton_id, int) else -1
         skeletons.append(adt.AdtSkeleton(person.name, skeleton_id, person.serial, times, joints))
-    return tuple(skeletons)
+    return tuple(skeletons), unreadable
 
 
-_AGAIN = "Download the file again."
+def _frame(raw: msgspec.Raw) -> tuple[int, bytes]:
+    """Return the time of a frame, and its numbers as a line of comma-separated values, which are parsed fast."""
+    frame = _FRAME.decode(raw)
+    row = bytes(frame.joints).translate(None, b"[] \t\r\n")
+    count = row.count(b",") + bool(row)
+    if count != _WIDTH or not _NUMBERS.fullmatch(row):
+        raise ValueError(f"{count} numbers instead of {_WIDTH}" if count != _WIDTH else "words among the numbers")
+    return frame.timestamp_ns, row
+
+
 _BEHIND = np.pi / 2  # radians; no eye looks there
 _TOO_MANY = 0.2  # share of rows
 
@@ -306,7 +347,8 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
     seen = f"'{metadata.gt_time_domain}'" if metadata.gt_time_domain else "nothing"
     require(path, (metadata.gt_time_domain == adt.TIME_DOMAIN, "gt_time_domain", expected, seen, remedy))
     concurrent = metadata.concurrent_sequence or ""
-    objects, remarks = read_objects(*(found.require(role, _FILES[role]) for role in (INSTANCES, BOXES, OBJECTS)))
+    paths = (found.require(role, _FILES[role]) for role in (INSTANCES, BOXES, OBJECTS))
+    objects, remarks, unreadable = read_objects(*paths)
     size, device_from_rgb = read_size_and_camera(found.path(CALIBRATION))
     path = found.require(TRAJECTORY, adt.TRAJECTORY_FILE)
     trajectory = read_trajectory(path)
@@ -315,6 +357,7 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
     seen = f"up = {(np.round(trajectory.up, 3) + 0.0).tolist()}"
     is_y_up = np.linalg.norm(trajectory.up - np.array(adt.UP)) <= 1e-3
     require(path, (is_y_up, "gravity columns", expected, seen, remedy))
+    skeletons, odd = read_skeletons(found)
     body = None
     if options.poses == "egoallo":
         # The glasses' central pupil frame, which EgoAllo's outputs refer to.
@@ -328,9 +371,10 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
         glasses=trajectory,
         gaze=read_gaze(found.require(GAZE, adt.GAZE_FILE)),
         objects=objects,
-        skeletons=read_skeletons(found),
+        skeletons=skeletons,
         estimated_body=body,
         messages=(*remarks, *trajectory.remarks),
+        unreadable=(*unreadable, *odd),
     )
 
 

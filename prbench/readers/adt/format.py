@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from prbench.readers.aria_mps.format import AriaTrajectory, GazeAngles, GlassesSize
 from prbench.readers.egoallo.format import EgoAlloBody
+from prbench.recording import UnreadableEntry
 
 METADATA_FILE = "metadata.json"
 INSTANCES_FILE = "instances.json"
@@ -143,6 +144,7 @@ class AdtReadings:
         estimated_body: EgoAllo's estimate, in the scene turned to Z up (:data:`Z_UP_FROM_SCENE`); None where there is
             none or none was asked for.
         messages: Messages of reading the files.
+        unreadable: Entries of the annotation files that cannot be read.
     """
 
     recording_id: str
@@ -156,3 +158,4 @@ class AdtReadings:
     skeletons: tuple[AdtSkeleton, ...]
     estimated_body: EgoAlloBody | None = None
     messages: tuple[str, ...] = ()
+    unreadable: tuple[UnreadableEntry, ...] = ()

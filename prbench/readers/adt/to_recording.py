@@ -142,6 +142,7 @@ def recording_from_adt(
             str(entry.object_id) for entry in readings.objects if adt.is_hinged(entry.name, entry.category)
         ),
         messages=(*readings.messages, *_remarks(readings, span, gaze, suit, wearer), *told),
+        unreadable=readings.unreadable,
     )
 
 

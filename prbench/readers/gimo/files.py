@@ -41,12 +41,13 @@ from prbench.readers.gimo.table import (
     Row,
     events_of,
     hints_in_both_splits,
+    lines_of_no_segment,
     overlapping,
     read_events,
     read_segments,
     require_one_split,
 )
-from prbench.recording import Occluder, Recording
+from prbench.recording import Occluder, Recording, UnreadableEntry
 
 
 class GimoOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -104,7 +105,7 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFile
     table_path = root / gimo.TABLE_FILE
     remedy = f"Give the folder that holds {gimo.TABLE_FILE} and the folders of the scenes."
     require(table_path, (table_path.is_file(), "", "this file", f"{names_in(root)} in its place", remedy))
-    rows = read_segments(table_path)
+    rows, unreadable = read_segments(table_path)
     events_path = root / gimo.EVENTS_FILE if options.events is None else options.events.expanduser()
     remedy = "Correct the option, or make the table: `prbench build-dataset gimo --propose-events FILE` proposes one."
     is_given = options.events is None or events_path.is_file()
@@ -112,9 +113,15 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFile
     table = _events_in(events_path)
     require_one_split(events_path, rows, table)
     tree = read_synthetic_tree(root)
+    unreadable += lines_of_no_segment(events_path, rows, table)
     in_both = hints_in_both_splits(rows)
     by_frame = cache(_by_frame)  # the files of one sequence are listed once for all its segments
-    found = []
+    dataset = "gimo" if tree is None else f"{SYNTHETIC_PREFIX}gimo"
+    # A line that cannot be read is listed in place of its recording, and skipped with what is wrong.
+    found = [
+        RecordingFiles(dataset, _name_of_line(entry), root / entry.file, (), skip_reason=str(entry))
+        for entry in unreadable
+    ]
     for row in rows:
         segment = row.segment
         folder = inside(root, f"{segment.scene}/{segment.sequence}")
@@ -129,7 +136,7 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFile
         in_tree = tree is not None and segment.sequence in tree.split
         found.append(
             RecordingFiles(
-                dataset="gimo" if tree is None else f"{SYNTHETIC_PREFIX}gimo",
+                dataset=dataset,
                 recording_id=segment.sequence if in_tree else segment.name,
                 folder=folder,
                 files=FilesOnDemand(partial(_files, root, options, events_path, segment, folder, by_frame)),
@@ -143,6 +150,11 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFile
     listed = f"none of the {len(names)}: {', '.join(names)}"
     require(root, (is_there, "", expected, listed, "Unpack the scenes beside the table."))
     return tuple(sorted(found, key=lambda recording: recording.recording_id))
+
+
+def _name_of_line(entry: UnreadableEntry) -> str:
+    line = entry.key.partition(",")[0]
+    return f"{entry.file}-{line.replace(' ', '-')}"
 
 
 def _events_in(path: Path | None) -> tuple[EventRow, ...]:
@@ -229,7 +241,7 @@ def row_of(found: RecordingFiles) -> tuple[Row, tuple[Row, ...]]:
         InputFileError: if the table has changed since the search.
     """
     path = found.require(TABLE, gimo.TABLE_FILE)
-    rows = read_segments(path)
+    rows, _ = read_segments(path)
     # Ids under which a row can be known: its own, and in synthetic trees the name of its sequence.
     row = next((row for row in rows if found.recording_id in (row.segment.name, row.segment.sequence)), None)
     if row is None:
@@ -252,7 +264,9 @@ def read_readings(found: RecordingFiles, options: GimoOptions) -> gimo.GimoReadi
     expected = f"the folder of {row.segment.scene}/{row.segment.sequence}"
     is_there = found.folder.is_dir()
     require(found.folder, (is_there, "", expected, "no such folder", "Unpack or download this sequence."))
-    events, event_remarks, _ = events_of(row, _events_in(found.path(EVENTS)), hints=options.hints)
+    table = _events_in(found.path(EVENTS))
+    events, event_remarks, _ = events_of(row, table, hints=options.hints)
+    odd = (event.unreadable for event in table if event.segment == row.segment.key)
     gaze, gaze_remarks = read_gaze(frames_of(found, CONE), frames_of(found, CENTRE))
     overlaps = [f"shares frames with the segment {other.name}" for other in overlapping(rows, row)]
     folders = [found.folder / folder for folder in (gimo.POSE_FOLDER, gimo.GAZE_FOLDER)]
@@ -271,6 +285,7 @@ def read_readings(found: RecordingFiles, options: GimoOptions) -> gimo.GimoReadi
         events=events,
         meshes=_meshes(found) if options.meshes else (),
         messages=(*row.remarks, *overlaps, *event_remarks, *unnumbered, *gaze_remarks),
+        unreadable=tuple(filter(None, odd)),
     )
 
 

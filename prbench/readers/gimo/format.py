@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.readers.gimo.bvh import BvhMotion
+from prbench.recording import UnreadableEntry
 from prbench.recording.streams import Occluder, Side
 
 TABLE_FILE = "dataset.csv"
@@ -180,6 +181,7 @@ class GimoReadings:
     Attributes:
         meshes: The scanned room, scan coordinates.
         messages: Messages of reading the files.
+        unreadable: Entries of the annotation files that cannot be read.
     """
 
     recording_id: str
@@ -190,3 +192,4 @@ class GimoReadings:
     events: tuple[EventFrame, ...]
     meshes: tuple[Occluder, ...] = ()
     messages: tuple[str, ...] = ()
+    unreadable: tuple[UnreadableEntry, ...] = ()

@@ -15,8 +15,9 @@ from typing import cast
 
 from prbench.errors import InputFileError
 from prbench.files.bounded import require, require_size
-from prbench.readers.files import missing_file
+from prbench.readers.files import missing_file, read_entries
 from prbench.readers.gimo import format as gimo
+from prbench.recording import UnreadableEntry
 from prbench.recording.streams import Side
 
 _LAST_FRAME = 10**7  # Frame number that no recording reaches: four days at 30 frames a second.
@@ -54,6 +55,7 @@ class EventRow:
     Attributes:
         event_frame: None on a line that says no to a proposal without a frame.
         confirmed: True where a person confirmed the line; lines that nobody confirmed are no events.
+        unreadable: What is wrong with a line that cannot be read; it is no event.
     """
 
     line: int
@@ -62,42 +64,43 @@ class EventRow:
     action: str
     hand: Side | None
     confirmed: bool
+    unreadable: UnreadableEntry | None = None
 
 
-def read_segments(path: Path) -> tuple[Row, ...]:
+def read_segments(path: Path) -> tuple[tuple[Row, ...], list[UnreadableEntry]]:
     """Read all segments in the order of the file, each once.
 
     The byte-order mark, further columns and unnamed ones are welcome; the eighth column, where it is unnamed, holds
     hints. A hint that is no frame of its segment is no hint.
 
+    Returns:
+        The segments, and the lines that are none: a value is no frame number, the segment ends before it starts,
+        ``training`` is not 0, 1 or 2, or an earlier line gives the segment another split or transformation.
+
     Raises:
-        InputFileError: naming the line: for a missing column, a value that is no frame number, a segment that ends
-            before it starts, another value of ``training`` than 0, 1 or 2, or one segment listed twice with
-            different splits or transformations.
+        InputFileError: for a missing column, or a table without any segment.
     """
     header, lines = _read_lines(path, gimo.TABLE_COLUMNS, "This is another file, or another version of the table.")
     unnamed = ("", f"Unnamed: {gimo.HINT_INDEX}")
     has_hints = len(header) <= gimo.HINT_INDEX or header[gimo.HINT_INDEX] in unnamed
-    rows: dict[SegmentKey, Row] = {}
-    for line, cells in lines:
-        where = f"line {line}"
+
+    def read_segment(cells: list[str]) -> gimo.Segment:
         # Of two columns of one name the first counts, so the cells are looked up from the last to the first.
         values = dict(reversed(list(itertools.zip_longest(header, cells[: len(header)], fillvalue=""))))
         numbers = {name: _whole(values[name]) for name in ("start_frame", "end_frame", "training")}
-        expected = "training 1 (train), 0 (test) or 2 (train, but unused by the official loader)"
         start, end, training = numbers.values()
+        expected = "training 1 (train), 0 (test) or 2 (train, but unused by the official loader)"
         frames = "a start_frame that is not behind the end_frame"
-        correct = "Correct the line, or remove it."
         texts = ("scene", "sequence_path", "transformation")
         require(
             path,
-            *((numbers[name] >= 0, where, f"a whole number '{name}'", f"'{values[name]}'", "") for name in numbers),
-            *((values[name] != "", where, f"a '{name}'", "nothing", "") for name in texts),
-            (start <= end, where, frames, f"{start} to {end}", correct),
-            (training in gimo.PUBLISHED_SPLITS, where, expected, training, correct),
+            *((numbers[name] >= 0, "", f"a whole number '{name}'", f"'{values[name]}'", "") for name in numbers),
+            *((values[name] != "", "", f"a '{name}'", "nothing", "") for name in texts),
+            (start <= end, "", frames, f"{start} to {end}", ""),
+            (training in gimo.PUBLISHED_SPLITS, "", expected, training, ""),
         )
         hint = _whole(cells[gimo.HINT_INDEX]) if has_hints and len(cells) > gimo.HINT_INDEX else -1
-        segment = gimo.Segment(
+        return gimo.Segment(
             scene=values["scene"],
             sequence=values["sequence_path"],
             start_frame=start,
@@ -107,16 +110,21 @@ def read_segments(path: Path) -> tuple[Row, ...]:
             activity=values.get(gimo.ACTIVITY_COLUMN, ""),
             hint=hint if start <= hint <= end else None,
         )
+
+    segments, unreadable = read_entries(path, {f"line {line}": cells for line, cells in lines}, read_segment)
+    rows: dict[SegmentKey, Row] = {}
+    for key, segment in segments.items():
+        line = int(key.removeprefix("line "))
         first = rows.setdefault(segment.key, Row(line, segment))
-        if first.line != line:
-            said = (segment.training, segment.transformation)
-            same = said == (first.segment.training, first.segment.transformation)
+        said = (segment.training, segment.transformation)
+        if said != (first.segment.training, first.segment.transformation):
             expected = f"the same split and transformation as line {first.line}, which is the same segment"
-            found = f"training {segment.training}, {segment.transformation}"
-            require(path, (same, where, expected, found, "Remove one of the two lines."))
+            unreadable.append(UnreadableEntry(path.name, key, expected, f"training {said[0]}, {said[1]}"))
+        elif first.line != line:
             rows[segment.key] = Row(first.line, first.segment, (*first.repeated, line))
-    require(path, (len(rows) > 0, "", "segments, one a line", "a header alone", ""))
-    return tuple(rows.values())
+    found = unreadable[0] if unreadable else "a header alone"
+    require(path, (len(rows) > 0, "", "segments, one a line", found, ""))
+    return tuple(rows.values()), unreadable
 
 
 def _read_lines(path: Path, columns: Iterable[str], remedy: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
@@ -162,10 +170,11 @@ def overlapping(rows: Sequence[Row], row: Row) -> tuple[gimo.Segment, ...]:
 def read_events(path: Path) -> tuple[EventRow, ...]:
     """Read all lines of an events table.
 
+    A line cannot be read with a value that is no frame number, an action other than pick and put, a hand other than
+    left, right and nothing, a frame outside of its segment, or a ``confirmed`` that is neither yes nor no.
+
     Raises:
-        InputFileError: naming line and column: for a missing column, a value that is no frame number, an action other
-            than pick and put, a hand other than left, right and nothing, a frame outside of its segment, or a
-            ``confirmed`` that is neither yes nor no.
+        InputFileError: for a missing column.
     """
     remedy = f"The columns are {', '.join(gimo.EVENT_COLUMNS)};"
     remedy += " `prbench build-dataset gimo --propose-events FILE` writes such a file."
@@ -191,12 +200,14 @@ def _event_row(path: Path, line: int, cells: dict[str, str]) -> EventRow:
         (action in ("pick", "put") or not confirmed, "action", "pick or put", f"'{action}'"),
         (hand in ("left", "right", ""), "hand", "left, right, or nothing", f"'{hand}'"),
     )
-    where = f"line {line}, column"
-    remedy = "Correct the line."
-    require(path, *((holds, f"{where} '{name}'", good, found, remedy) for holds, name, good, found in checks))
+    segment = (texts["scene"], texts["sequence_path"], start, end)
+    for holds, name, good, found in checks:
+        if not holds:
+            entry = UnreadableEntry(path.name, f"line {line}, column '{name}'", good, found)
+            return EventRow(line, segment, None, "", None, confirmed=False, unreadable=entry)
     return EventRow(
         line=line,
-        segment=(texts["scene"], texts["sequence_path"], start, end),
+        segment=segment,
         event_frame=None if no_frame else frame,
         action=action,
         hand=cast(Side, hand) if hand else None,
@@ -230,6 +241,9 @@ def events_of(
         if event.confirmed and event.action == "pick" and event.event_frame is not None
     }
     if not frames:
+        odd = [str(event.unreadable) for event in mine if event.unreadable]
+        if odd:
+            return (), remarks, f"its event cannot be read: {'; '.join(odd)}"
         waiting = sum(not event.confirmed for event in mine)
         reason = f"none of its {waiting} proposed events is confirmed" if waiting else "only puts are annotated for it"
         return (), remarks, reason
@@ -239,29 +253,34 @@ def events_of(
 def require_one_split(path: Path, rows: Sequence[Row], table: Sequence[EventRow]) -> None:
     """Refuse an event that stands in both splits: overlapping segments of one sequence, one test and one not.
 
-    Lines about segments that ``dataset.csv`` does not list are refused, too: with a slip in a name they would say
-    nothing.
-
     Raises:
-        InputFileError: naming the line, and the other one where an event stands in both splits.
+        InputFileError: naming both lines.
     """
     segments = {row.segment.key: row.segment for row in rows}
     seen: dict[tuple[str, str, int], tuple[int, bool]] = {}
     for event in table:
         where = f"line {event.line}"
-        expected = f"scene, sequence_path, start_frame and end_frame of a row of {gimo.TABLE_FILE}"
-        found = ", ".join(map(str, event.segment))
-        is_known = event.segment in segments
-        require(path, (is_known, where, expected, found, "Copy the four cells from there."))
-        if not event.confirmed or event.event_frame is None:
+        segment = segments.get(event.segment)
+        if segment is None or not event.confirmed or event.event_frame is None:
             continue
-        segment = segments[event.segment]
         is_test = segment.training == gimo.TEST
         line, was_test = seen.setdefault((segment.scene, segment.sequence, event.event_frame), (event.line, is_test))
         found = f"frame {event.event_frame} of {segment.sequence} in a training and in a test segment"
         found += f" (the other is line {line})"
         remedy = "Remove one of the two lines."
         require(path, (was_test == is_test, where, "an event in one split only", found, remedy))
+
+
+def lines_of_no_segment(path: Path, rows: Sequence[Row], table: Sequence[EventRow]) -> list[UnreadableEntry]:
+    """Return the lines of a table of events that name no segment of ``dataset.csv``: they would say nothing."""
+    known = {row.segment.key for row in rows}
+    expected = f"scene, sequence_path, start_frame and end_frame of a row of {gimo.TABLE_FILE}"
+    return [
+        event.unreadable
+        or UnreadableEntry(path.name, f"line {event.line}", expected, ", ".join(map(str, event.segment)))
+        for event in table
+        if event.segment not in known
+    ]
 
 
 def hints_in_both_splits(rows: Sequence[Row]) -> frozenset[SegmentKey]:

@@ -103,10 +103,10 @@ def read_tracks(
     unreadable += odd
     shown = {}
     if masks is not None:
-        shown, odd = read_entries(masks, listed or {}, _MASK, "a mask with frame_number and 3d_location")
+        shown, odd = read_entries(masks, listed or {}, _MASK.decode, "a mask with frame_number and 3d_location")
         unreadable += odd
     expected = "an object with its name and its list of tracks"
-    named, odd = read_entries(associations, objects, _ASSOCIATION, expected)
+    named, odd = read_entries(associations, objects, _ASSOCIATION.decode, expected)
     unreadable += odd
     tracks = []
     n_masks = 0
@@ -114,7 +114,7 @@ def read_tracks(
     for key, association in named.items():
         entries = {f"{key}/tracks[{number}]": raw for number, raw in enumerate(association.tracks)}
         expected = "a track with track_id, time_segment [start, end] in seconds and masks"
-        movements, odd = read_entries(associations, entries, _TRACK, expected)
+        movements, odd = read_entries(associations, entries, _TRACK.decode, expected)
         unreadable += odd
         name = association.name if isinstance(association.name, str) and association.name.strip() else key
         used: set[str] = set()
@@ -151,7 +151,7 @@ def _of_video(path: Path, video: str) -> tuple[dict[str, msgspec.Raw] | None, li
     entry = _videos(path, status.st_size, status.st_mtime_ns).get(video)
     if entry is None:
         return None, []
-    of_video, unreadable = read_entries(path, {video: entry}, _ENTRIES, "an object with one key an entry")
+    of_video, unreadable = read_entries(path, {video: entry}, _ENTRIES.decode, "an object with one key an entry")
     return of_video.get(video, {}), unreadable
 
 
@@ -181,7 +181,7 @@ def read_priming(path: Path, video: str) -> tuple[tuple[hd_epic.PublishedSide, .
     """
     objects, unreadable = _of_video(path, video)
     there = {key: raw for key, raw in (objects or {}).items() if not _is_empty(raw)}
-    named, odd = read_entries(path, there, _ENTRIES, "an object with the keys start and end")
+    named, odd = read_entries(path, there, _ENTRIES.decode, "an object with the keys start and end")
     sides = {
         f"{key}/{name}": raw
         for key, entry in named.items()
@@ -189,7 +189,7 @@ def read_priming(path: Path, video: str) -> tuple[tuple[hd_epic.PublishedSide, .
         if name in ("start", "end") and not _is_empty(raw)
     }
     expected = "frame, 3d_location and prime_stats with frame_primed"
-    readable, odd_sides = read_entries(path, sides, _SIDE, expected)
+    readable, odd_sides = read_entries(path, sides, _SIDE.decode, expected)
     published = (
         hd_epic.PublishedSide(
             key, key.endswith("/start"), int(side.frame), _point(side.location), int(side.prime_stats.frame_primed)

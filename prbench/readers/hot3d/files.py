@@ -17,7 +17,7 @@ import numpy as np
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
-from prbench.files.bounded import require, require_rows, require_size
+from prbench.files.bounded import require, require_size
 from prbench.readers import ReaderOptions, synthetic_tree_around
 from prbench.readers.aria_mps.files import find_mps_files, read_mps
 from prbench.readers.aria_mps.format import GAZE, TIME_COLUMN, TRAJECTORY
@@ -26,11 +26,18 @@ from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.files import body_extent, find_outputs
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS
 from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent, json_extent
-from prbench.readers.files import decode_json, missing_file, read_columns, read_poses_by_body
+from prbench.readers.files import (
+    decode_json,
+    missing_file,
+    read_columns,
+    read_entries,
+    read_poses_by_body,
+    told_together,
+)
 from prbench.readers.found import RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.hands import read_profile, read_umetrack
-from prbench.recording import Recording
+from prbench.recording import Recording, UnreadableEntry
 
 
 class Hot3dOptions(ReaderOptions, frozen=True, kw_only=True):
@@ -189,11 +196,12 @@ class _Instance(msgspec.Struct):
     instance_type: str
 
 
-_INSTANCES = msgspec.json.Decoder(dict[str, _Instance])
+_INSTANCES = msgspec.json.Decoder(dict[str, msgspec.Raw])
+_INSTANCE = msgspec.json.Decoder(_Instance)
 
 
-def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], tuple[str, ...]]:
-    """Read all objects that a recording tracks, by uid, and remarks.
+def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], tuple[str, ...], list[UnreadableEntry]]:
+    """Read all objects that a recording tracks, by uid, remarks, and entries of the names that cannot be read.
 
     An object without a model keeps its poses; without a name it is called by its uid.
 
@@ -202,7 +210,9 @@ def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], 
     """
     path = found.require(OBJECTS, hot3d.OBJECTS_FILE)
     rows = _read_pose_rows(path)
-    instances = decode_json(found.require(INSTANCES, f"../assets/{hot3d.INSTANCES_FILE}"), _INSTANCES)
+    names = found.require(INSTANCES, f"../assets/{hot3d.INSTANCES_FILE}")
+    expected = "an object with instance_name and instance_type"
+    instances, unreadable = read_entries(names, decode_json(names, _INSTANCES), _INSTANCE.decode, expected)
     held = [uid for uid in sorted(rows) if uid not in instances or instances[uid].instance_type == hot3d.LIBRARY_OBJECT]
     if not held:
         raise InputFileError(path, hot3d.OBJECT_ID, expected="objects", found="headsets only")
@@ -217,7 +227,8 @@ def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], 
         for uid, model in models.items()
     )
     nameless = [uid for uid in held if uid not in instances]
-    return objects, (f"objects without a name in {hot3d.INSTANCES_FILE}: {', '.join(nameless)}",) if nameless else ()
+    remark = f"objects without a name in {hot3d.INSTANCES_FILE}: {', '.join(nameless)}"
+    return objects, (remark,) if nameless else (), unreadable
 
 
 def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
@@ -283,18 +294,20 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
     """
     metadata = decode_json(found.require(METADATA, hot3d.METADATA_FILE), METADATA_DECODER)
     found.require_usable(why_unusable(metadata))
-    objects, remarks = read_objects(found)
+    objects, remarks, unreadable = read_objects(found)
     path = found.require(HEADSET, hot3d.HEADSET_FILE)
     headsets = _read_pose_rows(path)
     names = f"{len(headsets)}: {', '.join(sorted(headsets)[:3])}"
     require(path, (len(headsets) <= 1, hot3d.OBJECT_ID, "one headset", names, ""))
-    hands, hand_remarks = read_umetrack(found.require(UMETRACK, hot3d.UMETRACK_FILE))
+    hands, odd_hands = read_umetrack(found.require(UMETRACK, hot3d.UMETRACK_FILE))
     profile = found.path(PROFILE)
     # Those masks that curation honours and the recording has.
     paths: dict[hot3d.MaskName, Path | None] = {name: found.path(f"{MASK_PREFIX}{name}") for name in hot3d.MASK_NAMES}
-    masks: dict[hot3d.MaskName, hot3d.Mask] = {
-        name: read_mask(path) for name, path in paths.items() if path is not None
-    }
+    masks: dict[hot3d.MaskName, hot3d.Mask] = {}
+    for name, mask_path in paths.items():
+        if mask_path is not None:
+            masks[name], odd = read_mask(mask_path)
+            unreadable += odd
     mps = read_mps(found, thin=False)
     up = mps.trajectory.up
     expected = "gravity along -Z (HOT3D's world is Z up)"
@@ -313,20 +326,26 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
         masks=masks,
         mps=mps,
         body=body,
-        messages=(*remarks, *hand_remarks, *(() if body is not None else (NO_OUTPUTS,))),
+        messages=(*remarks, *(() if body is not None else (NO_OUTPUTS,))),
+        unreadable=(*unreadable, *odd_hands),
     )
 
 
-def read_mask(path: Path) -> hot3d.Mask:
-    """Read one mask of the RGB stream, in the order of time.
+def read_mask(path: Path) -> tuple[hot3d.Mask, list[UnreadableEntry]]:
+    """Read one mask of the RGB stream, in the order of time, and tell rows that are neither True nor False.
 
     Raises:
-        InputFileError: if the file or a column is missing, or a value is neither True nor False.
+        InputFileError: if the file or a column is missing.
     """
     table = read_columns(path, {hot3d.TIME: int, hot3d.STREAM: str, hot3d.MASK: str})
     values = table[hot3d.MASK].to_numpy()
     streams = table[hot3d.STREAM].to_numpy()
-    require_rows(path, ~np.isin(values, list(_TRUTH)), "True or False", lambda row: f"'{values[row]}'")
-    rgb = streams == hot3d.RGB_STREAM
+    known = np.isin(values, list(_TRUTH))
+    odd = [
+        UnreadableEntry(path.name, f"line {row + 2}", "True or False", f"'{values[row]}'")
+        for row in np.flatnonzero(~known)
+    ]
+    rgb = known & (streams == hot3d.RGB_STREAM)
     time_ns, first = np.unique(table[hot3d.TIME].to_numpy()[rgb], return_index=True)
-    return time_ns, np.isin(values[rgb], [text for text, good in _TRUTH.items() if good])[first]
+    good = np.isin(values[rgb], [text for text, good in _TRUTH.items() if good])[first]
+    return (time_ns, good), told_together(odd)

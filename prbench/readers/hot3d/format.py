@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.readers.aria_mps.format import MpsReadings
 from prbench.readers.egoallo.format import EgoAlloBody, EgoAlloOutput
+from prbench.recording import UnreadableEntry
 from prbench.recording.streams import Side
 
 METADATA_FILE = "metadata.json"
@@ -133,6 +134,7 @@ class Hot3dReadings:
         body: EgoAllo's body on the device clock; None without outputs.
         egoallo_outputs: Not read, only written: what ``body`` was computed from.
         messages: Messages of reading the files.
+        unreadable: Entries of the annotation files that cannot be read.
     """
 
     recording_id: str
@@ -146,3 +148,4 @@ class Hot3dReadings:
     body: EgoAlloBody | None
     egoallo_outputs: tuple[EgoAlloOutput, ...] = ()
     messages: tuple[str, ...] = ()
+    unreadable: tuple[UnreadableEntry, ...] = ()

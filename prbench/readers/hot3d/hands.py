@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Literal
 
@@ -12,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
 from prbench.files.bounded import open_regular, require, whole_lines
-from prbench.readers.files import Nanoseconds, decode_json, must_exist, require_increasing
+from prbench.readers.files import Nanoseconds, decode_json, must_exist, read_entries, require_increasing, told_together
 from prbench.readers.hot3d import format as hot3d
+from prbench.recording import UnreadableEntry
 
 N_JOINTS = 22
 N_ANGLES = 20  # Angles that move bones; joints 20 and 21 are unused.
@@ -38,13 +40,21 @@ class _UmeTrackHand(msgspec.Struct):
     wrist_xform: _Wrist
     joint_angles: tuple[float, ...]
 
+    def __post_init__(self) -> None:
+        length = math.hypot(*self.wrist_xform.q_wxyz)
+        if abs(length - 1) > _QUATERNION_TOLERANCE:
+            raise ValueError(f"a quaternion of length {length:.4f}")
+        if len(self.joint_angles) < N_ANGLES:
+            raise ValueError(f"{len(self.joint_angles)} angles")
+
 
 class _UmeTrackLine(msgspec.Struct):
     timestamp_ns: Nanoseconds
-    hand_poses: dict[str, _UmeTrackHand]
+    hand_poses: dict[str, msgspec.Raw]
 
 
-_UMETRACK_DECODER = msgspec.json.Decoder(_UmeTrackLine)
+_UMETRACK_LINE = msgspec.json.Decoder(_UmeTrackLine)
+_UMETRACK_HAND = msgspec.json.Decoder(_UmeTrackHand)
 
 
 class _Model(msgspec.Struct):
@@ -113,52 +123,41 @@ def pose_points(
     return carried @ (flat @ matrix.transpose(0, 2, 1)) + wrist_position[:, None]
 
 
-def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], tuple[str, ...]]:
-    """Read both hands over time, and remarks; lines that are no JSON are left out and counted.
+def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], list[UnreadableEntry]]:
+    """Read both hands over time, and tell lines and hands that cannot be read.
 
     Raises:
-        InputFileError: if the file is missing or holds no line at all, a pose is no pose, or time runs backwards.
+        InputFileError: if the file is missing or holds no line at all, or time runs backwards.
     """
-    lines = []
-    bad = 0
     with must_exist(path), open_regular(path) as file:
-        for line in whole_lines(file, path):
-            if not line.strip():
-                continue
-            try:
-                lines.append(_UMETRACK_DECODER.decode(line))
-            except (msgspec.DecodeError, UnicodeDecodeError):
-                bad += 1
+        numbered = enumerate(whole_lines(file, path), start=1)
+        entries = {f"line {number}": line for number, line in numbered if line.strip()}
+    lines, odd = read_entries(path, entries, _UMETRACK_LINE.decode, "timestamp_ns and hand_poses")
+    unreadable = told_together(odd)
     expected = "hand poses, one JSON object a line"
     remedy = "metadata.json says that this ground truth is there; download the recording again."
-    require(path, (lines, "", expected, f"{bad} lines that are none" if bad else "an empty file", remedy))
-    times = np.array([line.timestamp_ns for line in lines], dtype=np.int64)
+    found = f"{len(odd)} lines that are none" if odd else "an empty file"
+    require(path, (len(lines) > 0, "", expected, found, remedy))
+    times = np.array([line.timestamp_ns for line in lines.values()], dtype=np.int64)
     require_increasing(path, times, unit="ns", place="record", first=1)
     hands = []
     for side, key in hot3d.HAND_KEYS.items():
-        rows = np.array([row for row, line in enumerate(lines) if key in line.hand_poses], dtype=np.int64)
-        poses = [lines[row].hand_poses[key] for row in rows]
-        time_ns = times[rows]
-        position = np.array([pose.wrist_xform.t_xyz for pose in poses], dtype=np.float64).reshape(-1, 3)
-        rotation = np.array([pose.wrist_xform.q_wxyz for pose in poses], dtype=np.float64).reshape(-1, 4)
+        seen = {
+            f"{place}, {side} hand": line.hand_poses[key] for place, line in lines.items() if key in line.hand_poses
+        }
+        expected = f"finite numbers, {N_ANGLES} joint angles and a quaternion of length 1"
+        poses, odd = read_entries(path, seen, _UMETRACK_HAND.decode, expected)
+        unreadable += told_together(odd)
+        time_ns = np.array([lines[place.partition(",")[0]].timestamp_ns for place in poses], dtype=np.int64)
+        wrists = [pose.wrist_xform for pose in poses.values()]
+        position = np.array([wrist.t_xyz for wrist in wrists], dtype=np.float64).reshape(-1, 3)
+        rotation = np.array([wrist.q_wxyz for wrist in wrists], dtype=np.float64).reshape(-1, 4)
         angles = np.zeros((len(poses), N_JOINTS))
-        for row, pose in enumerate(poses):
-            count = min(len(pose.joint_angles), N_JOINTS)
-            angles[row, :count] = pose.joint_angles[:count]
-            angles[row, :N_ANGLES][count:] = np.nan
-        length = np.linalg.norm(rotation, axis=1)
-        wrong = ~(np.isfinite(position).all(axis=1) & np.isfinite(angles).all(axis=1))
-        wrong |= ~(np.abs(length - 1) <= _QUATERNION_TOLERANCE)
-        for row in np.flatnonzero(wrong)[:1]:
-            where = f"{side} hand at {time_ns[row]} ns"
-            expected = f"finite numbers, {N_ANGLES} joint angles and a quaternion of length 1"
-            found = f"position {position[row].tolist()}, quaternion of length {length[row]:.4f},"
-            found += f" {len(poses[row].joint_angles)} angles"
-            remedy = "Remove the line, or download the file again."
-            raise InputFileError(path, where, expected=expected, found=found, remedy=remedy)
+        for row, pose in enumerate(poses.values()):
+            given = pose.joint_angles[:N_JOINTS]
+            angles[row, : len(given)] = given
         hands.append(hot3d.HandRows(side, time_ns, position, rotation, angles))
-    remarks = (f"{bad} of {bad + len(lines)} lines of {path.name} are damaged and left out",) if bad else ()
-    return tuple(hands), remarks
+    return tuple(hands), unreadable
 
 
 def read_profile(path: Path) -> hot3d.HandModel:

@@ -127,6 +127,8 @@ DEFECTS: tuple[Defect, ...] = (
     Defect("nan-gaze", "no gaze row holds an angle", _lose_gaze_angles, "read", "nothing can be primed"),
     Defect("lost-object", "rows missing", _LOST_OBJECT, "read", "of its poses"),
     Defect("failed-start", "the first second is wrong", _fail_the_start, "read", "fail the quality check"),
-    Defect("broken-lines", "thirty damaged lines of hand poses", _BROKEN_LINES, "read", "damaged and left out"),
+    Defect(
+        "broken-lines", "thirty damaged lines of hand poses", _BROKEN_LINES, "read", "cannot be read and are left out"
+    ),
     Defect("lost-hands", "hands never tracked", _NO_HANDS, "read", "never tracked"),
 )

@@ -287,6 +287,7 @@ def recording_from_hot3d(
             *hand_remarks,
             *remarks,
         ),
+        unreadable=readings.unreadable,
     )
 
 

@@ -25,9 +25,10 @@ from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LARGEST_ARRAYS, L
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.readers import read_synthetic_tree
 from prbench.readers.extents import Extent
+from prbench.readers.files import read_entries
 from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.mogaze import format as mogaze
-from prbench.recording import Recording
+from prbench.recording import Recording, UnreadableEntry
 
 _SHOWN = 8  # Names that a message lists.
 _COPY_AGAIN = "The file may be truncated; copy or download it again."
@@ -138,30 +139,32 @@ def _words(values: np.ndarray | Sequence[object]) -> list[str]:
 
 
 @foreign_input()
-def read_scene(path: Path) -> dict[int, tuple[str, Path | None]]:
-    """Read the names and meshes of the bodies, by id.
+def read_scene(path: Path) -> tuple[dict[int, tuple[str, Path | None]], list[UnreadableEntry]]:
+    """Read the names and meshes of the bodies, by id, and tell bodies without id or name.
 
     A mesh is None where the scene names none, or none of that name lies in the dataset's folder.
 
     Raises:
-        InputFileError: if the file is no XML, or a body lacks id or name.
+        InputFileError: if the file is no XML.
     """
     try:
         require_size(path, largest=HARMLESS_SIZE)
         root = ET.parse(path).getroot()
     except ET.ParseError as error:
         raise InputFileError(path, "", expected="XML", found=str(error), remedy=_COPY_AGAIN) from error
-    bodies = {}
-    for number, entry in enumerate(root.iter("body"), start=1):
+
+    def read_body(entry: ET.Element) -> tuple[int, tuple[str, Path | None]]:
         key = entry.get("id", "")
         name = entry.get("name", "").strip()
-        is_named = key.isdecimal() and len(key) <= _MOST_DIGITS and name != ""
-        found = f"id '{key}' and name '{name}'"
-        require(path, (is_named, f"body {number}", "an integer id and a name", found, _COPY_AGAIN))
+        if not (key.isdecimal() and len(key) <= _MOST_DIGITS and name):
+            raise ValueError(f"id '{key}' and name '{name}'")
         mesh = entry.find("meshfile")
         source = "" if mesh is None else mesh.get("src", "")
-        bodies[int(key)] = (name, find_mesh(path.parent, source) if source else None)
-    return bodies
+        return int(key), (name, find_mesh(path.parent, source) if source else None)
+
+    entries = {f"body {number}": entry for number, entry in enumerate(root.iter("body"), start=1)}
+    bodies, unreadable = read_entries(path, entries, read_body, "an integer id and a name")
+    return dict(bodies.values()), unreadable
 
 
 def find_mesh(folder: Path, source: str) -> Path | None:
@@ -244,7 +247,7 @@ def find_recordings(root: Path | str, *, include_excluded: bool = False) -> tupl
     if is_present(scene):
         shared.append(input_file(SCENE, scene))
         try:
-            meshes = sorted({mesh for _, mesh in read_scene(scene).values() if mesh is not None})
+            meshes = sorted({mesh for _, mesh in read_scene(scene)[0].values() if mesh is not None})
         except InputFileError:
             meshes = []
         shared += [input_file(f"{_MESH_PREFIX}{mesh.relative_to(folder).as_posix()}", mesh) for mesh in meshes]
@@ -337,8 +340,8 @@ def read_readings(found: RecordingFiles, manifest: Manifest, *, meshes: bool = F
     shown = np.array2string(calibration, precision=3)
     require(gaze, (is_turn, mogaze.CALIBRATION_ATTRIBUTE, "a quaternion of length 1", shown, _COPY_AGAIN))
 
-    poses = _read_poses(objects)
-    scene = read_scene(found.require(SCENE, mogaze.SCENE_FILE))
+    poses, unreadable = _read_poses(objects)
+    scene, odd_bodies = read_scene(found.require(SCENE, mogaze.SCENE_FILE))
     bodies = {key: scene.get(key, (f"body_{key}", None)) for key in poses}
     has_goggles = any(name == mogaze.GOGGLES for name, _ in bodies.values())
     expected = f"a body that {mogaze.SCENE_FILE} calls '{mogaze.GOGGLES}'"
@@ -360,6 +363,7 @@ def read_readings(found: RecordingFiles, manifest: Manifest, *, meshes: bool = F
     require(found.folder / found.recording_id, (is_one_length, "", expected, differing, remedy))
     if lengths[long] - n > mogaze.UNREMARKABLE_LENGTH_DIFFERENCE:
         messages.append(f"cut to {n} frames of {short}; {long} has {lengths[long]}")
+    segments, odd_segments = _read_segments(segmentations)
     match = _PARTICIPANT.fullmatch(found.recording_id)
     return mogaze.MogazeReadings(
         recording_id=found.recording_id,
@@ -372,24 +376,28 @@ def read_readings(found: RecordingFiles, manifest: Manifest, *, meshes: bool = F
         gaze_points=gaze_rows[:n, mogaze.GAZE_POINT],
         gaze_confidence=gaze_rows[:n, -1],
         calibration=calibration,
-        segments=_read_segments(segmentations),
+        segments=segments,
         messages=tuple(messages),
+        unreadable=(*unreadable, *odd_bodies, *odd_segments),
     )
 
 
-def _read_poses(path: Path) -> dict[int, Float[np.ndarray, "n 7"]]:
+def _read_poses(path: Path) -> tuple[dict[int, Float[np.ndarray, "n 7"]], list[UnreadableEntry]]:
     """Return the position and quaternion (x y z w) of each tracked body by id, in the order of the file."""
     poses: dict[int, Float[np.ndarray, "n 7"]] = {}
     with opened(path) as file:
         bodies = _entry(path, file, mogaze.OBJECT_GROUP, h5py.Group, "a group")
-        for key in map(str, bodies):
+
+        def read_body(key: str) -> None:
             match = _BODY_KEY.fullmatch(key)
             number = -1 if match is None else int(match[1])
-            where = f"{mogaze.OBJECT_GROUP}/{key}"
             expected = "a key that ends with an integer id, each id once"
-            require(path, (number >= 0 and number not in poses, where, expected, f"'{key}'", _OTHER_FILE))
+            require(path, (number >= 0 and number not in poses, key, expected, f"'{key}'", _OTHER_FILE))
             poses[number] = numbers(path, dataset(path, bodies, key), columns=7)[:, :7]
-    return poses
+
+        keys = {f"{mogaze.OBJECT_GROUP}/{key}": str(key) for key in bodies}
+        _, unreadable = read_entries(path, keys, read_body)
+    return poses, unreadable
 
 
 def _body(
@@ -414,13 +422,23 @@ def _body(
     )
 
 
-def _read_segments(path: Path) -> tuple[mogaze.Segment, ...]:
+def _read_segments(path: Path) -> tuple[tuple[mogaze.Segment, ...], list[UnreadableEntry]]:
     with opened(path) as file:
         rows = stored_values(path, dataset(path, file, mogaze.SEGMENT_DATASET))
     names = rows.dtype.names or ()
     where = f"dataset '{mogaze.SEGMENT_DATASET}'"
     require(path, (len(names) >= 3, where, "rows of start, end and label", rows.dtype, _OTHER_FILE))
-    start, end, label = (rows[name] for name in names[:3])
-    return tuple(
-        mogaze.Segment(int(first), int(last), text) for first, last, text in zip(start, end, _words(label), strict=True)
-    )
+    start, end, label = (rows[name].tolist() for name in names[:3])
+    entries = {
+        f"{mogaze.SEGMENT_DATASET}[{number}]": row
+        for number, row in enumerate(zip(start, end, _words(label), strict=True))
+    }
+    segments, unreadable = read_entries(path, entries, _segment, "two frames and a label")
+    return tuple(segments.values()), unreadable
+
+
+def _segment(row: tuple[float, float, str]) -> mogaze.Segment:
+    start, end, label = row
+    if not all(isinstance(frame, int | float) and float(frame).is_integer() for frame in (start, end)):
+        raise ValueError(f"{start} to {end} ({label})")
+    return mogaze.Segment(int(start), int(end), label)

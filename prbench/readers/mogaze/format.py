@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.geometry.skeleton import forward_kinematics
+from prbench.recording import UnreadableEntry
 
 RATE = 120.0  # Frames a second; all streams of a recording share one frame index, and frame 0 is time 0.
 
@@ -123,6 +124,7 @@ class MogazeReadings:
         calibration: x y z w.
         segments: Segments in the order of the file.
         messages: Messages of reading the files.
+        unreadable: Entries of the annotation files that cannot be read.
     """
 
     recording_id: str
@@ -135,6 +137,7 @@ class MogazeReadings:
     calibration: Float[np.ndarray, "4"]
     segments: tuple[Segment, ...]
     messages: tuple[str, ...] = ()
+    unreadable: tuple[UnreadableEntry, ...] = ()
 
 
 # The 21 joints in the order of the files, each with the joint that it hangs on; parents come first.

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from prbench.geometry.skeleton import WRISTS, Y_UP_FROM_Z_UP, transform_points
 from prbench.protocol.manifests import Manifest
 from prbench.readers.mogaze import format as mogaze
-from prbench.readers.mogaze.format import NULL_LABEL, RATE, Segment
+from prbench.readers.mogaze.format import NULL_LABEL, RATE, SEGMENT_DATASET, Segment
 from prbench.recording.streams import (
     SIDES,
     AnnotatedEvent,
@@ -26,6 +26,7 @@ from prbench.recording.streams import (
     PoseStream,
     PublishedTrack,
     Recording,
+    UnreadableEntry,
     hold_neighbours,
     plausible_body_frames,
     reaching_hand,
@@ -77,7 +78,9 @@ def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *
     directions, usable, in_metres = _gaze(readings, goggles, manifest)
     bodies = [each for each in readings.bodies if each is not goggles]
     tracks = tuple(_track(times, each, world_from_source) for each in bodies)
-    events, skipped = annotated_events(readings.segments, tracks, body, int(manifest.thresholds["rest_window"]))
+    window = int(manifest.thresholds["rest_window"])
+    file = f"{readings.recording_id}_{mogaze.PARTS[3]}.hdf5"
+    events, skipped, unusable = annotated_events(readings.segments, tracks, body, window, file)
 
     # Tell the user what is unusual about these readings.
     if not plausible.all():
@@ -116,6 +119,7 @@ def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *
         ),
         world_from_source=world_from_source,
         messages=(*readings.messages, *remarks, *skipped),
+        unreadable=(*readings.unreadable, *unusable),
     )
 
 
@@ -177,8 +181,8 @@ def _track(
 
 
 def annotated_events(
-    segments: Sequence[Segment], tracks: Sequence[ObjectTrack], body: BodyStream, rest_window: int
-) -> tuple[tuple[AnnotatedEvent, ...], tuple[str, ...]]:
+    segments: Sequence[Segment], tracks: Sequence[ObjectTrack], body: BodyStream, rest_window: int, file: str
+) -> tuple[tuple[AnnotatedEvent, ...], tuple[str, ...], list[UnreadableEntry]]:
     """Return the picks at the start, puts at the end of every segment in which an object moves.
 
     The place of a pick is the object's last pose before it, that of a put the median pose over the ``rest_window``
@@ -189,23 +193,26 @@ def annotated_events(
         tracks: Every object, one sample a frame.
         body: The wearer, one sample a frame, whose wrists tell the hand of an event.
         rest_window: Frames.
+        file: Name of the file that lists the segments.
 
     Returns:
-        The events in the order of time, and what was left out.
+        The events in the order of time, remarks, and segments of which no event can be.
     """
     by_name = {track.name: track for track in tracks}
-    # The movements of objects: in order, equal neighbours merged, impossible segments left out with a remark.
+    # The movements of objects: in order, equal neighbours merged, impossible segments left out.
     n_frames = len(body.times)
     remarks = []
     if not segments:
         remarks.append("no segments, so no events")
-    ordered = sorted(segments, key=lambda segment: segment.start)
-    if ordered != list(segments):
+    unusable = []
+    ordered = sorted(enumerate(segments), key=lambda item: item[1].start)
+    if [number for number, _ in ordered] != list(range(len(segments))):
         remarks.append("the segments are not in the order of time and are sorted")
     kept: list[Segment] = []
     previous = ""
+    reached = 0
     merged = 0
-    for segment in ordered:
+    for number, segment in ordered:
         track = by_name.get(segment.label)
         is_object = segment.label != NULL_LABEL
         reasons = {
@@ -216,8 +223,10 @@ def annotated_events(
         }
         reason = next((text for text, holds in reasons.items() if holds), "")
         if reason:
-            remarks.append(f"segment {segment.start} to {segment.end} ({segment.label}) is left out: {reason}")
-        elif segment.label == previous:
+            place = f"{SEGMENT_DATASET}[{number}], {segment.start} to {segment.end} ({segment.label})"
+            expected = f"a segment within the {n_frames} frames, of an object that is seen"
+            unusable.append(UnreadableEntry(file, place, expected, reason))
+        elif segment.label == previous and segment.start <= reached + 1:
             merged += 1
             if is_object:
                 kept[-1] = Segment(kept[-1].start, max(kept[-1].end, segment.end), segment.label)
@@ -225,6 +234,7 @@ def annotated_events(
             kept.append(segment)
         if segment.end > segment.start:  # an empty one separates nothing
             previous = segment.label if not reason else ""
+            reached = segment.end
     if merged:
         remarks.append(f"{merged} segments with the label of the one before them are merged with it")
     if kept and kept[0].start <= 0:
@@ -262,7 +272,7 @@ def annotated_events(
                     hand_source=source,
                 )
             )
-    return tuple(events), tuple(remarks)
+    return tuple(events), tuple(remarks), unusable
 
 
 def _resting_before(track: ObjectTrack, frame: int) -> tuple[np.ndarray, np.ndarray]:

@@ -114,10 +114,10 @@ def test_columns_are_found_by_name_and_further_ones_do_not_matter(readings, fold
 def test_lines_that_do_not_parse_are_left_out_and_counted(folder, tree) -> None:
     path = folder / hot3d.UMETRACK_FILE
     lines = path.read_bytes().splitlines()
-    lines[10:13] = [b'{"timestamp_ns": 1', b"\xff\xfe", b"{}"]
+    lines[10:13] = [b'{"timestamp_ns": 1', b"\xff\xfe", b"{}"]  # lines 11 to 13
     path.write_bytes(b"\n".join(lines) + b"\n")
-    recording = _read(tree)
-    assert any(f"3 of {len(lines)} lines of {hot3d.UMETRACK_FILE} are damaged" in text for text in recording.messages)
+    (entry,) = _read(tree).unreadable
+    assert (entry.file, entry.key) == (hot3d.UMETRACK_FILE, "line 11 and 2 more")
 
 
 def test_a_hand_that_is_never_there_is_said_and_the_other_read(folder, tree) -> None:
@@ -129,12 +129,12 @@ def test_a_hand_that_is_never_there_is_said_and_the_other_read(folder, tree) -> 
 
 
 def test_masks_are_read_for_the_rgb_stream(readings, folder) -> None:
-    times, good = read_mask(folder / "masks" / "mask_qa_pass.csv")
+    (times, good), _ = read_mask(folder / "masks" / "mask_qa_pass.csv")
     assert np.array_equal(times, readings.masks["qa_pass"][0])
     assert good.all()
     set_cell("masks/mask_qa_pass.csv", 2, 2, "False")(folder)
     set_cell("masks/mask_qa_pass.csv", 6, 2, "False")(folder)  # of a SLAM camera
-    assert read_mask(folder / "masks" / "mask_qa_pass.csv")[1].tolist().count(False) == 1
+    assert read_mask(folder / "masks" / "mask_qa_pass.csv")[0][1].tolist().count(False) == 1
 
 
 def test_meshes_are_an_option(readings, folder, tree) -> None:

@@ -159,7 +159,7 @@ def test_recordings_with_known_defects_are_skipped_with_their_reason(root, tmp_p
 
 
 def test_scene_of_the_layout_is_read_back(root) -> None:
-    assert {key: name for key, (name, _) in read_scene(root / "scene.xml").items()} == NAMES
+    assert {key: name for key, (name, _) in read_scene(root / "scene.xml")[0].items()} == NAMES
 
 
 def test_a_synthetic_tree_is_recognised_from_the_folder_above_it(root) -> None:

@@ -133,15 +133,15 @@ def test_segments_become_events(name) -> None:
     recording = _events(*segments)
     found = [(event.action, event.object_name, round(event.event_time * 120)) for event in recording.annotated_events]
     assert found == events
-    assert says in " ".join(recording.messages)
+    assert says in " ".join(recording.remarks)
 
 
 def test_bad_segments_are_left_out_with_a_word_each() -> None:
     bad = (-5, 20, "cup_red"), (50, 50, "cup_red"), (60, 90, "spoon"), (N + 5, N + 50, "cup_red")
     recording = _events(bad[3], *bad[:3], (PICK, PUT, "cup_red"))
     assert [event.action for event in recording.annotated_events] == ["pick", "put"]
-    assert sum("is left out" in message for message in recording.messages) == 4
-    assert any("spoon" in message and "no such object" in message for message in recording.messages)
+    assert len(recording.unreadable) == 4
+    assert any("spoon" in entry.key and "no such object" in entry.found for entry in recording.unreadable)
     assert any("sorted" in message for message in recording.messages)
 
 
@@ -159,7 +159,7 @@ def test_an_object_that_is_lost_around_its_events_is_placed_where_it_was_seen_at
 def test_an_object_that_is_never_seen_has_no_events() -> None:
     recording = _recording(_with_body(still_life(), CUP, rotation=np.zeros((N, 4))))
     assert recording.annotated_events == ()
-    assert any("never seen" in message for message in recording.messages)
+    assert any("never seen" in entry.found for entry in recording.unreadable)
 
 
 def test_low_confidence_is_bridged_for_a_quarter_of_a_second() -> None:
