@@ -19,6 +19,7 @@ DATA = [
     "*.template",
     "*.pyi",
     "py.typed",
+    "splits/*.csv",
     "weights/*.json",
     "weights/*.safetensors",
 ]

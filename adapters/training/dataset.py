@@ -226,7 +226,7 @@ class SequenceDataset(Dataset[MotionItem]):
         for table in opened:
             parts = parts_of(split)
             if len(parts) > 1:
-                # Of several splits an empty one is left out (MoGaze has no validation sequences).
+                # Of several splits an empty one is left out (a small table has no validation sequences).
                 present = set(table.scalars(columns=["split"])["split"].to_pylist())
                 parts = [part for part in parts if part in present]
             for part in parts:

@@ -111,10 +111,10 @@ def build_windows(
     with progress(f"cutting shard {part} of {dataset}") as tell:
         done = build_windows_shard(plan, out, part, on_error=on_error, engine=where, progress=tell)
     for each in done.records:
-        if each.receipt.status != "read":
-            note(f"{each.recording_id}: {each.receipt.status}: {each.receipt.message}")
+        if each.status != "read":
+            note(f"{each.recording_id}: {each.status}: {each.message}")
     report = builds.made_shard(done, len(done.records))
-    complete = all(each.receipt.status != "failed" for each in done.records)
+    complete = all(each.status != "failed" for each in done.records)
     exit_code = 0 if complete else builds.NOT_EVERYTHING
     return opt.shard_answer(WindowsReport(shard=report), report, unit="recordings", exit_code=exit_code)
 

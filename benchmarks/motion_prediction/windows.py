@@ -13,15 +13,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 from jaxtyping import Bool, Float, Int
 
 import prbench
-from prbench.curation.curate import split_of
-from prbench.curation.job import NativeSource, native_sources
+from prbench.curation.job import NativeSource, PartReceipt, native_sources, part_receipt
 from prbench.curation.options import BuildOptions
+from prbench.curation.splits import draw_splits
 from prbench.engine import Engine, InProcess, is_out_of_memory
 from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, PrbenchError
@@ -43,6 +42,7 @@ from prbench.sequences.parts import (
     work_folder,
     working_in_parts,
 )
+from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.sequence import row_batch
 from prbench.shown import quoted
 from prbench_benchmarks.motion_prediction.joint_sets import SMPL22, joint_set
@@ -61,7 +61,6 @@ from prbench_benchmarks.motion_prediction.table import (
 
 # ``native``: joints that a study scored, where the reader gives them; ``smpl22``: the 22 joints of every dataset.
 JointChoice = Literal["native", "smpl22"]
-Status = Literal["read", "failed", "skipped"]
 OnError = Literal["skip", "fail"]
 # Called after each recording with how many are done, of how many, and its id.
 Progress = Callable[[int, int, str], None] | None
@@ -272,8 +271,8 @@ class NativeWindows:
         """Return a message without the folders of this machine."""
         return self.source.without_places(message)
 
-    def cut(self, protocol: PredictionProtocol) -> Iterator[Run]:
-        """Read it, and cut it.
+    def cut(self, protocol: PredictionProtocol) -> tuple[RecordingRow, Iterator[Run]]:
+        """Read it, and cut it; what decides its split stands in the row.
 
         Raises:
             PrbenchError: if it cannot be read.
@@ -286,44 +285,31 @@ class NativeWindows:
             recording, tracks = reader.read_published(source.found, native=self.native)
         else:
             recording = reader.read(source.found)
-        group = recording.split_group or source.recording_id
-        split = source.split or split_of(source.recording_id, group, self.manifest, load_protocol().splits)
+        row = row_of(recording, source.split or "", recording.split_group)
         if tracks is None:
-            yield from runs_of_recording(recording, protocol.windows, split=split)
-            return
+            return row, runs_of_recording(recording, protocol.windows, split=row.split)
         published = protocol.published_splits.get(source.dataset)
         published_split = "" if published is None else published.of(source.recording_id)
-        yield from runs_of_tracks(recording, tracks, protocol.windows, split=split, published_split=published_split)
+        return row, runs_of_tracks(
+            recording, tracks, protocol.windows, split=row.split, published_split=published_split
+        )
 
     @property
     def _reader(self) -> Reader:
         return reader_for(self.source.dataset, dict(self.source.reader_options))
 
 
-class WindowsReceipt(msgspec.Struct, frozen=True, kw_only=True):
-    """Description of a finished part, readable without opening its tables.
+def row_of(recording: Recording, split: str, split_group: str) -> RecordingRow:
+    """Return what decides the split of a recording that was read.
 
-    Attributes:
-        message: The reason where there are no runs.
+    Args:
+        recording: The recording.
+        split: Its own split; empty where the build draws it.
+        split_group: Shared by recordings that must not be separated; empty for the recording's own id.
     """
-
-    input_digest: str
-    status: Status
-    message: str
-
-
-@dataclass(frozen=True)
-class CutRecording:
-    """The runs of one recording as a part, or the reason why there are none.
-
-    Attributes:
-        reused: True if an earlier, interrupted build had made it.
-    """
-
-    recording_id: str
-    receipt: WindowsReceipt
-    folder: Path
-    reused: bool
+    name = recording.recording_id
+    duration = recording.span[1] - recording.span[0]
+    return RecordingRow(name, recording.participant_id, split, split_group or name, duration, {}, "read", "")
 
 
 def read_cut_runs(folder: Path) -> Iterator[Run]:
@@ -345,58 +331,61 @@ class WindowsJob:
     stop_on_error: bool
     work: Path
 
-    def __call__(self, source: Any) -> CutRecording:
+    def __call__(self, source: Any) -> PartReceipt:
         """Make the part of one recording, :class:`NativeWindows` or the like."""
         if source.skip_reason is not None:
-            return self._write(source, "", "skipped", source.skip_reason)
+            return self._left_out(source, "", "skipped", source.skip_reason)
         try:
             digest = source.input_digest()
         except (OSError, InputFileError) as error:
             # No digest exists of what cannot be read; the part is tried again by the next build.
             return self._failed(source, "unreadable", error)
-        entries = parts.read_receipt(self._folder(source, digest))
+        folder = self._folder(source, digest)
+        entries = parts.read_receipt(folder)
         if entries is not None:
-            receipt = msgspec.convert(entries, WindowsReceipt)
-            if receipt.status != "failed":  # a failure may have passed: try again
-                return CutRecording(source.recording_id, receipt, self._folder(source, digest), reused=True)
+            found = part_receipt(folder, entries, reused=True)
+            if found.record.status != "failed":  # a failure may have passed: try again
+                return found
         try:
-            runs = tuple(source.cut(self.protocol))
+            row, runs = source.cut(self.protocol)
+            runs = tuple(runs)
         except Exception as error:
             if is_out_of_memory(error):
                 raise  # the engine tries again when nothing else is done beside it
             # Whatever one recording does, the others go on; its message reaches the user with the build's report.
             return self._failed(source, digest, error)
-        return self._write(source, digest, "read", "", runs)
+        return self._write(source, digest, row, runs)
 
-    def if_full(self, source: Any, error: PrbenchError) -> CutRecording:
+    def if_full(self, source: Any, error: PrbenchError) -> PartReceipt:
         """Make the part of a recording for which the memory does not suffice: it is not read, and says why."""
         return self._failed(source, source.input_digest(), error)
 
-    def _failed(self, source: Any, digest: str, error: Exception) -> CutRecording:
+    def _failed(self, source: Any, digest: str, error: Exception) -> PartReceipt:
         known = isinstance(error, PrbenchError)
         message = quoted(error) if known else f"unexpected {type(error).__name__}: {quoted(error)}"
         if self.stop_on_error and known:
             raise error
         if self.stop_on_error:
             raise PrbenchError(f"{source.recording_id}: {message}") from error
-        return self._write(source, digest, "failed", source.without_places(message))
+        return self._left_out(source, digest, "failed", source.without_places(message))
+
+    def _left_out(self, source: Any, digest: str, status: str, message: str) -> PartReceipt:
+        name = source.recording_id
+        return self._write(source, digest, RecordingRow(name, "unknown", "", name, 0.0, {}, status, message), ())
 
     def _folder(self, source: Any, input_digest: str) -> Path:
         settings = text_digest(self.protocol.digest, source.settings)
         return parts.part_folder(self.work, source.recording_id, input_digest, settings)
 
-    def _write(
-        self, source: Any, digest: str, status: Status, message: str, runs: tuple[Run, ...] = ()
-    ) -> CutRecording:
-        receipt = WindowsReceipt(input_digest=digest, status=status, message=message)
+    def _write(self, source: Any, digest: str, record: RecordingRow, runs: tuple[Run, ...]) -> PartReceipt:
         folder = self._folder(source, digest)
         windows = [window.row(run, row) for row, run in enumerate(runs) for window in run.windows]
         batches = {
             "streams": row_batch(runs, streams_schema(joint_set(source.joint_set))),
             "windows": pa.RecordBatch.from_pylist(windows, schema=WINDOWS),
         }
-        parts.write_part(folder, batches, parts.plain(receipt))
-        return CutRecording(source.recording_id, receipt, folder, reused=False)
+        parts.write_part(folder, batches, {"input_digest": digest, "record": parts.plain(record)})
+        return PartReceipt(folder, digest, record, reused=False)
 
 
 @dataclass(frozen=True)
@@ -471,7 +460,7 @@ def build_windows(
     on_error: OnError = "skip",
     engine: Engine = _IN_PROCESS,
     progress: Progress = None,
-) -> BuildReport[WindowsInfo, CutRecording]:
+) -> BuildReport[WindowsInfo, RecordingRow]:
     """Build a table of windows.
 
     Args:
@@ -494,7 +483,7 @@ def build_windows(
 
 def build_windows_shard(
     plan: WindowsPlan, out: Path, shard: Shard, *, on_error: OnError, engine: Engine, progress: Progress
-) -> ShardReport[CutRecording]:
+) -> ShardReport[RecordingRow]:
     """Make one shard of a build, for :func:`merge_windows_shards`; goes on where it was interrupted.
 
     Args:
@@ -520,12 +509,13 @@ def build_windows_shard(
     with making_shard(out, record) as work:
         finished = _cut(mine, work, on_error, engine, progress)
         finish_shard(out, record, [each.folder for each in finished])
-    return ShardReport(out, shard, len(plan.sources), tuple(finished), sum(each.reused for each in finished))
+    reused = sum(each.reused for each in finished)
+    return ShardReport(out, shard, len(plan.sources), tuple(each.record for each in finished), reused)
 
 
 def merge_windows_shards(
     shards: Sequence[tuple[Path, ShardRecord]], out: Path
-) -> BuildReport[WindowsInfo, CutRecording]:
+) -> BuildReport[WindowsInfo, RecordingRow]:
     """Write the table of an unsharded build from all of its shards, with the same bytes.
 
     Args:
@@ -543,29 +533,26 @@ def merge_windows_shards(
     out = out.expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="table of windows")
     with sole_writer(out):
-        finished = [
-            CutRecording(name, msgspec.convert(entries, WindowsReceipt), part, reused=False)
-            for name, (part, entries) in zip(record.plan, shard_parts(shards), strict=True)
-        ]
+        finished = [part_receipt(part, entries, reused=False) for part, entries in shard_parts(shards)]
         return _write_table(now, finished, out)
 
 
 def _cut(
     sources: Sequence[Any], work: Path, on_error: OnError, engine: Engine, progress: Progress
-) -> list[CutRecording]:
+) -> list[PartReceipt]:
     """Make the parts of some recordings, in their order."""
     job = WindowsJob(load_prediction_protocol(), on_error == "fail", work)
-    finished: list[CutRecording] = []
+    finished: list[PartReceipt] = []
     for each in engine.map(job, sources, if_full=job.if_full):
         finished.append(each)
         if progress is not None:
-            progress(len(finished), len(sources), each.recording_id)
+            progress(len(finished), len(sources), each.record.recording_id)
     return finished
 
 
 def _write_table(
-    settings: dict[str, Any], finished: list[CutRecording], out: Path
-) -> BuildReport[WindowsInfo, CutRecording]:
+    settings: dict[str, Any], finished: list[PartReceipt], out: Path
+) -> BuildReport[WindowsInfo, RecordingRow]:
     """Write the table of all parts of a build."""
     dataset = settings["dataset"]
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
@@ -574,7 +561,8 @@ def _write_table(
     terms = manifest.terms(synthetic=synthetic)
     if not synthetic:
         terms["citation"] = manifest.citation  # not stripped: earlier tables keep their bytes
-    read = [each for each in finished if each.receipt.status == "read"]
+    records = [each.record for each in finished]
+    read = [each for each in finished if each.record.status == "read"]
     info = WindowsInfo(
         **terms,
         schema_version=SCHEMA_VERSION,
@@ -583,15 +571,13 @@ def _write_table(
         dataset=dataset,
         prbench_version=prbench.__version__,
         manifest_digest=settings["manifest"],
-        input_digest=text_digest(*(text for each in read for text in (each.recording_id, each.receipt.input_digest))),
+        input_digest=text_digest(*(text for each in read for text in (each.record.recording_id, each.input_digest))),
         options=settings["options"],
         outcomes={},
         quarantine=tuple(
-            QuarantinedRecording(
-                recording_id=each.recording_id, status=each.receipt.status, message=each.receipt.message
-            )
-            for each in finished
-            if each.receipt.status != "read"
+            QuarantinedRecording(recording_id=each.recording_id, status=each.status, message=each.message)
+            for each in records
+            if each.status != "read"
         ),
         identity_digest="",
         content_digest="",
@@ -602,5 +588,7 @@ def _write_table(
         joint_set=settings["joint_set"],
     )
     # Last of all: until here an earlier table stands as it was.
-    info = write_windows(out, info, (run for each in finished for run in read_cut_runs(each.folder)))
-    return BuildReport(out, info, tuple(finished), sum(each.reused for each in finished))
+    splits = draw_splits(records, manifest, load_protocol().splits)
+    runs = (run for each in finished for run in read_cut_runs(each.folder))
+    info = write_windows(out, info, (replace(run, split=splits[run.recording_id]) for run in runs))
+    return BuildReport(out, info, tuple(records), sum(each.reused for each in finished))

@@ -19,6 +19,7 @@ import msgspec
 from prbench.curation.corrections import Corrections
 from prbench.curation.job import CurationJob, PartReceipt, RecordingSource, describe, native_sources, part_receipt
 from prbench.curation.options import NO_OPTIONS, BuildOptions
+from prbench.curation.splits import draw_splits, with_splits
 from prbench.engine import Engine, InProcess
 from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, PrbenchError, StorageError, TableError, UsageError
@@ -240,19 +241,22 @@ def _write_table(
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
     protocol = options.protocol or load_protocol()
     folders = [receipt.folder for receipt in receipts]
+    # Only all recordings together say which of them are tested on.
+    splits = draw_splits([receipt.record for receipt in receipts], manifest, protocol.splits)
     info = write_dataset(
         out,
         describe(dataset, manifest, protocol, options, receipts, extra_options),
-        sequences=read_batches(folders, "sequences"),
+        sequences=with_splits(read_batches(folders, "sequences"), splits),
         events=read_batches(folders, "events"),
-        recordings=read_batches(folders, "recordings"),
+        recordings=with_splits(read_batches(folders, "recordings"), splits),
         scenes=read_batches(folders, "scenes"),
         replace=options.replace,
         incomplete=[receipt.record.recording_id for receipt in receipts if receipt.record.shortfalls],
         protocol=protocol,
     )
     reused = sum(receipt.reused for receipt in receipts)
-    return BuildReport(out, info, tuple(receipt.record for receipt in receipts), reused)
+    records = (dataclasses.replace(each.record, split=splits[each.record.recording_id]) for each in receipts)
+    return BuildReport(out, info, tuple(records), reused)
 
 
 def _require_same_dataset(out: Path, dataset: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -17,8 +16,7 @@ from prbench.curation.priming import PUBLISHED_STAGE, Prime, find_prime, gaze_ra
 from prbench.errors import RecordingUnusable
 from prbench.geometry.shapes import Boxes, deepest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
-from prbench.protocol.manifests import BenchmarkProtocol, InHandRule, Manifest, SplitRule
-from prbench.randomness import hash_fraction
+from prbench.protocol.manifests import BenchmarkProtocol, InHandRule, Manifest
 from prbench.recording import Recording
 from prbench.recording.streams import wrists_at
 from prbench.sequences.sequence import Event, SceneBox, Sequence
@@ -27,7 +25,6 @@ from prbench.sequences.table import body_movement, hand_movement
 
 # Metres within which a thing keeps its place through the recording; choice: above the noise of optical tracking.
 _STILL = 0.01
-Split = Literal["train", "validation", "test"]
 
 
 @dataclass(frozen=True)
@@ -52,17 +49,17 @@ def curate_recording(
     protocol: BenchmarkProtocol,
     options: CurationOptions = DEFAULTS,
     *,
-    split: str | None = None,
+    split: str = "",
     corrections: Corrections | None = None,
 ) -> CuratedRecording:
     """Find the events of a recording, prime, clip and filter them (docs/specification/curation.md).
 
     Args:
         recording: What a reader yields.
-        manifest: The dataset's in-hand rule and split lists.
+        manifest: The dataset's in-hand rule.
         protocol: Constants of the path from event to sequence.
         options: What the user chose.
-        split: The split, where the recording carries its own (synthetic trees); None = by the split rule.
+        split: The split, where the recording carries its own (synthetic trees); empty where a build draws it.
         corrections: A person's corrections of its events, applied before these are primed.
 
     Raises:
@@ -70,7 +67,6 @@ def curate_recording(
         RecordingUnusable: if published priming is asked for and the recording has none.
     """
     group = recording.split_group or recording.recording_id
-    split = split or split_of(recording.recording_id, group, manifest, protocol.splits)
     rule = options.in_hand_rule(manifest)
     events, remarks = find_events(recording, rule)
     if corrections is not None:
@@ -159,34 +155,6 @@ def curate_recording(
         ),
         boxes=scene_boxes(recording),
     )
-
-
-def split_of(recording_id: str, split_group: str, manifest: Manifest, rule: SplitRule) -> Split:
-    """Return the manifest's lists where they name the recording or its group, else the hash of the group.
-
-    Its own name decides, so a partial copy of a dataset never moves a recording to another split
-    (docs/specification/curation.md#splits).
-
-    Args:
-        recording_id: The recording.
-        split_group: Shared by recordings that must not be separated (concurrent twins: the smaller id).
-        manifest: The dataset's manifest, for its lists and its name.
-        rule: Shares of the hash range.
-    """
-    listed: dict[Split, tuple[str, ...]] = {
-        "test": manifest.test_recordings,
-        "validation": manifest.validation_recordings,
-        "train": manifest.train_recordings,
-    }
-    # A recording may be listed itself or through its concurrent twin.
-    for name in (recording_id, split_group):
-        for split, recordings in listed.items():
-            if name in recordings:
-                return split
-    fraction = hash_fraction(manifest.name, split_group)
-    if fraction >= rule.test_from:
-        return "test"
-    return "validation" if fraction < rule.validation_below else "train"
 
 
 def _follow(

@@ -18,7 +18,7 @@ import msgspec
 
 import prbench
 from prbench.curation.corrections import DROPPED, Corrections, UnknownEventError
-from prbench.curation.curate import CuratedRecording, curate_recording, split_of
+from prbench.curation.curate import CuratedRecording, curate_recording
 from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.engine import is_out_of_memory
 from prbench.errors import InputFileError, PrbenchError
@@ -51,7 +51,7 @@ class RecordingSource(Protocol):
     """One recording that can be read, here or in another process; instances are picklable.
 
     ``recording_id`` is unique within a build, and ``dataset`` is the name that the recording will carry. ``split`` is
-    None where the split rule decides, and ``skip_reason`` says why the recording must not be read, if it must not.
+    None where a list or the draw decides, and ``skip_reason`` says why the recording must not be read, if it must not.
     """
 
     @property
@@ -240,7 +240,7 @@ class CurationJob:
             recording = source.read()
             settled = self.corrections.get(source.recording_id)
             return curate_recording(
-                recording, self.manifest, self.protocol, self.options, split=source.split, corrections=settled
+                recording, self.manifest, self.protocol, self.options, split=source.split or "", corrections=settled
             )
         except UnknownEventError:
             raise  # a correction without its event would be lost in silence
@@ -261,8 +261,8 @@ class CurationJob:
 
     def _left_out(self, source: RecordingSource, status: str, message: str) -> CuratedRecording:
         name = source.recording_id
-        split = source.split or split_of(name, name, self.manifest, self.protocol.splits)
-        return CuratedRecording((), (), RecordingRow(name, "unknown", split, name, 0.0, {}, status, message))
+        record = RecordingRow(name, "unknown", source.split or "", name, 0.0, {}, status, message)
+        return CuratedRecording((), (), record)
 
     def _folder(self, source: RecordingSource, input_digest: str) -> Path:
         corrections = self.corrections.get(source.recording_id)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import tomllib
 from functools import cache
@@ -72,6 +73,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         excluded: Recording that is left out unless the reader's option ``include_excluded`` is on, and why.
         object_extents: Boxes of kinds of objects whose meshes may be missing: lower and upper end along x, y, z,
             metres.
+        splits: Split of each recording of a stored list: of an own dataset ``splits/<dataset>.csv``. Recordings in no
+            list are drawn (docs/specification/curation.md#splits).
     """
 
     schema: Literal[1]
@@ -98,9 +101,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     known_bad: dict[str, str] = {}
     excluded: dict[str, str] = {}
     object_extents: dict[str, tuple[tuple[float, float], tuple[float, float], tuple[float, float]]] = {}
-    test_recordings: tuple[str, ...] = ()
-    validation_recordings: tuple[str, ...] = ()
-    train_recordings: tuple[str, ...] = ()
+    splits: dict[str, Literal["train", "validation", "test"]] = {}
 
     def terms(self, *, synthetic: bool) -> dict[str, Any]:
         """Return title, licence, redistribution, homepage, citation and ``synthetic`` of a table of its recordings.
@@ -159,10 +160,17 @@ class CurationConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
 
 class SplitRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Shares of the hash range [0, 1) that decide a recording's split."""
+    """Shares of the two splits that are held out, of the length of all recordings that no list names.
 
-    test_from: float
-    validation_below: float
+    Attributes:
+        tolerance: Share by which the test part may be longer, so that it holds more recordings.
+        fewest_units: Recordings that the test part holds where as many fit.
+    """
+
+    test: float
+    validation: float
+    tolerance: float
+    fewest_units: int
 
 
 class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -261,7 +269,12 @@ def load_manifest(dataset: str) -> Manifest:
         InputFileError: if the file is missing or does not fit the data class (naming the key).
     """
     if dataset in own_datasets():
-        return read_toml("prbench_data_manifests", f"{dataset}.toml", Manifest)
+        own = read_toml("prbench_data_manifests", f"{dataset}.toml", Manifest)
+        stored = resources.files("prbench_data_manifests") / "splits" / f"{dataset}.csv"
+        if not stored.is_file():
+            return own
+        lines = [line for line in stored.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+        return msgspec.structs.replace(own, splits={row["recording_id"]: row["split"] for row in csv.DictReader(lines)})
     if dataset not in dataset_names():
         raise UsageError(f"unknown dataset '{dataset}'; known ones are: {', '.join(dataset_names())}.")
     file = folder_of(find_reader(dataset)) / f"{dataset}.toml"

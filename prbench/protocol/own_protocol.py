@@ -33,7 +33,7 @@ FILE_NAME = "protocol.toml"
 OPTION = "protocol"
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 _ABOVE_ZERO = ("fps", "curation.priming_window", "metrics.prime_window")
-_SHARES = ("splits.test_from", "splits.validation_below")
+_SHARES = ("splits.test", "splits.validation", "splits.tolerance")
 # Parts that may differ between a table's protocol and a run's: nothing of the table depends on them.
 _SCORING = ("name", "version", "metrics", "breakdown")
 _START = "Start from a copy of benchmarks/prime_and_reach/protocol.toml and give it a name."
@@ -97,10 +97,10 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
         *bins,
         (fewest >= 2, "breakdown.fewest_recordings", "2 or more", fewest),
         (
-            splits.validation_below <= splits.test_from,
-            "splits.validation_below",
-            f"at most splits.test_from ({splits.test_from:g})",
-            f"{splits.validation_below:g}",
+            splits.test + splits.validation <= 1,
+            "splits.validation",
+            f"at most what splits.test leaves ({1 - splits.test:g})",
+            f"{splits.validation:g}",
         ),
     ]
     require(path, *((*check, "") for check in checks))

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 
-import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.curation import CurationOptions, curate_recording
-from prbench.curation.curate import CuratedRecording, hash_fraction, scene_boxes, split_of
+from prbench.curation.curate import CuratedRecording, scene_boxes
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import Joint, transform_points
 from prbench.recording import BodyStream, ObjectTrack, Recording, UnreadableEntry
@@ -201,28 +199,6 @@ def test_body_and_hand_movement_by_hand() -> None:
     assert row.hand == "left"
     assert row.body_movement == pytest.approx(0.5, abs=1e-6)
     assert row.hand_movement == pytest.approx(0.2, abs=1e-6)
-
-
-def test_splits_depend_on_the_group_alone_and_lists_win() -> None:
-    names = [f"rec{index}" for index in range(2000)]
-    splits = [split_of(name, name, MANIFEST, PROTOCOL.splits) for name in names]
-    assert splits.count("test") / 2000 == pytest.approx(0.30, abs=0.03)
-    assert splits.count("validation") / 2000 == pytest.approx(0.07, abs=0.02)
-    for number in range(20):
-        twins = [split_of(f"{name}{number}", f"a{number}", MANIFEST, PROTOCOL.splits) for name in "ab"]
-        assert twins[0] == twins[1], "concurrent twins share their group"
-    listed = msgspec.structs.replace(MANIFEST, test_recordings=("rec0",), train_recordings=("rec1",))
-    assert split_of("rec0", "rec0", listed, PROTOCOL.splits) == "test"
-    assert split_of("rec1", "rec1", listed, PROTOCOL.splits) == "train"
-    # Twins of listed recordings go with them, whatever the hash of their group says.
-    assert split_of("twin_of_rec0", "rec0", listed, PROTOCOL.splits) == "test"
-    assert split_of("twin_of_rec1", "rec1", listed, PROTOCOL.splits) == "train"
-    assert split_of("rec0", "rec0", MANIFEST, PROTOCOL.splits) != "test"
-
-
-def test_the_hash_fraction_of_a_known_name() -> None:
-    leading = hashlib.sha256(b"adt/a").digest()[0]
-    assert hash_fraction("adt", "a") == pytest.approx(leading / 256, abs=1 / 256)
 
 
 def test_a_synthetic_tree_brings_its_own_split() -> None:

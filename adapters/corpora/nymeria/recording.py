@@ -26,6 +26,7 @@ from prbench.readers import described_options
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.files import find_gaze_file, read_gaze_angles, read_near
 from prbench.recording.streams import BodyStream, GazeStream, PoseStream, Recording
+from prbench.sequences.sequence import Recording as RecordingRow
 from prbench_adapters.corpora.nymeria.clock import ClockOffset, offset_by_correlation, offset_from_file
 from prbench_adapters.corpora.nymeria.files import OFFSET, TRAJECTORY
 from prbench_adapters.corpora.nymeria.format import SUIT_FILE, SUIT_RATE
@@ -35,7 +36,7 @@ from prbench_adapters.corpora.sources import CorpusOptions, chosen_recordings
 from prbench_benchmarks.motion_prediction.joint_sets import SMPL22
 from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol
 from prbench_benchmarks.motion_prediction.table import Run
-from prbench_benchmarks.motion_prediction.windows import JointChoice, WindowsPlan, runs_of_recording
+from prbench_benchmarks.motion_prediction.windows import JointChoice, WindowsPlan, row_of, runs_of_recording
 
 _STEP = 0.1  # s between two poses whose turn is compared
 _LEAST_TURN = np.deg2rad(2.0)  # smaller turns tell more of noise than of an axis
@@ -154,9 +155,11 @@ class NymeriaWindows:
         """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
         return self.source.without_places(message)
 
-    def cut(self, protocol: PredictionProtocol) -> Iterator[Run]:
+    def cut(self, protocol: PredictionProtocol) -> tuple[RecordingRow, Iterator[Run]]:
         """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
-        yield from runs_of_recording(self._read(), protocol.windows, split=self.source.identity.split)
+        recording = self._read()
+        row = row_of(recording, self.source.identity.split, self.source.identity.split_group)
+        return row, runs_of_recording(recording, protocol.windows, split=row.split)
 
     @foreign_input()
     def _read(self) -> Recording:
