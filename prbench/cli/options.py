@@ -43,6 +43,7 @@ LOCAL_PATH = PlaceType("local")  # of one that has to lie on this machine
 NATIVE = PlaceType("native")  # of a folder with a dataset's own files
 OUT_FILE = PlaceType("file")
 _OUT_FOLDER = PlaceType("folder")
+_TABLE_FILE = "dataset.json"  # prbench.sequences.dataset_info.FILE_NAME, whose module is not needed for help
 POSITIVE = click.IntRange(min=1)
 # A time limit.
 SECONDS = click.FloatRange(min=0, min_open=True)
@@ -98,8 +99,19 @@ permission_option = click.option(
 
 
 def data_option(*, required: bool, help: str = "Built dataset folder(s).") -> Callable:
-    """Add ``--data DIR…``, repeatable."""
-    return click.option("--data", cls=SeveralValues, type=PATH, metavar="DIR...", required=required, help=help)
+    """Add ``--data DIR…``, repeatable; a folder that is no table stands for the tables in it."""
+
+    def each_table(_ctx: click.Context, _param: click.Parameter, folders: tuple[Any, ...]) -> tuple[Any, ...]:
+        found = []
+        for folder in folders:
+            own = isinstance(folder, Path) and not (folder / _TABLE_FILE).exists()
+            inner = sorted(file.parent for file in folder.glob(f"*/{_TABLE_FILE}")) if own else []
+            found += inner or [folder]
+        return tuple(found)
+
+    return click.option(
+        "--data", cls=SeveralValues, type=PATH, metavar="DIR...", required=required, help=help, callback=each_table
+    )
 
 
 tables_option = data_option(

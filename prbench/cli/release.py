@@ -11,7 +11,7 @@ import click
 from prbench.cli import options as opt
 from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.commands import Answer, command, note, session
-from prbench.cli.terminal import print_table
+from prbench.cli.terminal import print_table, print_tables
 
 
 @command(
@@ -28,7 +28,8 @@ from prbench.cli.terminal import print_table
     type=opt.KeyValue(),
     multiple=True,
     metavar="CANONICAL=THEIRS",
-    help="What a field of target_information.json means, for example goal=centre; repeatable.",
+    help="Which field of target_information.json means what, for example goal=centre; repeatable. An import that needs"
+    " it shows the fields and the words to add.",
 )
 @opt.on_error_option(what="sequences", them="them")
 @opt.replace_option()
@@ -44,7 +45,8 @@ def import_release(
 ) -> Answer:
     """Turn the authors' released files into tables, and say what had to be inferred.
 
-    ROOT is the folder with HD-EPIC, MoGaze …, or one of these.
+    ROOT is the folder with HD-EPIC, MoGaze …, or one of these. Then, for example:
+    prbench run --method static --condition none --data tables/released
     """
     from prbench.errors import UsageError
     from prbench.release.importing import import_release as import_files
@@ -76,28 +78,37 @@ def import_release(
             ]
             rows += [(f"field {meaning.replace('_', ' ')}", name, "", "") for meaning, name in table.fields.items()]
             print_table(f"{table.title}: what was inferred", ("", "value", "how surely", "evidence"), rows)
-            counts = [(row.split, str(row.found), "" if row.study is None else str(row.study)) for row in table.counts]
-            print_table("sequences", ("split", "found", "study"), counts, numbers=(1, 2))
             if table.fields_kept_in_extra:
                 print(f"fields kept in extra: {', '.join(table.fields_kept_in_extra)}")
             print(f"table: {table.folder}")
+        print_tables(report.sizes)
 
     return Answer(report, show, 0 if report.complete else NOT_EVERYTHING)
 
 
 @command(
     "export-release",
-    example="prbench export-release tables/adt tables/mogaze --out release",
+    example="prbench export-release --as-published --out release",
     report="prbench.release.report:ExportReleaseReport",
 )
-@opt.data_arguments
+@click.argument("data", type=opt.PATH, nargs=-1, metavar="[DIR]...")
 @opt.out_folder_option("Folder of the release; each dataset gets a folder in it.", required=True)
+@click.option(
+    "--as-published",
+    is_flag=True,
+    help="Only what the authors' page names: goal, prompt, subset and primed frame, without action, hand, recording ….",
+)
 @opt.permission_option
-def export_release(*, data: tuple[Path, ...], out: Path, permission: tuple[str, ...]) -> Answer:
-    """Write tables in the layout of the authors' release."""
+def export_release(*, data: tuple[Path, ...], out: Path, as_published: bool, permission: tuple[str, ...]) -> Answer:
+    """Write tables in the layout of the authors' release.
+
+    Without DIR, the five embedded synthetic datasets are written: a release to try an import on.
+    """
+    from prbench.engine import engine_for
     from prbench.release.exporting import export_release as export_tables
 
-    report = export_tables(data, out, permitted=permission)
+    data = data or opt.embedded_tables(engine_for(1))
+    report = export_tables(data, out, permitted=permission, as_published=as_published)
 
     def show() -> None:
         for each in report.datasets:

@@ -1,13 +1,8 @@
-"""Write sequence tables in the layout of the authors' release, for others' tools and for our importer.
-
-Beyond the layout it writes the ``prbench`` block of each entry and the arrays of ``further/``.
-"""
+"""Write sequence tables in the layout of the authors' release, for others' tools and to try an import."""
 
 from __future__ import annotations
 
-import io
 import json
-import zipfile
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,7 +20,7 @@ from prbench.sequences.sequence import sequences_in
 
 
 def export_release(
-    tables: Sequence[Path | str], out: Path | str, *, permitted: Collection[str] = ()
+    tables: Sequence[Path | str], out: Path | str, *, permitted: Collection[str] = (), as_published: bool = False
 ) -> ExportReleaseReport:
     """Write tables as a release: ``out/<DATASET>/motions``, ``gazes`` and ``target_information.json``.
 
@@ -35,6 +30,7 @@ def export_release(
         tables: Dataset folders, of different datasets.
         out: The release; a dataset's folder that an earlier export wrote is replaced, anything else is not touched.
         permitted: Datasets whose licence keeps recorded motion, but for which the user has permission.
+        as_published: Leave out the fields that the authors' page does not name: its four fields and nothing else.
 
     Raises:
         RedistributionError: if a licence forbids it; nothing is written then.
@@ -58,11 +54,11 @@ def export_release(
         info = table.info
         said = notice(info, permitted)
         with sole_writer(folder), atomic_folder(folder) as temporary:
-            for name in (layout.MOTIONS, layout.GAZES, layout.FURTHER):
+            for name in (layout.MOTIONS, layout.GAZES):
                 (temporary / name).mkdir()
             count = 0
             with open(temporary / layout.TARGETS, "w", encoding="utf-8", newline="\n") as file:
-                for count, (key, entry) in enumerate(_written(table, temporary), 1):
+                for count, (key, entry) in enumerate(_written(table, temporary, as_published), 1):
                     # One entry a line, written as it comes: the file of a large table never stands in memory.
                     line = json.dumps(entry, ensure_ascii=False, allow_nan=False)
                     file.write(f"{'{' if count == 1 else ','}\n{json.dumps(key)}: {line}")
@@ -83,12 +79,8 @@ def export_release(
     return ExportReleaseReport(datasets=written)
 
 
-def _written(table: SequenceTable, folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+def _written(table: SequenceTable, folder: Path, as_published: bool) -> Iterator[tuple[str, dict[str, Any]]]:
     """Write the arrays of every sequence and yield its key and entry."""
-    events = table.events().select(["sequence_id", "event_id"])
-    event_of = dict(zip(events["sequence_id"].to_pylist(), events["event_id"].to_pylist()))
-    # Unknown where the table itself came from a release whose goals could not be placed.
-    goal_frame = "known" if table.info.why_not_scored is None else "unknown"
     rows = (sequence for chunk in table.chunks(rows=64) for sequence in sequences_in(chunk.batch))
     for index, sequence in enumerate(rows):
         key = f"{index:010d}"
@@ -97,35 +89,23 @@ def _written(table: SequenceTable, folder: Path) -> Iterator[tuple[str, dict[str
         for name, values in ((layout.MOTIONS, sequence.joints), (layout.GAZES, gaze)):
             single = np.ascontiguousarray(values, dtype=np.float32)
             np.save(folder / name / f"{key}.npy", single, allow_pickle=False)
-        further = {name: getattr(sequence, name) for name in layout.FURTHER_ARRAYS}
-        with zipfile.ZipFile(folder / layout.FURTHER / f"{key}.npz", "w", zipfile.ZIP_STORED) as archive:
-            for name, values in further.items():
-                if values is not None:
-                    content = io.BytesIO()
-                    np.lib.format.write_array(content, np.ascontiguousarray(values), allow_pickle=False)
-                    # A fresh ZipInfo holds a fixed date, so that equal arrays give equal bytes.
-                    archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue())
-        event_id = event_of.get(sequence.sequence_id) or sequence.sequence_id.rsplit("/", 1)[0]
-        # The layout's fields, and those beside them that other tools may read.
-        fields = {
+        fields: dict[str, Any] = {
             "goal_location": sequence.goal_location.tolist(),
             "text_prompt": sequence.text,
-            "subset": sequence.split,
+            # The study has no validation part: ours belongs to its training sequences.
+            "subset": "train" if as_published and sequence.split == "validation" else sequence.split,
             "primed_frame": sequence.prime_frame,
-            "action": sequence.action,
-            "fps": sequence.fps,
-            "source": sequence.recording_id,
-            "event_frame": sequence.n_frames - 1,
-            "units": "m",
-            "up": "y",
         }
-        if sequence.hand:
-            fields["hand"] = sequence.hand
-        block: dict[str, Any] = {"sequence_id": sequence.sequence_id, "event_id": event_id}
-        for column in layout.BLOCK_COLUMNS:
-            value = getattr(sequence, column.name)
-            if isinstance(value, np.ndarray):
-                value = value.ravel().tolist()
-            block[column.name] = None if value != value else value  # NaN alone differs from itself
-        block |= {"motion_frame": "canonical", "goal_frame": goal_frame, "extra": dict(sequence.extra)}
-        yield key, fields | {"prbench": block}
+        if not as_published:
+            fields |= {
+                "action": sequence.action,
+                "fps": sequence.fps,
+                "source": sequence.recording_id,
+                "object_name": sequence.object_name,
+                "event_frame": sequence.n_frames - 1,
+                "units": "m",
+                "up": "y",
+            }
+            if sequence.hand:
+                fields["hand"] = sequence.hand
+        yield key, fields

@@ -5,10 +5,9 @@ Arrays are read twice, so that memory does not grow with the motions: to check a
 
 from __future__ import annotations
 
-import dataclasses
-import itertools
 import json
 import re
+import shlex
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -18,29 +17,32 @@ import numpy as np
 import pyarrow as pa
 
 import prbench
+from prbench.entry_points import STUDY_ITEMS, load_built_in
 from prbench.errors import InputFileError, RecordingsWouldBeLost
 from prbench.files.bounded import foreign_input
-from prbench.files.storage import file_digest, read_json, require_replaceable, sole_writer, text_digest
+from prbench.files.storage import file_digest, require_replaceable, sole_writer, text_digest
 from prbench.geometry.skeleton import WRISTS, Joint, invert_rigid, transform_points
 from prbench.protocol.manifests import Manifest, digest_of, load_citations, load_manifest, load_protocol
 from prbench.release import layout
 from prbench.release.reading import (
-    POSE_SOURCE,
+    UNKNOWN,
     ImportOptions,
     ReleasedDataset,
     ReleasedSequence,
     clean_gaze,
     read_release,
 )
-from prbench.release.report import ImportReleaseReport, ImportReport, count_splits
-from prbench.sequences import DatasetInfo, Event, Recording, Sequence
+from prbench.release.report import ImportReleaseReport, ImportReport
+from prbench.sequences import DatasetInfo, Event, Recording, Sequence, SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME, FunnelCounts, QuarantinedRecording, strictest
 from prbench.sequences.schema import SCHEMA_VERSION
-from prbench.sequences.sequence import OUTCOMES, SEQUENCES, event_batch, recording_batch, sequence_batch
+from prbench.sequences.sequence import OUTCOMES, event_batch, recording_batch, sequence_batch
 from prbench.sequences.table import body_movement, hand_movement
 from prbench.sequences.write import write_dataset
 
+_POSE_SOURCE = "release"
 _UNKNOWN_ACTION = "unknown"
+_HANDS = ("left", "right")  # in the order of WRISTS
 _ACTIONS = {"pick": "pick", "grab": "pick", "take": "pick", "put": "put", "place": "put", "drop": "put"}
 _PICKS = re.compile(r"\b(pick|grab|take|taking|took|lift|fetch)", re.IGNORECASE)
 _PUTS = re.compile(r"\b(put|plac|drop|set(s|ting)? down|return)", re.IGNORECASE)
@@ -48,8 +50,8 @@ _PUTS = re.compile(r"\b(put|plac|drop|set(s|ting)? down|return)", re.IGNORECASE)
 
 def make_row(
     found: ReleasedDataset, one: ReleasedSequence, *, head_tilt_deg: float, texts: Mapping[Literal["pick", "put"], str]
-) -> tuple[Sequence, Event]:
-    """Read one sequence again and convert it; times count from the first frame, unless its block tells them.
+) -> Sequence:
+    """Read one sequence again and convert it; times count from the first frame.
 
     Args:
         found: The dataset that it belongs to.
@@ -61,60 +63,60 @@ def make_row(
         InputFileError: if its files changed since they were measured.
     """
 
-    def value(canonical: str) -> Any:
-        return one.fields.get(found.mapping.get(canonical, ""))
+    def value(canonical: str) -> str:
+        stated = one.fields.get(found.mapping.get(canonical, ""))
+        return stated.strip() if isinstance(stated, str) else ""
 
     # Motion, goal and gaze come into the canonical frame by one and the same transform.
     joints = layout.read_array(one.motion, (22, 3))[0].astype(np.float64)
     gaze = None if one.gaze is None else layout.read_array(one.gaze, (3,))[0]
     directions, valid = clean_gaze(gaze, len(joints))
-    motion_from_canonical = one.motion_from_canonical
-    if one.block is not None:
-        in_world = one.block["motion_frame"] == "world"
-        motion_from_canonical = one.block["world_from_canonical"] if in_world else np.eye(4)
-    canonical_from_motion = invert_rigid(motion_from_canonical)
+    canonical_from_motion = invert_rigid(one.motion_from_canonical)
     goal = transform_points(canonical_from_motion, one.goal)
-    if (motion_from_canonical != np.eye(4)).any():  # a canonical motion keeps every bit
+    if (one.motion_from_canonical != np.eye(4)).any():  # a canonical motion keeps every bit
         turn = canonical_from_motion.copy()
         turn[:3, 3] = 0.0
         joints = transform_points(canonical_from_motion, joints)
         directions = transform_points(turn, directions)
-    primed = one.primed_frame
-    world = transform_points(motion_from_canonical, goal)
-    text = value("text").strip() if isinstance(value("text"), str) else ""
+    text = value("text")
     action = _action(value("action"), text)
     if not text and action != _UNKNOWN_ACTION:
         text = texts["pick" if action == "pick" else "put"]
-    # The layout names no hand: the nearer wrist is taken for the one that reached.
+    hand = value("hand").lower()
+    # Where no field names the hand, the nearer wrist is taken for the one that reached.
     wrist = WRISTS[int(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).argmin())]
-    fps = found.fps
-    event_time = (len(joints) - 1) / fps
+    if hand in _HANDS:
+        wrist = WRISTS[_HANDS.index(hand)]
+    event_time = (len(joints) - 1) / found.fps
     kept = {name: one.fields[name] for name in found.unmapped if name in one.fields}
-    sequence = Sequence(
-        **{name: getattr(one, name) for name in ("sequence_id", "recording_id", "participant_id", "split_group")},
+    return Sequence(
+        sequence_id=f"{found.dataset}/{one.index:010d}/{_POSE_SOURCE}",
+        recording_id=one.source,
+        participant_id=UNKNOWN,
+        split_group=one.source,
         dataset=found.dataset,
         split=one.subset,
         action=action,
         object_id="",  # the release has none
-        object_name="",
+        object_name=value("object_name"),
         text=text,
-        hand=None,
-        fps=fps,
+        hand=hand if hand in _HANDS else None,
+        fps=found.fps,
         n_frames=len(joints),
         start_time=0.0,
-        prime_time=primed / fps,
+        prime_time=one.primed_frame / found.fps,
         event_time=event_time,
-        prime_frame=primed,
-        prime_gap=event_time - primed / fps,
-        preroll=primed / fps,
+        prime_frame=one.primed_frame,
+        prime_gap=event_time - one.primed_frame / found.fps,
+        preroll=one.primed_frame / found.fps,
         prime_kind="unknown",
-        prime_time_uncertainty=1 / fps,  # the release counts whole frames
+        prime_time_uncertainty=1 / found.fps,  # the release counts whole frames
         goal_location=goal,
-        goal_box_world_min=world,
-        goal_box_world_max=world,
+        goal_box_world_min=one.goal,
+        goal_box_world_max=one.goal,
         body_movement=body_movement(joints),
         hand_movement=hand_movement(joints, wrist),
-        pose_source=POSE_SOURCE,
+        pose_source=_POSE_SOURCE,
         head_tilt_deg=head_tilt_deg,
         joints=joints,
         previous_joints=2 * joints[0] - joints[1],
@@ -126,16 +128,9 @@ def make_row(
         gaze_origin=joints[:, Joint.HEAD],
         gaze_direction=directions,
         gaze_valid=valid,
-        world_from_canonical=motion_from_canonical,
+        world_from_canonical=one.motion_from_canonical,
         extra={name: each if isinstance(each, str) else json.dumps(each) for name, each in kept.items()},
     )
-    if one.block is not None and one.further is not None:
-        # Restore the row that our exporter wrote.
-        values = {name: one.block[name] for name in one.block if name in SEQUENCES.names and name != "extra"}
-        arrays, _ = layout.read_further(one.further, sequence.n_frames)
-        values |= {name: array.astype(bool if name == "gaze_valid" else np.float64) for name, array in arrays.items()}
-        sequence = dataclasses.replace(sequence, **values, extra={**sequence.extra, **one.block["extra"]})
-    return sequence, _event(sequence, one.event_id)
 
 
 def _action(stated: Any, text: str) -> str:
@@ -150,11 +145,11 @@ def _action(stated: Any, text: str) -> str:
     return "pick" if picks else "put"
 
 
-def _event(sequence: Sequence, event_id: str) -> Event:
+def _event(sequence: Sequence) -> Event:
     same = ("recording_id", "sequence_id", "object_id", "object_name", "action", "hand", "event_time", "prime_time",
             "prime_kind")  # fmt: skip
     return Event(
-        event_id=event_id,
+        event_id=sequence.sequence_id.rsplit("/", 1)[0],
         **{name: getattr(sequence, name) for name in same},
         location=transform_points(sequence.world_from_canonical, sequence.goal_location),
         box_min=sequence.goal_box_world_min,
@@ -207,41 +202,44 @@ def import_release(
     for target in targets.values():
         # Before anything is read: a folder that holds something else must not be noticed after an hour.
         require_replaceable(target, FILE_NAME, kind="dataset")
+    # Messages end with this command and what has to be added to it.
+    words = [str(root), "--out", str(out)]
+    words += [] if dataset is None else ["--dataset", dataset]
+    words += [] if options.fps is None else ["--fps", f"{options.fps:g}"]
+    command = f"prbench import-release {shlex.join(words)}"
     tables = []
     failed = {}
     for name, folder in found:
         try:
             with sole_writer(targets[name]):
-                tables.append(_import_dataset(name, folder, targets[name], options, progress))
+                tables.append(_import_dataset(name, folder, targets[name], options, progress, command))
         except (InputFileError, RecordingsWouldBeLost) as error:
             if options.on_error == "fail" or len(found) == 1:
                 raise
             failed[name] = str(error)
-    return ImportReleaseReport(tables=tables, failed=failed)
+    opened = [SequenceTable.open(table.folder) for table in tables]
+    return ImportReleaseReport(tables=tables, failed=failed, sizes=load_built_in(STUDY_ITEMS, "sizes")(opened))
 
 
 @foreign_input()
 def _import_dataset(
-    dataset: str, folder: Path, out: Path, options: ImportOptions, progress: Callable[[str, str], None]
+    dataset: str,
+    folder: Path,
+    out: Path,
+    options: ImportOptions,
+    progress: Callable[[str, str], None],
+    command: str,
 ) -> ImportReport:
     manifest = load_manifest(dataset.removeprefix(layout.SYNTHETIC_PREFIX))
-    exported = None
-    if (folder / layout.EXPORT_RECORD).is_file():
-        record = read_json(folder / layout.EXPORT_RECORD)
-        exported = record if isinstance(record, dict) else None
-    found = read_release(dataset, folder, options, progress)
+    exported = layout.read_export_record(folder)
+    found = read_release(dataset, folder, options, progress, command)
     # Tables are sorted by id, so that a release in another order gives the same bytes.
-    found.sequences.sort(key=lambda one: one.sequence_id)
-    for one, other in itertools.pairwise(found.sequences):
-        if one.sequence_id == other.sequence_id:
-            raise InputFileError(
-                layout.TARGETS, one.sequence_id, expected="one entry", found="two with this sequence_id"
-            )
+    found.sequences.sort(key=lambda one: f"{one.index:010d}")
     progress(dataset, f"writing {len(found.sequences)} sequences")
     # Source recordings where the release names them, else one unknown recording for each split.
     sequences_of: dict[str, list[ReleasedSequence]] = defaultdict(list)
     for one in found.sequences:
-        sequences_of[one.recording_id].append(one)
+        sequences_of[one.source].append(one)
     records = []
     for name, rows in sorted(sequences_of.items()):
         splits = Counter(row.subset for row in rows)
@@ -253,10 +251,10 @@ def _import_dataset(
             message = ""
         record = Recording(
             recording_id=name,
-            participant_id=rows[0].participant_id,
+            participant_id=UNKNOWN,
             # A recording has one split in our tables: the commoner one, where a release mixes them.
             split=splits.most_common(1)[0][0],
-            split_group=rows[0].split_group,
+            split_group=name,
             duration=sum((row.n_frames - 1) / found.fps for row in rows),
             outcomes={"sequence": len(rows)},
             status="read",
@@ -264,7 +262,7 @@ def _import_dataset(
         )
         records.append(record)
     for key, reason in sorted(found.left_out.items()):
-        records.append(Recording(f"sequence {key}", "unknown", "", "", 0.0, {}, "failed", reason))
+        records.append(Recording(f"sequence {key}", UNKNOWN, "", "", 0.0, {}, "failed", reason))
     events: list[Event] = []
     texts = load_protocol().text
     head_tilt_deg = manifest.body.head_tilt_deg
@@ -273,11 +271,11 @@ def _import_dataset(
         for start in range(0, len(found.sequences), _ROWS):
             chosen = found.sequences[start : start + _ROWS]
             made = [make_row(found, one, head_tilt_deg=head_tilt_deg, texts=texts) for one in chosen]
-            events.extend(event for _, event in made)
-            yield sequence_batch(sequence for sequence, _ in made)
+            events.extend(map(_event, made))
+            yield sequence_batch(made)
 
     def event_rows() -> Iterator[pa.RecordBatch]:  # asked for after all sequences were written
-        yield event_batch(sorted(events, key=lambda event: event.event_id))
+        yield event_batch(events)
 
     info = write_dataset(
         out,
@@ -288,7 +286,6 @@ def _import_dataset(
         replace=options.replace,
         incomplete=[each.recording_id for each in records] if found.left_out else (),
     )
-    known = None if dataset.startswith(layout.SYNTHETIC_PREFIX) else layout.load_known().datasets.get(dataset)
     report = ImportReport(
         dataset=dataset,
         title=info.title,
@@ -296,7 +293,6 @@ def _import_dataset(
         inferred=found.inferences,
         fields=found.mapping,
         fields_kept_in_extra=found.unmapped,
-        counts=count_splits((each.subset for each in found.sequences), known),
         warnings=found.warnings,
         problems=found.problems,
         why_not_scored=info.why_not_scored,

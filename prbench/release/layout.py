@@ -1,9 +1,6 @@
-"""The layout of the authors' release: files, names of fields, arrays, our own block, and what the authors state.
+"""The layout of the authors' release: folders, numbered arrays, and the entries of ``target_information.json``.
 
-Arrays are read without trust: headers are held against the file's size, and nothing is unpickled. The ``prbench`` block
-of an entry holds the columns of a sequence for which the layout has no field; other tools pass over it. Together with
-the layout's own fields and the arrays of ``further/`` it holds every column of the sequence table, so that a table
-comes back unchanged.
+Arrays are read without trust: headers are held against the file's size, and nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -13,32 +10,39 @@ import json
 import math
 import os
 import re
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import msgspec
 import numpy as np
-import pyarrow as pa
 
 from prbench.errors import InputFileError
-from prbench.files.arrays import Archive, read_header
+from prbench.files.arrays import read_header
 from prbench.files.bounded import foreign_input, read_text, read_whole
+from prbench.files.storage import read_json
 from prbench.limits import HARMLESS_SIZE, LARGEST_JSON
 from prbench.protocol.manifests import read_toml
 from prbench.readers.found import names_in
-from prbench.sequences.schema import is_bulky
-from prbench.sequences.sequence import SEQUENCES
 
 SYNTHETIC_PREFIX = "synthetic-"
-
-
-class KnownDataset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One dataset of the study: its folder, and its sequences of each split."""
-
-    folder: str
-    train: int
-    test: int
+TARGETS = "target_information.json"
+MOTIONS = "motions"
+GAZES = "gazes"
+# Record that our exporter writes beside the targets: the table and its terms.
+EXPORT_RECORD = "prbench_export.json"
+# The field that tells the number of an entry in a list; entries of the layout's object have their key instead.
+SEQUENCE = "sequence"
+SUBSET = "subset"
+# What the values of the subset mean.
+SUBSETS = {
+    **dict.fromkeys(("train", "training"), "train"),
+    **dict.fromkeys(("test", "testing"), "test"),
+    **dict.fromkeys(("val", "valid", "validation"), "validation"),
+}
+_ENDS = re.compile(r"^\D+|\D+$")
+_FOLDERS_DEEP = 2  # an unpacked archive often has a folder around the release
 
 
 class KnownRelease(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -47,16 +51,19 @@ class KnownRelease(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     frame_rates: tuple[float, ...]
     frame_rate_tolerance: float
     agreeing_primes: float
+    later_primes: float
     lowest_pelvis_to_head: float
     highest_pelvis_to_head: float
+    lowest_upright: float
     goal_to_wrist: float
+    goal_to_gaze: float
     canonical_position: float
     canonical_yaw_deg: float
     unit_gaze_tolerance: float
     gaze_tolerance: float
     required_fields: tuple[str, ...]
     fields: dict[str, tuple[str, ...]]
-    datasets: dict[str, KnownDataset]
+    folders: dict[str, str]
 
 
 @cache
@@ -65,46 +72,40 @@ def load_known() -> KnownRelease:
     return read_toml("prbench_benchmarks.prime_and_reach", "release.toml", KnownRelease)
 
 
+def letters(name: str) -> str:
+    """Return a name in lower case, letters and digits only: ``HD-EPIC`` and ``hd_epic`` become equal."""
+    return re.sub(r"[^a-z0-9]", "", str(name).lower())
+
+
 def dataset_of(folder: str) -> str | None:
     """Return the dataset that a folder name means (``HD-EPIC``, ``hd_epic`` …, ``synthetic-adt``), or None."""
     # The prefix is cut off before hyphens go, so that a synthetic copy keeps its own name.
     name = folder.lower()
     prefix = SYNTHETIC_PREFIX if name.startswith(SYNTHETIC_PREFIX) else ""
     wanted = letters(name.removeprefix(prefix))
-    for dataset in load_known().datasets:
-        if letters(dataset) == wanted:
-            return prefix + dataset
-    return None
+    known = {letters(dataset): prefix + dataset for dataset in load_known().folders}
+    return known.get(wanted)
 
 
 def folder_of(dataset: str) -> str:
     """Return the folder name of a dataset; a dataset that is not the study's keeps its own name."""
-    known = load_known().datasets.get(dataset)
-    return dataset if known is None else known.folder
+    return load_known().folders.get(dataset.removeprefix(SYNTHETIC_PREFIX), dataset)
 
 
-def letters(name: str) -> str:
-    """Return a name in lower case, letters and digits only: ``HD-EPIC`` and ``hd_epic`` become equal."""
-    return re.sub(r"[^a-z0-9]", "", str(name).lower())
-
-
-TARGETS = "target_information.json"
-MOTIONS = "motions"
-GAZES = "gazes"
-# Folder that only this toolkit writes: arrays that the layout has no place for.
-FURTHER = "further"
-# Record that our exporter writes beside the targets: the table and its terms.
-EXPORT_RECORD = "prbench_export.json"
-
-_ENDS = re.compile(r"^\D+|\D+$")
+def read_export_record(folder: Path) -> dict[str, Any] | None:
+    """Read what our exporter wrote beside the targets; None in a folder that it did not write."""
+    if not (folder / EXPORT_RECORD).is_file():
+        return None
+    record = read_json(folder / EXPORT_RECORD)
+    return record if isinstance(record, dict) else None
 
 
 @foreign_input()
 def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Path]]:
-    """Find the dataset folders of a release, sorted by name.
+    """Find the dataset folders of a release, sorted by name: in the root, else in the folders below it.
 
     Args:
-        root: The release, or the folder of one dataset.
+        root: The release, a folder around it, or the folder of one dataset.
         dataset: Name of the only dataset; a ``root`` of unknown name is taken for this dataset's folder.
 
     Raises:
@@ -112,10 +113,10 @@ def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Pat
     """
     if not root.is_dir():
         raise InputFileError(root, "", expected="the folder of a release", found="no folder")
-    if (root / TARGETS).exists() or (root / MOTIONS).is_dir():
-        own_name = dataset_of(root.resolve().name)
-        name = dataset or own_name
-        if name is None or own_name not in (None, name):
+    if _holds_dataset(root):
+        own_name = _name_of(root.resolve())
+        name = own_name or dataset
+        if name is None or not _is_wanted(name, dataset):
             raise InputFileError(
                 root,
                 "",
@@ -124,16 +125,39 @@ def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Pat
                 remedy="" if dataset else "Say which it is: --dataset NAME",
             )
         return [(name, root)]
-    found = []
-    for folder in sorted(root.iterdir()):
-        name = dataset_of(folder.name)
-        if folder.is_dir() and name is not None and dataset in (None, name):
-            _require_inside(root, folder)
-            found.append((name, folder))
+    level = [root]
+    for depth in range(1 + _FOLDERS_DEEP):
+        inner = sorted(folder for around in level for folder in around.iterdir() if folder.is_dir())
+        # A folder `adt` somewhere below may be anything, such as a built table.
+        named = [(_name_of(folder), folder) for folder in inner if depth == 0 or _holds_dataset(folder)]
+        found = [(name, folder) for name, folder in named if name is not None and _is_wanted(name, dataset)]
+        if found:
+            break
+        level = [folder for folder in inner if not folder.is_symlink()]
+    names = [name for name, _ in found]
+    for name, folder in found:
+        _require_inside(root, folder)
+        if names.count(name) > 1:
+            raise InputFileError(root, name, expected="one folder", found="two", remedy="Name one of them as ROOT.")
     if not found:
-        wanted = f"a folder of {dataset}" if dataset else "folders HD-EPIC, MoGaze, HOT3D, ADT or GIMO"
+        wanted = f"a folder of {dataset}" if dataset else f"folders {', '.join(load_known().folders.values())}"
         raise InputFileError(root, "", expected=wanted, found=names_in(root))
     return found
+
+
+def _name_of(folder: Path) -> str | None:
+    """Return the dataset of a folder; an export of synthetic people says so, whatever its folder is called."""
+    name = dataset_of(folder.name)
+    stated = (read_export_record(folder) or {}).get("dataset")
+    return stated if name is not None and stated == f"{SYNTHETIC_PREFIX}{name}" else name
+
+
+def _holds_dataset(folder: Path) -> bool:
+    return (folder / TARGETS).exists() or (folder / MOTIONS).is_dir()
+
+
+def _is_wanted(name: str, dataset: str | None) -> bool:
+    return dataset in (None, name, name.removeprefix(SYNTHETIC_PREFIX))
 
 
 def list_files(folder: Path) -> dict[str, dict[int, Path]]:
@@ -145,7 +169,7 @@ def list_files(folder: Path) -> dict[str, dict[int, Path]]:
     # A link to a file outside could make us print or copy what the user never meant to share.
     for name in (TARGETS, EXPORT_RECORD):
         _require_inside(folder, folder / name)
-    found: dict[str, dict[int, Path]] = {MOTIONS: {}, GAZES: {}, FURTHER: {}}
+    found: dict[str, dict[int, Path]] = {MOTIONS: {}, GAZES: {}}
     for name in [name for name in found if (folder / name).is_dir()]:
         _require_inside(folder, folder / name)
         with os.scandir(folder / name) as listed:
@@ -156,7 +180,7 @@ def list_files(folder: Path) -> dict[str, dict[int, Path]]:
             # Only links can lead out of the release, so no other path has to be resolved.
             if entry.is_symlink():
                 _require_inside(folder, path)
-            if path.suffix != (".npz" if name == FURTHER else ".npy") or index is None or not entry.is_file():
+            if path.suffix != ".npy" or index is None or not entry.is_file():
                 continue
             other = found[name].setdefault(index, path)
             if other is not path:
@@ -166,11 +190,19 @@ def list_files(folder: Path) -> dict[str, dict[int, Path]]:
 
 
 @foreign_input()
-def read_targets(path: Path) -> dict[str, dict[str, Any]]:
+def read_targets(path: Path, field_map: Mapping[str, str]) -> dict[str, dict[str, Any]]:
     """Read ``target_information.json``: the fields of every sequence by its key.
 
+    The layout's form is one object with an object of fields a sequence. A list of such objects, one inside another
+    object (``{"sequences": …}``), one a subset (``{"train": …, "test": …}``) and lists of the keys of each subset
+    beside the entries say the same, and are read as well. Fields of fields are named ``target.position``.
+
+    Args:
+        path: The file.
+        field_map: The user's names of fields; ``sequence`` is needed here.
+
     Raises:
-        InputFileError: if it is missing, no JSON, no object by sequence, or two keys mean one sequence.
+        InputFileError: if it is missing, no JSON, holds no entries of sequences, or two keys mean one sequence.
     """
 
     def without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -190,21 +222,83 @@ def read_targets(path: Path) -> dict[str, dict[str, Any]]:
     except (ValueError, OSError) as error:  # JSONDecodeError and UnicodeDecodeError are ValueErrors
         remedy = "The file may be truncated; copy or download it again."
         raise InputFileError(path, "", expected="valid JSON", found=str(error), remedy=remedy) from error
-    by_sequence = "an object with one key a sequence, and an object of its fields under each"
-    if not isinstance(content, dict):
-        raise InputFileError(path, "", expected=by_sequence, found=f"a {type(content).__name__}")
-    if not content:
-        raise InputFileError(path, "", expected="one sequence or more", found="none")
-    first: dict[int, str] = {}
-    for key, fields in content.items():
-        if not isinstance(fields, dict):
-            found = f"a {type(fields).__name__} under the key '{key}'"
-            raise InputFileError(path, "", expected=by_sequence, found=found)
+    entries: dict[str, dict[str, Any]] = {}
+    key_of: dict[int, str] = {}
+    # Keys that are listed stand for entries without fields, and may be spelt otherwise than those with fields.
+    for key, subset, fields in sorted(_entries(path, content, field_map), key=lambda entry: not entry[2]):
         index = index_of(key)
+        same = key if index is None else key_of.setdefault(index, key)
+        entry = entries.setdefault(same, {})
+        added = dict(_flat(fields))
         # `seq_12` and `12` name one motion file.
-        if index is not None and first.setdefault(index, key) != key:
-            raise InputFileError(path, f"sequence {index}", expected="one key", found=f"'{first[index]}' and '{key}'")
-    return content
+        if fields and (same != key or entry.keys() & added.keys()):
+            raise InputFileError(path, f"sequence {index}", expected="one key", found=f"'{same}' and '{key}'")
+        entry |= added
+        if subset and entry.setdefault(SUBSET, subset) != subset:
+            found = f"'{entry[SUBSET]}' and '{subset}'"
+            raise InputFileError(path, f"sequence {key}", expected="one subset", found=found)
+    if not entries:
+        raise InputFileError(path, "", expected="one sequence or more", found="none")
+    return entries
+
+
+def _entries(
+    path: Path, content: Any, field_map: Mapping[str, str], subset: str = ""
+) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield key, subset (empty where its place tells none) and fields of every entry; no fields where it is listed."""
+    if isinstance(content, list):
+        aliases = load_known().fields[SEQUENCE]
+        for place, fields in enumerate(content):
+            if isinstance(fields, dict):
+                named = [each for name, each in fields.items() if letters(name) in aliases]
+                key = fields.get(field_map.get(SEQUENCE, ""), named[0] if named else place)
+                yield str(key), subset, fields
+            elif subset and isinstance(fields, str | int):
+                yield str(fields), subset, {}
+            else:
+                raise _no_entry(path, f"a {type(fields).__name__} in a list")
+        return
+    if not isinstance(content, dict):
+        raise _no_entry(path, f"a {type(content).__name__}")
+    for key, value in content.items():
+        inner = value if isinstance(value, dict) and index_of(key) is None else {}
+        if letters(key) in SUBSETS and isinstance(value, dict | list):
+            yield from _entries(path, value, field_map, SUBSETS[letters(key)])
+        elif isinstance(value, list) or (inner and _holds_entries(inner)):
+            yield from _entries(path, value, field_map, subset)
+        elif inner and all(index_of(name) is not None for name in inner):
+            for name, each in inner.items():  # one value a sequence, by field
+                yield name, subset, {key: each}
+        elif isinstance(value, dict):
+            yield key, subset, value
+        else:
+            raise _no_entry(path, f"a {type(value).__name__} under the key '{key}'")
+
+
+def _holds_entries(content: dict[str, Any]) -> bool:
+    """Return True for an object of subsets, or of objects that hold more than a point."""
+    if all(letters(name) in SUBSETS for name in content):
+        return True
+    return all(isinstance(each, dict) and not is_point(each) for each in content.values())
+
+
+def _no_entry(path: Path, found: str) -> InputFileError:
+    by_sequence = "an object with one key a sequence, and an object of its fields under each"
+    return InputFileError(path, "", expected=by_sequence, found=found)
+
+
+def _flat(fields: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the fields of an entry; those of a field that holds fields get its name before theirs."""
+    for name, value in fields.items():
+        if isinstance(value, dict) and value and not is_point(value):
+            yield from _flat(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value
+
+
+def is_point(value: Any) -> bool:
+    """Return True for three values, in a list or by the names of the axes."""
+    return len(value) == 3 and (isinstance(value, list) or sorted(map(str.lower, value)) == ["x", "y", "z"])
 
 
 def index_of(key: str) -> int | None:
@@ -226,17 +320,6 @@ def _require_inside(root: Path, path: Path) -> None:
         )
 
 
-# Columns for whose arrays the authors' layout has no place, and their shapes; -1 is the number of frames.
-FURTHER_ARRAYS = {
-    "previous_joints": (22, 3),
-    "next_joints": (22, 3),
-    "gaze_origin": (-1, 3),
-    "gaze_direction": (-1, 3),
-    "gaze_valid": (-1,),
-    "head_position": (-1, 3),
-    "head_rotation": (-1, 4),
-}
-_HEAD = ("head_position", "head_rotation")  # both or none
 _REMEDY = "Copy or download the file again."
 
 
@@ -264,88 +347,3 @@ def read_array(path: Path, per_frame: tuple[int, ...]) -> tuple[np.ndarray, byte
         if not right:
             raise InputFileError(path, "", expected=expected, found=found, remedy=_REMEDY)
     return header.shaped(np.frombuffer(content, header.dtype, math.prod(header.shape), header.offset)), content
-
-
-@foreign_input()
-def read_further(path: Path, n_frames: int) -> tuple[dict[str, np.ndarray], bytes]:
-    """Read the arrays of a ``.npz`` that an export wrote, without trusting it.
-
-    Returns:
-        The arrays by name, and the bytes of the file.
-
-    Raises:
-        InputFileError: if it is damaged, compressed, holds objects, or belongs to a motion of another length.
-    """
-    content = read_whole(path, largest=HARMLESS_SIZE)
-    archive = Archive(path, content)
-    # Our exporter never compresses; a compressed member may unpack to any size.
-    if not all(map(archive.stored_as_is, archive.members)):
-        raise InputFileError(path, "", expected="arrays without compression", found="compressed ones")
-    arrays = archive.load(tuple(FURTHER_ARRAYS))
-    shapes = {name: tuple(n_frames if size < 0 else size for size in shape) for name, shape in FURTHER_ARRAYS.items()}
-    whole = set(FURTHER_ARRAYS) - set(arrays) in (set(), set(_HEAD))
-    fits = all(
-        values.shape == shapes[name] and values.dtype.kind in "fb" and np.isfinite(values).all()
-        for name, values in arrays.items()
-    )
-    if not (whole and fits):
-        raise InputFileError(
-            path, "", expected="the arrays of this sequence", found="others", remedy="Export it again."
-        )
-    return arrays, content
-
-
-_IN_THE_LAYOUT = ("dataset", "split", "fps", "prime_frame", "goal_location")
-BLOCK_COLUMNS = [each for each in SEQUENCES if not is_bulky(each.type) and each.name not in _IN_THE_LAYOUT]
-_JSON = {pa.string(): str, pa.float64(): float, pa.int32(): int}
-
-
-_TYPES: dict[str, Any] = {}
-for _column in BLOCK_COLUMNS:
-    if pa.types.is_fixed_size_list(_column.type):
-        _size = msgspec.Meta(min_length=_column.type.list_size, max_length=_column.type.list_size)
-        _TYPES[_column.name] = Annotated[list[float], _size]
-    elif _column.nullable or _column.name == "prime_time_uncertainty":  # JSON has no NaN, so None stands for it
-        _TYPES[_column.name] = _JSON[_column.type] | None
-    else:
-        _TYPES[_column.name] = _JSON[_column.type]
-_Block = msgspec.defstruct(
-    "_Block",
-    [
-        *_TYPES.items(),
-        ("extra", dict[str, str]),
-        ("event_id", str),
-        ("motion_frame", Literal["canonical", "world"]),
-        ("goal_frame", Literal["known", "unknown"], "known"),
-    ],
-)
-
-
-def convert_block(value: Any, *, fps: float, primed_frame: float, n_frames: int) -> dict[str, Any] | None:
-    """Return the columns of a block, and the three names beside them; None for one that does not fit its sequence.
-
-    Args:
-        value: What stands in the entry; a user's file like any other, which may have been edited.
-        fps: Frame rate of the import.
-        primed_frame: Frame of the prime, from the entry.
-        n_frames: Frames of the motion.
-    """
-    try:
-        block = msgspec.structs.asdict(msgspec.convert(value, _Block))
-    except msgspec.ValidationError:
-        return None
-    numbers = [number for each in block.values() for number in (each if isinstance(each, list) else [each])]
-    if not all(math.isfinite(number) for number in numbers if isinstance(number, float)):
-        return None
-    # A block that no longer fits belongs to an entry that somebody changed; its fields then count, not the block.
-    same_prime = abs(block["preroll"] * fps - primed_frame) <= 0.5 + 1e-6
-    span = block["event_time"] - block["start_time"]
-    same_length = block["n_frames"] == n_frames and abs(span * fps - n_frames + 1) < 1e-3
-    if not (same_prime and same_length):
-        return None
-    if block["prime_time_uncertainty"] is None:
-        block["prime_time_uncertainty"] = math.nan
-    for name in ("goal_box_world_min", "goal_box_world_max"):
-        block[name] = np.array(block[name])
-    block["world_from_canonical"] = np.array(block["world_from_canonical"]).reshape(4, 4)
-    return block

@@ -6,7 +6,9 @@ Source: docs/specification/pr-release.md.
 
 from __future__ import annotations
 
+import json
 import math
+import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -16,19 +18,18 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.errors import InputFileError, UsageError
+from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.files.storage import bytes_digest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame
 from prbench.release import layout
-from prbench.release.report import Certainty, Inference, SequenceProblem, count_splits
+from prbench.release.report import Certainty, Inference, SequenceProblem
+from prbench.shown import quoted
 
 AS_THE_MOTIONS = "as the motions"
 UNKNOWN = "unknown"
-POSE_SOURCE = "release"
-_SUBSETS = {"train": "train", "training": "train", "test": "test", "testing": "test", "val": "validation",
-            "validation": "validation"}  # fmt: skip
 # Seconds before the prime at which a sequence begins (Prime and Reach, section 3.2).
 _LEAD = 2.0
+_EXAMPLES = 12  # fields that a message shows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +48,13 @@ class ImportOptions:
     on_error: Literal["skip", "fail"] = "skip"
     replace: bool = False
 
+    def __post_init__(self) -> None:
+        fields = layout.load_known().fields
+        for canonical in self.field_map:
+            if canonical not in fields:
+                known = f"There are: {', '.join(fields)}.{did_you_mean(canonical, fields)}"
+                raise UsageError(f"--field-map: there is no field '{quoted(canonical)}'. {known}")
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReleasedSequence:
@@ -55,34 +63,32 @@ class ReleasedSequence:
     Attributes:
         fields: The fields of its entry, by the names that the release gives them.
         gaze: None where there is no usable file.
-        further: None where there is none, or the block that belongs to it no longer fits.
-        block: What our exporter wrote of it, if it still fits.
+        primed_frame: Counts from 0.
+        source: Recording that it comes from; ``unknown-train`` and so on where no field names it.
         digest: Digest of the bytes of its files.
         pelvis_to_head: Median distance over the frames.
+        upright: Share of that distance that is vertical.
         motion_from_canonical: Pose of the canonical frame of its first frame; exactly the unit matrix where its motion
             is given in it.
         goal_to_wrist: Distance of the goal from the nearer wrist in the last frame.
+        goal_to_gaze: Distance of the goal from the gaze ray at the primed frame; NaN without gaze.
     """
 
     fields: Mapping[str, Any]
     index: int
     motion: Path
     gaze: Path | None
-    further: Path | None
-    block: dict[str, Any] | None
     n_frames: int
     goal: Float[np.ndarray, "3"]
     subset: str
     primed_frame: int
+    source: str
     digest: str
     pelvis_to_head: float
+    upright: float
     motion_from_canonical: Float[np.ndarray, "4 4"]
     goal_to_wrist: float
-    sequence_id: str
-    event_id: str
-    recording_id: str
-    participant_id: str
-    split_group: str
+    goal_to_gaze: float
 
 
 @dataclass
@@ -93,6 +99,7 @@ class ReleasedDataset:
         files: Arrays by kind (``motions`` …) and number.
         mapping: Field of the release by canonical name.
         unmapped: Fields that stand for no canonical one.
+        first_frame: Number that the release gives to the first frame of a motion: 0 or 1.
     """
 
     dataset: str
@@ -100,8 +107,9 @@ class ReleasedDataset:
     files: dict[str, dict[int, Path]]
     mapping: dict[str, str]
     unmapped: list[str]
-    fps: float
-    inferences: list[Inference]
+    fps: float = 0.0
+    first_frame: int = 0
+    inferences: list[Inference] = field(default_factory=list)
     sequences: list[ReleasedSequence] = field(default_factory=list)
     problems: list[SequenceProblem] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -130,7 +138,7 @@ class ReleasedDataset:
 
 
 def read_release(
-    dataset: str, folder: Path, options: ImportOptions, progress: Callable[[str, str], None]
+    dataset: str, folder: Path, options: ImportOptions, progress: Callable[[str, str], None], command: str
 ) -> ReleasedDataset:
     """Read and measure every sequence of one dataset.
 
@@ -139,21 +147,21 @@ def read_release(
         folder: Its folder.
         options: Statements of the user.
         progress: Called with the dataset and the step that begins.
+        command: The command line of this import, for messages that say how to go on.
 
     Raises:
-        InputFileError: if a file is missing or damaged, a field is missing, no sequence is whole, nothing tells the
-            frame rate, or people have an impossible size; with ``on_error="fail"`` for the first sequence that is not
-            whole.
-        UsageError: if the user names a field that does not exist.
+        InputFileError: if a file is missing or damaged, a field is missing or not the user's, no sequence is whole,
+            nothing tells the frame rate, or people have an impossible size; with ``on_error="fail"`` for the first
+            sequence that is not whole.
     """
     files = layout.list_files(folder)
     progress(dataset, f"reading {layout.TARGETS}")
-    entries = layout.read_targets(folder / layout.TARGETS)
-    names = list(dict.fromkeys(name for fields in entries.values() for name in fields))
-    mapping = _map_fields(folder / layout.TARGETS, names, options.field_map)
-    fps, rate = _frame_rate(folder, list(entries.values()), mapping, options.fps)
+    entries = layout.read_targets(folder / layout.TARGETS, options.field_map)
+    mapping = _map_fields(folder / layout.TARGETS, entries, options.field_map, command)
+    names = dict.fromkeys(name for fields in entries.values() for name in fields)
     unmapped = [name for name in names if name not in mapping.values()]
-    found = ReleasedDataset(dataset, folder, files, mapping, unmapped, fps, inferences=[rate])
+    found = ReleasedDataset(dataset, folder, files, mapping, unmapped)
+    _tell_frames(found, list(entries.values()), options.fps, command)
     progress(dataset, f"measuring {len(entries)} sequences")
     for key, fields in entries.items():
         _read_sequence(found, key, fields)
@@ -165,80 +173,114 @@ def read_release(
         more = f" (and {len(left_out) - 1} more sequences)" if len(left_out) > 1 else ""
         raise InputFileError(folder, f"sequence {key}", expected="a complete sequence", found=reason + more)
     _judge(found)
-    # Counts that differ from the study's, as those of a later release may; they say nothing about synthetic people.
-    known = None if dataset.startswith(layout.SYNTHETIC_PREFIX) else layout.load_known().datasets.get(dataset)
-    found.warnings += [
-        f"{row.split}: {row.found} sequences, the study has {row.study}."
-        for row in count_splits((each.subset for each in found.sequences), known)
-        if row.study is not None and row.found != row.study
-    ]
     return found
 
 
-def _map_fields(where: Path, names: list[str], given: Mapping[str, str]) -> dict[str, str]:
+def _map_fields(
+    where: Path, entries: Mapping[str, Mapping[str, Any]], given: Mapping[str, str], command: str
+) -> dict[str, str]:
     """Return the field of the release by canonical name: the user's choice, else the field with a known name.
 
     Raises:
-        UsageError: if the user names a field that does not exist.
-        InputFileError: if two names of a field that is needed are there, or none; lists the names.
+        InputFileError: if the user names a field that is not there, or if two names of a field that is needed are
+            there, or none; shows the fields with a value of each, and the command that says which is which.
     """
     known = layout.load_known()
-    for canonical, name in given.items():
-        if canonical not in known.fields:
-            raise UsageError(f"--field-map: there is no field '{canonical}'; there are: {', '.join(known.fields)}.")
-        if name not in names:
-            raise UsageError(f"--field-map {canonical}={name}: {where} has the fields {', '.join(names)}.")
-    mapping = dict(given)
-    for canonical, aliases in known.fields.items():
-        if canonical in given:
-            continue
-        fitting = [name for name in names if layout.letters(name) in aliases and name not in mapping.values()]
-        needed = canonical in known.required_fields
-        if needed and len(fitting) != 1:
-            # Guessing between two goals or two splits would silently give a wrong benchmark.
-            several = f"{len(fitting)}: {', '.join(fitting)}"
-            raise InputFileError(
-                where,
-                canonical,
-                expected="one field that fits" if fitting else "a field that fits",
-                found=several if fitting else f"the fields {', '.join(names)}",
-                remedy=f"Say which it is: --field-map {canonical}={fitting[0] if fitting else 'NAME'}",
-            )
-        if fitting:
-            mapping[canonical] = min(fitting, key=lambda name: aliases.index(layout.letters(name)))
+    values: dict[str, list[Any]] = {}
+    for fields in entries.values():
+        for name, value in fields.items():
+            values.setdefault(name, []).append(value)
+    mapping = {canonical: name for canonical, name in given.items() if name in values}
+    fitting = {
+        canonical: [name for name in values if layout.letters(name) in aliases and name not in mapping.values()]
+        for canonical, aliases in known.fields.items()
+        if canonical not in given
+    }
+    # Guessing between two goals or two splits would silently give a wrong benchmark.
+    unclear = [name for name in known.required_fields if name in fitting and len(fitting[name]) != 1]
+    absent = [canonical for canonical in given if canonical not in mapping and canonical != layout.SEQUENCE]
+    if unclear or absent:
+        said = [f"{canonical}={name}" for canonical, name in mapping.items()]
+        for canonical in (*absent, *unclear):
+            # A proposal for the command line only: the user decides.
+            proposed = fitting.get(canonical) or [
+                name for name, found in values.items() if name not in mapping.values() and _fits(canonical, found)
+            ]
+            said.append(f"{canonical}={proposed[0] if proposed else 'NAME'}")
+        shown = [f"{quoted(name, longest=60)} ({_example(found[0])})" for name, found in values.items()]
+        more = f" and {len(shown) - _EXAMPLES} more" if len(shown) > _EXAMPLES else ""
+        first = (*absent, *unclear)[0]
+        several = fitting.get(first, [])
+        raise InputFileError(
+            where,
+            " and ".join((*absent, *unclear)),
+            expected=f"the field '{given[first]}'" if first in given else "one field of a known name",
+            found=f"{len(several)}: {', '.join(several)}" if several else "none",
+            remedy=f"The fields, with a value of each: {', '.join(shown[:_EXAMPLES])}{more}. Say which is which:"
+            f" {command} {' '.join(f'--field-map {shlex.quote(each)}' for each in said)}",
+        )
+    for canonical, names in fitting.items():
+        if names:
+            aliases = known.fields[canonical]
+            mapping[canonical] = min(names, key=lambda name: aliases.index(layout.letters(name)))
     return mapping
 
 
-def _frame_rate(
-    folder: Path, entries: list[dict[str, Any]], mapping: Mapping[str, str], given: float | None
-) -> tuple[float, Inference]:
-    """Return the frame rate: the user's, else the stated one, else that of which most primes are 2 s after the start.
+def _example(value: Any) -> str:
+    return quoted(json.dumps(value, ensure_ascii=False, default=str), longest=40)
+
+
+def _fits(canonical: str, values: list[Any]) -> bool:
+    """Return True where all values of a field are such as the canonical field has."""
+    if canonical == "goal":
+        return all(_point(value) is not None for value in values)
+    if canonical == "subset":
+        return all(isinstance(value, bool) or str(value).strip().lower() in layout.SUBSETS for value in values)
+    numbers = [_number(value) for value in values]
+    return canonical == "primed_frame" and all(number is not None and number % 1 == 0 for number in numbers)
+
+
+def _tell_frames(found: ReleasedDataset, entries: list[dict[str, Any]], given: float | None, command: str) -> None:
+    """Find out the frame rate, and whether frames count from 0 or 1, from the primed frames.
+
+    A sequence begins 2 s before its prime, so most primed frames tell the rate. The user's rate and a stated one go
+    first.
 
     Raises:
-        InputFileError: if nothing tells it.
+        InputFileError: if nothing tells the rate.
     """
     known = layout.load_known()
-    stated = {number for entry in entries if (number := _number(entry.get(mapping.get("fps", "")))) is not None}
-    primes = [number for entry in entries if (number := _number(entry.get(mapping["primed_frame"]))) is not None]
-    mode = Counter(primes).most_common(1)[0][0] if primes else 0.0
+    rates = {number for entry in entries if (number := _number(entry.get(found.mapping.get("fps", "")))) is not None}
+    primed = [_number(entry.get(found.mapping["primed_frame"])) for entry in entries]
+    primes = np.array([number for number in primed if number is not None])
+    mode = Counter(primes.tolist()).most_common(1)[0][0] if len(primes) else 0.0
     measured = mode / _LEAD
     nearest = min(known.frame_rates, key=lambda rate: abs(measured - rate))
-    agree = np.mean(np.abs(np.array(primes) - mode) <= 1) >= known.agreeing_primes if primes else False
+    agree = len(primes) > 0 and np.mean(np.abs(primes - mode) <= 1) >= known.agreeing_primes
     said = f"most frequent primed frame, 2 s after the start: {mode:g}"
     if given is not None:
-        return given, Inference(name="fps", value=f"{given:g}", how_surely="certain", evidence=f"given; {said}")
-    if len(stated) == 1 and next(iter(stated)) > 0:
-        (rate,) = stated
-        return rate, Inference(name="fps", value=f"{rate:g}", how_surely="certain", evidence="stated by the entries")
-    if not stated and agree and abs(measured - nearest) <= known.frame_rate_tolerance * nearest:
-        return nearest, Inference(name="fps", value=f"{nearest:g}", how_surely="assumed", evidence=said)
-    raise InputFileError(
-        folder,
-        "frame rate",
-        expected=f"one stated rate, or primed frames 2 s after the start at {known.frame_rates} Hz",
-        found=f"the rates {sorted(stated)}" if stated else said,
-        remedy="Say what it is: --fps N",
-    )
+        found.fps = given
+        found.infer("fps", f"{given:g}", "certain", f"given; {said}")
+    elif len(rates) == 1 and min(rates) > 0:
+        found.fps = min(rates)
+        found.infer("fps", f"{found.fps:g}", "certain", "stated by the entries")
+    elif not rates and agree and abs(measured - nearest) <= known.frame_rate_tolerance * nearest:
+        found.fps = nearest
+        found.infer("fps", f"{nearest:g}", "assumed", said)
+    else:
+        raise InputFileError(
+            found.folder,
+            "frame rate",
+            expected=f"one stated rate, or primed frames 2 s after the start at {known.frame_rates} Hz",
+            found=f"the rates {sorted(rates)}" if rates else said,
+            remedy=f"Say what it is: {command} --fps N",
+        )
+    # The prime is at most 2 s after the first frame, so frames that count from 0 cannot be later.
+    latest = round(_LEAD * found.fps)
+    share = float(np.mean(primes == latest + 1)) if len(primes) else 0.0
+    evidence = f"{share:.0%} of the primed frames are {latest + 1}, one after 2 s; {np.sum(primes > latest + 1)} later"
+    found.first_frame = int(share >= known.later_primes and bool((primes >= 1).all() and (primes <= latest + 1).all()))
+    found.infer("first_frame", str(found.first_frame), "assumed", evidence)
 
 
 def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) -> None:
@@ -251,10 +293,8 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
     def value(canonical: str) -> Any:
         return fields.get(found.mapping.get(canonical, ""))
 
-    point = value("goal")
-    numbers = [_number(part) for part in point] if isinstance(point, list) and len(point) == 3 else [None]
-    goal = None if None in numbers else np.array(numbers, dtype=np.float64)
-    subset = _SUBSETS.get(str(value("subset")).strip().lower())
+    goal = _point(value("goal"))
+    subset = _subset(found.mapping["subset"], value("subset"))
     primed = _number(value("primed_frame"))
     for name, expected, read in (
         ("goal", "three finite numbers", goal),
@@ -262,55 +302,46 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
         ("primed_frame", "a number", primed),
     ):
         if read is None:
-            text = "nothing" if value(name) is None else repr(value(name))
-            shown = text if len(text) <= 60 else f"{text[:57]}…"
+            shown = "nothing" if value(name) is None else quoted(repr(value(name)), longest=60)
             found.note(key, f"{name.replace('_', ' ')}: expected {expected}, found {shown}", left_out=True)
     motion = _read_motion(found, key, index)
     if goal is None or subset is None or primed is None or motion is None:
         return
     joints, motion_from_canonical, content = motion
     n_frames = len(joints)
-    if primed != round(primed) or not 0 <= primed < n_frames:
-        text = f"primed frame: expected one of the frames (0 to the last), found {primed:g} of {n_frames - 1}"
+    frame = primed - found.first_frame
+    if frame != round(frame) or not 0 <= frame < n_frames:
+        last = n_frames - 1 + found.first_frame
+        text = f"primed frame: expected one of {found.first_frame} to {last}, found {primed:g}"
         found.note(key, text, left_out=True)
         return
-    gaze_file, gaze_content = _read_gaze(found, key, index, n_frames)
-    further, further_content = found.files[layout.FURTHER].get(index), b""
-    if further is not None:
-        try:
-            further_content = layout.read_further(further, n_frames)[1]
-        except InputFileError:
-            found.note(key, "further: damaged or of another motion, not used")
-            further = None
-    block = None
-    if further is not None:
-        block = layout.convert_block(value("prbench"), fps=found.fps, primed_frame=primed, n_frames=n_frames)
+    gaze_file, gaze, gaze_content = _read_gaze(found, key, index, n_frames)
+    directions, valid = clean_gaze(gaze, n_frames)
+    distance = math.nan
+    if valid[round(frame)]:
+        to_goal = goal - joints[round(frame), Joint.HEAD]
+        along = max(float(to_goal @ directions[round(frame)]), 0.0)
+        distance = float(np.linalg.norm(to_goal - along * directions[round(frame)]))
+    trunk = joints[:, Joint.HEAD] - joints[:, Joint.PELVIS]
+    size = float(np.median(np.linalg.norm(trunk, axis=1)))
     source = value("source").strip() if isinstance(value("source"), str) else ""
-    event = f"{found.dataset}/{index:010d}"
-    named = {
-        "sequence_id": f"{event}/{POSE_SOURCE}",
-        "event_id": event,
-        "recording_id": source or f"unknown-{subset}",
-        "participant_id": "unknown",
-        "split_group": source or f"unknown-{subset}",
-    }
     found.sequences.append(
         ReleasedSequence(
             fields=fields,
             index=index,
             motion=found.files[layout.MOTIONS][index],
             gaze=gaze_file,
-            further=further,
-            block=block,
             n_frames=n_frames,
             goal=goal,
             subset=subset,
-            primed_frame=round(primed),
-            digest=bytes_digest(content + gaze_content + further_content),
-            pelvis_to_head=float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=1))),
+            primed_frame=round(frame),
+            source=source or f"unknown-{subset}",
+            digest=bytes_digest(content + gaze_content),
+            pelvis_to_head=size,
+            upright=float(np.median(trunk[:, 1])) / size if size else 0.0,
             motion_from_canonical=motion_from_canonical,
             goal_to_wrist=float(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).min()),
-            **(named if block is None else {name: block[name] for name in named}),
+            goal_to_gaze=distance,
         )
     )
 
@@ -343,59 +374,55 @@ def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarr
     return None
 
 
-def _read_gaze(found: ReleasedDataset, key: str, index: int, n_frames: int) -> tuple[Path | None, bytes]:
-    """Return the file of a sequence's gaze and its bytes; None where it is missing or wrong, which costs the gaze."""
+def _read_gaze(
+    found: ReleasedDataset, key: str, index: int, n_frames: int
+) -> tuple[Path | None, np.ndarray | None, bytes]:
+    """Return the file of a sequence's gaze, its array and its bytes; None where it is missing or wrong."""
     path = found.files[layout.GAZES].get(index)
-    if path is None:
-        found.note(key, "no file in gazes: no gaze")
-        return None, b""
-    try:
-        gaze, content = layout.read_array(path, (3,))
-    except InputFileError as error:
-        found.note(key, f"gaze: expected {error.expected}, found {error.found}: no gaze")
-        return None, b""
-    if len(gaze) != n_frames:
-        found.note(key, f"gaze: expected {n_frames} frames like the motion, found {len(gaze)}: no gaze")
-        return None, b""
-    if not clean_gaze(gaze, n_frames)[1].any():
-        found.note(key, "gaze: no frame has a unit vector")
-    return path, content
+    problem = "no file in gazes: no gaze"
+    if path is not None:
+        try:
+            gaze, content = layout.read_array(path, (3,))
+            if len(gaze) == n_frames:
+                if not clean_gaze(gaze, n_frames)[1].any():
+                    found.note(key, "gaze: no frame has a unit vector")
+                return path, gaze, content
+            problem = f"gaze: expected {n_frames} frames like the motion, found {len(gaze)}: no gaze"
+        except InputFileError as error:
+            problem = f"gaze: expected {error.expected}, found {error.found}: no gaze"
+    found.note(key, problem)
+    return None, None, b""
 
 
 def _judge(found: ReleasedDataset) -> None:
-    """Check that people have the size of people in metres, and tell the frames of motions and goals.
+    """Check that people have the size of people in metres and stand along y, and tell the frames of motions and goals.
 
     Raises:
-        InputFileError: if they have not that size, or another unit is stated.
+        InputFileError: if they have not that size, lie, or another unit is stated.
     """
     rules = layout.load_known()
     units = {str(each.fields.get(found.mapping.get("units", ""), "")).strip().lower() for each in found.sequences}
     stated = units.pop() if len(units) == 1 else ""
     size = float(np.median([each.pelvis_to_head for each in found.sequences]))
+    upright = float(np.median([each.upright for each in found.sequences]))
     # Bodies differ by some per cent, units by factors of ten: the distance from pelvis to head tells them apart.
     if not rules.lowest_pelvis_to_head <= size <= rules.highest_pelvis_to_head or stated in ("cm", "mm"):
-        raise InputFileError(
-            found.folder,
-            "motions",
-            expected=f"a median distance from pelvis to head of {rules.lowest_pelvis_to_head:g} to"
-            f" {rules.highest_pelvis_to_head:g} m",
-            found=f"{size:.3g}" + (f", stated as '{stated}'" if stated else ""),
-            remedy="Turn positions and goals into metres, and check the joint order: 22 joints in the order of"
-            " HumanML3D, y up.",
+        expected = (
+            f"a median distance from pelvis to head of {rules.lowest_pelvis_to_head:g} to"
+            f" {rules.highest_pelvis_to_head:g} m"
         )
+        what = f"{size:.3g}" + (f", stated as '{stated}'" if stated else "")
+    elif upright < rules.lowest_upright:
+        expected = "heads above pelvises, along y"
+        what = f"{upright:.0%} of the distance from pelvis to head along y"
+    else:
+        what = expected = ""
+    if what:
+        remedy = "Turn positions and goals into metres, y up, and check that the 22 joints are in HumanML3D's order."
+        raise InputFileError(found.folder, "motions", expected=expected, found=what, remedy=remedy)
     is_stated = stated in ("m", "metre", "metres", "meter", "meters")
     evidence = f"median distance from pelvis to head: {size:.3g}"
     found.infer("units", "metres", "certain" if is_stated else "likely", evidence)
-
-    blocks = [each.block for each in found.sequences if each.block is not None]
-    # An entry without a block was written or changed by somebody else; then measurements count.
-    if len(blocks) == len(found.sequences):
-        evidence = "stated by the prbench block of every entry"
-        frames = sorted({block["motion_frame"] for block in blocks})
-        found.infer("motion_frame", " and ".join(frames), "certain", evidence)
-        known = all(block["goal_frame"] != UNKNOWN for block in blocks)
-        found.infer("goal_frame", AS_THE_MOTIONS if known else UNKNOWN, "certain" if known else "unknown", evidence)
-        return
     share = float(np.mean([(each.motion_from_canonical == np.eye(4)).all() for each in found.sequences]))
     evidence = f"frame 0 stands over the origin, faces +z, lowest joint at 0 in {share:.1%} of the sequences"
     frame = {1.0: "canonical", 0.0: "world (canonicalised here)"}.get(share, "canonical and world")
@@ -406,6 +433,15 @@ def _judge(found: ReleasedDataset) -> None:
         found.infer("goal_frame", AS_THE_MOTIONS, "likely", evidence)
     else:
         found.infer("goal_frame", UNKNOWN, "unknown", f"{evidence}; not below {rules.goal_to_wrist:g} m")
+    looks = np.array([each.goal_to_gaze for each in found.sequences])
+    looks = looks[np.isfinite(looks)]
+    if len(looks):
+        towards = float(np.mean(looks <= rules.goal_to_gaze))
+        evidence = f"at the primed frame it passes within {rules.goal_to_gaze:g} m of the goal in {towards:.0%}"
+        agrees = towards >= 0.5
+        found.infer("gaze_frame", AS_THE_MOTIONS if agrees else UNKNOWN, "likely" if agrees else "unknown", evidence)
+        if not agrees:
+            found.warnings.append(f"gaze: {evidence} of the sequences; check axes, primed frames and frame rate.")
 
 
 def clean_gaze(gaze: np.ndarray | None, n_frames: int) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
@@ -422,12 +458,33 @@ def clean_gaze(gaze: np.ndarray | None, n_frames: int) -> tuple[Float[np.ndarray
     return np.where(valid[:, None], directions / scale, [0.0, 0.0, 1.0]), valid
 
 
+def _point(value: Any) -> np.ndarray | None:
+    """Return three finite numbers, from a list (perhaps in a list) or by the names of the axes; else None."""
+    if isinstance(value, list) and len(value) == 1:
+        value = value[0]
+    if not isinstance(value, dict | list) or not layout.is_point(value):
+        return None
+    parts = value if isinstance(value, list) else [value[name] for name in sorted(value, key=str.lower)]
+    numbers = [_number(part) for part in parts]
+    return None if None in numbers else np.array(numbers, dtype=np.float64)
+
+
+def _subset(name: str, value: Any) -> str | None:
+    """Return the subset that a value means; a truth value means what its field is named after (``is_train``)."""
+    if value in (True, False):
+        words = [word for word in ("train", "test") if word in layout.letters(name)]
+        if len(words) != 1:
+            return None
+        return words[0] if value else {"train": "test", "test": "train"}[words[0]]
+    return layout.SUBSETS.get(str(value).strip().lower())
+
+
 def _number(value: Any) -> float | None:
     """Return a finite number, None for anything else; in Python True is an int, in a release it is no number."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
         return None
     try:
         number = float(value)
-    except OverflowError:
+    except (OverflowError, ValueError):
         return None
     return number if math.isfinite(number) else None

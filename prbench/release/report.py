@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
-if TYPE_CHECKING:
-    from prbench.release.layout import KnownDataset
+if TYPE_CHECKING:  # help is quick: tables load NumPy
+    from prbench.tables import Table
 
 FILE_NAME = "import_report.json"
 # Words for: stated and confirmed; measured with room for doubt; taken for granted; not found out.
@@ -31,20 +30,6 @@ class Inference(msgspec.Struct, frozen=True, kw_only=True):
     value: str
     how_surely: Certainty
     evidence: str
-
-
-class SplitCount(msgspec.Struct, frozen=True, kw_only=True):
-    """The number of sequences of one split.
-
-    Attributes:
-        split: Name of the split.
-        found: Number of sequences that were found.
-        study: The study's number; null where it prints none.
-    """
-
-    split: str
-    found: int
-    study: int | None
 
 
 class SequenceProblem(msgspec.Struct, frozen=True):
@@ -71,7 +56,6 @@ class ImportReport(msgspec.Struct, frozen=True, kw_only=True):
         inferred: What the release does not state.
         fields: Maps what is needed to the field of the release that holds it.
         fields_kept_in_extra: Fields of the release of which nothing is known; the column ``extra`` keeps them.
-        counts: Sequences of each split, beside the study's.
         warnings: What a user should look at.
         problems: Problems of single sequences.
         why_not_scored: Why metrics will be refused on this table; null where they will not.
@@ -83,7 +67,6 @@ class ImportReport(msgspec.Struct, frozen=True, kw_only=True):
     inferred: list[Inference]
     fields: dict[str, str]
     fields_kept_in_extra: list[str]
-    counts: list[SplitCount]
     warnings: list[str]
     problems: list[SequenceProblem]
     why_not_scored: str | None
@@ -118,10 +101,12 @@ class ImportReleaseReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         tables: One entry for each table that was written.
         failed: Maps datasets that could not be imported to the reason.
+        sizes: Tables 1 and S2 of the study: what was imported beside what the study prints.
     """
 
     tables: list[ImportReport]
     failed: dict[str, str]
+    sizes: list[Table] = []
 
     @property
     def complete(self) -> bool:
@@ -153,12 +138,3 @@ class ExportReleaseReport(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     datasets: list[ExportedTable]
-
-
-def count_splits(splits: Iterable[str], known: KnownDataset | None) -> list[SplitCount]:
-    """Count the sequences of each split, beside the study's."""
-    found = Counter(splits)
-    expected = {} if known is None else {"train": known.train, "test": known.test, "validation": 0}
-    # A split without sequences is listed where the study has some: a missing split must be seen.
-    names = [name for name in ("train", "validation", "test") if found[name] or expected.get(name)]
-    return [SplitCount(split=name, found=found[name], study=expected.get(name)) for name in names]

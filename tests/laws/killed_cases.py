@@ -193,7 +193,7 @@ WRITING = (
     Writing(
         "build-dataset all --out",
         "build-dataset all --root {adt} --out {out}",
-        held="result/synthetic-adt",
+        held="result/ADT",
         heavy=True,
     ),
     Writing("build-dataset --out, a shard", f"{BUILD} --shard 1/2 --out {{out}}"),
@@ -236,7 +236,7 @@ WRITING = (
         "c.npz",
     ),
     Writing("import-release --out", "import-release {release} --dataset synthetic-adt --out {out}"),
-    Writing("export-release --out", "export-release {table} --out {out}", held="result/synthetic-adt"),
+    Writing("export-release --out", "export-release {table} --out {out}", held="result/ADT"),
     Writing("split-dataset --out", "split-dataset {table} --fold 1/2 --out {out}"),
     Writing("analyse --out", "analyse agreement {run} --out {out}", "a.json"),
     Writing("analyse --out, diversity", "analyse diversity {several} --data {table} --out {out}", "d.json"),

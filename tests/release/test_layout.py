@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+import shlex
 
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from prbench.cli import main
 from prbench.errors import InputFileError, UsageError
 from prbench.release.layout import dataset_of, folder_of, index_of, load_known, read_targets
 from prbench.release.reading import ImportOptions
-from tests.release.releases import NAMES, ROWS, Style, change_targets, imported, table_of
+from tests.release.releases import NAMES, ROWS, Style, change_targets, imported, table_of, write_release
 
 ALIASES = load_known().fields
 SPELLINGS = {
@@ -62,15 +64,16 @@ def test_two_fields_that_fit_equally_need_the_users_word(tmp_path) -> None:
     def fields(row):
         return {"goal_location": [0.0, 0.0, 0.0], "object_position": row.goal_location.tolist()}
 
-    with pytest.raises(InputFileError, match=r"2: goal_location, object_position\. .*--field-map goal="):
+    with pytest.raises(InputFileError, match=r"found 2: goal_location, object_position\..*--field-map goal="):
         imported(tmp_path / "a", fields=fields)
     options = ImportOptions(field_map={"goal": "object_position"})
     report = imported(tmp_path / "b", fields=fields, options=options)
     assert table_of(tmp_path / "b").info.options["goal_frame"] == "as the motions"
     assert report.fields_kept_in_extra == ["goal_location"]
-    for name, wrong in (("c", {"goal": "nowhere"}), ("d", {"gaol": "object_position"})):
-        with pytest.raises(UsageError, match="field-map"):
-            imported(tmp_path / name, fields=fields, options=ImportOptions(field_map=wrong))
+    with pytest.raises(InputFileError, match="goal: expected the field 'nowhere', found none"):
+        imported(tmp_path / "c", fields=fields, options=ImportOptions(field_map={"goal": "nowhere"}))
+    with pytest.raises(UsageError, match=r"no field 'gaol'.* Did you mean 'goal'"):
+        ImportOptions(field_map={"gaol": "object_position"})
 
 
 def test_of_two_names_of_the_source_the_better_known_is_taken_and_the_rest_is_kept_as_text(tmp_path) -> None:
@@ -88,10 +91,17 @@ def test_of_two_names_of_the_source_the_better_known_is_taken_and_the_rest_is_ke
             assert json.loads(extra["shelf"]) == [1, {"a": None}]
 
 
-def test_a_missing_field_is_named_with_those_that_are_there(tmp_path) -> None:
-    style = Style(names={"goal": "goal", "primed_frame": "primed_frame"})
-    with pytest.raises(InputFileError, match="subset: expected a field that fits, found the fields goal, primed_frame"):
-        imported(tmp_path, style=style, fields={"colour": "red"})
+def test_unknown_names_are_asked_for_with_values_and_a_command_that_works(tmp_path, capsys) -> None:
+    names = {"goal": "centre of thing", "text": "words", "subset": "fold", "primed_frame": "looked"}
+    write_release(tmp_path / "my release" / "ADT", style=Style(names))
+    arguments = ["import-release", str(tmp_path / "my release"), "--out", str(tmp_path / "out")]
+    assert main(arguments) == 3
+    error = capsys.readouterr().err
+    for part in ("centre of thing ([", 'words ("The person', 'fold ("t', "looked (40)"):
+        assert part in error
+    command = error[error.index("prbench import-release") :].strip()
+    assert main(shlex.split(command)[1:]) == 0
+    assert "centre of thing" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -111,7 +121,8 @@ def test_keys_become_numbers(key, index) -> None:
         ('{"a": ', "valid JSON"),
         ('{"1": {"goal": 1}, "1": {"goal": 2}}', "the key '1' twice"),
         ('{"1": {"goal": 1}, "seq_1": {"goal": 2}}', "'1' and 'seq_1'"),
-        ('[{"goal": [1, 2, 3]}]', "one key a sequence, .*found a list"),
+        ("[5]", "one key a sequence, .*found a int in a list"),
+        ('{"train": {"1": {"goal": 1}}, "test": ["1"]}', "sequence 1: expected one subset, found 'train' and 'test'"),
         ('"text"', "found a str"),
         ("{}", "one sequence or more"),
         ('{"1": 5}', "a int under the key '1'"),
@@ -122,7 +133,7 @@ def test_what_is_no_object_of_sequences_is_refused_with_the_place(content, messa
     path = tmp_path / "target_information.json"
     path.write_text(content, encoding="utf-8")
     with pytest.raises(InputFileError, match=message):
-        read_targets(path)
+        read_targets(path, {})
 
 
 @pytest.mark.parametrize(
@@ -134,6 +145,6 @@ def test_what_is_no_object_of_sequences_is_refused_with_the_place(content, messa
 )  # fmt: skip
 def test_folders_are_recognised_by_their_letters_and_written_as_the_authors_do(folder, dataset) -> None:
     assert dataset_of(folder) == dataset
-    assert [folder_of(name) for name in ("hd-epic", "mogaze", "hot3d", "adt", "gimo", "synthetic-adt")] == [
-        "HD-EPIC", "MoGaze", "HOT3D", "ADT", "GIMO", "synthetic-adt",
+    assert [folder_of(name) for name in ("hd-epic", "mogaze", "hot3d", "adt", "gimo", "synthetic-adt", "mine")] == [
+        "HD-EPIC", "MoGaze", "HOT3D", "ADT", "GIMO", "ADT", "mine",
     ]  # fmt: skip

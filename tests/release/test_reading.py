@@ -10,12 +10,9 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.release.exporting import export_release
 from prbench.release.importing import import_release
 from prbench.release.reading import ImportOptions
-from prbench.sequences import SequenceTable
 from tests.release.releases import ROWS, Style, change_targets, imported, table_of, write_release
-from tests.release.tables import looking_table
 
 KEY = "0000000003"
 NUMPY = "an array as np.save writes it"
@@ -187,15 +184,6 @@ def test_a_header_that_claims_more_than_the_file_holds_takes_no_memory(lie, tmp_
         assert path.read_bytes() != honest
 
     assert imported(tmp_path, spoil=spoil).left_out == 1
-
-
-def test_damaged_further_arrays_are_told(tmp_path) -> None:
-    export_release([looking_table(tmp_path / "table", 6).folder], tmp_path / "release")
-    path = tmp_path / "release" / "synthetic-adt" / "further" / "0000000002.npz"
-    path.write_bytes(path.read_bytes()[:200])
-    (report,) = import_release(tmp_path / "release", tmp_path / "back", dataset="synthetic-adt").tables
-    assert [each.problem for each in report.problems] == ["further: damaged or of another motion, not used"]
-    assert SequenceTable.open(tmp_path / "back").scalars().num_rows == 6
 
 
 def test_a_field_of_another_kind_in_one_entry_does_no_harm(tmp_path) -> None:

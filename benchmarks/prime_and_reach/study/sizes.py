@@ -22,6 +22,11 @@ _TITLES = {
 _SPLITS = ("train", "validation", "test")
 
 
+def sizes(tables: Sequence[SequenceTable]) -> list[Table]:
+    """Make both tables, for commands that build tables."""
+    return [table_one(tables), table_s2(tables)]
+
+
 def table_one(tables: Sequence[SequenceTable]) -> Table:
     """Make Table 1: numbers of sequences, and four quantities as mean ± standard deviation over sequences."""
     measured = []
