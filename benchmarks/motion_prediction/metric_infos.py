@@ -26,7 +26,7 @@ def prediction_metrics() -> tuple[MetricInfo, ...]:
         _info("mmade", "MMADE", main=True),
         _info("mmfde", "MMFDE", main=True),
         # Spread is a merit beside a small error alone: a predictor that answers anything has most of it.
-        _info("apd", "APD", main=True, better=_HIGHER, ranked=False),
+        _info("apd", "APD", main=True, better=_HIGHER, ranked=False, compared=False),
         # Of windows that end at the event alone: where no window of a table does, boards have an empty column.
         _info("wrist_to_goal", "Wrist to goal", main=True),
         _info("ade_mean", "ADE, mean over samples"),

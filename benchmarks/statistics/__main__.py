@@ -1,94 +1,206 @@
-"""The whole grid as Markdown: ``python -m benchmarks.statistics [data sets a cell]`` from the repository's root.
+"""What intervals and comparisons are worth, as Markdown: ``python -m benchmarks.statistics [data sets a cell]``.
 
-Ends with status 1 if an interval covers less than 92 %, or false positives exceed 5 %, by more than two standard errors
-of the simulation.
+Run it from the repository's root. Ends with status 1 if a cell breaks a promise of
+docs/specification/protocol.md#simulation by more than two standard errors of the simulation.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 
-from benchmarks.statistics.cells import (
-    CORRELATIONS,
-    DESIGNS,
-    FIRST_RUN,
-    METRES,
-    RATES,
-    Share,
-    coverage_over_datasets,
-    false_positives,
-    mean_coverage,
-    rate_coverage,
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import special, stats
+
+from prbench.harness.clusters import (
+    SIGNIFICANCE,
+    PerSet,
+    degrees_of_freedom,
+    detectable_difference,
+    flip_bounds,
+    flip_test,
+    flipped_means,
+    flips,
+    mean_bounds,
+    standard_error,
 )
 
-LEAST_COVERAGE = 0.92
-MOST_FALSE_POSITIVES = 0.05
+Sizes = Int[np.ndarray, " units"]
+Totals = Float[np.ndarray, "sets units"]
+UNITS = (6, 9, 11, 22, 47)
+COMPARISONS = 7
+LEAST_COVERAGE = 0.93
+# What a recording adds to each of its differences, from its place in the distribution (0 to 1); the mean is 0. Every
+# sequence adds a normal number of standard deviation 1.
+EFFECTS = {
+    "binary": lambda place: special.betaincinv(4.5, 4.5, place) - 0.5,  # a difficulty that both methods share
+    "independent": lambda place: 0 * place,
+    "correlated": special.ndtri,
+    "alike": lambda place: 3 * special.ndtri(place),
+    "heavy tails": lambda place: special.stdtrit(3, place),
+    "one outlier": lambda place: special.ndtri(place) * np.where(np.arange(place.shape[1]) == 0, 10, 1),
+    "skewed": lambda place: special.gammaincinv(2, place) - 2,
+    "very skewed": lambda place: -2 * np.log1p(-place) - 2,
+    "rare": lambda place: 10 * (place > 0.9) - 1.0,
+}
+# Kinds whose mean is carried by recordings that few data sets hold, so that no test of means is right.
+MUST_FAIL = ("very skewed", "rare")
+# Distributions of one method's mean of 1 over a recording, from its place.
+MEANS = {
+    "gamma": lambda place: special.gammaincinv(2, place) / 2,
+    "exponential": lambda place: -np.log1p(-place),
+    "lognormal": lambda place: np.exp(special.ndtri(place) - 0.5),
+}
 
 
-def main(sets: int = 5_000) -> int:
-    """Print the tables.
+def designs(units: int) -> tuple[Sizes, Sizes]:
+    """Return equal and uneven sizes of units, of five sequences in the mean; uneven ones have from 1 to 12."""
+    return np.full(units, 5), (1 + 12 * (np.arange(units) / units) ** 2).astype(int)
+
+
+def draw(
+    kind: str, sizes: Sizes, sets: int, seed: int, *, shift: Float[np.ndarray, " sets"] | float = 0.0, seen: float = 1.0
+) -> tuple[Totals, Float[np.ndarray, " sets"]]:
+    """Draw differences; return totals of units and the variance between sequences.
 
     Args:
-        sets: Simulated data sets (and families of comparisons) of each cell.
+        kind: One of :data:`EFFECTS`.
+        sizes: Sequences of each unit.
+        sets: Number of data sets.
+        seed: Seed of the simulation.
+        shift: True mean difference, one for all or one a set.
+        seen: Share of the distribution of recordings that is drawn from; the rest is its upper tail.
     """
-    print(f"{sets} data sets a cell; coverage in %, median width in parentheses (rates in points).\n")
-    failures: list[str] = []
-    header = ["recordings", *(f"{rate:g}" for rate in RATES)]
-    for correlation in CORRELATIONS:
-        print_head(f"Rates, correlation {correlation:g}", header)
-        for name, sizes in DESIGNS.items():
-            if sizes.max() == 1 and correlation > 0:
-                continue  # single sequences have no company to be correlated with
-            found = [rate_coverage(sizes, rate, correlation, sets=sets, seed=1) for rate in RATES]
-            print_row(name, found, width=lambda share: f" ({100 * share.width:.0f})")
-            failures += [
-                f"rate {rate}, {correlation}, {name}" for rate, share in zip(RATES, found) if _covers_too_little(share)
-            ]
-    print_head("Means of 1", ["recordings", *METRES])
-    for name, sizes in DESIGNS.items():
-        means = [mean_coverage(sizes, kind, sets=sets, seed=2) for kind in METRES]
-        print_row(name, means, width=lambda share: f" ({share.width:.2f})")
-        failures += [f"mean {kind}, {name}" for kind, share in zip(METRES, means) if _covers_too_little(share)]
-    of_five = {"0.02": (0.02,) * 5, "0.1": (0.1,) * 5, "0.5": (0.5,) * 5, "0.1 to 0.9": (0.1, 0.3, 0.5, 0.7, 0.9)}
-    print_head("Means over five datasets of rates (correlation 0.1), and of 1", ["recordings", *of_five, *METRES])
-    for name, sizes in {"7 uneven of 10": FIRST_RUN, **DESIGNS}.items():
-        over = [coverage_over_datasets(sizes, kind, sets=sets, seed=4) for kind in (*of_five.values(), *METRES)]
-        print_row(name, over, width=lambda share: f" ({share.width:.2f})")
-        failures += [
-            f"mean over datasets {kind}, {name}"
-            for kind, share in zip((*of_five, *METRES), over)
-            if _covers_too_little(share)
-        ]
-    kinds = (*METRES, "rates")
-    print_head("Families of six comparisons with a false positive", ["recordings", *kinds])
-    for name, sizes in DESIGNS.items():
-        wrong = [false_positives(sizes, kind, families=sets, seed=3) for kind in kinds]
-        print_row(name, wrong, width=lambda _: "")
-        failures += [
-            f"comparisons {kind}, {name}"
-            for kind, share in zip(kinds, wrong)
-            if share is not None and share.share > MOST_FALSE_POSITIVES + 2 * share.error
-        ]
-    print("\n" + ("\n".join(f"FAILED: {line}" for line in failures) or "every cell is as promised"))
-    return int(bool(failures))
+    rng = np.random.default_rng(seed)
+    effect = np.repeat(EFFECTS[kind](rng.uniform(0, seen, (sets, len(sizes)))), sizes, axis=1)
+    shift = np.broadcast_to(shift, sets)[:, None]
+    values = shift + effect + rng.normal(size=effect.shape)
+    if kind == "binary":
+        hard = 0.5 + (1 - shift) * effect
+        first = rng.random(effect.shape) < hard + shift / 2
+        values = first * 1.0 - (rng.random(effect.shape) < hard - shift / 2)
+    return np.add.reduceat(values, np.cumsum(sizes) - sizes, axis=1), values.var(axis=1, ddof=1)
 
 
-def _covers_too_little(share: Share | None) -> bool:
-    return share is not None and share.share < LEAST_COVERAGE - 2 * share.error
+def flipped(totals: Totals, sizes: Sizes) -> Float[np.ndarray, "sets flips"]:
+    """Return what the flip test is made of, by at most 4,096 flips."""
+    return flipped_means(totals, sizes, flips(tuple(map(str, range(len(sizes)))), 2**12))
 
 
-def print_head(title: str, columns: list[str]) -> None:
-    """Print the head of a Markdown table below its title."""
-    print(f"\n{title}\n")
-    print("| " + " | ".join(columns) + " |")
-    print("|---" * len(columns) + "|")
+def p_values(totals: Totals, sizes: Sizes) -> dict[str, PerSet]:
+    """Return the p-values of the flip test and of those that it is compared with."""
+    means = (totals / sizes).round(9)
+    one = np.ones(len(sizes), dtype=int)
+    error = np.maximum(standard_error(means, one), 1e-9)
+    studentised = totals.sum(axis=1) / sizes.sum() / np.maximum(standard_error(totals, sizes), 1e-9)
+    # Wilcoxon's and the sign test are flip tests of signed ranks and of signs.
+    ranks = stats.rankdata(np.abs(means), axis=1) * np.sign(means)
+    return {
+        "flips": flip_test(flipped(totals, sizes)),
+        "t": 2 * special.stdtr(len(sizes) - 1, -np.abs(means.mean(axis=1)) / error),
+        "CR2": 2 * special.stdtr(degrees_of_freedom(sizes), -np.abs(studentised)),
+        "sign": flip_test(flipped(np.sign(means), one)),
+        "Wilcoxon": flip_test(flipped(ranks, one)),
+    }
 
 
-def print_row(name: str, found: list, *, width: Callable[[Share], str]) -> None:
-    """Print a row of shares, each with what ``width`` makes of it; a dash where there is none."""
-    cells = ["–" if share is None else f"{100 * share.share:.1f}{width(share)}" for share in found]
-    print("| " + " | ".join([name, *cells]) + " |", flush=True)
+def measure(kind: str, sizes: Sizes, sets: int) -> tuple[float, float, str]:
+    """Measure the flip test on one cell.
+
+    Returns:
+        Coverage of intervals, at the difference that a t test finds in about four of five data sets; share of families
+        of seven comparisons without any difference that have a finding; and the power at 5 %, with that of the most
+        powerful test among those whose level is at most 6 % here.
+    """
+    null, _ = draw(kind, sizes, sets, 1)
+    reach = special.stdtrit(len(sizes) - 1, 0.975) + 0.85
+    shift = min(reach * float(null.sum(axis=1).std()) / sizes.sum(), 0.9 if kind == "binary" else np.inf)
+    totals, _ = draw(kind, sizes, sets, 2, shift=shift)
+    low, high = flip_bounds(flipped(totals, sizes))
+    levels = p_values(null, sizes)
+    powers = {name: float((p <= SIGNIFICANCE).mean()) for name, p in p_values(totals, sizes).items()}
+    holding = [name for name, p in levels.items() if (p <= SIGNIFICANCE).mean() <= SIGNIFICANCE + 0.01]
+    best = max(holding, key=lambda name: powers[name], default="flips")
+    # Holm rejects a hypothesis if and only if the smallest p-value is below a seventh of the level.
+    first_step = float((levels["flips"] <= SIGNIFICANCE / COMPARISONS).mean())
+    beside = "" if best == "flips" else f" ({best} {100 * powers[best]:.0f})"
+    covered = float(((low <= shift + 1e-9) & (shift - 1e-9 <= high)).mean())
+    return covered, 1 - (1 - first_step) ** COMPARISONS, f"{100 * powers['flips']:.0f}{beside}"
+
+
+def most_covered(kind: str, sizes: Sizes, sets: int) -> float:
+    """Return a bound of the coverage of every test that holds 5 %, and is as powerful as this one, without the tail.
+
+    With probability (1 - tail)^units no recording of the upper tail is seen. What is seen is then as if there were no
+    tail, and such a test excludes the true mean as often as it finds the difference that the tail makes.
+    """
+    least_missed = 0.0
+    for tail in (0.05, 0.1, 0.15, 0.2):
+        totals, _ = draw(kind, sizes, sets, 3, seen=1 - tail)
+        mean = totals.sum() / sizes.sum() / sets
+        low, high = flip_bounds(flipped(totals, sizes))
+        if ((low > mean) | (high < mean)).mean() <= SIGNIFICANCE + 0.01:
+            least_missed = max(least_missed, (1 - tail) ** len(sizes) * float((high < 0).mean()))
+    return 1 - least_missed
+
+
+def detected(kind: str, sizes: Sizes, sets: int) -> float | None:
+    """Return how often the smallest detectable difference of one data set is found in another; None without one."""
+    rate = kind == "binary"
+    pilots = zip(*draw(kind, sizes, sets, 4))
+    printed = [
+        detectable_difference(totals, sizes, variance, comparisons=COMPARISONS, rate=rate)
+        for totals, variance in pilots
+    ]
+    if max(printed) > (1 if rate else 1e9):
+        return None
+    totals, _ = draw(kind, sizes, sets, 5, shift=np.array(printed))
+    return float((flip_test(flipped(totals, sizes)) <= SIGNIFICANCE / COMPARISONS).mean())
+
+
+def print_row(name: str, texts: list[str]) -> None:
+    """Print one row of a Markdown table."""
+    print(f"| {' | '.join([name, *texts])} |", flush=True)
+
+
+def main(sets: int = 2_000) -> int:
+    """Print the tables; a cell has two numbers, of equal and of uneven sizes.
+
+    Args:
+        sets: Simulated data sets of each cell.
+    """
+    failed = []
+    print_row("differences", [f"{units} units" for units in UNITS])
+    print_row("---", ["---"] * len(UNITS))
+    error = 2 * float(np.sqrt(0.06 / sets))
+    family_error = 2 * COMPARISONS * float(np.sqrt(SIGNIFICANCE / COMPARISONS / sets))
+    for kind in EFFECTS:
+        columns: dict[str, list[str]] = {"coverage": [], "families": [], "power": [], "detected": []}
+        for units in UNITS:
+            for sizes in designs(units):
+                covered, family, power = measure(kind, sizes, sets)
+                if kind not in MUST_FAIL and covered < LEAST_COVERAGE - error:
+                    failed.append(f"{kind}, {units} units: {100 * covered:.1f} % covered")
+                # Flips of skewed differences are not exchangeable.
+                if kind not in ("skewed", *MUST_FAIL) and family > SIGNIFICANCE + family_error:
+                    failed.append(f"{kind}, {units} units: {100 * family:.1f} % of families")
+                most = f" (≤ {100 * most_covered(kind, sizes, sets):.0f})" if kind in MUST_FAIL else ""
+                share = detected(kind, sizes, sets // 4)
+                columns["coverage"].append(f"{100 * covered:.1f}{most}")
+                columns["families"].append(f"{100 * family:.1f}")
+                columns["power"].append(power)
+                columns["detected"].append("–" if share is None else f"{100 * share:.0f}")
+        for name, texts in columns.items():
+            print_row(f"{kind}: {name}", [", ".join(texts[i : i + 2]) for i in range(0, len(texts), 2)])
+    for kind, of_place in MEANS.items():
+        shares = []
+        for units in UNITS:
+            values = of_place(np.random.default_rng(6).uniform(size=(sets, units)))
+            low, high = mean_bounds(values, np.ones(units, dtype=int), values.var(axis=1, ddof=1), nonnegative=True)
+            shares.append(f"{100 * ((low <= 1) & (high >= 1)).mean():.1f}")
+        print_row(f"means, {kind}: coverage", shares)
+    print("\n" + "\n".join(f"FAILED: {line}" for line in failed or ["nothing"]))
+    return int(bool(failed))
 
 
 if __name__ == "__main__":

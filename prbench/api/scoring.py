@@ -245,7 +245,8 @@ class Comparison:
             unit = " points" if row.info.unit == "rate" else printed_unit(row.info.unit)
             change = f"{row.comparison.difference.mean * row.info.scale:+.2f}{unit}"
             said = row.comparison.conclusion
-            said = said if said.startswith("not") else f"{self.first.name} is {said}"
+            if said in ("higher", "lower"):
+                said = f"{self.first.name} is {said}"
             lines.append(f"{row.dataset}, {row.info.title}: {change} ({said})")
         return "\n".join(lines)
 
@@ -255,8 +256,8 @@ class Comparison:
         Returns:
             Columns ``dataset, metric, title, unit, difference`` (mean of first minus second), ``low, high`` (bounds of
             its 95 % interval), ``p_value, adjusted_p_value`` (after Holm's correction for all rows; None below six
-            recordings) and ``conclusion`` (``higher``, ``lower`` or ``not supported by the data``). Rates lie between
-            0 and 1, lengths are in metres.
+            recordings) and ``conclusion`` (``higher``, ``lower``, ``not supported by the data`` or ``cannot be
+            tested``). Rates lie between 0 and 1, lengths are in metres.
         """
         rows = []
         for row in self._found.metrics:

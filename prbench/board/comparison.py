@@ -17,6 +17,7 @@ import numpy as np
 from prbench.board.collect import LeaderboardRow
 from prbench.errors import RunError
 from prbench.harness.benchmark import Benchmark, load_benchmark
+from prbench.harness.clusters import FEWEST_FOR_BOARD
 from prbench.harness.intervals import Comparison, PairedValues, compare
 from prbench.harness.results import RunChecker
 from prbench.harness.run_folder.folder import RunFolder
@@ -136,7 +137,7 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
         values = [sequence_scores(path, benchmark, only=common) for path in paths]
         if pair[0].content_digest != pair[1].content_digest:
             raise RunError(f"{first} and {second} were run on different tables of {name}.")
-        for info in benchmark.ranked_metrics:
+        for info in benchmark.compared_metrics:
             try:
                 paired = paired_values(values[0], values[1], info, benchmark)
             except ValueError as error:
@@ -227,7 +228,7 @@ def separate_by_comparison(rows: Sequence[LeaderboardRow], metrics: Sequence[Met
 
     Args:
         rows: Rows on the same sequences of one dataset; where a row has ``only``, its other sequences do not count.
-        metrics: The metrics that are ranked; those without a better direction are left out.
+        metrics: The compared metrics; those without a better direction are left out.
 
     Raises:
         RunError: if a row's scores cannot be read.
@@ -252,7 +253,8 @@ def separate_by_comparison(rows: Sequence[LeaderboardRow], metrics: Sequence[Met
     better: dict[tuple[int, str], frozenset[int]] = {}
     for name, comparison in compare(pairs).items():
         i, j, metric = name.split(" ")
-        if comparison.conclusion not in ("higher", "lower"):
+        few = comparison.difference.n_recordings < FEWEST_FOR_BOARD
+        if few or comparison.conclusion not in ("higher", "lower"):
             continue
         first_is_better = (comparison.conclusion == "higher") == directions[metric]
         winner, loser = (int(i), int(j)) if first_is_better else (int(j), int(i))

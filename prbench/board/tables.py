@@ -15,18 +15,20 @@ Source: docs/specification/protocol.md#comparisons.
 
 from __future__ import annotations
 
-from collections import defaultdict
+import itertools
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import comb
 from statistics import median
 
 from prbench.board.collect import CollectedRuns, LeaderboardRow
 from prbench.board.comparison import Separate, separate_by_comparison
 from prbench.harness.benchmark import Benchmark
-from prbench.harness.clusters import FEWEST_FOR_TEST
+from prbench.harness.clusters import units_needed
 from prbench.harness.run_folder.record import CONTROL
 from prbench.harness.run_folder.summary import MeanOverDatasets, MetricSummary, mean_over_datasets
-from prbench.metrics import RANKED_METRICS, MetricInfo, printed_unit
+from prbench.metrics import MAIN_METRICS, MetricInfo, printed_unit
 
 _KEYS = ("protocol", "table identity", "table content", "split", "chosen sequences")
 
@@ -201,7 +203,7 @@ def _dataset_table(key: tuple[str, ...], entries: list[LeaderboardRow], separate
     beaten_by = [dict[str, frozenset[int]]() for _ in ordered]
     for condition in first.benchmark.about.conditions:
         ranked = [i for i, entry in enumerate(ordered) if entry.record.condition == condition and _is_ranked(entry)]
-        beaten = separate([ordered[i] for i in ranked], metrics)
+        beaten = separate([ordered[i] for i in ranked], first.benchmark.compared_metrics)
         for info in metrics:
             shown = {
                 place
@@ -280,12 +282,17 @@ def of_all_methods(tables: Iterable[DatasetTable]) -> tuple[DatasetTable, ...]:
 
 def undecided_lines(table: DatasetTable) -> tuple[str, ...]:
     """Return sentences on what the data of a table cannot decide, and the smallest differences that they can."""
-    metrics = []
-    for entry in [row.entry for row in table.rows if not row.entry.is_control] or [row.entry for row in table.rows]:
-        hidden = {info.id for info in entry.benchmark.main_metrics if hides(entry, info)}
-        metrics.append([metric for metric in entry.summary.metrics if metric.metric not in hidden])
-    ranked = table.benchmark.ranked_metrics
-    return tuple(undecided(table.dataset, table.sequences, table.recordings, metrics, ranked=ranked))
+    entries = [row.entry for row in table.rows if not row.entry.is_control] or [row.entry for row in table.rows]
+    compared = table.benchmark.compared_metrics
+    measured = []
+    for entry in entries:
+        hidden = {info.id for info in compared if hides(entry, info)}
+        measured.append([metric for metric in entry.summary.metrics if metric.metric not in hidden])
+    # Methods are compared within their condition.
+    methods = max(Counter(entry.record.condition for entry in entries).values())
+    return tuple(
+        undecided(table.dataset, table.sequences, table.recordings, measured, metrics=compared, methods=methods)
+    )
 
 
 def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
@@ -365,9 +372,10 @@ def undecided(
     dataset: str,
     sequences: int,
     recordings: int,
-    methods: Sequence[Iterable[MetricSummary]],
+    measured: Sequence[Iterable[MetricSummary]],
     *,
-    ranked: Sequence[MetricInfo] = RANKED_METRICS,
+    metrics: Sequence[MetricInfo] = MAIN_METRICS,
+    methods: int = 2,
 ) -> Iterator[str]:
     """Yield sentences on what the data cannot decide, and the smallest differences that they can.
 
@@ -375,21 +383,19 @@ def undecided(
         dataset: Its name.
         sequences: Number of sequences that were scored.
         recordings: Number of recordings that they come from.
-        methods: The scores of each method.
-        ranked: The metrics by which methods of the benchmark are ranked.
+        measured: The scores of each method.
+        metrics: The metrics by which methods of the benchmark are compared.
+        methods: Number of methods that are compared with each other.
     """
-    reason = why_undecided(sequences, recordings)
+    reason = why_undecided(sequences, recordings, methods=methods)
     if reason:
         yield f"{dataset} cannot be decided: {reason}."
-    if recordings < FEWEST_FOR_TEST:
-        return
     found: dict[str, list[float]] = {}
-    for metrics in methods:
-        for metric in metrics:
-            if metric.detectable is not None:
-                found.setdefault(metric.metric, []).append(metric.detectable)
+    for metric in itertools.chain.from_iterable(measured):
+        if metric.detectable is not None:
+            found.setdefault(metric.metric, []).append(metric.detectable)
     texts = []
-    for info in ranked:
+    for info in metrics:
         if info.id not in found:
             continue
         detectable = median(found[info.id])
@@ -402,16 +408,17 @@ def undecided(
     if texts:
         yield (
             "Smallest difference between two unrelated methods of this spread that would be found in four of five"
-            f" repetitions, at the first step of Holm's correction for {len(ranked)} metrics:"
+            f" repetitions, at the first step of Holm's correction for {len(metrics)} metrics:"
             f" {', '.join(texts)}."
         )
 
 
-def why_undecided(sequences: int, recordings: int) -> str:
+def why_undecided(sequences: int, recordings: int, *, methods: int = 2) -> str:
     """Say why nothing can be decided on so few data; empty if something can."""
-    if recordings < FEWEST_FOR_TEST:
+    needed = units_needed(len(MAIN_METRICS) * comb(max(methods, 2), 2))
+    if recordings < needed:
         plural = "" if recordings == 1 else "s"
-        return f"{recordings} recording{plural}, where a comparison of methods needs {FEWEST_FOR_TEST}"
+        return f"{recordings} recording{plural}, where a comparison of {max(methods, 2)} methods needs {needed}"
     if sequences < FEWEST_RANKED:
         return f"{sequences} sequences, where a ranking needs {FEWEST_RANKED}"
     return ""

@@ -78,7 +78,7 @@ def print_summary(
         metrics: All metrics of the benchmark; those of prime-and-reach by default.
     """
     from prbench.board.tables import undecided
-    from prbench.metrics import RANKED_METRICS, printed_scale, printed_unit
+    from prbench.metrics import MAIN_METRICS, printed_scale, printed_unit
 
     irrelevant = _irrelevant(motionless)
     details = {info.id for info in metrics if info.is_detail}
@@ -101,8 +101,8 @@ def print_summary(
     )
     print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
     # What the data cannot decide.
-    ranked = [info for info in metrics if info.main and info.ranked] or RANKED_METRICS
-    for line in undecided(summary.dataset, summary.sequences, summary.recordings, [summary.metrics], ranked=ranked):
+    compared = [info for info in metrics if info.main and info.compared] or MAIN_METRICS
+    for line in undecided(summary.dataset, summary.sequences, summary.recordings, [summary.metrics], metrics=compared):
         print(line)
     _print_marks([summary])
 

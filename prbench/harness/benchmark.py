@@ -165,8 +165,13 @@ class Benchmark(ABC, Generic[Table, Chosen]):
 
     @property
     def ranked_metrics(self) -> tuple[MetricInfo, ...]:
-        """Return the main metrics by which methods are ranked and compared."""
+        """Return the main metrics by which methods are ranked."""
         return tuple(info for info in self.main_metrics if info.ranked)
+
+    @property
+    def compared_metrics(self) -> tuple[MetricInfo, ...]:
+        """Return the main metrics by which two methods are compared, all of them steps of one correction."""
+        return tuple(info for info in self.main_metrics if info.compared)
 
     def settled(self, request: RunRequest) -> RunRequest:
         """Refuse options that the benchmark does not know.

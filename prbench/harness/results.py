@@ -23,7 +23,7 @@ from msgspec.structs import asdict
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError
 from prbench.harness.benchmark import CaseTable, CaseWork, load_benchmark
-from prbench.harness.intervals import CONFIDENCE, metric_interval, smallest_detectable_unpaired
+from prbench.harness.intervals import CONFIDENCE, metric_interval, smallest_detectable
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder import summary as run_summary
@@ -209,7 +209,7 @@ def summary_of(
     """
     coded = CodedScores.of([scores]) if isinstance(scores, pa.Table) else scores
     infos = load_benchmark(record.benchmark).metrics
-    ranked = sum(info.main and info.ranked for info in infos)
+    compared = {info.id for info in load_benchmark(record.benchmark).compared_metrics}
     # Numbers in the order of the names take the place of the names, which are sorted many times.
     sequences = _ranks(coded.sequence_ids)
     recordings = _ranks([recording_of[name] for name in coded.sequence_ids])
@@ -222,6 +222,12 @@ def summary_of(
         recording_ids = recordings[coded.sequence[rows]]
         values = coded.value[rows]
         estimate = metric_interval(info, values, recording_ids, sequence_ids)
+        detectable = None
+        if info.id in compared:
+            # The difference to an unrelated method of the same spread varies √2 times as much.
+            twice = np.sqrt(2) * values
+            about = {"comparisons": len(compared), "rate": info.unit == "rate"}
+            detectable = smallest_detectable(twice, recording_ids, sequence_ids, **about)
         flags: Counter[str] = Counter()
         for text, count in Counter(coded.flag[rows].tolist()).items():
             for name in coded.flags[text].split(";") if text >= 0 and coded.flags[text] else ():
@@ -237,7 +243,7 @@ def summary_of(
                 sequences=estimate.n_sequences,
                 recordings=estimate.n_recordings,
                 flags=dict(sorted(flags.items())),
-                detectable=smallest_detectable_unpaired(values, recording_ids, sequence_ids, comparisons=ranked),
+                detectable=detectable,
             )
         )
     says_synthetic = not table.synthetic or "synthetic" in table.title.lower()

@@ -41,8 +41,9 @@ class MetricInfo:
         carries_copy_remark: The remark on motions that are copies of the recorded one stands beside this metric.
         in_study: One of the six columns of the study's Table 2.
         title_in_study: Title in the study's Table 2; empty where it is ``title``.
-        ranked: Methods are ranked and compared by this metric, if it is a main one. False for a condition that a motion
-            has to meet, which no method meets better than a body that stands still.
+        ranked: Methods are ranked by this metric, if it is a main one. False for a condition that a motion has to meet,
+            which no method meets better than a body that stands still.
+        compared: Two methods are compared by this metric, if it is a main one.
         is_detail: Stands in files and reports alone, not in printed tables.
     """
 
@@ -60,6 +61,7 @@ class MetricInfo:
     in_study: bool = False
     title_in_study: str = ""
     ranked: bool = True
+    compared: bool = True
     is_detail: bool = False
 
     @property

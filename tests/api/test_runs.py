@@ -14,7 +14,7 @@ import prbench
 from prbench.harness.run_folder import DatasetSummary
 from prbench.harness.score_predictions import score_predictions
 from prbench.harness.score_request import ScoreRequest
-from prbench.metrics import RANKED_METRICS
+from prbench.metrics import MAIN_METRICS
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +196,7 @@ def test_scores_that_follow_are_compared(table, runs, motions, tmp_path):
     found = prbench.compare(runs[0], scores)
     assert (found.first, found.second) == (runs[0].folder, tmp_path / "mine")
     frame = found.to_pandas()
-    assert set(frame.metric) <= {info.id for info in RANKED_METRICS}
+    assert set(frame.metric) <= {info.id for info in MAIN_METRICS}
     assert (frame.set_index("metric").difference.loc["mpjpe"]) < 0
     assert len(found.summary.splitlines()) == len(frame)
     assert "MPJPE" in found._repr_html_()

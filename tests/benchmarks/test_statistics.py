@@ -1,4 +1,4 @@
-"""Fifteen fixed cells of the simulation of intervals and comparisons; all: ``python -m benchmarks.statistics``."""
+"""Fixed cells of the simulation of intervals and comparisons; all: ``python -m benchmarks.statistics``."""
 
 from __future__ import annotations
 
@@ -7,94 +7,127 @@ import os
 import numpy as np
 import pytest
 
-from benchmarks.statistics.__main__ import LEAST_COVERAGE, MOST_FALSE_POSITIVES, main
-from benchmarks.statistics.cells import (
-    DESIGNS,
-    FIRST_RUN,
-    METRES,
-    UNUSED_METRES,
-    coverage_over_datasets,
-    draw_metres,
-    draw_rates,
-    false_positives,
-    mean_coverage,
-    rate_coverage,
+from benchmarks.statistics.__main__ import (
+    EFFECTS,
+    MEANS,
+    MUST_FAIL,
+    designs,
+    detected,
+    draw,
+    flipped,
+    main,
+    measure,
+    most_covered,
+    p_values,
 )
-from prbench.harness.clusters import p_values, rate_bounds
-from prbench.harness.intervals import clustered, paired_p_value, rate_interval
+from prbench.harness.clusters import flip_bounds, mean_bounds, rate_bounds
+from prbench.harness.intervals import PairedValues, compare
+from prbench.harness.run_folder.summary import bounds_of_mean
 
 pytestmark = pytest.mark.unchecked_shapes
-_SETS = 2_000
+_SETS = 1_000
+_ERROR = 2 * (0.05 * 0.95 / _SETS) ** 0.5
+
+
+def uneven(recordings: int, sequences: int, seed: int) -> np.ndarray:
+    """Sizes of recordings with one sequence or more, the others shared out by exponential weights."""
+    rng = np.random.default_rng(seed)
+    weight = rng.exponential(1.0, recordings)
+    return 1 + rng.multinomial(sequences - recordings, weight / weight.sum())
+
+
+def drawn_rates(sizes: np.ndarray, rate: float, correlation: float, seed: int) -> tuple[np.ndarray, ...]:
+    """Rates of data sets whose recordings' own rates follow a beta distribution, with the bounds of their intervals."""
+    rng = np.random.default_rng(seed)
+    strength = (1 - correlation) / correlation
+    totals = rng.binomial(sizes, rng.beta(rate * strength, (1 - rate) * strength, (2 * _SETS, len(sizes)))) * 1.0
+    mean = totals.sum(axis=1) / sizes.sum()
+    beyond = 1 - 0.025 ** (1 / len(sizes))
+    low = np.where(mean == 1, 1 - beyond, 0.0)
+    high = np.where(mean == 0, beyond, 1.0)
+    mixed = (mean > 0) & (mean < 1)
+    low[mixed], high[mixed] = rate_bounds(totals[mixed], sizes)
+    return mean, low, high
 
 
 @pytest.mark.parametrize(
-    ("design", "rate", "correlation"),
+    ("sizes", "rate", "correlation"),
     [
-        ("3 of 60", 0.5, 0.3),
-        ("8 of 60", 0.02, 0.3),  # 88 % without an assumed correlation
-        ("22 of 1", 0.98, 0.0),
-        ("47 of 8", 0.02, 0.3),  # 88 % in version 0.5.0
-        ("47 uneven of 117", 0.02, 0.1),
+        (np.full(3, 60), 0.5, 0.3),
+        (np.full(8, 60), 0.02, 0.3),  # 88 % without an assumed correlation
+        (np.full(22, 1), 0.98, 0.01),
+        (np.full(47, 8), 0.02, 0.3),
+        (uneven(47, 117, 3), 0.02, 0.1),
     ],
 )
-def test_rates_are_covered(design: str, rate: float, correlation: float) -> None:
-    found = rate_coverage(DESIGNS[design], rate, correlation, sets=_SETS, seed=11)
-    assert found.share >= LEAST_COVERAGE
-    assert found.width < 0.95
+def test_rates_are_covered(sizes: np.ndarray, rate: float, correlation: float) -> None:
+    _, low, high = drawn_rates(sizes, rate, correlation, 11)
+    assert ((low <= rate) & (rate <= high)).mean() >= 0.93
+    assert np.median(high - low) < 0.95
 
 
-@pytest.mark.parametrize(
-    ("design", "kind"),
-    [("3 of 10", "exponential"), ("11 uneven of 55", "gamma"), ("22 of 8", "lognormal")],
-)
-def test_means_are_covered(design: str, kind: str) -> None:
-    found = mean_coverage(DESIGNS[design], kind, sets=_SETS, seed=12)
-    assert found is not None
-    assert found.share >= LEAST_COVERAGE
+@pytest.mark.parametrize("kind", ["gamma", "exponential"])
+@pytest.mark.parametrize("units", [3, 6, 22])
+def test_means_of_what_cannot_be_negative_are_covered(kind: str, units: int) -> None:
+    values = MEANS[kind](np.random.default_rng(12).uniform(size=(4 * _SETS, units)))
+    low, high = mean_bounds(values, np.ones(units, dtype=int), values.var(axis=1, ddof=1), nonnegative=True)
+    assert ((low <= 1) & (high >= 1)).mean() >= 0.93
 
 
-@pytest.mark.parametrize("kind", [(0.02,) * 5, (0.1, 0.3, 0.5, 0.7, 0.9), "lognormal"])
-def test_means_over_datasets_are_covered(kind: str | tuple[float, ...]) -> None:
-    found = coverage_over_datasets(FIRST_RUN, kind, sets=_SETS, seed=14)
-    assert found.share >= LEAST_COVERAGE
+@pytest.mark.parametrize("rates", [(0.02,) * 5, (0.1, 0.3, 0.5, 0.7, 0.9)])
+def test_means_over_datasets_are_covered(rates: tuple[float, ...]) -> None:
+    sizes = np.array([2, 2, 2, 1, 1, 1, 1])  # ten sequences, as a run without ``--data`` takes them
+    found = [drawn_rates(sizes, rate, 0.1, seed) for seed, rate in enumerate(rates)]
+    low, high = bounds_of_mean(*(np.stack(part) for part in zip(*found, strict=True)))
+    assert ((low <= np.mean(rates)) & (np.mean(rates) <= high)).mean() >= 0.93
 
 
-@pytest.mark.parametrize(
-    ("design", "kind"),
-    [
-        ("8 of 20", "lognormal"),  # 9 % before version 0.8.0
-        ("22 of 8", "unequal-spread"),
-        ("47 uneven of 117", "lognormal"),  # 12 % in version 0.5.0 even of a gamma distribution, by flipping signs
-        ("22 of 8", "rates"),
-    ],
-)
-def test_families_of_comparisons_find_nothing_where_nothing_is(design: str, kind: str) -> None:
-    found = false_positives(DESIGNS[design], kind, families=_SETS, seed=13)
-    assert found is not None
-    assert found.share <= MOST_FALSE_POSITIVES + 2 * found.error
+@pytest.mark.parametrize("kind", [kind for kind in EFFECTS if kind not in MUST_FAIL])
+@pytest.mark.parametrize("uneven", [0, 1])
+def test_differences_are_covered_and_families_find_nothing_where_nothing_is(kind: str, uneven: int) -> None:
+    covered, family, _ = measure(kind, designs(11)[uneven], _SETS)
+    assert covered >= 0.93 - _ERROR
+    if kind != "skewed":
+        # Standard error of the level at Holm's first step, of each of seven comparisons.
+        assert family <= 0.05 + 2 * 7 * (0.05 / 7 / _SETS) ** 0.5
 
 
-def test_too_few_recordings_are_no_cell() -> None:
-    assert false_positives(DESIGNS["3 of 10"], "normal", families=10, seed=0) is None
+@pytest.mark.parametrize(("kind", "units", "equal"), [("correlated", 11, 0), ("independent", 22, 1), ("binary", 47, 0)])
+def test_power_and_the_smallest_difference_are_as_printed(kind: str, units: int, equal: int) -> None:
+    sizes = designs(units)[equal]
+    totals, _ = draw(kind, sizes, _SETS, 7, shift=0.3)
+    powers = {name: (p <= 0.05).mean() for name, p in p_values(totals, sizes).items()}
+    assert powers["flips"] >= max(powers["CR2"], powers["sign"]) - 0.05
+    assert detected(kind, sizes, 400) == pytest.approx(0.8, abs=0.09)
+
+
+def test_too_few_units_have_no_smallest_difference() -> None:
+    assert detected("correlated", designs(8)[0], 3) is None
+
+
+def test_where_the_mean_is_carried_by_recordings_that_were_not_seen_no_test_can_cover_it() -> None:
+    sizes = designs(9)[0]
+    covered, _, _ = measure("rare", sizes, _SETS)
+    assert covered < 0.7
+    assert most_covered("rare", sizes, _SETS) == pytest.approx(covered, abs=0.05)
+    assert most_covered("correlated", sizes, _SETS) > 0.95
 
 
 def test_the_simulation_measures_the_functions_that_print() -> None:
-    rng = np.random.default_rng(0)
-    sizes = DESIGNS["11 uneven of 55"]
-    ids = np.repeat([f"r{i:02d}" for i in range(len(sizes))], sizes)
-    successes = draw_rates(rng, sizes, 0.3, 0.1, 1)[0]
-    rows = np.concatenate([np.arange(size) < made for size, made in zip(sizes, successes)]).astype(float)
-    printed = rate_interval(rows, ids)
-    assert (printed.low, printed.high) == pytest.approx(tuple(map(float, rate_bounds(successes, sizes))))
-    differences = rng.normal(0.1, 1, len(ids))
-    assert paired_p_value(differences, ids) == pytest.approx(float(p_values(clustered(differences, ids).spread)))
+    sizes = designs(11)[1]
+    rows = np.random.default_rng(0).normal(0.4, 1, sizes.sum())
+    totals = np.add.reduceat(rows, np.cumsum(sizes) - sizes)
+    ids = np.repeat([f"r{i:02d}" for i in range(11)], sizes)
+    printed = compare({"a": PairedValues(rows, np.zeros(len(rows)), ids)})["a"]
+    low, high = flip_bounds(flipped(totals[None], sizes))
+    assert (printed.difference.low, printed.difference.high) == pytest.approx((low[0], high[0]))
+    assert printed.p_value == p_values(totals[None], sizes)["flips"][0]
 
 
-def test_values_of_the_simulation_have_the_mean_that_they_claim() -> None:
-    rng = np.random.default_rng(0)
-    for kind in (*METRES, *UNUSED_METRES):
-        totals, _ = draw_metres(rng, DESIGNS["22 of 1"], kind, 4_000)
-        assert totals.mean() == pytest.approx(1, abs=0.05)
+@pytest.mark.parametrize("kind", EFFECTS)
+def test_values_of_the_simulation_have_the_difference_that_they_claim(kind: str) -> None:
+    totals, _ = draw(kind, designs(22)[0], 4_000, 0, shift=0.2)
+    assert totals.mean() / 5 == pytest.approx(0.2, abs=0.05)
 
 
 @pytest.mark.fuzz

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pyarrow.compute as pc
 import pytest
 
@@ -12,12 +13,12 @@ from prbench.board.comparison import separate_by_comparison
 from prbench.board.tables import undecided
 from prbench.cli import main
 from prbench.errors import RunError
-from prbench.harness.intervals import smallest_detectable_unpaired
+from prbench.harness.intervals import smallest_detectable
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import DatasetSummary, read_scores
 from prbench.harness.run_folder.folder import RunFolder
-from prbench.metrics import METRICS
+from prbench.metrics import MAIN_METRICS, METRICS
 from prbench.sequences.sequence import recording_key
 from tests.cli.reports import plain, refused, reported
 from tests.fakes import fake_dataset
@@ -42,10 +43,7 @@ def folder(tmp_path_factory):
 def test_the_difference_is_that_of_the_means_and_has_a_sign(folder):
     rows = {row.info.id: row.comparison for row in compare_runs(folder / "truth", folder / "scripted").metrics}
     back = {row.info.id: row.comparison for row in compare_runs(folder / "scripted", folder / "truth").metrics}
-    assert set(rows) == {
-        "prime_success", "prime_success_arrival", "reach_success", "goal_mpjpe", "location_error", "mpjpe",
-        "foot_skating",
-    }  # fmt: skip
+    assert set(rows) == {info.id for info in MAIN_METRICS}
     assert rows["mpjpe"].difference.mean < 0, "the recorded motion has no error"
     assert rows["mpjpe"].conclusion == "lower"
     assert rows["mpjpe"].difference.n_recordings == 9, "recordings are the units"
@@ -61,11 +59,13 @@ def test_a_summary_states_its_detectable_difference_for_as_many_metrics_as_are_c
     rows = read_scores(run.scores).filter(pc.field("metric") == "mpjpe")
     ids = rows["sequence_id"].to_pylist()
     values = rows["value"].to_numpy()
-    expected = smallest_detectable_unpaired(values, list(map(recording_key, ids)), ids, comparisons=len(compared))
+    twice = np.sqrt(2) * values  # as the difference to an unrelated method of the same spread
+    expected = smallest_detectable(twice, list(map(recording_key, ids)), ids, comparisons=len(compared))
     assert expected is not None
     assert stored.detectable == pytest.approx(expected)
-    assert any("correction for 7 metrics" in line for line in undecided("a", 64, 36, [[stored]]))
-    assert len(compared) == 7
+    count = len(MAIN_METRICS)
+    assert len(compared) == count
+    assert any(f"correction for {count} metrics" in line for line in undecided("a", 64, 36, [[stored]]))
 
 
 def test_only_supported_differences_separate_the_rows_of_a_board(folder):

@@ -80,7 +80,7 @@ def test_a_method_that_left_sequences_out_stands_in_no_table_of_all_sequences(tm
 @pytest.fixture
 def long_and_short(tmp_path):
     """A table, the length of each of its sequences, the third longest length, and a function that scores motions."""
-    table = fake_dataset(tmp_path / "table", 240, recordings=32)
+    table = fake_dataset(tmp_path / "table", 240, recordings=40)
     scalars = table.scalars(split="test")
     lengths = dict(zip(*(scalars[name].to_pylist() for name in ("sequence_id", "n_frames"))))
     limit = sorted(lengths.values())[-3]

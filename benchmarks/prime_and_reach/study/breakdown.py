@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 
 from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.errors import UsageError
-from prbench.harness.clusters import FEWEST_FOR_TEST
+from prbench.harness.clusters import FEWEST_FOR_BOARD
 from prbench.harness.intervals import metric_interval
 from prbench.harness.run_folder.scores import read_scores
 from prbench.metrics import MAIN_METRICS
@@ -43,7 +43,7 @@ def breakdown_table(runs: Sequence[GenuineRun], by: str) -> Table:
     for run in runs:
         rows = []
         for group, cells in _scored_groups(run, by).items():
-            if (cells[0].recordings or 0) < FEWEST_FOR_TEST:
+            if (cells[0].recordings or 0) < FEWEST_FOR_BOARD:
                 few[group] = None
             rows.append(
                 Row(
@@ -54,7 +54,7 @@ def breakdown_table(runs: Sequence[GenuineRun], by: str) -> Table:
         blocks.append(Block(title=f"{run.title}{word}", rows=tuple(rows)))
     notes = ["Rates in %, lengths in m; 95 % intervals over the recordings of each group in brackets."]
     if few:
-        notes.append(f"Cannot be decided, with fewer than {FEWEST_FOR_TEST} recordings: {', '.join(few)}.")
+        notes.append(f"Cannot be decided, with fewer than {FEWEST_FOR_BOARD} recordings: {', '.join(few)}.")
     notes.append("The study prints no numbers for its Figure 4, so that nothing published stands beside.")
     if any(run.record.synthetic for run in runs):
         notes.append(ON_SYNTHETIC_DATA)

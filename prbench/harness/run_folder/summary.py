@@ -50,7 +50,7 @@ class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
         marks: Remarks that a reader of the interval needs: ``few_recordings``, ``one_recording``, ``all_equal``.
         flags: Number of motions that carry each remark.
         detectable: Smallest difference to an unrelated method of the same spread that is found with 80 % power at
-            Holm's first step among the metrics that are compared; None where nothing can be tested.
+            Holm's first step among the main metrics; None where nothing can be found, and for other metrics.
     """
 
     metric: str
