@@ -67,11 +67,7 @@ class Build:
             notes.append(f"{self._report.reused} recordings were taken over from an interrupted build.")
         notes += [f"{name}: {why}" for name, why in self.unread.items()]
         notes += [f"{one.recording_id}: cut short: {shortfall}" for one in records for shortfall in one.shortfalls]
-        notes += [
-            f"{one.recording_id}: no sequence: {one.why_fruitless}"
-            for one in records
-            if one.status == "read" and not one.outcomes.get("sequence")
-        ]
+        notes += [f"{one.recording_id}: no sequence: {one.why_fruitless}" for one in records if one.is_fruitless]
         return tuple(notes)
 
     def to_pandas(self) -> pd.DataFrame:
@@ -104,6 +100,7 @@ def build_dataset(
     priming: Literal["rule", "published"] = "rule",
     minimum_movement: str = "wrist_to_goal",
     corrections: args.PathLike | None = None,
+    events_only: bool = False,
     protocol: args.PathLike | None = None,
     on_error: Literal["skip", "fail"] = "skip",
     option: Mapping[str, object] | None = None,
@@ -127,6 +124,7 @@ def build_dataset(
         minimum_movement: What must be at least 20 cm: ``wrist_to_goal``, ``pelvis_displacement`` or
             ``object_displacement``.
         corrections: File of a person's corrections of events, CSV or TOML (docs/review.md).
+        events_only: List picks and puts from the annotations alone, without sequences (hd-epic).
         protocol: Your own ``protocol.toml``, stamped into the table; by default prbench's.
         on_error: Go on without a recording that cannot be read (``skip``), or ``fail`` at once.
         option: Options of the dataset's reader, by name; ``poses`` says where bodies come from, for example ``egoallo``
@@ -167,6 +165,7 @@ def build_dataset(
         minimum_movement=minimum_movement,
         priming=priming,
         corrections=args.as_optional_path(corrections),
+        events_only=events_only,
     )
     if is_url(root):  # a local copy of the files that the dataset's reader asks for
         from prbench.object_stores.inputs import fetched_native

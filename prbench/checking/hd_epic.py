@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from prbench.checking.verify_synthetic import PRIMED_STAGES, Spread
-from prbench.errors import TableError, UsageError
-from prbench.readers import SYNTHETIC_PREFIX
+from prbench.errors import InputFileError, TableError, UsageError
+from prbench.readers import SYNTHETIC_PREFIX, AnnotationCounts, CountsAnnotations, reader_for
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import DatasetInfo
 
@@ -60,10 +60,11 @@ class Validation:
     Attributes:
         recordings: Number of videos that were read.
         synthetic: True for synthetic videos: nothing published is shown beside their numbers.
-        agreements: Picks, puts, both.
+        agreements: Picks, puts, both; empty where no table is compared.
         outcomes: Number of events by outcome of the rule.
         published_shares: Shares that the dataset's paper names, by action: tested, and primed of the tested; empty for
             synthetic videos.
+        annotations: Numbers of the annotations, where their folder was given.
     """
 
     recordings: int
@@ -71,6 +72,29 @@ class Validation:
     agreements: tuple[Agreement, ...]
     outcomes: dict[str, int]
     published_shares: dict[str, tuple[float, float]]
+    annotations: AnnotationCounts | None = None
+
+
+def validate_annotations(root: Path) -> Validation:
+    """Count the annotations below a folder, and the priming that they publish.
+
+    Raises:
+        InputFileError: if there are none, or a file is no JSON.
+    """
+    reader = reader_for(DATASET, {"events_only": "true"})
+    assert isinstance(reader, CountsAnnotations), "this one does"
+    videos = reader.find(root)
+    counts = reader.annotation_counts(videos)
+    if counts is None:
+        raise InputFileError(root, "", expected="HD-EPIC's annotations", found="its videos alone")
+    synthetic = videos[0].dataset != DATASET
+    return Validation(counts.totals["videos"], synthetic, (), {}, {} if synthetic else _published_shares(), counts)
+
+
+def _published_shares() -> dict[str, tuple[float, float]]:
+    file = resources.files("prbench_benchmarks.prime_and_reach.published") / "hd_epic_priming.toml"
+    published = tomllib.loads(file.read_text(encoding="utf-8"))
+    return {action: (published[action]["tested"], published[action]["primed"]) for action in ("pick", "put")}
 
 
 def validate_build(folder: Path) -> Validation:
@@ -90,7 +114,7 @@ def validate_build(folder: Path) -> Validation:
         )
     table = SequenceTable(folder, info)
     table.require_unchanged()
-    rows = table.events().to_pylist()
+    rows = [row for row in table.events().to_pylist() if row["outcome"] != "unreadable_entry"]
     # Tables of earlier versions have the column without values.
     if rows and all(row["published_priming"] is None for row in rows):
         raise TableError(
@@ -98,17 +122,12 @@ def validate_build(folder: Path) -> Validation:
             " and by this version of prbench? Build it again."
         )
     of_action = [agreement(action, [row for row in rows if row["action"] == action]) for action in ("pick", "put")]
-    shares = {}
-    if not info.synthetic:
-        file = resources.files("prbench_benchmarks.prime_and_reach.published") / "hd_epic_priming.toml"
-        published = tomllib.loads(file.read_text(encoding="utf-8"))
-        shares = {action: (published[action]["tested"], published[action]["primed"]) for action in ("pick", "put")}
     return Validation(
         recordings=info.counts.recordings_read,
         synthetic=info.synthetic,
         agreements=(*of_action, agreement("both", rows)),
         outcomes=dict(sorted(Counter(row["outcome"] for row in rows).items())),
-        published_shares=shares,
+        published_shares={} if info.synthetic else _published_shares(),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,15 @@ from prbench.errors import InputFileError, PrbenchError
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
 from prbench.protocol.published import QUANTITIES, Spread
-from prbench.readers import SYNTHETIC_FILE, RecordingFiles, cut_short, lacks_mark, reader_for
+from prbench.readers import (
+    SYNTHETIC_FILE,
+    AnnotationCounts,
+    CountsAnnotations,
+    RecordingFiles,
+    cut_short,
+    lacks_mark,
+    reader_for,
+)
 from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
 from prbench.readers.extents import damage
 from prbench.sequences import SequenceTable
@@ -64,12 +73,16 @@ class InspectedDataset:
         title: Its title.
         root: Its folder.
         recordings: All of its recordings.
+        size: Bytes of all of its files; what several recordings share counts once.
+        annotations: Numbers of its annotations, where they can be counted without its streams.
     """
 
     name: str
     title: str
     root: Path
     recordings: tuple[InspectedRecording, ...]
+    size: int
+    annotations: AnnotationCounts | None = None
 
 
 @dataclass(frozen=True)
@@ -199,7 +212,13 @@ def inspect_folder(
             if progress is not None:
                 progress(done, total, recording.recording_id)
         title = load_manifest(found.dataset).title
-        datasets.append(InspectedDataset(found.name, title, found.root, tuple(inspected)))
+        reader = reader_for(found.dataset)
+        counts = None
+        with contextlib.suppress(InputFileError):  # the recordings tell which file is damaged
+            counts = reader.annotation_counts(found.recordings) if isinstance(reader, CountsAnnotations) else None
+        sizes = {(file.path, file.member): file.size for recording in found.recordings for file in recording.files}
+        whole = sum(sizes.values())
+        datasets.append(InspectedDataset(found.name, title, found.root, tuple(inspected), whole, counts))
     # Corpora tell while they are searched which of their recordings cannot be used.
     for corpus, folder, found in corpora:
         inspected = [
@@ -209,14 +228,15 @@ def inspect_folder(
             for each in found
         ]
         title = load_manifest(corpus).title
-        datasets.append(InspectedDataset(found[0].identity.dataset, title, folder, tuple(inspected)))
+        size = sum(each.size for each in inspected)
+        datasets.append(InspectedDataset(found[0].identity.dataset, title, folder, tuple(inspected), size))
     return Inspection(tuple(datasets), discovery.broken)
 
 
 def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) -> tuple[State, tuple[str, ...]]:
     """Return the state of one recording, and what is wrong with it."""
     manifest = load_manifest(found.dataset)
-    reason = manifest.why_bad(recording.recording_id) or recording.skip_reason
+    reason = recording.skip_reason or manifest.why_bad(recording.recording_id)
     if reason:
         return "left out", (reason,)
     missing = tuple(f"missing: {name}" for name in missing_files(recording, manifest.required_roles))

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from prbench.curation.job import FunnelRow
     from prbench.curation.options import BuildOptions
     from prbench.engine.choice import EngineChoice
+    from prbench.readers import AnnotationCounts
     from prbench.readers.discover import BrokenDataset
     from prbench.sequences import Recording
     from prbench.sequences.corpus import CorpusRecord
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 # Exit code of a command that finished, but had to leave out something that could not be read.
 NOT_EVERYTHING = 3
+# Movements that stand for all others in a count of annotations.
+_EXAMPLES = 5
 # Known-bad recordings that a printed plan names.
 _SKIPPED_SHOWN = 10
 # Stands in place of a dataset's name for whatever is found.
@@ -96,7 +99,7 @@ def note_recordings(records: Iterable[Recording], *, reused: int) -> None:
         for shortfall in record.shortfalls:
             note(f"cut short: {record.recording_id}: {shortfall}")
     for record in records:
-        if record.status == "read" and not record.outcomes.get("sequence"):
+        if record.is_fruitless:
             note(f"no sequence: {record.recording_id}: {record.why_fruitless}")
 
 
@@ -119,6 +122,12 @@ def note_recordings(records: Iterable[Recording], *, reused: int) -> None:
     type=opt.OUT_FILE,
     metavar="FILE",
     help="Write picks for a person to confirm into this new CSV file, and no table (gimo: docs/gimo-events.md).",
+)
+@click.option(
+    "--events-only",
+    is_flag=True,
+    help="List picks and puts from the annotations alone, without sequences, before anything else is downloaded"
+    " (hd-epic).",
 )
 @click.option("--in-hand", metavar="RULE", help="Another in-hand rule of the manifest, for example wrist.")
 @click.option("--ray-origin", type=click.Choice(["eye", "camera"]), help="Where gaze rays start (default: eye).")
@@ -198,7 +207,8 @@ def build_dataset(
         if part is None:
             from prbench.curation import build_dataset as build
 
-            return table_answer(build(dataset, root, out, options=chosen, engine=where, progress=tell))
+            report = build(dataset, root, out, options=chosen, engine=where, progress=tell)
+            return table_answer(report, annotations=_annotations(dataset, root) if given["events_only"] else None)
         from prbench.curation.build import build_shard_from_sources
         from prbench.curation.job import native_sources
 
@@ -240,7 +250,27 @@ def _plan(dataset: str, root: Path, options: BuildOptions, workers: int) -> Answ
     return Answer(BuildsReport(planned=plans), show)
 
 
-def table_answer(*reports: BuildReport, not_built: Iterable[BrokenDataset] = ()) -> Answer:
+def print_annotations(counts: AnnotationCounts) -> None:
+    """Print how many annotations there are, by participant and beside the published counts."""
+    names = ("videos", "objects", "picks", "puts", "masks")
+    rows = [(person, *(f"{own[name]:,}" for name in names)) for person, own in counts.by_participant.items()]
+    for title, numbers in (("all", counts.totals), *counts.published.items()):
+        rows.append((title, *(f"{numbers[name]:,}" if name in numbers else "–" for name in names)))
+    print_table("annotated picks and puts", ("participant", *names), rows, numbers=range(1, 6))
+    for line in (*counts.remarks, *counts.examples[:_EXAMPLES]):
+        print(line)
+
+
+def _annotations(dataset: str, root: Path) -> AnnotationCounts | None:
+    from prbench.readers import CountsAnnotations, reader_for
+
+    reader = reader_for(dataset, {"events_only": "true"})
+    return reader.annotation_counts(reader.find(root)) if isinstance(reader, CountsAnnotations) else None
+
+
+def table_answer(
+    *reports: BuildReport, not_built: Iterable[BrokenDataset] = (), annotations: AnnotationCounts | None = None
+) -> Answer:
     """Answer a command that has written tables."""
     broken = list(not_built)
     complete = not broken
@@ -257,6 +287,8 @@ def table_answer(*reports: BuildReport, not_built: Iterable[BrokenDataset] = ())
 
         for report in reports:
             print_stages(f"{report.info.title}: from files to sequences", funnel_rows(report.info))
+            if annotations is not None:
+                print_annotations(annotations)
             print(f"table: {report.folder}")
         for each in broken:
             print(f"no table of {each.dataset} in {each.root}: {each.message}")

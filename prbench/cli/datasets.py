@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,9 +17,10 @@ from typing import TYPE_CHECKING
 import click
 
 from prbench.cli import options as opt
-from prbench.cli.builds import NOT_EVERYTHING
+from prbench.cli.builds import NOT_EVERYTHING, print_annotations
 from prbench.cli.commands import Answer, SeveralValues, command, note, progress
 from prbench.cli.terminal import print_table
+from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.checking.catalogue import CatalogueEntry
@@ -134,19 +136,24 @@ def inspect(*, places: tuple[Path, ...], thorough: bool, everything: bool) -> An
 
 def _print_dataset(dataset: InspectedDataset, *, everything: bool) -> None:
     recordings = dataset.recordings
-    size = sum(each.size for each in recordings)
     states = Counter(recording.state for recording in recordings)
     counted = ", ".join(f"{count} {state}" for state, count in sorted(states.items()))
     plural = "s" if len(recordings) != 1 else ""
     print(f"{dataset.root}: {dataset.title} ({dataset.name}), {len(recordings)} recording{plural} ({counted}),"
-          f" {size / 1e6:,.1f} MB")  # fmt: skip
+          f" {dataset.size / 1e6:,.1f} MB")  # fmt: skip
     listed = [each for each in recordings if everything or each.state != "complete" or each.remarks]
     shown = listed if everything else listed[:_SHOWN]
-    if shown:
+    reasons = {(each.state, each.remarks) for each in listed}
+    if len(listed) > _SHOWN and len(reasons) == 1 and not everything:
+        shown = listed  # one line says it of all
+        print(f"all {len(listed)} of them: {'; '.join(listed[0].remarks)}")
+    elif shown:
         rows = [(each.recording_id, each.state, f"{each.size / 1e6:,.1f}", "; ".join(each.remarks)) for each in shown]
         print_table(dataset.name, ("recording", "state", "MB", "what"), rows, numbers=(2,))
     if len(shown) < len(listed):
         print(f"… and {len(listed) - len(shown)} more: --all")
+    if dataset.annotations is not None:
+        print_annotations(dataset.annotations)
 
 
 def _print_tables(tables: tuple[InspectedTable, ...]) -> None:
@@ -176,18 +183,25 @@ def _print_tables(tables: tuple[InspectedTable, ...]) -> None:
 
 @command(
     "validate",
-    example="prbench validate hd-epic --data tables/hd-epic",
+    example="prbench validate hd-epic --root /data/HD-EPIC --data tables/hd-epic",
     report="prbench.checking.hd_epic:Validation",
     writes_report=True,
 )
 @click.argument("dataset", type=click.Choice(["hd-epic"]))
-@click.option("--data", type=opt.PATH, metavar="DIR", required=True, help="A table of it that was built by the rule.")
-def validate(*, dataset: str, data: Path) -> Answer:
-    """Compare a dataset's own priming results with the rule."""
-    from prbench.checking.hd_epic import validate_build
+@click.option("--data", type=opt.PATH, metavar="DIR", help="A table of it that was built by the rule.")
+@opt.root_option("Its annotations, alone or with the videos.", required=False)
+def validate(*, dataset: str, data: Path | None, root: Path | None) -> Answer:
+    """Compare a dataset's own annotations with the published counts, and its priming results with the rule."""
+    from prbench.checking.hd_epic import validate_annotations, validate_build
 
     assert dataset == "hd-epic", "the only choice"
-    validation = validate_build(data)
+    if data is None and root is None:
+        raise UsageError("--root DIR (counts) or --data DIR (priming by the rule) is needed, or both.")
+    counted = None if root is None else validate_annotations(root)
+    validation = counted if data is None else validate_build(data)
+    assert validation is not None, "one of the two is given"
+    if counted is not None:
+        validation = dataclasses.replace(validation, annotations=counted.annotations)
     return Answer(validation, lambda: _print(validation))
 
 
@@ -196,6 +210,11 @@ def _print(validation: Validation) -> None:
 
     if validation.synthetic:
         print("synthetic videos, with priming results that an invented pipeline published")
+    if validation.annotations is not None:
+        print_annotations(validation.annotations)
+        _print_priming(validation.annotations.priming, validation.published_shares)
+    if not validation.agreements:
+        return
     print_table(
         "published priming (rows) and the rule (columns): events",
         ("action", "published", *RULE_OUTCOMES),
@@ -229,6 +248,27 @@ def _print(validation: Validation) -> None:
         ("action", "both primed", "mean", "median size", "95 % size", "largest"),
         rows,
         numbers=range(1, 6),
+    )
+
+
+def _print_priming(priming: dict[str, dict[str, int]], shares: dict[str, tuple[float, float]]) -> None:
+    """Print how many sides of movements the dataset itself tested and found primed, beside its paper's shares."""
+    if not priming:
+        print("priming_info.json is not there: the dataset's own priming cannot be compared")
+        return
+    rows = []
+    for action, counts in priming.items():
+        primed = counts.get("primed", 0)
+        tested = primed + counts.get("not_primed", 0)
+        listed = tested + counts.get("excluded", 0)
+        told = [f"{share:.1%}" for share in shares.get(action, ())] or ["–", "–"]
+        here = [f"{part / whole:.1%}" if whole else "–" for part, whole in ((tested, listed), (primed, tested))]
+        rows.append((action, f"{listed:,}", f"{primed:,}", here[0], told[0], here[1], told[1]))
+    print_table(
+        "priming that the dataset publishes",
+        ("action", "listed", "primed", "tested", "paper", "primed of tested", "paper"),
+        rows,
+        numbers=range(1, 7),
     )
 
 

@@ -343,7 +343,8 @@ def found_datasets(root: Path | str, options: BuildOptions) -> tuple[tuple[Found
     """
     # Rules and reader's options are named after what one dataset records, so none is meant for all of them.
     if options.curation.in_hand is not None or options.reader or options.corrections is not None:
-        raise UsageError("--in-hand, --option and --corrections belong to one dataset; build that dataset by itself.")
+        belonging = "--in-hand, --events-only, --option and --corrections belong to one dataset"
+        raise UsageError(f"{belonging}; build that dataset by itself.")
     discovery = discover(Path(root))
     twice = [name for name, count in Counter(each.name for each in discovery.found).items() if count > 1]
     if twice:

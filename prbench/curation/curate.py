@@ -166,6 +166,8 @@ def _follow(
     split: str,
 ) -> tuple[Decision, Prime | None, Sequence | None]:
     """One event through the stages, until one of them says no."""
+    if recording.annotations_alone:
+        return Decision("annotation_only", "location"), None, None
     if event.rejected is not None or event.place is None:
         return event.rejected or Decision("no_location", "location"), None, None
     prime: Prime | Decision
@@ -278,6 +280,8 @@ def _sequence(
 def _missing_parts(recording: Recording, rule: InHandRule | None, *, found: bool) -> tuple[str, ...]:
     """Name what a recording lacks to have events (``found`` says if it has some) or sequences."""
     remarks = []
+    if recording.annotations_alone:
+        return ()
     if recording.body is None:
         remarks.append("no_body: no body poses, so no event can become a sequence")
     if rule is None and not found:

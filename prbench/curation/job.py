@@ -21,7 +21,7 @@ from prbench.curation.corrections import DROPPED, Corrections, UnknownEventError
 from prbench.curation.curate import CuratedRecording, curate_recording
 from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.engine import is_out_of_memory
-from prbench.errors import InputFileError, PrbenchError
+from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.files.arrays import first_repeated
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, text_digest
@@ -44,6 +44,8 @@ from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.sequence import OUTCOMES, SCENES, event_batch, recording_batch, row_batch, sequence_batch
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.shown import quoted
+
+_EVENTS_ONLY = "events_only"  # the reader's option
 
 
 @runtime_checkable
@@ -133,6 +135,10 @@ def native_sources(dataset: str, root: Path | str, options: BuildOptions) -> tup
         InputFileError: if there is no recording, or none that matches the glob.
     """
     root = Path(root)
+    events_only = dict(options.reader).get(_EVENTS_ONLY) == "true"
+    if events_only and _EVENTS_ONLY not in reader_for(dataset).options.names():
+        needed = "events are found in its streams, or placed by them, so --events-only is impossible"
+        raise UsageError(f"{dataset}: its {needed}; leave it out. It lists those of hd-epic.")
     reader = reader_for(dataset, dict(options.reader))
     manifest = load_manifest(reader.dataset)
     options.curation.require_fits(manifest)
@@ -156,7 +162,7 @@ def native_sources(dataset: str, root: Path | str, options: BuildOptions) -> tup
             root,
             found[name],
             tree.split.get(name) if tree else found[name].split,
-            manifest.why_bad(name) or found[name].skip_reason,
+            found[name].skip_reason if events_only else manifest.why_bad(name) or found[name].skip_reason,
             options.reader,
         )
         for name in chosen_ids(list(found), options, where=root)
@@ -286,6 +292,7 @@ class CurationJob:
 _STAGES = {
     "located": {
         DROPPED: "a person's correction says so",
+        "annotation_only": "listed from the annotations alone (--events-only)",
         "unreadable_entry": "an entry of the dataset's annotations that cannot be read",
         "other_wearer": "somebody else's hand was nearer",
         "excluded_category": "doors, drawers and the like",

@@ -131,6 +131,7 @@ def build_options(
     on_error: Literal["skip", "fail"],
     replace: bool,
     corrections: Path | None,
+    events_only: bool,
     **curation: str | None,
 ) -> BuildOptions:
     """Make the options of a build from what a command line or a program says.
@@ -143,6 +144,7 @@ def build_options(
         on_error: See :class:`BuildOptions`.
         replace: See :class:`BuildOptions`.
         corrections: File of corrections.
+        events_only: List annotated events alone, without any stream.
         curation: Fields of :class:`CurationOptions`.
 
     Raises:
@@ -152,12 +154,14 @@ def build_options(
     from prbench.protocol.own_protocol import read_protocol
 
     # Readers load meshes only where a rule asks for the surfaces of objects.
-    meshes = {"meshes": "true"} if curation["in_hand"] == "surface" else {}
+    implied = {"meshes": "true"} if curation["in_hand"] == "surface" else {}
+    if events_only:
+        implied["events_only"] = "true"
     return BuildOptions(
         curation=CurationOptions(**curation),  # type: ignore[arg-type] - checked there
         recordings=recordings,
         limit=max_recordings,
-        reader=tuple(sorted((meshes | dict(option)).items())),
+        reader=tuple(sorted((implied | dict(option)).items())),
         on_error=on_error,
         protocol=None if protocol is None else read_protocol(protocol),
         replace=replace,

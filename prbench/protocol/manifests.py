@@ -68,6 +68,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         other_bodies: Further sources of bodies by the name under which ``--poses`` chooses them (``egoallo``).
         in_hand: The in-hand rule; None where the dataset annotates its events.
         publishes_priming: True if the dataset's own files say when events were primed (``--priming published``).
+        published_counts: How many annotations there are, by who counted them; for comparison alone.
         thresholds: Numbers of the reader that the dataset's page leaves to choose, by name.
         known_bad: Name (or beginning of the name) of a recording that must be skipped, and why.
         excluded: Recording that is left out unless the reader's option ``include_excluded`` is on, and why.
@@ -97,6 +98,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     in_hand: InHandRule | None = None
     in_hand_alternatives: dict[str, InHandRule] = {}
     publishes_priming: bool = False
+    published_counts: dict[str, dict[str, int]] = {}
     thresholds: dict[str, float] = {}
     known_bad: dict[str, str] = {}
     excluded: dict[str, str] = {}
@@ -257,6 +259,8 @@ def digest_of(constants: msgspec.Struct) -> str:
     values = msgspec.to_builtins(constants)
     if isinstance(constants, BenchmarkProtocol) and not constants.is_own:
         del values["name"]  # stands in no file of prbench's own rules
+    if isinstance(constants, Manifest):
+        del values["published_counts"]  # they decide nothing
     return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 
 

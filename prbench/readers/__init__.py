@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -46,7 +46,7 @@ from prbench.files.storage import file_digest
 from prbench.readers.extents import Extent, shortfalls
 from prbench.readers.files import decode_json
 from prbench.readers.found import InputFile, RecordingFiles, is_present
-from prbench.recording import Recording
+from prbench.recording import Recording, UnreadableEntry
 from prbench.recording.streams import PublishedTrack
 from prbench.shown import quoted
 
@@ -56,8 +56,10 @@ if TYPE_CHECKING:
 __all__ = [
     "SYNTHETIC_PREFIX",
     "AnnotatedByHand",
+    "AnnotationCounts",
     "AnnotationLine",
     "AriaGlasses",
+    "CountsAnnotations",
     "InputFile",
     "KnowsEnds",
     "PublishedForPrediction",
@@ -299,6 +301,19 @@ class AnnotatedByHand(Reader, Protocol):
 
 
 @runtime_checkable
+class CountsAnnotations(Reader, Protocol):
+    """A reader of a dataset whose annotations can be counted without its streams."""
+
+    def annotation_counts(self, recordings: Sequence[RecordingFiles]) -> AnnotationCounts | None:
+        """Count the annotations that lie beside recordings; None where there are none.
+
+        Raises:
+            InputFileError: if a file is no JSON.
+        """
+        ...
+
+
+@runtime_checkable
 class PublishedForPrediction(Reader, Protocol):
     """A reader of a dataset on which a study of motion prediction was made, with that study's pieces of it."""
 
@@ -334,6 +349,29 @@ class AnnotationLine:
     cells: Mapping[str, object]
     frame_rate: float
     hint: float | None
+
+
+@dataclass(frozen=True)
+class AnnotationCounts:
+    """How many annotations of its events a dataset's files hold.
+
+    Attributes:
+        totals: ``videos``, ``participants``, ``objects``, ``picks``, ``puts`` and ``masks`` of all videos.
+        by_participant: The same of each participant.
+        published: The same as others counted them, by who did.
+        priming: Published priming, by action: ``primed``, ``not_primed`` and ``excluded``.
+        unreadable: Entries that cannot be read.
+        remarks: What a user should know about these numbers.
+        examples: The first movement of each recording, in words.
+    """
+
+    totals: dict[str, int]
+    by_participant: dict[str, dict[str, int]]
+    published: dict[str, dict[str, int]]
+    priming: dict[str, dict[str, int]]
+    unreadable: tuple[UnreadableEntry, ...]
+    remarks: tuple[str, ...]
+    examples: tuple[str, ...]
 
 
 def reader_for(dataset: str, options: Mapping[str, str] | None = None) -> Reader:

@@ -275,6 +275,13 @@ class UnreadableEntry:
         return f"{self.file}, {quoted(self.key)}: expected {self.expected}, found {quoted(self.found)}"
 
 
+def named_entries(entries: Sequence[UnreadableEntry]) -> str:
+    """Return a sentence that counts entries that cannot be read, and names the first few."""
+    named = "; ".join(map(str, entries[:_ENTRIES_NAMED]))
+    more = " …" if len(entries) > _ENTRIES_NAMED else ""
+    return f"entries that cannot be read and are left out: {len(entries)}: {named}{more}"
+
+
 @dataclass(frozen=True)
 class AnnotatedEvent:
     """A pick or put that the dataset itself lists.
@@ -323,6 +330,7 @@ class Recording:
             alone.
         occluders: Meshes of scene and objects, loaded only where a reader is asked for them (option ``meshes``).
         hinged_objects: Ids of doors, drawers and the like, where the dataset says so.
+        annotations_alone: True where the events were read without any stream, so that none can be primed.
         has_published_priming: True where the dataset's own priming results are there, whatever they say.
         world_from_source: Maps the scene's own coordinates (meshes, point clouds) into this world frame.
         furniture: Things that stand still and are no part of :attr:`objects`, because the dataset tracks none of them.
@@ -348,6 +356,7 @@ class Recording:
     split_group: str = ""
     occluders: tuple[Occluder, ...] = ()
     hinged_objects: frozenset[str] = frozenset()
+    annotations_alone: bool = False
     has_published_priming: bool = False
     world_from_source: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
     furniture: tuple[ObjectTrack, ...] = ()
@@ -368,9 +377,7 @@ class Recording:
         """Return the reader's messages, and one that counts the unreadable entries and names the first few."""
         if not self.unreadable:
             return self.messages
-        named = "; ".join(map(str, self.unreadable[:_ENTRIES_NAMED]))
-        more = " …" if len(self.unreadable) > _ENTRIES_NAMED else ""
-        return (*self.messages, f"entries that cannot be read and are left out: {len(self.unreadable)}: {named}{more}")
+        return (*self.messages, named_entries(self.unreadable))
 
     def hand_streams(self, contact: ContactPoint) -> tuple[HandStream, ...]:
         """Return the wearer's streams of one kind of contact point."""

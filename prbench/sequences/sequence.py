@@ -447,6 +447,11 @@ class Recording:
     lacks: tuple[str, ...] = field(default=(), repr=False)
 
     @property
+    def is_fruitless(self) -> bool:
+        """Return True where it was read and gave no sequence, although sequences were asked for."""
+        return self.status == "read" and not (self.outcomes.get("sequence") or self.outcomes.get("annotation_only"))
+
+    @property
     def why_fruitless(self) -> str:
         """The outcomes of its events, the most frequent first, and what it lacks: why it gave no sequence."""
         outcomes = sorted(self.outcomes.items(), key=lambda item: (-item[1], item[0]))

@@ -6,6 +6,8 @@ text until that video is read.
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,9 +19,11 @@ from jaxtyping import Float
 from prbench.errors import InputFileError
 from prbench.files.bounded import require, require_rows
 from prbench.limits import FARTHEST_POSITION, LONGEST_RECORDING, MOST_FRAMES
+from prbench.readers import AnnotationCounts
 from prbench.readers.files import decode_json, must_exist, read_columns, read_entries
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.recording import UnreadableEntry
+from prbench.recording.streams import named_entries
 
 # Number of a video frame; some writers give it a decimal point.
 _Frame = Annotated[float, msgspec.Meta(ge=0, le=MOST_FRAMES, multiple_of=1)]
@@ -72,12 +76,36 @@ _SIDE = msgspec.json.Decoder(_Side)
 _LOG = msgspec.json.Decoder(_Log)
 _MAP = msgspec.json.Decoder(dict[str, str | int])
 
-Unreadable = tuple[UnreadableEntry, ...]
+
+def annotated_videos(associations: Path) -> tuple[str, ...]:
+    """Return the names of the videos of which ``assoc_info.json`` lists movements, sorted.
+
+    Raises:
+        InputFileError: if the file is missing or no JSON.
+    """
+    return tuple(sorted(_videos_of(associations)))
 
 
-def read_tracks(
-    associations: Path, masks: Path | None, video: str
-) -> tuple[tuple[hd_epic.ObjectTrack, ...], tuple[str, ...], Unreadable]:
+@dataclass(frozen=True)
+class Movements:
+    """What the annotation files say about the movements of one video.
+
+    Attributes:
+        tracks: In the order of time.
+        objects: Number of objects that move.
+        masks: Number of masks that the tracks name, whether or not a file describes them.
+        remarks: Remarks for the user.
+        unreadable: Entries that cannot be read.
+    """
+
+    tracks: tuple[hd_epic.ObjectTrack, ...]
+    objects: int
+    masks: int
+    remarks: tuple[str, ...]
+    unreadable: tuple[UnreadableEntry, ...]
+
+
+def read_tracks(associations: Path, masks: Path | None, video: str) -> Movements:
     """Read all movements of one video in the order of time.
 
     Objects may have tracks out of order or overlapping in time: they are sorted, and stay apart.
@@ -86,9 +114,6 @@ def read_tracks(
         associations: ``assoc_info.json``.
         masks: ``mask_info.json``; None where it is not there, and no movement has a place.
         video: Its name.
-
-    Returns:
-        The movements, remarks, and the entries that cannot be read.
 
     Raises:
         InputFileError: if a file is missing or no JSON, or the first one does not know the video.
@@ -137,7 +162,7 @@ def read_tracks(
         remarks = (f"no {hd_epic.MASKS_FILE}: no event has a place",)
     elif missing:
         remarks = (f"{missing} of {n_masks} masks of the tracks are not in {masks.name}",)
-    return tuple(tracks), remarks, tuple(unreadable)
+    return Movements(tuple(tracks), len(named), n_masks, remarks, tuple(unreadable))
 
 
 def _object_mask(key: str, mask: _Mask) -> hd_epic.ObjectMask:
@@ -146,13 +171,17 @@ def _object_mask(key: str, mask: _Mask) -> hd_epic.ObjectMask:
 
 def _of_video(path: Path, video: str) -> tuple[dict[str, msgspec.Raw] | None, list[UnreadableEntry]]:
     """Return what a file that holds all videos says of one, by key; None where it does not know the video."""
-    with must_exist(path):
-        status = path.stat()
-    entry = _videos(path, status.st_size, status.st_mtime_ns).get(video)
+    entry = _videos_of(path).get(video)
     if entry is None:
         return None, []
     of_video, unreadable = read_entries(path, {video: entry}, _ENTRIES.decode, "an object with one key an entry")
     return of_video.get(video, {}), unreadable
+
+
+def _videos_of(path: Path) -> dict[str, msgspec.Raw]:
+    with must_exist(path):
+        status = path.stat()
+    return _videos(path, status.st_size, status.st_mtime_ns)
 
 
 @lru_cache(maxsize=8)
@@ -168,7 +197,7 @@ def _point(values: list[float | None] | None) -> Float[np.ndarray, "3"] | None:
     return np.array(values, dtype=np.float64)
 
 
-def read_priming(path: Path, video: str) -> tuple[tuple[hd_epic.PublishedSide, ...], Unreadable]:
+def read_priming(path: Path, video: str) -> tuple[tuple[hd_epic.PublishedSide, ...], tuple[UnreadableEntry, ...]]:
     """Read the dataset's own priming results of one video; none for a video that the file does not know.
 
     A side that is null, a text or empty is not there: nothing is published about it.
@@ -203,6 +232,69 @@ def _is_empty(raw: msgspec.Raw) -> bool:
     """Return True for null, a text, and an empty object or list."""
     text = bytes(raw).translate(None, b" \t\r\n")
     return text.startswith(b'"') or text in (b"null", b"{}", b"[]")
+
+
+def count_annotations(
+    associations: Path, masks: Path | None, priming: Path | None, published: dict[str, dict[str, int]]
+) -> AnnotationCounts:
+    """Count the movements of all videos, and the published priming where its file is there.
+
+    Raises:
+        InputFileError: if a file is missing or no JSON.
+    """
+    people: dict[str, Counter[str]] = {}
+    outcomes: dict[str, Counter[str]] = {"pick": Counter(), "put": Counter()}
+    unreadable: list[UnreadableEntry] = []
+    repeated = 0
+    described = 0
+    placed = 0
+    examples: list[str] = []
+    for video in annotated_videos(associations):
+        own = people.setdefault(participant_of(video), Counter())
+        own["videos"] += 1
+        try:
+            movements = read_tracks(associations, masks, video)
+        except InputFileError as error:
+            unreadable.append(UnreadableEntry(associations.name, video, error.expected, error.found))
+            continue
+        unreadable += movements.unreadable
+        moved = len(movements.tracks)
+        described += sum(len(track.masks) for track in movements.tracks)
+        placed += sum(mask.location is not None for track in movements.tracks for mask in track.masks)
+        examples += [
+            f"{video}: {track.name} lifted at {track.start:.2f} s, put down at {track.end:.2f} s"
+            for track in movements.tracks[:1]
+        ]
+        starts = {(track.object_id, track.start) for track in movements.tracks}
+        ends = {(track.object_id, track.end) for track in movements.tracks}
+        repeated += 2 * moved - len(starts) - len(ends)
+        own.update(objects=movements.objects, picks=moved, puts=moved, masks=movements.masks)
+        if priming is not None:
+            sides, odd = read_priming(priming, video)
+            unreadable += odd
+            for side in sides:
+                told = {hd_epic.NOT_PRIMED: "not_primed", hd_epic.EXCLUDED: "excluded"}
+                outcomes["pick" if side.is_start else "put"][told.get(side.frame_primed, "primed")] += 1
+    remarks = ["masks tell no hand: the hand of an event needs SLAM, wrists or a body"]
+    if repeated:
+        remarks.append(f"{repeated} picks and puts are listed twice, with equal object and time: a table has each once")
+    if masks is not None:
+        remarks.append(f"{described:,} of the masks stand in {masks.name}, {placed:,} of them with a place")
+    else:
+        remarks.append(f"{hd_epic.MASKS_FILE} is not there: masks are those that the movements name, and have no place")
+    if unreadable:
+        remarks.append(named_entries(unreadable))
+    by_participant = {person: dict(own) for person, own in sorted(people.items())}
+    totals = dict(sum(people.values(), Counter())) | {"participants": len(people)}
+    priming_counts = {action: dict(own) for action, own in outcomes.items()} if priming is not None else {}
+    return AnnotationCounts(
+        totals, by_participant, published, priming_counts, tuple(unreadable), tuple(remarks), tuple(examples)
+    )
+
+
+def participant_of(video: str) -> str:
+    """Return the participant that a video's name begins with."""
+    return video.partition("-")[0]
 
 
 def read_video_clock(path: Path, log: Path | None) -> tuple[hd_epic.VideoClock, tuple[str, ...]]:

@@ -22,7 +22,14 @@ from prbench.readers.egoallo.to_recording import NO_OUTPUTS
 from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent
 from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.readers.hd_epic.annotations import read_priming, read_tracks, read_video_clock, slam_number
+from prbench.readers.hd_epic.annotations import (
+    annotated_videos,
+    participant_of,
+    read_priming,
+    read_tracks,
+    read_video_clock,
+    slam_number,
+)
 from prbench.recording import Recording
 
 
@@ -34,16 +41,16 @@ class HdEpicOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_o
         poses: Source of bodies.
         smplh_model: The licensed SMPL-H ``model.npz`` that turns EgoAllo's outputs into joints.
         poses_root: Folder of EgoAllo's outputs by video, where it is not ``egoallo`` below the root.
+        events_only: List picks and puts from the annotations alone, on the video's own clock.
     """
 
     annotations: Path | None = None
     poses: Literal["egoallo"] = "egoallo"
     smplh_model: Path | None = None
     poses_root: Path | None = None
+    events_only: bool = False
 
 
-# Roles of the files of a video, beside those of MPS and EgoAllo.
-# Roles of the files of a video, beside those of MPS and EgoAllo.
 # Roles of the files of a video, beside those of MPS and EgoAllo.
 TIME = "video time"
 LOG = "video log"
@@ -59,8 +66,10 @@ _GAZE_ROLES = frozenset({mps.GAZE, mps.WRISTS, mps.GAZE_SUMMARY, mps.HAND_SUMMAR
 def find_recordings(root: Path | str, options: HdEpicOptions) -> tuple[RecordingFiles, ...]:
     """List the videos of which anything lies on the disk: time file, gaze or SLAM.
 
+    Where the annotations lie there alone, and with ``events_only``, these are all videos that they name.
+
     Args:
-        root: The folder that holds ``HD-EPIC`` and ``hd-epic-annotations``, or ``HD-EPIC`` itself.
+        root: The folder that holds ``HD-EPIC`` and ``hd-epic-annotations``, or one of the two.
         options: What the user chose.
 
     Raises:
@@ -89,9 +98,17 @@ def find_recordings(root: Path | str, options: HdEpicOptions) -> tuple[Recording
     expected = f"videos of HD-EPIC: {hd_epic.DATA_FOLDER}/{hd_epic.VIDEOS_FOLDER}/P0X/*{hd_epic.TIME_SUFFIX}"
     expected += f", or {hd_epic.MPS_FOLDER}/P0X/{hd_epic.GAZE_FOLDER}/mps_*_vrs.zip"
     remedy = f"Give the folder that holds {hd_epic.DATA_FOLDER} and {hd_epic.ANNOTATIONS_FOLDER}."
-    require(root, (len(videos) > 0, "", expected, names_in(root), remedy))
-
     annotated = _annotation_files(options.annotations, (root, data, data.parent))
+    listed = next((file.path for file in annotated if file.role == ASSOCIATIONS), None)
+    if listed is not None and (options.events_only or not videos):
+        reason = None if options.events_only else _ANNOTATIONS_ALONE
+        return tuple(
+            RecordingFiles(
+                dataset, video, folder / videos.get(video, participant_of(video)), tuple(annotated), skip_reason=reason
+            )
+            for video in annotated_videos(listed)
+        )
+    require(root, (len(videos) > 0, "", expected, names_in(root), remedy))
     recordings = []
     for video, participant in sorted(videos.items()):
         own = folder / participant
@@ -109,6 +126,11 @@ def find_recordings(root: Path | str, options: HdEpicOptions) -> tuple[Recording
                 break
         recordings.append(RecordingFiles(dataset, video, own, tuple(files), skip_reason=skip_reason))
     return tuple(recordings)
+
+
+_ANNOTATIONS_ALONE = (
+    "only its annotations are here: `prbench build-dataset hd-epic --events-only` lists its picks and puts"
+)
 
 
 def _mapped(path: Path) -> dict[str, str]:
@@ -130,10 +152,10 @@ def _annotation_files(given: Path | None, places: Iterable[Path]) -> list[InputF
         folder = given.expanduser()
     else:
         patterns = (path for place in places for path in sorted(place.glob(f"{hd_epic.ANNOTATIONS_FOLDER}*")))
-        found = next((path for path in patterns if path.is_dir()), None)
-        if found is None:
+        # Last the repository itself, which may be all that was downloaded.
+        folder = next((path for path in (*patterns, *places) if path.is_dir() and _holds_movements(path)), None)
+        if folder is None:
             return []
-        folder = found
     movements = (folder / hd_epic.MOVEMENTS_FOLDER, folder)
     around = (folder, folder.parent)
     priming = [place / name for place in around for name in hd_epic.PRIMING_FOLDERS] + [folder]
@@ -142,6 +164,10 @@ def _annotation_files(given: Path | None, places: Iterable[Path]) -> list[InputF
         *_present(MASKS, [place / hd_epic.MASKS_FILE for place in movements]),
         *_present(PRIMING, [place / hd_epic.PRIMING_FILE for place in priming]),
     ]
+
+
+def _holds_movements(folder: Path) -> bool:
+    return any(is_present(place / hd_epic.ASSOCIATIONS_FILE) for place in (folder / hd_epic.MOVEMENTS_FOLDER, folder))
 
 
 def _mps_files(base: Path, video: str) -> tuple[list[InputFile], str | None]:
@@ -205,6 +231,43 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
     return tuple(replace(stream, slack=SEVERAL_SENSORS) for stream in (*streams, *body_extent(found)))
 
 
+def read_annotations(found: RecordingFiles) -> hd_epic.HdEpicReadings:
+    """Read what the annotations say of one video, on a clock that begins with it and never skips an image.
+
+    Raises:
+        InputFileError: for a missing or damaged file.
+    """
+    video = found.recording_id
+    associations = found.path(ASSOCIATIONS)
+    place = f"{hd_epic.ANNOTATIONS_FOLDER}/{hd_epic.MOVEMENTS_FOLDER}/{hd_epic.ASSOCIATIONS_FILE}"
+    require(place, (associations is not None, "", _ANNOTATION, "none", _CLONE))
+    assert associations is not None
+    movements = read_tracks(associations, found.path(MASKS), video)
+    unreadable = movements.unreadable
+    priming = found.path(PRIMING)
+    published = None
+    if priming is not None:
+        published, odd = read_priming(priming, video)
+        unreadable += odd
+    last = max((round(track.end * hd_epic.FPS) for track in movements.tracks), default=0)
+    times = np.rint(np.arange(max(last, 0) + 2) * 1e9 / hd_epic.FPS).astype(np.int64)
+    return hd_epic.HdEpicReadings(
+        video=video,
+        participant_id=found.folder.name,
+        clock=hd_epic.VideoClock(times),
+        tracks=movements.tracks,
+        priming=published,
+        glasses=None,
+        body=None,
+        messages=movements.remarks,
+        unreadable=unreadable,
+    )
+
+
+_ANNOTATION = "this file of the annotation repository"
+_CLONE = f"Clone the repository beside {hd_epic.DATA_FOLDER}, or name it: --option annotations=DIR."
+
+
 def read_readings(found: RecordingFiles) -> hd_epic.HdEpicReadings:
     """Read all that curation needs of one video.
 
@@ -212,35 +275,19 @@ def read_readings(found: RecordingFiles) -> hd_epic.HdEpicReadings:
         InputFileError: for a missing or damaged file; of SLAM it says which archive is missing.
     """
     video = found.recording_id
-    paths = []
-    for role, name in ((ASSOCIATIONS, hd_epic.ASSOCIATIONS_FILE), (MASKS, hd_epic.MASKS_FILE)):
-        path = found.path(role)
-        if path is None:
-            place = f"{hd_epic.ANNOTATIONS_FOLDER}/{hd_epic.MOVEMENTS_FOLDER}/{name}"
-            expected = "this file of the annotation repository"
-            remedy = f"Clone the repository beside {hd_epic.DATA_FOLDER}, or name it: --option annotations=DIR."
-            raise InputFileError(place, "", expected=expected, found="none", remedy=remedy)
-        paths.append(path)
-    tracks, track_remarks, unreadable = read_tracks(paths[0], paths[1], video)
-    priming = found.path(PRIMING)
-    published = None
-    if priming is not None:
-        published, odd = read_priming(priming, video)
-        unreadable += odd
+    annotations = read_annotations(found)
+    place = f"{hd_epic.ANNOTATIONS_FOLDER}/{hd_epic.MOVEMENTS_FOLDER}/{hd_epic.MASKS_FILE}"
+    require(place, (found.path(MASKS) is not None, "", _ANNOTATION, "none", _CLONE))
     clock, clock_remarks = read_video_clock(found.require(TIME, f"{video}{hd_epic.TIME_SUFFIX}"), found.path(LOG))
     glasses = _read_mps(found)
     head = mps_streams(replace(glasses, wrists=None), world_from_source=np.eye(4)).head
     body = read_bodies(found, cpf=head)
-    return hd_epic.HdEpicReadings(
-        video=video,
-        participant_id=found.folder.name,
+    return replace(
+        annotations,
         clock=clock,
-        tracks=tracks,
-        priming=published,
         glasses=glasses,
         body=body,
-        messages=(*track_remarks, *clock_remarks, *((NO_OUTPUTS,) if body is None else ())),
-        unreadable=unreadable,
+        messages=(*annotations.messages, *clock_remarks, *((NO_OUTPUTS,) if body is None else ())),
     )
 
 

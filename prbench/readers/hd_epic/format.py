@@ -142,6 +142,7 @@ class HdEpicReadings:
         participant_id: Name of the folder that the video lies in; all videos of one participant share a kitchen and a
             world.
         priming: None where the dataset's priming file is not there.
+        glasses: None where the annotations are read alone.
     """
 
     video: str
@@ -149,7 +150,7 @@ class HdEpicReadings:
     clock: VideoClock
     tracks: tuple[ObjectTrack, ...]
     priming: tuple[PublishedSide, ...] | None
-    glasses: MpsReadings
+    glasses: MpsReadings | None
     body: EgoAlloBody | None
     messages: tuple[str, ...] = ()
     unreadable: tuple[UnreadableEntry, ...] = ()

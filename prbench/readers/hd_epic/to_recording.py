@@ -24,7 +24,9 @@ from prbench.readers.hd_epic import format as hd_epic
 from prbench.recording.streams import (
     AnnotatedEvent,
     BodyStream,
+    GazeStream,
     HandStream,
+    PoseStream,
     PublishedPriming,
     Recording,
     reaching_hand,
@@ -47,6 +49,8 @@ def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest,
         InputFileError: if there is no pose of the glasses at all.
     """
     world = Y_UP_FROM_Z_UP
+    if readings.glasses is None:
+        return _recording_of_annotations(readings, manifest, dataset)
     # Wrists are valid where they are surely tracked.
     least = manifest.thresholds["sure_wrist"]
     streams = mps_streams(readings.glasses, world_from_source=world, least_confidence=least)
@@ -79,6 +83,32 @@ def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest,
             *(() if readings.body is None else readings.body.messages),
             *remarks,
         ),
+        unreadable=readings.unreadable,
+    )
+
+
+def _recording_of_annotations(readings: hd_epic.HdEpicReadings, manifest: Manifest, dataset: str) -> Recording:
+    """Return the annotated events without any stream, seconds of the video."""
+    events, remarks = annotated_events(readings, (), None, manifest.thresholds)
+    nothing = PoseStream(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0, dtype=bool))
+    return Recording(
+        dataset=dataset,
+        recording_id=readings.video,
+        participant_id=readings.participant_id,
+        pose_source="none",
+        head_tilt_deg=manifest.body.head_tilt_deg,
+        span=readings.clock.span,
+        gaze=GazeStream(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=bool)),
+        camera=nothing,
+        head=nothing,
+        body=None,
+        hands=(),
+        objects=(),
+        annotated_events=events,
+        annotations_alone=True,
+        has_published_priming=readings.priming is not None,
+        world_from_source=Y_UP_FROM_Z_UP,
+        messages=(*readings.messages, *remarks),
         unreadable=readings.unreadable,
     )
 

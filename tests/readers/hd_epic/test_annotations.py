@@ -46,8 +46,8 @@ def _tracks(folder: Path, tracks: Any = TRACKS, masks: Any = MASKS):
     for name, content in (("assoc_info.json", tracks), ("mask_info.json", masks)):
         (folder / name).write_text(json.dumps({VIDEO: content}))
     _videos.cache_clear()  # files of one size, written within one tick of the disk's clock
-    found, _, unreadable = read_tracks(folder / "assoc_info.json", folder / "mask_info.json", VIDEO)
-    return {track.track_id: track for track in found}, unreadable
+    found = read_tracks(folder / "assoc_info.json", folder / "mask_info.json", VIDEO)
+    return {track.track_id: track for track in found.tracks}, found.unreadable
 
 
 def _priming(folder: Path, priming: Any):
