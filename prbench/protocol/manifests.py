@@ -51,7 +51,7 @@ class InHandRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     join_gap: float
     rest_tolerance: float
     smallest_displacement: float
-    drop_hinged: bool
+    drop_hinged: bool = True
 
 
 class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -9,10 +9,13 @@ import sys
 import tomllib
 from pathlib import Path
 
+import msgspec
+import numpy as np
 import pytest
 
 from prbench.cli import main
 from prbench.datasets import find_reader, readable_datasets
+from prbench.protocol.manifests import InHandRule
 from prbench.sequences import SequenceTable
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -21,7 +24,7 @@ EXAMPLE = DOCS / "examples" / "tabletop"
 FILES = {
     str(path.relative_to(EXAMPLE)): path.read_text("utf-8") for path in EXAMPLE.rglob("*.*") if path.suffix != ".pyc"
 }
-(COMMANDS,) = re.findall(r"^```bash\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
+COMMANDS = "".join(re.findall(r"^```bash\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE))
 
 
 @pytest.fixture
@@ -48,9 +51,17 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_page_shows_lines_of_the_package_as_they_stand() -> None:
     shown = re.findall(r"^```(python|toml)\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
-    assert [kind for kind, _ in shown] == ["python", "toml"]
-    assert shown[0][1].strip() in FILES["src/prbench_tabletop/reader.py"]
-    assert shown[1][1].strip() in FILES["pyproject.toml"]
+    modules = "".join(text for name, text in FILES.items() if name.endswith(".py"))
+    assert [kind for kind, _ in shown] == ["python", "toml", "python"]
+    for kind, text in shown:
+        assert text.strip() in (modules if kind == "python" else FILES["pyproject.toml"])
+
+
+def test_every_key_of_the_in_hand_rule_is_explained_with_the_value_of_the_example() -> None:
+    shown = re.findall(r"^\| `(\w+)` \| `(.*?)` \|", PAGE, re.MULTILINE)
+    explained = tomllib.loads("\n".join(f"{key} = {value}" for key, value in shown))
+    rule = tomllib.loads(FILES["src/prbench_tabletop/tabletop-tracked.toml"])["in_hand"]
+    assert explained == msgspec.to_builtins(msgspec.convert(rule, InHandRule))
 
 
 def test_every_command_of_the_page_works_for_the_package(package, capsys) -> None:
@@ -72,6 +83,11 @@ def test_every_command_of_the_page_works_for_the_package(package, capsys) -> Non
     table = SequenceTable.open(package / "tables" / "tabletop")
     assert table.info.dataset == "tabletop"
     assert table.info.counts.sequences == 2
+    tracked = SequenceTable.open(package / "tables" / "tracked")
+    found = tracked.events().select(["action", "hand", "outcome"]).to_pylist()
+    events = [(each["action"], each["hand"], each["outcome"]) for each in found]
+    assert sorted(events) == [("pick", "right", "sequence")] * 2 + [("put", "right", "sequence")] * 2
+    np.testing.assert_allclose(sorted(tracked.scalars()["event_time"].to_pylist()), [10, 10, 12, 12], atol=0.05)
 
 
 def test_the_package_is_listed_beside_those_of_prbench(package, capsys) -> None:

@@ -1,4 +1,4 @@
-"""Two small recordings of Tabletop: `python make_example.py FOLDER`."""
+"""Two small recordings of Tabletop, with events and tracks: `python make_example.py FOLDER`."""
 
 import sys
 from pathlib import Path
@@ -39,17 +39,26 @@ def write(path, columns, rows):
 for seed, name in enumerate(("P1_office", "P2_kitchen")):
     folder = Path(sys.argv[1]) / name
     folder.mkdir(parents=True)
-    time_us = np.arange(0, 12_000_000, 16_667)
+    time_us = np.arange(0, 14_000_000, 16_667)
     walked = np.outer(time_us * 1e-6 * 100, (1, 0, 0))  # millimetres: 10 cm a second to the side
     cup = np.array([1400 + 50 * seed, 1000, 600])
+    shelf = cup + np.array([-300, 0, 0])
     eyes = head + walked
-    gaze = np.where(
-        (time_us > 7_000_000)[:, None], cup - eyes, np.array([-1.0, 0.0, 0.2])
-    )  # looks at the cup after 7 s
+    seconds = time_us[:, None] * 1e-6
+    # Looks at the cup after 7 s, and after 10.5 s at the place to which it carries the cup from 10 s to 12 s.
+    looks_at = np.where(seconds < 10.5, cup, shelf)
+    gaze = np.where(seconds > 7, looks_at - eyes, np.array([-1.0, 0.0, 0.2]))
+    cup_at = cup + (shelf - cup) * np.clip((seconds - 10) / 2, 0, 1)
+    reached = np.clip(seconds - 9, 0, 1) - np.clip(seconds - 12.5, 0, 1)
+    hand = standing[-1] + walked
+    hand = hand + reached * (cup_at + np.array([0, 60, 0]) - hand)  # a finger's breadth above the cup
     upright = np.tile((np.sqrt(0.5), np.sqrt(0.5), 0, 0), (len(time_us), 1))  # y up in the glasses, Z up in the world
     glasses = np.column_stack([z_up(eyes), upright, gaze])
     body = z_up(standing + walked[:, None]).reshape(len(time_us), -1)
     write(folder / "glasses.csv", ("time_us", *POSITION, *ROTATION, *GAZE), zip(time_us, *glasses.T))
     write(folder / "body.csv", ("time_us", *JOINTS), zip(time_us, *body.T))
     events = [(10_000_000, "pick", "cup", *z_up(cup), 50)]
+    pose = np.column_stack([z_up(cup_at), upright])
+    write(folder / "cup.csv", ("time_us", *POSITION, *ROTATION), zip(time_us, *pose.T))
+    write(folder / "hand.csv", ("time_us", *POSITION), zip(time_us, *z_up(hand).T))
     write(folder / "events.csv", ("time_us", "action", "object", *BOX), events)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -25,7 +26,7 @@ GAZE = ("gaze_x", "gaze_y", "gaze_z")  # in the glasses' frame
 JOINTS = tuple(f"{joint.name.lower()}_{axis}_mm" for joint in Joint for axis in "xyz")
 BOX = ("x_mm", "y_mm", "z_mm", "half_mm")  # centre and half edge of the cube around the object
 
-_TURN = Rotation.from_matrix(Y_UP_FROM_Z_UP[:3, :3])
+TURN = Rotation.from_matrix(Y_UP_FROM_Z_UP[:3, :3])
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ class TabletopReader:
 
     dataset: str = "tabletop"
     options: ReaderOptions = ReaderOptions()  # noqa: RUF009 (frozen)
+    files: ClassVar[dict[str, str]] = FILES
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
@@ -51,7 +53,7 @@ class TabletopReader:
         return found
 
     def _listed(self, folder: Path) -> RecordingFiles:
-        present = {role: folder / name for role, name in FILES.items() if is_present(folder / name)}
+        present = {role: folder / name for role, name in self.files.items() if is_present(folder / name)}
         files = tuple(input_file(role, path) for role, path in present.items())
         return RecordingFiles(self.dataset, folder.name, folder, files)
 
@@ -62,6 +64,10 @@ class TabletopReader:
         Raises:
             InputFileError: for a missing or damaged file.
         """
+        return self.recording(found, annotated_events=_read_events(found.require("events", FILES["events"])))
+
+    def recording(self, found: RecordingFiles, **events: Any) -> Recording:
+        """Put together what all recordings have, and what tells the events of this one."""
         manifest = load_manifest(self.dataset)
         glasses, gaze = _read_glasses(found.require("glasses", FILES["glasses"]))
         return Recording(
@@ -75,14 +81,12 @@ class TabletopReader:
             camera=glasses,
             head=glasses,
             body=_read_body(found.require("body", FILES["body"])),
-            hands=(),
-            objects=(),
-            annotated_events=_read_events(found.require("events", FILES["events"])),
             split_group=found.recording_id,
+            **{"hands": (), "objects": (), **events},
         )
 
 
-def _read_times(path: Path, table) -> np.ndarray:
+def read_times(path: Path, table) -> np.ndarray:
     """Times in seconds; a clock that runs backwards is refused with the line."""
     microseconds = table["time_us"].to_numpy()
     require_increasing(path, microseconds, unit="µs")
@@ -91,9 +95,9 @@ def _read_times(path: Path, table) -> np.ndarray:
 
 def _read_glasses(path: Path) -> tuple[PoseStream, GazeStream]:
     table = read_columns(path, {"time_us": int, **dict.fromkeys(POSITION + ROTATION + GAZE, float)})
-    times = _read_times(path, table)
+    times = read_times(path, table)
     position = y_up(column_vectors(table, POSITION)) / 1000
-    rotation = _TURN * Rotation.from_quat(column_vectors(table, ROTATION), scalar_first=True)
+    rotation = TURN * Rotation.from_quat(column_vectors(table, ROTATION), scalar_first=True)
     direction = rotation.apply(column_vectors(table, GAZE))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     valid = np.ones(len(times), dtype=bool)
@@ -106,7 +110,7 @@ def _read_body(path: Path) -> BodyStream:
     joints = column_vectors(table, JOINTS).reshape(-1, len(Joint), 3)
     measured = np.isfinite(joints).all(axis=(1, 2))  # an empty cell is NaN: the frame stays, marked as not measured
     joints = np.where(measured[:, None, None], joints, 0.0)
-    return BodyStream(_read_times(path, table), y_up(joints) / 1000, measured)
+    return BodyStream(read_times(path, table), y_up(joints) / 1000, measured)
 
 
 def _read_events(path: Path) -> tuple[AnnotatedEvent, ...]:
