@@ -130,7 +130,7 @@ def detectable_difference(
         design_effect = error**2 / (sequence_variance / sizes.sum())
         correlation = min(max((design_effect - 1) / (weighted_size - 1), 0.0), 1.0)
     errors = _errors_found(tuple(sorted(sizes.tolist())), round(correlation, 1), SIGNIFICANCE / comparisons)
-    return error * errors + (1 / sizes.sum() if rate else 0.0)
+    return error * errors + (1 / float(sizes.sum()) if rate else 0.0)
 
 
 @lru_cache(maxsize=256)
