@@ -99,6 +99,7 @@ def build_dataset(
     ray_origin: Literal["eye", "camera"] | None = None,
     priming: Literal["rule", "published"] = "rule",
     minimum_movement: str = "wrist_to_goal",
+    min_confidence: float = 0.0,
     corrections: args.PathLike | None = None,
     events_only: bool = False,
     protocol: args.PathLike | None = None,
@@ -123,6 +124,8 @@ def build_dataset(
         priming: Prime times by the study's equations (``rule``), or taken over where the dataset publishes them.
         minimum_movement: What must be at least 20 cm: ``wrist_to_goal``, ``pelvis_displacement`` or
             ``object_displacement``.
+        min_confidence: Smallest ``event_confidence`` of a sequence, from 0 to 1; events below end as
+            ``low_confidence``.
         corrections: File of a person's corrections of events, CSV or TOML (docs/review.md).
         events_only: List picks and puts from the annotations alone, without sequences (hd-epic).
         protocol: Your own ``protocol.toml``, stamped into the table; by default prbench's.
@@ -163,6 +166,7 @@ def build_dataset(
         in_hand=in_hand,
         ray_origin=ray_origin,
         minimum_movement=minimum_movement,
+        min_confidence=min_confidence,
         priming=priming,
         corrections=args.as_optional_path(corrections),
         events_only=events_only,

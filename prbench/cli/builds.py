@@ -144,6 +144,13 @@ def note_recordings(records: Iterable[Recording], *, reused: int) -> None:
     help="What must be at least 20 cm: wrist_to_goal (default), pelvis or object displacement.",
 )
 @click.option(
+    "--min-confidence",
+    type=float,
+    default=0.0,
+    metavar="X",
+    help="Keep sequences of events with at least this event_confidence, from 0 to 1 (docs/specification/curation.md).",
+)
+@click.option(
     "--corrections",
     type=opt.PATH,
     metavar="FILE",

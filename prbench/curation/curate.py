@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from prbench.curation.clipping import Clip, clip
+from prbench.curation.confidence import TRACK_PAUSE, beyond, unbroken
 from prbench.curation.corrections import Corrections
-from prbench.curation.events import Decision, PickPutEvent, find_events
+from prbench.curation.events import Decision, PickPutEvent, Place, find_events
 from prbench.curation.options import DEFAULTS, CurationOptions
 from prbench.curation.priming import PUBLISHED_STAGE, Prime, find_prime, gaze_rays
 from prbench.errors import RecordingUnusable
@@ -85,6 +87,17 @@ def curate_recording(
         published = event.published_priming
         known = wrists_at(recording.hands, recording.body, event.event_time)
         wrists = {side: position for side, (position, _) in known.items()}
+        confidence = None  # nothing was measured of an event without a place
+        if place is not None:
+            confidence = decision.confidence * (prime.confidence if prime else 1.0) * _trust(event, place, wrists)
+        if sequence is not None and confidence is not None and confidence < options.min_confidence:
+            decision = Decision("low_confidence", "confidence", confidence, options.min_confidence)
+            sequence = None
+        margin = None
+        if prime is not None and prime.kind != "published":
+            margin = protocol.curation.near_miss_distance - prime.distance
+        elif decision.stage == "priming" and decision.value is not None and decision.threshold is not None:
+            margin = decision.threshold - decision.value
         rows.append(
             Event(
                 event_id=event.event_id,
@@ -109,6 +122,8 @@ def curate_recording(
                 right_wrist=wrists.get("right"),
                 published_priming=published and published.outcome,
                 published_prime_time=published and published.prime_time,
+                prime_margin=margin,
+                event_confidence=confidence,
                 corrected=event.corrected,
             )
         )
@@ -157,6 +172,15 @@ def curate_recording(
     )
 
 
+def _trust(event: PickPutEvent, place: Place, wrists: Mapping[str, np.ndarray]) -> float:
+    """Return how sure event and hand are, from 0 to 1: the gap in the object's track, and the nearer wrist's lead."""
+    trust = unbroken(event.tracking_gap or 0.0, usual=TRACK_PAUSE)
+    if len(wrists) == 2 and event.hand_source != "annotated":
+        left, right = (float(np.linalg.norm(wrist - place.location)) for wrist in wrists.values())
+        trust *= beyond(abs(left - right))
+    return trust
+
+
 def _follow(
     recording: Recording,
     event: PickPutEvent,
@@ -197,7 +221,8 @@ def _follow(
     else:
         value = event.displacement  # None for annotated events, which the filter then lets pass
     moved = value is None or value >= threshold
-    decision = Decision("sequence" if moved else "minimum_movement", "filters", value, threshold)
+    confidence = 1.0 if value is None else beyond(abs(value - threshold))
+    decision = Decision("sequence" if moved else "minimum_movement", "filters", value, threshold, confidence)
     if not moved:
         return decision, prime, None
     return decision, prime, _sequence(recording, event, prime, piece, protocol, split)

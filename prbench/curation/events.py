@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from prbench.curation.confidence import beyond
 from prbench.curation.in_hand import LONGEST_SURE_GAP, Departure, Holding, contact_streams, find_holdings, nearest_hand
 from prbench.protocol.manifests import InHandRule
 from prbench.recording import PublishedPriming, Recording
@@ -18,12 +19,13 @@ from prbench.recording.streams import Action, HandSource, Side, reaching_hand, w
 
 @dataclass(frozen=True)
 class Decision:
-    """The outcome of an event, its stage, and the number that decided."""
+    """The outcome of an event, its stage, the number that decided, and how sure that is, from 0 to 1."""
 
     outcome: str
     stage: str
     value: float | None = None
     threshold: float | None = None
+    confidence: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -139,7 +141,8 @@ def _event(
         _, other_distance = nearest_hand(others, holding.track, rule, time, rest)
         # An unmeasured hand counts as just touching: another's has to be nearer than that to take the event.
         if other_distance < (distance if np.isfinite(distance) else rule.distance):
-            rejected = Decision("other_wearer", "in_hand", distance if np.isfinite(distance) else None, other_distance)
+            value = distance if np.isfinite(distance) else None
+            rejected = Decision("other_wearer", "in_hand", value, other_distance, beyond(distance - other_distance))
         elif rule.drop_hinged and holding.track.object_id in recording.hinged_objects:
             rejected = Decision("excluded_category", "in_hand")
         elif not rest.placed:

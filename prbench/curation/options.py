@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from prbench.curation.corrections import Corrections, read_corrections
 from prbench.curation.priming import RAY_ORIGINS
@@ -31,14 +31,18 @@ class CurationOptions:
         minimum_movement: Distance that must reach the protocol's minimum: ``wrist_to_goal``, ``pelvis_displacement`` or
             ``object_displacement``.
         priming: Prime times from gaze by the equations, or taken over from what the dataset itself publishes.
+        min_confidence: Smallest ``event_confidence`` of a sequence, from 0 to 1; 0 takes every one.
     """
 
     in_hand: str | None = None
     ray_origin: str | None = None
     minimum_movement: str = "wrist_to_goal"
     priming: Literal["rule", "published"] = "rule"
+    min_confidence: float = 0.0
 
     def __post_init__(self) -> None:
+        if not 0 <= self.min_confidence <= 1:
+            raise UsageError(f"a smallest confidence lies from 0 to 1, found {self.min_confidence:g}.")
         for name, known in _CHOICES.items():
             if getattr(self, name) not in known:
                 choices = ", ".join(each for each in known if each)
@@ -73,8 +77,9 @@ class CurationOptions:
         rule = self.in_hand_rule(manifest)
         # Named where it is asked for only: tables of the default keep their bytes.
         shortest = protocol.curation.minimum_prime
-        lasting = {"minimum_prime": f"{shortest:g}"} if shortest > 0 else {}
-        return lasting | {
+        chosen = {"minimum_prime": f"{shortest:g}"} if shortest > 0 else {}
+        chosen |= {"min_confidence": f"{self.min_confidence:g}"} if self.min_confidence > 0 else {}
+        return chosen | {
             "in_hand_rule": "none" if rule is None else self.in_hand or "default",
             "in_hand_rule_digest": "" if rule is None else digest_of(rule),
             "ray_origin": self.ray_origin or protocol.curation.ray_origin,
@@ -132,7 +137,7 @@ def build_options(
     replace: bool,
     corrections: Path | None,
     events_only: bool,
-    **curation: str | None,
+    **curation: Any,
 ) -> BuildOptions:
     """Make the options of a build from what a command line or a program says.
 
@@ -158,7 +163,7 @@ def build_options(
     if events_only:
         implied["events_only"] = "true"
     return BuildOptions(
-        curation=CurationOptions(**curation),  # type: ignore[arg-type] - checked there
+        curation=CurationOptions(**curation),
         recordings=recordings,
         limit=max_recordings,
         reader=tuple(sorted((implied | dict(option)).items())),

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
+from prbench.curation.confidence import GAZE_PAUSE, beyond, unbroken
 from prbench.curation.events import Decision, Place
 from prbench.geometry.shapes import near_miss, slab_test
 from prbench.geometry.timelines import interpolate
@@ -17,6 +18,7 @@ from prbench.recording import Recording
 RAY_ORIGINS = ("eye", "camera")
 PUBLISHED_STAGE = "published priming"
 _SLACK = 1e-9  # seconds
+_LOOK = 0.5  # seconds around the prime that are one look, for its confidence
 
 
 @dataclass(frozen=True)
@@ -28,12 +30,14 @@ class Prime:
             only.
         uncertainty: Time since the valid gaze sample before it (else until the one after it), seconds: the look began
             in between.
+        confidence: Chance that the look is one, and the first, from 0 to 1.
     """
 
     time: float
     kind: Literal["hit", "near_miss", "published"]
     distance: float
     uncertainty: float
+    confidence: float = 1.0
 
 
 def gaze_rays(recording: Recording, origin: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -92,12 +96,22 @@ def find_prime(
         longest_gap = constants.largest_interpolated_gap
         seen = in_lasting_look(times[window], seen, shortest=constants.minimum_prime, longest_gap=longest_gap)
     primed = np.flatnonzero(seen)
+    limit = constants.near_miss_distance
+    begin = max(event_time - constants.priming_window, float(times[:1].max(initial=-np.inf)))
     if len(primed) == 0:
         nearest = float(distance.min(initial=np.inf))
         value = nearest if np.isfinite(nearest) else None
-        return Decision("not_primed", "priming", value, constants.near_miss_distance)
+        gap = float(np.diff([begin, *times[window], event_time]).max())
+        return Decision(
+            "not_primed", "priming", value, limit, beyond(nearest - limit) * unbroken(gap, usual=GAZE_PAUSE)
+        )
     index = int(primed[0])
     sample = first + index
+    # How clearly the look met the place, and how clearly all looks before it missed.
+    look, rest = np.searchsorted(times[window], [times[sample] - _LOOK, times[sample] + _LOOK])
+    missed = float(distance[:look].min(initial=np.inf)) - limit
+    met = limit - float(distance[index:rest].min())
+    gap = float(np.diff([begin, *times[first : sample + 1]]).max())
     # The look began somewhere between the sample before and this one.
     before = max(sample - 1, 0)
     after = min(sample + 1, len(times) - 1)
@@ -107,6 +121,7 @@ def find_prime(
         kind="hit" if hit[index] else "near_miss",
         distance=float(distance[index]),
         uncertainty=float(spacing),
+        confidence=beyond(met) * beyond(missed) * unbroken(gap, usual=GAZE_PAUSE),
     )
 
 

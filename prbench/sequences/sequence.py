@@ -382,7 +382,8 @@ class Event:
         hand_source: What told the hand (docs/table.md#which-hand-reached); None where the hand is unknown.
         prime_margin: Near-miss distance minus the distance at which gaze passed the place, metres: positive where it
             was met, negative by what was lacking; None without valid gaze and where only the dataset tells the prime.
-        event_confidence: A number from 0 to 1 (docs/specification/curation.md#confidence); None where unknown.
+        event_confidence: A number from 0 to 1 (docs/specification/curation.md#confidence); None for events
+            without a place.
         corrected: What was corrected by hand and why; None otherwise.
         unreadable: File and key of an annotation that could not be read, what was expected and found; None otherwise.
     """

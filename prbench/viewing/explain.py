@@ -95,10 +95,11 @@ class EventStory:
         """Return the story in lines for a terminal."""
         event = self.event
         width = max(len(stage.name) for stage in self.stages)
+        sure = "" if event.event_confidence is None else f"; confidence {event.event_confidence:.2f}"
         lines = [
             event.event_id,
             self.title,
-            f"recording {event.recording_id} ({self.split}) of {self.dataset}; outcome: {event.outcome}",
+            f"recording {event.recording_id} ({self.split}) of {self.dataset}; outcome: {event.outcome}{sure}",
             *([f"corrected: {event.corrected}"] if event.corrected else []),
             "",
             *(f"  {_MARKS[s.verdict]} {s.name:<{width}}  {s.text or s.verdict}" for s in self.stages),
@@ -288,6 +289,7 @@ def _stages(
 ) -> tuple[StoryStage, ...]:
     # Occlusion and the dataset's own priming are asked for by options and count as the stage of priming.
     asked = ("correction", *STAGES) if event.stage == "correction" else STAGES
+    asked = (*STAGES, "confidence") if event.stage == "confidence" else asked
     decided = asked.index("priming" if event.stage in _PART_OF_PRIMING else event.stage)
     constants = protocol.curation
     texts = {
@@ -298,13 +300,16 @@ def _stages(
         "clipping": _clipping(event, chunk, protocol),
         "body": f"no gap of more than {constants.largest_interpolated_gap:g} s in the body",
         "filters": "",
+        "confidence": "",
     }
     if event.outcome == "no_body":
         texts["body"] = "no body pose"
     elif event.stage == "body":
         longest = f"at most {constants.largest_interpolated_gap:g} s is interpolated"
         texts["body"] = f"a gap of {event.value:.2f} s in the body ({longest})"
-    if event.value is not None and event.threshold is not None:
+    if event.stage == "confidence":
+        texts["confidence"] = f"{event.value:.2f}, and --min-confidence asked for {event.threshold:g}"
+    elif event.value is not None and event.threshold is not None:
         measure = options.get("minimum_movement", "wrist_to_goal").replace("_", " ")
         texts["filters"] = f"{measure}: {event.value:.3f} m (at least {event.threshold:.2f} m)"
     stages = []
@@ -355,6 +360,8 @@ def _priming(event: Event, protocol: BenchmarkProtocol) -> str:
         gap = event.event_time - event.prime_time
         kind = (event.prime_kind or "").replace("_", " ")
         window = f"window {constants.priming_window:g} s"
+        if event.prime_kind == "near_miss" and event.prime_margin is not None:
+            kind = f"near miss with {_cm(event.prime_margin)} to spare"
         return f"first look at {event.prime_time:.3f} s ({kind}), {gap:.2f} s before ({window})"
     if event.stage == PUBLISHED_STAGE:
         return f"by what the dataset itself publishes: {event.outcome.replace('_', ' ')}"

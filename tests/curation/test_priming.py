@@ -86,7 +86,9 @@ def test_the_uncertainty_is_the_time_since_the_sample_before_and_for_the_first_u
 
 def test_no_gaze_at_all_is_said_so() -> None:
     empty = np.empty((0, 3))
-    assert find_prime(np.empty(0), empty, empty, BOX, 15.0, CONSTANTS) == Decision("not_primed", "priming", None, 0.05)
+    found = find_prime(np.empty(0), empty, empty, BOX, 15.0, CONSTANTS)
+    assert (found.outcome, found.value, found.threshold) == ("not_primed", None, 0.05)
+    assert found.confidence < 0.001
 
 
 def test_the_ray_may_start_at_the_camera() -> None:
