@@ -91,7 +91,7 @@ class Movements:
     """What the annotation files say about the movements of one video.
 
     Attributes:
-        tracks: In the order of time.
+        tracks: Movements, sorted by time.
         objects: Number of objects that move.
         masks: Number of masks that the tracks name, whether or not a file describes them.
         remarks: Remarks for the user.
