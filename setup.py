@@ -17,6 +17,7 @@ DATA = [
     "*.json",
     "*.safetensors",
     "*.template",
+    "*.html",
     "*.pyi",
     "py.typed",
     "splits/*.csv",

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from prbench.geometry.skeleton import Joint
-from prbench.viewing.explain import StoryMotion, explain_event
-from prbench.viewing.figures import draw_figure, horizontal_direction, new_figure, write_png
+from prbench.geometry.skeleton import CHAINS, Joint
+from prbench.viewing.explain import explain_event
+from prbench.viewing.figures import horizontal_direction, new_figure, write_png
+from prbench.viewing.replay.scene import Scene, side_view
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,23 +27,24 @@ GAZE = "tab:orange"
 GOAL = "tab:cyan"
 GAZE_ELSEWHERE = 0.8  # metres of the gaze ray that are drawn where the goal is not in front of the eyes
 LINE_WIDTH = 2.4
+# In the order of the chains: right leg, left leg, trunk, right arm, left arm.
+COLOURS = ("tab:red", "tab:blue", "0.25", "tab:red", "tab:blue")
 
 
 def main() -> None:
     """Draw four moments of one sequence."""
     folder = sys.argv[1]
     story = explain_event(folder, EVENT)
-    if story.motion is None or story.event.prime_time is None:
+    if story.motion is None:
         raise SystemExit(f"{EVENT} did not become a sequence of {folder}")
-    draw(story.motion, story.event.prime_time, PICTURE)
+    draw(story.motion, PICTURE)
 
 
-def draw(motion: StoryMotion, prime_time: float, path: Path) -> None:
+def draw(scene: Scene, path: Path) -> None:
     """Write the PNG: looking elsewhere, the prime, the walk and the reach."""
-    last = len(motion.times) - 1
-    prime = int(
-        np.searchsorted(motion.times, prime_time)
-    )  # first frame at or after the look, so that the eyes are there
+    last = scene.n_frames - 1
+    # The first frame at or after the look, so that the eyes are there.
+    prime = int(np.searchsorted(scene.times, scene.prime_time - 1e-6))
     moments = (
         (0, "1. Looking elsewhere"),
         (prime, "2. The eyes find the bottle: the prime"),
@@ -52,29 +54,31 @@ def draw(motion: StoryMotion, prime_time: float, path: Path) -> None:
     figure = new_figure(11.0, 6.0, layout="constrained", dpi=110)
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
     for axes, (frame, title) in zip(panels.flat, moments, strict=True):
-        _draw_moment(axes, motion, frame)
-        seconds = motion.times[last] - motion.times[frame]
+        _draw_moment(axes, scene, frame)
+        seconds = scene.times[last] - scene.times[frame]
         when = "the event" if frame == last else f"{seconds:.1f} s before"
         axes.set_title(title, fontsize=15, weight="bold", loc="left")
         axes.text(0.5, 0.0, when, transform=axes.transAxes, ha="center", fontsize=13, color="0.3")
     write_png(figure, path)
 
 
-def _draw_moment(axes: Axes, motion: StoryMotion, frame: int) -> None:
+def _draw_moment(axes: Axes, scene: Scene, frame: int) -> None:
     """Draw body, gaze and goal of one frame at their places; metres from the first place of the pelvis."""
+    motion = scene.motions[0]
+    location = scene.goal_location
+    assert location is not None, "a synthetic sequence knows its goal"
     start = motion.joints[0, Joint.PELVIS]
-    sideways = horizontal_direction(motion.goal.location - start)
-    at = float((motion.joints[frame, Joint.PELVIS] - start) @ sideways)
-    draw_figure(axes, motion.joints[frame], motion.head_tilt_deg, sideways, at)
-    axes.lines[-2].remove()  # the head-forward line: one line of sight is enough here
-    for line in axes.lines:
-        line.set_linewidth(LINE_WIDTH)
-    axes.lines[-1].set_markersize(11)
-    goal = (float((motion.goal.location - start) @ sideways), float(motion.goal.location[1]))
+    sideways = horizontal_direction(location - start)
+    flat = side_view(motion.joints[frame], sideways, around=start)
+    for chain, colour in zip(CHAINS, COLOURS, strict=True):
+        # Round ends, so that neighbouring bones join without a notch.
+        axes.plot(*flat[list(chain)].T, color=colour, linewidth=LINE_WIDTH, solid_capstyle="round")
+    axes.plot(*flat[Joint.HEAD], "o", color="0.25", markersize=11)
+    goal = (float((location - start) @ sideways), float(location[1]))
     axes.plot(*goal, "s", color=GOAL, markersize=10)
     axes.annotate("bottle", goal, xytext=(0, 11), textcoords="offset points", ha="center", fontsize=13, color=GOAL)
-    if motion.gaze.valid[frame]:
-        ahead = float((motion.goal.location - motion.gaze.origin[frame]) @ motion.gaze.direction[frame])
+    if motion.gaze is not None and motion.gaze.valid[frame]:
+        ahead = float((location - motion.gaze.origin[frame]) @ motion.gaze.direction[frame])
         length = ahead if ahead > 0.0 else GAZE_ELSEWHERE
         ray = motion.gaze.origin[frame] + np.array([[0.0], [length]]) * motion.gaze.direction[frame]
         axes.plot((ray - start) @ sideways, ray[:, 1], color=GAZE, linewidth=LINE_WIDTH, linestyle="--")

@@ -56,6 +56,7 @@ _COMMANDS = {
     "look: at tables, events and motions": {
         "explain": "prbench.cli.view:explain",
         "diff": "prbench.cli.view:diff",
+        "review": "prbench.cli.view:review",
         "view": "prbench.cli.view:view",
     },
     "develop: methods of your own": {

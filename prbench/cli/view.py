@@ -1,6 +1,7 @@
 """``prbench view``: generated and recorded motion as pictures, films and pages.
 
-``prbench explain``: one event's story. ``prbench diff``: what changed between two builds, and why.
+``prbench explain``: one event's story. ``prbench diff``: what changed between two builds, and why. ``prbench review``:
+a page on which a person looks through events and corrects them.
 """
 
 from __future__ import annotations
@@ -13,10 +14,12 @@ import click
 import msgspec
 
 from prbench.cli import options as opt
-from prbench.cli.commands import Answer, command, progress
+from prbench.cli.builds import NOT_EVERYTHING
+from prbench.cli.commands import Answer, command, note, progress
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
+    from prbench.engine.choice import EngineChoice
     from prbench.viewing.explain import StoryStage
 
 
@@ -124,6 +127,46 @@ def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ..
             print(f"drawing: {draw}")
 
     return Answer(report, show)
+
+
+@command(
+    "review",
+    example="prbench review tables/adt --root /data/ADT --out review.html",
+    report="prbench.viewing.review:Review",
+)
+@click.argument("data", type=opt.PATH, metavar="TABLE")
+@opt.root_option("The recordings that the table was built from.")
+@opt.out_file_option("The page (.html).", required=True)
+@click.option("--outcome", "outcomes", multiple=True, metavar="NAME", help="Only events with this outcome; repeatable.")
+@click.option("--recording", "recordings", default="*", metavar="GLOB", help="Only recordings whose name matches.")
+@click.option("--object", "objects", default="", metavar="TEXT", help="Only objects with this in their name or id.")
+@click.option("--max-confidence", type=float, metavar="X", help="Only events that are at most so sure, from 0 to 1.")
+@click.option("--limit", type=opt.POSITIVE, metavar="N", help="Only the N most doubtful events (default: all).")
+@opt.reader_options(remark="of the table's own options only those that name files or folders have to be said again")
+@opt.permission_option
+@opt.engine_options()
+def review(
+    *, root: Path, options: tuple[tuple[str, str], ...], permission: tuple[str, ...], engine: EngineChoice, **given: Any
+) -> Answer:
+    """Write a page on which a person looks through events and corrects them.
+
+    TABLE is a built dataset. The page needs neither server nor network; what it saves is a file for `build-dataset
+    --corrections`.
+    """
+    from prbench.viewing.review import write_review
+
+    where = opt.opened(engine, reads=(root,))
+    with progress("reading recordings") as tell:
+        done = write_review(root=root, option=dict(options), permitted=permission, engine=where, progress=tell, **given)
+    for name, problem in done.without_picture.items():
+        note(f"no pictures: {name}: {problem}")
+
+    def show() -> None:
+        left_out = f" ({done.left_out} entries that cannot be read have no time)" if done.left_out else ""
+        print(f"{done.events} events, the most doubtful first{left_out}")
+        print(f"page: {done.out}")
+
+    return Answer(done, show, NOT_EVERYTHING if done.without_picture else 0)
 
 
 # Changes that are printed; the report holds all.

@@ -12,11 +12,11 @@ import difflib
 import io
 import math
 import re
-import tomllib
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from prbench.curation.events import Decision, PickPutEvent, Place
@@ -278,25 +278,25 @@ def _csv_rows(path: Path, text: str) -> Iterator[tuple[str, dict[str, str]]]:
     require(path, (header != [], "line 1", f"the columns {', '.join(COLUMNS)}", "an empty file", ""))
 
 
+class _Table(msgspec.Struct, forbid_unknown_fields=True):
+    event_id: str
+    change: str
+    value: str | float | list[float] = ""
+    reason: str = ""
+    author: str = ""
+
+
+class _Document(msgspec.Struct, forbid_unknown_fields=True):
+    correction: list[_Table] = []
+
+
 def _toml_rows(path: Path, text: str) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield place and values of each table ``[[correction]]``, as the texts of a CSV file."""
     try:
-        document: Mapping[str, object] = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputFileError(path, "", expected="TOML", found=str(error)) from error
-    tables = document.get("correction", [])
-    known = set(document) <= {"correction"} and isinstance(tables, list)
-    require(path, (known, "", "tables [[correction]] and nothing else", ", ".join(document), ""))
-    assert isinstance(tables, list)
+        tables = msgspec.toml.decode(text, type=_Document).correction
+    except (msgspec.ValidationError, msgspec.DecodeError) as error:
+        raise InputFileError(path, "", expected="tables [[correction]]", found=str(error)) from error
     for number, table in enumerate(tables, start=1):
-        where = f"correction {number}"
-        require(path, (isinstance(table, dict), where, "a table", type(table).__name__, ""))
-        unknown = ", ".join(set(table) - set(COLUMNS))
-        require(path, (not unknown, where, f"the keys {', '.join(COLUMNS)}", f"'{unknown}'", ""))
-        cells = {}
-        for name, value in table.items():
-            values = value if isinstance(value, list) else [value]
-            simple = all(isinstance(each, str | int | float) and not isinstance(each, bool) for each in values)
-            require(path, (simple, f"{where}, {name}", "text or numbers", type(value).__name__, ""))
-            cells[name] = " ".join(str(each).strip() for each in values)
-        yield where, cells
+        values = table.value if isinstance(table.value, list) else [table.value]
+        cells = msgspec.structs.asdict(table) | {"value": " ".join(map(str, values))}
+        yield f"correction {number}", {name: text.strip() for name, text in cells.items()}

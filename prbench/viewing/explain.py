@@ -7,37 +7,26 @@ import difflib
 import re
 from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from jaxtyping import Float
 
 from prbench.curation.priming import PUBLISHED_STAGE
 from prbench.errors import TableError, UsageError
-from prbench.geometry.skeleton import WRISTS, Joint, head_forward
-from prbench.metrics.ray_track import ray_distance
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import Event, SequenceChunk, SequenceTable
 from prbench.sequences.dataset_info import may_pass_on, notice
 from prbench.sequences.sequence import event_of
 from prbench.shown import clean, figure_text
-from prbench.viewing.figures import draw_box, draw_figure, flattened, horizontal_direction, new_figure, write_png
-from prbench.viewing.replay.read import gaze_of, goal_of
-from prbench.viewing.replay.scene import Gaze, Goal, gaze_distance
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from prbench.viewing.figures import new_figure, write_png
+from prbench.viewing.replay.read import scene_of
+from prbench.viewing.replay.scene import Scene
+from prbench.viewing.replay.sheet import WIDTH, Block, block_height, draw_scene
 
 Verdict = Literal["passed", "stopped here", "not reached"]
 _MARKS: dict[Verdict, str] = {"passed": "+", "stopped here": "x", "not reached": " "}
-_FIGURES = 9
-_SPACING = 1.25  # metres between figures in the picture
-_GAZE = "tab:orange"
-_PRIME = "tab:purple"
-_EVENT = "black"
-_WIDTH = 13.0  # inches
+_LINE_HEIGHT = 0.17  # inches of a line of text in the picture
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,22 +45,12 @@ class StoryStage:
 
 
 @dataclasses.dataclass(frozen=True)
-class StoryMotion:
-    """The sequence that the event became: canonical frame, metres; times in seconds on the recording's clock."""
-
-    times: Float[np.ndarray, " n"]
-    joints: Float[np.ndarray, "n 22 3"]
-    head_tilt_deg: float
-    goal: Goal
-    gaze: Gaze
-
-
-@dataclasses.dataclass(frozen=True)
 class EventStory:
     """Everything that a built dataset knows about one event.
 
     Attributes:
-        motion: None unless it became a sequence, and where the dataset's licence keeps recorded motion out of views.
+        motion: The sequence that it became; None where it became none, and where the dataset's licence keeps recorded
+            motion out of views.
         notice: Sentence that the dataset's terms ask a picture to show.
     """
 
@@ -79,7 +58,7 @@ class EventStory:
     dataset: str
     split: str
     stages: tuple[StoryStage, ...]
-    motion: StoryMotion | None
+    motion: Scene | None
     notice: str = ""
 
     @property
@@ -113,84 +92,15 @@ def draw_event_story(story: EventStory, path: Path) -> None:
     Raises:
         StorageError: if it cannot be written.
     """
-    heights = [2.0] if story.motion is None else [2.0, 3.4, 2.8]
-    figure = new_figure(_WIDTH, sum(heights) + 0.4, layout="constrained")
-    axes = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-    notice = f"\n{story.notice}" if story.notice else ""
-    title = f"{clean(story.title)}: {clean(story.event.outcome)}\n{clean(story.event.event_id)}{notice}"
-    figure.suptitle(figure_text(title), fontsize=10)
-    # Each stage's verdict and numbers, line by line.
-    axes[0].set_axis_off()
-    colours = {"passed": "tab:green", "stopped here": "tab:red", "not reached": "0.6"}
-    for number, stage in enumerate(story.stages):
-        height = 1.0 - (number + 0.5) / len(story.stages)
-        colour = colours[stage.verdict]
-        place = {"transform": axes[0].transAxes, "va": "center", "fontsize": 9}
-        axes[0].text(0.0, height, stage.name, weight="bold", color=colour, **place)
-        axes[0].text(0.07, height, stage.verdict, color=colour, **place)
-        axes[0].text(0.16, height, figure_text(stage.text), **place)
+    notice = f"\n{clean(story.notice)}" if story.notice else ""
+    text = f"{story.text()}{notice}"
+    below = 0.0 if story.motion is None else block_height(1)
+    height = below + 0.5 + _LINE_HEIGHT * len(text.splitlines())
+    figure = new_figure(WIDTH, height)
+    figure.text(0.35 / WIDTH, 1 - 0.25 / height, figure_text(text), fontsize=9, family="monospace", va="top")
     if story.motion is not None:
-        _draw_figures(axes[1], story, story.motion)
-        _draw_distances(axes[2], story, story.motion)
+        draw_scene(Block(figure, below), story.motion)
     write_png(figure, path)
-
-
-def _draw_figures(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
-    """Draw stick figures over time, seen from the side, each with its gaze ray and the goal."""
-    frames = np.unique(np.linspace(0, len(motion.times) - 1, _FIGURES).round().astype(int))
-    # Towards the goal at the end, so that the reach is seen from the side.
-    sideways = horizontal_direction(motion.goal.location - motion.joints[-1, Joint.PELVIS])
-    for number, frame in enumerate(frames):
-        at = number * _SPACING
-        joints = motion.joints[frame]
-        pelvis = joints[Joint.PELVIS]
-        draw_figure(axes, joints, motion.head_tilt_deg, sideways, at)
-        # Farther goals would lie under the next figure; an arrow shows where they are.
-        near = abs(float((motion.goal.location - pelvis) @ sideways)) < 0.75 * _SPACING
-        if near:
-            draw_box(axes, flattened(motion.goal.box_corners, pelvis, sideways, at), color="tab:cyan", linewidth=0.8)
-        else:
-            x, y = flattened(motion.goal.location[None], pelvis, sideways, at)[0]
-            side = float(np.sign(x - at)) * 0.3 * _SPACING
-            arrow = {"arrowstyle": "->", "color": "tab:cyan"}
-            axes.annotate("", (at + 1.4 * side, y), (at + side, y), arrowprops=arrow)
-        if motion.gaze.valid[frame]:
-            # As long as the goal is far, so that a ray that meets the goal ends there.
-            length = min(float(np.linalg.norm(motion.goal.location - motion.gaze.origin[frame])), 0.9)
-            ray = motion.gaze.origin[frame] + np.array([[0.0], [length]]) * motion.gaze.direction[frame]
-            axes.plot(*flattened(ray, pelvis, sideways, at).T, color=_GAZE, linewidth=0.9, linestyle="--")
-        distance = np.linalg.norm((motion.goal.location - pelvis)[[0, 2]])
-        since = motion.times[frame] - story.event.event_time
-        axes.text(at, -0.12, f"{since:+.1f} s\ngoal {distance:.1f} m", ha="center", va="top", fontsize=7)
-    axes.set_aspect("equal")
-    axes.set(xlim=(-0.8, (len(frames) - 1) * _SPACING + 0.9), ylim=(-0.42, 2.05))
-    axes.set_axis_off()
-    axes.set_title(
-        "right limbs red, left blue; green: head forward; orange: gaze; cyan: box of the goal, or where it lies",
-        fontsize=8,
-    )
-
-
-def _draw_distances(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
-    """Draw the distance of the goal from the gaze ray, the head ray and the wrists."""
-    times = motion.times - story.event.event_time
-    forward, _ = head_forward(motion.joints, motion.head_tilt_deg)
-    head = ray_distance(motion.joints[:, Joint.HEAD], forward, motion.goal.location[None])
-    axes.plot(times, gaze_distance(motion.gaze, motion.goal), color=_GAZE, label="gaze ray")
-    axes.plot(times, head, color="tab:green", label="head ray")
-    for wrist, colour, name in zip(WRISTS, ("tab:blue", "tab:red"), ("left wrist", "right wrist"), strict=True):
-        distance = np.linalg.norm(motion.joints[:, wrist] - motion.goal.location, axis=1)
-        axes.plot(times, distance, color=colour, label=name)
-    pelvis = motion.joints[:, Joint.PELVIS]
-    axes.plot(times, np.linalg.norm(pelvis - motion.goal.location, axis=1), color="0.5", linewidth=0.8, label="pelvis")
-    if story.event.prime_time is not None:
-        axes.axvline(story.event.prime_time - story.event.event_time, color=_PRIME, label="prime")
-    axes.axvline(0, color=_EVENT, linewidth=1.5)
-    axes.set(
-        xlim=(times[0], times[-1] + 0.05), ylim=(0, None), xlabel="seconds from the event", ylabel="m from the goal"
-    )
-    axes.legend(fontsize=7, ncols=3, frameon=False)
-    axes.grid(alpha=0.3)
 
 
 # The stages in the order in which curation asks.
@@ -237,14 +147,7 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
             raise TableError(f"{table.folder}: {named}")
     motion = None
     if chunk is not None and may_pass_on(table.info, permitted):
-        motion = StoryMotion(
-            times=float(chunk.numbers("start_time")[0])
-            + np.arange(int(chunk.n_frames[0])) / float(chunk.numbers("fps")[0]),
-            joints=chunk.joints.astype(np.float64),
-            head_tilt_deg=float(chunk.numbers("head_tilt_deg")[0]),
-            goal=goal_of(chunk),
-            gaze=gaze_of(chunk),
-        )
+        motion = scene_of(chunk, table.info, permitted=permitted)
     protocol = table.described_protocol.protocol() or load_protocol()
     return EventStory(
         event=record,

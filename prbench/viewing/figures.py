@@ -14,7 +14,6 @@ from jaxtyping import Float
 
 from prbench.errors import UsageError
 from prbench.files.storage import sole_file
-from prbench.geometry.skeleton import CHAINS, Joint, head_forward
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,10 +23,6 @@ if TYPE_CHECKING:
 BOX_EDGES: tuple[tuple[int, int], ...] = (
     (0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7), (6, 7),
 )  # fmt: skip
-
-# In the order of the chains: right leg, left leg, trunk, right arm, left arm.
-_COLOURS = ("tab:red", "tab:blue", "0.25", "tab:red", "tab:blue")
-_HEAD_LINE = 0.35  # metres
 
 
 def new_figure(width: float, height: float, **options: Any) -> Figure:
@@ -104,31 +99,6 @@ def horizontal_direction(offset: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3
     length = float(np.linalg.norm(flat))
     # A body right under its goal has no direction to it; any is as good, as long as pictures agree.
     return flat / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
-
-
-def draw_figure(
-    axes: Axes, joints: Float[np.ndarray, "22 3"], head_tilt_deg: float, sideways: Float[np.ndarray, "3"], at: float
-) -> None:
-    """Draw one pose in a vertical plane, and the head-forward vector as a short line.
-
-    Right limbs are red, left limbs blue.
-
-    Args:
-        axes: Panel to draw into; x is the horizontal of the picture, y the height, both in metres.
-        joints: World frame, metres.
-        head_tilt_deg: See :func:`prbench.geometry.skeleton.head_forward`.
-        sideways: Unit horizontal vector that points to the right in the picture.
-        at: Horizontal place of the pelvis in the picture.
-    """
-    pelvis = joints[Joint.PELVIS]
-    flat = flattened(joints, pelvis, sideways, at)
-    for chain, colour in zip(CHAINS, _COLOURS, strict=True):
-        # Round ends, so that neighbouring bones join without a notch.
-        axes.plot(*flat[list(chain)].T, color=colour, linewidth=1.1, solid_capstyle="round")
-    forward, _ = head_forward(joints, head_tilt_deg)
-    tip = flattened((joints[Joint.HEAD] + _HEAD_LINE * forward)[None], pelvis, sideways, at)[0]
-    axes.plot(*np.stack([flat[Joint.HEAD], tip]).T, color="tab:green", linewidth=0.8)
-    axes.plot(*flat[Joint.HEAD], "o", color="0.25", markersize=3.0)
 
 
 def draw_chains(

@@ -19,7 +19,7 @@ def test_the_program_of_the_first_picture_draws_any_sequence(tmp_path):
     became = next(event["event_id"] for event in events if event["outcome"] == "sequence")
     story = explain_event(tmp_path / "adt", became)
     program = runpy.run_path(str(ROOT / "docs" / "first_picture.py"))
-    program["draw"](story.motion, story.event.prime_time, tmp_path / "picture.png")
+    program["draw"](story.motion, tmp_path / "picture.png")
     drawn, shipped = Image.open(tmp_path / "picture.png"), Image.open(ROOT / "docs" / "prime_and_reach.png")
     assert drawn.size == shipped.size
     assert len(drawn.convert("RGB").getcolors(maxcolors=1 << 24)) > 100

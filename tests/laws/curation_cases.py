@@ -241,12 +241,12 @@ BAD_INPUT = [
         _no_corrections,
         read_corrections,
         {
-            "an unknown key": _as_bytes(b"[[correction]]\nwhen = 1", "correction 1: expected the keys", "'when'"),
-            "no tables": _as_bytes(b"correction = 1", "expected tables [[correction]]"),
+            "an unknown key": _as_bytes(b"[[correction]]\nwhen = 1", "unknown field `when` - at `$.correction[0]`"),
+            "no tables": _as_bytes(b"correction = 1", "expected tables [[correction]]", "`int` - at `$.correction`"),
             "other tables": _as_bytes(b"[[corrections]]", "expected tables [[correction]]", "corrections"),
-            "no table": _as_bytes(b"correction = [1]", "correction 1: expected a table, found int"),
-            "a date": _as_bytes(b"[[correction]]\nvalue = 2026-01-01", "correction 1, value: expected text or numbers"),
-            "no TOML": _as_bytes(b"[[correction]", "expected TOML"),
+            "no table": _as_bytes(b"correction = [1]", "expected tables [[correction]]", "`int`"),
+            "a date": _as_bytes(b"[[correction]]\nvalue = 2026-01-01", "expected tables [[correction]]"),
+            "no TOML": _as_bytes(b"[[correction]", "expected tables [[correction]]"),
         },
     ),
     *bad_files(

@@ -89,10 +89,11 @@ def test_a_part_that_fits_several_lists_them_and_an_unknown_id_its_neighbours(ta
 
 
 def test_the_motion_of_the_story_is_canonical_and_its_box_surrounds_the_goal(table: Path) -> None:
-    motion = explain_event(table, "room_a/cup/pick").motion
-    assert motion is not None
-    np.testing.assert_allclose(motion.goal.box_corners.mean(axis=0), motion.goal.location, atol=1e-6)
-    assert motion.joints.shape == (len(motion.times), 22, 3)
+    scene = explain_event(table, "room_a/cup/pick").motion
+    assert scene is not None
+    assert scene.goal is not None
+    np.testing.assert_allclose(scene.goal.box_corners.mean(axis=0), scene.goal.location, atol=1e-6)
+    assert scene.motions[0].joints.shape == (len(scene.times), 22, 3)
 
 
 @pytest.mark.parametrize("event", ["room_a/cup/pick", "room_b/cup/put"])
