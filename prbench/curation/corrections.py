@@ -38,8 +38,7 @@ CHANGES = {
     "accept": "",
     "note": "",
 }
-# Changes that are remembered and change nothing, and those that no other may stand beside.
-_SAID_ONLY = ("accept", "note")
+# Changes that no other may stand beside, except for notes.
 _ALONE = ("drop", "accept")
 _LARGEST_MOVE = 10.0  # seconds; what lies farther away is another event
 # The doubt of curation that each change settles: who says when, by which hand or where has looked.
@@ -153,12 +152,10 @@ def _nearest(wanted: str, known: Collection[str]) -> str | None:
     return next(iter(difflib.get_close_matches(wanted, known, n=1, cutoff=0.0)), None)
 
 
-def _corrected(event: PickPutEvent, rows: Iterable[Correction]) -> PickPutEvent:
+def _corrected(event: PickPutEvent, rows: Collection[Correction]) -> PickPutEvent:
     """Apply the rows of one event, which do not contradict one another."""
     said = []
     for row in rows:
-        if row.change in _SAID_ONLY:
-            continue
         said.append(f"{row.change}{' ' if row.value else ''}{row.value}: {row.reason} ({row.author})")
         if event.rejected is not None and event.rejected.outcome == _SETTLES.get(row.change):
             event = dataclasses.replace(event, rejected=None)
@@ -170,14 +167,17 @@ def _corrected(event: PickPutEvent, rows: Iterable[Correction]) -> PickPutEvent:
             event = dataclasses.replace(event, hand=row.value, hand_source="person")
         elif row.change == "rename":
             event = dataclasses.replace(event, object_name=row.value)
-        else:
+        elif row.change == "goal":
             # The box keeps its size and moves with its middle; where none was known, the goal is a point.
             goal = np.array(row.value.split(), dtype=np.float64)
             place = event.place or Place(goal, goal, goal)
             moved = goal - place.location
             place = Place(goal, place.box_min + moved, place.box_max + moved)
             event = dataclasses.replace(event, place=place, primed_anew=True)
-    return dataclasses.replace(event, corrected="; ".join(said)) if said else event
+    if not said:
+        return event
+    settled = any(row.change != "note" for row in rows)
+    return dataclasses.replace(event, corrected="; ".join(said), settled=settled)
 
 
 @foreign_input()

@@ -90,7 +90,8 @@ def curate_recording(
         confidence = None  # nothing was measured of an event without a place
         if place is not None:
             confidence = decision.confidence * (prime.confidence if prime else 1.0) * _trust(event, place, wrists)
-        if sequence is not None and confidence is not None and confidence < options.min_confidence:
+        doubted = confidence is not None and confidence < options.min_confidence and not event.settled
+        if sequence is not None and doubted:
             decision = Decision("low_confidence", "confidence", confidence, options.min_confidence)
             sequence = None
         margin = None
@@ -175,7 +176,7 @@ def curate_recording(
 def _trust(event: PickPutEvent, place: Place, wrists: Mapping[str, np.ndarray]) -> float:
     """Return how sure event and hand are, from 0 to 1: the gap in the object's track, and the nearer wrist's lead."""
     trust = unbroken(event.tracking_gap or 0.0, usual=TRACK_PAUSE)
-    if len(wrists) == 2 and event.hand_source != "annotated":
+    if len(wrists) == 2 and event.hand_source not in ("annotated", "person"):
         left, right = (float(np.linalg.norm(wrist - place.location)) for wrist in wrists.values())
         trust *= beyond(abs(left - right))
     return trust

@@ -55,7 +55,8 @@ class PickPutEvent:
         rejected: The reason why the event is not of this recording, where that is known already.
         primed_anew: True where a person has corrected its time or place: what the dataset publishes is then of another
             event.
-        corrected: What a person has corrected, why and who; None where nobody has.
+        settled: True where a person has accepted or corrected it: no confidence is too small then.
+        corrected: What a person has said of it, why and who; None where nobody has.
     """
 
     event_id: str
@@ -71,6 +72,7 @@ class PickPutEvent:
     published_priming: PublishedPriming | None = None
     rejected: Decision | None = None
     primed_anew: bool = False
+    settled: bool = False
     corrected: str | None = None
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pyarrow.parquet as pq
 import pytest
 
-from prbench.curation import BuildOptions, build_from_sources
+from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.curation.build import build_shard_from_sources
 from prbench.curation.corrections import Corrections, UnknownEventError, read_corrections
 from prbench.curation.differences import compare_builds
@@ -92,10 +91,12 @@ def test_hand_and_name_are_those_that_a_person_says(tmp_path: Path, pick: str) -
     assert {"key": "corrected", "value": row["corrected"]} in sequence["extra"]
 
 
-def test_accepting_and_noting_change_nothing_but_the_provenance(tmp_path: Path, pick: str) -> None:
-    table = build(tmp_path, f"{pick},accept,", f"{pick},note,")
-    for name in ("events", "sequences", "recordings"):
-        assert pq.read_table(table.folder / f"{name}.parquet") == pq.read_table(plain() / f"{name}.parquet")
+def test_accepting_settles_doubt_and_changes_nothing_else(tmp_path: Path, pick: str) -> None:
+    table = build(tmp_path, f"{pick},accept,", f"{pick},note,", curation=CurationOptions(min_confidence=1.0))
+    before = event(SequenceTable.open(plain()), pick)
+    assert before["event_confidence"] < 1
+    assert event(table, pick) == before | {"corrected": "accept: seen (MM); note: seen (MM)"}
+    assert table.info.outcomes["low_confidence"] > 0
     assert table.info.options["corrections"] == "2"
     assert table.info.options["corrections_digest"] == read_corrections(tmp_path / "c.csv").digest
 
