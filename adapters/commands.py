@@ -18,7 +18,7 @@ from prbench.cli.options import (
     KeyValue,
     data_option,
     engine_options,
-    fold_options,
+    fold_option,
     opened,
     out_folder_option,
     threads_option,
@@ -79,7 +79,7 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
     is_flag=True,
     help="Learn from the split 'validation' as well, once nothing is chosen by it; needs validation.every=0.",
 )
-@fold_options(None)
+@fold_option
 @click.option("--init", type=PATH, metavar="FILE", help="Weights to start from.")
 @click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1, mps.")
 @click.option("--devices", type=POSITIVE, default=1, metavar="N", help="Processes to train in (default 1).")
@@ -95,7 +95,6 @@ def train(
     config: Path | None,
     overrides: tuple[tuple[str, str], ...],
     refit: bool,
-    split: str | None,
     fold: str | None,
     init: Path | None,
     device: str,
@@ -120,8 +119,6 @@ def train(
         raise UsageError("--data DIR is needed.")
     if out is None:
         raise UsageError("--out DIR is needed.")
-    if (split is None) != (fold is None):
-        raise UsageError("--split participants and --fold K/N belong together.")
     request = TrainRequest(
         method=method,
         data=data,

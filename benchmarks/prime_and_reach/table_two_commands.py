@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from prbench.cli.commands import Answer, note, progress
-from prbench.cli.options import PARTICIPANTS, embedded_tables, opened
+from prbench.cli.options import embedded_tables, opened
 from prbench.cli.terminal import print_tables
 from prbench.errors import UsageError
 
@@ -57,8 +57,6 @@ def run_table_two(given: Mapping[str, Any], *, choice: EngineChoice) -> Answer:
     for name, option in _SINGLE_RUN.items():
         if given[name]:
             raise UsageError(f"--{option}: belongs to a run of one method under one condition; leave it out.")
-    if given["split"] == PARTICIPANTS:
-        raise UsageError("--split participants: run --method all on a table of each fold (`prbench split-dataset`).")
     same = ("weights", "split", "seed", "device", "threads", "protocol", "out")
     numbers = {name: given[name] for name in ("limit", "samples", "batch_size") if given[name] is not None}
     request = TableRequest(

@@ -321,7 +321,7 @@ def run(
     condition: Literal["none", "text", "goal-pose", "goal-loc", "pose", "pose+head", "pose+gaze"] | None = None,
     data: args.PathLike | Table | Iterable[args.PathLike | Table] = (),
     out: args.PathLike | None = None,
-    split: Literal["train", "validation", "test", "participants", "published"] = "test",
+    split: Literal["train", "validation", "test", "published"] = "test",
     fold: str | None = None,
     limit: int | None = None,
     sequence: str | Iterable[str] = (),
@@ -351,8 +351,9 @@ def run(
             ``pose+gaze``. By default the only condition that the method takes.
         data: A table or its folder, or several; without it prbench's own five tables of synthetic people are used.
         out: Run folder; by default one below ``runs`` whose name says what was run.
-        split: The sequences to run; ``participants`` goes with ``fold``, ``published`` with motion prediction.
-        fold: Such as ``2/6``: the participants of this fold are tested on.
+        split: The sequences to run; ``published`` goes with motion prediction.
+        fold: Such as ``2/6``: the participants of this fold are tested on. ``participant``: each of one table in turn,
+            merged into one run.
         limit: Number of sequences of each dataset, of every recording its share; without ``data`` 10 by default.
         sequence: Run these only: ids, or parts of ids that fit one sequence only.
         weights: Bundled weights of the method by name, a file or a folder.
@@ -380,18 +381,18 @@ def run(
         StorageError: if the run folder cannot be written.
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
+    from prbench.board.merging import run_folds
     from prbench.harness import first_run
     from prbench.harness.methods.installed import packages_of
     from prbench.harness.request import DEFAULT_PARENT, RunRequest
     from prbench.harness.run import run_method
+    from prbench.sequences.folds import ALL_FOLDS
 
     if "all" in (method, condition):
         raise UsageError(
             "'all' stands for many runs: name one method and one condition, or run `prbench run --method all` for the"
             " rows of the study's Table 2."
         )
-    if (split == "participants") != (fold is not None):
-        raise UsageError("split 'participants' and fold 'K/N' belong together.")
     args.require_positive(limit=limit, threads=threads, samples=samples, batch_size=batch_size)
     sequences = args.as_texts(sequence)
     folders = table_folders(data)
@@ -409,7 +410,7 @@ def run(
         data=folders,
         weights=args.as_optional_path(weights),
         options=args.as_options(option),
-        split="test" if fold is not None else split,
+        split=split,
         fold=fold,
         limit=limit,
         sequences=sequences,
@@ -436,7 +437,8 @@ def run(
                 "packages": packages_of((request.method,), about.entry_points),
             }
         with args.engine_of(workers, **needs) as engine, progress(f"running {request.method_label}") as show:
-            report = run_method(
+            make = run_folds if fold == ALL_FOLDS else run_method
+            report = make(
                 replace(request, out=folder),
                 engine=engine,
                 progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),

@@ -17,8 +17,15 @@ from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.methods.installed import METHOD_CONTROLS, name_problem
 from prbench.harness.results import CheckedSummary, RunChecker, ScoredSequences
 from prbench.harness.run_folder import record as run_record
-from prbench.harness.run_folder.folder import FOLDS_FILE as MERGED
-from prbench.harness.run_folder.folder import DatasetFolder, FoldRun, RunFolder, read_folds, run_folder_of
+from prbench.harness.run_folder.folder import (
+    FOLDS_FILE,
+    MERGED,
+    DatasetFolder,
+    FoldRun,
+    RunFolder,
+    read_folds,
+    run_folder_of,
+)
 from prbench.harness.run_folder.record import RunCost, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
@@ -156,7 +163,8 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_bench
     folders: dict[Path, None] = {}
     for path in paths:
         found = [run_folder_of(path)]
-        if not (found[0] / run_record.FILE_NAME).is_file():
+        # A merged run is held against the runs on the folds beside it.
+        if not (found[0] / run_record.FILE_NAME).is_file() or found[0].parent == path:
             found = sorted(file.parent for file in path.rglob(run_record.FILE_NAME)) if path.is_dir() else []
         if not found:
             raise RunError(
@@ -190,7 +198,7 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_bench
             # Name and version of the user's own protocol that a run follows; empty for prbench's.
             protocol = run.protocol
             row = LeaderboardRow(
-                folder.name,
+                folder.parent.name if folder.name == MERGED else folder.name,
                 run.record,
                 table,
                 checked.summary,
@@ -200,7 +208,7 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_bench
                 scores=files.scores,
                 cost=cost_of(files),
             )
-            if (run.path / MERGED).is_file():
+            if (run.path / FOLDS_FILE).is_file():
                 merged.append((row, run))
             elif table.fold is not None:
                 of_folds[FoldRun.of(run).key] = row, run
@@ -237,8 +245,8 @@ def _why_unverified(merged: RunFolder, named: Sequence[tuple[LeaderboardRow, Run
     stored = read_scores(merged.dataset(table.dataset).scores)
     if again.record != merged.record or not again.scores.equals(stored.cast(again.scores.schema)):
         raise RunError(
-            f"{merged.path}: does not follow from the runs that {MERGED} names. It was edited; merge them again into"
-            " another folder: `prbench merge RUN … --out DIR`."
+            f"{merged.path}: does not follow from the runs that {FOLDS_FILE} names. It was edited; merge them again"
+            " into another folder: `prbench merge RUN … --out DIR`."
         )
     reasons = [row.unverified for row, _ in found if row.unverified]
     return f"one of the runs that it was merged from is unverified: {reasons[0]}" if reasons else ""

@@ -21,6 +21,7 @@ from prbench.harness.clusters import FEWEST_FOR_BOARD
 from prbench.harness.intervals import Comparison, PairedValues, compare
 from prbench.harness.results import RunChecker
 from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder.record import TableRecord
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.metrics import MetricInfo
@@ -139,7 +140,7 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
             raise RunError(f"{first} and {second} were run on different tables of {name}.")
         for info in benchmark.compared_metrics:
             try:
-                paired = paired_values(values[0], values[1], info, benchmark)
+                paired = paired_values(values[0], values[1], info, benchmark, pair[0])
             except ValueError as error:
                 raise RunError(
                     f"{first} and {second} were scored on different sequences of {name}"
@@ -199,9 +200,9 @@ def sequence_scores(path: Path, benchmark: Benchmark, *, only: frozenset[str] | 
 
 
 def paired_values(
-    first: SequenceScores, second: SequenceScores, info: MetricInfo, benchmark: Benchmark
+    first: SequenceScores, second: SequenceScores, info: MetricInfo, benchmark: Benchmark, table: TableRecord
 ) -> PairedValues | None:
-    """Put the values of two runs side by side; None where one of them lacks the metric.
+    """Put the values of two runs on one table side by side; None where one of them lacks the metric.
 
     Raises:
         ValueError: if they were scored on different sequences, with the numbers of both.
@@ -212,9 +213,9 @@ def paired_values(
     others, other_values = second[info.id]
     if names != others:
         raise ValueError(f"{len(names)} and {len(others)}")
-    # Sequences of one recording are not independent, so their spread is that between recordings.
-    recordings = [benchmark.recording_key(name) for name in names]
-    return PairedValues(values, other_values, recordings, rate=info.unit == "rate")
+    # Sequences of one recording are not independent, so their spread is that between recordings (or participants).
+    units = [table.unit_of(benchmark.recording_key(name)) for name in names]
+    return PairedValues(values, other_values, units, rate=info.unit == "rate")
 
 
 # Maps a row (by its position) and a metric to the rows that are better there, by a supported difference.
@@ -246,7 +247,7 @@ def separate_by_comparison(rows: Sequence[LeaderboardRow], metrics: Sequence[Met
     pairs: dict[str, PairedValues] = {}
     for (i, first), (j, second) in combinations(enumerate(scores), 2):
         for info in directed:
-            pair = paired_values(first, second, info, rows[0].benchmark)
+            pair = paired_values(first, second, info, rows[0].benchmark, rows[0].table)
             if pair is not None:
                 pairs[f"{i} {j} {info.id}"] = pair
     directions = {info.id: info.higher_is_better for info in directed}

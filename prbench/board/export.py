@@ -14,7 +14,7 @@ from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.errors import UsageError
 from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.run_folder.record import CONTROL, RunRecord
-from prbench.harness.run_folder.summary import EDGE_ARRIVAL, DatasetSummary
+from prbench.harness.run_folder.summary import EDGE_ARRIVAL, DatasetSummary, counted_units
 from prbench.protocol.manifests import default_benchmark
 from prbench.tables import Block, Cell, Column, Row, Table, csv_lines, metric_cell, metric_column, note_of
 from prbench.tables import as_markdown as tables_as_markdown
@@ -298,7 +298,7 @@ def part_title(table: DatasetTable) -> str:
     """Return the data and the rules behind a table in words."""
     of = f" of {table.of} that every method here generated" if table.of else ""
     own = f", own protocol {table.protocol}" if table.protocol else ""
-    counts = f"{table.sequences} sequences, {table.recordings} recording{'' if table.recordings == 1 else 's'}"
+    counts = f"{table.sequences} sequences, {counted_units(table.recordings, table.split)}"
     return f"{table.title}, {table.dataset}: {table.split}, {counts}{of}{own}"
 
 
@@ -353,7 +353,7 @@ def _legend(table: DatasetTable) -> Iterable[str]:
 
 def table_notes(table: DatasetTable) -> Iterable[str]:
     """Yield what a reader of measured rows has to know, whatever stands beside them."""
-    yield "Rates in %, lengths in m; 95 % intervals over recordings in brackets."
+    yield "Rates in %, lengths in m; 95 % intervals over recordings (of folds: over participants) in brackets."
     if table.synthetic:
         yield ON_SYNTHETIC_DATA
     if any("few_recordings" in metric.marks for row in table.rows for metric in row.entry.summary.metrics):

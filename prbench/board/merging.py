@@ -6,21 +6,30 @@ Source: docs/specification/protocol.md#participant-folds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
 import pyarrow as pa
 
-from prbench.errors import RunError, StorageError
+from prbench.engine import Engine
+from prbench.errors import RunError, StorageError, UsageError
 from prbench.files.storage import atomic_folder, sole_writer, text_digest, write_json
+from prbench.harness.request import DEFAULT_PARENT, ProgressCallback, RunRequest, silent
 from prbench.harness.results import RunChecker, summary_of
-from prbench.harness.run_folder.folder import FOLDS_FILE, FoldRun, RunFolder, read_folds
+from prbench.harness.run import RunReport, run_method
+from prbench.harness.run_folder.folder import FOLDS_FILE, MERGED, FoldRun, RunFolder, read_folds
 from prbench.harness.run_folder.record import BatchPlanRecord, RunCost, RunRecord, TableRecord, total_cost
 from prbench.harness.run_folder.scores import read_scores, write_scores
 from prbench.harness.run_folder.summary import DatasetSummary
+from prbench.protocol.manifests import PROTOCOL_NAME
 from prbench.protocol.own_protocol import write_protocol
+from prbench.sequences.folds import ALL_FOLDS, participant_units
 from prbench.sequences.sequence import recording_key
+from prbench.sequences.table import SequenceTable
+
+# Stands beside the name of weights that no fold has trained: they may have learnt from the people tested on.
+SAME_WEIGHTS = "the same in every fold"
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +77,42 @@ class MergedRun:
                 total_cost([RunCost.read(run.dataset(dataset).cost) for run in self.folds]).write(files.cost)
                 write_json(folder / FOLDS_FILE, {"folds": msgspec.to_builtins(made_from)})
                 self.summary.write(files.path)
+
+
+def run_folds(request: RunRequest, *, engine: Engine | None = None, progress: ProgressCallback = silent) -> RunReport:
+    """Test a method on every participant of a table in turn, and merge the runs; goes on where it was interrupted.
+
+    The runs stand in ``fold-K-of-N`` of the run folder, and what they are together in ``merged``.
+
+    Args:
+        request: One table, and ``fold`` of any value. ``{fold}`` in the weights stands for the number of the fold.
+        engine: See :func:`prbench.harness.run.run_method`.
+        progress: See there.
+
+    Returns:
+        The merged run.
+
+    Raises:
+        UsageError: if there is more than one table, or it has no participants.
+        TableError: see :func:`prbench.sequences.folds.participant_folds`.
+        RunError: if a run folder belongs to another run.
+    """
+    if request.benchmark != PROTOCOL_NAME or len(request.data) != 1:
+        raise UsageError(f"--folds {ALL_FOLDS}: expected one table of {PROTOCOL_NAME}, found {len(request.data)}.")
+    table = SequenceTable.open(request.data[0]).with_sequences()
+    count = max(len(set(participant_units(table).values())), 2)
+    out = request.out or DEFAULT_PARENT / f"{request.method_label}-{table.info.dataset}-folds".replace(" ", "_")
+    reports = []
+    for number in range(1, count + 1):
+        weights = request.weights and Path(str(request.weights).replace("{fold}", str(number)))
+        place = out / f"fold-{number}-of-{count}"
+        one = replace(request, fold=f"{number}/{count}", weights=weights, out=place)
+        reports.append(run_method(one, engine=engine, progress=progress))
+    merged = merge_folds([report.folder.path for report in reports])
+    merged.write(out / MERGED)
+    made = sum(report.batches_made for report in reports)
+    found = sum(report.batches_found for report in reports)
+    return RunReport(RunFolder.open(out / MERGED), (merged.summary,), made, found)
 
 
 def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> MergedRun:
@@ -127,12 +172,15 @@ def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> 
             digest=text_digest(*(plan.digest for plan in plans)),
         ),
         whole_table=tables[0].whole_table,
+        units={name: unit for table in tables for name, unit in table.units.items()},
     )
     method = records[0].method
     weights = [record.method.weights_digest for record in records]
     if len(set(weights)) > 1:  # each was trained on the other folds
         digest = text_digest(*(each or "" for each in weights))
         method = msgspec.structs.replace(method, weights=f"{len(runs)} folds", weights_digest=digest)
+    elif method.weights_digest is not None:
+        method = msgspec.structs.replace(method, weights=f"{method.weights or 'its own'}, {SAME_WEIGHTS}")
     record = msgspec.structs.replace(records[0], split=f"{len(runs)} folds", method=method, tables=(together,))
     merged = pa.concat_tables(scores)
     summary = summary_of(record, together, merged, {name: recording_key(name) for name in owner})
@@ -171,7 +219,7 @@ def _in_order(runs: list[RunFolder]) -> list[RunFolder]:
         if text is None:
             raise RunError(
                 f"{run.path}: expected a run on a fold of participants, found one on a table that is no fold. Run the"
-                " method with --split participants --fold K/N."
+                " method with --fold K/N."
             )
         number, _, count = text.partition("/")
         if not (number.isdecimal() and count.isdecimal() and len(text) < 16):

@@ -297,10 +297,11 @@ def undecided_lines(table: DatasetTable) -> tuple[str, ...]:
 
 def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
     """Yield a table for each protocol with two datasets or more, if each dataset has one table under it."""
-    # One mean has one protocol, and bodies that are all measured or all estimated.
-    groups: dict[tuple[str, bool], list[DatasetTable]] = defaultdict(list)
+    # One mean has one protocol, bodies that are all measured or all estimated, and test parts or folds of everybody.
+    groups: dict[tuple[str, bool, bool], list[DatasetTable]] = defaultdict(list)
     for table in tables:
-        groups[table.key[0], table.rows[0].entry.table.estimated_bodies].append(table)
+        first = table.rows[0].entry.table
+        groups[table.key[0], first.estimated_bodies, bool(first.units)].append(table)
     for _, under in sorted(groups.items()):
         datasets = tuple(table.dataset for table in under)
         # A mean over one dataset is that dataset's table; two tables of one dataset would count it twice.

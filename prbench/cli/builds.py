@@ -309,18 +309,16 @@ def table_answer(
     report="prbench.sequences:DatasetInfo",
 )
 @click.argument("data", type=opt.PATH, metavar="DIR")
-@click.option("--split", type=click.Choice(["participants"]), default="participants", help="What is kept together.")
 @click.option("--fold", required=True, metavar="K/N", help="The fold to test on, such as 2/6.")
 @opt.out_folder_option("Folder of the new table; the old one stays as it is.", required=True)
-def split_dataset(data: Path, split: str, fold: str, out: Path) -> Answer:
+def split_dataset(data: Path, fold: str, out: Path) -> Answer:
     """Write a copy of a table in which nobody is both learnt from and tested on.
 
-    One run on each fold, put together by `prbench merge`, scores every sequence once.
+    `prbench run --folds participant` makes and runs all folds; this is for what is run elsewhere.
     """
     from prbench.sequences import SequenceTable
     from prbench.sequences.folds import parse_fold, write_fold
 
-    del split  # the only one so far
     number, count = parse_fold(fold)
     info = write_fold(SequenceTable.open(data).with_sequences(), out, fold=number, folds=count)
 

@@ -34,8 +34,6 @@ ALL_CONDITIONS = tuple(name for about in benchmarks().values() for name in about
 # Limit of a run on the embedded datasets, of each (``prbench.harness.first_run``); spelt out for quick help.
 FIRST_RUN_SEQUENCES = 10
 SPLITS = ("train", "validation", "test")
-# Value of ``--split`` that goes with ``--fold``.
-PARTICIPANTS = "participants"
 # Value of ``--split`` that means the test split of a published evaluation, where windows have one.
 PUBLISHED = "published"
 PATH = PlaceType("input")  # of a file or folder that is read
@@ -201,25 +199,9 @@ def split_option(default: str | None = "test", *, help: str = "") -> Callable:
     return click.option("--split", type=click.Choice(SPLITS), default=default, help=help)
 
 
-def fold_options(split: str | None = "test", *, more_splits: tuple[str, ...] = ()) -> Callable:
-    """Add ``--split``, which also takes ``participants``, and ``--fold K/N``.
-
-    Args:
-        split: Default of ``--split``; None for a command that takes ``participants`` alone.
-        more_splits: Further values.
-    """
-    choices = [PARTICIPANTS] if split is None else [*SPLITS, PARTICIPANTS, *more_splits]
-    said = "" if split is None else f"Split of the table (default {split}); "
-    if PUBLISHED in more_splits:
-        said += "published: the published test windows of motion-prediction; "
-    said += "participants: the people of --fold are tested on, all others learnt from."
-    fold = "With --split participants: the fold to test on, such as 2/6 (`prbench split-dataset`)."
-
-    def add(function: Callable) -> Callable:
-        folded = click.option("--fold", metavar="K/N", help=fold)(function)
-        return click.option("--split", type=click.Choice(choices), default=split, help=said)(folded)
-
-    return add
+fold_option = click.option(
+    "--fold", metavar="K/N", help="Leave the people of this fold out, such as 2/6; `prbench run --fold` tests on them."
+)
 
 
 def limit_option(default: str = "all") -> Callable:

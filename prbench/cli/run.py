@@ -78,7 +78,20 @@ _FIRST_RUN_WORKERS = 2
 @click.option("--show-config", is_flag=True, help="Print the experiment that the command line means, and stop.")
 @opt.data_option(required=False, help="Built dataset folder(s); without it small synthetic ones are built and used.")
 @opt.out_folder_option("Run folder (default: one under ./runs); resumes. Several runs: the folder of their folders.")
-@opt.fold_options(more_splits=(opt.PUBLISHED,))
+@click.option(
+    "--split",
+    type=click.Choice([*opt.SPLITS, opt.PUBLISHED]),
+    default="test",
+    help="Split of the table (default test); published: the published test windows of motion-prediction.",
+)
+@click.option(
+    "--folds",
+    "--fold",
+    "fold",
+    metavar="participant|K/N",
+    help="Test on people whom the method did not learn from: participant: on everybody in turn, merged into one run;"
+    " or on one fold of N, such as 2/6. {fold} in --weights stands for K.",
+)
 @opt.limit_option(f"all; {opt.FIRST_RUN_SEQUENCES} without --data; with all: 5 of each dataset")
 @opt.sequence_option("Run this one only")
 @click.option("--view", type=opt.OUT_FILE, metavar="FILE", help="Show the motions as .png, .mp4 or .html.")
@@ -179,8 +192,14 @@ def _run_all(
     shard: Shard | None,
 ) -> Answer:
     from prbench.harness.methods.installed import list_adapters
+    from prbench.sequences.folds import ALL_FOLDS
 
     first_run = not experiment.data
+    if experiment.fold == ALL_FOLDS and (view is not None or shard is not None or len(experiment.data) != 1):
+        raise UsageError(
+            f"--folds {ALL_FOLDS}: merges runs on all folds of one table, which --data names; leave --view and --shard"
+            " out, or run single folds (--fold K/N) and put them together by `prbench merge`."
+        )
     if shard is not None:
         opt.chosen_shard(str(shard), first_run=first_run)
     if view is not None:
@@ -269,11 +288,19 @@ def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> opt.M
 
 
 def _generated(request: RunRequest, engine: Engine) -> RunReport:
+    from prbench.board.merging import SAME_WEIGHTS, run_folds
     from prbench.harness.run import run_method
+    from prbench.sequences.folds import ALL_FOLDS
 
+    make = run_folds if request.fold == ALL_FOLDS else run_method
     with _told(request, f"running {request.method_label}") as tell:
-        report = run_method(request, engine=engine, progress=tell)
+        report = make(request, engine=engine, progress=tell)
     _note_found(report.batches_found)
+    if SAME_WEIGHTS in (report.folder.record.method.weights or ""):
+        note(
+            "every fold ran the same weights, which may have learnt from the people tested on. `prbench train --fold`"
+            " K/N trains without them, and --weights 'DIR-{fold}/weights.safetensors' names what it trained."
+        )
     return report
 
 

@@ -253,7 +253,7 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
 
     DIR... are the folders of all shards of one `prbench build-dataset`, `build-corpus`, `build-windows` or `run` with
     --shard K/N, in any order, of which a run is scored here; or the runs of a method on all folds of a dataset, made by
-    `prbench run --split participants --fold K/N`.
+    `prbench run --fold K/N`.
     """
     from prbench.engine.shards import FILE_NAME, require_whole
     from prbench.harness.run_folder.folder import run_folder_of

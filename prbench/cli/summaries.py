@@ -78,6 +78,7 @@ def print_summary(
         metrics: All metrics of the benchmark; those of prime-and-reach by default.
     """
     from prbench.board.tables import undecided
+    from prbench.harness.run_folder.summary import counted_units
     from prbench.metrics import MAIN_METRICS, printed_scale, printed_unit
 
     irrelevant = _irrelevant(motionless)
@@ -97,7 +98,7 @@ def print_summary(
             rows.append((metric.title, mean, bounds, remarks))
     title = (
         f"{summary.title}: {_method(summary, origin)}; {summary.sequences} sequences of"
-        f" {summary.recordings} recording{'' if summary.recordings == 1 else 's'}, split {summary.split}"
+        f" {counted_units(summary.recordings, summary.split)}, split {summary.split}"
     )
     print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
     # What the data cannot decide.

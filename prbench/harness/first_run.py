@@ -20,7 +20,7 @@ from prbench.files.storage import cache_folder, in_turn, text_digest
 from prbench.harness.benchmark import CaseTable, load_benchmark
 from prbench.harness.controls import GROUND_TRUTH, SCRIPTED
 from prbench.harness.methods.installed import list_adapters
-from prbench.harness.request import PARTICIPANTS, Experiment, ExperimentMethod, RunRequest
+from prbench.harness.request import Experiment, ExperimentMethod, RunRequest
 from prbench.harness.run_folder import RunFolder, read_scores
 from prbench.harness.run_folder.record import FILE, PROGRAM, UNKNOWN, TableRecord
 from prbench.harness.run_folder.record import FILE_NAME as RUN_FILE
@@ -28,6 +28,7 @@ from prbench.protocol.manifests import benchmarks, digest_of, load_manifest, loa
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
+from prbench.sequences.folds import ALL_FOLDS
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.people.person import PRESETS
@@ -244,10 +245,10 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
             " start it. Repeat the command with --method."
         )
     find = table_finder(data)
-    whole = {DatasetInfo.read(folder).content_digest: folder for folder in data if record.tables[0].fold}
+    whole = {DatasetInfo.read(folder).content_digest: folder for folder in data if record.tables[0].units}
     folders = []
     for table in record.tables:
-        found = find(table) if table.fold is None else None
+        found = None if table.units else find(table)
         folder = found.folder if found is not None else whole.get(table.whole_table or "")
         if folder is None:
             raise RunError(
@@ -268,8 +269,8 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
         **{name: getattr(record, name) for name in same},
         methods=(method,),
         data=tuple(folders),
-        split=PARTICIPANTS if record.tables[0].fold else record.split,
-        fold=record.tables[0].fold,
+        split="test" if whole else record.split,
+        fold=record.tables[0].fold or (ALL_FOLDS if record.tables[0].units else None),
         seeds=(record.seed,),
         batch_size=record.tables[0].batch_plan.batch_size,
         isolate=record.method.isolation is not None,

@@ -42,7 +42,7 @@ from prbench.harness.run_folder.record import (
     TableRecord,
 )
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION
-from prbench.sequences.folds import OPTION, WHOLE_TABLE
+from prbench.sequences.folds import OPTION, WHOLE_TABLE, tested_units
 
 # Folder of run folders for which the user names none.
 # Number of datasets, at most, that the name of a run folder spells out.
@@ -250,6 +250,7 @@ def table_record(chosen: Cases, cases: Cases, plan: BatchPlanRecord) -> TableRec
         batch_plan=plan,
         fold=info.options.get(OPTION),
         whole_table=info.options.get(WHOLE_TABLE),
+        units=tested_units(cases.table) if OPTION in info.options else {},
         estimated_bodies=getattr(info, "estimated_bodies", False),
     )
 

@@ -22,7 +22,7 @@ from prbench.harness.methods.installed import METHOD_CONTROLS, SHUFFLED_GOAL, sh
 from prbench.limits import HARMLESS_SIZE
 from prbench.object_stores.store import is_url
 from prbench.protocol.manifests import PROTOCOL_NAME, benchmarks, find_benchmark
-from prbench.sequences.folds import parse_fold
+from prbench.sequences.folds import ALL_FOLDS, parse_fold
 
 DEFAULT_BATCH_SIZE = 64
 # Folder of run folders that the user did not name.
@@ -69,8 +69,8 @@ class RunRequest:
         data: Dataset folders.
         benchmark: Name of the benchmark.
         condition: What the method is given; None for the only condition that it takes, and for none with a control.
-        fold: A fold of the tables' participants, such as ``2/6``, whose split is meant; None for the tables as they
-            are.
+        fold: A fold of the tables' participants, such as ``2/6``, whose split is meant; ``participant`` for a run on
+            all folds of one table (:func:`prbench.board.merging.run_folds`); None for the tables as they are.
         limit: Run only this many sequences of each dataset: of every recording its share, by the hashes of their ids.
         sequences: Run only these: ids, or parts of ids that fit one sequence of the split only.
         samples: Motions kept of each sequence.
@@ -111,6 +111,8 @@ class RunRequest:
         turn_into_paths(self, "data", "weights", "protocol", "out")
         if not self.data:
             raise UsageError("a run needs one dataset folder or more (--data DIR).")
+        if self.fold is not None and self.split != "test":
+            raise UsageError(f"--split {self.split}: --fold says already who is tested on; leave --split out.")
         if self.sequences and self.limit is not None:
             raise UsageError("--sequence names the sequences already; leave --limit out.")
         require_settings(
@@ -173,10 +175,6 @@ def reported(scores: Iterator[pa.Table], dataset: str, total: int, progress: Pro
         progress(Progress(dataset, "score", done, total))
 
 
-# Split of an experiment that is a fold of participants.
-PARTICIPANTS = "participants"
-
-
 class ExperimentMethod(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
     """One method of an experiment, and what it is run with.
 
@@ -207,8 +205,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     Attributes:
         benchmark: What is asked of the methods.
         data: Folders of tables, which every run is made on; empty for the embedded synthetic datasets.
-        split: ``participants`` goes with ``fold``.
-        fold: Such as ``2/6``: the participants of this fold are tested on.
+        fold: Such as ``2/6``: the participants of this fold are tested on. ``participant``: of each in turn.
         limit: Sequences of each dataset.
         sequences: Single sequences: ids, or parts that fit one id only.
         seeds: Each is a run of its own.
@@ -247,9 +244,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         Raises:
             UsageError: if a run's parts do not fit together, or two runs are the same.
         """
-        if (self.split == PARTICIPANTS) != (self.fold is not None):
-            raise UsageError("--split participants and --fold K/N belong together.")
-        if self.fold is not None:
+        if self.fold not in (None, ALL_FOLDS):
             parse_fold(self.fold)
         runs = [
             (method, condition, seed)
@@ -258,7 +253,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             for seed in self.seeds
         ]
         about = find_benchmark(self.benchmark)
-        same = ("benchmark", "data", "fold", "limit", "sequences", "device", "threads", "isolate", "timeout")
+        same = ("benchmark", "data", "split", "fold", "limit", "sequences", "device", "threads", "isolate", "timeout")
         taken: set[str] = set()
         for method, condition, seed in runs:
             request = RunRequest(
@@ -269,7 +264,6 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
                 condition=condition,
                 weights=Path(method.weights) if method.weights else None,
                 options=method.option_texts,
-                split="test" if self.fold is not None else self.split,
                 seed=seed,
                 samples=self.samples or about.samples,
                 batch_size=self.batch_size or about.batch_size,

@@ -207,6 +207,7 @@ def summary_of(
         scores: Rows of ``scores.parquet``.
         recording_of: Maps each scored case to its recording.
     """
+    recording_of = {name: table.unit_of(recording) for name, recording in recording_of.items()}
     coded = CodedScores.of([scores]) if isinstance(scores, pa.Table) else scores
     infos = load_benchmark(record.benchmark).metrics
     compared = {info.id for info in load_benchmark(record.benchmark).compared_metrics}

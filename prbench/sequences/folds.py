@@ -5,6 +5,7 @@ Source: docs/specification/protocol.md#participant-folds.
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import msgspec
@@ -22,6 +23,8 @@ from prbench.sequences.table import SequenceTable
 from prbench.sequences.write import write_dataset
 
 _UNKNOWN = ("", "unknown")
+# Stands in place of ``K/N`` for a run on all folds, one a participant.
+ALL_FOLDS = "participant"
 # Key of the options of a table that holds the fold, such as ``2/6``.
 OPTION = "participant_fold"
 # Key of the options of a table that holds the content digest of the whole table.
@@ -37,7 +40,8 @@ def parse_fold(text: str) -> tuple[int, int]:
     number, _, count = text.partition("/")
     # Few digits, so that no number is too long for Python to read.
     if not all(part.isdecimal() and len(part) <= 6 for part in (number, count)):
-        raise UsageError(f"--fold {text}: expected K/N, such as 2/6.")
+        alone = f" All folds together are `prbench run --folds {ALL_FOLDS}`'s." if text == ALL_FOLDS else ""
+        raise UsageError(f"--fold {text}: expected K/N, such as 2/6.{alone}")
     fold = int(number)
     folds = int(count)
     if folds < 2 or not 1 <= fold <= folds:
@@ -72,17 +76,42 @@ def fold_table(folder: Path, fold: str) -> SequenceTable:
 def participant_folds(table: SequenceTable, folds: int) -> dict[str, int]:
     """Assign every participant to a fold, from 1.
 
-    Participants who share a split group (recorded together) stay together. Groups are dealt out from the largest number
-    of sequences to the smallest, each to the fold that has the fewest sequences so far, so that folds differ little.
+    Participants who were recorded together stay together. They are dealt out from the largest number of sequences to
+    the smallest, each to the fold that has the fewest sequences so far, so that folds differ little.
 
     Args:
         table: The whole table.
         folds: Number of folds, 2 or more.
 
     Raises:
-        TableError: if a participant is unknown, or there are fewer groups of participants than folds.
+        TableError: if a participant is unknown, or there are fewer participants who were recorded apart than folds.
     """
-    rows = table.scalars()
+    unit_of = participant_units(table)
+    counts = Counter(unit_of[name] for name in table.scalars(columns=["participant_id"])["participant_id"].to_pylist())
+    if len(counts) < folds:
+        raise TableError(
+            f"{table.folder}: expected at least {folds} participants who were recorded apart, found {len(counts)}."
+            f" Choose fewer folds: --fold 1/{max(len(counts), 2)}."
+        )
+    load = [0] * folds
+    fold_of: dict[str, int] = {}
+    for unit in sorted(counts, key=lambda unit: (-counts[unit], unit)):
+        fold = load.index(min(load))
+        load[fold] += counts[unit]
+        fold_of[unit] = fold + 1
+    return {name: fold_of[unit] for name, unit in unit_of.items()}
+
+
+def participant_units(table: SequenceTable) -> dict[str, str]:
+    """Map every participant to the first of those who were recorded together: the units that do not depend on others.
+
+    Args:
+        table: A whole table or a fold of one.
+
+    Raises:
+        TableError: if a participant is unknown.
+    """
+    rows = table.scalars(columns=["participant_id", "split_group"])
     people = rows["participant_id"].to_pylist()
     unknown = sum(name in _UNKNOWN for name in people)
     if unknown:
@@ -96,20 +125,15 @@ def participant_folds(table: SequenceTable, folds: int) -> dict[str, int]:
     nodes = len(names) + len(set(group.tolist()))
     edges = coo_array((np.ones(len(place)), (place, len(names) + group)), shape=(nodes, nodes))
     component = connected_components(edges, directed=False)[1][: len(names)]
-    counts = np.bincount(component[place])
-    if np.count_nonzero(counts) < folds:
-        raise TableError(
-            f"{table.folder}: expected at least {folds} participants who were recorded apart, found"
-            f" {np.count_nonzero(counts)}. Choose fewer folds: --fold 1/{max(np.count_nonzero(counts), 2)}."
-        )
-    first_name = {int(each): min(names[component == each]) for each in np.unique(component)}
-    load = [0] * folds
-    fold_of: dict[int, int] = {}
-    for each in sorted(first_name, key=lambda each: (-counts[each], first_name[each])):
-        fold = load.index(min(load))
-        load[fold] += int(counts[each])
-        fold_of[each] = fold + 1
-    return {str(name): fold_of[int(each)] for name, each in zip(names, component)}
+    return {str(name): str(min(names[component == each])) for name, each in zip(names, component)}
+
+
+def tested_units(table: SequenceTable) -> dict[str, str]:
+    """Map every recording that a fold tests on, as ``dataset/recording``, to its unit (:func:`participant_units`)."""
+    unit_of = participant_units(table)
+    rows = table.scalars(split="test", columns=["recording_id", "participant_id"])
+    pairs = zip(rows["recording_id"].to_pylist(), rows["participant_id"].to_pylist())
+    return {f"{table.info.dataset}/{name}": unit_of[person] for name, person in sorted(set(pairs))}
 
 
 def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> DatasetInfo:

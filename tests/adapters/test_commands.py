@@ -248,7 +248,7 @@ def test_refit_learns_from_train_and_validation(data, tmp_path, capsys):
 def test_a_fold_is_learnt_from_without_its_people(tmp_path, capsys):
     table = fake_dataset(tmp_path / "table", 24)
     out = tmp_path / "out"
-    fold = ["--split", "participants", "--fold", "1/3"]
+    fold = ["--fold", "1/3"]
     assert main([*command(table.folder, out), *fold]) == 0
     fold_of = participant_folds(table, 3)
     people = table.scalars()["participant_id"].to_pylist()
@@ -258,7 +258,7 @@ def test_a_fold_is_learnt_from_without_its_people(tmp_path, capsys):
     assert (told["fold"], told["sequences"]) == ("1/3", learnt)
     (card,) = read_json(out / "weights.json")["data"]
     assert card["fold"] == "1/3"
-    other = [*command(table.folder, out), *fold[:3], "2/3"]
+    other = [*command(table.folder, out), "--fold", "2/3"]
     refused(other, capsys, code=TrainingError.exit_code, message="holds another training")
-    together = "--split participants and --fold K/N belong together"
-    refused([*command(table.folder, out), "--fold", "1/3"], capsys, code=UsageError.exit_code, message=together)
+    every = [*command(table.folder, out), "--fold", "participant"]
+    refused(every, capsys, code=UsageError.exit_code, message="expected K/N, such as 2/6. All folds together are")

@@ -183,7 +183,7 @@ def test_runs_of_an_earlier_protocol_stand_apart_under_its_version(tmp_path):
     # Two datasets and their mean, each once under version 1 and once under the present one.
     assert len(re.findall(r"^## .*protocol version 1", text, re.M)) == 3
     assert len(re.findall(r"^## (?!Notes)", text, re.M)) == 6
-    assert text.count("Scored under version 1 of the protocol; version 2 is the present one") == 2
+    assert text.count("Scored under version 1 of the protocol; version 3 is the present one") == 2
     notes = {row["method"]: row["note"] for row in csv_rows(board)}
     assert "protocol version 1" in notes["old"]
     assert "protocol version" not in notes["new"]

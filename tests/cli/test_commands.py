@@ -28,7 +28,7 @@ from tests.parsing import all_commands, parsed
 ROOT = Path(__file__).parents[2]
 DIFFER = {"--out", "--condition", "--split"}
 """Options whose value is a file in one command and a folder in another, or that one command offers ``all`` for, too.
-``--split`` chooses a split, but in `split-dataset` it says what a new split keeps together."""
+`run` also has the split ``published``."""
 
 
 @pytest.fixture

@@ -152,7 +152,7 @@ def make_inputs(folder: Path, *, heavy: bool = False) -> Path:
     call(f"{STATIC} --out {{static}}")
     call(f"{STATIC} --samples 2 --out {{several}}")
     for number in (1, 2):
-        call(f"{STATIC} --split participants --fold {number}/2 --out {{out}}", f"fold-{number}")
+        call(f"{STATIC} --fold {number}/2 --out {{out}}", f"fold-{number}")
         call(f"{BUILD} --shard {number}/2 --out {{out}}", f"table-shard-{number}")
         call(f"{RUN} --shard {number}/2 --out {{out}}", f"run-shard-{number}")
     call("export-release {table} --out {release}")
@@ -213,6 +213,7 @@ WRITING = (
     Writing("merge --out, of a run", "merge {run-shard-1} {run-shard-2} --out {out}", varies=("cost.json",)),
     Writing("merge --out FOLDS", "merge {fold-1} {fold-2} --out {out}"),
     Writing("run --out", f"{RUN} --out {{out}}", varies=("cost.json",)),
+    Writing("run --folds", f"{RUN} --folds participant --out {{out}}", varies=("cost.json",)),
     Writing("run --out, a shard", f"{RUN} --shard 1/2 --out {{out}}", varies=("batch-00000.json",)),
     Writing(
         "run --view",

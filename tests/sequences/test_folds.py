@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,20 +11,23 @@ import msgspec
 import pyarrow as pa
 import pytest
 
+from prbench.board import merging
 from prbench.board.collect import CollectedRuns, collect_runs
-from prbench.board.merging import merge_folds
+from prbench.board.comparison import compare_runs
+from prbench.board.export import part_title
+from prbench.board.merging import merge_folds, run_folds
 from prbench.board.tables import make_leaderboard
 from prbench.cli.main import main
 from prbench.errors import RunError, StorageError, TableError, UsageError
 from prbench.harness.first_run import table_finder
 from prbench.harness.request import RunRequest
 from prbench.harness.results import RunChecker, summary_of
-from prbench.harness.run import run_method
+from prbench.harness.run import RunReport, run_method
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.scores import read_scores, write_scores
 from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.sequences import SequenceTable
-from prbench.sequences.folds import participant_folds, write_fold
+from prbench.sequences.folds import participant_folds, participant_units, write_fold
 from prbench.sequences.sequence import recording_key
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
@@ -69,7 +74,7 @@ def test_folds_have_about_as_many_sequences(table):
 def test_somebody_with_as_many_sequences_as_all_others_has_a_fold_alone():
     people = ["a"] * 5 + list("bcdef")
     rows = pa.table({"participant_id": people, "split_group": [f"{name}{place}" for place, name in enumerate(people)]})
-    table: Any = SimpleNamespace(scalars=lambda: rows)
+    table: Any = SimpleNamespace(scalars=rows.select)
     assert participant_folds(table, 2) == {"a": 1} | dict.fromkeys("bcdef", 2)
 
 
@@ -123,7 +128,7 @@ def _runs_of_folds(table, root, method="scripted"):
     paths = []
     for fold in ("1/3", "2/3", "3/3"):
         paths.append(root / f"{method}-{fold[0]}")
-        words = ["run", "--method", method, "--data", str(table.folder), "--split", "participants", "--fold", fold]
+        words = ["run", "--method", method, "--data", str(table.folder), "--fold", fold]
         assert main([*words, "--out", str(paths[-1])]) == 0
     return paths
 
@@ -149,23 +154,24 @@ def test_a_run_on_a_fold_is_that_on_the_table_of_the_fold_and_says_so(table, fol
     assert "every score is the same" in capsys.readouterr().err
 
 
-def test_a_fold_and_its_split_are_named_together(table, fold_runs, tmp_path, capsys):
+def test_a_fold_that_cannot_be_is_refused(table, fold_runs, tmp_path, capsys):
     words = ["run", "--method", "scripted", "--data", str(table.folder), "--out", str(tmp_path / "run")]
-    together = "--split participants and --fold K/N belong together"
-    refused([*words, "--fold", "1/3"], capsys, code=UsageError.exit_code, message=together)
-    refused([*words, "--split", "participants"], capsys, code=UsageError.exit_code, message=together)
-    beyond = [*words, "--split", "participants", "--fold", "4/3"]
-    refused(beyond, capsys, code=UsageError.exit_code, message="--fold 4/3: expected K/N")
+    for more, message in {
+        ("--fold", "1/3", "--split", "train"): "--fold says already who is tested on; leave --split out",
+        ("--fold", "4/3"): "--fold 4/3: expected K/N",
+        ("--folds", "people"): "--fold people: expected K/N, such as 2/6.",
+        ("--folds", "participant", "--shard", "1/2"): "which --data names; leave --view and --shard out",
+        ("--folds", "participant", "--data", str(tmp_path)): "merges runs on all folds of one table",
+    }.items():
+        refused([*words, *more], capsys, code=UsageError.exit_code, message=message)
     # A run folder never goes on with another fold.
-    other = ["--split", "participants", "--fold", "1/3", "--out", str(fold_runs[1])]
+    other = ["--fold", "1/3", "--out", str(fold_runs[1])]
     refused([*words[:5], *other], capsys, code=RunError.exit_code, message="fold: expected 1/3 for this run, found 2/3")
 
 
 def test_an_experiment_may_be_of_a_fold(table, fold_runs, tmp_path):
     file = tmp_path / "experiment.toml"
-    file.write_text(
-        f'data = [{str(table.folder)!r}]\nsplit = "participants"\nfold = "3/3"\n[[methods]]\nname = "scripted"\n'
-    )
+    file.write_text(f'data = [{str(table.folder)!r}]\nfold = "3/3"\n[[methods]]\nname = "scripted"\n')
     assert main(["run", "--config", str(file), "--out", str(tmp_path / "run")]) == 0
     assert RunFolder.open(tmp_path / "run").record == RunFolder.open(fold_runs[2]).record
 
@@ -206,3 +212,81 @@ def test_forged_merged_scores_are_refused(fold_runs, tmp_path, capsys):
         collect_runs([out, *fold_runs])
     words = ["merge", *map(str, fold_runs), "--out"]
     refused([*words, str(fold_runs[0])], capsys, code=StorageError.exit_code, message="it is no merged run")
+
+
+@pytest.fixture(scope="module")
+def every_fold(table, fold_runs, tmp_path_factory):
+    """Runs of two methods on all folds of one table, and the words of the first."""
+    root = tmp_path_factory.mktemp("every")
+    words = ["run", "--method", "scripted", "--data", str(table.folder), "--folds", "participant"]
+    assert main([*words, "--out", str(root / "scripted")]) == 0
+    assert main([*words[:2], "static", *words[3:], "--out", str(root / "static")]) == 0
+    return root, [*words, "--out", str(root / "scripted")]
+
+
+def test_a_run_on_all_folds_tests_everybody_once_and_goes_on_where_it_was(table, every_fold, capsys):
+    root, words = every_fold
+    people = set(table.scalars()["participant_id"].to_pylist())
+    runs = sorted((root / "scripted").glob("fold-*"))
+    assert len(runs) == len(people)
+    for run in runs:
+        assert len(set(RunFolder.open(run).record.tables[0].units.values())) == 1, "nobody else is tested on"
+    merged = RunFolder.open(root / "scripted")
+    assert merged.path.name == "merged", "the folder of the folds stands for what they are together"
+    summary = DatasetSummary.read(merged.path / "synthetic-adt")
+    assert (summary.sequences, summary.recordings) == (table.scalars().num_rows, len(people))
+    before = {path: path.read_bytes() for path in root.rglob("scripted/**/*.*") if path.name != "cost.json"}
+    for half_done in (runs[-1] / "synthetic-adt/scores.parquet", runs[-1] / "synthetic-adt/summary.json"):
+        half_done.unlink()
+    assert reported(words, capsys).runs
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_merged_folds_stand_in_a_table_of_their_own_whose_units_are_participants(table, every_fold, tmp_path, capsys):
+    root, _ = every_fold
+    people = len(set(table.scalars()["participant_id"].to_pylist()))
+    for method in ("scripted", "static"):
+        assert main(["run", "--method", method, "--data", str(table.folder), "--out", str(tmp_path / method)]) == 0
+    capsys.readouterr()
+    paths = [root / "scripted", root / "static", tmp_path / "scripted", tmp_path / "static"]
+    collected = collect_runs(paths, check=RunChecker(table_finder([table.folder])).check)
+    assert [row.unverified for row in collected.rows] == [""] * 4, "the runs on the folds lie beside the merged one"
+    folds, test = make_leaderboard(collected).tables
+    assert (folds.split, folds.recordings, test.split) == (f"{people} folds", people, "test")
+    assert part_title(folds).endswith(f"{people} participants")
+    compared = compare_runs(root / "scripted", root / "static").metrics
+    assert {each.comparison.difference.n_recordings for each in compared} == {people}
+
+
+def test_weights_of_a_fold_are_named_by_its_number(table, every_fold, monkeypatch):
+    root, _ = every_fold
+    made = sorted((root / "static").glob("fold-*"))
+    asked = []
+
+    def made_before(request, **_):
+        asked.append((request.fold, request.weights))
+        return RunReport(RunFolder.open(made[len(asked) - 1]), (), 0, 0)
+
+    monkeypatch.setattr(merging, "run_method", made_before)
+    request = RunRequest(method="static", data=(table.folder,), out=root / "static", weights=Path("w-{fold}/a.bin"))
+    run_folds(request)
+    assert asked[1] == (f"2/{len(made)}", Path("w-2/a.bin"))
+
+
+@pytest.mark.parametrize(
+    ("digests", "said"), [("ddd", "a.bin, the same in every fold"), ("abc", "3 folds"), ((None,) * 3, "a.bin")]
+)
+def test_weights_that_no_fold_has_trained_are_called_the_same(fold_runs, tmp_path, digests, said):
+    runs = [shutil.copytree(run, tmp_path / run.name) for run in fold_runs]
+    for run, digest in zip(runs, digests, strict=True):
+        record = RunFolder.open(run).record
+        method = msgspec.structs.replace(record.method, weights="a.bin", weights_digest=digest)
+        msgspec.structs.replace(record, method=method).write(run)
+    assert merge_folds(runs).record.method.weights == said
+
+
+def test_participants_who_were_recorded_together_are_one_unit(table):
+    assert participant_units(table) == {name: name for name in participant_units(table)}
+    rows = pa.table({"participant_id": ["b", "a", "c", "d"], "split_group": ["x", "x", "y", "z"]})
+    together: Any = SimpleNamespace(scalars=rows.select)
+    assert participant_units(together) == {"a": "a", "b": "a", "c": "c", "d": "d"}

@@ -221,12 +221,14 @@ class RunFolder:
 
 
 def run_folder_of(path: Path) -> Path:
-    """Return the run folder that a path means: the path itself, or its parent where that holds a run on the dataset.
+    """Return the run folder that a path means: it itself, the merged run in it, or the parent of a dataset's folder.
 
     Raises:
         RunError: if the parent's ``run.json`` is damaged.
     """
     parent = path.parent if path.name else path.absolute().parent
+    if not (path / record.FILE_NAME).is_file() and (path / MERGED / FOLDS_FILE).is_file():
+        return path / MERGED  # of a run on all folds
     if (path / record.FILE_NAME).is_file() or not (parent / record.FILE_NAME).is_file():
         return path
     datasets = [table.dataset for table in RunRecord.read(parent).tables]
@@ -234,6 +236,8 @@ def run_folder_of(path: Path) -> Path:
 
 
 FOLDS_FILE = "folds.json"
+# Merged run in the folder of a run on all folds.
+MERGED = "merged"
 
 
 class FoldRun(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -122,6 +122,8 @@ class TableRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
         redistribution: Whether data made from the dataset may be passed on: ``yes``, ``non-commercial`` or ``none``.
         fold: The fold of participants that was tested on, such as ``2/6``; absent for a table that is no fold.
         whole_table: Content digest of the table that the fold is of; absent for a table that is no fold.
+        units: Participant of each recording that a fold tested on, by ``dataset/recording``; of merged folds the units
+            of intervals and comparisons. Absent where recordings are the units.
         identity_digest: Digest of the ids of its sequences.
         content_digest: Digest of its content.
         sequences: Chosen by split and limit.
@@ -137,6 +139,7 @@ class TableRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     redistribution: str
     fold: str | None = None
     whole_table: str | None = None
+    units: dict[str, str] = {}
     identity_digest: str
     content_digest: str
     sequences: int
@@ -144,6 +147,15 @@ class TableRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     selection_digest: str
     batch_plan: BatchPlanRecord
     estimated_bodies: bool = False
+
+    def unit_of(self, recording: str) -> str:
+        """Return the name of what does not depend on others: of merged folds the participant, else the recording.
+
+        Args:
+            recording: Its name, ``dataset/recording``.
+        """
+        # Within one fold there may be one participant alone, and the recordings are all that can be told apart.
+        return recording if self.fold is not None else self.units.get(recording, recording)
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -214,7 +226,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def short_digest(self) -> str:
         """Digest in the name of a run folder that the user did not name."""
-        text = repr(self).replace(", one_design=False", "")
+        text = repr(self).replace(", one_design=False", "").replace(", units={}", "")
         if self.benchmark == default_benchmark().name:
             # Folders of earlier versions, whose records named no benchmark, are to be found again.
             text = text.replace(f", benchmark={self.benchmark!r}", "")

@@ -184,6 +184,17 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         return summary
 
 
+def counted_units(number: int, split: str) -> str:
+    """Return a number of independent units in words: participants of merged folds, else recordings.
+
+    Args:
+        number: How many there are.
+        split: What was run on, such as ``test`` or ``6 folds``.
+    """
+    unit = "participant" if split.endswith(" folds") else "recording"
+    return f"{number} {unit}{'' if number == 1 else 's'}"
+
+
 @dataclass(frozen=True)
 class MeanOverDatasets:
     """The mean of one metric over datasets; rates from 0 to 1.

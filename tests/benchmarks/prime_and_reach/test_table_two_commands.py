@@ -47,7 +47,7 @@ def test_a_table_is_printed_in_the_studys_layout(table, tmp_path, capsys):
         (["--method", "scripted", "--condition", "all"], "Table 2 has no rows of 'scripted'"),
         (["--method", "static", "--with-controls"], "--with-controls: belongs to --method all"),
         (["--method", "all", "--fold", "1/2"], "--fold: belongs to a run of one method"),
-        (["--method", "all", "--split", "participants"], "run --method all on a table of each fold"),
+        (["--method", "all", "--folds", "participant"], "--fold: belongs to a run of one method"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(words, message, table, tmp_path, capsys):
