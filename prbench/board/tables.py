@@ -27,7 +27,7 @@ from prbench.board.comparison import Separate, separate_by_comparison
 from prbench.harness.benchmark import Benchmark
 from prbench.harness.clusters import units_needed
 from prbench.harness.run_folder.record import CONTROL
-from prbench.harness.run_folder.summary import MeanOverDatasets, MetricSummary, mean_over_datasets
+from prbench.harness.run_folder.summary import MeanOverDatasets, MetricSummary, counted_units, mean_over_datasets
 from prbench.metrics import MAIN_METRICS, MetricInfo, printed_unit
 
 _KEYS = ("protocol", "table identity", "table content", "split", "chosen sequences")
@@ -290,9 +290,8 @@ def undecided_lines(table: DatasetTable) -> tuple[str, ...]:
         measured.append([metric for metric in entry.summary.metrics if metric.metric not in hidden])
     # Methods are compared within their condition.
     methods = max(Counter(entry.record.condition for entry in entries).values())
-    return tuple(
-        undecided(table.dataset, table.sequences, table.recordings, measured, metrics=compared, methods=methods)
-    )
+    about = (table.dataset, table.split, table.sequences, table.recordings)
+    return tuple(undecided(*about, measured, metrics=compared, methods=methods))
 
 
 def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
@@ -371,6 +370,7 @@ FEWEST_RANKED = 50
 
 def undecided(
     dataset: str,
+    split: str,
     sequences: int,
     recordings: int,
     measured: Sequence[Iterable[MetricSummary]],
@@ -382,13 +382,14 @@ def undecided(
 
     Args:
         dataset: Its name.
+        split: What was run on: the test split, or folds.
         sequences: Number of sequences that were scored.
-        recordings: Number of recordings that they come from.
+        recordings: Number of recordings (of folds: participants) that they come from.
         measured: The scores of each method.
         metrics: The metrics by which methods of the benchmark are compared.
         methods: Number of methods that are compared with each other.
     """
-    reason = why_undecided(sequences, recordings, methods=methods)
+    reason = why_undecided(split, sequences, recordings, methods=methods)
     if reason:
         yield f"{dataset} cannot be decided: {reason}."
     found: dict[str, list[float]] = {}
@@ -414,12 +415,11 @@ def undecided(
         )
 
 
-def why_undecided(sequences: int, recordings: int, *, methods: int = 2) -> str:
+def why_undecided(split: str, sequences: int, recordings: int, *, methods: int = 2) -> str:
     """Say why nothing can be decided on so few data; empty if something can."""
     needed = units_needed(len(MAIN_METRICS) * comb(max(methods, 2), 2))
     if recordings < needed:
-        plural = "" if recordings == 1 else "s"
-        return f"{recordings} recording{plural}, where a comparison of {max(methods, 2)} methods needs {needed}"
+        return f"{counted_units(recordings, split)}, where a comparison of {max(methods, 2)} methods needs {needed}"
     if sequences < FEWEST_RANKED:
         return f"{sequences} sequences, where a ranking needs {FEWEST_RANKED}"
     return ""

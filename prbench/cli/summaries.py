@@ -103,7 +103,8 @@ def print_summary(
     print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
     # What the data cannot decide.
     compared = [info for info in metrics if info.main and info.compared] or MAIN_METRICS
-    for line in undecided(summary.dataset, summary.sequences, summary.recordings, [summary.metrics], metrics=compared):
+    about = (summary.dataset, summary.split, summary.sequences, summary.recordings)
+    for line in undecided(*about, [summary.metrics], metrics=compared):
         print(line)
     _print_marks([summary])
 
@@ -161,7 +162,7 @@ def print_datasets(
     # Which datasets decide nothing between two methods.
     reasons: dict[str, list[str]] = {}
     for each in summaries:
-        reasons.setdefault(why_undecided(each.sequences, each.recordings) or "", []).append(_short(each))
+        reasons.setdefault(why_undecided(each.split, each.sequences, each.recordings) or "", []).append(_short(each))
     for reason, undecided in reasons.items():
         if reason:
             print(f"Cannot be decided: {', '.join(undecided)} ({reason}).")

@@ -65,7 +65,7 @@ def test_a_summary_states_its_detectable_difference_for_as_many_metrics_as_are_c
     assert stored.detectable == pytest.approx(expected)
     count = len(MAIN_METRICS)
     assert len(compared) == count
-    assert any(f"correction for {count} metrics" in line for line in undecided("a", 64, 36, [[stored]]))
+    assert any(f"correction for {count} metrics" in line for line in undecided("a", "test", 64, 36, [[stored]]))
 
 
 def test_only_supported_differences_separate_the_rows_of_a_board(folder):
