@@ -18,12 +18,11 @@ import pyarrow as pa
 from jaxtyping import Bool, Float, Int
 
 import prbench
-from prbench.curation.job import NativeSource, PartReceipt, native_sources, part_receipt
+from prbench.curation.job import NativeSource, PartReceipt, RecordingJob, native_sources, part_receipt
 from prbench.curation.options import BuildOptions
 from prbench.curation.splits import draw_splits
-from prbench.engine import Engine, InProcess, is_out_of_memory
+from prbench.engine import Engine, InProcess
 from prbench.engine.shards import Shard, ShardRecord, require_settings
-from prbench.errors import InputFileError, PrbenchError
 from prbench.files.bounded import require
 from prbench.files.storage import require_replaceable, sole_writer, text_digest
 from prbench.geometry.skeleton import head_forward
@@ -44,7 +43,6 @@ from prbench.sequences.parts import (
 )
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.sequence import row_batch
-from prbench.shown import quoted
 from prbench_benchmarks.motion_prediction.joint_sets import SMPL22, joint_set
 from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol, WindowRules, load_prediction_protocol
 from prbench_benchmarks.motion_prediction.table import (
@@ -253,6 +251,11 @@ class NativeWindows:
         return self.source.skip_reason
 
     @property
+    def split(self) -> str | None:
+        """None: a recording that is left out belongs to no split."""
+        return None
+
+    @property
     def joint_set(self) -> str:
         """Name of the joints of its runs."""
         reader = self._reader
@@ -324,68 +327,31 @@ def read_cut_runs(folder: Path) -> Iterator[Run]:
 
 
 @dataclass(frozen=True)
-class WindowsJob:
-    """Reads and cuts one recording and writes its part, unless that part is there already."""
+class WindowsJob(RecordingJob):
+    """Reads and cuts one recording, :class:`NativeWindows` or the like."""
 
     protocol: PredictionProtocol
-    stop_on_error: bool
-    work: Path
 
-    def __call__(self, source: Any) -> PartReceipt:
-        """Make the part of one recording, :class:`NativeWindows` or the like."""
-        if source.skip_reason is not None:
-            return self._left_out(source, "", "skipped", source.skip_reason)
-        try:
-            digest = source.input_digest()
-        except (OSError, InputFileError) as error:
-            # No digest exists of what cannot be read; the part is tried again by the next build.
-            return self._failed(source, "unreadable", error)
-        folder = self._folder(source, digest)
-        entries = parts.read_receipt(folder)
-        if entries is not None:
-            found = part_receipt(folder, entries, reused=True)
-            if found.record.status != "failed":  # a failure may have passed: try again
-                return found
-        try:
-            row, runs = source.cut(self.protocol)
-            runs = tuple(runs)
-        except Exception as error:
-            if is_out_of_memory(error):
-                raise  # the engine tries again when nothing else is done beside it
-            # Whatever one recording does, the others go on; its message reaches the user with the build's report.
-            return self._failed(source, digest, error)
-        return self._write(source, digest, row, runs)
+    def settings(self, source: Any) -> str:
+        """See :class:`RecordingJob`."""
+        return text_digest(self.protocol.digest, source.settings)
 
-    def if_full(self, source: Any, error: PrbenchError) -> PartReceipt:
-        """Make the part of a recording for which the memory does not suffice: it is not read, and says why."""
-        return self._failed(source, source.input_digest(), error)
+    def make(self, source: Any) -> tuple[RecordingRow, dict[str, pa.RecordBatch]]:
+        """See :class:`RecordingJob`."""
+        record, runs = source.cut(self.protocol)
+        return record, _tables(source, tuple(runs))
 
-    def _failed(self, source: Any, digest: str, error: Exception) -> PartReceipt:
-        known = isinstance(error, PrbenchError)
-        message = quoted(error) if known else f"unexpected {type(error).__name__}: {quoted(error)}"
-        if self.stop_on_error and known:
-            raise error
-        if self.stop_on_error:
-            raise PrbenchError(f"{source.recording_id}: {message}") from error
-        return self._left_out(source, digest, "failed", source.without_places(message))
+    def nothing(self, source: Any, record: RecordingRow) -> dict[str, pa.RecordBatch]:  # noqa: ARG002
+        """See :class:`RecordingJob`."""
+        return _tables(source, ())
 
-    def _left_out(self, source: Any, digest: str, status: str, message: str) -> PartReceipt:
-        name = source.recording_id
-        return self._write(source, digest, RecordingRow(name, "unknown", "", name, 0.0, {}, status, message), ())
 
-    def _folder(self, source: Any, input_digest: str) -> Path:
-        settings = text_digest(self.protocol.digest, source.settings)
-        return parts.part_folder(self.work, source.recording_id, input_digest, settings)
-
-    def _write(self, source: Any, digest: str, record: RecordingRow, runs: tuple[Run, ...]) -> PartReceipt:
-        folder = self._folder(source, digest)
-        windows = [window.row(run, row) for row, run in enumerate(runs) for window in run.windows]
-        batches = {
-            "streams": row_batch(runs, streams_schema(joint_set(source.joint_set))),
-            "windows": pa.RecordBatch.from_pylist(windows, schema=WINDOWS),
-        }
-        parts.write_part(folder, batches, {"input_digest": digest, "record": parts.plain(record)})
-        return PartReceipt(folder, digest, record, reused=False)
+def _tables(source: Any, runs: tuple[Run, ...]) -> dict[str, pa.RecordBatch]:
+    windows = [window.row(run, row) for row, run in enumerate(runs) for window in run.windows]
+    return {
+        "streams": row_batch(runs, streams_schema(joint_set(source.joint_set))),
+        "windows": pa.RecordBatch.from_pylist(windows, schema=WINDOWS),
+    }
 
 
 @dataclass(frozen=True)
@@ -477,7 +443,8 @@ def build_windows(
     out = Path(out).expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="table of windows")
     with sole_writer(out), working_in_parts(out):
-        finished = _cut(plan.sources, work_folder(out), on_error, engine, progress)
+        job = WindowsJob(on_error == "fail", work_folder(out), load_prediction_protocol())
+        finished = job.make_all(plan.sources, engine, progress)
         return _write_table(plan.settings, finished, out)
 
 
@@ -507,7 +474,8 @@ def build_windows_shard(
     )
     mine = [plan.sources[place] for place in shard.places(len(plan.sources))]
     with making_shard(out, record) as work:
-        finished = _cut(mine, work, on_error, engine, progress)
+        job = WindowsJob(on_error == "fail", work, load_prediction_protocol())
+        finished = job.make_all(mine, engine, progress)
         finish_shard(out, record, [each.folder for each in finished])
     reused = sum(each.reused for each in finished)
     return ShardReport(out, shard, len(plan.sources), tuple(each.record for each in finished), reused)
@@ -535,19 +503,6 @@ def merge_windows_shards(
     with sole_writer(out):
         finished = [part_receipt(part, entries, reused=False) for part, entries in shard_parts(shards)]
         return _write_table(now, finished, out)
-
-
-def _cut(
-    sources: Sequence[Any], work: Path, on_error: OnError, engine: Engine, progress: Progress
-) -> list[PartReceipt]:
-    """Make the parts of some recordings, in their order."""
-    job = WindowsJob(load_prediction_protocol(), on_error == "fail", work)
-    finished: list[PartReceipt] = []
-    for each in engine.map(job, sources, if_full=job.if_full):
-        finished.append(each)
-        if progress is not None:
-            progress(len(finished), len(sources), each.record.recording_id)
-    return finished
 
 
 def _write_table(

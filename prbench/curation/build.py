@@ -225,13 +225,8 @@ def _make_parts(
     manifest = load_manifest(sources[0].dataset.removeprefix(SYNTHETIC_PREFIX))
     options.curation.require_fits(manifest)
     protocol = options.protocol or load_protocol()
-    job = CurationJob(manifest, protocol, options.curation, options.on_error == "fail", work, corrections)
-    receipts = []
-    for receipt in engine.map(job, sources, if_full=job.if_full):
-        receipts.append(receipt)
-        if progress is not None:
-            progress(len(receipts), len(sources), receipt.record.recording_id)
-    return receipts
+    job = CurationJob(options.on_error == "fail", work, manifest, protocol, options.curation, corrections)
+    return job.make_all(sources, engine, progress)
 
 
 def _write_table(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import fnmatch
 import os
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping
 from collections.abc import Sequence as SequenceOf
@@ -15,16 +16,18 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import msgspec
+import pyarrow as pa
 
 import prbench
 from prbench.curation.corrections import DROPPED, Corrections, UnknownEventError
 from prbench.curation.curate import CuratedRecording, curate_recording
 from prbench.curation.options import BuildOptions, CurationOptions
-from prbench.engine import is_out_of_memory
+from prbench.engine import Engine, is_out_of_memory
 from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.files.arrays import first_repeated
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, text_digest
+from prbench.progress_bar import ProgressCallback
 from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, load_manifest
 from prbench.protocol.own_protocol import OPTION
 from prbench.readers import (
@@ -206,8 +209,96 @@ def part_receipt(folder: Path, entries: Mapping[str, Any], *, reused: bool) -> P
 
 
 @dataclass(frozen=True)
-class CurationJob:
-    """Reads and curates one recording and writes its part, unless that part is there already.
+class RecordingJob(ABC):
+    """Reads one recording and writes its part, unless that part is there already.
+
+    Attributes:
+        stop_on_error: Raise what one recording cannot be read for; else it is left out, and its row says why.
+        work: Folder of the parts.
+    """
+
+    stop_on_error: bool
+    work: Path
+
+    @abstractmethod
+    def settings(self, source: Any) -> str:
+        """Digest of everything but the input that decides what comes out."""
+
+    @abstractmethod
+    def make(self, source: Any) -> tuple[RecordingRow, dict[str, pa.RecordBatch]]:
+        """Read the recording; return its row, and the rows of each table."""
+
+    @abstractmethod
+    def nothing(self, source: Any, record: RecordingRow) -> dict[str, pa.RecordBatch]:
+        """Return the tables of a recording of which only the row is known."""
+
+    def __call__(self, source: Any) -> PartReceipt:
+        """Make the part of one recording."""
+        if source.skip_reason is not None:
+            return self._left_out(source, "", "skipped", source.skip_reason)
+        try:
+            digest = source.input_digest()
+        except (OSError, InputFileError) as error:
+            # No digest exists of what cannot be read; the part is tried again by the next build.
+            return self._failed(source, "unreadable", error)
+        folder = self._folder(source, digest)
+        entries = parts.read_receipt(folder)
+        if entries is not None:
+            found = part_receipt(folder, entries, reused=True)
+            if found.record.status != "failed":  # a failure may have passed: try again
+                return found
+        try:
+            record, batches = self.make(source)
+        except UnknownEventError:
+            raise  # a correction without its event would be lost in silence
+        except Exception as error:
+            if is_out_of_memory(error):
+                raise  # the engine tries again when nothing else is done beside it
+            # Whatever one recording does, the others go on; its message reaches the user with the build's report.
+            return self._failed(source, digest, error)
+        return self._write(source, digest, record, batches)
+
+    def if_full(self, source: Any, error: PrbenchError) -> PartReceipt:
+        """Make the part of a recording for which the memory does not suffice: it is not read, and says why."""
+        return self._failed(source, source.input_digest(), error)
+
+    def make_all(
+        self, sources: SequenceOf[Any], engine: Engine, progress: ProgressCallback | None
+    ) -> list[PartReceipt]:
+        """Make the parts of some recordings, in their order."""
+        receipts: list[PartReceipt] = []
+        for receipt in engine.map(self, sources, if_full=self.if_full):
+            receipts.append(receipt)
+            if progress is not None:
+                progress(len(receipts), len(sources), receipt.record.recording_id)
+        return receipts
+
+    def _failed(self, source: Any, digest: str, error: Exception) -> PartReceipt:
+        known = isinstance(error, PrbenchError)
+        message = str(error) if known else f"unexpected {type(error).__name__}: {quoted(error)}"
+        if self.stop_on_error and known:
+            raise error
+        if self.stop_on_error:
+            raise PrbenchError(f"{source.recording_id}: {message}") from error
+        return self._left_out(source, digest, "failed", source.without_places(message))
+
+    def _left_out(self, source: Any, digest: str, status: str, message: str) -> PartReceipt:
+        name = source.recording_id
+        record = RecordingRow(name, "unknown", source.split or "", name, 0.0, {}, status, message)
+        return self._write(source, digest, record, self.nothing(source, record))
+
+    def _folder(self, source: Any, digest: str) -> Path:
+        return parts.part_folder(self.work, source.recording_id, digest, self.settings(source))
+
+    def _write(self, source: Any, digest: str, record: RecordingRow, batches: dict[str, pa.RecordBatch]) -> PartReceipt:
+        folder = self._folder(source, digest)
+        parts.write_part(folder, batches, {"input_digest": digest, "record": parts.plain(record)})
+        return PartReceipt(folder, digest, record, reused=False)
+
+
+@dataclass(frozen=True)
+class CurationJob(RecordingJob):
+    """Reads and curates one recording.
 
     Attributes:
         corrections: Maps each recording with corrected events to its corrections.
@@ -216,76 +307,39 @@ class CurationJob:
     manifest: Manifest
     protocol: BenchmarkProtocol
     options: CurationOptions
-    stop_on_error: bool
-    work: Path
     corrections: Mapping[str, Corrections]
 
-    def __call__(self, source: RecordingSource) -> PartReceipt:
-        """Make the part of one recording."""
-        try:
-            digest = "" if source.skip_reason is not None else source.input_digest()
-        except (OSError, InputFileError) as error:
-            # No digest exists of what cannot be read; the part is tried again by the next build.
-            return self._write(source, self._failed(source, error), "unreadable")
-        folder = self._folder(source, digest)
-        entries = parts.read_receipt(folder)
-        if entries is not None:
-            found = part_receipt(folder, entries, reused=True)
-            if found.record.status != "failed":  # a failure may have passed: try again
-                return found
-        return self._write(source, self._curated(source), digest)
-
-    def if_full(self, source: RecordingSource, error: PrbenchError) -> PartReceipt:
-        """Make the part of a recording for which the memory does not suffice: it is not read, and says why."""
-        return self._write(source, self._failed(source, error), source.input_digest())
-
-    def _curated(self, source: RecordingSource) -> CuratedRecording:
-        if source.skip_reason is not None:
-            return self._left_out(source, "skipped", source.skip_reason)
-        try:
-            recording = source.read()
-            settled = self.corrections.get(source.recording_id)
-            return curate_recording(
-                recording, self.manifest, self.protocol, self.options, split=source.split or "", corrections=settled
-            )
-        except UnknownEventError:
-            raise  # a correction without its event would be lost in silence
-        except Exception as error:
-            if is_out_of_memory(error):
-                raise  # the engine tries again when nothing else is done beside it
-            # Whatever one recording does, the others go on; its message reaches the user with the build's report.
-            return self._failed(source, error)
-
-    def _failed(self, source: RecordingSource, error: Exception) -> CuratedRecording:
-        known = isinstance(error, PrbenchError)
-        message = str(error) if known else f"unexpected {type(error).__name__}: {quoted(error)}"
-        if self.stop_on_error and known:
-            raise error
-        if self.stop_on_error:
-            raise PrbenchError(f"{source.recording_id}: {message}") from error
-        return self._left_out(source, "failed", source.without_places(message))
-
-    def _left_out(self, source: RecordingSource, status: str, message: str) -> CuratedRecording:
-        name = source.recording_id
-        record = RecordingRow(name, "unknown", source.split or "", name, 0.0, {}, status, message)
-        return CuratedRecording((), (), record)
-
-    def _folder(self, source: RecordingSource, input_digest: str) -> Path:
+    def settings(self, source: RecordingSource) -> str:
+        """See :class:`RecordingJob`."""
         corrections = self.corrections.get(source.recording_id)
         options = msgspec.json.encode((self.options, corrections and corrections.rows)).decode()
-        settings = text_digest(digest_of(self.manifest), self.protocol.digest, options)
-        return parts.part_folder(self.work, source.recording_id, input_digest, settings)
+        return text_digest(digest_of(self.manifest), self.protocol.digest, options)
 
-    def _write(self, source: RecordingSource, curated: CuratedRecording, input_digest: str) -> PartReceipt:
-        folder = self._folder(source, input_digest)
-        batches = {
-            "sequences": sequence_batch(curated.sequences),
-            "events": event_batch(curated.events),
-            "recordings": recording_batch([curated.record]),
-            "scenes": row_batch(curated.boxes, SCENES),
-        }
-        parts.write_part(folder, batches, {"input_digest": input_digest, "record": parts.plain(curated.record)})
-        return PartReceipt(folder, input_digest, curated.record, reused=False)
+    def make(self, source: RecordingSource) -> tuple[RecordingRow, dict[str, pa.RecordBatch]]:
+        """See :class:`RecordingJob`."""
+        corrections = self.corrections.get(source.recording_id)
+        curated = curate_recording(
+            source.read(),
+            self.manifest,
+            self.protocol,
+            self.options,
+            split=source.split or "",
+            corrections=corrections,
+        )
+        return curated.record, _tables(curated)
+
+    def nothing(self, source: RecordingSource, record: RecordingRow) -> dict[str, pa.RecordBatch]:  # noqa: ARG002
+        """See :class:`RecordingJob`."""
+        return _tables(CuratedRecording((), (), record))
+
+
+def _tables(curated: CuratedRecording) -> dict[str, pa.RecordBatch]:
+    return {
+        "sequences": sequence_batch(curated.sequences),
+        "events": event_batch(curated.events),
+        "recordings": recording_batch([curated.record]),
+        "scenes": row_batch(curated.boxes, SCENES),
+    }
 
 
 # Outcomes that end an event at each stage, in the order of the stages, and what they mean.
