@@ -18,6 +18,7 @@ from prbench.readers import (
     SYNTHETIC_FILE,
     AnnotationCounts,
     CountsAnnotations,
+    NamesFurtherFiles,
     RecordingFiles,
     cut_short,
     lacks_mark,
@@ -242,6 +243,12 @@ def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) 
     missing = tuple(f"missing: {name}" for name in missing_files(recording, manifest.required_roles))
     if lacks_mark(recording.recording_id, recording.dataset):
         missing += (f"missing: {SYNTHETIC_FILE}",)
+    reader = reader_for(found.dataset)
+    if not missing and isinstance(reader, NamesFurtherFiles):
+        try:
+            reader.require_further(recording)
+        except InputFileError as error:
+            missing += (f"missing: {error}",)
     remarks = tuple(f"without {name}" for name in missing_files(recording, manifest.wanted_roles))
     damaged = tuple(f"{file.path.name}: {text}" for file in recording.files if (text := damage(file)))
     # A missing file outranks a damaged one: it has to be downloaded anyway.
@@ -250,7 +257,7 @@ def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) 
     read = None
     if thorough:
         try:
-            read = reader_for(found.dataset).read(recording)
+            read = reader.read(recording)
         except PrbenchError as error:
             return "unreadable", (str(error),)
         remarks = read.remarks

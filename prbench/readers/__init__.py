@@ -62,6 +62,7 @@ __all__ = [
     "CountsAnnotations",
     "InputFile",
     "KnowsEnds",
+    "NamesFurtherFiles",
     "PublishedForPrediction",
     "Reader",
     "ReaderOptions",
@@ -262,6 +263,19 @@ class KnowsEnds(Reader, Protocol):
         Raises:
             PrbenchError: for files that cannot be made out.
             OSError: if a file cannot be opened.
+        """
+        ...
+
+
+@runtime_checkable
+class NamesFurtherFiles(Reader, Protocol):
+    """A reader some of whose files are required only because others are there, or name them."""
+
+    def require_further(self, found: RecordingFiles) -> None:
+        """Do that part of reading which asks for such files; `prbench inspect` does it, too.
+
+        Raises:
+            InputFileError: naming the file that is missing, and what asks for it.
         """
         ...
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import pytest
 
 from prbench.checking.catalogue import catalogue
 from prbench.checking.inspection import inspect_folder
+from prbench.curation.job import native_sources
+from prbench.curation.options import NO_OPTIONS
 from prbench.errors import InputFileError
 from prbench.synthetic.write_tree import synthesize_tree
 
@@ -98,3 +101,40 @@ def test_a_thorough_look_sees_rows_of_a_trajectory_that_reading_passes_over(tmp_
     state, remarks = states(root, thorough=True)[0]
     assert state == "unreadable"
     assert "closed_loop_trajectory.csv" in remarks[0]
+
+
+def inspect_calls_usable(root: Path) -> bool:
+    try:
+        found = inspect_folder(root)
+    except InputFileError:  # nothing is recognised any more
+        return False
+    return all(row.state in ("complete", "cut short") for each in found.datasets for row in each.recordings)
+
+
+def build_reads(preset: str, root: Path) -> bool:
+    try:
+        (source,) = native_sources(preset, root, NO_OPTIONS)
+        return source.skip_reason is None and source.read() is not None
+    except InputFileError:
+        return False
+
+
+SLOW = [pytest.param(preset, marks=pytest.mark.slow) for preset in ("gimo", "hot3d")]
+
+
+@pytest.mark.parametrize("preset", ["adt", "mogaze", "hd-epic", *SLOW])
+def test_without_any_one_file_inspect_and_the_build_say_the_same(preset: str, tmp_path: Path) -> None:
+    synthesize_tree(preset, tmp_path, recordings=1, seed=3, n_events=1)
+    kinds: dict[str, Path] = {}
+    for path in sorted(tmp_path.rglob("*.*")):
+        kinds.setdefault(re.sub(r"\d+", "#", path.name), path)
+    told = []
+    for path in kinds.values():
+        if "truth" in path.parts or not path.is_file():
+            continue
+        content = path.read_bytes()
+        path.unlink()
+        told.append(inspect_calls_usable(tmp_path))
+        assert told[-1] == build_reads(preset, tmp_path), path
+        path.write_bytes(content)
+    assert set(told) == {True, False}

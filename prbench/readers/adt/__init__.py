@@ -8,8 +8,9 @@ from pathlib import Path
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.adt import format as adt
-from prbench.readers.adt.files import AdtOptions, extents, find_recordings, read_readings
+from prbench.readers.adt.files import AdtOptions, associated_people, extents, find_recordings, read_readings
 from prbench.readers.adt.to_recording import ASSUMED_SIZE, prepared_trajectory, recording_from_adt
+from prbench.readers.egoallo.bodies import body_model
 from prbench.readers.egoallo.files import POINT_FILES, EgoalloInputs, aria_inputs
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
@@ -45,6 +46,12 @@ class AdtReader:
     def read(self, found: RecordingFiles) -> Recording:
         """See :func:`read_recording`."""
         return read_recording(found, self.options)
+
+    @foreign_input()
+    def require_further(self, found: RecordingFiles) -> None:
+        """See :class:`prbench.readers.NamesFurtherFiles`."""
+        associated_people(found)
+        body_model(found)
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""

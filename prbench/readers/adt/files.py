@@ -279,19 +279,10 @@ def read_skeletons(found: RecordingFiles) -> tuple[tuple[adt.AdtSkeleton, ...], 
         InputFileError: if the association or a skeleton's file is missing or damaged, or a skeleton has other joints
             than the 51.
     """
-    association = found.path(ASSOCIATION)
-    if association is None:
-        return (), []
-    listed = enumerate(decode_json(association, _ASSOCIATIONS).people)
-    entries = {f"SkeletonMetadata[{number}]": raw for number, raw in listed}
-    expected = "a person with AssociatedDeviceSerial, SkeletonId and SkeletonName"
-    people, unreadable = read_entries(association, entries, _ASSOCIATION.decode, expected)
+    people, unreadable = associated_people(found)
     skeletons = []
     names = [str(column) for column in range(_WIDTH)]
-    for person in people.values():
-        if person.name == adt.NOBODY:
-            continue
-        path = found.require(f"{SKELETON_PREFIX}{person.name}", f"{person.name}.json")
+    for person, path in people:
         listed = enumerate(decode_json(path, _SKELETON).frames)
         expected = f"a time, and the known skeleton of {adt.N_NATIVE_JOINTS} joints with three coordinates"
         frames, odd = read_entries(path, {f"frame {number}": raw for number, raw in listed}, _frame, expected)
@@ -316,6 +307,24 @@ def read_skeletons(found: RecordingFiles) -> tuple[tuple[adt.AdtSkeleton, ...], 
         skeleton_id = person.skeleton_id if isinstance(person.skeleton_id, int) else -1
         skeletons.append(adt.AdtSkeleton(person.name, skeleton_id, person.serial, times, joints))
     return tuple(skeletons), unreadable
+
+
+def associated_people(found: RecordingFiles) -> tuple[list[tuple[_Association, Path]], list[UnreadableEntry]]:
+    """Return the people whom the association file names, each with the skeleton's file, and its unreadable entries.
+
+    Raises:
+        InputFileError: if the association is damaged, or the file of a skeleton is missing.
+    """
+    association = found.path(ASSOCIATION)
+    if association is None:
+        return [], []
+    listed = enumerate(decode_json(association, _ASSOCIATIONS).people)
+    entries = {f"SkeletonMetadata[{number}]": raw for number, raw in listed}
+    expected = "a person with AssociatedDeviceSerial, SkeletonId and SkeletonName"
+    people, unreadable = read_entries(association, entries, _ASSOCIATION.decode, expected)
+    named = [person for person in people.values() if person.name != adt.NOBODY]
+    paths = [found.require(f"{SKELETON_PREFIX}{person.name}", f"{person.name}.json") for person in named]
+    return list(zip(named, paths, strict=True)), unreadable
 
 
 def _frame(raw: msgspec.Raw) -> tuple[int, bytes]:

@@ -144,10 +144,20 @@ def read_bodies(found: RecordingFiles, *, cpf: PoseStream) -> ego.EgoAlloBody | 
             damaged.
     """
     outputs = [read_own_output(file.path, cpf) for file in found.files if file.role.startswith(OUTPUT_ROLE)]
-    if not outputs:
+    model = body_model(found)
+    return None if model is None else body_from_outputs(outputs, read_smplh_rest(model))
+
+
+def body_model(found: RecordingFiles) -> Path | None:
+    """Return the body model that the outputs of a recording need; None where there are no outputs.
+
+    Raises:
+        InputFileError: if there are outputs and no model.
+    """
+    if not any(file.role.startswith(OUTPUT_ROLE) for file in found.files):
         return None
     model = found.path(MODEL_ROLE)
     if model is None:
         expected = "the SMPL-H body model, from which joints are computed"
         raise InputFileError(found.folder, "", expected=expected, found="no model", remedy=HOW_TO_GET)
-    return body_from_outputs(outputs, read_smplh_rest(model))
+    return model

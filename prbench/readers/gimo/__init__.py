@@ -11,7 +11,7 @@ from prbench.readers import AnnotationLine
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.files import GimoOptions, extents, find_segments, read_readings, row_of
+from prbench.readers.gimo.files import GimoOptions, extents, find_segments, open_route, read_readings, row_of
 from prbench.readers.gimo.to_recording import published_track, recording_from_gimo
 from prbench.recording import Recording
 from prbench.recording.streams import PublishedTrack
@@ -55,6 +55,10 @@ class GimoReader:
         found.require_usable(manifest.why_bad(found.recording_id))
         readings = read_readings(found, self.options)
         return readings, recording_from_gimo(readings, manifest, dataset=found.dataset)
+
+    def require_further(self, found: RecordingFiles) -> None:
+        """See :class:`prbench.readers.NamesFurtherFiles`."""
+        open_route(found, self.options)
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""

@@ -293,21 +293,31 @@ def _body(found: RecordingFiles, options: GimoOptions) -> gimo.LocalJoints | gim
     """Return the joints by the first way that is open."""
     poses = frames_of(found, POSE)
     skeleton = found.path(SKELETON)
+    if open_route(found, options) == "bvh":
+        assert skeleton is not None
+        return gimo.LocalSkeleton(read_bvh(skeleton), read_poses(poses))
+    assert options.smplx_model is not None
+    assert options.vposer_model is not None
+    rest = read_rest_joints(options.smplx_model)
+    return joints_from_parameters(read_poses(poses), read_pose_decoder(options.vposer_model), rest)
+
+
+def open_route(found: RecordingFiles, options: GimoOptions) -> str:
+    """Return the first way to the joints that is open: ``smplx`` or ``bvh``.
+
+    Raises:
+        InputFileError: if none is, saying what each needs.
+    """
+    poses = frames_of(found, POSE)
+    skeleton = found.path(SKELETON)
     pickles = f"{gimo.POSE_FOLDER}/<frame>.pkl"
     models = {"--option vposer_model": options.vposer_model, "--option smplx_model": options.smplx_model}
     needs = {"smplx": {**models, pickles: poses}, "bvh": {gimo.SKELETON_FILE: skeleton, pickles: poses}}
     lacking = {}
     for route in ("smplx", "bvh") if options.body == "auto" else (options.body,):
         lacking[route] = " and ".join(name for name, there in needs[route].items() if not there)
-        if lacking[route]:
-            continue
-        if route == "bvh":
-            assert skeleton is not None
-            return gimo.LocalSkeleton(read_bvh(skeleton), read_poses(poses))
-        assert options.smplx_model is not None
-        assert options.vposer_model is not None
-        rest = read_rest_joints(options.smplx_model)
-        return joints_from_parameters(read_poses(poses), read_pose_decoder(options.vposer_model), rest)
+        if not lacking[route]:
+            return route
     expected = "a way to the joints: smplx or bvh"
     told = "; ".join(f"{route} lacks {what}" for route, what in lacking.items())
     remedy = f"VPoser v1: {VPOSER_PAGE}; SMPL-X neutral: {SMPLX_PAGE} (options vposer_model and smplx_model)."

@@ -9,6 +9,7 @@ from pathlib import Path
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import AnnotationCounts
+from prbench.readers.egoallo.bodies import body_model
 from prbench.readers.egoallo.files import aria_inputs
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
@@ -61,6 +62,10 @@ class HdEpicReader:
             return None
         published = {} if first.dataset != self.dataset else load_manifest(self.dataset).published_counts
         return count_annotations(associations, first.path(MASKS), first.path(PRIMING), published)
+
+    def require_further(self, found: RecordingFiles) -> None:
+        """See :class:`prbench.readers.NamesFurtherFiles`."""
+        body_model(found)
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""

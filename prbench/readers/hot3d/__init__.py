@@ -7,6 +7,7 @@ from pathlib import Path
 
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
+from prbench.readers.egoallo.bodies import body_model
 from prbench.readers.egoallo.files import aria_inputs
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
@@ -37,6 +38,10 @@ class Hot3dReader:
         found.require_usable(manifest.why_bad(found.recording_id) or found.skip_reason)
         readings = read_readings(found)
         return recording_from_hot3d(readings, manifest, dataset=found.dataset, meshes=self.options.meshes)
+
+    def require_further(self, found: RecordingFiles) -> None:
+        """See :class:`prbench.readers.NamesFurtherFiles`."""
+        body_model(found)
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""
