@@ -459,9 +459,7 @@ def _values_of_conditions(dataset: str, scores: Mapping[str, Scores]) -> Table:
                         pairs[method, anchor, metric, less, more] = pair
     compared: dict[tuple, Comparison] = {}
     for family in dict.fromkeys(key[1:3] for key in pairs):
-        keys = {str(place): key for place, key in enumerate(pairs) if key[1:3] == family}
-        differences = compare({name: pairs[key] for name, key in keys.items()})
-        compared |= {key: differences[name] for name, key in keys.items()}
+        compared |= compare({key: pair for key, pair in pairs.items() if key[1:3] == family})
     rows = []
     for (method, anchor, metric, less, more), each in compared.items():
         step = f"{less.value} → {more.value}"

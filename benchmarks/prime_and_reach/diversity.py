@@ -16,7 +16,7 @@ from prbench.errors import RunError, UsageError
 from prbench.harness.controls import Tasks, at_length, laid_on_goal, read_motions
 from prbench.harness.diversity import SPREADS, MotionsToGoal, spreads
 from prbench.harness.first_run import tables_of_runs
-from prbench.harness.intervals import difference_interval, mean_interval
+from prbench.harness.intervals import clustered, difference_interval, mean_interval
 from prbench.harness.results import cases_of_run
 from prbench.harness.run_folder import RunFolder
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
@@ -163,11 +163,11 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table
     rows = []
     for spread in SPREADS:
         own = np.array([values[spread.id] for values in method])
-        estimates = {"method": mean_interval(own, recordings, nonnegative=True)}
+        estimates = {"method": mean_interval(clustered(own, recordings), nonnegative=True)}
         if people:
             theirs = np.array([values[spread.id] for values in people])
-            estimates["people"] = mean_interval(theirs, recordings, nonnegative=True)
-            estimates["difference"] = difference_interval(own, theirs, recordings, rate=False)
+            estimates["people"] = mean_interval(clustered(theirs, recordings), nonnegative=True)
+            estimates["difference"], _ = difference_interval(clustered(own - theirs, recordings), rate=False)
         cells = [
             Cell(
                 dataset=info.dataset,

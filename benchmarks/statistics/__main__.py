@@ -12,18 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import special, stats
 
-from prbench.harness.clusters import (
-    SIGNIFICANCE,
-    PerSet,
-    degrees_of_freedom,
-    detectable_difference,
-    flip_bounds,
-    flip_test,
-    flipped_means,
-    flips,
-    mean_bounds,
-    standard_error,
-)
+from prbench.harness import clusters
+from prbench.harness.clusters import SIGNIFICANCE, PerSet, flip_bounds, flip_test
 
 Sizes = Int[np.ndarray, " units"]
 Totals = Float[np.ndarray, "sets units"]
@@ -84,21 +74,21 @@ def draw(
 
 def flipped(totals: Totals, sizes: Sizes) -> Float[np.ndarray, "sets flips"]:
     """Return what the flip test is made of, by at most 4,096 flips."""
-    return flipped_means(totals, sizes, flips(tuple(map(str, range(len(sizes)))), 2**12))
+    return clusters.flipped_means(totals, sizes, clusters.flips(tuple(map(str, range(len(sizes)))), 2**12))
 
 
 def p_values(totals: Totals, sizes: Sizes) -> dict[str, PerSet]:
     """Return the p-values of the flip test and of those that it is compared with."""
     means = (totals / sizes).round(9)
     one = np.ones(len(sizes), dtype=int)
-    error = np.maximum(standard_error(means, one), 1e-9)
-    studentised = totals.sum(axis=1) / sizes.sum() / np.maximum(standard_error(totals, sizes), 1e-9)
+    error = np.maximum(clusters.standard_error(means, one), 1e-9)
+    studentised = totals.sum(axis=1) / sizes.sum() / np.maximum(clusters.standard_error(totals, sizes), 1e-9)
     # Wilcoxon's and the sign test are flip tests of signed ranks and of signs.
     ranks = stats.rankdata(np.abs(means), axis=1) * np.sign(means)
     return {
         "flips": flip_test(flipped(totals, sizes)),
         "t": 2 * special.stdtr(len(sizes) - 1, -np.abs(means.mean(axis=1)) / error),
-        "CR2": 2 * special.stdtr(degrees_of_freedom(sizes), -np.abs(studentised)),
+        "CR2": 2 * special.stdtr(clusters.degrees_of_freedom(sizes), -np.abs(studentised)),
         "sign": flip_test(flipped(np.sign(means), one)),
         "Wilcoxon": flip_test(flipped(ranks, one)),
     }
@@ -146,13 +136,13 @@ def most_covered(kind: str, sizes: Sizes, sets: int) -> float:
 
 def detected(kind: str, sizes: Sizes, sets: int) -> float | None:
     """Return how often the smallest detectable difference of one data set is found in another; None without one."""
-    rate = kind == "binary"
-    pilots = zip(*draw(kind, sizes, sets, 4))
+    if len(sizes) < clusters.units_needed(COMPARISONS):
+        return None
+    about = {"comparisons": COMPARISONS, "rate": kind == "binary"}
     printed = [
-        detectable_difference(totals, sizes, variance, comparisons=COMPARISONS, rate=rate)
-        for totals, variance in pilots
+        clusters.detectable_difference(row, sizes, each, **about) for row, each in zip(*draw(kind, sizes, sets, 4))
     ]
-    if max(printed) > (1 if rate else 1e9):
+    if kind == "binary" and max(printed) > 1:
         return None
     totals, _ = draw(kind, sizes, sets, 5, shift=np.array(printed))
     return float((flip_test(flipped(totals, sizes)) <= SIGNIFICANCE / COMPARISONS).mean())
@@ -196,7 +186,9 @@ def main(sets: int = 2_000) -> int:
         shares = []
         for units in UNITS:
             values = of_place(np.random.default_rng(6).uniform(size=(sets, units)))
-            low, high = mean_bounds(values, np.ones(units, dtype=int), values.var(axis=1, ddof=1), nonnegative=True)
+            low, high = clusters.mean_bounds(
+                values, np.ones(units, dtype=int), values.var(axis=1, ddof=1), nonnegative=True
+            )
             shares.append(f"{100 * ((low <= 1) & (high >= 1)).mean():.1f}")
         print_row(f"means, {kind}: coverage", shares)
     print("\n" + "\n".join(f"FAILED: {line}" for line in failed or ["nothing"]))

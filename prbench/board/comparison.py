@@ -95,9 +95,7 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
         RunError: if a run is unfinished, its scores do not follow from its motions, or the two are not of the same
             protocol, tables and sequences.
     """
-    first = Path(first)
-    second = Path(second)
-    runs = RunFolder.open(first, any_benchmark=True), RunFolder.open(second, any_benchmark=True)
+    runs = [RunFolder.open(Path(each), any_benchmark=True) for each in (first, second)]
     if runs[0].record.benchmark != runs[1].record.benchmark:
         raise RunError(
             f"{first} is a run of the benchmark {runs[0].record.benchmark}, {second} of {runs[1].record.benchmark}:"
@@ -114,13 +112,9 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
     shared = [name for name in tables[1] if name in tables[0]]
     if not shared:
         raise RunError(f"{first} and {second} have no dataset in common.")
-    unverified = []
-    for run, own in zip(runs, tables):
-        for name in shared:
-            why = (checker or RunChecker()).check(run, own[name]).unverified
-            if why:
-                unverified.append(f"{run.path}: {why}")
-    scores: dict[str, PairedValues] = {}
+    checker = checker or RunChecker()
+    checked = [(run, checker.check(run, own[name]).unverified) for run, own in zip(runs, tables) for name in shared]
+    scores: dict[tuple[str, MetricInfo], PairedValues] = {}
     left_out = []
     for name in shared:
         pair = tables[0][name], tables[1][name]
@@ -147,20 +141,15 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
                     f" ({error}). Run both with the same --split and --limit."
                 ) from error
             if paired is not None:
-                scores[f"{name}\n{info.id}"] = paired
-    infos = {info.id: info for info in benchmark.metrics}
-    metrics = []
-    for key, comparison in compare(scores).items():
-        dataset, metric = key.split("\n")
-        metrics.append(ComparedMetric(dataset, infos[metric], comparison, comparison.conclusion))
+                scores[name, info] = paired
+    metrics = [ComparedMetric(*key, found, found.conclusion) for key, found in compare(scores).items()]
     compared = []
     for run in runs:
         marks = {name: DatasetSummary.read(run.dataset(name).path).mark for name in shared}
-        method = run.record.method
-        compared.append(
-            ComparedRun(run.path, method.name, method.origin, {name: mark for name, mark in marks.items() if mark})
-        )
-    return RunComparison(compared[0], compared[1], tuple(metrics), tuple(left_out), tuple(unverified))
+        shown = {name: mark for name, mark in marks.items() if mark}
+        compared.append(ComparedRun(run.path, run.record.method.name, run.record.method.origin, shown))
+    unverified = tuple(f"{run.path}: {why}" for run, why in checked if why)
+    return RunComparison(compared[0], compared[1], tuple(metrics), tuple(left_out), unverified)
 
 
 # Maps each metric to the sequences that have it, sorted, and to the mean over the samples of each.
@@ -244,20 +233,18 @@ def separate_by_comparison(rows: Sequence[LeaderboardRow], metrics: Sequence[Met
             )
         scores.append(sequence_scores(row.scores, row.benchmark, only=row.only))
     directed = [info for info in metrics if info.higher_is_better is not None]
-    pairs: dict[str, PairedValues] = {}
+    pairs: dict[tuple[int, int, MetricInfo], PairedValues] = {}
     for (i, first), (j, second) in combinations(enumerate(scores), 2):
         for info in directed:
             pair = paired_values(first, second, info, rows[0].benchmark, rows[0].table)
             if pair is not None:
-                pairs[f"{i} {j} {info.id}"] = pair
-    directions = {info.id: info.higher_is_better for info in directed}
+                pairs[i, j, info] = pair
     better: dict[tuple[int, str], frozenset[int]] = {}
-    for name, comparison in compare(pairs).items():
-        i, j, metric = name.split(" ")
+    for (i, j, info), comparison in compare(pairs).items():
         few = comparison.difference.n_recordings < FEWEST_FOR_BOARD
         if few or comparison.conclusion not in ("higher", "lower"):
             continue
-        first_is_better = (comparison.conclusion == "higher") == directions[metric]
-        winner, loser = (int(i), int(j)) if first_is_better else (int(j), int(i))
-        better[loser, metric] = better.get((loser, metric), frozenset()) | {winner}
+        first_is_better = (comparison.conclusion == "higher") == info.higher_is_better
+        winner, loser = (i, j) if first_is_better else (j, i)
+        better[loser, info.id] = better.get((loser, info.id), frozenset()) | {winner}
     return better

@@ -87,17 +87,14 @@ def flip_test(means: Float[np.ndarray, "*sets flips"]) -> PerSet:
 
 
 def flip_bounds(means: Float[np.ndarray, "*sets flips"], level: float = 1 - CONFIDENCE) -> tuple[PerSet, PerSet]:
-    """Return the differences between which the flip test rejects none at this level; infinite where it never rejects.
+    """Return the differences between which the flip test rejects none at this level.
 
     Args:
-        means: Means of flipped units (:func:`flipped_means`).
+        means: Means of flipped units (:func:`flipped_means`), of so many that the test can reject at all.
         level: Two-sided level of the test.
     """
     count = means.shape[-1]
-    place = int(level / 2 * (count + 1) + 1e-9) - 1
-    if place < 0:
-        endless = np.full(means.shape[:-1], np.inf)
-        return -endless, endless
+    place = max(int(level / 2 * (count + 1)) - 1, 0)
     ends = np.partition(means, (place, count - 1 - place), axis=-1)
     return ends[..., place], ends[..., count - 1 - place]
 
@@ -110,27 +107,25 @@ def detectable_difference(
     comparisons: int,
     rate: bool = False,
 ) -> float:
-    """Return the smallest difference that four of five repetitions find at Holm's first step; infinite if none.
+    """Return the smallest difference that four of five repetitions find at Holm's first step.
 
     Args:
         totals: Totals of units, of which only the spread counts.
-        sizes: Number of sequences of each unit.
+        sizes: Number of sequences of each unit; no fewer units than :func:`units_needed`.
         sequence_variance: Variance between all sequences, whatever their units; above 0.
         comparisons: Number of comparisons made together.
         rate: Sequences succeed or fail, so that totals step by 1 and flips are tied, which half a step makes up for
             in the half of the sequences that a flip takes.
     """
-    if len(sizes) < units_needed(comparisons):
-        return np.inf
+    n = float(sizes.sum())
     error = float(standard_error(totals, sizes))
     # How alike sequences of one unit are matters where units have unequal sizes.
-    weighted_size = float((sizes**2).sum() / sizes.sum())
     correlation = 0.0
     if np.ptp(sizes):
-        design_effect = error**2 / (sequence_variance / sizes.sum())
-        correlation = min(max((design_effect - 1) / (weighted_size - 1), 0.0), 1.0)
+        design_effect = error**2 / (sequence_variance / n)
+        correlation = min(max((design_effect - 1) / ((sizes**2).sum() / n - 1), 0.0), 1.0)
     errors = _errors_found(tuple(sorted(sizes.tolist())), round(correlation, 1), SIGNIFICANCE / comparisons)
-    return error * errors + (1 / float(sizes.sum()) if rate else 0.0)
+    return error * errors + rate / n
 
 
 @lru_cache(maxsize=256)

@@ -8,37 +8,21 @@ recordings, or whatever a caller names as independent, such as participants.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.harness.clusters import (
-    CONFIDENCE,
-    EQUAL_WITHIN,
-    SIGNIFICANCE,
-    detectable_difference,
-    flip_bounds,
-    flip_test,
-    flipped_means,
-    flips,
-    mean_bounds,
-    rate_bounds,
-    units_needed,
-)
+from prbench.harness import clusters
+from prbench.harness.clusters import CONFIDENCE, EQUAL_WITHIN, SIGNIFICANCE, PerSet
 from prbench.metrics import MetricInfo
 
+Name = TypeVar("Name", bound=Hashable)
 # One name a row.
 Ids = Sequence[str] | np.ndarray
 _MANY_RECORDINGS = 10
-_ALL_EQUAL = "all_equal"
-RATE_INTERVAL = "clopper-pearson-cluster"
-EQUAL_RATES_INTERVAL = "clopper-pearson-recordings"
-MEAN_INTERVAL = "student-cr2"
-DIFFERENCE_INTERVAL = "sign-flip"
-NO_INTERVAL = "none"
 
 
 @dataclass(frozen=True)
@@ -51,7 +35,7 @@ class Estimate:
         high: Upper bound of the interval.
         n_sequences: Number of sequences.
         n_recordings: Number of units that they come from.
-        method: Name of the interval, such as :data:`RATE_INTERVAL`.
+        method: Name of the interval, such as ``sign-flip``; ``none`` without one.
         marks: ``few_recordings`` (below ten), ``one_recording``, ``all_equal``.
     """
 
@@ -71,42 +55,54 @@ class ClusteredValues:
     Attributes:
         values: Mean over the samples of each sequence; those of one unit stand together.
         sizes: Sequences of each unit.
+        totals: Sum of the values of each unit.
         units: Name of each unit.
+        all_equal: The values show no spread.
     """
 
     values: Float[np.ndarray, " sequences"]
     sizes: Int[np.ndarray, " units"]
+    totals: Float[np.ndarray, " units"]
     units: tuple[str, ...]
-
-    @property
-    def totals(self) -> Float[np.ndarray, " units"]:
-        """Sum of the values of each unit."""
-        return np.add.reduceat(self.values, np.cumsum(self.sizes) - self.sizes)
-
-    @property
-    def mean(self) -> float:
-        """Mean over sequences, the estimate itself."""
-        return float(self.totals.sum() / self.sizes.sum())
+    all_equal: bool
 
     @property
     def variance(self) -> float:
         """Variance between all sequences, whatever their units; 0 of a single one."""
         return float(self.values.var(ddof=1)) if len(self.values) > 1 else 0.0
 
-    @property
-    def all_equal(self) -> bool:
-        """All values are equal, so that they show no spread."""
-        return bool(np.ptp(self.values) <= EQUAL_WITHIN)
-
-    def estimate(self, bounds: tuple[float, float], method: str) -> Estimate:
-        """Put the mean and an interval of it together; bounds that are not finite are none."""
+    def estimate(self, low: PerSet | float, high: PerSet | float, method: str) -> Estimate:
+        """Put the mean and an interval of it together; bounds that are no numbers are none."""
         count = len(self.sizes)
-        found = {"one_recording": count == 1, "few_recordings": count < _MANY_RECORDINGS, _ALL_EQUAL: self.all_equal}
+        found = {"one_recording": count == 1, "few_recordings": count < _MANY_RECORDINGS, "all_equal": self.all_equal}
         marks = tuple(mark for mark, holds in found.items() if holds)
-        low, high = map(float, bounds)
-        if not np.isfinite([low, high]).all():
-            return Estimate(self.mean, None, None, len(self.values), count, NO_INTERVAL, marks)
-        return Estimate(self.mean, low, high, len(self.values), count, method, marks)
+        mean = float(self.totals.sum() / self.sizes.sum())
+        if np.isnan(low):
+            return Estimate(mean, None, None, len(self.values), count, "none", marks)
+        return Estimate(mean, float(low), float(high), len(self.values), count, method, marks)
+
+    @property
+    def unseen(self) -> float:
+        """Largest share of units of a kind that none of these is of (Clopper's and Pearson's bound)."""
+        return 1 - ((1 - CONFIDENCE) / 2) ** (1 / len(self.sizes))
+
+    def detectable(self, comparisons: int, *, rate: bool) -> float | None:
+        """Return the smallest difference that would be found with 80 % power at Holm's first step.
+
+        The values are differences of two methods, of which only the spread counts. Those of one method stand for
+        differences to an unrelated one of the same spread after multiplication by √2.
+
+        Args:
+            comparisons: Number of comparisons made together.
+            rate: The values are differences of rates.
+
+        Returns:
+            In the unit of the differences; None where nothing can be found or the values are equal.
+        """
+        if self.all_equal or len(self.sizes) < clusters.units_needed(comparisons):
+            return None
+        about = {"comparisons": comparisons, "rate": rate}
+        return clusters.detectable_difference(self.totals, self.sizes, self.variance, **about)
 
 
 def clustered(
@@ -140,94 +136,41 @@ def clustered(
         raise ValueError("a sequence belongs to two recordings")
     samples = np.diff(np.append(first, len(values)))
     means = np.add.reduceat(values[order].astype(np.float64), first) / samples
-    return ClusteredValues(means, np.bincount(pairs[0, first]), tuple(map(str, units)))
+    sizes = np.bincount(pairs[0, first])
+    totals = np.add.reduceat(means, np.cumsum(sizes) - sizes)
+    return ClusteredValues(means, sizes, totals, tuple(map(str, units)), bool(np.ptp(means) <= EQUAL_WITHIN))
 
 
 def metric_interval(
     info: MetricInfo, values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None
 ) -> Estimate:
     """Return the interval that fits a metric; arguments as those of :func:`clustered`."""
-    if info.unit == "rate":
-        return rate_interval(values, recording_ids, sequence_ids)
-    return mean_interval(values, recording_ids, sequence_ids, nonnegative=not info.can_be_negative)
-
-
-def rate_interval(values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None) -> Estimate:
-    """Mean of a rate (values from 0 to 1) over sequences; arguments as :func:`clustered`."""
-    if ((values < 0) | (values > 1)).any():
-        raise ValueError("a rate has values from 0 to 1")
     data = clustered(values, recording_ids, sequence_ids)
+    return rate_interval(data) if info.unit == "rate" else mean_interval(data, nonnegative=not info.can_be_negative)
+
+
+def rate_interval(data: ClusteredValues) -> Estimate:
+    """Return a rate (values from 0 to 1) over sequences, with its interval."""
+    if data.values.min() < 0 or data.values.max() > 1:
+        raise ValueError("a rate has values from 0 to 1")
     # All values are equal: their spread says nothing about how alike sequences of one recording are.
-    if min(data.mean, 1 - data.mean) <= EQUAL_WITHIN:
-        beyond = _unseen_share(data)
-        return data.estimate((0.0, beyond) if data.mean < 0.5 else (1 - beyond, 1.0), EQUAL_RATES_INTERVAL)
-    return data.estimate(rate_bounds(data.totals, data.sizes), RATE_INTERVAL)
+    if data.values.max() <= EQUAL_WITHIN:
+        return data.estimate(0.0, data.unseen, "clopper-pearson-recordings")
+    if data.values.min() >= 1 - EQUAL_WITHIN:
+        return data.estimate(1 - data.unseen, 1.0, "clopper-pearson-recordings")
+    return data.estimate(*clusters.rate_bounds(data.totals, data.sizes), "clopper-pearson-cluster")
 
 
-def _unseen_share(data: ClusteredValues) -> float:
-    """Return the largest share of units of a kind that none of these is of (Clopper's and Pearson's bound)."""
-    return 1 - ((1 - CONFIDENCE) / 2) ** (1 / len(data.sizes))
-
-
-def mean_interval(
-    values: Float[np.ndarray, " rows"],
-    recording_ids: Ids,
-    sequence_ids: Ids | None = None,
-    *,
-    nonnegative: bool = False,
-) -> Estimate:
-    """Mean over sequences, with an interval from the spread between recordings; arguments as :func:`clustered`.
+def mean_interval(data: ClusteredValues, *, nonnegative: bool = False) -> Estimate:
+    """Return a mean over sequences, with an interval from the spread between units.
 
     Args:
-        values: One a row.
-        recording_ids: One a row.
-        sequence_ids: One a row, or None.
+        data: The values.
         nonnegative: The quantity cannot fall below 0, so its interval does not either.
     """
-    data = clustered(values, recording_ids, sequence_ids)
+    low, high = clusters.mean_bounds(data.totals, data.sizes, data.variance, nonnegative=nonnegative)
     # Equal values do not show their spread.
-    bounds = (np.nan, np.nan)
-    if not data.all_equal:
-        bounds = mean_bounds(data.totals, data.sizes, data.variance, nonnegative=nonnegative)
-    return data.estimate(bounds, MEAN_INTERVAL)
-
-
-def difference_interval(
-    first: Float[np.ndarray, " rows"], second: Float[np.ndarray, " rows"], recording_ids: Ids, *, rate: bool
-) -> Estimate:
-    """Mean of first - second over sequences, with an interval; both methods on the same sequences.
-
-    Args:
-        first: One a sequence.
-        second: One a sequence.
-        recording_ids: The unit of each sequence.
-        rate: The values are rates, from 0 to 1.
-    """
-    return _tested(PairedValues(first, second, recording_ids, rate))[0]
-
-
-def _tested(pair: PairedValues) -> tuple[Estimate, float | None]:
-    """Return the difference of a pair with its interval, and the p-value of the test that the interval inverts."""
-    data = clustered(pair.first - pair.second, pair.recording_ids)
-    if len(data.sizes) < units_needed(1):
-        # Not even differences of one sign in all units would be beyond chance.
-        bounds = mean_bounds(data.totals, data.sizes, data.variance)
-        method = MEAN_INTERVAL
-        p_value = None
-    else:
-        means = flipped_means(data.totals, data.sizes, flips(data.units))
-        bounds = flip_bounds(means)
-        method = DIFFERENCE_INTERVAL
-        p_value = float(flip_test(means))
-    low, high = bounds
-    # Units that all agree show no spread.
-    if high - low <= EQUAL_WITHIN or data.all_equal:
-        beyond = _unseen_share(data)
-        bounds = (low - beyond * (1 + low), high + beyond * (1 - high)) if pair.rate else (np.nan, np.nan)
-        method = EQUAL_RATES_INTERVAL
-    if pair.rate:
-        bounds = np.clip(bounds, -1.0, 1.0)
-    return data.estimate(tuple(bounds), method), p_value
+    return data.estimate(np.nan if data.all_equal else low, high, "student-cr2")
 
 
 Conclusion = Literal["higher", "lower", "not supported by the data", "cannot be tested"]
@@ -254,7 +197,7 @@ class Comparison:
 
     Attributes:
         difference: Mean difference over sequences with its interval.
-        p_value: Two-sided; None where it cannot be tested.
+        p_value: Two-sided; None below six units, where no difference could be found.
         adjusted_p_value: After Holm's correction for all comparisons made together.
         detectable: Smallest difference that is found with 80 % power at Holm's first step; None where none can be.
         needed: Units below which no difference can be found among so many comparisons.
@@ -276,11 +219,11 @@ class Comparison:
         return "higher" if self.difference.mean > 0 else "lower"
 
 
-def compare(pairs: Mapping[str, PairedValues]) -> dict[str, Comparison]:
+def compare(pairs: Mapping[Name, PairedValues]) -> dict[Name, Comparison]:
     """Compare pairs of methods (or one pair on several metrics or datasets), corrected for their number.
 
     Args:
-        pairs: The comparisons, by any name.
+        pairs: The comparisons, by any name or key.
 
     Raises:
         ValueError: if the two methods of a pair were not scored on equally many sequences.
@@ -288,43 +231,45 @@ def compare(pairs: Mapping[str, PairedValues]) -> dict[str, Comparison]:
     for name, pair in pairs.items():
         if len(pair.first) != len(pair.second):
             raise ValueError(f"{name}: {len(pair.first)} values of the first method, {len(pair.second)} of the second")
-    tested = [_tested(pair) for pair in pairs.values()]
+    data = [clustered(pair.first - pair.second, pair.recording_ids) for pair in pairs.values()]
+    tested = [difference_interval(each, rate=pair.rate) for each, pair in zip(data, pairs.values(), strict=True)]
     adjusted = holm([p_value for _, p_value in tested])
-    family = max(sum(p_value is not None for _, p_value in tested), 1)
+    family = max(sum(p_value is not None for p_value in adjusted), 1)
     found = {}
-    for (name, pair), (difference, p_value), adjusted_p_value in zip(pairs.items(), tested, adjusted, strict=True):
-        rows = pair.first - pair.second
-        detectable = smallest_detectable(rows, pair.recording_ids, comparisons=family, rate=pair.rate)
-        found[name] = Comparison(difference, p_value, adjusted_p_value, detectable, units_needed(family))
+    for place, (name, pair) in enumerate(pairs.items()):
+        detectable = data[place].detectable(family, rate=pair.rate)
+        found[name] = Comparison(*tested[place], adjusted[place], detectable, clusters.units_needed(family))
     return found
 
 
-def smallest_detectable(
-    values: Float[np.ndarray, " rows"],
-    recording_ids: Ids,
-    sequence_ids: Ids | None = None,
-    *,
-    comparisons: int,
-    rate: bool = False,
-) -> float | None:
-    """Smallest difference that would be found with 80 % power at Holm's first step, from the spread between units.
+def difference_interval(data: ClusteredValues, *, rate: bool) -> tuple[Estimate, float | None]:
+    """Return a mean difference with its interval, and the p-value of the test that the interval inverts.
+
+    Below six units, where not even differences of one sign would be beyond chance, there is no p-value, and the
+    interval is that of a mean.
 
     Args:
-        values: Differences of two methods, of which only the spread counts. Those of one method stand for
-            differences to an unrelated one of the same spread after multiplication by √2.
-        recording_ids: One a row.
-        sequence_ids: See :func:`clustered`.
-        comparisons: Number of comparisons made together.
-        rate: The values are differences of rates.
-
-    Returns:
-        In the unit of the differences; None where nothing can be found or the values are equal.
+        data: Differences of two methods.
+        rate: They are differences of rates.
     """
-    data = clustered(values, recording_ids, sequence_ids)
-    if data.all_equal:
-        return None
-    found = detectable_difference(data.totals, data.sizes, data.variance, comparisons=comparisons, rate=rate)
-    return found if np.isfinite(found) else None
+    method = "sign-flip"
+    p_value = None
+    if len(data.sizes) < clusters.units_needed(1):
+        low, high = clusters.mean_bounds(data.totals, data.sizes, data.variance)
+        method = "student-cr2"
+    else:
+        means = clusters.flipped_means(data.totals, data.sizes, clusters.flips(data.units))
+        low, high = clusters.flip_bounds(means)
+        p_value = float(clusters.flip_test(means))
+    # Units that all agree show no spread, but those that were not seen may differ.
+    if data.all_equal or high - low <= EQUAL_WITHIN:
+        mean = data.totals.sum() / data.sizes.sum()
+        low, high = (mean - data.unseen * (1 + mean), mean + data.unseen * (1 - mean)) if rate else (np.nan, np.nan)
+        method = "clopper-pearson-recordings"
+    if rate:
+        low = np.maximum(low, -1.0)
+        high = np.minimum(high, 1.0)
+    return data.estimate(low, high, method), p_value
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:

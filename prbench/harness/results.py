@@ -23,7 +23,7 @@ from msgspec.structs import asdict
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError
 from prbench.harness.benchmark import CaseTable, CaseWork, load_benchmark
-from prbench.harness.intervals import CONFIDENCE, metric_interval, smallest_detectable
+from prbench.harness.intervals import CONFIDENCE, clustered, metric_interval
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder import summary as run_summary
@@ -226,9 +226,8 @@ def summary_of(
         detectable = None
         if info.id in compared:
             # The difference to an unrelated method of the same spread varies √2 times as much.
-            twice = np.sqrt(2) * values
-            about = {"comparisons": len(compared), "rate": info.unit == "rate"}
-            detectable = smallest_detectable(twice, recording_ids, sequence_ids, **about)
+            twice = clustered(np.sqrt(2) * values, recording_ids, sequence_ids)
+            detectable = twice.detectable(len(compared), rate=info.unit == "rate")
         flags: Counter[str] = Counter()
         for text, count in Counter(coded.flag[rows].tolist()).items():
             for name in coded.flags[text].split(";") if text >= 0 and coded.flags[text] else ():

@@ -13,7 +13,7 @@ from prbench.board.comparison import separate_by_comparison
 from prbench.board.tables import undecided
 from prbench.cli import main
 from prbench.errors import RunError
-from prbench.harness.intervals import smallest_detectable
+from prbench.harness.intervals import clustered
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import DatasetSummary, read_scores
@@ -60,7 +60,7 @@ def test_a_summary_states_its_detectable_difference_for_as_many_metrics_as_are_c
     ids = rows["sequence_id"].to_pylist()
     values = rows["value"].to_numpy()
     twice = np.sqrt(2) * values  # as the difference to an unrelated method of the same spread
-    expected = smallest_detectable(twice, list(map(recording_key, ids)), ids, comparisons=len(compared))
+    expected = clustered(twice, list(map(recording_key, ids)), ids).detectable(len(compared), rate=False)
     assert expected is not None
     assert stored.detectable == pytest.approx(expected)
     count = len(MAIN_METRICS)

@@ -18,22 +18,34 @@ from prbench.harness.clusters import (
 )
 from prbench.harness.intervals import (
     Comparison,
+    Estimate,
     PairedValues,
     clustered,
     compare,
     difference_interval,
     holm,
-    mean_interval,
     metric_interval,
-    rate_interval,
-    smallest_detectable,
 )
+from prbench.harness.intervals import mean_interval as mean_of
+from prbench.harness.intervals import rate_interval as rate_of
 from prbench.metrics import METRICS
 
 
 def names(*sizes: int) -> list[str]:
     """Recording of each sequence: sizes[0] times r0, sizes[1] times r1, …"""
     return [f"r{i:03d}" for i, size in enumerate(sizes) for _ in range(size)]
+
+
+def rate_interval(*data) -> Estimate:
+    return rate_of(clustered(*data))
+
+
+def mean_interval(*data, **about: bool) -> Estimate:
+    return mean_of(clustered(*data), **about)
+
+
+def smallest_detectable(rows: np.ndarray, ids: list[str], *, comparisons: int) -> float | None:
+    return clustered(rows, ids).detectable(comparisons, rate=False)
 
 
 def values(*rows: float) -> np.ndarray:
@@ -326,7 +338,7 @@ def test_intervals_of_differences_of_rates_cover(gain: float, loss: float) -> No
     covered = 0
     for _ in range(200):
         drawn = rng.choice([1.0, 0.0, -1.0], 40, p=[gain, 1 - gain - loss, loss])
-        found = difference_interval(np.maximum(drawn, 0), np.maximum(-drawn, 0), names(*[2] * 20), rate=True)
+        found, _ = difference_interval(clustered(drawn, names(*[2] * 20)), rate=True)
         covered += found.low - 1e-9 <= gain - loss <= found.high + 1e-9
     assert covered / 200 >= 0.93
 
