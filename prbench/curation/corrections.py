@@ -96,14 +96,9 @@ class Corrections:
                 found.setdefault(recording, []).append(row)
             elif parts[0] != dataset or not partial:
                 near = difflib.get_close_matches("/".join(parts[1:-3]), recording_ids, n=1, cutoff=0.0)
-                raise UnknownEventError(
-                    self.file,
-                    f"{row.where}, event_id",
-                    expected=f"an event of a recording of this build ({dataset}/RECORDING/…)",
-                    found=f"'{row.event_id}'",
-                    remedy=f"The nearest recording is {', '.join(near)}. Where a copy lacks recordings, name those that"
-                    " it has with --recordings: rows of others then wait.",
-                )
+                remedy = f"The nearest recording is {', '.join(near)}. Where a copy lacks recordings, name those that"
+                remedy = f"{remedy} it has with --recordings: rows of others then wait."
+                raise self._unknown(row, f"an event of a recording of this build ({dataset}/RECORDING/…)", remedy)
         return {name: dataclasses.replace(self, rows=tuple(rows)) for name, rows in found.items()}
 
     def described(self, dataset: str, read: Iterable[str]) -> dict[str, str]:
@@ -132,15 +127,14 @@ class Corrections:
         for row in self.rows:
             if row.event_id not in known:
                 near = _nearest(row.event_id, known)
-                raise UnknownEventError(
-                    self.file,
-                    f"{row.where}, event_id",
-                    expected="an event that this build finds",
-                    found=f"'{row.event_id}'",
-                    remedy=f"The nearest is '{quoted(near)}'." if near else "Its recording has no events.",
-                )
+                remedy = f"The nearest is '{quoted(near)}'." if near else "Its recording has no events."
+                raise self._unknown(row, "an event that this build finds", remedy)
             mine.setdefault(row.event_id, []).append(row)
         return [_corrected(event, mine.get(name, ())) for name, event in known.items()]
+
+    def _unknown(self, row: Correction, expected: str, remedy: str) -> UnknownEventError:
+        where = f"{row.where}, event_id"
+        return UnknownEventError(self.file, where, expected=expected, found=f"'{row.event_id}'", remedy=remedy)
 
 
 def _nearest(wanted: str, known: Collection[str]) -> str | None:

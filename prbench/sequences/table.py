@@ -304,13 +304,14 @@ def _hash(name: str) -> bytes:
     return hashlib.sha256(name.encode()).digest()
 
 
-def find_sequence_id(wanted: str, known: SequenceOf[str], *, among: str) -> str:
+def find_sequence_id(wanted: str, known: SequenceOf[str], *, among: str, what: str = "sequence") -> str:
     """Return the id that is meant: itself, or the only one that begins or ends with, or else holds, what was typed.
 
     Args:
         wanted: What was typed.
         known: All ids.
         among: What they belong to, for the message.
+        what: What has these ids, for the message.
 
     Raises:
         UsageError: if none or several fit; names the nearest ids, or those that fit.
@@ -327,11 +328,11 @@ def find_sequence_id(wanted: str, known: SequenceOf[str], *, among: str) -> str:
         shown = "\n".join(f"  {name}" for name in fitting[:_SHOWN])
         more = f"\n  … and {len(fitting) - _SHOWN} more" if len(fitting) > _SHOWN else ""
         raise UsageError(
-            f"'{wanted}' fits {len(fitting)} sequences of {among}; give a longer part of one:\n{shown}{more}"
+            f"'{wanted}' fits {len(fitting)} {what}s of {among}; give a longer part of one:\n{shown}{more}"
         )
     near = difflib.get_close_matches(wanted, known, n=3, cutoff=0.0)
     hint = "".join(f"\n  {name}" for name in near)
-    raise UsageError(f"no sequence '{wanted}' among the {len(known)} of {among}.{' Near it:' + hint if hint else ''}")
+    raise UsageError(f"no {what} '{wanted}' among the {len(known)} of {among}.{' Near it:' + hint if hint else ''}")
 
 
 # Seconds before and after the prime time over which the gaze shift is averaged.

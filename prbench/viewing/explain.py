@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import re
 from collections.abc import Collection
 from pathlib import Path
@@ -13,11 +12,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from prbench.curation.priming import PUBLISHED_STAGE
-from prbench.errors import TableError, UsageError
+from prbench.errors import TableError
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import Event, SequenceChunk, SequenceTable
 from prbench.sequences.dataset_info import may_pass_on, notice
 from prbench.sequences.sequence import event_of
+from prbench.sequences.table import find_sequence_id
 from prbench.shown import clean, figure_text
 from prbench.viewing.figures import new_figure, write_png
 from prbench.viewing.replay.read import scene_of
@@ -113,7 +113,6 @@ _TOLD_BY = {
     "body": " (by the body's wrist)",
     "movement": " (it moved more before)",
 }
-_SHOWN = 8  # candidates that an error message lists
 
 
 def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] = ()) -> EventStory:
@@ -132,7 +131,7 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
     """
     table = SequenceTable.open(folder)
     events = table.events()
-    row = _find_event(events, event)
+    row = _find_event(events, event, table.info.dataset)
     record = event_of(events, row)
     if record.corrected and not may_pass_on(table.info, permitted):
         told = re.sub(r"\bgoal [-+.0-9e ]+", "goal (left out: the licence keeps goals)", record.corrected)
@@ -159,7 +158,7 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
     )
 
 
-def _find_event(events: pa.Table, wanted: str) -> int:
+def _find_event(events: pa.Table, wanted: str, among: str) -> int:
     """Return the row of the one event that fits.
 
     Raises:
@@ -174,17 +173,8 @@ def _find_event(events: pa.Table, wanted: str) -> int:
     # ``recording/object name/action/time``: what a person would type.
     columns = (events[name].to_pylist() for name in ("recording_id", "object_name", "action"))
     names = ["/".join((*parts, event_id.rsplit("/", 1)[-1])) for *parts, event_id in zip(*columns, ids, strict=True)]
-    fitting = [row for row in range(len(ids)) if wanted in ids[row] or wanted in names[row]]
-    if len(fitting) == 1:
-        return fitting[0]
-    if fitting:
-        shown = "\n".join(f"  {clean(ids[row])}  ({clean(names[row])})" for row in fitting[:_SHOWN])
-        more = f"\n  … and {len(fitting) - _SHOWN} more" if len(fitting) > _SHOWN else ""
-        raise UsageError(f"'{wanted}' fits {len(fitting)} events; give a longer part of one:\n{shown}{more}")
-    near = difflib.get_close_matches(wanted, [*ids, *names], n=3, cutoff=0.3)
-    hint = "\n".join(f"  {clean(name)}" for name in near)
-    counted = f"no event '{wanted}' among the {len(ids)} of this dataset; events.parquet lists them."
-    raise UsageError(f"{counted} Near it:\n{hint}" if near else counted)
+    known = [clean(f"{event_id}  ({name})") for event_id, name in zip(ids, names, strict=True)]
+    return known.index(find_sequence_id(wanted, known, among=f"{among}; events.parquet lists them", what="event"))
 
 
 def _stages(

@@ -252,6 +252,8 @@ def picture(
     times = _uncorrected(event) + np.arange(-before, _AFTER + _STEP / 2, _STEP)
     unknown = np.full((len(times), 3), np.nan)
     goal = np.zeros(3) if event.location is None else event.location
+    if event.location is None and len(recording.head.times):  # where nothing is known of the place, around the head
+        goal = recording.head.pose_at(np.array([event.event_time]))[0][0]
     body = recording.body
     track = next((each for each in recording.objects if each.object_id == event.object_id), None)
     ways = {"head": _path(recording.head, recording.head.position, times), "object": unknown}

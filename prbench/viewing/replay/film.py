@@ -19,9 +19,7 @@ from prbench.shown import figure_text
 from prbench.viewing.figures import new_figure
 from prbench.viewing.replay.scene import (
     GAZE_COLOUR,
-    MARK_COLOUR,
     METHOD_COLOURS,
-    Goal,
     Progress,
     Scene,
     ShownMotion,
@@ -29,23 +27,18 @@ from prbench.viewing.replay.scene import (
     draw_bodies,
     draw_goal,
     extent,
-    gaze_distance,
-    gaze_style,
     head_rays,
-    limit_top_view,
-    mark_times,
-    measure,
     phase,
     rays,
     side_view,
     top_view,
     verdict,
 )
+from prbench.viewing.replay.sheet import chosen_frames, draw_curves, draw_way
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 # Pictures per second; a sequence of any frame rate plays in real time.
@@ -53,13 +46,9 @@ FPS = 20
 SIZE = (1280, 720)
 _HOLD = 1.0  # seconds that the last picture of a sequence stays
 _QUALITY = 7  # of 10, as the encoder's wrapper counts
-_LEFT = 0.04
-_WIDTH = 0.56
-_BOTTOM = 0.09
-_TOP = 0.895
 _DPI = 100
 _LONGEST_RAY = 6.0  # metres
-_FOOTPRINT = 0.5  # metres around what must be seen
+_FOOTPRINT = 0.5  # metres beside what must be seen
 _Flatten = Callable[[np.ndarray], np.ndarray]
 _Update = Callable[[int], None]
 
@@ -97,7 +86,7 @@ def film_scenes(scenes: Sequence[Scene], path: Path, progress: Progress) -> None
             writer.send(None)
             done = 0
             for scene, plan in zip(scenes, plans, strict=True):
-                stage = FilmStage(scene, SIZE)
+                stage = FilmStage(scene)
                 picture = b""
                 shown = -1
                 for frame in plan:
@@ -126,22 +115,39 @@ class FilmStage:
 
     Args:
         scene: The sequence.
-        size: Width and height of the picture, pixels.
     """
 
-    def __init__(self, scene: Scene, size: tuple[int, int]) -> None:
+    def __init__(self, scene: Scene) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
         self._scene = scene
         self._moving: list[tuple[Axes, Artist]] = []
         self._updates: list[_Update] = []
-        self._figure = new_figure(size[0] / _DPI, size[1] / _DPI, dpi=_DPI)
+        self._figure = new_figure(SIZE[0] / _DPI, SIZE[1] / _DPI, dpi=_DPI)
         self._canvas = FigureCanvasAgg(self._figure)
-        self._write_texts()
-        self._build_side_views()
-        self._build_top_view()
+        write = self._figure.text
+        write(0.02, 0.962, figure_text(scene.title), fontsize=13, weight="bold")
+        write(0.02, 0.935, figure_text(scene.sequence_id), fontsize=7.5, color="0.35", family="monospace")
+        write(0.02, 0.012, figure_text(scene.notice), fontsize=8, color=METHOD_COLOURS[1])
+        self._add_side_views()
+        # The sheet's view from above and its curves, in which bodies and the moment move.
+        grid = self._figure.add_gridspec(
+            4, 1, left=0.66, right=0.98, bottom=0.08, top=0.9, height_ratios=(3.2, 1, 1, 1), hspace=0.9
+        )
+        above, *curves = (self._figure.add_subplot(place) for place in grid)
+        draw_way(above, scene, chosen_frames(scene))
+        for motion in scene.motions:
+            self._add_body(above, motion, top_view)
+        clock = above.text(0.98, 0.962, "", fontsize=13, weight="bold", transform=self._figure.transFigure, ha="right")
+        clock.set_clip_on(False)
+        self._add(above, clock, lambda frame: clock.set_text(f"{phase(scene, frame)}{frame / scene.fps:5.2f} s"))
         if scene.goal is not None:
-            self._build_curves(scene.goal)
+            draw_curves((curves[0], curves[1], curves[2]), scene, scene.goal)
+        for panel in curves:
+            panel.set_visible(scene.goal is not None)
+            panel.set_xlabel("")
+            cursor = panel.axvline(0.0, color="black", linewidth=2.4)
+            self._add(panel, cursor, lambda frame, cursor=cursor: cursor.set_xdata([scene.times[frame]] * 2))
         self._canvas.draw()
         # Everything still is drawn once and kept as pixels; a picture restores these and draws what moves on top.
         self._background = self._canvas.copy_from_bbox(self._figure.bbox)
@@ -156,75 +162,35 @@ class FilmStage:
         pixels = np.asarray(self._canvas.buffer_rgba())
         return np.ascontiguousarray(pixels[..., :3]).tobytes()
 
-    def _write_texts(self) -> None:
-        scene = self._scene
-        write = self._figure.text
-        write(0.02, 0.962, figure_text(scene.title), fontsize=13, weight="bold")
-        write(0.02, 0.935, figure_text(scene.sequence_id), fontsize=7.5, color="0.35", family="monospace")
-        if scene.notice:
-            write(0.02, 0.012, figure_text(scene.notice), fontsize=8, color=METHOD_COLOURS[1])
-
-    def _build_side_views(self) -> None:
+    def _add_side_views(self) -> None:
         scene = self._scene
         axis = scene.picture_axis
+
+        def flat(points: np.ndarray) -> np.ndarray:
+            return side_view(points, axis)
+
         height = max(2.0, max(float(motion.joints[..., 1].max()) for motion in scene.motions) + 0.1)
-        low, high = extent(scene, lambda points: side_view(points, axis))
-        for panel, motion in zip(_side_panels(self._figure, len(scene.motions)), scene.motions, strict=True):
-            _fit_limits(panel, (low[0] - _FOOTPRINT, high[0] + _FOOTPRINT), (-0.05, height))
+        low, high = extent(scene, flat)
+        columns = 1 + (len(scene.motions) > 2) + (len(scene.motions) > 6)
+        rows = -(-len(scene.motions) // columns)
+        grid = self._figure.add_gridspec(
+            rows, columns, left=0.04, right=0.6, bottom=0.07, top=0.88, hspace=0.3, wspace=0.1
+        )
+        for place, motion in zip(grid, scene.motions, strict=False):
+            panel = self._figure.add_subplot(place)
+            panel.set(xlim=(low[0] - _FOOTPRINT, high[0] + _FOOTPRINT), ylim=(-0.05, height))
+            panel.set_aspect("equal", adjustable="box")
             panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
-            panel.tick_params(labelsize=7, length=2)
-            panel.set_ylabel("m", fontsize=7.5)
+            panel.tick_params(labelsize=7, length=2, labelbottom=False)
             for side in ("top", "right"):
                 panel.spines[side].set_visible(False)
             panel.set_title(
-                figure_text(motion.label), fontsize=9.5, color=motion.colour, weight="bold", loc="left", pad=2
+                figure_text(f"{motion.label}\n{verdict(scene, motion)}"), fontsize=8.5, color=motion.colour, loc="left"
             )
-            panel.set_title(verdict(scene, motion), fontsize=7.5, color="0.35", loc="right", pad=3)
-            self._add_goal(panel, lambda points: side_view(points, axis))
-            self._add_body(panel, motion, lambda points: side_view(points, axis))
-
-    def _build_top_view(self) -> None:
-        scene = self._scene
-        panel = self._figure.add_axes((0.66, 0.47, 0.25, 0.445))
-        self._add_goal(panel, top_view)
-        for motion in scene.motions:
-            path = top_view(motion.joints[:, Joint.PELVIS])
-            panel.plot(*path.T, color=motion.colour, linewidth=0.9, alpha=0.5)
-            self._add_body(panel, motion, top_view)
-        limit_top_view(panel, scene, least=1.4, margin=_FOOTPRINT)
-        panel.set_title("seen from above (m)", fontsize=8, loc="left", pad=3)
-        place = {"transform": self._figure.transFigure, "clip_on": False, "ha": "right"}
-        clock = panel.text(0.98, 0.962, "", fontsize=13, weight="bold", **place)
-        self._add(panel, clock, lambda frame: clock.set_text(f"{phase(scene, frame)}{frame / scene.fps:5.2f} s"))
-        panel.tick_params(labelsize=7)
-        panel.grid(alpha=0.25, linewidth=0.6)
-
-    def _build_curves(self, goal: Goal) -> None:
-        scene = self._scene
-        ray = self._figure.add_axes((0.65, 0.27, 0.33, 0.12))
-        wrist = self._figure.add_axes((0.65, 0.09, 0.33, 0.12))
-        for motion in scene.motions:
-            values = measure(motion, goal, scene.head_tilt_deg)
-            ray.plot(scene.times, values.head_distance, color=motion.colour, linewidth=1.3)
-            wrist.plot(scene.times, values.wrist_distance, color=motion.colour, linewidth=1.3)
-            if motion.gaze is not None:
-                style = {"linewidth": 0.9, "zorder": 1.5, **gaze_style(motion)}
-                ray.plot(scene.times, gaze_distance(motion.gaze, goal), **style)
-        limits = scene.thresholds.prime_distance, scene.thresholds.reach_distance
-        titles = "goal to head ray (m)", "goal to nearer wrist (m)"
-        for panel, limit, title, what in zip((ray, wrist), limits, titles, ("primed", "reached"), strict=True):
-            panel.axhline(limit, color=MARK_COLOUR, linewidth=0.8, linestyle=":")
-            panel.set(xlim=(0, scene.event_time * 1.01), ylim=(0, min(panel.get_ylim()[1], 2.5)))
-            panel.set_title(f"{title}; {what} below {limit * 100:.0f} cm", fontsize=8, loc="left", pad=3)
-            panel.tick_params(labelsize=7)
-            mark_times(panel, scene)
-            self._add_cursor(panel)
-        wrist.set_xlabel(f"time (s); grey: prime time ± {scene.thresholds.prime_window:g} s", fontsize=7.5)
-
-    def _add_goal(self, panel: Axes, flat: _Flatten) -> None:
-        if self._scene.goal is not None:
-            corners = flat(self._scene.goal.box_corners)
-            draw_goal(panel, corners, flat(self._scene.goal.location), linewidth=1.0, markersize=4.0, zorder=1)
+            if scene.goal is not None:
+                corners = flat(scene.goal.box_corners)
+                draw_goal(panel, corners, flat(scene.goal.location), linewidth=1.0, markersize=4.0, zorder=1)
+            self._add_body(panel, motion, flat)
 
     def _add_body(self, panel: Axes, motion: ShownMotion, flat: _Flatten) -> None:
         scene = self._scene
@@ -246,43 +212,8 @@ class FilmStage:
         (line,) = panel.plot([], [], zorder=2, **style)
         self._add(panel, line, lambda frame: line.set_data(*segments[frame].T))
 
-    def _add_cursor(self, panel: Axes) -> None:
-        times = self._scene.times
-        cursor = panel.axvline(0.0, color="black", linewidth=2.4)
-        self._add(panel, cursor, lambda frame: cursor.set_xdata([times[frame], times[frame]]))
-
     def _add(self, panel: Axes, artist: Artist, update: _Update) -> None:
         # matplotlib leaves animated artists out of an ordinary drawing, so they are not part of the background.
         artist.set_animated(True)
         self._moving.append((panel, artist))
         self._updates.append(update)
-
-
-def _side_panels(figure: Figure, n_motions: int) -> list[Axes]:
-    """Add one panel a motion, in one column for up to two motions, two for up to six, else three."""
-    columns = 1 + (n_motions > 2) + (n_motions > 6)
-    rows = -(-n_motions // columns)
-    width = _WIDTH / columns
-    height = (_TOP - _BOTTOM) / rows
-    panels = []
-    for number in range(n_motions):
-        row, column = divmod(number, columns)
-        left = _LEFT + column * width
-        bottom = _TOP - (row + 1) * height + 0.035
-        panels.append(figure.add_axes((left, bottom, width - 0.025, height - 0.065)))
-    return panels
-
-
-def _fit_limits(axes: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
-    """Show at least this range with equal scales; the rest of the panel goes to both sides, or to the top."""
-    figure = axes.get_figure(root=True)
-    assert figure is not None, "the axes stand in a figure"
-    place = axes.get_position()
-    # Places are shares of the figure; metres need the same scale on both axes.
-    ratio = (place.width * figure.get_figwidth()) / (place.height * figure.get_figheight())
-    width = across[1] - across[0]
-    height = up[1] - up[0]
-    more_across = max(height * ratio - width, 0.0)
-    more_up = max(width / ratio - height, 0.0)
-    axes.set_xlim(across[0] - more_across / 2, across[1] + more_across / 2)
-    axes.set_ylim(up[0], up[1] + more_up)

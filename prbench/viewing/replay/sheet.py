@@ -224,37 +224,13 @@ class Block:
     figure: Figure
     top: float
 
-    def strip(self, number: int) -> Axes:
-        """Add the panel for the poses of one motion."""
-        return self._axes(_LEFT, _TITLE + 0.25 + number * _STRIP_STEP, _STRIP_WIDTH, _STRIP_HEIGHT)
-
-    def curves(self, n_motions: int) -> tuple[Axes, Axes, Axes]:
-        """Add the three panels for curves, side by side under the poses."""
-        down = _TITLE + n_motions * _STRIP_STEP + _CURVES_GAP
-        one, two, three = (
-            self._axes(_LEFT + number * _CURVES_STEP, down, _CURVES_WIDTH, _CURVES_HEIGHT) for number in range(3)
-        )
-        return one, two, three
-
-    def way(self) -> Axes:
-        """Add the panel for the view from above."""
-        return self._axes(_RIGHT, _TITLE, _WAY_SIDE, _WAY_SIDE)
-
-    def scores(self, n_motions: int) -> Axes:
-        """Add the panel for the table of scores."""
-        return self._axes(_RIGHT - 0.35, _TITLE + _WAY_SIDE + 0.75, _WAY_SIDE + 0.5, (n_motions + 1.5) * _ROW)
-
-    def key(self, n_motions: int) -> Axes:
-        """Add the panel that explains lines and marks."""
-        down = _TITLE + _WAY_SIDE + 0.75 + (n_motions + 1.5) * _ROW + 0.15
-        return self._axes(_RIGHT - 0.35, down, _WAY_SIDE + 0.5, _KEY)
-
     def text(self, left: float, down: float, text: str, **style: Any) -> None:
         """Write a line whose lower edge is ``down`` inches under the top of the block."""
         width, height = self.figure.get_size_inches()
         self.figure.text(left / width, (self.top - down) / height, figure_text(text), **style)
 
-    def _axes(self, left: float, down: float, width: float, height: float) -> Axes:
+    def panel(self, left: float, down: float, width: float, height: float) -> Axes:
+        """Add a panel whose upper left corner is so many inches from the left, and down from the top of the block."""
         figure_width, figure_height = self.figure.get_size_inches()
         bottom = self.top - down - height
         # Layout is reckoned in inches from the top; matplotlib takes shares of the figure from the bottom.
@@ -297,14 +273,19 @@ def draw_scene(block: Block, scene: Scene) -> None:
     block.text(0.35, 0.25, scene.title, fontsize=12, weight="bold")
     block.text(0.35, 0.47, scene.sequence_id, fontsize=7.5, color="0.35", family="monospace")
     frames = chosen_frames(scene)
+    n = len(scene.motions)
     for number, motion in enumerate(scene.motions):
-        last = number == len(scene.motions) - 1
-        draw_strip(block.strip(number), scene, motion, frames, with_times=last)
+        strip = block.panel(_LEFT, _TITLE + 0.25 + number * _STRIP_STEP, _STRIP_WIDTH, _STRIP_HEIGHT)
+        draw_strip(strip, scene, motion, frames, with_times=number == n - 1)
     if scene.goal is not None:
-        draw_curves(block.curves(len(scene.motions)), scene, scene.goal)
-    draw_way(block.way(), scene, frames)
+        down = _TITLE + n * _STRIP_STEP + _CURVES_GAP
+        places = [_LEFT + number * _CURVES_STEP for number in range(3)]
+        one, two, three = (block.panel(left, down, _CURVES_WIDTH, _CURVES_HEIGHT) for left in places)
+        draw_curves((one, two, three), scene, scene.goal)
+    draw_way(block.panel(_RIGHT, _TITLE, _WAY_SIDE, _WAY_SIDE), scene, frames)
     # Write the table of scores, one row a motion, in the order of :data:`HEADER`.
-    axes = block.scores(len(scene.motions))
+    down = _TITLE + _WAY_SIDE + 0.75
+    axes = block.panel(_RIGHT - 0.35, down, _WAY_SIDE + 0.5, (n + 1.5) * _ROW)
     axes.set_axis_off()
     rows = [HEADER, *(score_row(scene, motion) for motion in scene.motions)]
     colours = ["0.35", *(motion.colour for motion in scene.motions)]
@@ -316,7 +297,7 @@ def draw_scene(block: Block, scene: Scene) -> None:
             side = "left" if column == 0 else "right"
             style: dict[str, Any] = {"ha": side, "va": "center", "fontsize": 7.5 if number else 7, "color": colour}
             axes.text(place, height, figure_text(shown), transform=axes.transAxes, **style)
-    _draw_key(block.key(len(scene.motions)), scene)
+    _draw_key(block.panel(_RIGHT - 0.35, down + (n + 1.5) * _ROW + 0.15, _WAY_SIDE + 0.5, _KEY), scene)
 
 
 def chosen_frames(scene: Scene) -> Int[np.ndarray, " poses"]:

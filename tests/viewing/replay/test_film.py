@@ -50,9 +50,9 @@ def test_any_rate_plays_in_real_time(fps):
 
 def test_a_picture_does_not_depend_on_those_before_it():
     scene = a_scene("static, none")
-    jumping = FilmStage(scene, SIZE)
+    jumping = FilmStage(scene)
     jumping.picture(0)
-    assert (_picture(jumping, 40) == _picture(FilmStage(scene, SIZE), 40)).all()
+    assert (_picture(jumping, 40) == _picture(FilmStage(scene), 40)).all()
 
 
 def test_an_unwritable_place_is_named(tmp_path):
