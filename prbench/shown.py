@@ -129,6 +129,7 @@ _LATEX = {
     '"': r"\textquotedbl{}",
     "±": r"$\pm$",
     "×": r"$\times$",
+    "✗": r"$\times$",
     "−": r"$-$",
     "–": "--",
     "↑": r"$\uparrow$",

@@ -26,7 +26,7 @@ LAYERS = {
     **dict.fromkeys(("metrics", "object_stores", "sequences", "representation", "text"), 6),
     **dict.fromkeys(("contract", "readers", "tables"), 7),
     **dict.fromkeys(("curation", "release"), 8),
-    "synthetic": 9,
+    **dict.fromkeys(("synthetic", "checking/doctor"), 9),
     "harness": 10,
     "viewing": 11,
     **dict.fromkeys(("checking", "board", "prbench_adapters"), 12),
@@ -55,6 +55,8 @@ def _package(module: str) -> str | None:
         return "commands" if "commands" in parts[1:] else parts[0]
     if parts[1] == "readers" and len(parts) == 4 and parts[3].startswith("synthetic"):
         return "synthetic"  # what a dataset's sensors see, beside the reader that it imports
+    if parts[1:3] == ["checking", "doctor"]:
+        return "checking/doctor"  # judges motions for whatever scores them, and knows no file
     return parts[1]
 
 

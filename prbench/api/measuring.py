@@ -13,10 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.api.pictures import frozen
+from prbench.checking.doctor.body import wrong_unit
+from prbench.checking.doctor.motion_set import spread_poses
 from prbench.errors import UsageError, did_you_mean
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.benchmark import load_benchmark
-from prbench.harness.methods.motions import coordinate_problem, spread_poses, wrong_unit
+from prbench.harness.methods.motions import coordinate_problem
 from prbench.metrics import (
     METRICS_OF_MOTIONS,
     STUDY_METRICS,
@@ -331,8 +333,8 @@ def measure_futures(
             raise UsageError(f"{name}{list(place)}: expected finite positions, found {array[place]}.")
         unit = None if name == "goal" else wrong_unit(spread_poses(array.reshape(-1, *happened.shape[1:])))
         # A network that has learnt little may answer with bodies of any size; what is 50 times as large is a unit.
-        if unit is not None and (name != "predicted" or unit.metres_per_unit < 0.02):
-            raise UsageError(f"{name}: {unit.evidence}: {unit.cause}. {unit.remedy}")
+        if unit is not None and (name != "predicted" or unit[1] < 0.02):
+            raise UsageError(f"{name}: {unit[0].evidence}: {unit[0].cause}. {unit[0].remedy}")
     benchmark = load_benchmark("motion-prediction")
     scores = benchmark.measure(futures, happened, fps=fps, **given)
     needs = {"last_observed": ("first_frame_jump", "bone_error_percent"), "fps": ()}

@@ -62,6 +62,7 @@ def measured_cells(row: TableRow, table: DatasetTable, **about: Any) -> tuple[Ce
     cells = []
     for metric in entry.summary.metrics:
         hidden = metric.metric in infos and hides(entry, infos[metric.metric])
+        arrival = entry.summary.arrival if metric.metric == "prime_success" else ""
         notes = (
             *metric.marks,
             "synthetic" if table.synthetic else "",
@@ -71,6 +72,7 @@ def measured_cells(row: TableRow, table: DatasetTable, **about: Any) -> tuple[Ce
             "" if table.earlier_version is None else f"protocol version {table.earlier_version}",
             "stands still" if hidden else "",
             entry.mark,
+            arrival,
             entry.summary.edge_arrivals if EDGE_ARRIVAL in metric.flags else "",
         )
         cell = metric_cell(
@@ -85,7 +87,7 @@ def measured_cells(row: TableRow, table: DatasetTable, **about: Any) -> tuple[Ce
             recordings=metric.recordings,
             rank=row.ranks.get(metric.metric),
             best=metric.metric in row.leads,
-            mark=_FEW if "few_recordings" in metric.marks else "",
+            mark=f"{arrival[:1]} {_FEW if 'few_recordings' in metric.marks else ''}".strip(),
             note=note_of(*notes),
             **({"variant": row.variant} | common),
         )
@@ -377,6 +379,8 @@ def table_notes(table: DatasetTable) -> Iterable[str]:
         # Remarks stand under the table, because a cell has no room for a sentence.
         if row.entry.mark:
             yield f"{row.entry.method} {row.entry.mark}."
+        if row.entry.summary.arrival:
+            yield f"{row.entry.method} {row.entry.summary.arrival} (docs/specification/metrics.md#prime-success)."
         if row.entry.summary.edge_arrivals:
             yield f"{row.entry.method}: {row.entry.summary.edge_arrivals}."
         if row.entry.summary.unsupported:

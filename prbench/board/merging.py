@@ -12,6 +12,7 @@ from pathlib import Path
 import msgspec
 import pyarrow as pa
 
+from prbench.checking.doctor.motion_set import Diagnosis
 from prbench.engine import Engine
 from prbench.errors import RunError, StorageError, UsageError
 from prbench.files.storage import atomic_folder, sole_writer, text_digest, write_json
@@ -141,6 +142,7 @@ def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> 
     runs = _in_order(runs)
     unverified = []
     scores = []
+    findings: dict[str, Diagnosis] = {}
     owner: dict[str, Path] = {}
     for run in runs:
         table = run.record.tables[0]
@@ -150,6 +152,7 @@ def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> 
         checked = (checker or RunChecker()).check(run, table)
         if checked.unverified:
             unverified.append(f"{run.path}: {checked.unverified}")
+        findings |= {found.kind: found for found in checked.summary.findings}
         scores.append(read_scores(files.scores))
         for name in set(scores[-1]["sequence_id"].to_pylist()):
             if name in owner:
@@ -183,7 +186,8 @@ def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> 
         method = msgspec.structs.replace(method, weights=f"{method.weights or 'its own'}, {SAME_WEIGHTS}")
     record = msgspec.structs.replace(records[0], split=f"{len(runs)} folds", method=method, tables=(together,))
     merged = pa.concat_tables(scores)
-    summary = summary_of(record, together, merged, {name: recording_key(name) for name in owner})
+    recording_of = {name: recording_key(name) for name in owner}
+    summary = summary_of(record, together, merged, recording_of, tuple(findings.values()))
     return MergedRun(record, summary, merged, tuple(runs), tuple(unverified))
 
 

@@ -22,6 +22,8 @@ from dataclasses import dataclass, field, replace
 from math import comb
 from statistics import median
 
+import msgspec
+
 from prbench.board.collect import CollectedRuns, LeaderboardRow
 from prbench.board.comparison import Separate, separate_by_comparison
 from prbench.harness.benchmark import Benchmark
@@ -170,9 +172,10 @@ def make_leaderboard(collected: CollectedRuns, *, separate: Separate = separate_
         scored = [row.sequences for row in rows if row.sequences is not None]
         common = frozenset.intersection(*(each.ids for each in scored)) if len(scored) == len(rows) else frozenset()
         if common:
-            restricted = [
-                replace(row, summary=each.summary_over(common), only=common) for row, each in zip(rows, scored)
-            ]
+            restricted = []
+            for row, each in zip(rows, scored):
+                summary = msgspec.structs.replace(each.summary_over(common), findings=row.summary.findings)
+                restricted.append(replace(row, summary=summary, only=common))
             brief = (f"{row.method} ({row.summary.unsupported})" for row in rows if row.summary.unsupported)
             table = _dataset_table(tuple(key), restricted, separate)
             of = rows[0].summary.sequences
@@ -262,6 +265,7 @@ def _is_ranked(entry: LeaderboardRow) -> bool:
     return (
         not entry.is_control
         and not entry.summary.hands_in_recordings
+        and not entry.summary.findings
         and entry.record.is_usual
         and not entry.summary.unsupported
         and entry.summary.sequences >= FEWEST_RANKED

@@ -18,7 +18,7 @@ from prbench.shown import clean
 
 if TYPE_CHECKING:
     from prbench.checking.conformance import Report
-    from prbench.checking.doctor.examine_file import DoctorReport
+    from prbench.checking.examine_file import DoctorReport
     from prbench.harness.methods.describe import Description
 
 
@@ -265,7 +265,7 @@ def print_report(report: Report) -> None:
 @command(
     "doctor",
     example="prbench doctor motions.npy",
-    report="prbench.checking.doctor.examine_file:DoctorReport",
+    report="prbench.checking.examine_file:DoctorReport",
     writes_report=True,
 )
 @click.argument("motions", type=opt.PATH, metavar="FILE")
@@ -283,7 +283,7 @@ def doctor(*, motions: Path, **given: Any) -> Answer:
     FILE is .npy, .npz or Parquet of any shape, a folder of motions/*.npy, or a run folder. The exit code is 1 where a
     fault is certain.
     """
-    from prbench.checking.doctor.examine_file import DoctorRequest, examine_file
+    from prbench.checking.examine_file import DoctorRequest, examine_file
 
     report = examine_file(DoctorRequest(path=motions, **given))
     return Answer(report, lambda: _print(report), int(report.certain))

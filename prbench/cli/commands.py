@@ -48,6 +48,8 @@ class Session:
         report_file: The report is also written to this file.
         notes: What was said beside the report.
         shown_place: Shows URLs in place of their local copies.
+        all_metrics: Metrics beside the main ones are printed, too.
+        strict: Motions that are certainly wrong end the command with exit code 1.
     """
 
     quiet: bool = False
@@ -59,6 +61,8 @@ class Session:
     report_file: Path | Remote | None = None
     notes: list[str] = field(default_factory=list)
     shown_place: Callable[[str], str] = str
+    all_metrics: bool = False
+    strict: bool = False
 
 
 @dataclass(frozen=True)
@@ -146,6 +150,9 @@ class Command(click.Command):
         try:
             return super().parse_args(ctx, _one_value_an_option(args, several))
         except click.UsageError as error:
+            if isinstance(error, click.BadParameter) and error.param and isinstance(error.param.type, click.Choice):
+                word = error.message.partition("' is not one of")[0].removeprefix("'")
+                error.message += did_you_mean(word, list(error.param.type.choices))
             if isinstance(error, click.NoSuchOption) and error.option_name in self.former:
                 now = self.former[error.option_name]
                 raise click.UsageError(f"No such option '{error.option_name}'. Did you mean '{now}'?", ctx) from error
@@ -387,14 +394,15 @@ def _one_value_an_option(words: Sequence[str], several: set[str]) -> list[str]:
     return result
 
 
+def in_session(ctx: click.Context, parameter: click.Parameter, value: Any) -> None:
+    """Keep the value of an option in the session."""
+    if value:
+        setattr(ctx.ensure_object(Session), str(parameter.name), value)
+
+
 def _shared_option(words: list[str], help: str, **settings: Any) -> click.Option:
     """Make an option of all commands, whose value goes to the session."""
-
-    def store(ctx: click.Context, parameter: click.Parameter, value: Any) -> None:
-        if value:
-            setattr(ctx.ensure_object(Session), str(parameter.name), value)
-
-    return click.Option(words, help=help, expose_value=False, callback=store, **settings)
+    return click.Option(words, help=help, expose_value=False, callback=in_session, **settings)
 
 
 def _telling_options() -> list[click.Option]:

@@ -190,6 +190,7 @@ def _print_dataset(each: TableAudit) -> None:
 def _print_all_metrics(title: str, controls: Sequence[ControlMeans], *, only_main: bool = False) -> None:
     """Print what every control earns, and in which metrics it does no worse than recorded people."""
     from prbench.board.audit import not_worse_than_people
+    from prbench.harness.run_folder.summary import ARRIVAL
     from prbench.metrics import METRICS, printed_unit
 
     metrics = [info for info in METRICS if any(info.id in control.means for control in controls)]
@@ -197,8 +198,9 @@ def _print_all_metrics(title: str, controls: Sequence[ControlMeans], *, only_mai
     narrow = sys.stdout.isatty() and shutil.get_terminal_size().columns < _WIDE
     columns = _COLUMNS // 2 if narrow else _COLUMNS
     for kind, infos in (
-        (f"{title}; the main metrics", [info for info in metrics if info.main]),
-        ("beside them", [info for info in metrics if not info.main and not only_main]),
+        # Arrival is what tells a look from a stare.
+        (f"{title}; the main metrics", [info for info in metrics if info.main or info.id == ARRIVAL]),
+        ("beside them", [info for info in metrics if not info.main and info.id != ARRIVAL and not only_main]),
     ):
         for first in range(0, len(infos), columns):
             shown = infos[first : first + columns]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from prbench.cli.commands import Answer, SeveralValues, note, progress
+from prbench.cli.commands import Answer, SeveralValues, in_session, note, progress
 from prbench.cli.places import PlaceType
 from prbench.engine import close_engine
 from prbench.engine.choice import DEFAULT_SPILL_LIMIT_GB, LOCAL, RAY, Cluster, open_engine
@@ -202,6 +202,16 @@ def split_option(default: str | None = "test", *, help: str = "") -> Callable:
 fold_option = click.option(
     "--fold", metavar="K/N", help="Leave the people of this fold out, such as 2/6; `prbench run --fold` tests on them."
 )
+
+
+def scores_options(function: Callable) -> Callable:
+    """Add ``--all`` and ``--strict``, for commands that print scores."""
+    more = "Print all metrics: without it the study's six and Plausible. Files and --json hold all."
+    strict = "End with exit code 1 where motions are certainly wrong, such as Z up (docs/doctor.md)."
+    for name, variable, help in (("--strict", "strict", strict), ("--all", "all_metrics", more)):
+        settings = {"is_flag": True, "expose_value": False, "callback": in_session}
+        function = click.option(name, variable, help=help, **settings)(function)
+    return function
 
 
 def limit_option(default: str = "all") -> Callable:

@@ -129,6 +129,7 @@ _FIRST_RUN_WORKERS = 2
     " result."
 )
 @opt.shard_option("the batches")
+@opt.scores_options
 def run(
     config: Path | None,
     show_config: bool,
@@ -264,14 +265,7 @@ def _run_all(
             f" ones elsewhere: prbench export-conditions --data {requests[0].data[0].parent}/* --limit"
             f" {requests[0].limit} …"
         )
-    answer = run_answer(reports, companions, single=bool(experiment.sequences))
-
-    def show() -> None:
-        answer.show()
-        for line in below:
-            print(line)
-
-    return replace(answer, show=show)
+    return run_answer(reports, companions, single=bool(experiment.sequences), below=below)
 
 
 def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> opt.MadeShard:

@@ -12,7 +12,15 @@ import msgspec
 from prbench.cli import options as opt
 from prbench.cli.builds import BuildsReport, table_answer
 from prbench.cli.commands import Answer, command, note, progress
-from prbench.cli.summaries import RunAnswer, print_agreement, print_scene, print_summary, run_answer
+from prbench.cli.summaries import (
+    RunAnswer,
+    exit_code_of,
+    print_agreement,
+    print_findings,
+    print_scene,
+    print_summary,
+    run_answer,
+)
 from prbench.entry_points import CORPORA, STUDY_ITEMS, load_built_in
 from prbench.errors import UsageError
 from prbench.protocol.manifests import default_benchmark
@@ -69,6 +77,7 @@ class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
 @opt.out_folder_option("Write scores.parquet, summary.json … into this folder.")
 @opt.engine_options()
 @opt.benchmark_option
+@opt.scores_options
 @click.option(
     "--one-design",
     is_flag=True,
@@ -143,8 +152,9 @@ def score(
             if any(each.scores.condition == UNSTATED for each in made):
                 unstated = "the condition is not stated (--condition or --conditions)"
                 print(f"{unstated}: a leaderboard will not rank these scores")
+        print_findings([each.scores for each in made])
 
-    return Answer(made, show_scores)
+    return Answer(made, show_scores, exit_code_of([each.scores for each in made]))
 
 
 @command(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from prbench.cli.commands import Answer
+from prbench.cli.commands import Answer, session
 from prbench.cli.options import MadeShard
 from prbench.cli.terminal import print_table
 from prbench.datasets import ON_SYNTHETIC_DATA, SYNTHETIC_PREFIX
@@ -39,16 +39,16 @@ def phi_cell(rate: RateAgreement | None) -> str:
 
 def print_agreement(agreement: DatasetAgreement | None) -> None:
     """Print the agreement of the main rates in one line, if there is any."""
-    from prbench.metrics import GAZE_METRICS, METRICS
+    from prbench.metrics import METRICS
 
-    main = {info.id for info in METRICS if info.main} | GAZE_METRICS
+    main = {info.id for info in METRICS if info.main or session().all_metrics}
     parts = [f"{rate.title} {phi_cell(rate)}" for rate in agreement.rates if rate.metric in main] if agreement else []
     if parts:
         print(f"agreement with recorded people (phi): {', '.join(parts)}")
 
 
 def print_scene(summaries: Sequence[DatasetSummary], agreements: Sequence[DatasetAgreement | None]) -> None:
-    """Print how far motions come into the boxes of the scene, beside recorded people, where a table knows of boxes.
+    """Print with ``--all`` how far motions come into the boxes of the scene, beside recorded people.
 
     Args:
         summaries: Scores of one method, one a dataset.
@@ -58,7 +58,7 @@ def print_scene(summaries: Sequence[DatasetSummary], agreements: Sequence[Datase
         share = summary.metric("scene_penetration")
         depth = summary.metric("scene_depth")
         people = agreement and agreement.scene
-        if share and depth and people:
+        if session().all_metrics and share and depth and people:
             print(
                 f"{_short(summary)}: joints inside solid boxes in {100 * share.mean:.2f} % of frames,"
                 f" {100 * depth.mean:.1f} cm at the deepest (recorded people {100 * people.penetration:.2f} %,"
@@ -79,17 +79,20 @@ def print_summary(
     """
     from prbench.board.tables import undecided
     from prbench.harness.run_folder.summary import counted_units
-    from prbench.metrics import MAIN_METRICS, printed_scale, printed_unit
+    from prbench.metrics import MAIN_METRICS, METRICS, printed_scale, printed_unit
 
     irrelevant = _irrelevant(motionless)
-    details = {info.id for info in metrics if info.is_detail}
+    shown = {info.id for info in metrics or METRICS if info.main or (session().all_metrics and not info.is_detail)}
     rows = []
     for metric in summary.metrics:
+        if metric.metric not in shown:
+            continue
         if metric.metric in irrelevant:
             rows.append((metric.title, _DASH, "", "stands still"))
-        elif metric.metric not in details:
+        else:
             flags = [f"{count} × {name}" for name, count in sorted(metric.flags.items())]
-            remarks = "; ".join([*metric.marks, *flags]).replace("_", " ")
+            arrival = [summary.arrival] if metric.metric == "prime_success" and summary.arrival else []
+            remarks = "; ".join([*arrival, *metric.marks, *flags]).replace("_", " ")
             scale = printed_scale(metric.unit)
             mean = f"{metric.mean * scale:.2f}{printed_unit(metric.unit)}"
             bounds = _DASH
@@ -118,7 +121,7 @@ def print_datasets(
     metrics: Sequence[MetricInfo],
     one_mean: bool = True,
 ) -> None:
-    """Print main metrics of one method, and those of gaze, on several datasets, one column a dataset, and their mean.
+    """Print the metrics of one method on several datasets, one column a dataset, and their mean.
 
     Below each rate stands its agreement with recorded people, and below the table what the datasets can decide.
 
@@ -132,20 +135,22 @@ def print_datasets(
     """
     from prbench.board.tables import why_undecided
     from prbench.harness.run_folder.summary import means_over_datasets
-    from prbench.metrics import GAZE_METRICS
 
-    main = [info for info in metrics if info.main]
-    # Metrics of gaze say what the head does; recorded motion, whose eyes were measured, has them too.
-    by_gaze = [info for info in metrics if info.id in GAZE_METRICS and all(each.metric(info.id) for each in summaries)]
+    found = {metric.metric for summary in summaries for metric in summary.metrics}
+    wanted = [info for info in metrics if info.id in found and not info.is_detail]
     means = means_over_datasets(summaries) if one_mean else {}
     irrelevant = _irrelevant(motionless)
     names = list(map(_short, summaries))
     rows: list[tuple[str, ...]] = [
         ("sequences (recordings)", *(f"{each.sequences} ({each.recordings})" for each in summaries), "")
     ]
-    for info in (*main, *by_gaze):
-        found = [*(summary.metric(info.id) for summary in summaries), means.get(info.id)]
-        rows.append((_with_unit(info), *(_mean(each, info, hidden=info.id in irrelevant) for each in found)))
+    for info in wanted:
+        if not info.main and not session().all_metrics:
+            continue
+        cells = [_mean(each.metric(info.id), info, hidden=info.id in irrelevant) for each in summaries]
+        if info.id == "prime_success":
+            cells = [f"{cell} {each.arrival[:1]}".strip() for cell, each in zip(cells, summaries, strict=True)]
+        rows.append((_with_unit(info), *cells, _mean(means.get(info.id), info, hidden=info.id in irrelevant)))
         phis = []
         for agreement in agreements:
             rates = [rate.phi for rate in agreement.rates if rate.metric == info.id] if agreement else []
@@ -156,7 +161,10 @@ def print_datasets(
     print_table(title, ("metric", *names, "mean"), rows, numbers=range(1, len(names) + 2))
     if any(row[0] == _PHI for row in rows):
         print("phi: agreement with recorded people, sequence by sequence; 0 is unrelated, 1 the same sequences.")
-    print("Intervals of 95 %: with --json.")
+    for each in summaries:
+        if each.arrival:
+            print(f"{_short(each)} {each.arrival}.")
+    print("Intervals of 95 %: with --json; metrics beside the main ones: with --all.")
     if not one_mean:
         print("No mean: bodies of some datasets were estimated from the motion of the head, others were captured.")
     # Which datasets decide nothing between two methods.
@@ -196,9 +204,26 @@ def _print_marks(summaries: Sequence[DatasetSummary]) -> None:
     for each in summaries:
         if each.unsupported:
             print(f"{_short(each)}: {each.unsupported} sequences are longer than the method can generate: not scored.")
-        if each.mark:
-            print(f"{_short(each)}: {each.mark}.")
+        if each.remarks:
+            print(f"{_short(each)}: {'; '.join(each.remarks)}.")
     _print_synthetic(summaries)
+
+
+def exit_code_of(summaries: Sequence[DatasetSummary]) -> int:
+    """Return 1 with ``--strict`` where motions are certainly wrong, else 0."""
+    return int(session().strict and any(each.findings for each in summaries))
+
+
+def print_findings(summaries: Sequence[DatasetSummary]) -> None:
+    """Print what is certainly wrong with scored motions, a line each, last, where nobody overlooks it."""
+    found: dict[tuple[str, str, str], list[str]] = {}
+    for each in summaries:
+        for wrong in each.findings:
+            found.setdefault((wrong.kind, wrong.cause, wrong.remedy), []).append(_short(each))
+    for (kind, cause, remedy), names in found.items():
+        print(f"WRONG MOTIONS ({kind}), {', '.join(names)}: {cause}. {remedy}")
+    if found:
+        print("The scores above are those of broken motions; `prbench doctor` shows the evidence (docs/doctor.md).")
 
 
 def _print_synthetic(tables: Sequence[DatasetSummary | TableRecord]) -> None:
@@ -280,14 +305,18 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
     shards: list[MadeShard] = []
 
 
-def run_answer(reports: Sequence[RunReport], companions: Sequence[RunReport] = (), *, single: bool) -> Answer:
+def run_answer(
+    reports: Sequence[RunReport], companions: Sequence[RunReport] = (), *, single: bool, below: Sequence[str] = ()
+) -> Answer:
     """Answer a command that has made runs.
 
     Args:
         reports: The runs asked for.
         companions: Runs of other methods that a first run is shown beside.
         single: The runs are of single sequences, whose scores are shown one by one.
+        below: Lines that are printed below the scores.
     """
+    scored = [summary for report in reports for summary in report.summaries]
 
     def show() -> None:
         for report in reports:
@@ -296,8 +325,12 @@ def run_answer(reports: Sequence[RunReport], companions: Sequence[RunReport] = (
             _print_company([reports[0], *companions])
         for report in reports:
             print(f"run folder: {report.folder.path}")
+        for line in below:
+            print(line)
+        print_findings(scored)
 
-    return Answer(RunAnswer(runs=list(map(_made, reports)), companions=list(map(_made, companions))), show)
+    made = RunAnswer(runs=list(map(_made, reports)), companions=list(map(_made, companions)))
+    return Answer(made, show, exit_code_of(scored))
 
 
 def _made(report: RunReport) -> MadeRun:
@@ -342,7 +375,7 @@ def _print_run(report: RunReport, *, single: bool) -> None:
                 values = {(row["metric"], row["sample"]): row for row in rows if row["sequence_id"] == name}
                 samples = sorted({sample for _, sample in values})
                 lines = []
-                for metric in metrics:
+                for metric in metrics if session().all_metrics else [info for info in metrics if info.main]:
                     found = [values[metric.id, sample] for sample in samples if (metric.id, sample) in values]
                     cells = [f"{each['value']:.3f}{printed_unit(metric.unit)}" for each in found]
                     if metric.unit == "rate":

@@ -21,6 +21,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Int
 
+from prbench.checking.doctor.motion_set import Diagnosis
 from prbench.engine import Engine
 from prbench.errors import UsageError, did_you_mean
 from prbench.harness.methods.loading import MethodSpec
@@ -91,6 +92,11 @@ class CaseWork(ABC):
             files: Files of the dataset, which hold the answers.
             engine: Processes or cluster that scores.
         """
+
+    def findings(self, files: DatasetFolder) -> tuple[Diagnosis, ...]:
+        """Return what is certainly wrong with the motions in a folder (docs/doctor.md); nothing where nobody looks."""
+        del files
+        return ()
 
     def write_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
         """Write the benchmark's own files beside the scores, where it has some."""

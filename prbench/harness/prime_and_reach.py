@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 
+from prbench.checking.doctor.motion_set import Diagnosis
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.engine import Engine
 from prbench.errors import AdapterError
@@ -27,14 +28,15 @@ from prbench.harness.controls import (
     SHUFFLED_GOAL,
     control_motions,
 )
+from prbench.harness.faults import certain_faults
 from prbench.harness.methods.loading import LoadedMethod, MethodSpec, fitted_to
 from prbench.harness.methods.motions import generate_checked
 from prbench.harness.methods.remote import MOTIONS
 from prbench.harness.planning import Selection, open_tables, plan_batches, select, select_sequences, supported
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
-from prbench.harness.run_folder.predictions import PredictionRows
-from prbench.harness.run_folder.record import MethodRecord
+from prbench.harness.run_folder.predictions import PredictionRows, Predictions
+from prbench.harness.run_folder.record import CONTROL, MethodRecord
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.scoring import ScoringRules, score_selection
 from prbench.metrics import METRICS
@@ -153,6 +155,12 @@ class MotionWork(CaseWork):
         )
         samples = range(self._request.samples)
         yield from score_selection(self._selection, files.predictions, samples=samples, rules=rules, engine=engine)
+
+    def findings(self, files: DatasetFolder) -> tuple[Diagnosis, ...]:
+        """Examine the motions of a method; those of controls are the harness's own."""
+        if self._method.kind == CONTROL:
+            return ()
+        return certain_faults(self._selection, Predictions.open(files.predictions), condition=self._condition.value)
 
     def write_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
         """Write the agreement with recorded people."""

@@ -20,6 +20,7 @@ import pyarrow as pa
 from jaxtyping import Int
 from msgspec.structs import asdict
 
+from prbench.checking.doctor.motion_set import Diagnosis
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError
 from prbench.harness.benchmark import CaseTable, CaseWork, load_benchmark
@@ -176,7 +177,9 @@ def tree_of(summary: DatasetSummary) -> dict[str, Any]:
     """Return a summary as plain values, metrics by their ids."""
     # The estimator first: bounds of another one differ, too, and say less about the cause.
     entries = {each.metric: {"interval": each.interval} | asdict(each) for each in summary.metrics}
-    return asdict(summary) | {"metrics": tuple(each.metric for each in summary.metrics)} | entries
+    names = {"metrics": tuple(each.metric for each in summary.metrics)}
+    # Kinds alone: the evidence holds numbers that other processors round otherwise.
+    return asdict(summary) | names | {"findings": tuple(each.kind for each in summary.findings)} | entries
 
 
 def differences(expected: object, found: object, key: str = "") -> Iterator[tuple[str, object, object]]:
@@ -197,7 +200,11 @@ def differences(expected: object, found: object, key: str = "") -> Iterator[tupl
 
 
 def summary_of(
-    record: RunRecord, table: TableRecord, scores: CodedScores | pa.Table, recording_of: Mapping[str, str]
+    record: RunRecord,
+    table: TableRecord,
+    scores: CodedScores | pa.Table,
+    recording_of: Mapping[str, str],
+    findings: tuple[Diagnosis, ...] = (),
 ) -> DatasetSummary:
     """Make ``summary.json`` of one dataset from ``run.json``, the scores and the recording of each scored case.
 
@@ -206,6 +213,7 @@ def summary_of(
         table: Its entry for the dataset.
         scores: Rows of ``scores.parquet``.
         recording_of: Maps each scored case to its recording.
+        findings: What is certainly wrong with the motions.
     """
     recording_of = {name: table.unit_of(recording) for name, recording in recording_of.items()}
     coded = CodedScores.of([scores]) if isinstance(scores, pa.Table) else scores
@@ -258,6 +266,7 @@ def summary_of(
         obstacles=record.method.wants_obstacles,
         length_mismatches=max((metric.flags.get(LENGTH_MISMATCH, 0) for metric in metrics), default=0),
         metrics=tuple(metrics),
+        findings=findings,
     )
 
 
@@ -344,10 +353,11 @@ class RunChecker:
         known = {} if table is None else benchmark.recordings_of(table)
         grouped = benchmark.ids_tell_recordings(names) if table is None else all(name in known for name in names)
         recording_of = {name: known.get(name) or benchmark.recording_key(name) for name in names}
-        made = summary_of(run.record, record, scores, recording_of)
+        stored = DatasetSummary.read(files.path)
+        made = summary_of(run.record, record, scores, recording_of, stored.findings)
         require_summary(files, made, grouped=grouped)
         if not grouped:
-            made = DatasetSummary.read(files.path)
+            made = stored
         scored = ScoredSequences(run, record, recording_of)
         has_motions = any(files.predictions.glob("part-*.parquet"))
         unverified = ""
@@ -367,6 +377,7 @@ class RunChecker:
             if has_motions:
                 work = work_of_run(run, request, cases, table)
                 require_scores(files, scores, CodedScores.of(work.scores(files, self.engine)))
+                made = msgspec.structs.replace(made, findings=work.findings(files))
             cases = cases.chosen(np.isin(cases.sequence_ids, names))
             work_of_run(run, request, cases, table).require_beside(files, scores)
         return CheckedSummary(made, unverified, scored)

@@ -327,4 +327,5 @@ class RunPart:
         record = self.prepared.record
         table = next(table for table in record.tables if table.dataset == self.dataset.name)
         cases = self.dataset.cases
-        return summary_of(record, table, scores, dict(zip(cases.sequence_ids, cases.recording_ids, strict=True)))
+        recording_of = dict(zip(cases.sequence_ids, cases.recording_ids, strict=True))
+        return summary_of(record, table, scores, recording_of, self.dataset.work.findings(self.files))

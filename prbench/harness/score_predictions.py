@@ -8,12 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import prbench
+from prbench.checking.doctor.motion_set import Diagnosis
 from prbench.engine import Engine, InProcess
 from prbench.engine.pool import give_back
 from prbench.errors import RunError, StorageError, UsageError
 from prbench.files.storage import file_digest, remove_half_written, sole_writer, text_digest
 from prbench.harness.agreement import agreement_with_people
 from prbench.harness.benchmark import load_benchmark
+from prbench.harness.faults import certain_faults
 from prbench.harness.methods.installed import name_problem
 from prbench.harness.offline import read_conditions_file
 from prbench.harness.planning import Selection, open_tables, select, supported
@@ -118,7 +120,8 @@ def _score_run(
         )
         scores = CodedScores.of(reported(work.scores(files, engine), table.info.dataset, len(selection), progress))
         table_entry = table_record(chosen, selection, _NO_BATCHES)
-        reports.append(_report(record, table_entry, selection, scores, protocol, method.origin))
+        findings = work.findings(files)
+        reports.append(_report(record, table_entry, selection, scores, findings, protocol, method.origin))
     return protocol, reports
 
 
@@ -197,7 +200,10 @@ def _score_file(
     for table, selection in zip(record.tables, selections, strict=True):
         windows = score_selection(selection, predictions, samples=found, rules=rules, engine=engine)
         scores = CodedScores.of(reported(windows, table.dataset, len(selection), progress))
-        reports.append(_report(record, table, selection, scores, protocol, f"file {clean(path.name)}"))
+        findings = certain_faults(
+            selection, predictions, condition=record.condition, id_seed=seed, native_fps=request.native_fps
+        )
+        reports.append(_report(record, table, selection, scores, findings, protocol, f"file {clean(path.name)}"))
     return record, protocol, reports
 
 
@@ -206,6 +212,7 @@ def _report(
     table: TableRecord,
     selection: Selection,
     scores: CodedScores,
+    findings: tuple[Diagnosis, ...],
     protocol: BenchmarkProtocol,
     origin: str,
 ) -> ScoreReport:
@@ -213,7 +220,7 @@ def _report(
     agreement = agreement_with_people(selection, scores, protocol=protocol)
     give_back()
     recording_of = dict(zip(selection.sequence_ids, selection.recording_ids, strict=True))
-    summary = summary_of(record, table, scores, recording_of)
+    summary = summary_of(record, table, scores, recording_of, findings)
     return ScoreReport(scores, summary, None, origin, agreement, record.method.motionless)
 
 

@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 
 from prbench.board.comparison import compare_runs
-from prbench.checking.doctor.examine_file import DoctorRequest
+from prbench.checking.examine_file import DoctorRequest
 from prbench.checking.inspection import inspect_folder
 from prbench.contract import Condition
 from prbench.curation import build_dataset, plan_build

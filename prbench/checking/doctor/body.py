@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import Float
 
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, fit, joint_distances, on_straight_lines
 from prbench.geometry.skeleton import N_JOINTS, bone_lengths
-from prbench.harness.methods.motions import wrong_unit
 from prbench.representation import N_FEATURES, decode
 from prbench.representation.converters import JOINT_MAPS
 
@@ -17,6 +17,11 @@ _FLABBY = 0.12  # change of the distances that change least, as a share of thems
 _UNSTEADY = 0.25  # the same, beyond which rows of numbers are no positions at all
 _POINT = 1e-6  # size of a pose that is nothing but one point, as a share of the body's size
 _SCALED = 0.10  # deviation from the scale of the initial pose's bones
+_SMALLEST = 0.65  # metres between the two joints of a human pose that lie farthest apart
+_TYPICAL = 1.5
+_LARGEST = 2.35
+_NO_BODY = 1e-9
+_UNITS = (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254), ("decimetres", 0.1), ("feet", 0.3048))
 # Body parameters that have so many numbers a frame
 BODY_PARAMETERS = {
     66: "22 rotations as axis-angle",
@@ -206,7 +211,7 @@ def examine_body(motion_set: MotionSet) -> Finding | None:
     apart = np.ptp(poses.mean(axis=0), axis=0)
     varied = np.median(poses.std(axis=0), axis=0)
     shape = float((apart / np.maximum(varied, 1e-9)).max()) if len(poses) > 1 else np.inf
-    soft = softness(joint_distances(motion_set.motions))
+    soft = softness(motion_set.distances)
     if shape >= _SHAPELESS or (soft < _FLABBY and shape > 1.0):
         return None
     evidence = (
@@ -242,8 +247,34 @@ def examine_unit(motion_set: MotionSet) -> Finding | None:
     found = wrong_unit(motion_set.poses())
     if found is None:
         return None
-    diagnosis = Diagnosis("unit", True, found.evidence, found.cause, found.remedy)
-    return Finding((diagnosis,), motion_set.changed(lambda motion: motion * found.metres_per_unit))
+    diagnosis, metres_per_unit = found
+    return Finding((diagnosis,), motion_set.changed(lambda motion: motion * metres_per_unit))
+
+
+def wrong_unit(poses: Float[np.ndarray, "poses joints 3"]) -> tuple[Diagnosis, float] | None:
+    """Name the unit that bodies seem to be in; axes and the order of joints do not matter.
+
+    Returns:
+        The diagnosis, and the factor that makes metres of the numbers; None where bodies are of human size in metres or
+        have no size.
+    """
+    # The median over poses of the largest distance between two joints, in the unit of the poses.
+    apart = np.linalg.norm(poses[:, :, None] - poses[:, None], axis=-1)
+    size = float(np.median(apart.max(axis=(1, 2))))
+    if size < _NO_BODY or _SMALLEST <= size <= _LARGEST:
+        return None
+    evidence = f"the joints of a pose lie up to {size:.4g} apart (median); those of people 0.65 to 2.35 m"
+    # Several units may fit; the one that makes the body most usual wins.
+    fits = [unit for unit in _UNITS if _SMALLEST <= size * unit[1] <= _LARGEST]
+    if fits:
+        name, factor = min(fits, key=lambda unit: abs(np.log(size * unit[1] / _TYPICAL)))
+        cause = f"positions are in {name}"
+        remedy = f"Multiply the joints by {factor:g}: prbench wants metres."
+    else:
+        factor = _TYPICAL / size
+        cause = "positions were divided by a height or a standard deviation, or are in a unit of their own"
+        remedy = f"Undo the scaling before the motions are handed over; a factor near {factor:.3g} gives people's size."
+    return Diagnosis("unit", True, evidence, cause, remedy), factor
 
 
 def examine_scale(motion_set: MotionSet) -> Finding | None:

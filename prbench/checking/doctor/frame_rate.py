@@ -20,11 +20,11 @@ _STAND_OUT = 0.3  # log of a step over the mean of its neighbours
 _SHORTEST_HOLD = 4  # frames that stand still at an end
 _FULL_SPEED = 0.10  # m/s, mean of the joints: a body cannot stop from it within a frame
 _FRESH_START = 1.7  # first step after a hold, in steps that follow it
-_CONTINUES = 0.8  # cosine between velocities
+_CONTINUES = 0.7  # cosine between velocities
 _BEGINS_THERE = 0.05  # metres between frame 0 and the initial pose
-_SLOWEST = 0.05  # m/s of the joints' root mean square: slower starts are noise
+_SLOWEST = 0.10  # m/s of the joints' root mean square: slower starts are noise
 _OFF = np.log(1.2)
-_AGREEING = 0.25  # interquartile range of the logarithm of the ratio
+_ERRORS = 2.5  # standard errors by which the median ratio must be farther off
 _ENOUGH = 5
 _SAME_RATIO = 0.02  # spread of the logarithm of the ratio
 _NEAR = 0.025  # of a usual rate
@@ -223,15 +223,16 @@ def examine_frame_rate(motion_set: MotionSet) -> Finding | None:
             continue
         n_starts += 1
         # A body that changes direction at the start tells nothing of its clock.
-        cosine = float(before @ after / max(float(np.linalg.norm(before) * np.linalg.norm(after)), 1e-12))
-        if cosine > _CONTINUES:
+        if before @ after > _CONTINUES * np.linalg.norm(before) * np.linalg.norm(after):
             ratios.append(float(before @ after / (before @ before)))
-    if motion_set.pinned or len(ratios) < 3 or len(ratios) * 2 <= n_starts:
+    if motion_set.pinned or len(ratios) < 3 or len(ratios) * 3 < n_starts:
         return None
     logs = np.log(ratios)
     spread = float(np.subtract(*np.percentile(logs, [75, 25])))
     ratio = float(np.exp(np.median(logs)))
-    if abs(np.log(ratio)) < _OFF or spread > _AGREEING:
+    # The standard error of a median, from the middle half of values that are spread as normal ones are.
+    error = 0.93 * spread / np.sqrt(len(logs))
+    if abs(np.log(ratio)) - _ERRORS * error < _OFF:
         return None
     evidence = (
         f"the step from frame 0 to 1 goes on in the direction of the initial velocity and is {ratio:.2f} times as long"

@@ -13,7 +13,6 @@ from prbench.checking.doctor.motion_set import (
     fit,
     front,
     index_of,
-    joint_distances,
     sidedness,
     unit,
 )
@@ -37,7 +36,7 @@ _NOT_HIPS = np.array([part != "hip" for part in _PARTS])
 
 def examine_joint_order(motion_set: MotionSet) -> Finding | None:
     """Find the order under which the bones are those of people and keep their lengths."""
-    distances = joint_distances(motion_set.motions)
+    distances = motion_set.distances
     if len(distances[0]) != N_JOINTS:
         return _another_number(motion_set, len(distances[0]))
     own, _ = fit(distances)
@@ -70,7 +69,7 @@ def _another_number(motion_set: MotionSet, n_joints: int) -> Finding:
     evidence = f"{n_joints} joints a frame instead of 22"
     fitting = {name: each for name, each in JOINT_MAPS.items() if len(each.source_joints) == n_joints}
     mapped = {name: motion_set.changed(each.to_22) for name, each in fitting.items()}
-    misfits = {name: sum(fit(joint_distances(each.motions))) for name, each in mapped.items()}
+    misfits = {name: sum(fit(each.distances)) for name, each in mapped.items()}
     best = min(misfits, key=lambda name: misfits[name], default="")
     if misfits.get(best, np.inf) >= _FITS:
         remedy = "Write a map of its joints (prbench.representation.converters.JointMap) to prbench.geometry.skeleton."

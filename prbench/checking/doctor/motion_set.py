@@ -5,13 +5,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
 from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
-from prbench.harness.methods.motions import spread_poses
 from prbench.representation import REST_OFFSETS
+
+_POSES_PER_MOTION = 24
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,11 @@ class MotionSet:
         """Return evenly spread poses of every motion, (poses, joints, 3)."""
         return np.concatenate([spread_poses(motion) for motion in self.motions])
 
+    @cached_property
+    def distances(self) -> tuple[np.ndarray, np.ndarray]:
+        """The distances between all pairs of joints; see :func:`joint_distances`."""
+        return joint_distances(self.motions)
+
     def first_poses(self) -> np.ndarray:
         """Return the first pose of every motion, (motions, joints, 3)."""
         return np.stack([motion[0] for motion in self.motions])
@@ -121,6 +128,11 @@ class Finding:
     diagnoses: tuple[Diagnosis, ...]
     motion_set: MotionSet
     unreadable: bool = False
+
+
+def spread_poses(motion: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "poses joints 3"]:
+    """Return at most 24 poses of a motion, evenly spread over its frames."""
+    return motion[np.linspace(0, len(motion) - 1, min(len(motion), _POSES_PER_MOTION)).astype(int)]
 
 
 def on_straight_lines(poses: np.ndarray, frames: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -147,7 +159,7 @@ def joint_distances(motions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarr
     """
     every = []
     for motion in motions:
-        some = motion[np.linspace(0, len(motion) - 1, min(len(motion), 24)).astype(int)]
+        some = spread_poses(motion)
         every.append(np.linalg.norm(some[:, :, None] - some[:, None], axis=-1))
     spread = np.mean([apart.std(axis=0) for apart in every], axis=0)
     return np.median(np.concatenate(every), axis=0), spread

@@ -11,11 +11,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from numbers import Integral, Real
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from prbench.checking.doctor.body import wrong_unit
+from prbench.checking.doctor.motion_set import spread_poses
 from prbench.contract import Adapter, Condition, ConditionBatch, Cost, Gaze, Motions
 from prbench.engine import is_out_of_memory
 from prbench.errors import AdapterError, InputFileError, PrbenchError
@@ -108,55 +110,7 @@ def _is_number(value: object, kind: type) -> bool:
 
 
 _FASTEST = 1e300  # frames per second: a whole number beyond what a float holds is refused
-_SMALLEST = 0.65  # metres between the two joints of a human pose that lie farthest apart
-_TYPICAL = 1.5
-_LARGEST = 2.35
-_NO_BODY = 1e-9
 _UNIT_WITHIN = 0.01  # by which a direction's length may differ from 1, such as after rounding to half precision
-_POSES_PER_MOTION = 48
-_UNITS = (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254), ("decimetres", 0.1), ("feet", 0.3048))
-
-
-class WrongUnit(NamedTuple):
-    """Bodies that are not of human size in metres.
-
-    Attributes:
-        metres_per_unit: Factor that the numbers have to be multiplied by.
-    """
-
-    evidence: str
-    cause: str
-    remedy: str
-    metres_per_unit: float
-
-
-def spread_poses(motion: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "poses joints 3"]:
-    """Return at most 48 poses of a motion, evenly spread over its frames."""
-    return motion[np.linspace(0, len(motion) - 1, min(len(motion), _POSES_PER_MOTION)).astype(int)]
-
-
-def wrong_unit(poses: Float[np.ndarray, "poses joints 3"]) -> WrongUnit | None:
-    """Return the unit that bodies seem to be in, or None where they are of human size in metres or have no size.
-
-    Axes and the order of joints do not matter.
-    """
-    # The median over poses of the largest distance between two joints, in the unit of the poses.
-    apart = np.linalg.norm(poses[:, :, None] - poses[:, None], axis=-1)
-    size = float(np.median(apart.max(axis=(1, 2))))
-    if size < _NO_BODY or _SMALLEST <= size <= _LARGEST:
-        return None
-    evidence = f"the joints of a pose lie up to {size:.4g} apart (median); those of people 0.65 to 2.35 m"
-    # Several units may fit; the one that makes the body most usual wins.
-    fits = [unit for unit in _UNITS if _SMALLEST <= size * unit[1] <= _LARGEST]
-    if fits:
-        name, factor = min(fits, key=lambda unit: abs(np.log(size * unit[1] / _TYPICAL)))
-        cause = f"positions are in {name}"
-        remedy = f"Multiply the joints by {factor:g}: prbench wants metres."
-    else:
-        factor = _TYPICAL / size
-        cause = "positions were divided by a height or a standard deviation, or are in a unit of their own"
-        remedy = f"Undo the scaling before the motions are handed over; a factor near {factor:.3g} gives people's size."
-    return WrongUnit(evidence, cause, remedy, factor)
 
 
 def impossible_frames(
@@ -197,7 +151,8 @@ def coordinate_problem(motion: Float[np.ndarray, "frames 22 3"], farthest: float
     unit = wrong_unit(spread_poses(motion.astype(np.float64))) if np.isfinite(motion).all() else None
     if unit is None:
         return problem
-    return f"{problem} {unit.evidence[0].upper()}{unit.evidence[1:]}: {unit.cause}. {unit.remedy}"
+    evidence = unit[0].evidence
+    return f"{problem} {evidence[0].upper()}{evidence[1:]}: {unit[0].cause}. {unit[0].remedy}"
 
 
 def gaze_problem(

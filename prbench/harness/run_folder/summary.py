@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
+from prbench.checking.doctor.motion_set import Diagnosis
 from prbench.errors import RunError
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import write_json
@@ -31,6 +32,11 @@ TWICE_DAGGER = "††"
 PILCROW = "¶"
 # Mark of a method that was given the scene's boxes.
 LOZENGE = "◊"
+# Mark of motions that are certainly wrong, so that their scores say nothing of the method.
+CROSS = "✗"
+# Mark of a Prime Success that counts rays which never were elsewhere.
+SECTION = "§"
+ARRIVAL = "prime_success_arrival"
 
 
 class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -89,6 +95,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         obstacles: The method was given the solid boxes around each sequence.
         length_mismatches: Number of motions whose length is not the recorded one's.
         metrics: Each metric that has a value.
+        findings: What is certainly wrong with the motions (docs/doctor.md); empty for sound ones.
     """
 
     schema_version: int = RUN_SCHEMA_VERSION
@@ -108,6 +115,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     obstacles: bool = False
     length_mismatches: int
     metrics: tuple[MetricSummary, ...]
+    findings: tuple[Diagnosis, ...] = ()
 
     def metric(self, name: str) -> MetricSummary | None:
         """Return one metric, or None if there is no value of it."""
@@ -127,6 +135,13 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def mark(self) -> str:
         """Return the remarks that readers must know about the motions; empty if there are none."""
+        causes = ", ".join(f"{found.cause} ({found.kind})" for found in self.findings)
+        wrong = [f"{CROSS} the motions are certainly wrong: {causes}; never ranked"] if causes else []
+        return "; ".join([*wrong, *self.remarks])
+
+    @property
+    def remarks(self) -> list[str]:
+        """Return the remarks on sound motions."""
         marks = []
         if self.recorded_motions:
             rank = "; never ranked" if self.hands_in_recordings else ""
@@ -136,12 +151,21 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
             marks.append(f"{PILCROW} gaze generated with the head, beyond the study; never ranked")
         if self.obstacles:
             marks.append(f"{LOZENGE} was given the scene's boxes, which other methods are not; never ranked")
-        return "; ".join(marks)
+        return marks
 
     @property
     def symbols(self) -> str:
         """The signs of :attr:`mark`, for the name of the method."""
-        return " ".join(sign for sign in (TWICE_DAGGER, PILCROW, LOZENGE) if sign in self.mark)
+        return " ".join(sign for sign in (CROSS, TWICE_DAGGER, PILCROW, LOZENGE) if sign in self.mark)
+
+    @property
+    def arrival(self) -> str:
+        """Words on primes without those of a ray that was on the goal all along; empty where there are none of these."""
+        shown = self.metric("prime_success")
+        arrival = self.metric(ARRIVAL)
+        if shown is None or arrival is None or arrival.mean >= shown.mean:
+            return ""
+        return f"{SECTION} {100 * arrival.mean:.1f} % where the head ray must have been elsewhere before"
 
     @property
     def edge_arrivals(self) -> str:

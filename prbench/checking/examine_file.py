@@ -9,32 +9,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from prbench.checking.doctor.body import (
-    BODY_PARAMETERS,
-    examine_body,
-    examine_empty,
-    examine_finite,
-    examine_scale,
-    examine_shape,
-    examine_unit,
-)
-from prbench.checking.doctor.frame_rate import (
-    examine_frame_rate,
-    examine_holds,
-    examine_length,
-    examine_repeats,
-    examine_rhythm,
-)
-from prbench.checking.doctor.joint_order import examine_joint_order, examine_left_right
-from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Expected, MotionSet
-from prbench.checking.doctor.place import (
-    examine_facing,
-    examine_first_frame,
-    examine_floor,
-    examine_position,
-    examine_root,
-    examine_up_axis,
-)
+from prbench.checking.doctor.body import BODY_PARAMETERS
+from prbench.checking.doctor.examinations import diagnose
+from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Expected
 from prbench.errors import InputFileError, UsageError
 from prbench.files.arrays import Archive, map_array, read_header, read_parquet
 from prbench.files.bounded import foreign_input, open_regular, require
@@ -51,65 +28,6 @@ _LARGEST = 8 * 1024**3  # bytes of one array
 _IDS = ("sequence_id", "opaque_id")
 _FORMS = "an .npy or .npz file, Parquet, a folder of .npy or Parquet files, or a run folder"
 _POSE_SIZE = N_JOINTS * 3
-# Examinations, in the order in which faults hide one another
-_EXAMINATIONS = (
-    examine_empty,
-    examine_shape,
-    examine_finite,
-    examine_body,
-    examine_unit,
-    examine_joint_order,
-    examine_scale,
-    examine_up_axis,
-    examine_left_right,
-    examine_root,
-    examine_first_frame,
-    examine_facing,
-    examine_position,
-    examine_floor,
-    examine_length,
-    examine_repeats,
-    examine_holds,
-    examine_rhythm,
-    examine_frame_rate,
-)
-
-
-def diagnose(
-    motions: Sequence[np.ndarray], expected: Sequence[Expected] | None, *, fps: float
-) -> tuple[Diagnosis, ...]:
-    """Say from the numbers what is wrong with motions.
-
-    Args:
-        motions: Normally each (frames, 22, 3), canonical frame, metres; any other shape is diagnosed, too.
-        expected: What is known beside each motion; None = nothing.
-        fps: Frames a second that the motions are said to have.
-
-    Returns:
-        Diagnoses in the order in which faults have to be repaired; empty if nothing was found. A fault that explains
-        others comes alone: what is looked at later is looked at with that fault undone.
-
-    Raises:
-        ValueError: if ``expected`` has another length than ``motions``.
-    """
-    if expected is not None and len(expected) != len(motions):
-        raise ValueError(f"{len(motions)} motions, but expectations of {len(expected)}")
-    if not motions:
-        return ()
-    known = tuple(expected) if expected is not None else (NOTHING_KNOWN,) * len(motions)
-    motion_set = MotionSet(tuple(np.asarray(motion, dtype=np.float64) for motion in motions), known, fps)
-    diagnoses: list[Diagnosis] = []
-    # Each examination gets the motions with the earlier faults undone, or it would report them again.
-    for examine in _EXAMINATIONS:
-        if any(each.kind == "clock" and each.certain for each in diagnoses):
-            break  # uneven time also changes speeds, by which the rest would judge
-        finding = examine(motion_set)
-        if finding is not None:
-            diagnoses += finding.diagnoses
-            if finding.unreadable:
-                break
-            motion_set = finding.motion_set
-    return tuple(diagnoses)
 
 
 @dataclass(frozen=True)

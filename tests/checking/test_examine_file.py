@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from prbench.checking.doctor.examine_file import DoctorRequest, examine_file, read_motions
+from prbench.checking.examine_file import DoctorRequest, examine_file, read_motions
 from prbench.cli.main import main
 from prbench.errors import InputFileError, UsageError
 from tests.cli.reports import refused, reported

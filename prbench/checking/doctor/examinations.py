@@ -1,0 +1,103 @@
+"""Looks for one fault after another in motions, each with the earlier ones undone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from prbench.checking.doctor.body import (
+    examine_body,
+    examine_empty,
+    examine_finite,
+    examine_scale,
+    examine_shape,
+    examine_unit,
+)
+from prbench.checking.doctor.frame_rate import (
+    examine_frame_rate,
+    examine_holds,
+    examine_length,
+    examine_repeats,
+    examine_rhythm,
+)
+from prbench.checking.doctor.joint_order import examine_joint_order, examine_left_right
+from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Expected, Finding, MotionSet
+from prbench.checking.doctor.place import (
+    examine_facing,
+    examine_first_frame,
+    examine_floor,
+    examine_position,
+    examine_root,
+    examine_up_axis,
+)
+
+Examination = Callable[[MotionSet], Finding | None]
+# Examinations, in the order in which faults hide one another
+EXAMINATIONS: tuple[Examination, ...] = (
+    examine_empty,
+    examine_shape,
+    examine_finite,
+    examine_body,
+    examine_unit,
+    examine_joint_order,
+    examine_scale,
+    examine_up_axis,
+    examine_left_right,
+    examine_root,
+    examine_first_frame,
+    examine_facing,
+    examine_position,
+    examine_floor,
+    examine_length,
+    examine_repeats,
+    examine_holds,
+    examine_rhythm,
+    examine_frame_rate,
+)
+
+
+# Those of a clock that stumbles take as long as all others, and say how a method moves, not how it was converted.
+OF_THE_CONVERSION = tuple(each for each in EXAMINATIONS if each not in (examine_repeats, examine_holds, examine_rhythm))
+
+
+def diagnose(
+    motions: Sequence[np.ndarray],
+    expected: Sequence[Expected] | None,
+    *,
+    fps: float,
+    examinations: Sequence[Examination] = EXAMINATIONS,
+) -> tuple[Diagnosis, ...]:
+    """Say from the numbers what is wrong with motions.
+
+    Args:
+        motions: Normally each (frames, 22, 3), canonical frame, metres; any other shape is diagnosed, too.
+        expected: What is known beside each motion; None = nothing.
+        fps: Frames a second that the motions are said to have.
+        examinations: What is looked for, in this order; everything by default.
+
+    Returns:
+        Diagnoses in the order in which faults have to be repaired; empty if nothing was found. A fault that explains
+        others comes alone: what is looked at later is looked at with that fault undone.
+
+    Raises:
+        ValueError: if ``expected`` has another length than ``motions``.
+    """
+    if expected is not None and len(expected) != len(motions):
+        raise ValueError(f"{len(motions)} motions, but expectations of {len(expected)}")
+    if not motions:
+        return ()
+    known = tuple(expected) if expected is not None else (NOTHING_KNOWN,) * len(motions)
+    motion_set = MotionSet(tuple(np.asarray(motion, dtype=np.float64) for motion in motions), known, fps)
+    diagnoses: list[Diagnosis] = []
+    # Each examination gets the motions with the earlier faults undone, or it would report them again.
+    for examine in examinations:
+        if any(each.kind == "clock" and each.certain for each in diagnoses):
+            break  # uneven time also changes speeds, by which the rest would judge
+        finding = examine(motion_set)
+        if finding is not None:
+            diagnoses += finding.diagnoses
+            if finding.unreadable:
+                break
+            motion_set = finding.motion_set
+    return tuple(diagnoses)
