@@ -222,5 +222,5 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     >>> did_you_mean("sttic", ["pr", "static"])
     " Did you mean 'static'?"
     """
-    near = difflib.get_close_matches(name, list(known), n=1)
+    near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.55)
     return f" Did you mean '{near[0]}'?" if near else ""

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import inspect
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from prbench.contract import Condition
 from prbench.engine import Engine, close_engine
 from prbench.engine.choice import Cluster, open_engine
-from prbench.errors import UsageError, did_you_mean
+from prbench.errors import PrbenchError, UsageError, did_you_mean
 from prbench.object_stores.store import is_url
 
 # A path as text or as a :class:`pathlib.Path`, ``~`` means the home folder; or a URL such as ``s3://bucket/folder`` as
@@ -21,6 +23,34 @@ PathLike = str | os.PathLike[str]
 # Processes of this machine, or a cluster.
 Workers = int | Cluster
 _NOTE = "note: "
+
+
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+def own_parameters(function: Callable[Given, Result]) -> Callable[Given, Result]:
+    """Let a method name its own parameters: where it is called by others, and in messages that name options.
+
+    Args:
+        function: The method; it raises messages of the command line, such as ``name it with --data DIR``.
+    """
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def called(*values: Given.args, **named: Given.kwargs) -> Result:
+        try:
+            signature.bind(*values, **named)
+        except TypeError as error:
+            known = ", ".join(list(signature.parameters)[1:])
+            raise TypeError(f"{function.__name__}(): {error}; its parameters are: {known}") from None
+        try:
+            return function(*values, **named)
+        except PrbenchError as error:
+            error.args = (str(error).replace("--data DIR", "data=FOLDER").replace("with --data", "with data=FOLDER"),)
+            raise
+
+    return called
 
 
 def as_path(value: PathLike) -> Path:

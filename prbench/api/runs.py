@@ -194,6 +194,7 @@ class Run:
         predictions = next(each for each in opened if (name, sample) in each)
         return frozen(predictions.motions([name], sample).values.copy())
 
+    @args.own_parameters
     def plot(
         self,
         sequence: str | Iterable[str] = (),
@@ -223,6 +224,7 @@ class Run:
         """
         return picture_of(self._scenes(sequence, data, limit, sample, permission))
 
+    @args.own_parameters
     def replay(
         self,
         sequence: str | Iterable[str] = (),

@@ -34,6 +34,7 @@ from prbench.protocol.manifests import benchmarks, find_benchmark
 # Titles of the numbers of :func:`cost_of`.
 COSTS = {
     "seconds": "s/motion",
+    "processor_seconds": "CPU s/motion",
     "network_passes": "Passes/motion",
     "memory_mebibytes": "Memory (MiB)",
     "parameters": "Parameters",
@@ -46,7 +47,8 @@ def cost_of(files: DatasetFolder) -> dict[str, float | None]:
     """Read the cost of one dataset of a finished run.
 
     Returns:
-        Seconds a motion, batched as the run was, without warm-up; network passes a motion, as the method declares;
+        Seconds and processor seconds a motion, batched as the run was, without warm-up; network passes a motion, as
+        the method declares;
         largest memory of the device, else of the process, MiB; parameters of the networks. None where nothing was
         measured or declared.
 
@@ -58,10 +60,14 @@ def cost_of(files: DatasetFolder) -> dict[str, float | None]:
     if not motions or not cost.seconds + cost.warm_up_seconds:
         return UNMEASURED
     # A run of a single batch has a warm-up alone: slower than later batches, but the only measurement.
-    seconds = cost.seconds_per_motion
+    alone = not cost.motions
+    seconds = cost.warm_up_seconds if alone else cost.seconds
+    computed = cost.warm_up_processor_seconds if alone else cost.processor_seconds
+    timed = cost.warm_up_motions if alone else cost.motions
     memory = cost.peak_device_bytes if cost.peak_device_bytes is not None else cost.peak_process_bytes
     return {
-        "seconds": cost.warm_up_seconds / motions if seconds is None else seconds,
+        "seconds": seconds / timed,
+        "processor_seconds": None if computed is None else computed / timed,
         "network_passes": cost.network_passes_declared / motions if cost.network_passes_declared else None,
         "memory_mebibytes": memory / 2**20 if memory else None,
         "parameters": cost.parameters,

@@ -22,7 +22,7 @@ from prbench.tables import as_markdown as tables_as_markdown
 _CSV_COLUMNS = (
     *("table", "dataset", "condition", "method", "variant", "metric", "value", "unit", "higher_is_better"),
     *("low", "high", "sequences", "recordings", "detectable", "rank", "verified", "note", "kind"),
-    *("seconds_per_motion", "passes_per_motion", "memory_mebibytes", "parameters"),
+    *("seconds_per_motion", "processor_seconds_per_motion", "passes_per_motion", "memory_mebibytes", "parameters"),
 )
 _FEW = "†"
 FORMATS = ("md", "csv", "json")
@@ -104,6 +104,7 @@ def _csv_rows(leaderboard: Leaderboard) -> Iterator[dict[str, Any]]:
                 "verified": "unverified" if row.entry.unverified else "verified",
                 "kind": row.entry.origin,
                 "seconds_per_motion": cost["seconds"],
+                "processor_seconds_per_motion": cost["processor_seconds"],
                 "passes_per_motion": cost["network_passes"],
                 "memory_mebibytes": cost["memory_mebibytes"],
                 "parameters": cost["parameters"],
@@ -143,8 +144,8 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True):
         run: Name of the run folder.
         record: The content of its ``run.json``: method, version, weights, condition, seed.
         summary: Its scores, as in ``summary.json``; of the table's sequences alone.
-        cost: Cost of a motion, on the machine of the run: ``seconds``, ``network_passes``, ``memory_mebibytes``,
-            ``parameters``; null where nothing was measured or declared.
+        cost: Cost of a motion, on the machine of the run: ``seconds``, ``processor_seconds``, ``network_passes``,
+            ``memory_mebibytes``, ``parameters``; null where nothing was measured or declared.
         origin: Whose method it is, in words; a record that claims a method for prbench without right is not believed.
         mark: A remark about its motions that readers must know; empty if there is none.
         unverified: Why the scores were not held against the motions; empty if they were.
@@ -286,7 +287,7 @@ def _as_markdown(leaderboard: Leaderboard) -> str:
             )
             for row in table.rows
         ]
-        costs = [Column(key=name, title=COSTS[name], digits=3 if name == "seconds" else 0) for name in COSTS]
+        costs = [Column(key=name, title=COSTS[name], digits=3 if name.endswith("seconds") else 0) for name in COSTS]
         blocks = (Block(rows=tuple(rows)),)
         columns = _columns(table.benchmark, *costs)
         tables.append(Table(title=", ".join(about), columns=columns, blocks=blocks, notes=tuple(_legend(table))))
@@ -320,8 +321,9 @@ def _columns(benchmark: Benchmark, *further: Column) -> tuple[Column, ...]:
 
 def _legend(table: DatasetTable) -> Iterable[str]:
     yield (
-        "Cost as the harness measured it on the machine of each run, batched as it was; memory of the device, else of"
-        " the process; passes as the method declares them. A dash: not measured."
+        "Cost as the harness measured it on the machine of each run, batched as it was; CPU: of all threads, whatever"
+        " else the machine did; memory of the device, else of the process; passes as the method declares them. A dash:"
+        " not measured."
     )
     if table.earlier_version is not None:
         present = table.benchmark.present_rules.version

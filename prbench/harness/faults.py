@@ -60,4 +60,5 @@ def certain_faults(
             else:
                 expected.append(Expected(None, None, int(asked), fps))
     found = diagnose(motions, expected, fps=fps, examinations=OF_THE_CONVERSION)
-    return tuple(each for each in found if each.certain)
+    # Scoring itself refuses another length, unless the user allows it.
+    return tuple(each for each in found if each.certain and each.kind != "length")

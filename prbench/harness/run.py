@@ -28,6 +28,7 @@ from prbench.errors import AdapterError, MemoryFullError
 from prbench.files.storage import remove_half_written, sole_writer, write_text
 from prbench.harness.methods.loading import MethodSpec, count_parameters, forget_loaded_methods, unload_method
 from prbench.harness.methods.process import computing_threads
+from prbench.harness.methods.programs import runs_in_container
 from prbench.harness.preparation import PreparedDataset, PreparedRun, prepare_run
 from prbench.harness.request import DEFAULT_PARENT, Progress, ProgressCallback, RunRequest, reported, silent
 from prbench.harness.results import require_scores, require_summary, summary_of
@@ -76,13 +77,16 @@ def run_batch(task: BatchTask) -> int:
     method = None if task.method is None else task.method.load()
     if cuda := _used_cuda():
         cuda.reset_peak_memory_stats()
+    in_container = task.method is not None and runs_in_container(task.method.name)
+    _, computed = _used_by_processes()
     started = _synchronised_time()
     with contextlib.nullcontext() if task.method is None else computing_threads(task.method.threads):
         answer = task.question.ask(method, seed=task.seed, sequence_ids=task.sequence_ids)
     seconds = _synchronised_time() - started
     cuda = _used_cuda()
-    # A program's memory is not in the resident size of this process.
-    peak = psutil.Process().memory_info().rss + (0 if method is None else method.program_bytes())
+    peak, processor_seconds = _used_by_processes()
+    # What a container computes is none of this process's children.
+    computed = None if in_container else processor_seconds - computed
     cost = RunCost(
         peak_process_bytes=peak,
         peak_device_bytes=None if cuda is None else int(cuda.max_memory_allocated()),
@@ -93,7 +97,7 @@ def run_batch(task: BatchTask) -> int:
     if method is None:
         cost = msgspec.structs.replace(cost, motions=motions, frames=frames)
     else:
-        timed = {"motions": motions, "frames": frames, "seconds": seconds}
+        timed = {"motions": motions, "frames": frames, "seconds": seconds, "processor_seconds": computed}
         cost = msgspec.structs.replace(
             cost,
             parameters=count_parameters(method.adapter),
@@ -103,6 +107,21 @@ def run_batch(task: BatchTask) -> int:
     cost.write(task.cost)  # first, so that a part on disk is never without its measurement
     write_part(task.part, task.sequence_ids, answer.seeds, answer.samples, protocol_version=task.protocol_version)
     return task.index
+
+
+def _used_by_processes() -> tuple[int, float]:
+    """Return the memory of this process and of all that it has started, in bytes, and their processor time, seconds.
+
+    A machine that does other work too makes a run slow; it changes processor time little.
+    """
+    memory = 0
+    seconds = 0.0
+    own = psutil.Process()
+    for process in (own, *own.children(recursive=True)):
+        with contextlib.suppress(psutil.Error):  # it has just ended; its parent's time holds its own
+            memory += process.memory_info().rss
+            seconds += sum(process.cpu_times()[:4])  # of user and system, and of the children that have ended
+    return memory, seconds
 
 
 def _synchronised_time() -> float:

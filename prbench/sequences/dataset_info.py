@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import ClassVar, Protocol, Self, runtime_checkable
@@ -125,9 +126,13 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
 
     @classmethod
     def _remedy(cls, folder: Path) -> str:
-        """Name the built ones that lie one folder farther down, where a folder of several was given."""
-        inner = sorted(str(file.parent) for file in folder.glob(f"*/{cls.file_name}"))
-        return f"Did you mean {', '.join(inner)}?" if inner else f"Make one with `prbench {cls.build_command}`."
+        """Name the built ones one folder farther down, or beside a missing one those with its name in theirs."""
+        near = sorted(str(file.parent) for file in folder.glob(f"*/{cls.file_name}"))
+        if not folder.exists() and folder.parent.is_dir():
+            beside = sorted(file.parent for file in folder.parent.glob(f"*/{cls.file_name}"))
+            close = difflib.get_close_matches(folder.name, [other.name for other in beside])
+            near = [str(other) for other in beside if folder.name in other.name or other.name in close]
+        return f"Did you mean {', '.join(near)}?" if near else f"Make one with `prbench {cls.build_command}`."
 
 
 def _found(folder: Path) -> str:

@@ -36,7 +36,7 @@ def batch(*, warm_up: bool = False, parameters: int | None = 1_250_000) -> RunCo
     rest = {"peak_process_bytes": 512 * 2**20, "network_passes_declared": 800, "parameters": parameters}
     if warm_up:
         return RunCost(warm_up_motions=8, warm_up_frames=800, warm_up_seconds=8.0, **rest)
-    return RunCost(motions=8, frames=800, seconds=2.0, **rest)
+    return RunCost(motions=8, frames=800, seconds=2.0, processor_seconds=4.0, **rest)
 
 
 def test_seconds_without_warm_up_passes_a_motion_memory_and_parameters(tmp_path):
@@ -45,12 +45,14 @@ def test_seconds_without_warm_up_passes_a_motion_memory_and_parameters(tmp_path)
     board = leaderboard(tmp_path)
     header, _, row = cells(export(board, "md"))
     shown = dict(zip(header, row, strict=True))
-    wanted = {"s/motion": "0.250", "Passes/motion": "100", "Memory (MiB)": "512", "Parameters": "1250000"}
+    wanted = {"s/motion": "0.250", "CPU s/motion": "0.500", "Passes/motion": "100", "Memory (MiB)": "512"}
+    wanted["Parameters"] = "1250000"
     assert {name: shown[name] for name in wanted} == wanted
     first = csv_rows(board)[0]
     assert (first["seconds_per_motion"], first["parameters"]) == ("0.25", "1250000")
     assert json.loads(export(board, "json"))["tables"][0]["rows"][0]["cost"] == {
-        "seconds": 0.25, "network_passes": 100.0, "memory_mebibytes": 512.0, "parameters": 1_250_000,
+        "seconds": 0.25, "processor_seconds": 0.5, "network_passes": 100.0, "memory_mebibytes": 512.0,
+        "parameters": 1_250_000,
     }  # fmt: skip
 
 
@@ -58,7 +60,7 @@ def test_a_single_batch_is_better_than_nothing(tmp_path):
     run = write_run(tmp_path / "a")
     total_cost([batch(warm_up=True, parameters=None)]).write(run / "synthetic-adt/cost.json")
     entry = by_method(leaderboard(tmp_path))["pr"].entry
-    assert (entry.cost["seconds"], entry.cost["parameters"]) == (1.0, None)
+    assert [entry.cost[name] for name in ("seconds", "processor_seconds", "parameters")] == [1.0, None, None]
 
 
 def test_files_and_controls_without_measurements_have_dashes(tmp_path):
@@ -66,7 +68,7 @@ def test_files_and_controls_without_measurements_have_dashes(tmp_path):
     run = write_run(tmp_path / "file", "mine", about={"kind": FILE})
     total_cost([]).write(run / "synthetic-adt/cost.json")
     _, _, *rows = cells(export(leaderboard(tmp_path), "md"))
-    assert [row[11:15] for row in rows] == [["–"] * 4] * 2
+    assert [row[10:15] for row in rows] == [["–"] * 5] * 2
 
 
 def test_a_damaged_cost_is_told(tmp_path):

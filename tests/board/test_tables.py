@@ -206,7 +206,7 @@ def test_the_macro_mean_weighs_datasets_alike_and_needs_all_of_them(tmp_path):
     assert (rows["one"].ranks["prime_success"], rows["two"].ranks["prime_success"]) == (1, 1)
     shown = printed(board, "Mean over")
     assert shown["one"][3] == "40.00 [36.84, 43.16] (1)"
-    assert shown["three"][3:-1] == [""] * 8 + ["gimo"]
+    assert shown["three"][3:-1] == [""] * 7 + ["gimo"]
 
 
 def test_no_macro_mean_over_tables_that_do_not_compare(tmp_path):
@@ -231,24 +231,24 @@ def test_methods_of_one_name_and_two_kinds_are_two_rows_of_the_mean(tmp_path):
 def test_plausible_stands_in_the_table_and_ranks_nobody(tmp_path):
     board = board_of(
         tmp_path,
-        one={**TWO, "plausible": 1.0, "prime_success_arrival": 0.2},
-        two={**TWO, "plausible": 0.1, "prime_success_arrival": 0.3},
+        one={**TWO, "plausible": 1.0, "reach_success": 0.2},
+        two={**TWO, "plausible": 0.1, "reach_success": 0.3},
     )
     ranks = {row.entry.method: row.ranks for row in board.tables[0].rows}
-    assert (ranks["one"]["prime_success_arrival"], ranks["two"]["prime_success_arrival"]) == (2, 1)
+    assert (ranks["one"]["reach_success"], ranks["two"]["reach_success"]) == (2, 1)
     assert "plausible" not in ranks["one"]
     assert "plausible" not in only(board.macro).rows[0].ranks
     shown = printed(board, "adt title")
-    assert shown["one"][10].startswith("100.00")  # printed, and not bold
+    assert shown["one"][9].startswith("100.00")  # printed, and not bold
     assert shown["two"][4].startswith("**30.00**")
 
 
 def test_a_run_from_before_a_metric_has_an_empty_cell_and_no_rank_by_it(tmp_path):
-    old = tuple(metric for metric in metrics() if metric.metric not in ("prime_success_arrival", "plausible"))
+    old = tuple(metric for metric in metrics() if metric.metric not in ("reach_success", "plausible"))
     board = board_of(tmp_path, old={"summary": {"metrics": old}}, new={}, newer={})
-    ranked = {name: "prime_success_arrival" in row.ranks for name, row in by_method(board).items()}
+    ranked = {name: "reach_success" in row.ranks for name, row in by_method(board).items()}
     assert ranked == {"new": True, "newer": True, "old": False}
-    assert [printed(board)["old"][i] for i in (4, 10)] == ["", ""]
+    assert [printed(board)["old"][i] for i in (4, 9)] == ["", ""]
 
 
 def test_variants_tell_runs_of_one_method_apart(tmp_path):

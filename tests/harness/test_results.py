@@ -174,7 +174,7 @@ def test_the_motions_of_a_run_of_an_older_protocol_are_scored_by_todays(runs: Pa
     without_newer_metrics(runs / "scripted")
     under_an_older_protocol(runs / "scripted")
     out = runs / "again"
-    assert main(["score", str(runs / "scripted"), "--data", str(runs / "table"), "--out", str(out)]) == 0
+    assert main(["score", str(runs / "scripted"), "--data", str(runs / "table"), "--out", str(out), "--all"]) == 0
     assert "Prime Success (arrival)" in capsys.readouterr().out
     means = read_scores(out / "synthetic-adt/scores.parquet").group_by("metric").aggregate([("value", "mean")])
     assert dict(zip(means["metric"].to_pylist(), means["value_mean"].to_pylist())) == pytest.approx(before)

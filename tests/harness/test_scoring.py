@@ -137,7 +137,8 @@ def test_gaze_is_scored_beside_the_head_and_the_run_is_marked(table, tmp_path, s
     summary = report.summaries[0]
     assert RunRecord.read(tmp_path / "run").method.gaze
     assert summary.gaze
-    assert summary.mark == "¶ gaze generated with the head, beyond the study; never ranked"
+    assert summary.remarks == ["¶ gaze generated with the head, beyond the study; never ranked"]
+    assert summary.mark.startswith("✗ the motions are certainly wrong"), "the method draws noise"
     assert summary.metric("prime_success").mean < 0.5
     for name in BY_GAZE:
         assert summary.metric(name).mean == 1.0
@@ -192,7 +193,7 @@ def test_methods_without_gaze_are_scored_by_their_head_alone(table, tmp_path, in
     install("made", adapter_source())
     summary = run_method(seen_request(table, tmp_path / "run")).summaries[0]
     assert not summary.gaze
-    assert summary.mark == ""
+    assert summary.remarks == []
     assert all(summary.metric(name) is None for name in BY_GAZE)
 
 
@@ -201,7 +202,7 @@ def test_a_leaderboard_shows_it_as_a_row_of_its_own_and_ranks_it_nowhere(table, 
     board = make_leaderboard(collect_runs([tmp_path / "runs"]))
     (row,) = board.tables[0].rows
     assert row.ranks == {}
-    assert "| made ¶ |" in export(board, "md")
+    assert "| made ✗ ¶ |" in export(board, "md")
     assert "¶ gaze generated with the head" in export(board, "csv")
     assert json.loads(export(board, "json"))["tables"][0]["rows"][0]["record"]["method"]["gaze"] is True
 

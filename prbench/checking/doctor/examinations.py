@@ -55,10 +55,10 @@ EXAMINATIONS: tuple[Examination, ...] = (
     examine_rhythm,
     examine_frame_rate,
 )
-
-
-# Those of a clock that stumbles take as long as all others, and say how a method moves, not how it was converted.
-OF_THE_CONVERSION = tuple(each for each in EXAMINATIONS if each not in (examine_repeats, examine_holds, examine_rhythm))
+# A floor that is missed, and a clock that stumbles, may be how a method moves; the other faults are those of files.
+OF_THE_CONVERSION = tuple(
+    each for each in EXAMINATIONS if each not in (examine_floor, examine_repeats, examine_holds, examine_rhythm)
+)
 
 
 def diagnose(

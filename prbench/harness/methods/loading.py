@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import sys
 import tempfile
@@ -13,8 +12,6 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
-
-import psutil
 
 from prbench.contract import Trainable, TrainingRun
 from prbench.entry_points import ADAPTERS
@@ -259,16 +256,6 @@ class LoadedMethod:
     def is_trainable(self) -> bool:
         """True if it learns from a table, here or in its own process."""
         return isinstance(self.adapter, Trainable) or getattr(self.adapter, "trainable", False)
-
-    def program_bytes(self) -> int:
-        """Return the memory of the method's program and of all that it has started, in bytes; 0 in process."""
-        if not isinstance(self.adapter, RemoteMethod):
-            return 0
-        found = 0
-        for process in psutil.Process().children(recursive=True):
-            with contextlib.suppress(psutil.Error):  # it has just ended
-                found += process.memory_info().rss
-        return found
 
 
 @dataclass

@@ -311,16 +311,20 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         motions: Generated motions that were timed, without warm-up.
         seconds: Seconds of ``generate`` alone, device synchronised, without warm-up.
+        processor_seconds: Processor time of the same in this process and all that it has started, of all threads; None
+            where it cannot be measured (a container), and in runs of earlier versions.
         parameters: Parameters of the method's networks; None for a program, and in runs of earlier versions.
     """
 
     motions: int = 0
     frames: int = 0
     seconds: float = 0.0
+    processor_seconds: float | None = None
     seconds_per_motion: float | None = None
     warm_up_motions: int = 0
     warm_up_frames: int = 0
     warm_up_seconds: float = 0.0
+    warm_up_processor_seconds: float | None = None
     peak_process_bytes: int = 0
     peak_device_bytes: int | None = None
     network_passes_declared: int | None = None
@@ -352,12 +356,18 @@ def total_cost(costs: Sequence[RunCost]) -> RunCost:
     def known(name: str) -> list[int]:
         return [value for cost in costs if (value := getattr(cost, name)) is not None]
 
+    def computed(name: str, motions: str) -> float | None:
+        parts = [getattr(cost, name) for cost in costs if getattr(cost, motions)]
+        return sum(parts) if parts and None not in parts else None
+
     sums = {
         name: sum(getattr(cost, name) for cost in costs)
         for name in ("motions", "frames", "seconds", "warm_up_motions", "warm_up_frames", "warm_up_seconds")
     }
     return RunCost(
         **sums,
+        processor_seconds=computed("processor_seconds", "motions"),
+        warm_up_processor_seconds=computed("warm_up_processor_seconds", "warm_up_motions"),
         seconds_per_motion=sums["seconds"] / sums["motions"] if sums["motions"] else None,
         peak_process_bytes=max((cost.peak_process_bytes for cost in costs), default=0),
         peak_device_bytes=max(known("peak_device_bytes"), default=None),

@@ -160,7 +160,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def arrival(self) -> str:
-        """Words on primes without those of a ray that was on the goal all along; empty where there are none of these."""
+        """Words on primes of a ray that was elsewhere before; empty where all primes are."""
         shown = self.metric("prime_success")
         arrival = self.metric(ARRIVAL)
         if shown is None or arrival is None or arrival.mean >= shown.mean:

@@ -23,7 +23,7 @@ def test_a_table_is_printed_in_the_studys_layout(table, tmp_path, capsys):
     assert "2 sequences, " in printed.out
     assert "No condition" in printed.out
     assert "Static" in printed.out
-    assert "Prime Success (arrival) ↑" in printed.out
+    assert "Prime Success ↑" in printed.out
     assert "ground-truth-resampled" in printed.out
     assert "Nothing is ranked: fewer than 50 sequences." in printed.out
     assert str(tmp_path / "t" / "table_2.md") in printed.out

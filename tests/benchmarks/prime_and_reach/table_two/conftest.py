@@ -22,7 +22,13 @@ ADAPTER = """
 
     from prbench.contract import Condition, Cost, Motions
     from prbench.errors import AdapterError
+    from prbench.geometry.skeleton import PARENTS
+    from prbench.representation import REST_OFFSETS
 
+    STANDING = np.array(REST_OFFSETS)
+    for joint in range(1, 22):
+        STANDING[joint] += STANDING[PARENTS[joint]]
+    STANDING[:, 1] -= STANDING[:, 1].min()
     LOG = Path({log!r})
 
     class Made:
@@ -46,9 +52,11 @@ ADAPTER = """
                 raise ZeroDivisionError("no such luck")
             joints = np.zeros((len(batch), int(batch.n_frames.max()), 22, 3))
             for row, noise_seed in enumerate(batch.noise_seed):
-                joints[row] = np.random.default_rng(noise_seed).normal(scale=self.spread, size=joints[row].shape)
+                noise = np.random.default_rng(noise_seed).normal(scale=0.02 * self.spread, size=joints[row].shape)
+                begin = STANDING if batch.initial_joints is None else batch.initial_joints[row]
+                joints[row] = begin + noise
                 if batch.goal_location is not None and {name!r} == "reacher":
-                    joints[row, :, 21] = batch.goal_location[row]
+                    joints[row, batch.n_frames[row] // 2 :, 21] = batch.goal_location[row]
             return Motions(joints, batch.n_frames, Cost(network_passes=3 * len(batch)))
 
     def load(weights, *, options, device):
