@@ -278,7 +278,7 @@ def contact_distance(
         return np.full(len(times), np.inf)
     surface = None
     if rule.target == "surface" and track.surface is not None:
-        surface = TriangleMesh(track.surface.vertices, track.surface.faces)
+        surface = TriangleMesh(*track.surface)
     rows = max(1, _VERTICES_AT_ONCE // hand.points.shape[1])
     nearest = np.empty(len(times))
     for start in range(0, len(times), rows):

@@ -141,6 +141,11 @@ class PoseStream:
         return _pose_at(self, query)
 
 
+# Streams of what nobody measured.
+NO_GAZE = GazeStream(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=bool))
+NO_POSES = PoseStream(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0, dtype=bool))
+
+
 @dataclass(frozen=True)
 class BodyStream:
     """The 22 joints of :class:`prbench.geometry.skeleton.Joint`."""
@@ -181,7 +186,7 @@ class ObjectTrack:
         object_id: The dataset's own id as text; 16-digit ids do not survive a float.
         box_min: Lower corner in the object's frame; equal to ``box_max`` where the dataset knows points only.
         movable: True where the dataset tracks it; only such objects can be picked up.
-        surface: Its mesh, in its own frame; only where a reader is asked for meshes.
+        surface: Vertices and triangles of its mesh, in its own frame; only where a reader is asked for them.
     """
 
     object_id: str
@@ -194,7 +199,7 @@ class ObjectTrack:
     box_min: Float[np.ndarray, "3"]
     box_max: Float[np.ndarray, "3"]
     movable: bool
-    surface: Occluder | None = None
+    surface: tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]] | None = None
 
     def __post_init__(self) -> None:
         _check_stream(self.times, self.position, self.rotation, self.valid)
@@ -202,7 +207,7 @@ class ObjectTrack:
         _check_poses(name, self)
         require_near(f"box of {name}", np.stack([self.box_min, self.box_max]), farthest=LARGEST_OBJECT)
         if self.surface is not None:
-            require_near(f"surface of {name}", self.surface.vertices, farthest=LARGEST_OBJECT)
+            require_near(f"surface of {name}", self.surface[0], farthest=LARGEST_OBJECT)
 
     def pose_at(self, query: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 4"]]:
         """Return the position and rotation interpolated between valid samples, end values held beyond them."""
@@ -238,21 +243,6 @@ class PublishedPriming:
     outcome: Literal["primed", "not_primed", "excluded"]
     prime_time: float | None
     uncertainty: float = 0.0
-
-
-@dataclass(frozen=True)
-class Occluder:
-    """A triangle mesh that can stand between the eye and a place.
-
-    Attributes:
-        vertices: Vertices in the world; in the object's own frame where it belongs to an object.
-        object_id: The tracked object it moves with; None for the scene.
-    """
-
-    name: str
-    vertices: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
-    object_id: str | None = None
 
 
 @dataclass(frozen=True)
@@ -328,7 +318,6 @@ class Recording:
         head: The glasses' central pupil frame: x left, y up, z forward.
         split_group: Recordings with one group share a split (concurrent twins); the recording's own id where it stands
             alone.
-        occluders: Meshes of scene and objects, loaded only where a reader is asked for them (option ``meshes``).
         hinged_objects: Ids of doors, drawers and the like, where the dataset says so.
         annotations_alone: True where the events were read without any stream, so that none can be primed.
         has_published_priming: True where the dataset's own priming results are there, whatever they say.
@@ -354,7 +343,6 @@ class Recording:
     other_people: tuple[OtherPerson, ...] = ()
     annotated_events: tuple[AnnotatedEvent, ...] = ()
     split_group: str = ""
-    occluders: tuple[Occluder, ...] = ()
     hinged_objects: frozenset[str] = frozenset()
     annotations_alone: bool = False
     has_published_priming: bool = False

@@ -16,7 +16,7 @@ from prbench.curation.in_hand import close_to, contact_distance, find_holdings, 
 from prbench.curation.options import CurationOptions
 from prbench.errors import MissingExtraError, UsageError
 from prbench.protocol.manifests import load_manifest
-from prbench.recording import HandStream, ObjectTrack, Occluder
+from prbench.recording import HandStream, ObjectTrack
 from tests.curation.scenes import RULE, scene
 
 assert RULE is not None
@@ -44,7 +44,7 @@ def _object(mesh: trimesh.Trimesh) -> ObjectTrack:
         box_min=vertices.min(axis=0),
         box_max=vertices.max(axis=0),
         movable=True,
-        surface=Occluder("thing", vertices, faces, "1"),
+        surface=(vertices, faces),
     )
 
 

@@ -74,8 +74,8 @@ def test_defaults_describe_themselves_without_places_of_this_machine(dataset) ->
 
 
 def test_texts_become_values_of_their_kind() -> None:
-    options = reader_for("gimo", {"meshes": "true", "body": "bvh"}).options
-    assert described_options(options)["meshes"] == "true"
+    options = reader_for("gimo", {"hints": "false", "body": "bvh"}).options
+    assert described_options(options)["hints"] == "false"
     assert described_options(options)["body"] == "bvh"
 
 

@@ -24,7 +24,13 @@ from prbench.limits import LARGEST_OBJECT
 from prbench.readers import ReaderOptions, read_synthetic_tree
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.to_recording import ASSUMED_SIZE, turned_to_z_up
-from prbench.readers.aria_mps.files import find_gaze_file, read_gaze_angles, read_size_and_camera, read_trajectory
+from prbench.readers.aria_mps.files import (
+    find_gaze_file,
+    read_gaze_angles,
+    read_size_and_camera,
+    read_trajectory,
+    require_up,
+)
 from prbench.readers.aria_mps.format import CALIBRATION_FILE, TIME_COLUMN, GazeAngles, device_from_cpf
 from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.egoallo.bodies import read_bodies
@@ -361,11 +367,8 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
     size, device_from_rgb = read_size_and_camera(found.path(CALIBRATION))
     path = found.require(TRAJECTORY, adt.TRAJECTORY_FILE)
     trajectory = read_trajectory(path)
-    expected = "gravity along -Y (ADT scenes are Y up)"
     remedy = "This looks like a native MPS trajectory; use the recording's own aria_trajectory.csv."
-    seen = f"up = {(np.round(trajectory.up, 3) + 0.0).tolist()}"
-    is_y_up = np.linalg.norm(trajectory.up - np.array(adt.UP)) <= 1e-3
-    require(path, (is_y_up, "gravity columns", expected, seen, remedy))
+    require_up(path, trajectory, adt.UP, within=1e-3, remedy=remedy)
     skeletons, odd = read_skeletons(found)
     body = None
     if options.poses == "egoallo":

@@ -231,6 +231,27 @@ def read_trajectory(source: Source) -> mps.AriaTrajectory:
 
 
 @foreign_input()
+def require_up(
+    place: Path | str, trajectory: mps.AriaTrajectory, up: tuple[float, float, float], *, within: float, remedy: str
+) -> None:
+    """Refuse a trajectory whose gravity points elsewhere than in the dataset's world.
+
+    Args:
+        place: What the message names.
+        trajectory: Poses with the direction against gravity.
+        up: That direction in the dataset's world.
+        within: Largest length of the difference.
+        remedy: What to do about another one.
+
+    Raises:
+        InputFileError: telling both directions.
+    """
+    is_up = np.linalg.norm(trajectory.up - np.array(up)) <= within
+    found = f"up = {(np.round(trajectory.up, 3) + 0.0).tolist()}"
+    expected = f"gravity along -{'XYZ'[up.index(1.0)]} (this dataset's world)"
+    require(place, (is_up, "gravity columns of the trajectory", expected, found, remedy))
+
+
 def read_near(source: Source, gaze_us: Int[np.ndarray, " n"], rate: float = mps.POSE_RATE) -> mps.AriaTrajectory:
     """Check every row, and keep those around the gaze times and a regular grid, as :func:`mps.thinned` chooses them.
 

@@ -8,8 +8,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.files.bounded import require
@@ -47,7 +45,7 @@ from prbench.readers.gimo.table import (
     read_segments,
     require_one_split,
 )
-from prbench.recording import Occluder, Recording, UnreadableEntry
+from prbench.recording import Recording, UnreadableEntry
 
 
 class GimoOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -61,7 +59,6 @@ class GimoOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_onl
             given.
         vposer_model: Snapshot of VPoser v1 (``TR00_E096.pt``), for body smplx.
         smplx_model: ``SMPLX_NEUTRAL.npz``, for body smplx.
-        meshes: Load the scanned room, for priming that walls can hide.
     """
 
     events: Path | None = None
@@ -70,7 +67,6 @@ class GimoOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_onl
     body: Literal["auto", "smplx", "bvh"] = "auto"
     vposer_model: Path | None = None
     smplx_model: Path | None = None
-    meshes: bool = False
 
     @property
     def route(self) -> Literal["smplx", "bvh"]:
@@ -91,7 +87,6 @@ SKELETON = "skeleton"
 POSE = "pose:"
 CONE = "gaze:"
 CENTRE = "gaze centre:"
-SCENE_MESH = "scene mesh"
 
 
 def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFiles, ...]:
@@ -186,9 +181,6 @@ def _files(
         paths |= {f"{role}{frame}": files[frame] for frame in wanted}
     if options.body != "smplx":
         paths[SKELETON] = folder / gimo.SKELETON_FILE
-    if options.meshes:
-        meshes = [scene / name for name in gimo.SCENE_MESHES if is_present(scene / name)]
-        paths |= {SCENE_MESH: meshes[0]} if meshes else {}
     return [input_file(role, path) for role, path in paths.items() if is_present(path)]
 
 
@@ -283,7 +275,6 @@ def read_readings(found: RecordingFiles, options: GimoOptions) -> gimo.GimoReadi
         body=_body(found, options),
         gaze=gaze,
         events=events,
-        meshes=_meshes(found) if options.meshes else (),
         messages=(*row.remarks, *overlaps, *event_remarks, *unnumbered, *gaze_remarks),
         unreadable=tuple(filter(None, odd)),
     )
@@ -322,24 +313,3 @@ def open_route(found: RecordingFiles, options: GimoOptions) -> str:
     told = "; ".join(f"{route} lacks {what}" for route, what in lacking.items())
     remedy = f"VPoser v1: {VPOSER_PAGE}; SMPL-X neutral: {SMPLX_PAGE} (options vposer_model and smplx_model)."
     raise InputFileError(found.folder, "", expected=expected, found=told, remedy=remedy)
-
-
-def _meshes(found: RecordingFiles) -> tuple[Occluder, ...]:
-    """Return the scanned room as triangles; none where the copy lacks it, which curation reports.
-
-    Raises:
-        InputFileError: if the mesh cannot be read, or has points only.
-    """
-    path = found.path(SCENE_MESH)
-    if path is None:
-        return ()
-    import trimesh
-
-    try:
-        mesh = trimesh.load(path, process=False, force="mesh")
-    except Exception as error:  # trimesh raises whatever the damaged file makes it stumble over
-        raise InputFileError(path, "", expected="a triangle mesh", found=f"{type(error).__name__}: {error}") from error
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        remedy = f"Download {gimo.SCENE_MESHES[0]} as well."
-        raise InputFileError(path, "", expected="triangles", found="points only", remedy=remedy)
-    return (Occluder(path.name, np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)),)

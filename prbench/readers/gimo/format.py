@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from prbench.readers.gimo.bvh import BvhMotion
 from prbench.recording import UnreadableEntry
-from prbench.recording.streams import Occluder, Side
+from prbench.recording.streams import Side
 
 TABLE_FILE = "dataset.csv"
 EVENTS_FILE = "prbench_events.csv"  # The user's own annotations, at the root unless a reader option names another file.
@@ -18,7 +18,6 @@ SCENE_FOLDER = "scene_obj"
 POSE_FOLDER = "smplx_local"
 GAZE_FOLDER = "eye_pc"
 NORM_FILE = "transform_norm.txt"
-SCENE_MESHES = ("textured_output.obj", "scene_downsampled.ply")
 SKELETON_FILE = "skeleton.bvh"
 GAZE_CENTRE_SUFFIX = "_center"
 
@@ -179,7 +178,6 @@ class GimoReadings:
     """Readings of one segment: the content of its files.
 
     Attributes:
-        meshes: The scanned room, scan coordinates.
         messages: Messages of reading the files.
         unreadable: Entries of the annotation files that cannot be read.
     """
@@ -190,6 +188,5 @@ class GimoReadings:
     body: LocalJoints | LocalSkeleton
     gaze: GazePoints
     events: tuple[EventFrame, ...]
-    meshes: tuple[Occluder, ...] = ()
     messages: tuple[str, ...] = ()
     unreadable: tuple[UnreadableEntry, ...] = ()

@@ -7,8 +7,6 @@ The world is the canonical room: Y up, floor near y = 0, metres of the body
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -19,12 +17,12 @@ from prbench.protocol.manifests import Manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import place_skeleton
 from prbench.recording.streams import (
+    NO_POSES,
     SIDES,
     AnnotatedEvent,
     BodyStream,
     GazeStream,
     HandStream,
-    PoseStream,
     PublishedTrack,
     Recording,
     hold_neighbours,
@@ -68,7 +66,6 @@ def recording_from_gimo(readings: gimo.GimoReadings, manifest: Manifest, *, data
     # Some unit vector stands where nothing was measured; the mask says so.
     direction = np.where(valid[:, None], apart / np.where(valid, distance, 1.0)[:, None], [0.0, 0.0, 1.0])
     gaze_remark = f"gaze on {measured} of {len(body.times)} frames, {int(seen.sum()) - measured} interpolated"
-    no_glasses = PoseStream(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0, dtype=bool))
     return Recording(
         dataset=dataset,
         recording_id=readings.recording_id,
@@ -77,8 +74,8 @@ def recording_from_gimo(readings: gimo.GimoReadings, manifest: Manifest, *, data
         head_tilt_deg=source.head_tilt_deg,
         span=(float(body.times[0]), float(body.times[-1])),
         gaze=GazeStream(body.times, origin, direction, valid),
-        camera=no_glasses,
-        head=no_glasses,
+        camera=NO_POSES,
+        head=NO_POSES,
         body=body,
         hands=tuple(
             HandStream(side, "wrist", body.times, body.joints[:, wrist, None], body.valid)
@@ -87,9 +84,6 @@ def recording_from_gimo(readings: gimo.GimoReadings, manifest: Manifest, *, data
         objects=(),
         annotated_events=events,
         split_group=readings.segment.group,
-        occluders=tuple(
-            replace(mesh, vertices=transform_points(room_from_scan, mesh.vertices)) for mesh in readings.meshes
-        ),
         world_from_source=room_from_scan,
         messages=(*readings.messages, *body_remarks, gaze_remark, *event_remarks),
         unreadable=readings.unreadable,

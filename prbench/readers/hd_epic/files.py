@@ -14,7 +14,7 @@ from prbench.errors import InputFileError
 from prbench.files.bounded import require
 from prbench.readers import ReaderOptions, read_synthetic_tree
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.files import UNREADABLE, find_mps_files, read_mps
+from prbench.readers.aria_mps.files import UNREADABLE, find_mps_files, read_mps, require_up
 from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.files import body_extent, find_outputs
@@ -249,8 +249,8 @@ def read_annotations(found: RecordingFiles) -> hd_epic.HdEpicReadings:
     if priming is not None:
         published, odd = read_priming(priming, video)
         unreadable += odd
-    last = max((round(track.end * hd_epic.FPS) for track in movements.tracks), default=0)
-    times = np.rint(np.arange(max(last, 0) + 2) * 1e9 / hd_epic.FPS).astype(np.int64)
+    last = max((track.end for track in movements.tracks), default=0.0) + _AFTER_LAST
+    times = np.rint(np.arange(int(max(last, 1.0) * hd_epic.FPS)) * 1e9 / hd_epic.FPS).astype(np.int64)
     return hd_epic.HdEpicReadings(
         video=video,
         participant_id=found.folder.name,
@@ -264,6 +264,7 @@ def read_annotations(found: RecordingFiles) -> hd_epic.HdEpicReadings:
     )
 
 
+_AFTER_LAST = 2.0  # s; masks of the last movement's end may lie behind it
 _ANNOTATION = "this file of the annotation repository"
 _CLONE = f"Clone the repository beside {hd_epic.DATA_FOLDER}, or name it: --option annotations=DIR."
 
@@ -318,11 +319,7 @@ def _read_mps(found: RecordingFiles) -> mps.MpsReadings:
     archive = f"{folder}/{hd_epic.GAZE_FOLDER}/mps_{video}_vrs.zip"
     require(archive, (has_gaze, "", "eye gaze of this video", "none", "Download GAZE_HAND of this video."))
     readings = read_mps(found)
-    up = readings.trajectory.up
-    is_upright = np.linalg.norm(up - np.array([0.0, 0.0, 1.0])) <= 1e-2
-    expected = "gravity along -Z (the kitchens are Z up)"
-    tilted = f"up = {(np.round(up, 3) + 0.0).tolist()}"
+    place = f"{folder}: {mps.TRAJECTORY_FILE} of {video}"
     remedy = "Masks and bodies stand in the world of the original file; use that one."
-    trajectory = f"{folder}: {mps.TRAJECTORY_FILE} of {video}"
-    require(trajectory, (is_upright, "gravity columns", expected, tilted, remedy))
+    require_up(place, readings.trajectory, (0.0, 0.0, 1.0), within=1e-2, remedy=remedy)
     return readings

@@ -18,15 +18,15 @@ import numpy as np
 from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, transform_points
 from prbench.geometry.timelines import require_overlap, stream_ranges
 from prbench.protocol.manifests import Manifest
-from prbench.readers.aria_mps.to_recording import mps_streams
+from prbench.readers.aria_mps.to_recording import MpsStreams, mps_streams
 from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.recording.streams import (
+    NO_GAZE,
+    NO_POSES,
     AnnotatedEvent,
     BodyStream,
-    GazeStream,
     HandStream,
-    PoseStream,
     PublishedPriming,
     Recording,
     reaching_hand,
@@ -49,11 +49,11 @@ def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest,
         InputFileError: if there is no pose of the glasses at all.
     """
     world = Y_UP_FROM_Z_UP
-    if readings.glasses is None:
-        return _recording_of_annotations(readings, manifest, dataset)
-    # Wrists are valid where they are surely tracked.
-    least = manifest.thresholds["sure_wrist"]
-    streams = mps_streams(readings.glasses, world_from_source=world, least_confidence=least)
+    streams = _NO_STREAMS
+    if readings.glasses is not None:
+        # Wrists are valid where they are surely tracked.
+        least = manifest.thresholds["sure_wrist"]
+        streams = mps_streams(readings.glasses, world_from_source=world, least_confidence=least)
     body = None if readings.body is None else body_stream(readings.body, world_from_source=world)
     times = {"glasses": streams.device.times, "gaze": streams.gaze.times, "body": None if body is None else body.times}
     ranges = {"video": readings.clock.span} | stream_ranges(times)
@@ -67,7 +67,7 @@ def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest,
         participant_id=readings.participant_id,
         pose_source="none" if body is None else manifest.body.pose_source,
         head_tilt_deg=manifest.body.head_tilt_deg,
-        span=ranges["glasses"],
+        span=ranges.get("glasses", readings.clock.span),
         gaze=dataclasses.replace(gaze, valid=gaze.valid & inside),
         camera=streams.camera,
         head=streams.head,
@@ -75,6 +75,7 @@ def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest,
         hands=streams.wrists,
         objects=(),
         annotated_events=events,
+        annotations_alone=readings.glasses is None,
         has_published_priming=readings.priming is not None,
         world_from_source=world,
         messages=(
@@ -87,31 +88,8 @@ def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest,
     )
 
 
-def _recording_of_annotations(readings: hd_epic.HdEpicReadings, manifest: Manifest, dataset: str) -> Recording:
-    """Return the annotated events without any stream, seconds of the video."""
-    events, remarks = annotated_events(readings, (), None, manifest.thresholds)
-    nothing = PoseStream(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0, dtype=bool))
-    return Recording(
-        dataset=dataset,
-        recording_id=readings.video,
-        participant_id=readings.participant_id,
-        pose_source="none",
-        head_tilt_deg=manifest.body.head_tilt_deg,
-        span=readings.clock.span,
-        gaze=GazeStream(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=bool)),
-        camera=nothing,
-        head=nothing,
-        body=None,
-        hands=(),
-        objects=(),
-        annotated_events=events,
-        annotations_alone=True,
-        has_published_priming=readings.priming is not None,
-        world_from_source=Y_UP_FROM_Z_UP,
-        messages=(*readings.messages, *remarks),
-        unreadable=readings.unreadable,
-    )
-
+# In the place of glasses, where the annotations are read alone.
+_NO_STREAMS = MpsStreams(NO_POSES, NO_POSES, NO_POSES, NO_GAZE, (), ())
 
 _WHY_UNPLACED = {
     "no mask": "have no mask",

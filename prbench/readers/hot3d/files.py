@@ -19,7 +19,7 @@ from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.files.bounded import require, require_size
 from prbench.readers import ReaderOptions, synthetic_tree_around
-from prbench.readers.aria_mps.files import find_mps_files, read_mps
+from prbench.readers.aria_mps.files import find_mps_files, read_mps, require_up
 from prbench.readers.aria_mps.format import GAZE, TIME_COLUMN, TRAJECTORY
 from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.egoallo.bodies import read_bodies
@@ -47,8 +47,7 @@ class Hot3dOptions(ReaderOptions, frozen=True, kw_only=True):
         poses: Source of bodies; the dataset has none of its own.
         smplh_model: The licensed body model that EgoAllo's outputs need (``model.npz``).
         poses_root: Folder of EgoAllo's outputs by recording; beside the recordings by default.
-        meshes: Load the objects' surfaces: for the in-hand rule ``surface``, and to mark what is primed through an
-            object.
+        meshes: Load the objects' surfaces, for the in-hand rule ``surface``.
     """
 
     poses: Literal["egoallo"] = "egoallo"
@@ -309,12 +308,8 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
             masks[name], odd = read_mask(mask_path)
             unreadable += odd
     mps = read_mps(found, thin=False)
-    up = mps.trajectory.up
-    expected = "gravity along -Z (HOT3D's world is Z up)"
     remedy = "This trajectory belongs to another dataset; download the recording's own."
-    seen = f"up = {(np.round(up, 3) + 0.0).tolist()}"
-    is_z_up = np.linalg.norm(up - np.array([0.0, 0.0, 1.0])) <= 1e-3
-    require(found.folder / hot3d.MPS_FOLDER, (is_z_up, "gravity columns of the trajectory", expected, seen, remedy))
+    require_up(found.folder / hot3d.MPS_FOLDER, mps.trajectory, (0.0, 0.0, 1.0), within=1e-3, remedy=remedy)
     body = read_bodies(found, cpf=mps_streams(mps, world_from_source=np.eye(4)).head)
     return hot3d.Hot3dReadings(
         recording_id=found.recording_id,

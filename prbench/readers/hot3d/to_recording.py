@@ -25,7 +25,7 @@ from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands as umetrack
-from prbench.recording.streams import GazeStream, HandStream, ObjectTrack, Occluder, PoseStream, Recording
+from prbench.recording.streams import GazeStream, HandStream, ObjectTrack, PoseStream, Recording
 
 _Stream = TypeVar("_Stream", GazeStream, PoseStream)
 _SAME_POSITION = 1e-6
@@ -193,7 +193,7 @@ def recording_from_hot3d(
         readings: Content of the native files.
         manifest: Pose source, head tilt, thresholds.
         dataset: Name that the recording carries: the manifest's, or ``synthetic-`` before it.
-        meshes: Whether objects carry their surfaces and occlude.
+        meshes: Whether objects carry their surfaces.
 
     Raises:
         RecordingUnusable: if the clocks cannot be aligned.
@@ -277,7 +277,6 @@ def recording_from_hot3d(
         hands=hands,
         objects=objects,
         split_group=readings.recording_id,
-        occluders=tuple(track.surface for track in objects if track.surface is not None),
         world_from_source=Y_UP_FROM_Z_UP,
         messages=(
             *readings.messages,
@@ -366,10 +365,7 @@ def object_track(
     valid = good[kept]
     # An invalid sample in the middle of a gap keeps everybody from interpolating across it.
     gaps = np.flatnonzero(np.diff(times) > longest_gap)
-    vertices, faces = (np.zeros((1, 3)), None) if entry.mesh is None else entry.mesh
-    surface = None
-    if meshes and faces is not None:
-        surface = Occluder(entry.name, vertices, faces, entry.object_id)
+    vertices = np.zeros((1, 3)) if entry.mesh is None else entry.mesh[0]
     return ObjectTrack(
         object_id=entry.object_id,
         name=entry.name,
@@ -381,5 +377,5 @@ def object_track(
         box_min=vertices.min(axis=0),
         box_max=vertices.max(axis=0),
         movable=True,
-        surface=surface,
+        surface=entry.mesh if meshes else None,
     )

@@ -23,11 +23,9 @@ class MogazeOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_o
     """Options of the reader of MoGaze.
 
     Attributes:
-        meshes: Load the meshes of ``scene.xml`` as occluders.
         include_excluded: Keep recordings that the manifest leaves out for poor gaze (p7_2).
     """
 
-    meshes: bool = False
     include_excluded: bool = False
 
 
@@ -64,7 +62,7 @@ class MogazeReader:
     def _read(self, found: RecordingFiles) -> tuple[mogaze.MogazeReadings, Recording]:
         manifest = load_manifest("mogaze")
         found.require_usable(manifest.why_bad(found.recording_id))
-        readings = read_readings(found, manifest, meshes=self.options.meshes)
+        readings = read_readings(found, manifest)
         return readings, recording_from_mogaze(readings, manifest, dataset=found.dataset)
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:

@@ -16,7 +16,7 @@ from typing import TypeVar
 
 import h5py
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
@@ -184,8 +184,8 @@ def find_mesh(folder: Path, source: str) -> Path | None:
     return None
 
 
-def read_mesh(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Read the vertices (metres, in the frame of the body) and triangles of a mesh.
+def read_mesh(path: Path) -> Float[np.ndarray, "v 3"]:
+    """Read the vertices of a mesh, metres, in the frame of the body.
 
     Raises:
         InputFileError: if the file holds no triangles.
@@ -198,12 +198,11 @@ def read_mesh(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 
         require_size(path)
         mesh = trimesh.load_mesh(path, process=False)
         vertices = np.array(mesh.vertices, dtype=np.float64)
-        faces = np.array(mesh.faces, dtype=np.int64)
     except (ValueError, IndexError, KeyError, AttributeError, TypeError) as error:
         raise InputFileError(path, "", expected=expected, found=f"'{error}'", remedy=remedy) from error
-    is_mesh = len(faces) > 0 and np.isfinite(vertices).all()
-    require(path, (is_mesh, "", expected, f"{len(faces)} triangles and {len(vertices)} corners", remedy))
-    return vertices, faces
+    is_mesh = len(mesh.faces) > 0 and np.isfinite(vertices).all()
+    require(path, (is_mesh, "", expected, f"{len(mesh.faces)} triangles and {len(vertices)} corners", remedy))
+    return vertices
 
 
 SCENE = "scene"
@@ -294,13 +293,12 @@ _BODY_KEY = re.compile(r"(?:.*\s)?(\d{1,19})")
 _PARTICIPANT = re.compile(r"(p\d+)_\d+")
 
 
-def read_readings(found: RecordingFiles, manifest: Manifest, *, meshes: bool = False) -> mogaze.MogazeReadings:
+def read_readings(found: RecordingFiles, manifest: Manifest) -> mogaze.MogazeReadings:
     """Read one recording; all streams are cut to the shortest.
 
     Args:
         found: Its files.
         manifest: Sizes of objects whose mesh is missing.
-        meshes: Keep the triangles of the meshes.
 
     Raises:
         InputFileError: if a file is missing or damaged, or the files are not of one recording.
@@ -370,9 +368,7 @@ def read_readings(found: RecordingFiles, manifest: Manifest, *, meshes: bool = F
         participant_id=match[1] if match else participant or found.recording_id,
         state=state[:n],
         fixed=fixed,
-        bodies=tuple(
-            _body(key, poses[key][:n], *body, manifest, meshes=meshes) for key, body in sorted(bodies.items())
-        ),
+        bodies=tuple(_body(key, poses[key][:n], *body, manifest) for key, body in sorted(bodies.items())),
         gaze_points=gaze_rows[:n, mogaze.GAZE_POINT],
         gaze_confidence=gaze_rows[:n, -1],
         calibration=calibration,
@@ -401,10 +397,10 @@ def _read_poses(path: Path) -> tuple[dict[int, Float[np.ndarray, "n 7"]], list[U
 
 
 def _body(
-    key: int, rows: Float[np.ndarray, "n 7"], name: str, mesh: Path | None, manifest: Manifest, *, meshes: bool
+    key: int, rows: Float[np.ndarray, "n 7"], name: str, mesh: Path | None, manifest: Manifest
 ) -> mogaze.MogazeBody:
-    vertices, faces = (None, None) if mesh is None else read_mesh(mesh)
-    if vertices is not None:
+    if mesh is not None:
+        vertices = read_mesh(mesh)
         box_min = vertices.min(axis=0)
         box_max = vertices.max(axis=0)
     else:
@@ -417,8 +413,6 @@ def _body(
         rotation=rows[:, 3:],
         box_min=box_min,
         box_max=box_max,
-        vertices=vertices if meshes else None,
-        faces=faces if meshes else None,
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from prbench.geometry.skeleton import forward_kinematics
 from prbench.recording import UnreadableEntry
@@ -87,7 +87,6 @@ class MogazeBody:
     Attributes:
         position: Metres, Z up; NaN where the body was not seen.
         rotation: x y z w, body to world; zeros or NaN where the body was not seen.
-        vertices: Vertices of its mesh, in its own frame; None without a mesh, or where nobody asked for it.
     """
 
     body_id: int
@@ -96,8 +95,6 @@ class MogazeBody:
     rotation: Float[np.ndarray, "n 4"]
     box_min: Float[np.ndarray, "3"]
     box_max: Float[np.ndarray, "3"]
-    vertices: Float[np.ndarray, "v 3"] | None = None
-    faces: Int[np.ndarray, "f 3"] | None = None
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from prbench.recording.streams import (
     GazeStream,
     HandStream,
     ObjectTrack,
-    Occluder,
     PoseStream,
     PublishedTrack,
     Recording,
@@ -112,11 +111,6 @@ def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *
         objects=tracks,
         annotated_events=events,
         split_group=readings.recording_id,
-        occluders=tuple(
-            Occluder(each.name, each.vertices, each.faces, str(each.body_id))
-            for each in bodies
-            if each.vertices is not None and each.faces is not None
-        ),
         world_from_source=world_from_source,
         messages=(*readings.messages, *remarks, *skipped),
         unreadable=(*readings.unreadable, *unusable),

@@ -166,16 +166,6 @@ def test_a_segment_without_event_is_skipped_and_options_and_terms_stand_in_the_t
     assert report.info.redistribution == "none", "nothing of GIMO may be passed on"
 
 
-def test_a_scene_mesh_is_moved_into_the_room(root) -> None:
-    (root / "room1" / "scene_obj" / "textured_output.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    reader, found = only(root, meshes="true")
-    (occluder,) = reader.read(found).occluders
-    shift = sample.readings().transform.room_from_scene[:3, 3] / 1.25
-    np.testing.assert_allclose(occluder.vertices[0], shift, atol=1e-12)
-    assert np.linalg.norm(occluder.vertices[1] - occluder.vertices[0]) == pytest.approx(1 / 1.25)
-    assert only(root)[0].read(found).occluders == ()
-
-
 def test_the_pose_source_tells_the_route() -> None:
     readings = sample.readings()
     manifest = load_manifest("gimo")

@@ -59,12 +59,6 @@ def test_boxes_come_from_meshes_then_from_the_table_then_are_points(root) -> Non
     assert recording.messages == ("no mesh and no known size, so a point instead of a box: spaceship",)
 
 
-def test_meshes_are_occluders_on_request_and_move_with_their_object(root) -> None:
-    assert _read(root).occluders == ()
-    (cup,) = _read(root, meshes="true").occluders
-    assert (cup.name, cup.object_id, cup.vertices.shape, cup.faces.shape) == ("cup_red", str(CUP), (8, 3), (12, 3))
-
-
 @pytest.mark.parametrize(
     ("source", "place"),
     [
@@ -92,9 +86,9 @@ def test_a_link_out_of_the_folder_is_not_followed(root) -> None:
 
 def test_a_mesh_is_read_again_after_it_changed(root) -> None:
     path = root / "meshfiles" / "cup.obj"
-    assert read_mesh(path)[0].max() == 0.4
+    assert read_mesh(path).max() == 0.4
     path.write_text(box_mesh(np.zeros(3), np.full(3, 0.125)))
-    assert read_mesh(path)[0].max() == 0.125
+    assert read_mesh(path).max() == 0.125
 
 
 def test_a_body_without_a_name_keeps_its_number(root) -> None:
