@@ -25,6 +25,8 @@ from prbench.sequences.sequence import Event, SceneBox, Sequence
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.table import body_movement, hand_movement
 
+# Columns of events that are null for an annotation that cannot be read.
+_UNKNOWN = ("sequence_id", "hand", "prime_time", "prime_kind", "location", "box_min", "box_max", "value", "threshold")
 # Metres within which a thing keeps its place through the recording; choice: above the noise of optical tracking.
 _STILL = 0.01
 
@@ -130,27 +132,20 @@ def curate_recording(
         )
         if sequence is not None:
             sequences.append(sequence)
+    unknown = dict.fromkeys(_UNKNOWN)
     for entry in recording.unreadable:
         rows.append(
             Event(
                 event_id=f"{recording.dataset}/{recording.recording_id}/{entry.file}/unreadable/{entry.key}",
                 recording_id=recording.recording_id,
-                sequence_id=None,
                 object_id=entry.key,
                 object_name=entry.file,
                 action="unknown",
-                hand=None,
                 event_time=float("nan"),
-                prime_time=None,
-                prime_kind=None,
-                location=None,
-                box_min=None,
-                box_max=None,
                 outcome="unreadable_entry",
                 stage="in_hand",
-                value=None,
-                threshold=None,
                 unreadable=str(entry),
+                **unknown,
             )
         )
     lacks = _missing_parts(recording, rule, found=bool(events))

@@ -34,7 +34,15 @@ from prbench.files.bounded import (
     require_unpackable,
     too_long_line,
 )
-from prbench.limits import LARGEST_ARCHIVE, LARGEST_FILE, LARGEST_JSON, LARGEST_TABLE, LARGEST_UNPACKED, LONGEST_LINE
+from prbench.limits import (
+    FARTHEST_POSITION,
+    LARGEST_ARCHIVE,
+    LARGEST_FILE,
+    LARGEST_JSON,
+    LARGEST_TABLE,
+    LARGEST_UNPACKED,
+    LONGEST_LINE,
+)
 from prbench.readers.found import InputFile
 from prbench.recording import UnreadableEntry
 
@@ -204,6 +212,8 @@ def require_whole_last_line(
 
 # A time in a JSON file; NumPy has no larger integers.
 Nanoseconds = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
+# A coordinate in a JSON file; no recording reaches farther.
+Metres = Annotated[float, msgspec.Meta(ge=-FARTHEST_POSITION, le=FARTHEST_POSITION)]
 Column = type[int] | type[float] | type[str]
 Encoded = TypeVar("Encoded")
 Decoded = TypeVar("Decoded")

@@ -95,6 +95,9 @@ ODD: dict[str, tuple[str, Damage, str, str, str]] = {
     "a hand of 19 angles": (
         "hot3d", _hand(lambda hand: hand.update(joint_angles=[0.0] * 19)), hot3d.UMETRACK_FILE, "line 6, left", "19"
     ),
+    "a hand beyond the moon": (
+        "hot3d", _hand(lambda hand: hand["wrist_xform"].update(t_xyz=[0, 4e8, 0])), hot3d.UMETRACK_FILE, "line 6, left", ""
+    ),
     "an unknown hand": (
         "hot3d",
         edit_json_line(f"P0001_a/{hot3d.UMETRACK_FILE}", 6, lambda record: record["hand_poses"].update({"7": "?"})),

@@ -18,9 +18,9 @@ from jaxtyping import Float
 
 from prbench.errors import InputFileError
 from prbench.files.bounded import require, require_rows
-from prbench.limits import FARTHEST_POSITION, LONGEST_RECORDING, MOST_FRAMES
+from prbench.limits import LONGEST_RECORDING, MOST_FRAMES
 from prbench.readers import AnnotationCounts
-from prbench.readers.files import decode_json, must_exist, read_columns, read_entries
+from prbench.readers.files import Metres, decode_json, must_exist, read_columns, read_entries
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.recording import UnreadableEntry
 from prbench.recording.streams import named_entries
@@ -28,8 +28,7 @@ from prbench.recording.streams import named_entries
 # Number of a video frame; some writers give it a decimal point.
 _Frame = Annotated[float, msgspec.Meta(ge=0, le=MOST_FRAMES, multiple_of=1)]
 _Seconds = Annotated[float, msgspec.Meta(ge=-LONGEST_RECORDING, le=LONGEST_RECORDING)]
-_Metres = Annotated[float, msgspec.Meta(ge=-FARTHEST_POSITION, le=FARTHEST_POSITION)]
-_Point = Annotated[list[_Metres | None], msgspec.Meta(max_length=3)]
+_Point = Annotated[list[Metres | None], msgspec.Meta(max_length=3)]
 _AGAIN = "Download the file again."
 
 

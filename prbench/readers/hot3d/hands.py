@@ -13,7 +13,15 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
 from prbench.files.bounded import open_regular, require, whole_lines
-from prbench.readers.files import Nanoseconds, decode_json, must_exist, read_entries, require_increasing, told_together
+from prbench.readers.files import (
+    Metres,
+    Nanoseconds,
+    decode_json,
+    must_exist,
+    read_entries,
+    require_increasing,
+    told_together,
+)
 from prbench.readers.hot3d import format as hot3d
 from prbench.recording import UnreadableEntry
 
@@ -32,7 +40,7 @@ _FARTHEST = 1.0  # metres from the wrist, many times as long as a hand
 
 
 class _Wrist(msgspec.Struct):
-    t_xyz: tuple[float, float, float]
+    t_xyz: tuple[Metres, Metres, Metres]
     q_wxyz: tuple[float, float, float, float]
 
 
