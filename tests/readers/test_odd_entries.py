@@ -96,7 +96,11 @@ ODD: dict[str, tuple[str, Damage, str, str, str]] = {
         "hot3d", _hand(lambda hand: hand.update(joint_angles=[0.0] * 19)), hot3d.UMETRACK_FILE, "line 6, left", "19"
     ),
     "a hand beyond the moon": (
-        "hot3d", _hand(lambda hand: hand["wrist_xform"].update(t_xyz=[0, 4e8, 0])), hot3d.UMETRACK_FILE, "line 6, left", ""
+        "hot3d",
+        _hand(lambda hand: hand["wrist_xform"].update(t_xyz=[0, 4e8, 0])),
+        hot3d.UMETRACK_FILE,
+        "line 6, left hand",
+        "10000",
     ),
     "an unknown hand": (
         "hot3d",
