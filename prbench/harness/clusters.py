@@ -42,7 +42,7 @@ def units_needed(comparisons: int) -> int:
 FEWEST_FOR_BOARD = units_needed(7)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)
 def flips(units: tuple[str, ...], most: int = 2**16) -> Float[np.ndarray, "units flips"]:
     """Return the flips of signs, but for the one that flips nothing: 1 where a unit's sign is flipped, else 0.
 
