@@ -85,6 +85,9 @@ def _print_comparison(compared: RunComparison) -> None:
         numbers=(2, 3, 4, 5),
     )
     print("detectable: smallest true difference that is found in four of five repetitions, at Holm's first step.")
+    if any(row.conclusion == "cannot be tested" for row in compared.metrics):
+        needed = compared.metrics[0].comparison.needed
+        print(f"cannot be tested: {needed} recordings (of folds: participants) or more are needed for so many metrics.")
     for run in (compared.first, compared.second):
         print(f"{run.path.name}: {run.method}, {run.origin}")
         for dataset, mark in run.marks.items():

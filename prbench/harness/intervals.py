@@ -234,7 +234,7 @@ def compare(pairs: Mapping[Name, PairedValues]) -> dict[Name, Comparison]:
     data = [clustered(pair.first - pair.second, pair.recording_ids) for pair in pairs.values()]
     tested = [difference_interval(each, rate=pair.rate) for each, pair in zip(data, pairs.values(), strict=True)]
     adjusted = holm([p_value for _, p_value in tested])
-    family = max(sum(p_value is not None for p_value in adjusted), 1)
+    family = sum(p_value is not None for p_value in adjusted) or len(pairs)
     found = {}
     for place, (name, pair) in enumerate(pairs.items()):
         detectable = data[place].detectable(family, rate=pair.rate)

@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow.compute as pc
 import pytest
 
+import prbench
 from prbench.board import collect_runs, compare_runs
 from prbench.board.comparison import separate_by_comparison
 from prbench.board.tables import undecided
@@ -104,6 +105,23 @@ def test_the_command_prints_a_conclusion_and_no_certainty(folder, capsys):
     assert "nan" not in printed
     assert main(["leaderboard", "compare", str(folder / "truth"), str(folder / "truth")]) == 0
     assert "all equal" in capsys.readouterr().out
+
+
+def test_too_few_recordings_cannot_be_tested_and_what_is_needed_is_said(tmp_path, capsys):
+    table = fake_dataset(tmp_path / "table", 12, recordings=12).folder
+    for method in ("ground-truth", "scripted"):
+        run_method(RunRequest(method=method, data=(table,), out=tmp_path / method))
+    folders = [tmp_path / "ground-truth", tmp_path / "scripted"]
+    compared = compare_runs(*folders).metrics
+    assert compared[0].comparison.difference.n_recordings < 9
+    assert {row.conclusion for row in compared} == {"cannot be tested"}
+    assert main(["leaderboard", "compare", *map(str, folders)]) == 0
+    printed = capsys.readouterr().out
+    assert "cannot be tested: 9 recordings (of folds: participants) or more are needed" in printed
+    said = prbench.compare(*folders).summary
+    assert "(cannot be tested)" in said
+    assert "is cannot" not in said + printed
+    assert separate_by_comparison(collect_runs(folders).rows, MAIN_METRICS) == {}
 
 
 def test_the_command_reports_the_comparison_as_json(folder, capsys):
