@@ -16,7 +16,7 @@ from prbench.errors import TrainingStopped, UsageError
 from prbench.files.storage import sole_writer, write_json
 from prbench.harness.methods.installed import load_task
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
-from prbench.sequences.folds import fold_table, parse_fold
+from prbench.sequences.folds import fold_tables, parse_fold
 from prbench_adapters.trained_network import TrainedNetwork
 from prbench_adapters.training.batches import LengthBatches, WindowsDataset, load_batches
 from prbench_adapters.training.configuration import (
@@ -255,5 +255,5 @@ def _data(
                 raise UsageError(
                     f"--fold: {folder} holds no {DATASET_FILE}; only built datasets have folds of participants."
                 )
-        folders = tuple(fold_table(folder, request.fold).folder for folder in folders)
+        folders = fold_tables(folders, request.fold)
     return configured_dataset(folders, configuration, split=split, engine=engine)

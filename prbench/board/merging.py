@@ -193,20 +193,12 @@ def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> 
 
 def _design(record: RunRecord) -> dict[str, object]:
     """Everything in which the runs on all folds have to agree."""
+    method = {name: getattr(record.method, name) for name in ("name", "kind", "options", "gaze", "wants_obstacles")}
+    same = ("protocol_digest", "condition", "control", "samples", "split", "limit")
     return {
-        "dataset": record.tables[0].dataset if record.tables else None,
-        "whole table": record.tables[0].whole_table if record.tables else None,
-        "protocol": record.protocol_digest,
-        "method": record.method.name,
-        "kind": record.method.kind,
-        "options": msgspec.json.encode(record.method.options).decode(),
-        "condition": record.condition,
-        "control": record.control,
-        "samples": record.samples,
-        "gaze": record.method.gaze,
-        "obstacles": record.method.wants_obstacles,
-        "split": record.split,
-        "limit": record.limit,
+        **{name: getattr(table, name) for table in record.tables[:1] for name in ("dataset", "whole_table")},
+        **{f"method {name}": value for name, value in method.items()},
+        **{name: getattr(record, name) for name in same},
     }
 
 

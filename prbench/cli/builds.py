@@ -1,4 +1,4 @@
-"""``prbench build-dataset``: native recordings into a table; ``prbench split-dataset``: a table split anew.
+"""``prbench build-dataset``: native recordings into a table.
 
 Also what the commands that build other tables share with it: report, plan, and remarks on recordings left out.
 """
@@ -301,33 +301,3 @@ def table_answer(
             print(f"no table of {each.dataset} in {each.root}: {each.message}")
 
     return Answer(BuildsReport(built=built(*reports), not_built=broken), show, 0 if complete else NOT_EVERYTHING)
-
-
-@command(
-    "split-dataset",
-    example="prbench split-dataset tables/mogaze --fold 2/6 --out tables/mogaze-2",
-    report="prbench.sequences:DatasetInfo",
-)
-@click.argument("data", type=opt.PATH, metavar="DIR")
-@click.option("--fold", required=True, metavar="K/N", help="The fold to test on, such as 2/6.")
-@opt.out_folder_option("Folder of the new table; the old one stays as it is.", required=True)
-def split_dataset(data: Path, fold: str, out: Path) -> Answer:
-    """Write a copy of a table in which nobody is both learnt from and tested on.
-
-    `prbench run --folds participant` makes and runs all folds; this is for what is run elsewhere.
-    """
-    from prbench.sequences import SequenceTable
-    from prbench.sequences.folds import parse_fold, write_fold
-
-    number, count = parse_fold(fold)
-    info = write_fold(SequenceTable.open(data).with_sequences(), out, fold=number, folds=count)
-
-    def show() -> None:
-        rows = SequenceTable.open(out).scalars(columns=["split", "participant_id"]).to_pylist()
-        splits = [row["split"] for row in rows]
-        counts = ", ".join(f"{name} {splits.count(name)}" for name in opt.SPLITS)
-        print(f"{info.dataset}, fold {fold}: {counts}")
-        print(f"tested on: {', '.join(sorted({row['participant_id'] for row in rows if row['split'] == 'test'}))}")
-        print(f"table: {out}")
-
-    return Answer(info, show)

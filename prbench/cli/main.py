@@ -36,7 +36,6 @@ _COMMANDS = {
         "inspect": "prbench.cli.datasets:inspect",
         "poses": "prbench.cli.datasets:poses",
         "build-dataset": "prbench.cli.builds:build_dataset",
-        "split-dataset": "prbench.cli.builds:split_dataset",
         "validate": "prbench.cli.datasets:validate",
         "import-release": "prbench.cli.release:import_release",
         "export-release": "prbench.cli.release:export_release",
@@ -80,6 +79,7 @@ _RENAMED = {
     "leaderboard merge": "merge RUN... --out DIR",
     "prediction tables": "study prediction WINDOWS",
     "prediction view": "view RUN --data WINDOWS",
+    "split-dataset": "run --folds participant, or export-conditions and score with --fold K/N",
     "stats": "inspect TABLE",
 }
 

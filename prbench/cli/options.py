@@ -200,7 +200,7 @@ def split_option(default: str | None = "test", *, help: str = "") -> Callable:
 
 
 fold_option = click.option(
-    "--fold", metavar="K/N", help="Leave the people of this fold out, such as 2/6; `prbench run --fold` tests on them."
+    "--fold", metavar="K/N", help="Test on the people of this fold of N, such as 2/6, and learn from all others."
 )
 
 

@@ -62,6 +62,7 @@ class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
 )
 @click.option("--name", help="Name of the method, for summaries and leaderboards (default: that of the file).")
 @opt.split_option(None, help="Split of the table (default: that of the run, else test).")
+@opt.fold_option
 @opt.limit_option("those of the run or the conditions")
 @opt.seed_option("behind the opaque ids, if the predictions have those", default=None)
 @click.option("--condition", type=click.Choice(opt.CONDITIONS), help="What the method was given; leaderboards need it.")
@@ -92,6 +93,7 @@ def score(
     engine: EngineChoice,
     benchmark: str | None,
     one_design: bool,
+    fold: str | None,
     **given: Any,
 ) -> Answer:
     """Score finished motions (Parquet, .npz), or a run folder again.
@@ -104,7 +106,9 @@ def score(
     from prbench.harness.score_predictions import score_predictions
     from prbench.harness.score_request import ScoreRequest
     from prbench.protocol.manifests import find_benchmark
+    from prbench.sequences.folds import fold_tables
 
+    data = fold_tables(data, fold)
     shared: dict[str, Any] = {"conditions": conditions, "data": data, "name": given.pop("name"), "out": out}
     about = find_benchmark(benchmark or default_benchmark().name)
     if about.default:
@@ -177,6 +181,7 @@ def score(
     "--samples", type=opt.POSITIVE, metavar="K", help=f"Answers to each case (default {opt.usual_number('samples')})."
 )
 @opt.split_option()
+@opt.fold_option
 @opt.limit_option()
 @click.option(
     "--max-frames",
@@ -198,6 +203,7 @@ def export_conditions(
     benchmark: str | None,
     condition: str,
     samples: int | None,
+    fold: str | None,
     max_frames: int | None,
     native_fps: float | None,
     control: str | None,
@@ -213,12 +219,13 @@ def export_conditions(
     from prbench.harness.offline import ExportRequest
     from prbench.harness.offline import export_conditions as export
     from prbench.protocol.manifests import find_benchmark
+    from prbench.sequences.folds import fold_tables
 
     about = find_benchmark(benchmark or default_benchmark().name)
     if condition not in about.conditions:
         known = ", ".join(about.conditions)
         raise UsageError(f"--condition {condition}: expected one of the benchmark {about.name}: {known}.")
-    given |= {"data": data, "samples": samples or about.samples, "permitted": permission}
+    given |= {"data": fold_tables(data, fold), "samples": samples or about.samples, "permitted": permission}
     own = {"max_frames": max_frames, "native_fps": native_fps, "control": control}
     if about.default:
         report = export(ExportRequest(condition=Condition(condition), **own, **given))

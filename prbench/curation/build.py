@@ -19,7 +19,7 @@ import msgspec
 from prbench.curation.corrections import Corrections
 from prbench.curation.job import CurationJob, PartReceipt, RecordingSource, describe, native_sources, part_receipt
 from prbench.curation.options import NO_OPTIONS, BuildOptions
-from prbench.curation.splits import draw_splits, with_splits
+from prbench.curation.splits import draw_splits
 from prbench.engine import Engine, InProcess
 from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, PrbenchError, StorageError, TableError, UsageError
@@ -41,7 +41,7 @@ from prbench.sequences.parts import (
     working_in_parts,
 )
 from prbench.sequences.sequence import Recording
-from prbench.sequences.write import write_dataset
+from prbench.sequences.write import with_splits, write_dataset
 
 _IN_PROCESS = InProcess()
 _UNMEASURED = {"megabytes_per_second": 30.0, "table_share": 0.02}

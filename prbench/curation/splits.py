@@ -6,10 +6,9 @@ Source: docs/specification/curation.md#splits.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-import pyarrow as pa
 from jaxtyping import Bool, Float
 from scipy.spatial.distance import cdist
 
@@ -97,15 +96,3 @@ def balanced_choice(
             best = chosen
             least = error
     return best
-
-
-def with_splits(batches: Iterable[pa.RecordBatch], splits: Mapping[str, str]) -> Iterator[pa.RecordBatch]:
-    """Yield rows of ``sequences`` or ``recordings`` with the split of their recording.
-
-    Args:
-        batches: Rows with the columns ``recording_id`` and ``split``.
-        splits: Maps each recording to its split.
-    """
-    for batch in batches:
-        new = pa.array([splits[name] for name in batch["recording_id"].to_pylist()])
-        yield batch.set_column(batch.schema.get_field_index("split"), batch.schema.field("split"), new)

@@ -44,7 +44,7 @@ from prbench.protocol.manifests import PROTOCOL_NAME, BenchmarkProtocol, load_pr
 from prbench.protocol.own_protocol import protocol_for
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
-from prbench.sequences.folds import fold_table
+from prbench.sequences.folds import fold_tables
 from prbench.sequences.sequence import recording_key
 
 
@@ -194,10 +194,7 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
 
     def settled(self, request: RunRequest) -> RunRequest:
         """Turn a fold of participants into the tables that it makes."""
-        if request.fold is None:
-            return request
-        folds = tuple(fold_table(folder, request.fold).folder for folder in request.data)
-        return replace(request, data=folds, fold=None)
+        return replace(request, data=fold_tables(request.data, request.fold), fold=None)
 
     def open_table(self, folder: Path) -> SequenceTable:
         """See :meth:`Benchmark.open_table`."""

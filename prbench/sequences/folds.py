@@ -6,6 +6,7 @@ Source: docs/specification/protocol.md#participant-folds.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
@@ -49,28 +50,34 @@ def parse_fold(text: str) -> tuple[int, int]:
     return fold, folds
 
 
-def fold_table(folder: Path, fold: str) -> SequenceTable:
-    """Open one fold of a table; it is written into prbench's cache first where it is not there yet.
+def fold_tables(folders: Iterable[Path], fold: str | None) -> tuple[Path, ...]:
+    """Return the folders of one fold of each table; it is written into prbench's cache where it is not there yet.
 
     Args:
-        folder: The whole table.
-        fold: Such as ``2/6``.
+        folders: The whole tables.
+        fold: Such as ``2/6``; None for the tables themselves.
 
     Raises:
         UsageError: see :func:`write_fold`.
         TableError: see :func:`participant_folds`.
         StorageError: if the cache cannot be written.
     """
+    if fold is None:
+        return tuple(folders)
     number, count = parse_fold(fold)
-    table = SequenceTable.open(folder).with_sequences()
-    _require_whole(table)
-    # Everything that the fold's bytes depend on. The place is that of all tables in the cache, where runs find theirs.
-    key = text_digest(prbench.__version__, str(SCHEMA_VERSION), table.info.content_digest, table.info.protocol_digest)
-    out = cache_folder() / "tables" / f"{table.info.dataset}-fold-{number}-of-{count}-{key[:12]}"
-    with in_turn(out.with_name(f"{out.name}.fold")):  # writing holds the folder itself
-        if not (out / FILE_NAME).is_file():
-            write_fold(table, out, fold=number, folds=count)
-    return SequenceTable.open(out)
+    made = []
+    for folder in folders:
+        table = SequenceTable.open(folder).with_sequences()
+        info = table.info
+        _require_whole(table)
+        # Everything that the fold's bytes depend on. Runs find their tables in this place of the cache.
+        key = text_digest(prbench.__version__, str(SCHEMA_VERSION), info.content_digest, info.protocol_digest)
+        out = cache_folder() / "tables" / f"{info.dataset}-fold-{number}-of-{count}-{key[:12]}"
+        with in_turn(out.with_name(f"{out.name}.fold")):  # writing holds the folder itself
+            if not (out / FILE_NAME).is_file():
+                write_fold(table, out, fold=number, folds=count)
+        made.append(out)
+    return tuple(made)
 
 
 def participant_folds(table: SequenceTable, folds: int) -> dict[str, int]:

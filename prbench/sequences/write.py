@@ -408,6 +408,18 @@ def write_dataset(
     return info
 
 
+def with_splits(batches: Iterable[pa.RecordBatch], splits: Mapping[str, str]) -> Iterator[pa.RecordBatch]:
+    """Yield rows of ``sequences`` or ``recordings`` with the split of their recording.
+
+    Args:
+        batches: Rows with the columns ``recording_id`` and ``split``.
+        splits: Maps each recording to its split.
+    """
+    for batch in batches:
+        new = pa.array([splits[name] for name in batch["recording_id"].to_pylist()])
+        yield batch.set_column(batch.schema.get_field_index("split"), batch.schema.field("split"), new)
+
+
 def write_tables(
     folder: Path,
     info: Info,

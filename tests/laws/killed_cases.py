@@ -238,7 +238,6 @@ WRITING = (
     ),
     Writing("import-release --out", "import-release {release} --dataset synthetic-adt --out {out}"),
     Writing("export-release --out", "export-release {table} --out {out}", held="result/ADT"),
-    Writing("split-dataset --out", "split-dataset {table} --fold 1/2 --out {out}"),
     Writing("analyse --out", "analyse agreement {run} --out {out}", "a.json"),
     Writing("analyse --out, diversity", "analyse diversity {several} --data {table} --out {out}", "d.json"),
     Writing("analyse --out, errors", "analyse errors {static} --data {table} --out {out}"),

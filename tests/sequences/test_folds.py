@@ -103,7 +103,7 @@ def test_merged_folds_are_the_scores_of_all_sequences(table, folds, tmp_path, ca
         merge_folds([paths[0], paths[2]])
     whole = tmp_path / "whole"
     run_method(RunRequest(method="scripted", data=(table.folder,), out=whole))
-    with pytest.raises(RunError, match="expected whole table"):
+    with pytest.raises(RunError, match="expected whole_table"):
         merge_folds([paths[0], whole])
     with pytest.raises(RunError, match="found one on a table that is no fold"):
         merge_folds([whole, whole])
@@ -111,17 +111,26 @@ def test_merged_folds_are_the_scores_of_all_sequences(table, folds, tmp_path, ca
         merge_folds(paths[:1])
     other = tmp_path / "other"
     run_method(RunRequest(method="ground-truth", data=(folds[1].folder,), out=other))
-    with pytest.raises(RunError, match="expected method scripted"):
+    with pytest.raises(RunError, match="expected method name scripted"):
         merge_folds([paths[0], other])
 
 
-def test_the_command_says_who_is_tested_on(table, tmp_path, capsys):
-    words = ["split-dataset", str(table.folder), "--fold", "2/3", "--out", str(tmp_path / "two")]
-    assert reported(words, capsys).options["participant_fold"] == "2/3"
-    assert main(words) == 0
-    tested = sorted(_tested(SequenceTable.open(tmp_path / "two"), "participant_id"))
-    assert f"tested on: {', '.join(tested)}" in capsys.readouterr().out
-    refused([*words[:3], "half", *words[4:]], capsys, code=UsageError.exit_code, message="expected K/N")
+def test_motions_made_elsewhere_are_scored_on_folds_and_merged(table, fold_runs, tmp_path, capsys):
+    scored = []
+    for number, run in enumerate(fold_runs, 1):
+        fold = ["--data", str(table.folder), "--fold", f"{number}/3"]
+        asked = ["export-conditions", "--condition", "goal-loc", "--out", str(tmp_path / "c.npz"), *fold]
+        assert reported(asked, capsys).sequences == {"synthetic-adt": RunFolder.open(run).record.tables[0].sequences}
+        scored.append(str(tmp_path / f"scored-{number}"))
+        (motions,) = run.rglob("part-*.parquet")
+        named = ["--name", "mine", "--condition", "goal-loc", *fold]
+        assert main(["score", str(motions), *named, "--out", scored[-1]]) == 0
+    assert main(["merge", *scored, "--out", str(tmp_path / "merged")]) == 0
+    summary = DatasetSummary.read(tmp_path / "merged/synthetic-adt")
+    people = set(table.scalars()["participant_id"].to_pylist())
+    assert (summary.sequences, summary.recordings) == (table.scalars().num_rows, len(people))
+    half = ["score", scored[0], "--data", str(table.folder), "--fold", "half"]
+    refused(half, capsys, code=UsageError.exit_code, message="--fold half: expected K/N")
 
 
 def _runs_of_folds(table, root, method="scripted"):
