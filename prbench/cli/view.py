@@ -140,7 +140,12 @@ def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ..
 @click.option("--outcome", "outcomes", multiple=True, metavar="NAME", help="Only events with this outcome; repeatable.")
 @click.option("--recording", "recordings", default="*", metavar="GLOB", help="Only recordings whose name matches.")
 @click.option("--object", "objects", default="", metavar="TEXT", help="Only objects with this in their name or id.")
-@click.option("--max-confidence", type=float, metavar="X", help="Only events that are at most so sure, from 0 to 1.")
+@click.option(
+    "--max-confidence",
+    type=click.FloatRange(0, 1),
+    metavar="X",
+    help="Only events that are at most so sure, from 0 to 1.",
+)
 @click.option("--limit", type=opt.POSITIVE, metavar="N", help="Only the N most doubtful events (default: all).")
 @opt.reader_options(remark="of the table's own options only those that name files or folders have to be said again")
 @opt.permission_option

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.curation.clipping import Clip, clip
 from prbench.curation.confidence import TRACK_PAUSE, beyond, unbroken
-from prbench.curation.corrections import Corrections
+from prbench.curation.corrections import DROPPED, Corrections
 from prbench.curation.events import Decision, PickPutEvent, Place, find_events
 from prbench.curation.options import DEFAULTS, CurationOptions
 from prbench.curation.priming import PUBLISHED_STAGE, Prime, find_prime, gaze_rays
@@ -186,7 +186,7 @@ def _follow(
     split: str,
 ) -> tuple[Decision, Prime | None, Sequence | None]:
     """One event through the stages, until one of them says no."""
-    if recording.annotations_alone:
+    if recording.annotations_alone and (event.rejected is None or event.rejected.outcome != DROPPED):
         return Decision("annotation_only", "location"), None, None
     if event.rejected is not None or event.place is None:
         return event.rejected or Decision("no_location", "location"), None, None

@@ -25,7 +25,7 @@ from prbench.curation.job import NativeSource, native_sources
 from prbench.curation.options import BuildOptions
 from prbench.curation.priming import gaze_rays
 from prbench.engine import Engine, InProcess
-from prbench.errors import InputFileError, PrbenchError, UsageError
+from prbench.errors import InputFileError, PrbenchError, UsageError, did_you_mean
 from prbench.files.storage import text_digest, write_text
 from prbench.geometry.shapes import near_miss, slab_test
 from prbench.geometry.skeleton import WRISTS, Joint
@@ -37,7 +37,7 @@ from prbench.recording import BodyStream, HandStream, ObjectTrack, PoseStream, R
 from prbench.recording.streams import SIDES
 from prbench.sequences import Event, SequenceTable
 from prbench.sequences.dataset_info import notice, require_may_pass_on
-from prbench.sequences.sequence import EVENTS, row_values
+from prbench.sequences.sequence import EVENTS, OUTCOMES, row_values
 
 _STEP = 0.05  # seconds between two values of a curve
 _WAY_STEP = 5  # steps between two places seen from above
@@ -105,10 +105,14 @@ def write_review(
     Raises:
         TableError: if the folder holds no dataset.
         RedistributionError: if its licence keeps recorded motion.
-        UsageError: if no event is left.
+        UsageError: if no event is left, an outcome is unknown, or the page is no ``.html``.
         InputFileError: if none of the recordings is below ``root``.
         StorageError: if the page cannot be written.
     """
+    if out.suffix.lower() != ".html":
+        raise UsageError(f"{out}: expected a file that ends in .html, found '{out.suffix}'.")
+    for name in set(outcomes) - set(OUTCOMES):
+        raise UsageError(f"there is no outcome '{name}'.{did_you_mean(name, OUTCOMES)} All: {', '.join(OUTCOMES)}.")
     table = SequenceTable.open(data)
     info = table.info
     require_may_pass_on(info, "the page", permitted)

@@ -87,9 +87,14 @@ def test_only_the_chosen_events_are_shown(tmp_path) -> None:
     ):
         shown = {event["id"] for event in page(place, tmp_path / "page.html", **chosen)["events"]}
         assert shown == {row["event_id"] for row in rows if wanted(row)}
-    with pytest.raises(UsageError, match=f"found none among {len(rows)}"):
-        page(place, tmp_path / "none.html", objects="no such thing")
-    assert not (tmp_path / "none.html").exists()
+    for name, chosen, told in (
+        ("none.html", {"objects": "no such thing"}, f"found none among {len(rows)}"),
+        ("none.html", {"outcomes": ["not_prmed"]}, "Did you mean 'not_primed'?"),
+        ("none.pdf", {}, "a file that ends in .html, found '.pdf'"),
+    ):
+        with pytest.raises(UsageError, match=re.escape(told)):
+            page(place, tmp_path / name, **chosen)
+        assert not (tmp_path / name).exists()
 
 
 def test_pages_are_equal_whatever_the_number_of_workers(tmp_path) -> None:
