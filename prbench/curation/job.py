@@ -19,7 +19,7 @@ import msgspec
 import pyarrow as pa
 
 import prbench
-from prbench.curation.corrections import DROPPED, Corrections, UnknownEventError
+from prbench.curation.corrections import Corrections, UnknownEventError
 from prbench.curation.curate import CuratedRecording, curate_recording
 from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.engine import Engine, is_out_of_memory
@@ -342,25 +342,16 @@ def _tables(curated: CuratedRecording) -> dict[str, pa.RecordBatch]:
     }
 
 
-# Outcomes that end an event at each stage, in the order of the stages, and what they mean.
+# Outcomes that end an event at each stage, in the order of the stages.
 _STAGES = {
-    "located": {
-        DROPPED: "a person's correction says so",
-        "annotation_only": "listed from the annotations alone (--events-only)",
-        "unreadable_entry": "an entry of the dataset's annotations that cannot be read",
-        "other_wearer": "somebody else's hand was nearer",
-        "excluded_category": "doors, drawers and the like",
-        "no_location": "never came to rest, or no place annotated",
-        "tracking_lost": "object not tracked around the event",
-    },
-    "primed": {
-        "not_primed": "gaze never met the place in the window before",
-        "excluded_by_dataset": "never tested by the dataset itself",
-        "not_published": "the dataset publishes nothing about it",
-    },
-    "long_enough": {"too_short": "recording or body does not cover the sequence", "no_body": "no body poses"},
-    "moved_enough": {"minimum_movement": "started beside the goal"},
-    "sequences": {"low_confidence": "less sure than --min-confidence asks"},
+    "located": (
+        *("dropped_by_person", "annotation_only", "unreadable_entry", "other_wearer", "excluded_category"),
+        *("no_location", "tracking_lost"),
+    ),
+    "primed": ("not_primed", "excluded_by_dataset", "not_published"),
+    "long_enough": ("too_short", "no_body"),
+    "moved_enough": ("minimum_movement",),
+    "sequences": ("low_confidence",),
 }
 
 
@@ -455,7 +446,7 @@ def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:
     before = counts.events
     for stage, names in _STAGES.items():
         kept = getattr(counts, stage)
-        reasons = "; ".join(f"{outcomes[name]} {name}: {why}" for name, why in names.items() if outcomes.get(name))
+        reasons = "; ".join(f"{outcomes[name]} {name}: {OUTCOMES[name]}" for name in names if outcomes.get(name))
         rows.append((stage.replace("_", " "), kept, before - kept, reasons))
         before = kept
     return rows

@@ -74,7 +74,7 @@ class Clip:
     split: str
     split_group: str
     kind: str
-    captions: Annotated[tuple[Caption, ...], pa.list_(_CAPTION)]
+    captions: Annotated[tuple[Caption, ...], pa.list_(_CAPTION), "none"]
     fps: float
     n_frames: int
     start_time: float
@@ -161,7 +161,7 @@ class CorpusRecord:
 _METADATA = {_VERSION_KEY: str(CORPUS_SCHEMA_VERSION)}
 ANNOTATIONS = schema_of(Annotation).with_metadata(_METADATA)
 # The first caption has a column of its own, as the text of a sequence has.
-CLIPS = schema_of(Clip).insert(7, SEQUENCES.field("text")).with_metadata(_METADATA)
+CLIPS = schema_of(Clip).insert(7, SEQUENCES.field("text").remove_metadata()).with_metadata(_METADATA)
 CORPUS_RECORDINGS = schema_of(CorpusRecord, counted=ANNOTATION_OUTCOMES).with_metadata(_METADATA)
 # The tables of a corpus folder by the names of their files.
 CORPUS_TABLES = {"clips": CLIPS, "annotations": ANNOTATIONS, "recordings": CORPUS_RECORDINGS}

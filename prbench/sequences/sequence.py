@@ -1,13 +1,16 @@
 """The records that become rows of tables: one sequence, one event, one recording, one box; and rows as Arrow columns.
 
 The fields of these records are the columns of the tables, in their order (docs/table.md). A field's type says what
-Python holds and what Parquet holds: plain types stand for themselves, arrays and maps carry their Arrow type. ``None``
-among a field's types makes the column nullable. Rows are read as views of Arrow's buffers.
+Python holds, what Parquet holds, and the unit: plain types stand for themselves, others carry Arrow type and unit.
+``None`` among a field's types makes the column nullable. What a column means stands in the docstring of the record.
+Rows are read as views of Arrow's buffers.
 """
 
 from __future__ import annotations
 
+import inspect
 import itertools
+import re
 import types
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
@@ -25,16 +28,31 @@ KEY_VALUES = pa.list_(pa.struct([pa.field("key", pa.string()), pa.field("value",
 _POINT = pa.list_(pa.float32(), 3)
 _POSE = pa.list_(pa.float32(), N_JOINTS * 3)
 
-Texts = Annotated[Mapping[str, str], KEY_VALUES]
-PrecisePoint = Annotated[Float[np.ndarray, "3"], pa.list_(pa.float64(), 3)]
-Quaternion = Annotated[Float[np.ndarray, "4"], pa.list_(pa.float64(), 4)]
-Transform = Annotated[Float[np.ndarray, "4 4"], pa.list_(pa.float64(), 16)]
-Pose = Annotated[Float[np.ndarray, "22 3"], _POSE]
-Poses = Annotated[Float[np.ndarray, "n 22 3"], pa.list_(_POSE)]
-Points = Annotated[Float[np.ndarray, "n 3"], pa.list_(_POINT)]
-Rotations = Annotated[Float[np.ndarray, "n 4"], pa.list_(pa.list_(pa.float32(), 4))]
-Flags = Annotated[Bool[np.ndarray, " n"], pa.list_(pa.bool_())]
-_PLAIN = {str: pa.string(), float: pa.float64(), int: pa.int32(), bool: pa.bool_()}
+# Units are those of UCUM: "1" for numbers without dimension; "none" for what is no number.
+Metres = Annotated[float, pa.float64(), "m"]
+Seconds = Annotated[float, pa.float64(), "s"]
+Degrees = Annotated[float, pa.float64(), "deg"]
+Hertz = Annotated[float, pa.float64(), "Hz"]
+Texts = Annotated[Mapping[str, str], KEY_VALUES, "none"]
+PrecisePoint = Annotated[Float[np.ndarray, "3"], pa.list_(pa.float64(), 3), "m"]
+Quaternion = Annotated[Float[np.ndarray, "4"], pa.list_(pa.float64(), 4), "1"]
+Transform = Annotated[Float[np.ndarray, "4 4"], pa.list_(pa.float64(), 16), "1; m in the last column"]
+Pose = Annotated[Float[np.ndarray, "22 3"], _POSE, "m"]
+Poses = Annotated[Float[np.ndarray, "n 22 3"], pa.list_(_POSE), "m"]
+Points = Annotated[Float[np.ndarray, "n 3"], pa.list_(_POINT), "m"]
+Directions = Annotated[Float[np.ndarray, "n 3"], pa.list_(_POINT), "1"]
+Rotations = Annotated[Float[np.ndarray, "n 4"], pa.list_(pa.list_(pa.float32(), 4)), "1"]
+Flags = Annotated[Bool[np.ndarray, " n"], pa.list_(pa.bool_()), "none"]
+# The number that decided an event.
+Decisive = Annotated[float, pa.float64(), "m; s where clipping, body or lost tracking decided; 1 of a confidence"]
+_PLAIN = {
+    str: (pa.string(), "none"),
+    float: (pa.float64(), "1"),
+    int: (pa.int32(), "1"),
+    bool: (pa.bool_(), "none"),
+}
+# A line of an ``Attributes:`` section, and the lines that go on with it.
+_ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 
 
 def column_field(name: str, kind: pa.DataType, *, nullable: bool = False) -> pa.Field:
@@ -56,21 +74,39 @@ def schema_of(record: type, *, counted: Collection[str] = (), without: Collectio
         if each.name == "outcomes":
             columns += [column_field(outcome, pa.int32()) for outcome in counted]
         elif each.name not in without:
-            columns.append(_column(each.name, hints[each.name]))
+            kind, _, nullable = _typed(hints[each.name])
+            columns.append(column_field(each.name, kind, nullable=nullable))
     return pa.schema(columns)
 
 
-def _column(name: str, hint: Any) -> pa.Field:
+def _typed(hint: Any) -> tuple[pa.DataType, str, bool]:
+    """Return the Arrow type of a field, its unit, and whether it may be None."""
     nullable = get_origin(hint) in (Union, types.UnionType)
     if nullable:
         (hint,) = (each for each in get_args(hint) if each is not types.NoneType)
     if get_origin(hint) is Annotated:
-        kind = hint.__metadata__[0]
-    elif get_origin(hint) is Literal:
-        kind = pa.string()
-    else:
-        kind = _PLAIN[hint]
-    return column_field(name, kind, nullable=nullable)
+        kind, unit = hint.__metadata__
+        return kind, unit, nullable
+    return *_PLAIN[str if get_origin(hint) is Literal else hint], nullable
+
+
+def described(schema: pa.Schema, record: type, *, counted: Mapping[str, str] = types.MappingProxyType({})) -> pa.Schema:
+    """Return the columns of a record's table with ``description`` and ``unit`` as metadata of each.
+
+    Args:
+        schema: The columns (:func:`schema_of`).
+        record: The data class; its docstring describes its attributes, their types name the units.
+        counted: Maps each column that counts an outcome to what the outcome means.
+    """
+    # Parquet has nulls, and no markup.
+    doc = (inspect.getdoc(record) or "").replace("None", "null").replace("``", "'")
+    texts = {name: " ".join(text.split()) for name, text in _ATTRIBUTE.findall(doc)}
+    texts |= {name: f"Number of events that ended as '{name}': {meaning}." for name, meaning in counted.items()}
+    hints = dict.fromkeys(counted, int) | get_type_hints(record, include_extras=True)
+    return pa.schema(
+        each.with_metadata({"description": texts.get(each.name, ""), "unit": _typed(hints[each.name])[1]})
+        for each in schema
+    )
 
 
 # Shapes of vectors that stand for more than a vector, by their length.
@@ -219,24 +255,24 @@ def _read_only(items: pa.Array) -> np.ndarray:
 
 
 FrameSource = Literal["recorded", "extrapolated", "copied"]
-# Possible outcomes of a candidate event.
-OUTCOMES = (
-    "sequence",
-    "no_location",
-    "not_primed",
-    "too_short",
-    "minimum_movement",
-    "no_body",
-    "other_wearer",
-    "excluded_category",
-    "tracking_lost",
-    "excluded_by_dataset",
-    "not_published",
-    "unreadable_entry",
-    "low_confidence",
-    "annotation_only",
-    "dropped_by_person",
-)
+# Possible outcomes of a candidate event, and what they mean.
+OUTCOMES = {
+    "sequence": "became one",
+    "no_location": "never came to rest, or no place annotated",
+    "not_primed": "gaze never met the place in the window before",
+    "too_short": "recording or body does not cover the sequence",
+    "minimum_movement": "started beside the goal",
+    "no_body": "no body poses",
+    "other_wearer": "somebody else's hand was nearer",
+    "excluded_category": "doors, drawers and the like",
+    "tracking_lost": "object not tracked around the event",
+    "excluded_by_dataset": "never tested by the dataset itself",
+    "not_published": "the dataset publishes nothing about it",
+    "unreadable_entry": "an entry of the dataset's annotations that cannot be read",
+    "low_confidence": "less sure than --min-confidence asks",
+    "annotation_only": "listed from the annotations alone (--events-only)",
+    "dropped_by_person": "a person's correction says so",
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -269,23 +305,25 @@ class Sequence:
         prime_kind: How gaze met the goal: ``hit`` or ``near_miss``; ``published`` or ``unknown`` where it was taken
             over.
         prime_time_uncertainty: Spacing of the gaze samples around the prime time, seconds.
-        goal_location: Centre of the object's box at the event, metres.
+        goal_location: Centre of the object's box at the event, canonical frame, metres; of a put the future resting
+            place.
         goal_box_world_min: Lower end of that box along x, y and z of the world, metres.
         goal_box_world_max: Upper end of that box along x, y and z of the world, metres.
         body_movement: Largest distance of the pelvis from its first position, metres.
         hand_movement: Largest displacement of the reaching wrist relative to the pelvis, metres.
         pose_source: Source of the body.
         head_tilt_deg: Rest tilt of the neck-head bone of the body's skeleton, degrees; Prime Success needs it.
-        joints: Positions (n, 22, 3) of the 22 joints (:class:`prbench.Joint`) in every frame, metres.
-        previous_joints: The pose (22, 3) one frame before the first, metres.
+        joints: Positions (n, 22, 3) of the 22 joints of prbench.Joint in every frame, canonical frame, metres.
+        previous_joints: The pose (22, 3) one frame before the first, canonical frame, metres.
         previous_source: How the pose before was got: ``recorded``, ``extrapolated`` or ``copied``.
-        next_joints: The pose (22, 3) one frame after the last, metres.
+        next_joints: The pose (22, 3) one frame after the last, canonical frame, metres.
         next_source: How the pose after was got: ``recorded``, ``extrapolated`` or ``copied``.
-        head_position: Position (n, 3) of the glasses in every frame, between the eyes, metres; None where unknown.
-        head_rotation: Rotation (n, 4) from the glasses (x left, y up, z forward), quaternions w x y z; None where
-            unknown.
-        gaze_origin: Start (n, 3) of each gaze ray, between the eyes, metres.
-        gaze_direction: Direction (n, 3) of each gaze ray, unit vectors.
+        head_position: Position (n, 3) of the glasses in every frame, between the eyes, canonical frame, metres; None
+            where unknown.
+        head_rotation: Rotation (n, 4) from the glasses (x left, y up, z forward) to the canonical frame, quaternions
+            w x y z; None where unknown.
+        gaze_origin: Start (n, 3) of each gaze ray, between the eyes, canonical frame, metres.
+        gaze_direction: Direction (n, 3) of each gaze ray, canonical frame, unit vectors.
         gaze_valid: False (n,) where the eye tracker had no measurement; the ray then says nothing.
         world_from_canonical: Rigid transform (4, 4) from the canonical frame to the recording's world (Y up), metres.
         extra: What only this dataset has, by name.
@@ -302,23 +340,23 @@ class Sequence:
     object_name: str
     text: str
     hand: str | None
-    fps: float
+    fps: Hertz
     n_frames: int
-    start_time: float
-    prime_time: float
-    event_time: float
+    start_time: Seconds
+    prime_time: Seconds
+    event_time: Seconds
     prime_frame: int
-    prime_gap: float
-    preroll: float
+    prime_gap: Seconds
+    preroll: Seconds
     prime_kind: str
-    prime_time_uncertainty: float
+    prime_time_uncertainty: Seconds
     goal_location: PrecisePoint
     goal_box_world_min: PrecisePoint
     goal_box_world_max: PrecisePoint
-    body_movement: float
-    hand_movement: float
+    body_movement: Metres
+    hand_movement: Metres
     pose_source: str
-    head_tilt_deg: float
+    head_tilt_deg: Degrees
     joints: Poses
     previous_joints: Pose
     previous_source: FrameSource
@@ -327,7 +365,7 @@ class Sequence:
     head_position: Points | None
     head_rotation: Rotations | None
     gaze_origin: Points
-    gaze_direction: Points
+    gaze_direction: Directions
     gaze_valid: Flags
     world_from_canonical: Transform
     extra: Texts = field(default_factory=dict)
@@ -366,15 +404,17 @@ class Event:
         prime_time: Time of the first look at the object's place, seconds on the recording's clock; None if there was
             none.
         prime_kind: How gaze met the place: ``hit``, ``near_miss`` or ``published``; None if it did not.
-        location: Centre (3,) of the object's box; None where the object could not be placed.
-        box_min: Lower end (3,) of the object's box along x, y and z; None where the object could not be placed.
-        box_max: Upper end (3,) of the object's box along x, y and z; None where the object could not be placed.
+        location: Centre (3,) of the object's box, world; None where the object could not be placed.
+        box_min: Lower end (3,) of the object's box along x, y and z of the world; None where the object could not be
+            placed.
+        box_max: Upper end (3,) of the object's box along x, y and z of the world; None where the object could not be
+            placed.
         outcome: ``sequence`` if it became one, else why not (docs/table.md#events).
         stage: The stage of curation that decided.
         value: The number that decided.
         threshold: What the number was compared with.
-        left_wrist: The left wrist (3,) at the event; None where nothing measured it.
-        right_wrist: The right wrist (3,) at the event; None where nothing measured it.
+        left_wrist: The left wrist (3,) at the event, world; None where nothing measured it.
+        right_wrist: The right wrist (3,) at the event, world; None where nothing measured it.
         published_priming: ``primed``, ``not_primed`` or ``excluded`` where the dataset publishes priming of its own;
             else None.
         published_prime_time: The prime time that the dataset publishes, seconds on the recording's clock; None where it
@@ -395,22 +435,22 @@ class Event:
     object_name: str
     action: str
     hand: str | None
-    event_time: float
-    prime_time: float | None
+    event_time: Seconds
+    prime_time: Seconds | None
     prime_kind: str | None
     location: PrecisePoint | None
     box_min: PrecisePoint | None
     box_max: PrecisePoint | None
     outcome: str
     stage: str
-    value: float | None
-    threshold: float | None
+    value: Decisive | None
+    threshold: Decisive | None
     left_wrist: PrecisePoint | None = None
     right_wrist: PrecisePoint | None = None
     published_priming: str | None = None
-    published_prime_time: float | None = None
+    published_prime_time: Seconds | None = None
     hand_source: str | None = None
-    prime_margin: float | None = None
+    prime_margin: Metres | None = None
     event_confidence: float | None = None
     corrected: str | None = None
     unreadable: str | None = None
@@ -440,7 +480,7 @@ class Recording:
     participant_id: str
     split: str
     split_group: str
-    duration: float
+    duration: Seconds
     outcomes: Mapping[str, int]
     status: str
     message: str
@@ -466,6 +506,11 @@ class SceneBox:
     """The box of a thing that stands still through a recording. World frame, metres.
 
     Attributes:
+        recording_id: Name of the recording.
+        object_id: The dataset's own id of the thing.
+        name: The dataset's name of the thing.
+        category: Kind of thing.
+        centre: Middle of the box, world.
         rotation: World from box, quaternion w x y z.
         half_extents: Half the length of its edges.
         entered: Largest depth to which a joint of the recorded person comes into it, over the whole recording; None
@@ -479,13 +524,15 @@ class SceneBox:
     centre: PrecisePoint
     rotation: Quaternion
     half_extents: PrecisePoint
-    entered: float | None
+    entered: Metres | None
 
 
-SEQUENCES = schema_of(Sequence)
-EVENTS = schema_of(Event)
-RECORDINGS = schema_of(Recording, counted=OUTCOMES, without=("shortfalls", "lacks"))
-SCENES = schema_of(SceneBox)
+SEQUENCES = described(schema_of(Sequence), Sequence)
+EVENTS = described(schema_of(Event), Event)
+RECORDINGS = described(
+    schema_of(Recording, counted=OUTCOMES, without=("shortfalls", "lacks")), Recording, counted=OUTCOMES
+)
+SCENES = described(schema_of(SceneBox), SceneBox)
 
 
 def sequence_batch(sequences: Iterable[Sequence]) -> pa.RecordBatch:

@@ -119,7 +119,8 @@ def _field(table: str, column: pa.Field, source: dict[str, Any]) -> dict[str, An
         "@type": "cr:Field",
         "@id": f"{table}/{column.name}",
         "name": column.name,
-        "description": f"{column.type}, explained in the table page of prbench's documentation",
+        "description": column.metadata[b"description"].decode(),
+        "unitText": column.metadata[b"unit"].decode(),
     }
     if column.type == KEY_VALUES:
         pair = [

@@ -26,7 +26,14 @@ from prbench.protocol.published import QUANTITIES
 from prbench.recording.streams import HandSource
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import write_fold
-from prbench.sequences.schema import ADDED_COLUMNS, digests_of_files, identity_of_rows
+from prbench.sequences.schema import (
+    ADDED_COLUMNS,
+    DATASET_TABLES,
+    OPTIONAL_TABLES,
+    check_schema,
+    digests_of_files,
+    identity_of_rows,
+)
 from prbench.sequences.sequence import (
     EVENTS,
     OUTCOMES,
@@ -343,11 +350,41 @@ def _columns(section: str) -> set[str]:
         ("sequences", set(SEQUENCES.names)),
         ("events", set(EVENTS.names)),
         ("scenes", set(SCENES.names)),
-        ("recordings", set(RECORDINGS.names) - set(OUTCOMES) | {OUTCOMES[0], OUTCOMES[-1]}),
+        ("recordings", set(RECORDINGS.names) - set(OUTCOMES) | {"sequence", "dropped_by_person"}),
     ],
 )
 def test_every_column_is_explained(section, columns):
     assert _columns(section) == columns
+
+
+@pytest.mark.parametrize("name", ["sequences", "events", "recordings", "scenes"])
+def test_every_field_of_the_files_carries_its_meaning_and_its_unit(table, name) -> None:
+    written = pq.read_schema(table.folder / f"{name}.parquet")
+    expected = {**DATASET_TABLES, **OPTIONAL_TABLES}[name]
+    for found, field in zip(written, expected, strict=True):
+        told = {key: text for key, text in found.metadata.items() if key in (b"description", b"unit")}
+        assert told == field.metadata, field.name
+        assert len(told[b"description"]) > 8
+        leaf = found.type
+        while pa.types.is_list(leaf) or pa.types.is_fixed_size_list(leaf):
+            leaf = leaf.value_type
+        is_number = pa.types.is_floating(leaf) or pa.types.is_integer(leaf)
+        assert (told[b"unit"] != b"none") == is_number, field.name
+    bare = pa.schema([field.remove_metadata() for field in written], metadata=written.metadata)
+    check_schema(bare, expected, source="a file that another program has written")
+
+
+@pytest.mark.parametrize(
+    ("schema", "units"),
+    [
+        (SEQUENCES, {"fps": "Hz", "preroll": "s", "joints": "m", "gaze_direction": "1", "head_tilt_deg": "deg"}),
+        (EVENTS, {"event_time": "s", "prime_margin": "m", "event_confidence": "1", "box_min": "m", "outcome": "none"}),
+        (RECORDINGS, {"duration": "s", "low_confidence": "1", "message": "none"}),
+        (SCENES, {"centre": "m", "rotation": "1", "entered": "m"}),
+    ],
+)
+def test_units_by_hand(schema, units) -> None:
+    assert {name: schema.field(name).metadata[b"unit"].decode() for name in units} == units
 
 
 def test_every_outcome_is_listed():

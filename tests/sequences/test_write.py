@@ -63,6 +63,8 @@ def test_every_column_is_a_field_and_every_file_has_its_digest(folder) -> None:
     document = json.loads((folder / "croissant.json").read_text())
     for record_set, schema in zip(document["recordSet"], (SEQUENCES, EVENTS, RECORDINGS), strict=True):
         assert [field["name"] for field in record_set["field"]] == schema.names
+        told = [(field["description"].encode(), field["unitText"].encode()) for field in record_set["field"]]
+        assert told == [(field.metadata[b"description"], field.metadata[b"unit"]) for field in schema]
     joints = next(field for field in document["recordSet"][0]["field"] if field["name"] == "joints")
     assert joints["arrayShape"] == "-1,66"
     assert joints["dataType"] == "sc:Float"
