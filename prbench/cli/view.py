@@ -167,8 +167,7 @@ def review(
         note(f"no pictures: {name}: {problem}")
 
     def show() -> None:
-        left_out = f" ({done.left_out} entries that cannot be read have no time)" if done.left_out else ""
-        print(f"{done.events} events, the most doubtful first{left_out}")
+        print(f"{done.events} events, the most doubtful first")
         print(f"page: {done.out}")
 
     return Answer(done, show, NOT_EVERYTHING if done.without_picture else 0)

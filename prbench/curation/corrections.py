@@ -10,7 +10,6 @@ import csv
 import dataclasses
 import difflib
 import io
-import math
 import re
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
@@ -108,12 +107,11 @@ class Corrections:
             dataset: Name of the dataset.
             read: Recordings that were read; rows of others were not applied.
         """
-        applied = self.by_recording(dataset, frozenset(read), partial=True)
-        known = {row for each in applied.values() for row in each.rows}
-        waiting = [row.event_id for row in self.rows if row not in known]
+        applied = self.by_recording(dataset, frozenset(read), partial=True).values()
+        waiting = sorted(set(self.rows).difference(*(each.rows for each in applied)))
         said = {"corrections": str(len(self.rows)), "corrections_digest": self.digest}
         if waiting:
-            said["corrections_waiting"] = f"{len(waiting)} (first: {waiting[0]})"
+            said["corrections_waiting"] = f"{len(waiting)} (first: {waiting[0].event_id})"
         return said
 
     def settle(self, events: Iterable[PickPutEvent]) -> list[PickPutEvent]:
@@ -214,12 +212,14 @@ def _require_sound(path: Path, row: Correction, others: Iterable[Correction]) ->
         (row.reason != "", f"{row.where}, reason", "a reason", "nothing", "Say why, for whoever reads the table."),
         (row.author != "", f"{row.where}, author", "who says so", "nothing", "Write a name."),
     )
-    value = row.value.split()
-    numbers = [number for number in map(_number, value) if number is not None]
+    try:
+        sizes = [abs(float(text)) for text in row.value.split()]
+    except ValueError:
+        sizes = []
     sound = {
-        "move": len(numbers) == len(value) == 1 and 0 < abs(numbers[0]) <= _LARGEST_MOVE,
+        "move": len(sizes) == 1 and 0 < sizes[0] <= _LARGEST_MOVE,
         "hand": row.value in ("left", "right"),
-        "goal": len(numbers) == len(value) == 3 and max(map(abs, numbers)) <= FARTHEST_POSITION,
+        "goal": len(sizes) == 3 and all(size <= FARTHEST_POSITION for size in sizes),
         "rename": row.value != "",
     }
     expected = CHANGES[row.change] or f"no value for '{row.change}'"
@@ -229,14 +229,6 @@ def _require_sound(path: Path, row: Correction, others: Iterable[Correction]) ->
         clash = row.change == other.change or (alone and "note" not in (row.change, other.change))
         expected = f"nothing that repeats or contradicts the '{other.change}' of {other.where} for the same event"
         require(path, (not clash, row.where, expected, f"'{row.change}'", "Keep one of the two rows."))
-
-
-def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
 
 
 def _csv_rows(path: Path, text: str) -> Iterator[tuple[str, dict[str, str]]]:

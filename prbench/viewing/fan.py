@@ -116,8 +116,14 @@ def draw_fan(fan: Fan, path: Path, *, dpi: int = 110) -> None:
         above.tick_params(labelsize=6)
         above.set_xlim(*seen_from_above[0])
         above.set_ylim(*seen_from_above[1])
-        _draw_looks(looks, fan, group)
-        _draw_wrists(wrists, group)
+        distance = motions.head_distance
+        _draw_curves(looks, group, distance, "goal to head ray, m", _FARTHEST)
+        for number, colour in reversed(list(enumerate(_shades(group)))):
+            nearest = min(distance[number, primes[number]], _FARTHEST)
+            looks.plot(primes[number] / motions.fps, nearest, "o", color=colour, markersize=5, zorder=4)
+        looks.axhline(fan.constants.prime_distance, color=_GOAL, linewidth=0.9, linestyle=":")
+        speed = np.linalg.norm(np.diff(motions.reaching_wrist, axis=1), axis=-1) * motions.fps
+        _draw_curves(wrists, group, speed, "speed of the wrist, m/s", _FASTEST)
         bodies.set_title(
             figure_text(f"{group.label}: {len(group.motions.joints)} motions, from the side"), fontsize=9, loc="left"
         )
@@ -184,27 +190,12 @@ def _draw_bodies(axes: Axes, fan: Fan, group: FanGroup) -> None:
     without_frame(axes)
 
 
-def _draw_looks(axes: Axes, fan: Fan, group: FanGroup) -> None:
-    motions = group.motions
-    seconds = np.arange(motions.joints.shape[1]) / motions.fps
-    distance = np.minimum(motions.head_distance, _FARTHEST)
-    primes = timing(motions, fan.constants).prime
-    for number, colour in reversed(list(enumerate(_shades(group)))):
-        axes.plot(seconds, distance[number], color=colour, linewidth=1.1)
-        frame = round(primes[number] * motions.fps)
-        axes.plot(primes[number], distance[number, frame], "o", color=colour, markersize=5, zorder=4)
-    axes.axhline(fan.constants.prime_distance, color=_GOAL, linewidth=0.9, linestyle=":")
-    axes.set_ylim(-0.05, _FARTHEST + 0.05)
-    axes.set_title("goal to head ray, m, over seconds", fontsize=8, loc="left")
-    axes.tick_params(labelsize=6)
-
-
-def _draw_wrists(axes: Axes, group: FanGroup) -> None:
-    motions = group.motions
-    speed = np.linalg.norm(np.diff(motions.reaching_wrist, axis=1), axis=-1) * motions.fps
-    seconds = np.arange(1, motions.joints.shape[1]) / motions.fps
-    for track, colour in reversed(list(zip(speed, _shades(group), strict=True))):
-        axes.plot(seconds, np.minimum(track, _FASTEST), color=colour, linewidth=1.1)
-    axes.set_ylim(-0.1, _FASTEST + 0.1)
-    axes.set_title("speed of the wrist, m/s, over seconds", fontsize=8, loc="left")
+def _draw_curves(axes: Axes, group: FanGroup, curves: np.ndarray, title: str, top: float) -> None:
+    """Draw one curve a motion over its seconds, cut at ``top``; they end with the motion."""
+    n_frames = group.motions.joints.shape[1]
+    seconds = np.arange(n_frames - curves.shape[1], n_frames) / group.motions.fps
+    for curve, colour in reversed(list(zip(curves, _shades(group), strict=True))):
+        axes.plot(seconds, np.minimum(curve, top), color=colour, linewidth=1.1)
+    axes.set_ylim(-top / 40, top * 41 / 40)
+    axes.set_title(f"{title}, over seconds", fontsize=8, loc="left")
     axes.tick_params(labelsize=6)

@@ -56,15 +56,12 @@ class Review:
 
     Attributes:
         out: The page.
-        events: Number of events on it, the most doubtful first.
-        left_out: Number of events of the table that no choice left out and that have no time, so that nothing can be
-            shown: entries of annotations that cannot be read.
+        events: Number of events on it, the most doubtful first; entries that cannot be read have no time to show.
         without_picture: Maps each recording that could not be read to the reason; its events have no pictures.
     """
 
     out: Path
     events: int
-    left_out: int
     without_picture: Mapping[str, str]
 
 
@@ -121,12 +118,13 @@ def write_review(
     chosen = [
         event
         for event in everything
-        if (not outcomes or event.outcome in outcomes)
+        if math.isfinite(event.event_time)
+        and (not outcomes or event.outcome in outcomes)
         and fnmatch.fnmatchcase(event.recording_id, recordings)
         and (objects in event.object_name or objects in event.object_id)
         and (max_confidence is None or (event.event_confidence or 0.0) <= max_confidence)
     ]
-    events = sorted((event for event in chosen if math.isfinite(event.event_time)), key=doubt)[:limit]
+    events = sorted(chosen, key=doubt)[:limit]
     if not events:
         raise UsageError(f"{data}: expected events that the options choose, found none among {len(rows)}.")
     # The recordings are read as the table's build read them; of options that are places the table knows digests only.
@@ -174,7 +172,7 @@ def write_review(
     text = msgspec.json.encode(page).decode().replace("<", "\\u003c")
     template = Path(__file__).with_name("review.html").read_text(encoding="utf-8")
     write_text(out, template.replace("__DATA__", text))
-    return Review(out, len(events), sum(not math.isfinite(event.event_time) for event in chosen), problems)
+    return Review(out, len(events), problems)
 
 
 def doubt(event: Event) -> tuple[float, float, str]:
