@@ -14,7 +14,6 @@ Numbers of recordings that cannot be what their fields mean, refused with stream
 from __future__ import annotations
 
 import contextlib
-import io
 import math
 import tokenize
 import zipfile
@@ -160,12 +159,10 @@ class Archive:
     """An ``.npz``; arrays are read when they are asked for.
 
     Attributes:
-        content: The bytes, where they are at hand; ``path`` is then for messages.
         remedy: Advice for messages if it is damaged or another file.
     """
 
     path: Path
-    content: bytes | None = None
     remedy: str = ""
 
     @cached_property
@@ -240,10 +237,6 @@ class Archive:
         require(self.path, (header.nbytes <= largest, f"'{name}'", f"at most {largest:,} bytes", found, ""))
         return self.load([name], largest=self.members[name].file_size)[name]
 
-    def stored_as_is(self, name: str) -> bool:
-        """Return True for an array that is stored without compression."""
-        return self.members[name].compress_type == zipfile.ZIP_STORED
-
     def _header(self, name: str, stream: IO[bytes]) -> ArrayHeader:
         header = read_header(stream, self.path, f"'{name}'", remedy=self.remedy)
         size = self.members[name].file_size
@@ -257,9 +250,8 @@ class Archive:
     def _opened(self) -> Iterator[zipfile.ZipFile]:
         """Yield the archive; what is wrong with its bytes becomes an error that names it."""
         try:
-            if self.content is None:
-                require_size(self.path, largest=LARGEST_ARCHIVE)
-            with zipfile.ZipFile(self.path if self.content is None else io.BytesIO(self.content)) as archive:
+            require_size(self.path, largest=LARGEST_ARCHIVE)
+            with zipfile.ZipFile(self.path) as archive:
                 yield archive
         except FileNotFoundError as error:
             raise InputFileError(self.path, "", expected="an .npz file", found="no file", remedy=self.remedy) from error

@@ -68,8 +68,8 @@ def make_row(
         return stated.strip() if isinstance(stated, str) else ""
 
     # Motion, goal and gaze come into the canonical frame by one and the same transform.
-    joints = layout.read_array(one.motion, (22, 3))[0].astype(np.float64)
-    gaze = None if one.gaze is None else layout.read_array(one.gaze, (3,))[0]
+    joints = layout.read_array(one.motion, (22, 3)).astype(np.float64)
+    gaze = None if one.gaze is None else layout.read_array(one.gaze, (3,))
     directions, valid = clean_gaze(gaze, len(joints))
     canonical_from_motion = invert_rigid(one.motion_from_canonical)
     goal = transform_points(canonical_from_motion, one.goal)

@@ -5,9 +5,7 @@ Arrays are read without trust: headers are held against the file's size, and not
 
 from __future__ import annotations
 
-import io
 import json
-import math
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -19,8 +17,8 @@ import msgspec
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.files.arrays import read_header
-from prbench.files.bounded import foreign_input, read_text, read_whole
+from prbench.files.arrays import load_array
+from prbench.files.bounded import foreign_input, read_text, require
 from prbench.files.storage import read_json
 from prbench.limits import HARMLESS_SIZE, LARGEST_JSON
 from prbench.protocol.manifests import read_toml
@@ -320,30 +318,27 @@ def _require_inside(root: Path, path: Path) -> None:
         )
 
 
-_REMEDY = "Copy or download the file again."
-
-
 @foreign_input()
-def read_array(path: Path, per_frame: tuple[int, ...]) -> tuple[np.ndarray, bytes]:
-    """Read the array (N, *per_frame) of a ``.npy`` file in single or double precision.
-
-    Returns:
-        The array as it stands in the file, and the bytes of the file.
+def read_array(path: Path, per_frame: tuple[int, ...]) -> np.ndarray:
+    """Read the array (N, *per_frame) of a ``.npy`` file in single or double precision, as it stands there.
 
     Raises:
         InputFileError: if this is no ``.npy`` file, holds objects, is truncated, or has another shape or other
             numbers.
     """
-    content = read_whole(path, largest=HARMLESS_SIZE)
-    header = read_header(io.BytesIO(content), path, "", remedy=_REMEDY)
+    remedy = "Copy or download the file again."
+    array = load_array(path, largest=HARMLESS_SIZE, remedy=remedy)
     wanted = ", ".join(("N", *map(str, per_frame)))
-    for expected, found, right in (
-        (f"{header.offset + header.nbytes} bytes for shape {header.shape}", str(len(content)),
-         len(content) == header.offset + header.nbytes),
+    require(
+        path,
         # Either byte order is accepted, so the comparison must not see it.
-        ("float32 or float64", str(header.dtype), header.dtype.newbyteorder("=") in (np.float32, np.float64)),
-        (f"shape ({wanted})", str(header.shape), len(header.shape) > 0 and header.shape[1:] == per_frame),
-    ):  # fmt: skip
-        if not right:
-            raise InputFileError(path, "", expected=expected, found=found, remedy=_REMEDY)
-    return header.shaped(np.frombuffer(content, header.dtype, math.prod(header.shape), header.offset)), content
+        (array.dtype.newbyteorder("=") in (np.float32, np.float64), "", "float32 or float64", array.dtype, remedy),
+        (
+            array.ndim == 1 + len(per_frame) and array.shape[1:] == per_frame,
+            "",
+            f"shape ({wanted})",
+            array.shape,
+            remedy,
+        ),
+    )
+    return array

@@ -19,7 +19,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.files.storage import bytes_digest
+from prbench.files.bounded import require
+from prbench.files.storage import file_digest, text_digest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame
 from prbench.release import layout
 from prbench.release.report import Certainty, Inference, SequenceProblem
@@ -106,7 +107,7 @@ class ReleasedDataset:
     folder: Path
     files: dict[str, dict[int, Path]]
     mapping: dict[str, str]
-    unmapped: list[str]
+    unmapped: list[str] = field(default_factory=list)
     fps: float = 0.0
     first_frame: int = 0
     inferences: list[Inference] = field(default_factory=list)
@@ -158,9 +159,8 @@ def read_release(
     progress(dataset, f"reading {layout.TARGETS}")
     entries = layout.read_targets(folder / layout.TARGETS, options.field_map)
     mapping = _map_fields(folder / layout.TARGETS, entries, options.field_map, command)
-    names = dict.fromkeys(name for fields in entries.values() for name in fields)
-    unmapped = [name for name in names if name not in mapping.values()]
-    found = ReleasedDataset(dataset, folder, files, mapping, unmapped)
+    found = ReleasedDataset(dataset, folder, files, mapping)
+    found.unmapped = sorted({name for fields in entries.values() for name in fields} - set(mapping.values()))
     _tell_frames(found, list(entries.values()), options.fps, command)
     progress(dataset, f"measuring {len(entries)} sequences")
     for key, fields in entries.items():
@@ -250,13 +250,21 @@ def _tell_frames(found: ReleasedDataset, entries: list[dict[str, Any]], given: f
         InputFileError: if nothing tells the rate.
     """
     known = layout.load_known()
-    rates = {number for entry in entries if (number := _number(entry.get(found.mapping.get("fps", "")))) is not None}
-    primed = [_number(entry.get(found.mapping["primed_frame"])) for entry in entries]
-    primes = np.array([number for number in primed if number is not None])
-    mode = Counter(primes.tolist()).most_common(1)[0][0] if len(primes) else 0.0
+
+    def numbers(canonical: str) -> list[float]:
+        found_here = (_number(entry.get(found.mapping.get(canonical, ""))) for entry in entries)
+        return [number for number in found_here if number is not None]
+
+    rates = set(numbers("fps"))
+    primes = np.array(numbers("primed_frame"))
+    mode = 0.0
+    agreeing = 0.0
+    if len(primes):
+        mode = Counter(primes.tolist()).most_common(1)[0][0]
+        agreeing = np.mean(np.abs(primes - mode) <= 1)
     measured = mode / _LEAD
     nearest = min(known.frame_rates, key=lambda rate: abs(measured - rate))
-    agree = len(primes) > 0 and np.mean(np.abs(primes - mode) <= 1) >= known.agreeing_primes
+    near = abs(measured - nearest) <= known.frame_rate_tolerance * nearest
     said = f"most frequent primed frame, 2 s after the start: {mode:g}"
     if given is not None:
         found.fps = given
@@ -264,7 +272,7 @@ def _tell_frames(found: ReleasedDataset, entries: list[dict[str, Any]], given: f
     elif len(rates) == 1 and min(rates) > 0:
         found.fps = min(rates)
         found.infer("fps", f"{found.fps:g}", "certain", "stated by the entries")
-    elif not rates and agree and abs(measured - nearest) <= known.frame_rate_tolerance * nearest:
+    elif not rates and near and agreeing >= known.agreeing_primes:
         found.fps = nearest
         found.infer("fps", f"{nearest:g}", "assumed", said)
     else:
@@ -307,7 +315,7 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
     motion = _read_motion(found, key, index)
     if goal is None or subset is None or primed is None or motion is None:
         return
-    joints, motion_from_canonical, content = motion
+    joints, motion_from_canonical = motion
     n_frames = len(joints)
     frame = primed - found.first_frame
     if frame != round(frame) or not 0 <= frame < n_frames:
@@ -315,7 +323,10 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
         text = f"primed frame: expected one of {found.first_frame} to {last}, found {primed:g}"
         found.note(key, text, left_out=True)
         return
-    gaze_file, gaze, gaze_content = _read_gaze(found, key, index, n_frames)
+    files = [found.files[layout.MOTIONS][index]]
+    gaze = _read_gaze(found, key, index, n_frames)
+    if gaze is not None:
+        files.append(found.files[layout.GAZES][index])
     directions, valid = clean_gaze(gaze, n_frames)
     distance = math.nan
     if valid[round(frame)]:
@@ -329,14 +340,14 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
         ReleasedSequence(
             fields=fields,
             index=index,
-            motion=found.files[layout.MOTIONS][index],
-            gaze=gaze_file,
+            motion=files[0],
+            gaze=None if gaze is None else files[1],
             n_frames=n_frames,
             goal=goal,
             subset=subset,
             primed_frame=round(frame),
             source=source or f"unknown-{subset}",
-            digest=bytes_digest(content + gaze_content),
+            digest=text_digest(*map(file_digest, files)),
             pelvis_to_head=size,
             upright=float(np.median(trunk[:, 1])) / size if size else 0.0,
             motion_from_canonical=motion_from_canonical,
@@ -346,15 +357,14 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
     )
 
 
-def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarray, np.ndarray, bytes] | None:
-    """Return the joints of a sequence, the pose of its canonical frame and the file's bytes; None if it is unusable."""
+def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the joints of a sequence and the pose of its canonical frame; None if it is unusable."""
     path = found.files[layout.MOTIONS].get(index)
     if path is None:
         found.note(key, "no file in motions", left_out=True)
         return None
     try:
-        joints, content = layout.read_array(path, (22, 3))
-        joints = joints.astype(np.float64)
+        joints = layout.read_array(path, (22, 3)).astype(np.float64)
         if len(joints) < 2:
             problem = f"expected 2 frames or more, found {len(joints)}"
         elif not np.isfinite(joints).all():
@@ -365,7 +375,7 @@ def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarr
             # The matrix is a turn about y and a shift, so two entries hold the whole angle.
             yaw = np.degrees(np.arctan2(pose[0, 2], pose[0, 0]))
             near = np.abs(pose[:3, 3]).max() <= rules.canonical_position and abs(yaw) <= rules.canonical_yaw_deg
-            return joints, np.eye(4) if near else pose, content
+            return joints, np.eye(4) if near else pose
     except InputFileError as error:
         problem = f"expected {error.expected}, found {error.found}"
     except ValueError:
@@ -374,55 +384,44 @@ def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarr
     return None
 
 
-def _read_gaze(
-    found: ReleasedDataset, key: str, index: int, n_frames: int
-) -> tuple[Path | None, np.ndarray | None, bytes]:
-    """Return the file of a sequence's gaze, its array and its bytes; None where it is missing or wrong."""
+def _read_gaze(found: ReleasedDataset, key: str, index: int, n_frames: int) -> np.ndarray | None:
+    """Return the gaze of a sequence; None where its file is missing or wrong, which costs the gaze."""
     path = found.files[layout.GAZES].get(index)
     problem = "no file in gazes: no gaze"
     if path is not None:
         try:
-            gaze, content = layout.read_array(path, (3,))
+            gaze = layout.read_array(path, (3,))
             if len(gaze) == n_frames:
                 if not clean_gaze(gaze, n_frames)[1].any():
                     found.note(key, "gaze: no frame has a unit vector")
-                return path, gaze, content
+                return gaze
             problem = f"gaze: expected {n_frames} frames like the motion, found {len(gaze)}: no gaze"
         except InputFileError as error:
             problem = f"gaze: expected {error.expected}, found {error.found}: no gaze"
     found.note(key, problem)
-    return None, None, b""
+    return None
 
 
 def _judge(found: ReleasedDataset) -> None:
     """Check that people have the size of people in metres and stand along y, and tell the frames of motions and goals.
 
     Raises:
-        InputFileError: if they have not that size, lie, or another unit is stated.
+        InputFileError: if they have not that size, or lie.
     """
     rules = layout.load_known()
-    units = {str(each.fields.get(found.mapping.get("units", ""), "")).strip().lower() for each in found.sequences}
-    stated = units.pop() if len(units) == 1 else ""
     size = float(np.median([each.pelvis_to_head for each in found.sequences]))
     upright = float(np.median([each.upright for each in found.sequences]))
-    # Bodies differ by some per cent, units by factors of ten: the distance from pelvis to head tells them apart.
-    if not rules.lowest_pelvis_to_head <= size <= rules.highest_pelvis_to_head or stated in ("cm", "mm"):
-        expected = (
-            f"a median distance from pelvis to head of {rules.lowest_pelvis_to_head:g} to"
-            f" {rules.highest_pelvis_to_head:g} m"
-        )
-        what = f"{size:.3g}" + (f", stated as '{stated}'" if stated else "")
-    elif upright < rules.lowest_upright:
-        expected = "heads above pelvises, along y"
-        what = f"{upright:.0%} of the distance from pelvis to head along y"
-    else:
-        what = expected = ""
-    if what:
-        remedy = "Turn positions and goals into metres, y up, and check that the 22 joints are in HumanML3D's order."
-        raise InputFileError(found.folder, "motions", expected=expected, found=what, remedy=remedy)
-    is_stated = stated in ("m", "metre", "metres", "meter", "meters")
-    evidence = f"median distance from pelvis to head: {size:.3g}"
-    found.infer("units", "metres", "certain" if is_stated else "likely", evidence)
+    span = f"{rules.lowest_pelvis_to_head:g} to {rules.highest_pelvis_to_head:g} m"
+    remedy = "Turn positions and goals into metres, y up, and check that the 22 joints are in HumanML3D's order."
+    require(
+        found.folder,
+        # Bodies differ by some per cent, units by factors of ten: the distance from pelvis to head tells them apart.
+        (rules.lowest_pelvis_to_head <= size <= rules.highest_pelvis_to_head, "motions",
+         f"a median distance from pelvis to head of {span}", f"{size:.3g}", remedy),
+        (upright >= rules.lowest_upright, "motions", "heads above pelvises, along y",
+         f"{upright:.0%} of the distance from pelvis to head along y", remedy),
+    )  # fmt: skip
+    found.infer("units", "metres", "likely", f"median distance from pelvis to head: {size:.3g}")
     share = float(np.mean([(each.motion_from_canonical == np.eye(4)).all() for each in found.sequences]))
     evidence = f"frame 0 stands over the origin, faces +z, lowest joint at 0 in {share:.1%} of the sequences"
     frame = {1.0: "canonical", 0.0: "world (canonicalised here)"}.get(share, "canonical and world")

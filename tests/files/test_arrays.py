@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 
 import numpy as np
@@ -64,12 +63,6 @@ def test_a_compressed_array_is_refused_by_what_it_declares(tmp_path):
     for read in (lambda: archive.load(["joints"]), lambda: archive.read("joints", largest=LARGEST_ARRAYS)):
         with pytest.raises(InputFileError, match=r"bomb\.npz, 'joints': expected at most 67,108,864 bytes in"):
             read()
-
-
-def test_an_archive_at_hand_is_read_like_a_file(tmp_path):
-    content = io.BytesIO()
-    np.savez(content, a=np.arange(3))
-    assert Archive(tmp_path / "nowhere.npz", content.getvalue()).load(["a"])["a"].tolist() == [0, 1, 2]
 
 
 def test_an_encrypted_archive_is_refused(tmp_path):

@@ -43,13 +43,6 @@ def test_sizes_of_nobody_in_metres_are_refused(factor, tmp_path) -> None:
         imported(tmp_path, motion=lambda row: row.joints * factor)
 
 
-def test_a_stated_unit_is_checked(tmp_path) -> None:
-    assert value(imported(tmp_path / "m", fields={"units": "m"}), "units") == ("metres", "certain")
-    assert value(imported(tmp_path / "f", fields={"units": "furlongs"}), "units") == ("metres", "likely")
-    with pytest.raises(InputFileError, match="stated as 'cm'"):
-        imported(tmp_path / "cm", fields={"units": "cm"})
-
-
 def test_canonical_motions_are_not_touched_and_continued_backwards(tmp_path) -> None:
     assert value(imported(tmp_path), "motion_frame") == ("canonical", "certain")
     for motion, row in zip(motions(tmp_path), ROWS):
