@@ -22,6 +22,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import platformdirs
 from filelock import FileLock, Timeout
@@ -216,16 +217,22 @@ def write_json(path: Path, value: object) -> None:
 
 
 @foreign_input()
-def read_json(path: Path) -> object:
+def read_json(path: Path, *, as_object: Callable[[list[tuple[str, Any]]], object] | None = None) -> object:
     """Read a JSON file.
+
+    Args:
+        path: The file.
+        as_object: Makes an object of its pairs; None for a dictionary with the last value of every key.
 
     Raises:
         InputFileError: if the file is missing, or is not JSON (naming line and column).
     """
     try:
-        return json.loads(read_text(path, largest=LARGEST_JSON))
+        return json.loads(read_text(path, largest=LARGEST_JSON), object_pairs_hook=as_object)
     except (FileNotFoundError, NotADirectoryError) as error:
         raise InputFileError(path, "", expected="a JSON file", found="no file") from error
+    except RecursionError as error:
+        raise InputFileError(path, "", expected="a JSON file", found="thousands of nested lists") from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         where = f"line {error.lineno} column {error.colno}" if isinstance(error, json.JSONDecodeError) else ""
         raise InputFileError(

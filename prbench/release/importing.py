@@ -43,7 +43,6 @@ from prbench.sequences.write import write_dataset
 _POSE_SOURCE = "release"
 _UNKNOWN_ACTION = "unknown"
 _HANDS = ("left", "right")  # in the order of WRISTS
-_ACTIONS = {"pick": "pick", "grab": "pick", "take": "pick", "put": "put", "place": "put", "drop": "put"}
 _PICKS = re.compile(r"\b(pick|grab|take|taking|took|lift|fetch)", re.IGNORECASE)
 _PUTS = re.compile(r"\b(put|plac|drop|set(s|ting)? down|return)", re.IGNORECASE)
 
@@ -64,7 +63,7 @@ def make_row(
     """
 
     def value(canonical: str) -> str:
-        stated = one.fields.get(found.mapping.get(canonical, ""))
+        stated = found.value(one.fields, canonical)
         return stated.strip() if isinstance(stated, str) else ""
 
     # Motion, goal and gaze come into the canonical frame by one and the same transform.
@@ -88,13 +87,13 @@ def make_row(
     if hand in _HANDS:
         wrist = WRISTS[_HANDS.index(hand)]
     event_time = (len(joints) - 1) / found.fps
-    kept = {name: one.fields[name] for name in found.unmapped if name in one.fields}
+    kept = {name: one.fields[name] for name in found.report.fields_kept_in_extra if name in one.fields}
     return Sequence(
-        sequence_id=f"{found.dataset}/{one.index:010d}/{_POSE_SOURCE}",
+        sequence_id=f"{found.report.dataset}/{one.index:010d}/{_POSE_SOURCE}",
         recording_id=one.source,
         participant_id=UNKNOWN,
         split_group=one.source,
-        dataset=found.dataset,
+        dataset=found.report.dataset,
         split=one.subset,
         action=action,
         object_id="",  # the release has none
@@ -133,16 +132,13 @@ def make_row(
     )
 
 
-def _action(stated: Any, text: str) -> str:
+def _action(stated: str, text: str) -> str:
     """Take the action from its field, else from the prompt, unless that says both or neither."""
-    word = str(stated).strip().lower()
-    for start, action in _ACTIONS.items():
-        if word.startswith(start):
-            return action
-    picks = bool(_PICKS.search(text))
-    if picks == bool(_PUTS.search(text)):  # `take the cup and put it down` names both
-        return _UNKNOWN_ACTION
-    return "pick" if picks else "put"
+    for words in (stated, text):
+        picks = bool(_PICKS.search(words))
+        if picks != bool(_PUTS.search(words)):  # `take the cup and put it down` names both
+            return "pick" if picks else "put"
+    return _UNKNOWN_ACTION
 
 
 def _event(sequence: Sequence) -> Event:
@@ -232,7 +228,8 @@ def _import_dataset(
 ) -> ImportReport:
     manifest = load_manifest(dataset.removeprefix(layout.SYNTHETIC_PREFIX))
     exported = layout.read_export_record(folder)
-    found = read_release(dataset, folder, options, progress, command)
+    report = ImportReport(dataset=dataset, folder=out)
+    found = read_release(report, folder, options, progress, command)
     # Tables are sorted by id, so that a release in another order gives the same bytes.
     found.sequences.sort(key=lambda one: f"{one.index:010d}")
     progress(dataset, f"writing {len(found.sequences)} sequences")
@@ -261,7 +258,7 @@ def _import_dataset(
             message=message,
         )
         records.append(record)
-    for key, reason in sorted(found.left_out.items()):
+    for key, reason in sorted(report.reasons.items()):
         records.append(Recording(f"sequence {key}", UNKNOWN, "", "", 0.0, {}, "failed", reason))
     events: list[Event] = []
     texts = load_protocol().text
@@ -284,19 +281,10 @@ def _import_dataset(
         events=event_rows(),
         recordings=[recording_batch(records)],
         replace=options.replace,
-        incomplete=[each.recording_id for each in records] if found.left_out else (),
+        incomplete=[each.recording_id for each in records] if report.left_out else (),
     )
-    report = ImportReport(
-        dataset=dataset,
-        title=info.title,
-        folder=out,
-        inferred=found.inferences,
-        fields=found.mapping,
-        fields_kept_in_extra=found.unmapped,
-        warnings=found.warnings,
-        problems=found.problems,
-        why_not_scored=info.why_not_scored,
-    )
+    report.title = info.title
+    report.why_not_scored = info.why_not_scored
     report.write()
     return report
 
@@ -330,16 +318,18 @@ def _describe(
     protocol = load_protocol()
     n = len(found.sequences)
     failed = [record for record in records if record.status == "failed"]
-    options = {"source": "release", "goal_frame": found.goal_frame, "in_hand_rule": "the release's own events"}
-    for each in found.inferences:
+    options = {"source": "release", "in_hand_rule": "the release's own events"}
+    for each in found.report.inferred:
         options[f"release.{each.name}"] = f"{each.value} ({each.how_surely}: {each.evidence})"
-    options |= {f"release.field.{canonical}": name for canonical, name in found.mapping.items()}
+        if each.name == "goal_frame":
+            options["goal_frame"] = each.value  # which decides whether the table may be scored
+    options |= {f"release.field.{canonical}": name for canonical, name in found.report.fields.items()}
     arrays = [text for one in found.sequences for text in (str(one.index), one.digest)]
     return DatasetInfo(
         schema_version=SCHEMA_VERSION,
         protocol_version=protocol.version,
         protocol_digest=protocol.digest,
-        dataset=found.dataset,
+        dataset=found.report.dataset,
         prbench_version=prbench.__version__,
         manifest_digest=digest_of(manifest),
         input_digest=text_digest(file_digest(found.folder / layout.TARGETS), *arrays),

@@ -5,7 +5,6 @@ Arrays are read without trust: headers are held against the file's size, and not
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -17,10 +16,10 @@ import msgspec
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.files.arrays import load_array
-from prbench.files.bounded import foreign_input, read_text, require
-from prbench.files.storage import read_json
-from prbench.limits import HARMLESS_SIZE, LARGEST_JSON
+from prbench.files.arrays import first_repeated, load_array
+from prbench.files.bounded import foreign_input, require
+from prbench.files.storage import inside, read_json
+from prbench.limits import HARMLESS_SIZE
 from prbench.protocol.manifests import read_toml
 from prbench.readers.found import names_in
 
@@ -109,19 +108,12 @@ def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Pat
     Raises:
         InputFileError: if there is none, or a folder's name leads out of the root.
     """
-    if not root.is_dir():
-        raise InputFileError(root, "", expected="the folder of a release", found="no folder")
+    require(root, (root.is_dir(), "", "the folder of a release", "no folder", ""))
     if _holds_dataset(root):
-        own_name = _name_of(root.resolve())
-        name = own_name or dataset
-        if name is None or not _is_wanted(name, dataset):
-            raise InputFileError(
-                root,
-                "",
-                expected=f"a folder of {dataset}" if dataset else "a folder that is named after its dataset",
-                found=root.resolve().name,
-                remedy="" if dataset else "Say which it is: --dataset NAME",
-            )
+        name = _name_of(root.resolve()) or dataset or ""
+        wanted = f"a folder of {dataset}" if dataset else "a folder that is named after its dataset"
+        remedy = "" if dataset else "Say which it is: --dataset NAME"
+        require(root, (name and _is_wanted(name, dataset), "", wanted, root.resolve().name, remedy))
         return [(name, root)]
     level = [root]
     for depth in range(1 + _FOLDERS_DEEP):
@@ -132,14 +124,12 @@ def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Pat
         if found:
             break
         level = [folder for folder in inner if not folder.is_symlink()]
-    names = [name for name, _ in found]
-    for name, folder in found:
-        _require_inside(root, folder)
-        if names.count(name) > 1:
-            raise InputFileError(root, name, expected="one folder", found="two", remedy="Name one of them as ROOT.")
-    if not found:
-        wanted = f"a folder of {dataset}" if dataset else f"folders {', '.join(load_known().folders.values())}"
-        raise InputFileError(root, "", expected=wanted, found=names_in(root))
+    wanted = f"a folder of {dataset}" if dataset else f"folders {', '.join(load_known().folders.values())}"
+    require(root, (found, "", wanted, names_in(root), ""))
+    repeated = first_repeated(name for name, _ in found)
+    require(root, (repeated is None, str(repeated), "one folder", "two", "Name one of them as ROOT."))
+    for _, folder in found:
+        inside(root, str(folder.relative_to(root)))
     return found
 
 
@@ -166,10 +156,10 @@ def list_files(folder: Path) -> dict[str, dict[int, Path]]:
     """
     # A link to a file outside could make us print or copy what the user never meant to share.
     for name in (TARGETS, EXPORT_RECORD):
-        _require_inside(folder, folder / name)
+        inside(folder, name)
     found: dict[str, dict[int, Path]] = {MOTIONS: {}, GAZES: {}}
     for name in [name for name in found if (folder / name).is_dir()]:
-        _require_inside(folder, folder / name)
+        inside(folder, name)
         with os.scandir(folder / name) as listed:
             entries = sorted(listed, key=lambda entry: entry.name)
         for entry in entries:
@@ -177,13 +167,12 @@ def list_files(folder: Path) -> dict[str, dict[int, Path]]:
             index = index_of(path.stem)
             # Only links can lead out of the release, so no other path has to be resolved.
             if entry.is_symlink():
-                _require_inside(folder, path)
+                inside(folder, f"{name}/{entry.name}")
             if path.suffix != ".npy" or index is None or not entry.is_file():
                 continue
             other = found[name].setdefault(index, path)
-            if other is not path:
-                names = f"{other.name} and {entry.name}"
-                raise InputFileError(folder / name, f"sequence {index}", expected="one file", found=names)
+            names = f"{other.name} and {entry.name}"
+            require(folder / name, (other is path, f"sequence {index}", "one file", names, ""))
     return found
 
 
@@ -206,20 +195,11 @@ def read_targets(path: Path, field_map: Mapping[str, str]) -> dict[str, dict[str
     def without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
         if len(found) != len(pairs):
-            names = [name for name, _ in pairs]
-            repeated = next(name for name in names if names.count(name) > 1)
-            raise ValueError(f"the key '{repeated}' twice in one object")
+            repeated = first_repeated(name for name, _ in pairs)
+            raise InputFileError(path, "", expected="every key once in an object", found=f"'{repeated}' twice")
         return found
 
-    try:
-        content = json.loads(read_text(path, largest=LARGEST_JSON), object_pairs_hook=without_repeats)
-    except FileNotFoundError as error:
-        raise InputFileError(path, "", expected="a JSON file", found="no file") from error
-    except RecursionError as error:
-        raise InputFileError(path, "", expected="entries of sequences", found="thousands of nested lists") from error
-    except (ValueError, OSError) as error:  # JSONDecodeError and UnicodeDecodeError are ValueErrors
-        remedy = "The file may be truncated; copy or download it again."
-        raise InputFileError(path, "", expected="valid JSON", found=str(error), remedy=remedy) from error
+    content = read_json(path, as_object=without_repeats)
     entries: dict[str, dict[str, Any]] = {}
     key_of: dict[int, str] = {}
     # Keys that are listed stand for entries without fields, and may be spelt otherwise than those with fields.
@@ -229,14 +209,15 @@ def read_targets(path: Path, field_map: Mapping[str, str]) -> dict[str, dict[str
         entry = entries.setdefault(same, {})
         added = dict(_flat(fields))
         # `seq_12` and `12` name one motion file.
-        if fields and (same != key or entry.keys() & added.keys()):
-            raise InputFileError(path, f"sequence {index}", expected="one key", found=f"'{same}' and '{key}'")
+        once = not fields or (same == key and not entry.keys() & added.keys())
         entry |= added
-        if subset and entry.setdefault(SUBSET, subset) != subset:
-            found = f"'{entry[SUBSET]}' and '{subset}'"
-            raise InputFileError(path, f"sequence {key}", expected="one subset", found=found)
-    if not entries:
-        raise InputFileError(path, "", expected="one sequence or more", found="none")
+        stated = entry.setdefault(SUBSET, subset) if subset else subset
+        require(
+            path,
+            (once, f"sequence {index}", "one key", f"'{same}' and '{key}'", ""),
+            (stated == subset, f"sequence {key}", "one subset", f"'{stated}' and '{subset}'", ""),
+        )
+    require(path, (entries, "", "one sequence or more", "none", ""))
     return entries
 
 
@@ -305,17 +286,6 @@ def index_of(key: str) -> int | None:
     digits = _ENDS.sub("", name)
     # isdigit alone also accepts superscripts and other scripts; 18 digits still fit into 64 bits.
     return int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 18 else None
-
-
-def _require_inside(root: Path, path: Path) -> None:
-    if not path.resolve().is_relative_to(root.resolve()):
-        raise InputFileError(
-            path,
-            "",
-            expected="a path inside the release",
-            found="a link that leads out of it",
-            remedy="Copy what it points to into the release.",
-        )
 
 
 @foreign_input()

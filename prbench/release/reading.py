@@ -23,7 +23,7 @@ from prbench.files.bounded import require
 from prbench.files.storage import file_digest, text_digest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame
 from prbench.release import layout
-from prbench.release.report import Certainty, Inference, SequenceProblem
+from prbench.release.report import ImportReport
 from prbench.shown import quoted
 
 AS_THE_MOTIONS = "as the motions"
@@ -94,58 +94,33 @@ class ReleasedSequence:
 
 @dataclass
 class ReleasedDataset:
-    """One dataset of a release, measured; problems and warnings are collected while it is read.
+    """One dataset of a release, measured; its report grows while it is read.
 
     Attributes:
         files: Arrays by kind (``motions`` …) and number.
-        mapping: Field of the release by canonical name.
-        unmapped: Fields that stand for no canonical one.
         first_frame: Number that the release gives to the first frame of a motion: 0 or 1.
     """
 
-    dataset: str
     folder: Path
     files: dict[str, dict[int, Path]]
-    mapping: dict[str, str]
-    unmapped: list[str] = field(default_factory=list)
+    report: ImportReport
     fps: float = 0.0
     first_frame: int = 0
-    inferences: list[Inference] = field(default_factory=list)
     sequences: list[ReleasedSequence] = field(default_factory=list)
-    problems: list[SequenceProblem] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
 
-    def infer(self, name: str, value: str, how_surely: Certainty, evidence: str) -> None:
-        """Put down a property that the release does not state."""
-        self.inferences.append(Inference(name=name, value=value, how_surely=how_surely, evidence=evidence))
-
-    def note(self, key: str, problem: str, *, left_out: bool = False) -> None:
-        """Note a problem of a sequence."""
-        self.problems.append(SequenceProblem(key, problem, left_out))
-
-    @property
-    def left_out(self) -> dict[str, str]:
-        """Maps every sequence that was left out to all its problems."""
-        reasons: dict[str, list[str]] = {}
-        for problem in self.problems:
-            if problem.left_out:
-                reasons.setdefault(problem.sequence, []).append(problem.problem)
-        return {key: "; ".join(texts) for key, texts in reasons.items()}
-
-    @property
-    def goal_frame(self) -> str:
-        """The frame of the goals: :data:`AS_THE_MOTIONS` or :data:`UNKNOWN`."""
-        return next(each.value for each in self.inferences if each.name == "goal_frame")
+    def value(self, fields: Mapping[str, Any], canonical: str) -> Any:
+        """Return the value of a canonical field in an entry; None where it has none."""
+        return fields.get(self.report.fields.get(canonical, ""))
 
 
 def read_release(
-    dataset: str, folder: Path, options: ImportOptions, progress: Callable[[str, str], None], command: str
+    report: ImportReport, folder: Path, options: ImportOptions, progress: Callable[[str, str], None], command: str
 ) -> ReleasedDataset:
     """Read and measure every sequence of one dataset.
 
     Args:
-        dataset: Its name.
-        folder: Its folder.
+        report: Report on the dataset, in which everything is put down that is found out.
+        folder: Its folder in the release.
         options: Statements of the user.
         progress: Called with the dataset and the step that begins.
         command: The command line of this import, for messages that say how to go on.
@@ -155,19 +130,19 @@ def read_release(
             nothing tells the frame rate, or people have an impossible size; with ``on_error="fail"`` for the first
             sequence that is not whole.
     """
-    files = layout.list_files(folder)
-    progress(dataset, f"reading {layout.TARGETS}")
+    found = ReleasedDataset(folder, layout.list_files(folder), report)
+    progress(report.dataset, f"reading {layout.TARGETS}")
     entries = layout.read_targets(folder / layout.TARGETS, options.field_map)
-    mapping = _map_fields(folder / layout.TARGETS, entries, options.field_map, command)
-    found = ReleasedDataset(dataset, folder, files, mapping)
-    found.unmapped = sorted({name for fields in entries.values() for name in fields} - set(mapping.values()))
+    report.fields = _map_fields(folder / layout.TARGETS, entries, options.field_map, command)
+    names = {name for fields in entries.values() for name in fields}
+    report.fields_kept_in_extra = sorted(names - set(report.fields.values()))
     _tell_frames(found, list(entries.values()), options.fps, command)
-    progress(dataset, f"measuring {len(entries)} sequences")
+    progress(report.dataset, f"measuring {len(entries)} sequences")
     for key, fields in entries.items():
         _read_sequence(found, key, fields)
-    for index in sorted(set(files[layout.MOTIONS]) - {layout.index_of(key) for key in entries}):
-        found.note(f"{index:010d}", f"a motion without an entry in {layout.TARGETS}", left_out=True)
-    left_out = found.left_out
+    for index in sorted(set(found.files[layout.MOTIONS]) - {layout.index_of(key) for key in entries}):
+        report.note(f"{index:010d}", f"a motion without an entry in {layout.TARGETS}", left_out=True)
+    left_out = report.reasons
     if left_out and (options.on_error == "fail" or not found.sequences):
         key, reason = next(iter(left_out.items()))
         more = f" (and {len(left_out) - 1} more sequences)" if len(left_out) > 1 else ""
@@ -252,66 +227,55 @@ def _tell_frames(found: ReleasedDataset, entries: list[dict[str, Any]], given: f
     known = layout.load_known()
 
     def numbers(canonical: str) -> list[float]:
-        found_here = (_number(entry.get(found.mapping.get(canonical, ""))) for entry in entries)
-        return [number for number in found_here if number is not None]
+        values = (_number(found.value(entry, canonical)) for entry in entries)
+        return [number for number in values if number is not None]
 
     rates = set(numbers("fps"))
     primes = np.array(numbers("primed_frame"))
-    mode = 0.0
-    agreeing = 0.0
-    if len(primes):
-        mode = Counter(primes.tolist()).most_common(1)[0][0]
-        agreeing = np.mean(np.abs(primes - mode) <= 1)
-    measured = mode / _LEAD
-    nearest = min(known.frame_rates, key=lambda rate: abs(measured - rate))
-    near = abs(measured - nearest) <= known.frame_rate_tolerance * nearest
+    mode = Counter(primes.tolist()).most_common(1)[0][0] if len(primes) else 0.0
+    agreeing = np.mean(np.abs(primes - mode) <= 1) if len(primes) else 0.0
+    nearest = min(known.frame_rates, key=lambda rate: abs(mode / _LEAD - rate))
+    near = abs(mode / _LEAD - nearest) <= known.frame_rate_tolerance * nearest
     said = f"most frequent primed frame, 2 s after the start: {mode:g}"
     if given is not None:
         found.fps = given
-        found.infer("fps", f"{given:g}", "certain", f"given; {said}")
+        found.report.infer("fps", f"{given:g}", "certain", f"given; {said}")
     elif len(rates) == 1 and min(rates) > 0:
         found.fps = min(rates)
-        found.infer("fps", f"{found.fps:g}", "certain", "stated by the entries")
-    elif not rates and near and agreeing >= known.agreeing_primes:
-        found.fps = nearest
-        found.infer("fps", f"{nearest:g}", "assumed", said)
+        found.report.infer("fps", f"{found.fps:g}", "certain", "stated by the entries")
     else:
-        raise InputFileError(
-            found.folder,
-            "frame rate",
-            expected=f"one stated rate, or primed frames 2 s after the start at {known.frame_rates} Hz",
-            found=f"the rates {sorted(rates)}" if rates else said,
-            remedy=f"Say what it is: {command} --fps N",
-        )
+        expected = f"one stated rate, or primed frames 2 s after the start at {known.frame_rates} Hz"
+        measured = f"the rates {sorted(rates)}" if rates else said
+        told = not rates and near and agreeing >= known.agreeing_primes
+        require(found.folder, (told, "frame rate", expected, measured, f"Say what it is: {command} --fps N"))
+        found.fps = nearest
+        found.report.infer("fps", f"{nearest:g}", "assumed", said)
     # The prime is at most 2 s after the first frame, so frames that count from 0 cannot be later.
     latest = round(_LEAD * found.fps)
     share = float(np.mean(primes == latest + 1)) if len(primes) else 0.0
     evidence = f"{share:.0%} of the primed frames are {latest + 1}, one after 2 s; {np.sum(primes > latest + 1)} later"
     found.first_frame = int(share >= known.later_primes and bool((primes >= 1).all() and (primes <= latest + 1).all()))
-    found.infer("first_frame", str(found.first_frame), "assumed", evidence)
+    found.report.infer("first_frame", str(found.first_frame), "assumed", evidence)
 
 
 def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) -> None:
     """Read and measure one sequence; all problems of it are noted, so that a user sees them at once."""
     index = layout.index_of(key)
     if index is None:
-        found.note(key, "an entry without a motion: its key holds no number", left_out=True)
+        found.report.note(key, "an entry without a motion: its key holds no number", left_out=True)
         return
-
-    def value(canonical: str) -> Any:
-        return fields.get(found.mapping.get(canonical, ""))
-
-    goal = _point(value("goal"))
-    subset = _subset(found.mapping["subset"], value("subset"))
-    primed = _number(value("primed_frame"))
+    goal = _point(found.value(fields, "goal"))
+    subset = _subset(found.report.fields["subset"], found.value(fields, "subset"))
+    primed = _number(found.value(fields, "primed_frame"))
     for name, expected, read in (
         ("goal", "three finite numbers", goal),
         ("subset", "train or test", subset),
         ("primed_frame", "a number", primed),
     ):
         if read is None:
-            shown = "nothing" if value(name) is None else quoted(repr(value(name)), longest=60)
-            found.note(key, f"{name.replace('_', ' ')}: expected {expected}, found {shown}", left_out=True)
+            value = found.value(fields, name)
+            shown = "nothing" if value is None else quoted(repr(value), longest=60)
+            found.report.note(key, f"{name.replace('_', ' ')}: expected {expected}, found {shown}", left_out=True)
     motion = _read_motion(found, key, index)
     if goal is None or subset is None or primed is None or motion is None:
         return
@@ -321,7 +285,7 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
     if frame != round(frame) or not 0 <= frame < n_frames:
         last = n_frames - 1 + found.first_frame
         text = f"primed frame: expected one of {found.first_frame} to {last}, found {primed:g}"
-        found.note(key, text, left_out=True)
+        found.report.note(key, text, left_out=True)
         return
     files = [found.files[layout.MOTIONS][index]]
     gaze = _read_gaze(found, key, index, n_frames)
@@ -335,7 +299,7 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
         distance = float(np.linalg.norm(to_goal - along * directions[round(frame)]))
     trunk = joints[:, Joint.HEAD] - joints[:, Joint.PELVIS]
     size = float(np.median(np.linalg.norm(trunk, axis=1)))
-    source = value("source").strip() if isinstance(value("source"), str) else ""
+    source = found.value(fields, "source")
     found.sequences.append(
         ReleasedSequence(
             fields=fields,
@@ -346,7 +310,7 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
             goal=goal,
             subset=subset,
             primed_frame=round(frame),
-            source=source or f"unknown-{subset}",
+            source=(source.strip() if isinstance(source, str) else "") or f"unknown-{subset}",
             digest=text_digest(*map(file_digest, files)),
             pelvis_to_head=size,
             upright=float(np.median(trunk[:, 1])) / size if size else 0.0,
@@ -361,7 +325,7 @@ def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarr
     """Return the joints of a sequence and the pose of its canonical frame; None if it is unusable."""
     path = found.files[layout.MOTIONS].get(index)
     if path is None:
-        found.note(key, "no file in motions", left_out=True)
+        found.report.note(key, "no file in motions", left_out=True)
         return None
     try:
         joints = layout.read_array(path, (22, 3)).astype(np.float64)
@@ -380,7 +344,7 @@ def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarr
         problem = f"expected {error.expected}, found {error.found}"
     except ValueError:
         problem = "its first pose has no heading, hips and shoulders lie on one vertical line"
-    found.note(key, f"motion: {problem}", left_out=True)
+    found.report.note(key, f"motion: {problem}", left_out=True)
     return None
 
 
@@ -393,12 +357,12 @@ def _read_gaze(found: ReleasedDataset, key: str, index: int, n_frames: int) -> n
             gaze = layout.read_array(path, (3,))
             if len(gaze) == n_frames:
                 if not clean_gaze(gaze, n_frames)[1].any():
-                    found.note(key, "gaze: no frame has a unit vector")
+                    found.report.note(key, "gaze: no frame has a unit vector")
                 return gaze
             problem = f"gaze: expected {n_frames} frames like the motion, found {len(gaze)}: no gaze"
         except InputFileError as error:
             problem = f"gaze: expected {error.expected}, found {error.found}: no gaze"
-    found.note(key, problem)
+    found.report.note(key, problem)
     return None
 
 
@@ -421,26 +385,30 @@ def _judge(found: ReleasedDataset) -> None:
         (upright >= rules.lowest_upright, "motions", "heads above pelvises, along y",
          f"{upright:.0%} of the distance from pelvis to head along y", remedy),
     )  # fmt: skip
-    found.infer("units", "metres", "likely", f"median distance from pelvis to head: {size:.3g}")
+    found.report.infer("units", "metres", "likely", f"median distance from pelvis to head: {size:.3g}")
     share = float(np.mean([(each.motion_from_canonical == np.eye(4)).all() for each in found.sequences]))
     evidence = f"frame 0 stands over the origin, faces +z, lowest joint at 0 in {share:.1%} of the sequences"
     frame = {1.0: "canonical", 0.0: "world (canonicalised here)"}.get(share, "canonical and world")
-    found.infer("motion_frame", frame, "certain", evidence)
+    found.report.infer("motion_frame", frame, "certain", evidence)
     distance = float(np.median([each.goal_to_wrist for each in found.sequences]))
     evidence = f"median distance of goal and nearer wrist in the last frame: {distance:.2f} m"
     if distance < rules.goal_to_wrist:
-        found.infer("goal_frame", AS_THE_MOTIONS, "likely", evidence)
+        found.report.infer("goal_frame", AS_THE_MOTIONS, "likely", evidence)
     else:
-        found.infer("goal_frame", UNKNOWN, "unknown", f"{evidence}; not below {rules.goal_to_wrist:g} m")
+        found.report.infer("goal_frame", UNKNOWN, "unknown", f"{evidence}; not below {rules.goal_to_wrist:g} m")
     looks = np.array([each.goal_to_gaze for each in found.sequences])
     looks = looks[np.isfinite(looks)]
     if len(looks):
         towards = float(np.mean(looks <= rules.goal_to_gaze))
         evidence = f"at the primed frame it passes within {rules.goal_to_gaze:g} m of the goal in {towards:.0%}"
         agrees = towards >= 0.5
-        found.infer("gaze_frame", AS_THE_MOTIONS if agrees else UNKNOWN, "likely" if agrees else "unknown", evidence)
+        found.report.infer(
+            "gaze_frame", AS_THE_MOTIONS if agrees else UNKNOWN, "likely" if agrees else "unknown", evidence
+        )
         if not agrees:
-            found.warnings.append(f"gaze: {evidence} of the sequences; check axes, primed frames and frame rate.")
+            found.report.warnings.append(
+                f"gaze: {evidence} of the sequences; check axes, primed frames and frame rate."
+            )
 
 
 def clean_gaze(gaze: np.ndarray | None, n_frames: int) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:

@@ -46,8 +46,8 @@ class SequenceProblem(msgspec.Struct, frozen=True):
     left_out: bool
 
 
-class ImportReport(msgspec.Struct, frozen=True, kw_only=True):
-    """One dataset of the release that became a table; the same stands in its ``import_report.json``.
+class ImportReport(msgspec.Struct, kw_only=True):
+    """One dataset of the release that becomes a table; the same stands in its ``import_report.json``.
 
     Attributes:
         dataset: Name of the dataset.
@@ -62,19 +62,36 @@ class ImportReport(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     dataset: str
-    title: str
+    title: str = ""
     folder: Path
-    inferred: list[Inference]
-    fields: dict[str, str]
-    fields_kept_in_extra: list[str]
-    warnings: list[str]
-    problems: list[SequenceProblem]
-    why_not_scored: str | None
+    inferred: list[Inference] = []
+    fields: dict[str, str] = {}
+    fields_kept_in_extra: list[str] = []
+    warnings: list[str] = []
+    problems: list[SequenceProblem] = []
+    why_not_scored: str | None = None
+
+    def infer(self, name: str, value: str, how_surely: Certainty, evidence: str) -> None:
+        """Put down a property that the release does not state."""
+        self.inferred.append(Inference(name=name, value=value, how_surely=how_surely, evidence=evidence))
+
+    def note(self, key: str, problem: str, *, left_out: bool = False) -> None:
+        """Note a problem of a sequence."""
+        self.problems.append(SequenceProblem(key, problem, left_out))
+
+    @property
+    def reasons(self) -> dict[str, str]:
+        """Maps every sequence that was left out to all its problems."""
+        found: dict[str, list[str]] = {}
+        for problem in self.problems:
+            if problem.left_out:
+                found.setdefault(problem.sequence, []).append(problem.problem)
+        return {key: "; ".join(texts) for key, texts in found.items()}
 
     @property
     def left_out(self) -> int:
         """Number of sequences that were left out."""
-        return len({each.sequence for each in self.problems if each.left_out})
+        return len(self.reasons)
 
     def write(self) -> None:
         """Write ``import_report.json`` beside ``dataset.json``; it holds no time of day and no absolute path."""

@@ -119,7 +119,7 @@ def test_keys_become_numbers(key, index) -> None:
     ("content", "message"),
     [
         ('{"a": ', "valid JSON"),
-        ('{"1": {"goal": 1}, "1": {"goal": 2}}', "the key '1' twice"),
+        ('{"1": {"goal": 1}, "1": {"goal": 2}}', "found '1' twice"),
         ('{"1": {"goal": 1}, "seq_1": {"goal": 2}}', "'1' and 'seq_1'"),
         ("[5]", "one key a sequence, .*found a int in a list"),
         ('{"train": {"1": {"goal": 1}}, "test": ["1"]}', "sequence 1: expected one subset, found 'train' and 'test'"),

@@ -147,7 +147,7 @@ def test_no_path_is_followed_out_of_the_release(link, tmp_path) -> None:
         moved = inner / names[link]
     moved.rename(outside / moved.name)
     (inner if link == "dataset" else moved).symlink_to(outside / moved.name)
-    with pytest.raises(InputFileError, match="a link that leads out of it"):
+    with pytest.raises(InputFileError, match="a path that leads out of it"):
         import_release(tmp_path / "root", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

@@ -12,6 +12,7 @@ import importlib.util
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import prbench
@@ -102,31 +103,31 @@ def one_file(roots: Mapping[str, Iterable[str]], header: str) -> str:
     offered = sorted({name for _, name in waiting})
     while waiting:
         name, wanted = waiting.pop()
-        module = _module(name)
         # Such as ARRAY.setflags(write=False): it makes no name, so nobody uses it, and still it must come along.
-        makes = [one for one in module.statements if wanted in one.defines or (not one.defines and wanted in one.uses)]
-        for one in makes:
-            if one not in needed.setdefault(name, []):
+        for one in _module(name).statements:
+            makes = wanted in one.defines or (not one.defines and wanted in one.uses)
+            if makes and one not in needed.setdefault(name, []):
                 needed[name].append(one)
                 waiting += [place for used in one.uses if (place := _origin(name, used)) is not None]
     made = [each for statements in needed.values() for one in statements for each in one.defines]
     twice = sorted({each for each in made if made.count(each) > 1})
     assert not twice, f"two modules make {', '.join(twice)}; rename one of each"
-    lines = {
-        _module(name).outside[used]
-        for name, statements in needed.items()
-        for one in statements
-        for used in one.uses
-        if used in _module(name).outside
-    }
+    uses = [(name, used) for name, statements in needed.items() for one in statements for used in one.uses]
+    lines = {_module(name).outside[used] for name, used in uses if used in _module(name).outside}
     for_types = sorted(line for line in lines if line.startswith(f"from {_FOR_TYPES_ONLY} "))
-    lines -= set(for_types)
     if for_types:
-        lines.add("from typing import TYPE_CHECKING")
+        lines = (lines - set(for_types)) | {"from typing import TYPE_CHECKING"}
         for_types = ["if TYPE_CHECKING:", *(f"    {line}" for line in for_types)]
     imports = sorted(lines, key=lambda line: (not line.startswith("import"), line))
     parts = [header, "from __future__ import annotations\n\n" + "\n".join((*imports, "", *for_types)) + "\n"]
-    for name in _in_order(needed):
+    # Modules, each behind those that it imports from; sorted, so that equal sources give equal bytes.
+    imported: dict[str, set[str]] = {name: set() for name in sorted(needed)}
+    for name, used in uses:
+        origin = _origin(name, used)
+        if origin is not None and origin[0] != name:
+            imported[name].add(origin[0])
+    order = TopologicalSorter({name: sorted(others) for name, others in imported.items()})
+    for name in order.static_order():
         body = "\n\n\n".join(one.text for one in _module(name).statements if one in needed[name])
         parts.append(f"# From {name.replace('.', '/')}.py\n\n\n{body}\n")
     parts.append("__all__ = [\n" + "".join(f'    "{name}",\n' for name in offered) + "]\n")
@@ -140,25 +141,6 @@ def _origin(module: str, name: str) -> tuple[str, str] | None:
             return None
         module = _module(module).inside[name]
     return module, name
-
-
-def _in_order(needed: Mapping[str, list[_Statement]]) -> list[str]:
-    """Modules, each behind those that it imports from."""
-    order: list[str] = []
-
-    def visit(name: str) -> None:
-        if name in order:
-            return
-        used = {used for one in needed[name] for used in one.uses}
-        origins = {_origin(name, alias) for alias in used if alias in _module(name).inside}
-        # Sorted, so that equal sources give equal bytes.
-        for place in sorted(origin[0] for origin in origins if origin is not None):
-            visit(place)
-        order.append(name)
-
-    for name in sorted(needed):
-        visit(name)
-    return order
 
 
 @cache
