@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from prbench.errors import UsageError
 from prbench.files.storage import sole_file
+from prbench.shown import figure_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,6 +86,21 @@ def grid_shape(n: int, columns: int) -> tuple[int, int]:
     """Return rows and columns of a sheet of ``n`` cells, at most ``columns`` of them side by side."""
     columns = min(columns, n)
     return -(-n // columns), columns
+
+
+def legend_below(figure: Figure, axes: Axes, note: str, *, columns: int) -> None:
+    """Put the legend of one panel below all panels, with a note.
+
+    Args:
+        figure: The figure.
+        axes: Panel whose labels are listed.
+        note: Text for readers.
+        columns: Most labels side by side.
+    """
+    handles, labels = axes.get_legend_handles_labels()
+    # The note is the legend's title, because a note of its own at the lower edge would be drawn over the legend.
+    style: dict[str, Any] = {"loc": "outside lower center", "fontsize": 8, "frameon": False, "title_fontsize": 7}
+    figure.legend(handles, labels, ncols=min(len(labels), columns), title=figure_text(note), **style)
 
 
 def draw_box(axes: Axes, corners: Float[np.ndarray, "8 2"], **style: Any) -> None:

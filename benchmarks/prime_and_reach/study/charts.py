@@ -11,12 +11,11 @@ from prbench.errors import UsageError
 from prbench.metrics import MAIN_METRICS
 from prbench.shown import figure_text
 from prbench.tables import Table, metric_column
-from prbench.viewing.figures import grid_shape, new_figure, require_drawable, write_figure
+from prbench.viewing.figures import grid_shape, legend_below, new_figure, write_figure
 from prbench_benchmarks.prime_and_reach.study.sweep import Sweep
 
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown", "tab:pink", "tab:olive")
 _DPI = 110
-_NOTE_SIZE = 7
 
 
 def draw_breakdown(table: Table, path: Path) -> None:
@@ -30,7 +29,6 @@ def draw_breakdown(table: Table, path: Path) -> None:
         UsageError: for another kind of file, or more runs than there are colours.
         StorageError: if the file cannot be written.
     """
-    require_drawable(path)
     runs = len(table.blocks)
     if runs > len(_COLOURS):
         raise UsageError(f"expected at most {len(_COLOURS)} runs in one figure, found {runs}.")
@@ -66,22 +64,11 @@ def draw_breakdown(table: Table, path: Path) -> None:
             place.spines[side].set_visible(False)
     for place in axes[len(metrics) :]:
         place.set_axis_off()
-    handles, labels = axes[0].get_legend_handles_labels()
     foot = (
         "Lines: 95 % intervals over the recordings (in parentheses) of each group. Groups hold other sequences: overlap"
         " of intervals is no comparison."
     )
-    # The note is the legend's title, because a note of its own at the lower edge would be drawn over the legend.
-    figure.legend(
-        handles,
-        labels,
-        loc="outside lower center",
-        ncols=min(len(labels), 3),
-        fontsize=8,
-        frameon=False,
-        title=figure_text(foot),
-        title_fontsize=_NOTE_SIZE,
-    )
+    legend_below(figure, axes[0], foot, columns=3)
     figure.suptitle(figure_text(table.title.capitalize()), fontsize=10, x=0.01, ha="left")
     write_figure(figure, path)
 
@@ -97,7 +84,6 @@ def draw_sweep(sweeps: Sequence[Sweep], path: Path) -> None:
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
-    require_drawable(path)
     from matplotlib import colormaps
 
     constants = sweeps[0].run.protocol.metrics
@@ -128,5 +114,5 @@ def draw_sweep(sweeps: Sequence[Sweep], path: Path) -> None:
     figure.suptitle("Prime Success over distance δ and window σ", fontsize=10, x=0.01, ha="left")
     if any(one.run.record.synthetic for one in sweeps):
         note = "Synthetic people: says nothing about real ones."
-        figure.supxlabel(figure_text(note), fontsize=_NOTE_SIZE, color="0.35")
+        figure.supxlabel(figure_text(note), fontsize=7, color="0.35")
     write_figure(figure, path)

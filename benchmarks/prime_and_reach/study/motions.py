@@ -16,11 +16,13 @@ from jaxtyping import Float
 from prbench.geometry.skeleton import CHAINS, Joint, head_forward
 from prbench.shown import figure_text
 from prbench.viewing.figures import (
+    draw_chains,
     flattened,
     grid_shape,
     horizontal_direction,
+    legend_below,
     new_figure,
-    require_drawable,
+    without_frame,
     write_figure,
 )
 from prbench.viewing.replay.scene import Scene, ShownMotion
@@ -42,20 +44,16 @@ def draw_examples(scenes: Sequence[Scene], path: Path, *, title: str, columns: i
     """Draw recorded sequences as in Figures 1 and 2: poses from light to dark, gaze at the prime, and the goal.
 
     Args:
-        scenes: Sequences whose recorded motion may be shown.
+        scenes: Sequences whose recorded motion may be shown, one or more.
         path: ``.png`` or ``.svg``; replaced when it exists.
         title: What is shown.
         columns: Panels side by side.
         dpi: Resolution of a PNG.
 
     Raises:
-        ValueError: if there is nothing to draw.
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
-    require_drawable(path)
-    if not scenes:
-        raise ValueError("expected at least one sequence to draw, found none")
     rows, wide = grid_shape(len(scenes), columns)
     figure = new_figure(5.6 * wide, 3.0 * rows + 0.6, dpi=dpi, layout="constrained")
     axes = figure.subplots(rows, wide, squeeze=False).ravel()
@@ -85,19 +83,15 @@ def draw_moments(scenes: Sequence[Scene], path: Path, *, title: str, dpi: int = 
     An arrow shows where each head points.
 
     Args:
-        scenes: Sequences with their motions, a row each.
+        scenes: Sequences with their motions, a row each, one or more.
         path: ``.png`` or ``.svg``; replaced when it exists.
         title: What is shown.
         dpi: Resolution of a PNG.
 
     Raises:
-        ValueError: if there is nothing to draw.
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
-    require_drawable(path)
-    if not scenes:
-        raise ValueError("expected at least one sequence to draw, found none")
     figure = new_figure(11.5, 2.7 * len(scenes) + 0.9, dpi=dpi, layout="constrained")
     axes = figure.subplots(len(scenes), len(MOMENTS), squeeze=False)
     for scene, row in zip(scenes, axes, strict=True):
@@ -118,19 +112,7 @@ def draw_moments(scenes: Sequence[Scene], path: Path, *, title: str, dpi: int = 
         row[0].set_ylabel(figure_text(f"{scene.dataset}\n{scene.title}"), fontsize=7)
     for motion in {motion.label: motion for scene in scenes for motion in scene.motions}.values():
         axes[0, 0].plot([], [], color=motion.colour, linewidth=3, label=figure_text(motion.label))
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    foot = _foot(scenes, "Arrows: where the head points.")
-    # The note is the legend's title, because a note of its own at the lower edge would be drawn over the legend.
-    figure.legend(
-        handles,
-        labels,
-        loc="outside lower center",
-        ncols=min(len(labels), 4),
-        fontsize=8,
-        frameon=False,
-        title=figure_text(foot),
-        title_fontsize=7,
-    )
+    legend_below(figure, axes[0, 0], _foot(scenes, "Arrows: where the head points."), columns=4)
     figure.suptitle(figure_text(title), fontsize=10, x=0.01, ha="left")
     write_figure(figure, path)
 
@@ -161,8 +143,7 @@ def _flat(scene: Scene, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "
 
 def _draw_pose(axes: Axes, scene: Scene, joints: Float[np.ndarray, "22 3"], *, colour: str, alpha: float) -> None:
     flat = _flat(scene, joints)
-    for chain in CHAINS:
-        axes.plot(*flat[list(chain)].T, color=colour, alpha=alpha, linewidth=1.8, solid_capstyle="round")
+    draw_chains(axes, flat, CHAINS, colour, alpha=alpha, linewidth=1.8)
     axes.plot(*flat[Joint.HEAD], "o", color=colour, alpha=alpha, markersize=5.5)
 
 
@@ -192,10 +173,7 @@ def _frame_panel(axes: Axes, points: Float[np.ndarray, "n 2"]) -> None:
     axes.set_ylim(min(low[1], 0.0) - 0.05, high[1])
     axes.set_aspect("equal")
     axes.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    for side in ("top", "right", "left", "bottom"):
-        axes.spines[side].set_visible(False)
+    without_frame(axes)
 
 
 def _foot(scenes: Sequence[Scene], marks: str) -> str:
