@@ -73,10 +73,8 @@ def import_release(
 
     def show() -> None:
         for table in report.tables:
-            rows = [
-                (each.name.replace("_", " "), each.value, each.how_surely, each.evidence) for each in table.inferred
-            ]
-            rows += [(f"field {meaning.replace('_', ' ')}", name, "", "") for meaning, name in table.fields.items()]
+            rows = [(each.name, each.value, each.how_surely, each.evidence) for each in table.inferred]
+            rows += [(f"field {meaning}", name, "", "") for meaning, name in table.fields.items()]
             print_table(f"{table.title}: what was inferred", ("", "value", "how surely", "evidence"), rows)
             if table.fields_kept_in_extra:
                 print(f"fields kept in extra: {', '.join(table.fields_kept_in_extra)}")

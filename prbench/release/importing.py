@@ -214,7 +214,8 @@ def import_release(
                 raise
             failed[name] = str(error)
     opened = [SequenceTable.open(table.folder) for table in tables]
-    return ImportReleaseReport(tables=tables, failed=failed, sizes=load_built_in(STUDY_ITEMS, "sizes")(opened))
+    sizes = load_built_in(STUDY_ITEMS, "sizes")(opened) if opened else []
+    return ImportReleaseReport(tables=tables, failed=failed, sizes=sizes)
 
 
 @foreign_input()

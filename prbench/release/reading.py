@@ -321,48 +321,49 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
     )
 
 
+def _read_array(found: ReleasedDataset, kind: str, index: int, per_frame: tuple[int, ...]) -> np.ndarray | str:
+    """Return an array of a sequence, or what is wrong with it."""
+    path = found.files[kind].get(index)
+    if path is None:
+        return f"no file in {kind}"
+    try:
+        return layout.read_array(path, per_frame)
+    except InputFileError as error:
+        return f"expected {error.expected}, found {error.found}"
+
+
 def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the joints of a sequence and the pose of its canonical frame; None if it is unusable."""
-    path = found.files[layout.MOTIONS].get(index)
-    if path is None:
-        found.report.note(key, "no file in motions", left_out=True)
-        return None
-    try:
-        joints = layout.read_array(path, (22, 3)).astype(np.float64)
-        if len(joints) < 2:
-            problem = f"expected 2 frames or more, found {len(joints)}"
-        elif not np.isfinite(joints).all():
-            problem = "expected finite numbers, found NaN or infinity"
-        else:
-            rules = layout.load_known()
-            pose = canonical_frame(joints)
+    joints = _read_array(found, layout.MOTIONS, index, (22, 3))
+    if isinstance(joints, str):
+        problem = joints
+    elif len(joints) < 2:
+        problem = f"expected 2 frames or more, found {len(joints)}"
+    elif not np.isfinite(joints).all():
+        problem = "expected finite numbers, found NaN or infinity"
+    else:
+        rules = layout.load_known()
+        try:
+            pose = canonical_frame(joints.astype(np.float64))
             # The matrix is a turn about y and a shift, so two entries hold the whole angle.
             yaw = np.degrees(np.arctan2(pose[0, 2], pose[0, 0]))
             near = np.abs(pose[:3, 3]).max() <= rules.canonical_position and abs(yaw) <= rules.canonical_yaw_deg
-            return joints, np.eye(4) if near else pose
-    except InputFileError as error:
-        problem = f"expected {error.expected}, found {error.found}"
-    except ValueError:
-        problem = "its first pose has no heading, hips and shoulders lie on one vertical line"
+            return joints.astype(np.float64), np.eye(4) if near else pose
+        except ValueError:
+            problem = "its first pose has no heading, hips and shoulders lie on one vertical line"
     found.report.note(key, f"motion: {problem}", left_out=True)
     return None
 
 
 def _read_gaze(found: ReleasedDataset, key: str, index: int, n_frames: int) -> np.ndarray | None:
     """Return the gaze of a sequence; None where its file is missing or wrong, which costs the gaze."""
-    path = found.files[layout.GAZES].get(index)
-    problem = "no file in gazes: no gaze"
-    if path is not None:
-        try:
-            gaze = layout.read_array(path, (3,))
-            if len(gaze) == n_frames:
-                if not clean_gaze(gaze, n_frames)[1].any():
-                    found.report.note(key, "gaze: no frame has a unit vector")
-                return gaze
-            problem = f"gaze: expected {n_frames} frames like the motion, found {len(gaze)}: no gaze"
-        except InputFileError as error:
-            problem = f"gaze: expected {error.expected}, found {error.found}: no gaze"
-    found.report.note(key, problem)
+    gaze = _read_array(found, layout.GAZES, index, (3,))
+    if isinstance(gaze, np.ndarray) and len(gaze) == n_frames:
+        if not clean_gaze(gaze, n_frames)[1].any():
+            found.report.note(key, "gaze: no frame has a unit vector")
+        return gaze
+    problem = gaze if isinstance(gaze, str) else f"expected {n_frames} frames like the motion, found {len(gaze)}"
+    found.report.note(key, f"gaze: {problem}: no gaze")
     return None
 
 
@@ -391,24 +392,18 @@ def _judge(found: ReleasedDataset) -> None:
     frame = {1.0: "canonical", 0.0: "world (canonicalised here)"}.get(share, "canonical and world")
     found.report.infer("motion_frame", frame, "certain", evidence)
     distance = float(np.median([each.goal_to_wrist for each in found.sequences]))
-    evidence = f"median distance of goal and nearer wrist in the last frame: {distance:.2f} m"
-    if distance < rules.goal_to_wrist:
-        found.report.infer("goal_frame", AS_THE_MOTIONS, "likely", evidence)
-    else:
-        found.report.infer("goal_frame", UNKNOWN, "unknown", f"{evidence}; not below {rules.goal_to_wrist:g} m")
-    looks = np.array([each.goal_to_gaze for each in found.sequences])
-    looks = looks[np.isfinite(looks)]
-    if len(looks):
-        towards = float(np.mean(looks <= rules.goal_to_gaze))
-        evidence = f"at the primed frame it passes within {rules.goal_to_gaze:g} m of the goal in {towards:.0%}"
-        agrees = towards >= 0.5
-        found.report.infer(
-            "gaze_frame", AS_THE_MOTIONS if agrees else UNKNOWN, "likely" if agrees else "unknown", evidence
-        )
-        if not agrees:
-            found.report.warnings.append(
-                f"gaze: {evidence} of the sequences; check axes, primed frames and frame rate."
-            )
+    looks = np.array([each.goal_to_gaze for each in found.sequences if math.isfinite(each.goal_to_gaze)])
+    towards = float(np.mean(looks <= rules.goal_to_gaze)) if len(looks) else 0.0
+    by_gaze = f"at the primed frame the ray passes within {rules.goal_to_gaze:g} m of the goal in {towards:.0%}"
+    for name, agrees, evidence in (
+        ("goal_frame", distance < rules.goal_to_wrist,
+         f"median distance of goal and nearer wrist in the last frame: {distance:.2f} m, of {rules.goal_to_wrist:g} m"),
+        ("gaze_frame", towards >= 0.5, by_gaze),
+    ):  # fmt: skip
+        value = AS_THE_MOTIONS if agrees else UNKNOWN
+        found.report.infer(name, value, "likely" if agrees else "unknown", evidence)
+    if len(looks) and towards < 0.5:
+        found.report.warnings.append(f"gaze: {by_gaze} of the sequences; check axes, primed frames and frame rate.")
 
 
 def clean_gaze(gaze: np.ndarray | None, n_frames: int) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:

@@ -205,7 +205,7 @@ def test_the_command_says_what_it_inferred_and_each_step_unless_it_is_quiet(rele
     arguments = ["import-release", str(release), "--dataset", "synthetic-adt", "--out", str(tmp_path / "table")]
     assert main(arguments) == 0
     printed = capsys.readouterr()
-    for part in ("how surely", "primed frame", "goal frame", "field goal", "goal_location", "assumed"):
+    for part in ("how surely", "primed frame", "goal_frame", "field goal", "goal_location", "assumed"):
         assert part in printed.out
     assert "synthetic-adt: " in printed.err
     assert main([*arguments, "--quiet"]) == 0

@@ -6,7 +6,6 @@ import os
 import re
 import shlex
 import sys
-import textwrap
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -44,21 +43,6 @@ _ROW_FIELDS = {
     "goal_joints": "goal_joints=POSE + (0.0, 0.0, 3.0),",
     "goal_location": "goal_location=np.array([[0.5, 1.0, 3.0]]),",
 }
-_LEARNS = "It learns one number, how fast people walk: a run fits it to the training split by itself."
-_PREDICTOR_LEARNS = (
-    "It learns one number, how much of their speed people keep: a run fits it to the training windows by itself."
-)
-_LEARNS_NOTHING = "It has learnt nothing and has no weights."
-_NEVER = "Never unpickle: safetensors, or `numpy.load(path, allow_pickle=False)`."
-_OWN_WEIGHTS = (
-    "The template's weights are one number in `speed.json`, which `fit` writes; `--weights speed.json` uses it again,"
-    " and `weights_for` names it, so that run.json records its digest. A real model writes its own files in its place."
-)
-_NO_WEIGHTS = (
-    "This template has none and says so. A model reads its own on first use, from the path in `--weights` or from files"
-    " in its package (`importlib.resources`), and names them in a method `weights_for(condition) -> Path | None`, so"
-    " that run.json records their digest."
-)
 
 
 @dataclass(frozen=True)
@@ -286,16 +270,9 @@ def template_values(names: MethodNames, request: ScaffoldRequest) -> dict[str, s
     commands = "\n".join(f"{command:<{width}}  # {comment}" for command, comment in lines.items())
     run = f"prbench run --method {names.program}.toml --condition {first}"
     described = f"The motion generator '{names.method}' for the prime-and-reach benchmark prbench."
-    learns = _LEARNS
-    does = "glides a standing pose two metres ahead"
-    if "goal" in template_flags(request):
-        does = "glides the first pose towards the goal, in a straight line"
     if request.benchmark == _PREDICTION:
         run = f"prbench run --benchmark {_PREDICTION} --method {names.program}.toml --condition {first} --data WINDOWS"
         described = f"The predictor '{names.method}' for the motion prediction benchmark of prbench."
-        learns = _PREDICTOR_LEARNS
-        does = "lets the last pose go on, at a speed that differs from sample to sample"
-    weights = f"**Weights.** {_OWN_WEIGHTS if request.trainable else _NO_WEIGHTS} {_NEVER}"
     given = GIVEN[chosen[0]] if isinstance(chosen[0], Condition) else ()
     return {
         "name": names.method,
@@ -307,13 +284,9 @@ def template_values(names: MethodNames, request: ScaffoldRequest) -> dict[str, s
         "condition": first,
         "conditions": ", ".join(f"Condition.{condition.name}" for condition in chosen),
         "condition_words": ", ".join(f'"{condition.value}"' for condition in chosen),
-        "what": f"{does[0].upper()}{does[1:]}.",
-        "does": does,
         "described": described,
         "entry_points": find_benchmark(request.benchmark).entry_points,
         "run": run,
-        "learns": learns if request.trainable else _LEARNS_NOTHING,
-        "weights": textwrap.fill(weights, 120),
         "commands": commands,
         "row_fields": "\n".join(f"        {line}" for name, line in _ROW_FIELDS.items() if name in given),
         # The rows of the standing pose, as the package's own file has them.
