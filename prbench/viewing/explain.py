@@ -232,6 +232,8 @@ def _in_hand(event: Event, options: dict[str, str]) -> str:
 
 def _location(event: Event, *, shown: bool) -> str:
     """Return the object's place in words; empty where the licence keeps goals private."""
+    if event.outcome == "annotation_only":
+        return "listed from the annotations alone (--events-only): no stream was read"
     if event.outcome == "no_location":
         return "the object never came to rest, or the dataset gives no place"
     if event.location is None or event.box_min is None or event.box_max is None:

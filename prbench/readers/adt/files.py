@@ -254,7 +254,8 @@ def read_objects(
             instances[key].prototype_name,
             instances[key].category,
             instances[key].motion_type == "dynamic",
-            *boxes[key],
+            boxes[key][0],
+            boxes[key][1],
             *poses[key],
         )
         for key in complete

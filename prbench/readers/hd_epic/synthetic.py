@@ -299,6 +299,7 @@ def _write_video(readings: hd_epic.HdEpicReadings, data: Path) -> None:
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
     """
+    assert readings.glasses is not None, "synthetic people wear them"
     own = data / hd_epic.VIDEOS_FOLDER / readings.participant_id
     times = readings.clock.device_ns
     columns = {
@@ -391,6 +392,7 @@ def _to_recording(readings: SensedVideo, manifest: Manifest, *, dataset: str) ->
     """Return the streams of one synthetic video, thinned as its reader thins them."""
     video = readings.readings
     bodies = body_from_outputs(readings.bodies, synthetic_smplh())
+    assert video.glasses is not None, "synthetic people wear them"
     seen = dataclasses.replace(video, glasses=mps.thinned(video.glasses), body=bodies)
     return recording_from_hd_epic(seen, manifest, dataset=dataset)
 
