@@ -104,13 +104,14 @@ def run_folds(request: RunRequest, *, engine: Engine | None = None, progress: Pr
     count = max(len(set(participant_units(table).values())), 2)
     out = request.out or DEFAULT_PARENT / f"{request.method_label}-{table.info.dataset}-folds".replace(" ", "_")
     reports = []
-    for number in range(1, count + 1):
-        weights = request.weights and Path(str(request.weights).replace("{fold}", str(number)))
-        place = out / f"fold-{number}-of-{count}"
-        one = replace(request, fold=f"{number}/{count}", weights=weights, out=place)
-        reports.append(run_method(one, engine=engine, progress=progress))
-    merged = merge_folds([report.folder.path for report in reports])
-    merged.write(out / MERGED)
+    with sole_writer(out):
+        for number in range(1, count + 1):
+            weights = request.weights and Path(str(request.weights).replace("{fold}", str(number)))
+            place = out / f"fold-{number}-of-{count}"
+            one = replace(request, fold=f"{number}/{count}", weights=weights, out=place)
+            reports.append(run_method(one, engine=engine, progress=progress))
+        merged = merge_folds([report.folder.path for report in reports])
+        merged.write(out / MERGED)
     made = sum(report.batches_made for report in reports)
     found = sum(report.batches_found for report in reports)
     return RunReport(RunFolder.open(out / MERGED), (merged.summary,), made, found)

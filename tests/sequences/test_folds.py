@@ -16,7 +16,7 @@ from prbench.board.collect import CollectedRuns, collect_runs
 from prbench.board.comparison import compare_runs
 from prbench.board.export import part_title
 from prbench.board.merging import merge_folds, run_folds
-from prbench.board.tables import make_leaderboard
+from prbench.board.tables import make_leaderboard, undecided_lines
 from prbench.cli.main import main
 from prbench.errors import RunError, StorageError, TableError, UsageError
 from prbench.harness.first_run import table_finder
@@ -263,6 +263,9 @@ def test_merged_folds_stand_in_a_table_of_their_own_whose_units_are_participants
     folds, test = make_leaderboard(collected).tables
     assert (folds.split, folds.recordings, test.split) == (f"{people} folds", people, "test")
     assert part_title(folds).endswith(f"{people} participants")
+    assert people < 9
+    assert not any(row.leads or any(row.beaten_by.values()) for row in folds.rows), "few units lead nowhere"
+    assert f"{people} participants, where a comparison of 2 methods needs" in undecided_lines(folds)[0]
     compared = compare_runs(root / "scripted", root / "static").metrics
     assert {each.comparison.difference.n_recordings for each in compared} == {people}
 
