@@ -20,7 +20,7 @@ from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import PrbenchError, RunError, UsageError
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.clusters import SIGNIFICANCE
-from prbench.harness.intervals import Comparison, Estimate, PairedValues, compare, metric_interval
+from prbench.harness.intervals import ClusteredValues, Comparison, Estimate, clustered, compare, metric_interval
 from prbench.harness.methods.loading import load_adapter, require_weights
 from prbench.harness.run_folder import read_scores
 from prbench.harness.run_folder.folder import run_folder_of
@@ -288,8 +288,8 @@ def estimates(scores: Scores) -> dict[str, Estimate]:
     return found
 
 
-def paired(first: Scores, second: Scores, metric: str, *, anchor: str = _EVERY) -> PairedValues | None:
-    """Pair a score that two predictors, or one under two conditions, both have; None where no window has it.
+def paired(first: Scores, second: Scores, metric: str, *, anchor: str = _EVERY) -> ClusteredValues | None:
+    """Return differences of a score of two predictors, or of one under two conditions; None where no window has it.
 
     Args:
         first: Scores of some windows.
@@ -310,7 +310,7 @@ def paired(first: Scores, second: Scores, metric: str, *, anchor: str = _EVERY) 
     if anchor != _EVERY:
         known &= np.array(first.columns["anchor"]) == anchor
     recordings = np.array(first.columns["recording_id"])
-    return PairedValues(ours[known], others[known], recordings[known]) if known.any() else None
+    return clustered(ours[known] - others[known], recordings[known]) if known.any() else None
 
 
 def _cells(row: TableRow, dataset: str, found: Mapping[str, Estimate]) -> tuple[Cell, ...]:
@@ -448,7 +448,7 @@ def _values_of_conditions(dataset: str, scores: Mapping[str, Scores]) -> Table:
     for row in load_tables().rows:
         if row.name in scores and not row.is_ablation and row.method not in references():
             by_method.setdefault(row.method, {})[row.condition] = scores[row.name]
-    pairs: dict[tuple[str, str, str, Condition, Condition], PairedValues] = {}
+    pairs: dict[tuple[str, str, str, Condition, Condition], ClusteredValues] = {}
     for method, found in by_method.items():
         for less, more in itertools.combinations([each for each in Condition if each in found], 2):
             anchors = sorted(set(found[less].columns["anchor"]))

@@ -167,7 +167,7 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table
         if people:
             theirs = np.array([values[spread.id] for values in people])
             estimates["people"] = mean_interval(clustered(theirs, recordings), nonnegative=True)
-            estimates["difference"], _ = difference_interval(clustered(own - theirs, recordings), rate=False)
+            estimates["difference"], _ = difference_interval(clustered(own - theirs, recordings))
         cells = [
             Cell(
                 dataset=info.dataset,

@@ -18,7 +18,7 @@ from prbench.board.collect import LeaderboardRow
 from prbench.errors import RunError
 from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.clusters import FEWEST_FOR_BOARD
-from prbench.harness.intervals import Comparison, PairedValues, compare
+from prbench.harness.intervals import ClusteredValues, Comparison, clustered, compare
 from prbench.harness.results import RunChecker
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import TableRecord
@@ -114,7 +114,7 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
         raise RunError(f"{first} and {second} have no dataset in common.")
     checker = checker or RunChecker()
     checked = [(run, checker.check(run, own[name]).unverified) for run, own in zip(runs, tables) for name in shared]
-    scores: dict[tuple[str, MetricInfo], PairedValues] = {}
+    scores: dict[tuple[str, MetricInfo], ClusteredValues] = {}
     left_out = []
     for name in shared:
         pair = tables[0][name], tables[1][name]
@@ -134,7 +134,7 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
             raise RunError(f"{first} and {second} were run on different tables of {name}.")
         for info in benchmark.compared_metrics:
             try:
-                paired = paired_values(values[0], values[1], info, benchmark, pair[0])
+                paired = paired_differences(values[0], values[1], info, benchmark, pair[0])
             except ValueError as error:
                 raise RunError(
                     f"{first} and {second} were scored on different sequences of {name}"
@@ -188,10 +188,10 @@ def sequence_scores(path: Path, benchmark: Benchmark, *, only: frozenset[str] | 
     return found
 
 
-def paired_values(
+def paired_differences(
     first: SequenceScores, second: SequenceScores, info: MetricInfo, benchmark: Benchmark, table: TableRecord
-) -> PairedValues | None:
-    """Put the values of two runs on one table side by side; None where one of them lacks the metric.
+) -> ClusteredValues | None:
+    """Return the differences of two runs on one table, sequence by sequence; None where one lacks the metric.
 
     Raises:
         ValueError: if they were scored on different sequences, with the numbers of both.
@@ -204,7 +204,7 @@ def paired_values(
         raise ValueError(f"{len(names)} and {len(others)}")
     # Sequences of one recording are not independent, so their spread is that between recordings (or participants).
     units = [table.unit_of(benchmark.recording_key(name)) for name in names]
-    return PairedValues(values, other_values, units, rate=info.unit == "rate")
+    return clustered(values - other_values, units, rate=info.unit == "rate")
 
 
 # Maps a row (by its position) and a metric to the rows that are better there, by a supported difference.
@@ -233,10 +233,10 @@ def separate_by_comparison(rows: Sequence[LeaderboardRow], metrics: Sequence[Met
             )
         scores.append(sequence_scores(row.scores, row.benchmark, only=row.only))
     directed = [info for info in metrics if info.higher_is_better is not None]
-    pairs: dict[tuple[int, int, MetricInfo], PairedValues] = {}
+    pairs: dict[tuple[int, int, MetricInfo], ClusteredValues] = {}
     for (i, first), (j, second) in combinations(enumerate(scores), 2):
         for info in directed:
-            pair = paired_values(first, second, info, rows[0].benchmark, rows[0].table)
+            pair = paired_differences(first, second, info, rows[0].benchmark, rows[0].table)
             if pair is not None:
                 pairs[i, j, info] = pair
     better: dict[tuple[int, str], frozenset[int]] = {}

@@ -57,14 +57,19 @@ class ClusteredValues:
         sizes: Sequences of each unit.
         totals: Sum of the values of each unit.
         units: Name of each unit.
-        all_equal: The values show no spread.
+        rate: Values are rates, from 0 to 1, or differences of rates.
     """
 
     values: Float[np.ndarray, " sequences"]
     sizes: Int[np.ndarray, " units"]
     totals: Float[np.ndarray, " units"]
     units: tuple[str, ...]
-    all_equal: bool
+    rate: bool
+
+    @property
+    def all_equal(self) -> bool:
+        """True if the values show no spread."""
+        return bool(np.ptp(self.values) <= EQUAL_WITHIN)
 
     @property
     def variance(self) -> float:
@@ -86,7 +91,7 @@ class ClusteredValues:
         """Largest share of units of a kind that none of these is of (Clopper's and Pearson's bound)."""
         return 1 - ((1 - CONFIDENCE) / 2) ** (1 / len(self.sizes))
 
-    def detectable(self, comparisons: int, *, rate: bool) -> float | None:
+    def detectable(self, comparisons: int) -> float | None:
         """Return the smallest difference that would be found with 80 % power at Holm's first step.
 
         The values are differences of two methods, of which only the spread counts. Those of one method stand for
@@ -94,26 +99,26 @@ class ClusteredValues:
 
         Args:
             comparisons: Number of comparisons made together.
-            rate: The values are differences of rates.
 
         Returns:
             In the unit of the differences; None where nothing can be found or the values are equal.
         """
         if self.all_equal or len(self.sizes) < clusters.units_needed(comparisons):
             return None
-        about = {"comparisons": comparisons, "rate": rate}
+        about = {"comparisons": comparisons, "rate": self.rate}
         return clusters.detectable_difference(self.totals, self.sizes, self.variance, **about)
 
 
 def clustered(
-    values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None
+    values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None, *, rate: bool = False
 ) -> ClusteredValues:
     """Group values by sequence and unit.
 
     Args:
         values: One a row.
-        recording_ids: The unit, such as the recording, that each row's sequence comes from.
+        recording_ids: The unit of each row: its recording, or its participant where these are tested in folds.
         sequence_ids: The sequence of each row, where a sequence has several samples; by default every row is one.
+        rate: Values are rates, from 0 to 1, or differences of rates.
 
     Raises:
         ValueError: without values, for values that are not finite, columns of unequal lengths, or a sequence that
@@ -138,7 +143,7 @@ def clustered(
     means = np.add.reduceat(values[order].astype(np.float64), first) / samples
     sizes = np.bincount(pairs[0, first])
     totals = np.add.reduceat(means, np.cumsum(sizes) - sizes)
-    return ClusteredValues(means, sizes, totals, tuple(map(str, units)), bool(np.ptp(means) <= EQUAL_WITHIN))
+    return ClusteredValues(means, sizes, totals, tuple(map(str, units)), rate)
 
 
 def metric_interval(
@@ -176,21 +181,6 @@ def mean_interval(data: ClusteredValues, *, nonnegative: bool = False) -> Estima
 Conclusion = Literal["higher", "lower", "not supported by the data", "cannot be tested"]
 
 
-@dataclass(frozen=True, eq=False)
-class PairedValues:
-    """One metric of two methods on the same sequences; each value the mean over the samples of a sequence.
-
-    Attributes:
-        recording_ids: The unit of each sequence: its recording, or its participant where these are tested in folds.
-        rate: The values are rates, from 0 to 1.
-    """
-
-    first: Float[np.ndarray, " sequences"]
-    second: Float[np.ndarray, " as_many"]
-    recording_ids: Ids
-    rate: bool = False
-
-
 @dataclass(frozen=True)
 class Comparison:
     """The difference first - second, and whether the data support one.
@@ -219,38 +209,27 @@ class Comparison:
         return "higher" if self.difference.mean > 0 else "lower"
 
 
-def compare(pairs: Mapping[Name, PairedValues]) -> dict[Name, Comparison]:
-    """Compare pairs of methods (or one pair on several metrics or datasets), corrected for their number.
+def compare(differences: Mapping[Name, ClusteredValues]) -> dict[Name, Comparison]:
+    """Say which differences of two methods the data support, corrected for their number.
 
     Args:
-        pairs: The comparisons, by any name or key.
-
-    Raises:
-        ValueError: if the two methods of a pair were not scored on equally many sequences.
+        differences: Differences of pairs of methods, or of one pair on several metrics or datasets, by any name or key.
     """
-    for name, pair in pairs.items():
-        if len(pair.first) != len(pair.second):
-            raise ValueError(f"{name}: {len(pair.first)} values of the first method, {len(pair.second)} of the second")
-    data = [clustered(pair.first - pair.second, pair.recording_ids) for pair in pairs.values()]
-    tested = [difference_interval(each, rate=pair.rate) for each, pair in zip(data, pairs.values(), strict=True)]
-    adjusted = holm([p_value for _, p_value in tested])
-    family = sum(p_value is not None for p_value in adjusted) or len(pairs)
+    tested = {name: difference_interval(data) for name, data in differences.items()}
+    adjusted = holm([p_value for _, p_value in tested.values()])
+    family = sum(p_value is not None for p_value in adjusted) or len(differences)
     found = {}
-    for place, (name, pair) in enumerate(pairs.items()):
-        detectable = data[place].detectable(family, rate=pair.rate)
-        found[name] = Comparison(*tested[place], adjusted[place], detectable, clusters.units_needed(family))
+    for (name, data), adjusted_p_value in zip(differences.items(), adjusted, strict=True):
+        needed = clusters.units_needed(family)
+        found[name] = Comparison(*tested[name], adjusted_p_value, data.detectable(family), needed)
     return found
 
 
-def difference_interval(data: ClusteredValues, *, rate: bool) -> tuple[Estimate, float | None]:
+def difference_interval(data: ClusteredValues) -> tuple[Estimate, float | None]:
     """Return a mean difference with its interval, and the p-value of the test that the interval inverts.
 
     Below six units, where not even differences of one sign would be beyond chance, there is no p-value, and the
     interval is that of a mean.
-
-    Args:
-        data: Differences of two methods.
-        rate: They are differences of rates.
     """
     method = "sign-flip"
     p_value = None
@@ -264,9 +243,11 @@ def difference_interval(data: ClusteredValues, *, rate: bool) -> tuple[Estimate,
     # Units that all agree show no spread, but those that were not seen may differ.
     if data.all_equal or high - low <= EQUAL_WITHIN:
         mean = data.totals.sum() / data.sizes.sum()
-        low, high = (mean - data.unseen * (1 + mean), mean + data.unseen * (1 - mean)) if rate else (np.nan, np.nan)
+        reach = data.unseen if data.rate else np.nan
+        low = mean - reach * (1 + mean)
+        high = mean + reach * (1 - mean)
         method = "clopper-pearson-recordings"
-    if rate:
+    if data.rate:
         low = np.maximum(low, -1.0)
         high = np.minimum(high, 1.0)
     return data.estimate(low, high, method), p_value

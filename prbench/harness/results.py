@@ -234,8 +234,8 @@ def summary_of(
         detectable = None
         if info.id in compared:
             # The difference to an unrelated method of the same spread varies √2 times as much.
-            twice = clustered(np.sqrt(2) * values, recording_ids, sequence_ids)
-            detectable = twice.detectable(len(compared), rate=info.unit == "rate")
+            twice = clustered(np.sqrt(2) * values, recording_ids, sequence_ids, rate=info.unit == "rate")
+            detectable = twice.detectable(len(compared))
         flags: Counter[str] = Counter()
         for text, count in Counter(coded.flag[rows].tolist()).items():
             for name in coded.flags[text].split(";") if text >= 0 and coded.flags[text] else ():

@@ -38,8 +38,6 @@ METRICS_OF_MOTIONS: tuple[MetricInfo, ...] = tuple(
 )
 # The columns of leaderboards.
 MAIN_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.main)
-# The main metrics by which methods are ranked and compared.
-RANKED_METRICS: tuple[MetricInfo, ...] = tuple(info for info in MAIN_METRICS if info.ranked)
 # The six columns of the study's Table 2.
 STUDY_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.in_study)
 
@@ -49,7 +47,6 @@ __all__ = [
     "MAIN_METRICS",
     "METRICS",
     "METRICS_OF_MOTIONS",
-    "RANKED_METRICS",
     "SCENE_METRICS",
     "STUDY_METRICS",
     "UNKNOWN_HAND",

@@ -21,7 +21,7 @@ from benchmarks.statistics.__main__ import (
     p_values,
 )
 from prbench.harness.clusters import flip_bounds, mean_bounds, rate_bounds
-from prbench.harness.intervals import PairedValues, compare
+from prbench.harness.intervals import clustered, compare
 from prbench.harness.run_folder.summary import bounds_of_mean
 
 pytestmark = pytest.mark.unchecked_shapes
@@ -118,7 +118,7 @@ def test_the_simulation_measures_the_functions_that_print() -> None:
     rows = np.random.default_rng(0).normal(0.4, 1, sizes.sum())
     totals = np.add.reduceat(rows, np.cumsum(sizes) - sizes)
     ids = np.repeat([f"r{i:02d}" for i in range(11)], sizes)
-    printed = compare({"a": PairedValues(rows, np.zeros(len(rows)), ids)})["a"]
+    printed = compare({"a": clustered(rows, ids)})["a"]
     low, high = flip_bounds(flipped(totals[None], sizes))
     assert (printed.difference.low, printed.difference.high) == pytest.approx((low[0], high[0]))
     assert printed.p_value == p_values(totals[None], sizes)["flips"][0]

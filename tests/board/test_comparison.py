@@ -61,7 +61,7 @@ def test_a_summary_states_its_detectable_difference_for_as_many_metrics_as_are_c
     ids = rows["sequence_id"].to_pylist()
     values = rows["value"].to_numpy()
     twice = np.sqrt(2) * values  # as the difference to an unrelated method of the same spread
-    expected = clustered(twice, list(map(recording_key, ids)), ids).detectable(len(compared), rate=False)
+    expected = clustered(twice, list(map(recording_key, ids)), ids).detectable(len(compared))
     assert expected is not None
     assert stored.detectable == pytest.approx(expected)
     count = len(MAIN_METRICS)

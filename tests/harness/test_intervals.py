@@ -19,7 +19,6 @@ from prbench.harness.clusters import (
 from prbench.harness.intervals import (
     Comparison,
     Estimate,
-    PairedValues,
     clustered,
     compare,
     difference_interval,
@@ -45,7 +44,7 @@ def mean_interval(*data, **about: bool) -> Estimate:
 
 
 def smallest_detectable(rows: np.ndarray, ids: list[str], *, comparisons: int) -> float | None:
-    return clustered(rows, ids).detectable(comparisons, rate=False)
+    return clustered(rows, ids).detectable(comparisons)
 
 
 def values(*rows: float) -> np.ndarray:
@@ -248,7 +247,7 @@ def test_wrong_input_is_refused() -> None:
 
 def compared(rows: np.ndarray, *sizes: int, rate: bool = False) -> Comparison:
     """The one comparison of a method that differs from another by these rows."""
-    return compare({"a": PairedValues(rows, np.zeros(len(rows)), names(*sizes), rate=rate)})["a"]
+    return compare({"a": clustered(rows, names(*sizes), rate=rate)})["a"]
 
 
 def p_of(rows: np.ndarray, *sizes: int) -> float:
@@ -338,7 +337,7 @@ def test_intervals_of_differences_of_rates_cover(gain: float, loss: float) -> No
     covered = 0
     for _ in range(200):
         drawn = rng.choice([1.0, 0.0, -1.0], 40, p=[gain, 1 - gain - loss, loss])
-        found, _ = difference_interval(clustered(drawn, names(*[2] * 20)), rate=True)
+        found, _ = difference_interval(clustered(drawn, names(*[2] * 20), rate=True))
         covered += found.low - 1e-9 <= gain - loss <= found.high + 1e-9
     assert covered / 200 >= 0.93
 
@@ -353,7 +352,7 @@ def test_units_needed_follow_from_the_smallest_p_value() -> None:
     )
     assert five.difference.mean == 1.0
     assert (six.p_value, six.conclusion) == (2 / 64, "higher")
-    pair = PairedValues(rows, np.zeros(40), names(*[5] * 8))
+    pair = clustered(rows, names(*[5] * 8))
     seven = compare({str(i): pair for i in range(7)})["0"]
     assert (seven.p_value, seven.conclusion, seven.needed) == (2 / 256, "cannot be tested", 9)
 
@@ -389,7 +388,7 @@ def test_noise_of_a_micrometre_moves_no_p_value(recordings: int) -> None:
     order = rng.permutation(len(rows))
     before = p_of(rows, *sizes)
     assert p_of(rows + rng.uniform(-1e-6, 1e-6, len(rows)), *sizes) == before
-    shuffled = PairedValues(rows[order], np.zeros(len(rows)), np.array(names(*sizes))[order])
+    shuffled = clustered(rows[order], np.array(names(*sizes))[order])
     assert compare({"a": shuffled})["a"].p_value == before
     assert p_of(rows * 0 + 1e-12, *sizes) == 1.0
 
@@ -406,14 +405,8 @@ def test_holm_by_hand() -> None:
 
 
 def test_the_direction_of_a_supported_difference_is_told() -> None:
-    better, worse = np.full(16, 0.3), np.linspace(0.1, 0.2, 16)
-    ids = names(*[2] * 8)
-    found = compare({"up": PairedValues(better, worse, ids), "down": PairedValues(worse, better, ids)})
+    rows, ids = np.linspace(0.1, 0.2, 16), names(*[2] * 8)
+    found = compare({"up": clustered(rows, ids), "down": clustered(-rows, ids)})
     assert (found["up"].conclusion, found["down"].conclusion) == ("higher", "lower")
     assert found["up"].adjusted_p_value == pytest.approx(2 * found["up"].p_value)
     assert found["up"].difference.mean == -found["down"].difference.mean
-
-
-def test_unequal_numbers_of_sequences_are_refused() -> None:
-    with pytest.raises(ValueError, match="pr vs mdm: 3 values of the first method, 2 of the second"):
-        compare({"pr vs mdm": PairedValues(np.ones(3), np.ones(2), names(3))})
