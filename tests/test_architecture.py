@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 ROOT = Path(__file__).parents[1]
 
 LAYERS = {
-    **dict.fromkeys(("limits", "shown", "randomness"), 0),
+    **dict.fromkeys(("diagnosis", "limits", "shown", "randomness"), 0),
     "errors": 1,
     **dict.fromkeys(("entry_points", "geometry", "progress_bar"), 2),
     **dict.fromkeys(("datasets", "files"), 3),

@@ -67,6 +67,7 @@ class Build:
             notes.append(f"{self._report.reused} recordings were taken over from an interrupted build.")
         notes += [f"{name}: {why}" for name, why in self.unread.items()]
         notes += [f"{one.recording_id}: cut short: {shortfall}" for one in records for shortfall in one.shortfalls]
+        notes += [f"{one.recording_id}: streams: {finding}" for one in records for finding in one.findings]
         notes += [f"{one.recording_id}: no sequence: {one.why_fruitless}" for one in records if one.is_fruitless]
         return tuple(notes)
 
@@ -102,6 +103,8 @@ def build_dataset(
     min_confidence: float = 0.0,
     corrections: args.PathLike | None = None,
     events_only: bool = False,
+    shift: Mapping[str, float] | None = None,
+    scale: Mapping[str, float] | None = None,
     protocol: args.PathLike | None = None,
     on_error: Literal["skip", "fail"] = "skip",
     option: Mapping[str, object] | None = None,
@@ -128,6 +131,8 @@ def build_dataset(
             ``low_confidence``.
         corrections: File of a person's corrections of events, CSV or TOML (docs/review.md).
         events_only: List picks and puts from the annotations alone, without sequences (hd-epic).
+        shift: Seconds to add to the times of a stream: gaze, camera, head, body, hands or objects.
+        scale: Factor on the positions of a stream, such as ``{"objects": 0.001}`` for millimetres.
         protocol: Your own ``protocol.toml``, stamped into the table; by default prbench's.
         on_error: Go on without a recording that cannot be read (``skip``), or ``fail`` at once.
         option: Options of the dataset's reader, by name; ``poses`` says where bodies come from, for example ``egoallo``
@@ -170,6 +175,8 @@ def build_dataset(
         priming=priming,
         corrections=args.as_optional_path(corrections),
         events_only=events_only,
+        shift=shift,
+        scale=scale,
     )
     if is_url(root):  # a local copy of the files that the dataset's reader asks for
         from prbench.object_stores.inputs import fetched_native

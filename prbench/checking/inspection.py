@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import fnmatch
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from prbench.curation.mending import Numbers, mended, stream_numbers
+from prbench.curation.stream_checks import examine_streams
 from prbench.entry_points import CORPORA, load_built_in
 from prbench.errors import InputFileError, PrbenchError
 from prbench.files.bounded import foreign_input
@@ -30,7 +32,10 @@ from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.table import table_statistics, why_no_sequences
 
-State = Literal["complete", "cut short", "incomplete", "damaged", "left out", "unreadable"]
+State = Literal["complete", "cut short", "incomplete", "damaged", "left out", "unreadable", "inconsistent"]
+
+
+NOTHING: Mapping[str, Mapping[str, object]] = {}  # to mend
 
 
 def look(root: Path) -> tuple[Discovery, tuple[Any, ...]]:
@@ -54,7 +59,8 @@ class InspectedRecording:
 
     Attributes:
         recording_id: Its name.
-        state: The worst of what was found; ``left out`` for a recording that is known to be bad.
+        state: The worst of what was found; ``left out`` for a recording that is known to be bad, ``inconsistent`` for
+            one whose streams do not belong together.
         size: Bytes of all files that reading it depends on.
         remarks: Missing and damaged files, streams that end early, or what reading said.
     """
@@ -134,13 +140,18 @@ class Inspection:
 
 
 def inspect_folders(
-    folders: Sequence[Path], *, thorough: bool = False, progress: Callable[[int, int, str], None] | None = None
+    folders: Sequence[Path],
+    *,
+    thorough: bool = False,
+    mend: Mapping[str, Mapping[str, object]] = NOTHING,
+    progress: Callable[[int, int, str], None] | None = None,
 ) -> Inspection:
     """Look at built tables and at every recording below other folders.
 
     Args:
         folders: Tables, datasets, or folders that hold several datasets.
         thorough: Read every recording as a build would (:func:`inspect_folder`).
+        mend: See there.
         progress: Called with done, total and the recording's name.
 
     Raises:
@@ -148,7 +159,11 @@ def inspect_folders(
         InputFileError: if nothing is recognised in one of the folders.
     """
     tables = [folder for folder in folders if (folder / DATASET_FILE).exists()]
-    found = [inspect_folder(folder, thorough=thorough, progress=progress) for folder in folders if folder not in tables]
+    found = [
+        inspect_folder(folder, thorough=thorough, mend=mend, progress=progress)
+        for folder in folders
+        if folder not in tables
+    ]
     return Inspection(
         tuple(dataset for each in found for dataset in each.datasets),
         tuple(broken for each in found for broken in each.broken),
@@ -184,20 +199,27 @@ def _inspect_table(folder: Path) -> InspectedTable:
 
 @foreign_input()
 def inspect_folder(
-    root: Path | str, *, thorough: bool = False, progress: Callable[[int, int, str], None] | None = None
+    root: Path | str,
+    *,
+    thorough: bool = False,
+    mend: Mapping[str, Mapping[str, object]] = NOTHING,
+    progress: Callable[[int, int, str], None] | None = None,
 ) -> Inspection:
     """Look at every recording below a folder.
 
     Args:
         root: A dataset's folder, or one that holds several.
         thorough: Read every recording as a build would, and every row of its trajectory, instead of looking for its
-            files and at their ends.
+            files and at their ends; then examine whether its streams belong together.
+        mend: What ``--shift`` and ``--scale`` say, by option and stream.
         progress: Called with done, total and the recording's name.
 
     Raises:
         InputFileError: if nothing is recognised.
+        UsageError: if no such stream can be mended.
     """
     root = Path(root)
+    numbers = {option: stream_numbers(given, option) for option, given in mend.items()}
     discovery, corpora = look(root)
     # Counted before the first recording is read: with --thorough each is read in full, and progress needs a total.
     total = sum(len(found.recordings) for found in discovery.found)
@@ -206,7 +228,7 @@ def inspect_folder(
     for found in discovery.found:
         inspected = []
         for recording in found.recordings:
-            state, remarks = _inspect(found, recording, thorough=thorough)
+            state, remarks = _inspect(found, recording, thorough, **numbers)
             size = sum(file.size for file in recording.files)
             inspected.append(InspectedRecording(recording.recording_id, state, size, remarks))
             done += 1
@@ -234,7 +256,9 @@ def inspect_folder(
     return Inspection(tuple(datasets), discovery.broken)
 
 
-def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) -> tuple[State, tuple[str, ...]]:
+def _inspect(
+    found: FoundDataset, recording: RecordingFiles, thorough: bool, shift: Numbers = (), scale: Numbers = ()
+) -> tuple[State, tuple[str, ...]]:
     """Return the state of one recording, and what is wrong with it."""
     manifest = load_manifest(found.dataset)
     reason = recording.skip_reason or manifest.why_bad(recording.recording_id)
@@ -254,14 +278,20 @@ def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) 
     # A missing file outranks a damaged one: it has to be downloaded anyway.
     if missing or damaged:
         return ("incomplete" if missing else "damaged"), missing + damaged + remarks
-    read = None
-    if thorough:
-        try:
-            read = reader.read(recording)
-        except PrbenchError as error:
-            return "unreadable", (str(error),)
-        remarks = read.remarks
-    shortfalls = cut_short(recording, read)
+    if not thorough:
+        shortfalls = cut_short(recording)
+        return ("cut short" if shortfalls else "complete"), shortfalls + remarks
+    try:
+        read = reader.read(recording)
+        read = mended(replace(read, shortfalls=cut_short(recording, read)), shift, scale)
+        findings = examine_streams(read)
+    except PrbenchError as error:
+        return "unreadable", (str(error),)
+    shortfalls = read.shortfalls
+    remarks = (*map(str, findings), *read.remarks)
+    if any(each.certain for each in findings):
+        # A file whose clock is off ends early, too, and no download would mend it.
+        return "inconsistent", remarks
     return ("cut short" if shortfalls else "complete"), shortfalls + remarks
 
 

@@ -98,6 +98,8 @@ def note_recordings(records: Iterable[Recording], *, reused: int) -> None:
     for record in records:
         for shortfall in record.shortfalls:
             note(f"cut short: {record.recording_id}: {shortfall}")
+        for finding in record.findings:
+            note(f"streams: {record.recording_id}: {finding}")
     for record in records:
         if record.is_fruitless:
             note(f"no sequence: {record.recording_id}: {record.why_fruitless}")
@@ -156,6 +158,7 @@ def note_recordings(records: Iterable[Recording], *, reused: int) -> None:
     metavar="FILE",
     help="Events that a person drops, moves, renames or gives another hand or goal (docs/review.md).",
 )
+@opt.stream_options
 @opt.protocol_option("every number of the curation, stamped into the table (docs/protocol-choices.md).")
 @opt.on_error_option()
 @opt.reader_options()
@@ -180,6 +183,7 @@ def build_dataset(
     from prbench.curation.options import build_options
 
     part = opt.chosen_shard(shard, replace=given["replace"], dry_run=dry_run, everything=dataset == EVERYTHING)
+    given |= {name: dict(given[name]) for name in ("shift", "scale")}
     chosen = build_options(option=dict(options), **given)
     if propose_events is not None:
         from prbench.curation.propose_events import write_candidates

@@ -111,8 +111,16 @@ _NOT_COMPLETE = 3
 )
 @click.argument("places", type=opt.NATIVE, nargs=-1, required=True, metavar="DIR...")
 @click.option("--thorough", is_flag=True, help="Read every recording as a build would; takes as long.")
+@opt.stream_options
 @click.option("--all", "everything", is_flag=True, help="List complete recordings too, and every incomplete one.")
-def inspect(*, places: tuple[Path, ...], thorough: bool, everything: bool) -> Answer:
+def inspect(
+    *,
+    places: tuple[Path, ...],
+    thorough: bool,
+    shift: tuple[tuple[str, str], ...],
+    scale: tuple[tuple[str, str], ...],
+    everything: bool,
+) -> Answer:
     """Say what folders hold, and which recordings are complete, cut short, incomplete or damaged.
 
     DIR is a dataset's folder, one that holds several, or a built table, of which sizes and means are printed; `prbench
@@ -120,8 +128,11 @@ def inspect(*, places: tuple[Path, ...], thorough: bool, everything: bool) -> An
     """
     from prbench.checking.inspection import inspect_folders
 
+    if (shift or scale) and not thorough:
+        raise UsageError("--shift and --scale change what is read; give --thorough, too.")
+    mend = {"shift": dict(shift), "scale": dict(scale)}
     with progress("inspecting") as show:
-        found = inspect_folders(places, thorough=thorough, progress=show)
+        found = inspect_folders(places, thorough=thorough, mend=mend, progress=show)
 
     def show_all() -> None:
         for dataset in found.datasets:

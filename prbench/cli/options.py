@@ -258,6 +258,16 @@ def reader_options(whose: str = "dataset's", *, remark: str = "a wrong name list
     return option_option(f"{whose} reader", metavar="NAME=VALUE", remark=remark)
 
 
+def stream_options(function: Callable) -> Callable:
+    """Add ``--shift STREAM=SECONDS`` and ``--scale STREAM=FACTOR``."""
+    streams = "gaze, camera, head, body, hands or objects"
+    shift = f"Add seconds to the times of a stream ({streams}), such as gaze=-5.0; `prbench inspect --thorough` says"
+    shift += " which."
+    scale = "Multiply the positions of a stream, such as objects=0.001 where its file holds millimetres."
+    function = click.option("--scale", type=KeyValue(), multiple=True, metavar="STREAM=FACTOR", help=scale)(function)
+    return click.option("--shift", type=KeyValue(), multiple=True, metavar="STREAM=SECONDS", help=shift)(function)
+
+
 def method_settings(function: Callable) -> Callable:
     """Add what a method is loaded with: ``--weights``, ``--option``, ``--device`` and ``--threads``."""
     return weights_option(option_option("method")(device_option(threads_option(function))))

@@ -55,6 +55,7 @@ def curate_recording(
     *,
     split: str = "",
     corrections: Corrections | None = None,
+    findings: tuple[str, ...] = (),
 ) -> CuratedRecording:
     """Find the events of a recording, prime, clip and filter them (docs/specification/curation.md).
 
@@ -65,6 +66,7 @@ def curate_recording(
         options: What the user chose.
         split: The split, where the recording carries its own (synthetic trees); empty where a build draws it.
         corrections: A person's corrections of its events, applied before these are primed.
+        findings: What :func:`prbench.curation.stream_checks.examine_streams` has to tell of the recording.
 
     Raises:
         UnknownEventError: for a correction of an event that is not found.
@@ -160,8 +162,9 @@ def curate_recording(
             duration=recording.span[1] - recording.span[0],
             outcomes=dict(Counter(row.outcome for row in rows)),
             status="read",
-            message="; ".join((*recording.shortfalls, *recording.remarks, *remarks, *lacks)),
+            message="; ".join((*recording.shortfalls, *findings, *recording.remarks, *remarks, *lacks)),
             shortfalls=recording.shortfalls,
+            findings=findings,
             lacks=lacks,
         ),
         boxes=scene_boxes(recording),

@@ -21,9 +21,11 @@ import pyarrow as pa
 import prbench
 from prbench.curation.corrections import Corrections, UnknownEventError
 from prbench.curation.curate import CuratedRecording, curate_recording
+from prbench.curation.mending import mended
 from prbench.curation.options import BuildOptions, CurationOptions
+from prbench.curation.stream_checks import examine_streams
 from prbench.engine import Engine, is_out_of_memory
-from prbench.errors import InputFileError, PrbenchError, UsageError
+from prbench.errors import InputFileError, PrbenchError, RecordingUnusable, UsageError
 from prbench.files.arrays import first_repeated
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, text_digest
@@ -317,14 +319,19 @@ class CurationJob(RecordingJob):
 
     def make(self, source: RecordingSource) -> tuple[RecordingRow, dict[str, pa.RecordBatch]]:
         """See :class:`RecordingJob`."""
-        corrections = self.corrections.get(source.recording_id)
+        recording = mended(source.read(), self.options.shift, self.options.scale)
+        findings = examine_streams(recording)
+        certain = [str(each) for each in findings if each.certain]
+        if certain:
+            raise RecordingUnusable(" ".join(certain))
         curated = curate_recording(
-            source.read(),
+            recording,
             self.manifest,
             self.protocol,
             self.options,
             split=source.split or "",
-            corrections=corrections,
+            corrections=self.corrections.get(source.recording_id),
+            findings=tuple(map(str, findings)),
         )
         return curated.record, _tables(curated)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from prbench.curation.corrections import Corrections, read_corrections
+from prbench.curation.mending import Numbers, stream_numbers
 from prbench.curation.priming import RAY_ORIGINS
 from prbench.errors import UsageError
 from prbench.geometry.shapes import import_open3d
@@ -32,6 +33,8 @@ class CurationOptions:
             ``object_displacement``.
         priming: Prime times from gaze by the equations, or taken over from what the dataset itself publishes.
         min_confidence: Smallest ``event_confidence`` of a sequence, from 0 to 1; 0 takes every one.
+        shift: Seconds that are added to the times of streams, by name (:data:`prbench.curation.mending.STREAMS`).
+        scale: Factors on the positions of streams, by name.
     """
 
     in_hand: str | None = None
@@ -39,6 +42,8 @@ class CurationOptions:
     minimum_movement: str = "wrist_to_goal"
     priming: Literal["rule", "published"] = "rule"
     min_confidence: float = 0.0
+    shift: Numbers = ()
+    scale: Numbers = ()
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_confidence <= 1:
@@ -79,6 +84,8 @@ class CurationOptions:
         shortest = protocol.curation.minimum_prime
         chosen = {"minimum_prime": f"{shortest:g}"} if shortest > 0 else {}
         chosen |= {"min_confidence": f"{self.min_confidence:g}"} if self.min_confidence > 0 else {}
+        for option in ("shift", "scale"):
+            chosen |= {f"{option}.{stream}": f"{number:g}" for stream, number in getattr(self, option)}
         return chosen | {
             "in_hand_rule": "none" if rule is None else self.in_hand or "default",
             "in_hand_rule_digest": "" if rule is None else digest_of(rule),
@@ -150,7 +157,7 @@ def build_options(
         replace: See :class:`BuildOptions`.
         corrections: File of corrections.
         events_only: List annotated events alone, without any stream.
-        curation: Fields of :class:`CurationOptions`.
+        curation: Fields of :class:`CurationOptions`; ``shift`` and ``scale`` map streams to texts or numbers.
 
     Raises:
         UsageError: for an unknown choice.
@@ -158,12 +165,13 @@ def build_options(
     """
     from prbench.protocol.own_protocol import read_protocol
 
+    mends = {option: stream_numbers(curation[option] or {}, option) for option in ("shift", "scale")}
     # Readers load meshes only where a rule asks for the surfaces of objects.
     implied = {"meshes": "true"} if curation["in_hand"] == "surface" else {}
     if events_only:
         implied["events_only"] = "true"
     return BuildOptions(
-        curation=CurationOptions(**curation),
+        curation=CurationOptions(**curation | mends),
         recordings=recordings,
         limit=max_recordings,
         reader=tuple(sorted((implied | dict(option)).items())),

@@ -325,6 +325,7 @@ class Recording:
         furniture: Things that stand still and are no part of :attr:`objects`, because the dataset tracks none of them.
         messages: Messages of the reader for the user.
         unreadable: Entries of the annotation files that were left out, because they cannot be read.
+        hands_from_glasses: True where the glasses measured the hands, which then lie beside the head at any time.
         shortfalls: One message for each stream that ends before the recording does; its file may be cut off.
     """
 
@@ -351,6 +352,7 @@ class Recording:
     messages: tuple[str, ...] = ()
     unreadable: tuple[UnreadableEntry, ...] = ()
     shortfalls: tuple[str, ...] = ()
+    hands_from_glasses: bool = False
 
     def __post_init__(self) -> None:
         start, end = self.span
@@ -385,6 +387,7 @@ class Recording:
 
 _BONE_TOLERANCE = 0.20  # share of the recording's median bone length
 _FASTEST_JOINT = 10.0  # m/s
+_USUAL_SIZE = 5.0  # metres, all bones of a person after one another
 _LONGEST_EXCURSION = 0.1  # seconds; what may be interpolated
 
 
@@ -412,6 +415,9 @@ def plausible_body_frames(
     if len(index) < 3:
         return shaped
     step = np.linalg.norm(np.diff(joints[index], axis=0), axis=-1).max(axis=1) / np.diff(times[index])
+    # A body in another unit is kept whole, so that its unit can be told and mended.
+    size = float(median.sum())
+    step *= _USUAL_SIZE / size if size > 4 * _USUAL_SIZE else 1.0
     # Leave out every short run between fast steps; in a very short recording the longest run is the body itself.
     run = np.concatenate(([0], np.cumsum(step > _FASTEST_JOINT)))
     first = np.flatnonzero(np.diff(run, prepend=-1))

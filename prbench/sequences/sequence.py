@@ -473,6 +473,7 @@ class Recording:
         status: ``read``, ``failed`` or ``skipped``.
         message: Why it was not read, or what was noticed when it was.
         shortfalls: One message for each stream that ends before the recording does; they stand in ``message``, too.
+        findings: What examining its streams found; stands in ``message``, too.
         lacks: Parts that it lacks to have events or sequences at all; stands in ``message``, too.
     """
 
@@ -485,6 +486,7 @@ class Recording:
     status: str
     message: str
     shortfalls: tuple[str, ...] = field(default=(), repr=False)
+    findings: tuple[str, ...] = field(default=(), repr=False)
     lacks: tuple[str, ...] = field(default=(), repr=False)
 
     @property
@@ -530,7 +532,7 @@ class SceneBox:
 SEQUENCES = described(schema_of(Sequence), Sequence)
 EVENTS = described(schema_of(Event), Event)
 RECORDINGS = described(
-    schema_of(Recording, counted=OUTCOMES, without=("shortfalls", "lacks")), Recording, counted=OUTCOMES
+    schema_of(Recording, counted=OUTCOMES, without=("shortfalls", "findings", "lacks")), Recording, counted=OUTCOMES
 )
 SCENES = described(schema_of(SceneBox), SceneBox)
 

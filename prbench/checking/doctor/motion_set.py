@@ -10,29 +10,11 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from prbench.diagnosis import Diagnosis
 from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.representation import REST_OFFSETS
 
 _POSES_PER_MOTION = 24
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """One thing that is wrong with motions, or may be.
-
-    Attributes:
-        kind: ``unit``, ``up-axis``, ``facing`` …: docs/doctor.md lists them all.
-        certain: True if the motions are wrong for sure, False if they are only suspicious.
-        evidence: The measured numbers, in a sentence.
-        cause: The most frequent reason for such numbers.
-        remedy: The change to make, with the converter where there is one.
-    """
-
-    kind: str
-    certain: bool
-    evidence: str
-    cause: str
-    remedy: str
 
 
 @dataclass(frozen=True, eq=False)

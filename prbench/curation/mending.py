@@ -1,0 +1,144 @@
+"""Mend what is wrong with the clocks and units of a recording: ``--shift`` and ``--scale``, before it is curated.
+
+Gaze, and hands where the glasses track them, were measured from the head. They are taken into its axes at their old
+times and back into the world at their new ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from prbench.errors import UsageError, did_you_mean
+from prbench.geometry.timelines import covered
+from prbench.recording import AnnotatedEvent, GazeStream, PoseStream, Recording
+from prbench.recording.streams import reaching_hand, wrists_at
+
+STREAMS = ("gaze", "camera", "head", "body", "hands", "objects")
+Numbers = tuple[tuple[str, float], ...]
+SAME_PLACE = 0.02  # metres from the head within which a gaze ray was made of this very pose of it
+_LONGEST_POSE_STEP = 0.05  # seconds; readers bridge no longer gap of the glasses
+_FARTHEST_SHIFT = 1e6  # seconds
+
+
+def stream_numbers(given: Mapping[str, object], option: str) -> Numbers:
+    """Return numbers by stream, sorted, from what a command line or a program says.
+
+    Args:
+        given: Texts or numbers by name of a stream.
+        option: ``shift`` (seconds) or ``scale`` (factors above 0).
+
+    Raises:
+        UsageError: for a name that is no stream, with the nearest one, and for what is no such number.
+    """
+    known = STREAMS if option == "shift" else STREAMS[1:]  # gaze has no length
+    found = {}
+    for name, text in given.items():
+        if name not in known:
+            hint = did_you_mean(name, known)
+            raise UsageError(f"--{option}: expected one of {', '.join(known)}, found '{name}'.{hint}")
+        try:
+            number = float(str(text))
+        except ValueError:
+            number = np.nan
+        if not (abs(number) <= _FARTHEST_SHIFT and (option == "shift" or number > 0)):
+            wanted = "seconds, such as -5.0" if option == "shift" else "a factor above 0, such as 0.001"
+            raise UsageError(f"--{option} {name}: expected {wanted}, found '{text}'.")
+        found[name] = number
+    return tuple(sorted(found.items()))
+
+
+def mended(recording: Recording, shift: Numbers, scale: Numbers) -> Recording:
+    """Return a recording with streams moved in time and positions multiplied.
+
+    A place that a reader took from an object's track is read from the moved track; the events of a dataset without
+    tracks move as ``objects``. Hands of events are found again.
+
+    Args:
+        recording: What a reader yields.
+        shift: Seconds that are added to the times of a stream.
+        scale: Factor on the positions of a stream; boxes of objects keep their size.
+    """
+    if not shift and not scale:
+        return recording
+    later = dict.fromkeys(STREAMS, 0.0) | dict(shift)
+    factor = dict.fromkeys(STREAMS, 1.0) | dict(scale)
+
+    def moved(stream: Any, name: str, places: str = "position") -> Any:
+        points = getattr(stream, places) * factor[name]
+        return replace(stream, times=stream.times + later[name], **{places: points})
+
+    old = recording.head
+    head = moved(old, "head")
+    hands = []
+    for hand in recording.hands:
+        if not recording.hands_from_glasses:
+            hands.append(moved(hand, "hands", "points"))
+            continue
+        origin, turn, _ = _poses(old, hand.times)
+        local = turn.inv().apply(hand.points.mean(axis=1) - origin) * factor["hands"]
+        times = hand.times + later["hands"]
+        origin, turn, posed = _poses(head, times)
+        hands.append(replace(hand, times=times, points=(turn.apply(local) + origin)[:, None], valid=hand.valid & posed))
+    new = replace(
+        recording,
+        camera=moved(recording.camera, "camera"),
+        head=head,
+        gaze=_moved_gaze(recording.gaze, old, head, later["gaze"]),
+        body=None if recording.body is None else moved(recording.body, "body", "joints"),
+        hands=tuple(hands),
+        objects=tuple(moved(track, "objects") for track in recording.objects),
+        shortfalls=() if shift else recording.shortfalls,  # ends of files tell nothing where clocks are moved
+    )
+    events = tuple(
+        _moved_event(event, new, later["objects"], factor["objects"]) for event in recording.annotated_events
+    )
+    return replace(new, annotated_events=events)
+
+
+def _poses(
+    head: PoseStream, times: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n 3"], Rotation, Bool[np.ndarray, " n"]]:
+    """Return where the head is, how it is turned, and where that is known."""
+    origin, rotation = head.pose_at(times)
+    posed = covered(head.times, head.valid, times, max_gap=_LONGEST_POSE_STEP, tolerance=1e-3)
+    return origin, Rotation.from_quat(rotation, scalar_first=True), posed
+
+
+def rides(gaze: GazeStream, head: PoseStream) -> bool:
+    """Return True for gaze rays that were made of these poses of the head: they begin where it is."""
+    if not (len(head.times) and gaze.valid.any()):
+        return False
+    apart = np.linalg.norm(gaze.origin - head.pose_at(gaze.times)[0], axis=1)
+    return float(np.median(apart[gaze.valid])) <= SAME_PLACE
+
+
+def _moved_gaze(gaze: GazeStream, old: PoseStream, head: PoseStream, later: float) -> GazeStream:
+    if not rides(gaze, old):
+        return replace(gaze, times=gaze.times + later)
+    _, turn, were_posed = _poses(old, gaze.times)
+    local = turn.inv().apply(gaze.direction)
+    # A row outside of the tracked time may be measured; one that was not looks straight ahead (readers).
+    measured = gaze.valid | (~were_posed & (local[:, 2] < 1 - 1e-12))
+    origin, turn, posed = _poses(head, gaze.times + later)
+    return GazeStream(gaze.times + later, origin, turn.apply(local), measured & posed)
+
+
+def _moved_event(event: AnnotatedEvent, new: Recording, later: float, factor: float) -> AnnotatedEvent:
+    tracks = [track for track in new.objects if track.object_id == event.object_id]
+    if tracks:
+        position, rotation = tracks[0].pose_at(np.array([event.event_time]))
+        low, high = tracks[0].world_box(position, rotation)
+        event = replace(event, location=(low[0] + high[0]) / 2, box_min=low[0], box_max=high[0])
+    elif event.location is not None:
+        boxes = {name: box * factor for name in ("box_min", "box_max") if (box := getattr(event, name)) is not None}
+        event = replace(event, event_time=event.event_time + later, location=event.location * factor, **boxes)
+    if event.location is None or event.hand_source not in (None, "tracked", "body"):
+        return event
+    hand, source = reaching_hand(wrists_at(new.hands, new.body, event.event_time), event.location)
+    return replace(event, hand=hand, hand_source=source)
