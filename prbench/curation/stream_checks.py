@@ -60,9 +60,9 @@ _TRUSTED = ("head", "body", "hands", "objects", "gaze")  # of two streams that d
 _UPRIGHT = (Joint.LEFT_KNEE, Joint.LEFT_ANKLE, Joint.SPINE1, Joint.SPINE2, Joint.SPINE3, Joint.NECK, Joint.HEAD)
 _NO_OPTION = "No option mends it: write the file in the dataset's own axes and world."
 
-_Rows = Float[np.ndarray, "n 3"]
-_Moving = tuple[_Rows, Bool[np.ndarray, " n"]]  # values at 30 Hz, and where they are known
-_Curve = Float[np.ndarray, " lags"]
+_Rows = Float[np.ndarray, "_ 3"]
+_Moving = tuple[_Rows, Bool[np.ndarray, " _"]]  # values at 30 Hz, and where they are known
+_Curve = Float[np.ndarray, " _"]
 _Found = Mapping[str, Diagnosis]
 
 
@@ -78,7 +78,7 @@ class Pair:
         second: Best agreement at any other lag.
         seconds: Time of movement that told it; number of events where places did.
         sure: True if the lag can be believed.
-        strange: True if there was much to see, and no lag agrees.
+        strange: True for a gaze that rests on no place at any lag, though the head turns for long.
         offset: The first minus the second (3,) in the median, metres; None where nothing tells it.
         turned: Axes (3, 3) of the first in which it would agree with the second, where it does not in its own.
     """
@@ -153,10 +153,10 @@ def examine_streams(recording: Recording) -> tuple[Diagnosis, ...]:
         found[name] = Diagnosis("place", True, said, "Its world has another origin or floor.", _NO_OPTION)
     for pair in _unblamed(streams, left, found):
         if pair.strange:
-            said = f"{pair.one}: does not move with {pair.other} at any lag ({pair.height:.2f} at best over"
-            said += f" {pair.seconds:.0f} s of movement)."
+            said = f"gaze: rests on no place while the head turns, at any lag ({pair.height:.2f} at best over"
+            said += f" {pair.seconds:.0f} s)."
             cause = "It may belong to another recording, or have mirrored axes."
-            found.setdefault(pair.one, Diagnosis("unrelated", False, said, cause, "Look at a film of the recording."))
+            found["gaze"] = Diagnosis("axes", False, said, cause, _NO_OPTION)
     return tuple(sorted(found.values(), key=lambda each: not each.certain))
 
 
@@ -256,13 +256,13 @@ def _pair(
     second = float(np.max(curve[np.abs(_STEPS - _STEPS[top]) > _ONE_PEAK]))
     least, shortest, slack = _NEEDED[kind]
     inside = 0 < top < len(curve) - 1
-    lag = _STEPS[top] / RATE
+    lag = float(_STEPS[top]) / RATE
     if inside:
         before, after = curve[[top - 1, top + 1]]
         lag += float(np.clip(0.5 * (before - after) / min(before - 2 * height + after, -1e-12), -0.5, 0.5)) / RATE
     lag -= natural
     sure = inside and height >= least and second <= _CLEAR * height and seconds >= shortest and abs(lag) >= slack
-    strange = second >= _NO_PEAK * height and seconds >= _TELLING and kind != "places"
+    strange = kind == "gaze in head" and second >= _NO_PEAK * height and seconds >= _TELLING
     axes = None
     if turned is not None and not sure and seconds >= 2 * shortest and turned[0] >= _TURNED:
         axes = turned[1] if (np.abs(turned[1] - np.eye(3)) > 0.5).any() else None
@@ -408,7 +408,7 @@ def _carrying_pair(streams: Gridded) -> Pair | None:
     turned = _turned(np.concatenate([speeds for _, speeds, _ in streams.carries]), np.concatenate(besides))
     apart = _from_hands(streams, int(_STEPS[np.argmax(curve)]))
     offset = None if apart is None else np.median(apart, axis=0)
-    return _pair(("objects", "hands"), "carrying", curve, seen[_NO_LAG] / RATE, offset=offset, turned=turned)
+    return _pair(("objects", "hands"), "carrying", curve, float(seen[_NO_LAG]) / RATE, offset=offset, turned=turned)
 
 
 def _from_hands(streams: Gridded, step: int, factor: float = 1.0) -> _Rows | None:

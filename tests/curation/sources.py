@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 
 from prbench.curation import build_from_sources
@@ -15,6 +16,28 @@ from prbench.errors import InputFileError
 from prbench.files.storage import text_digest
 from prbench.recording import Recording, UnreadableEntry
 from tests.curation.scenes import PICK, PUT, clock, cup_centre, finger_path, hand, scene, track
+
+
+def trembling(recording: Recording) -> Recording:
+    """Return a recording in which head, hands and eyes tremble, as nobody holds still, and the head faces the gaze."""
+    rng = np.random.default_rng(5)
+
+    def shaken(points: np.ndarray) -> np.ndarray:
+        return points + rng.normal(size=points.shape) * 1e-8
+
+    gaze = recording.gaze
+    direction = shaken(gaze.direction)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return replace(
+        recording,
+        head=replace(
+            recording.head,
+            position=shaken(recording.head.position),
+            rotation=np.tile([np.cos(1.1), 0.0, -np.sin(1.1), 0.0], (len(recording.head.times), 1)),
+        ),
+        gaze=replace(gaze, direction=direction),
+        hands=tuple(replace(each, points=shaken(each.points)) for each in recording.hands),
+    )
 
 
 @dataclass(frozen=True)
@@ -51,7 +74,7 @@ class SceneSource:
         slow, fast = clock(30), clock(120)
         moved = track(slow, cup_centre(slow, pick, put))
         reaching = hand("left", fast, finger_path(fast, pick, put))
-        recording = scene(objects=(moved,), hands=(reaching,))
+        recording = trembling(scene(objects=(moved,), hands=(reaching,)))
         return replace(recording, recording_id=self.recording_id, split_group="", unreadable=self.unreadable)
 
     def without_places(self, message: str) -> str:
