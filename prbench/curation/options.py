@@ -165,7 +165,7 @@ def build_options(
     """
     from prbench.protocol.own_protocol import read_protocol
 
-    mends = {option: stream_numbers(curation[option] or {}, option) for option in ("shift", "scale")}
+    mends = {name: stream_numbers(curation[name] or {}, name) for name in ("shift", "scale")}
     # Readers load meshes only where a rule asks for the surfaces of objects.
     implied = {"meshes": "true"} if curation["in_hand"] == "surface" else {}
     if events_only:

@@ -619,7 +619,9 @@ def _stuck(streams: Gridded) -> dict[str, Diagnosis]:
             said = f"{name}: does not move at all for {frozen:.1f} s ({share:.0%} of its time), expected at most"
             said += f" {_LONGEST_STILL:g} s at a time."
             cause = "The sensor or its file repeats one value."
-            found[name] = Diagnosis("stuck", share > 0.5, said, cause, "Copy or record it again.")
+            # A head or a hand may be held still by whatever carries it; eyes never are.
+            certain = name == "gaze" and share > 0.5
+            found[name] = Diagnosis("stuck", certain, said, cause, "Copy or record it again.")
     return found
 
 

@@ -47,7 +47,7 @@ for seed, name in enumerate(("P1_office", "P2_kitchen")):
     seconds = time_us[:, None] * 1e-6
     # Looks at the cup after 7 s, and after 10.5 s at the place to which it carries the cup from 10 s to 12 s.
     looks_at = np.where(seconds < 10.5, cup, shelf)
-    gaze = np.where(seconds > 7, looks_at - eyes, np.array([-1.0, 0.0, 0.2]))
+    gaze = np.where(seconds > 7, looks_at - eyes, np.array([-0.5, 0.0, 1.0]))
     cup_at = cup + (shelf - cup) * np.clip((seconds - 10) / 2, 0, 1)
     reached = np.clip(seconds - 9, 0, 1) - np.clip(seconds - 12.5, 0, 1)
     hand = standing[-1] + walked
