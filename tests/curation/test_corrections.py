@@ -8,8 +8,9 @@ import pytest
 
 from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.curation.build import build_shard_from_sources
-from prbench.curation.corrections import Corrections, UnknownEventError, read_corrections
+from prbench.curation.corrections import Correction, Corrections, UnknownEventError, read_corrections
 from prbench.curation.differences import compare_builds
+from prbench.curation.events import Decision, PickPutEvent
 from prbench.engine.shards import Shard
 from prbench.sequences import SequenceTable
 from prbench.viewing.explain import explain_event
@@ -177,6 +178,23 @@ def test_what_spreadsheets_write_is_read(tmp_path: Path, written_as: str) -> Non
     assert row[:3] == (f"{ROOM}/pick/1", "move", "-0.4")
 
 
-def test_an_empty_list_of_corrections_is_one(tmp_path: Path) -> None:
-    assert isinstance(read_corrections(written(tmp_path)), Corrections)
-    assert build(tmp_path).info.options["corrections"] == "0"
+@pytest.mark.parametrize(
+    ("outcome", "change", "value", "left"),
+    [
+        ("tracking_lost", "move", "0.20", None),
+        ("other_wearer", "hand", "left", None),
+        ("no_location", "goal", "1 1 1", None),
+        ("tracking_lost", "hand", "left", "tracking_lost"),
+        ("excluded_category", "move", "0.20", "excluded_category"),
+        ("other_wearer", "drop", "", "dropped_by_person"),
+        ("other_wearer", "accept", "", "other_wearer"),
+    ],
+)
+def test_a_correction_settles_the_doubt_that_it_answers(outcome, change, value, left) -> None:
+    doubted = PickPutEvent(
+        "adt/r/1/pick/5", "1", "cup", "pick", 5e-6, None, None, None, None, rejected=Decision(outcome, "location")
+    )
+    row = Correction(doubted.event_id, change, value, "seen", "MM", "line 2")
+    (settled,) = Corrections("c.csv", "", (row,)).settle([doubted])
+    assert (settled.rejected and settled.rejected.outcome) == left
+    assert (settled.place is None) == (change != "goal")

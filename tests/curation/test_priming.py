@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from prbench.curation import build_dataset, curate_recording, plan_build
+from prbench.curation.corrections import Correction, Corrections
 from prbench.curation.events import Decision, Place
 from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.curation.priming import Prime, find_prime, gaze_rays
@@ -147,8 +148,8 @@ def _recording(pick: PublishedPriming | None, put: PublishedPriming | None, **ch
     return dataclasses.replace(recording, **{"has_published_priming": True, **changes})
 
 
-def _curated(recording: Recording, options: CurationOptions = PUBLISHED):
-    curated = curate_recording(recording, MANIFEST, PROTOCOL, options)
+def _curated(recording: Recording, options: CurationOptions = PUBLISHED, corrections: Corrections | None = None):
+    curated = curate_recording(recording, MANIFEST, PROTOCOL, options, corrections=corrections)
     return curated, {event.action: event for event in curated.events}
 
 
@@ -185,6 +186,19 @@ def test_the_rule_does_not_look_at_what_is_published_but_tells_it() -> None:
     assert events["pick"].prime_time == pytest.approx(LOOK_A)
     assert (events["pick"].published_priming, events["pick"].published_prime_time) == ("primed", 12.0)
     assert (events["put"].published_priming, events["put"].published_prime_time) == ("excluded", None)
+
+
+@pytest.mark.parametrize(("change", "value"), [("move", "0.10"), ("goal", "0.5 0.92 1.5"), ("rename", "mug")])
+def test_an_event_at_another_time_or_place_is_primed_by_the_rule_whatever_is_published(change, value) -> None:
+    name = f"hd-epic/kitchen_1/cup/pick/{round(PICK * 1e6)}"
+    rows = (Correction(name, change, value, "seen", "MM", "line 2"),)
+    _, events = _curated(_recording(PRIMED_AT_12, None), corrections=Corrections("c.csv", "", rows))
+    primed = (
+        (12.0, "published")
+        if change == "rename"
+        else (pytest.approx(LOOK_A), "near_miss" if change == "goal" else "hit")
+    )
+    assert (events["pick"].prime_time, events["pick"].prime_kind) == primed
 
 
 def test_a_recording_of_which_nothing_is_published_is_refused() -> None:
