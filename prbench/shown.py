@@ -64,12 +64,6 @@ def markdown(text: object) -> str:
     return _BARE_LINK.sub(lambda link: f"{link[1] or ''}\\{link[0][-1]}", shown)
 
 
-def markdown_code(text: object) -> str:
-    """Return a text between backticks, in which Markdown knows no marks; its own backticks become apostrophes."""
-    shown = clean(text).replace("`", "'")
-    return f"`{shown}`"
-
-
 _MARKDOWN_MARKS = re.compile(r"[\\`*\[\]|~$]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])")
 # An ampersand that Markdown takes for the beginning of a character's name; any other shows itself.
 _ENTITY = re.compile(r"&(?=#?[A-Za-z0-9]+;)")

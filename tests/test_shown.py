@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from prbench.errors import InputFileError
-from prbench.shown import LONGEST_QUOTE, clean, csv_text, figure_text, html, markdown, markdown_code, quoted
+from prbench.shown import LONGEST_QUOTE, clean, csv_text, figure_text, html, markdown, quoted
 
 
 @pytest.mark.parametrize(
@@ -77,9 +77,8 @@ def test_other_cells_stay_as_they_are(text):
     assert csv_text(text) == text
 
 
-def test_pages_and_code_spans_hold_text_only():
+def test_pages_hold_text_only():
     assert html("<b>\x1b'\"") == "&lt;b&gt;\\x1b&#x27;&quot;"
-    assert markdown_code("a`<img>`") == "`a'<img>'`"
 
 
 def test_a_figure_draws_dollars_and_no_formulas(tmp_path):

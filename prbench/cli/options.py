@@ -79,8 +79,6 @@ benchmark_option = click.option(
     type=click.Choice(list(benchmarks())),
     help=f"What is asked of the method (default {default_benchmark().name}).",
 )
-# One built dataset folder or more.
-data_arguments = click.argument("data", type=PATH, nargs=-1, required=True, metavar="DIR...")
 weights_option = click.option(
     "--weights", type=PATH, metavar="NAME|FILE", help="The method's weights: bundled ones by name, a file or a folder."
 )
@@ -193,10 +191,10 @@ def engine_options(usual: int = 1, *, help: str = "", of: str = "") -> Callable:
     return add
 
 
-def split_option(default: str | None = "test", *, help: str = "") -> Callable:
+def split_option(default: str | None = "test", *, help: str = "", more: tuple[str, ...] = ()) -> Callable:
     """Add ``--split``; the test split unless another is named."""
     help = help or f"Split of the table (default {default})."
-    return click.option("--split", type=click.Choice(SPLITS), default=default, help=help)
+    return click.option("--split", type=click.Choice((*SPLITS, *more)), default=default, help=help)
 
 
 fold_option = click.option(

@@ -78,11 +78,8 @@ _FIRST_RUN_WORKERS = 2
 @click.option("--show-config", is_flag=True, help="Print the experiment that the command line means, and stop.")
 @opt.data_option(required=False, help="Built dataset folder(s); without it small synthetic ones are built and used.")
 @opt.out_folder_option("Run folder (default: one under ./runs); resumes. Several runs: the folder of their folders.")
-@click.option(
-    "--split",
-    type=click.Choice([*opt.SPLITS, opt.PUBLISHED]),
-    default="test",
-    help="Split of the table (default test); published: the published test windows of motion-prediction.",
+@opt.split_option(
+    help="Split of the table (default test); published: that of a study of motion prediction.", more=(opt.PUBLISHED,)
 )
 @click.option(
     "--folds",

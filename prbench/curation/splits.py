@@ -52,8 +52,8 @@ def draw_splits(recordings: Sequence[Recording], manifest: Manifest, rule: Split
         lengths = np.sort(seconds[left].sum(axis=1))
         fitting = int(np.searchsorted(np.cumsum(lengths), (share + rule.tolerance) * seconds.sum(), side="right"))
         count = min(max(math.floor(share * len(groups) + 0.5), fewest), fitting)
-        if split == "test":
-            count = max(count, min(len(groups), 1))
+        if groups and not settled:
+            count = max(count, 1)  # a table without a test part could not be scored at all
         chosen = left[balanced_choice(seconds[left], share * seconds.sum(axis=0), count)]
         settled |= {groups[number]: split for number in chosen}
         left = np.setdiff1d(left, chosen)

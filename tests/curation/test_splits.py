@@ -150,6 +150,7 @@ def test_a_list_names_a_twin_through_the_other_and_own_splits_stay():
     assert draw_splits(named, listed, RULE) == {"a0": "test", "b0": "test", "x": "train"}
     own = [recording("x", 60, split="validation"), recording("y", 60, split="test")]
     assert draw_splits(own, listed, RULE) == {"x": "validation", "y": "test"}
+    assert draw_splits([recording("x", 60), recording("new", 60)], listed, RULE) == {"x": "train", "new": "train"}
 
 
 def test_the_hash_fraction_of_a_known_name() -> None:

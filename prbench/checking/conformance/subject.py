@@ -107,12 +107,6 @@ class Answer:
         lengths = getattr(self.batch, "n_frames", None)
         return joints if lengths is None else joints[: int(lengths[row])]
 
-    @property
-    def given_joints(self) -> np.ndarray | None:
-        """The positions as the method returned them; None if it returned nothing with such."""
-        joints = getattr(self.returned, "joints", None)
-        return None if joints is None else np.asarray(joints)
-
 
 def program_misshaped(answer: Answer) -> bool:
     """Return True where a program's payload was refused before it became motions."""
