@@ -72,7 +72,6 @@ _RENAMED = {
     "cite": "datasets --cite DIR",
     "completion": "--help, which names the page on completion",
     "diversity": "analyse diversity RUN",
-    "error-budget": "analyse errors RUN",
     "help": "COMMAND --help",
     "help completion": "--help, which names the page on completion",
     "help exit-codes": "--help, which names the page on exit codes",

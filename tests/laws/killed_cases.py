@@ -240,7 +240,6 @@ WRITING = (
     Writing("export-release --out", "export-release {table} --out {out}", held="result/ADT"),
     Writing("analyse --out", "analyse agreement {run} --out {out}", "a.json"),
     Writing("analyse --out, diversity", "analyse diversity {several} --data {table} --out {out}", "d.json"),
-    Writing("analyse --out, errors", "analyse errors {static} --data {table} --out {out}"),
     Writing("analyse --fan", "analyse diversity {several} --data {table} --fan {out}", "fan.png"),
     Writing("study --out", "study table-1 {table} --out {out}", "t.csv"),
     Writing("study --out, a figure", "study figure-s2 {table} --out {out}", "f.svg", heavy=True),
