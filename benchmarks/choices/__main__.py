@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -18,10 +19,16 @@ import numpy as np
 from prbench.checking.verify_synthetic import match_events, true_events
 from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.curation.curate import curate_recording
+from prbench.engine import InProcess
+from prbench.harness.first_run import default_tables
+from prbench.harness.planning import select
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import read_scores
+from prbench.harness.scoring import COLUMNS, targets_of
 from prbench.harness.synthetic_table import Staging, synthetic_source
+from prbench.metrics import MotionBatch
+from prbench.metrics.prime_success import prime_success
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.protocol.own_protocol import FILE_NAME
 from prbench.sequences import SequenceTable
@@ -89,6 +96,8 @@ def main() -> None:
             print(_line(name, *_about(table, planned, first), *scores), flush=True)
         print()
         _print_length(SequenceTable.open(Path(folder) / "0" / "table"), Path(folder) / "0")
+    print()
+    _print_head_forward()
 
 
 ABOUT = ("sequences", "in test", "gap", f"above {STUDY_LENGTH} frames", "kept", "other prime", "prime on another look")
@@ -110,6 +119,25 @@ def _print_length(table: SequenceTable, folder: Path) -> None:
         _run(table, method, folder / method)
         print(_line(f"{method}, all", str(len(lengths)), *_means(folder / method)))
         print(_line(f"{method}, at most {STUDY_LENGTH} frames", str(len(short)), *_means(folder / method, only=short)))
+
+
+def _print_head_forward() -> None:
+    """Print Prime Success of recorded motion in the embedded tables by the angle of the head-forward vector."""
+    tables = [table.with_sequences() for table in default_tables(InProcess(), lambda *_: None)]
+    print(_line("angle", *(table.info.dataset for table in tables), "mean"))
+    print(_line(*["---"] * (2 + len(tables))))
+    own = "own angle"
+    for name, factor, degrees in ((own, 1, 0), ("0°", 0, 0), ("7.4°", 0, 7.4), ("38.3°", 0, 38.3), ("5° less", 1, -5)):
+        rates = []
+        for table in tables:
+            primed = []
+            for _, chunk in select(table, split="test", limit=None).windows(COLUMNS):
+                motion = MotionBatch(chunk.joints, chunk.offsets)
+                targets = targets_of(chunk, chunk.vectors("goal_location"), None)
+                targets = replace(targets, head_tilt_deg=factor * targets.head_tilt_deg + degrees)
+                primed += prime_success(motion, targets, load_protocol().metrics).tolist()
+            rates.append(100 * float(np.mean(primed)))
+        print(_line(name, *(f"{rate:.1f}" for rate in [*rates, np.mean(rates)])))
 
 
 def _run(table: SequenceTable, method: str, out: Path) -> None:
