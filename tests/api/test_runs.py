@@ -226,6 +226,10 @@ def test_pictures_of_a_run(table, runs, tmp_path):
         picture.save(tmp_path / "run.jpg")
     with pytest.raises(prbench.PrbenchError, match="no sequence 'elsewhere'"):
         runs[1].plot("elsewhere")
+    with pytest.raises(TypeError, match=r"'sequences'; its parameters are: sequence, data, limit, sample, permission"):
+        opened.plot(sequences=name)
+    with pytest.raises(prbench.PrbenchError, match="data=FOLDER"):
+        opened.plot(limit=1)
 
 
 _COMMANDS = [

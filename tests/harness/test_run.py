@@ -430,7 +430,8 @@ def test_a_folder_of_weights_is_known_by_the_content_of_its_files(table, tmp_pat
 
 
 def test_cost_counts_every_batch_once_and_keeps_warm_up_apart(table, tmp_path, install):
-    body = "if len(batch) > 2: raise MemoryError"
+    busy = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'sum(range(10**7))'])"
+    body = f"if len(batch) > 2: raise MemoryError\n            {busy}"
     declaring = "return Motions(joints, n_frames, Cost(7))"
     install("made", adapter_source(body=body).replace("return Motions(joints, n_frames)", declaring))
     run_method(request(table, tmp_path / "out", "made", samples=2))
@@ -438,5 +439,7 @@ def test_cost_counts_every_batch_once_and_keeps_warm_up_apart(table, tmp_path, i
     assert cost.motions + cost.warm_up_motions == 30
     assert cost.warm_up_motions == 8
     assert cost.seconds > 0
+    assert cost.processor_seconds > 0.05, "what a child process computes counts, too"
+    assert cost.warm_up_processor_seconds > 0
     assert cost.network_passes_declared == 7 * 2 * 8
     assert pq.read_table(tmp_path / "out/synthetic-adt/predictions").num_rows == 30
