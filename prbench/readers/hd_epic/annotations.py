@@ -64,7 +64,7 @@ class _Side(msgspec.Struct):
 
 
 class _Log(msgspec.Struct):
-    num_mp4_frames: int | None = None
+    num_mp4_frames: Any = None
 
 
 _ENTRIES = msgspec.json.Decoder(dict[str, msgspec.Raw])
@@ -73,7 +73,7 @@ _ASSOCIATION = msgspec.json.Decoder(_Association)
 _MASK = msgspec.json.Decoder(_Mask)
 _SIDE = msgspec.json.Decoder(_Side)
 _LOG = msgspec.json.Decoder(_Log)
-_MAP = msgspec.json.Decoder(dict[str, str | int])
+_MAP = msgspec.json.Decoder(dict[str, Any])
 
 
 def annotated_videos(associations: Path) -> tuple[str, ...]:
@@ -328,7 +328,7 @@ def read_video_clock(path: Path, log: Path | None) -> tuple[hd_epic.VideoClock, 
         remedy=_AGAIN,
     )
     frames = None if log is None else decode_json(log, _LOG).num_mp4_frames
-    if frames is None or frames == len(times):
+    if not isinstance(frames, int | float) or frames == len(times):
         return hd_epic.VideoClock(times), ()
     remark = f"{path.name} has {len(times)} rows for a video of {frames} frames: it may be truncated"
     return hd_epic.VideoClock(times), (remark,)
@@ -337,8 +337,11 @@ def read_video_clock(path: Path, log: Path | None) -> tuple[hd_epic.VideoClock, 
 def slam_number(path: Path) -> dict[str, str]:
     """Return the number of the archive by name of the video; keys of the file are ``P01/<video>.vrs``.
 
+    A video whose entry is no number has none.
+
     Raises:
         InputFileError: if the file is missing or damaged.
     """
     entries = decode_json(path, _MAP)
-    return {key.rpartition("/")[2].removesuffix(".vrs"): str(number) for key, number in entries.items()}
+    numbers = {key: str(value).removesuffix(".0") for key, value in entries.items()}
+    return {key.rpartition("/")[2].removesuffix(".vrs"): text for key, text in numbers.items() if text.isdecimal()}

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prbench.readers.hd_epic.annotations import _videos, read_priming, read_tracks
+from prbench.readers.hd_epic.annotations import _videos, read_priming, read_tracks, slam_number
 
 VIDEO = "P01-20240101-120000"
 TRACKS = {
@@ -162,3 +162,16 @@ def test_whole_numbers_with_a_decimal_point_are_frames_of_the_published_priming_
     odd = {"frame": 60.0, "3d_location": [], "prime_stats": {"frame_primed": -2.0}}
     sides, _ = _priming(folder, _with(PRIMING, ("1", "end"), odd))
     assert (sides["1/end"].frame, sides["1/end"].frame_primed, sides["1/end"].location) == (60, -2, None)
+
+
+def test_an_odd_number_of_an_archive_loses_its_own_video_alone(folder) -> None:
+    numbers = {
+        "P01/a.vrs": "0",
+        "P01/b.vrs": 7,
+        "P01/c.vrs": 3.0,
+        "P01/d.vrs": None,
+        "P01/e.vrs": {},
+        "P01/f.vrs": True,
+    }
+    (folder / "map.json").write_text(json.dumps(numbers))
+    assert slam_number(folder / "map.json") == {"a": "0", "b": "7", "c": "3"}
