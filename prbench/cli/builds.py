@@ -263,11 +263,11 @@ def _plan(dataset: str, root: Path, options: BuildOptions, workers: int) -> Answ
 
 def print_annotations(counts: AnnotationCounts) -> None:
     """Print how many annotations there are, by participant and beside the published counts."""
-    names = ("videos", "objects", "picks", "puts", "masks")
-    rows = [(person, *(f"{own[name]:,}" for name in names)) for person, own in counts.by_participant.items()]
-    for title, numbers in (("all", counts.totals), *counts.published.items()):
+    names = ("videos", "objects", "picks", "puts", "masks", "primed")
+    rows = []
+    for title, numbers in (*counts.by_participant.items(), ("all", counts.totals), *counts.published.items()):
         rows.append((title, *(f"{numbers[name]:,}" if name in numbers else "–" for name in names)))
-    print_table("annotated picks and puts", ("participant", *names), rows, numbers=range(1, 6))
+    print_table("annotated picks and puts", ("participant", *names), rows, numbers=range(1, 7))
     for line in (*counts.remarks, *counts.examples[:_EXAMPLES]):
         print(line)
 

@@ -370,7 +370,7 @@ class AnnotationCounts:
     """How many annotations of its events a dataset's files hold.
 
     Attributes:
-        totals: ``videos``, ``participants``, ``objects``, ``picks``, ``puts`` and ``masks`` of all videos.
+        totals: ``videos``, ``participants``, ``objects``, ``picks``, ``puts``, ``masks`` and ``primed`` of all videos.
         by_participant: The same of each participant.
         published: The same as others counted them, by who did.
         priming: Published priming, by action: ``primed``, ``not_primed`` and ``excluded``.

@@ -271,6 +271,7 @@ def count_annotations(
         if priming is not None:
             sides, odd = read_priming(priming, video)
             unreadable += odd
+            own["primed"] += sum(side.frame_primed >= 0 for side in sides)
             for side in sides:
                 told = {hd_epic.NOT_PRIMED: "not_primed", hd_epic.EXCLUDED: "excluded"}
                 outcomes["pick" if side.is_start else "put"][told.get(side.frame_primed, "primed")] += 1

@@ -74,7 +74,7 @@ def test_validate_counts_what_is_published_about_priming(repository, capsys) -> 
     sides = [side for objects in published.values() for entry in objects.values() for side in entry.values()]
     assert sum(sum(each.values()) for each in counts.priming.values()) == len(sides)
     primed = sum(side["prime_stats"]["frame_primed"] >= 0 for side in sides)
-    assert sum(each.get("primed", 0) for each in counts.priming.values()) == primed
+    assert sum(each.get("primed", 0) for each in counts.priming.values()) == primed == counts.totals["primed"]
     assert counts.published == {}, "nothing published stands beside invented videos"
     refused(["validate", "hd-epic"], capsys, code=2, message="--root DIR")
 
@@ -89,5 +89,6 @@ def test_the_official_file_has_the_published_counts(capsys) -> None:
     (dataset,) = reported(["inspect", str(OFFICIAL)], capsys).datasets
     counts = dataset.annotations
     assert counts.totals == counts.published["repository of 2025-05-30"]
+    assert counts.published["paper"]["primed"] == 18_264
     assert counts.by_participant["P03"]["picks"] == 3068
     assert counts.unreadable == []
