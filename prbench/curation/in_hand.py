@@ -217,21 +217,14 @@ def held_segments(
     pieces = runs(held)
     pieces = _joined(pieces, times[pieces[1:, 0]] - times[pieces[:-1, 1] - 1] <= join_gap + _SLACK)
     # A tracking gap beside a piece counts as part of it: the object was moved in there, too.
-    first = _across_gap(times, staying, pieces[:, 0], -1)
-    last = _across_gap(times, staying, pieces[:, 1] - 1, 1)
-    pieces = pieces[times[last] - times[first] >= minimum_duration - _SLACK]
+    ends = pieces - [0, 1]
+    beyond = np.clip(pieces - [1, 0], 0, len(times) - 1)
+    across = staying[beyond] & (np.abs(times[beyond] - times[ends]) > LONGEST_SURE_GAP + _SLACK)
+    lasting = np.diff(times[np.where(across, beyond, ends)], axis=1)[:, 0]
+    pieces = pieces[lasting >= minimum_duration - _SLACK]
     # Counts of samples that end a holding; equal counts on both sides of a gap mean none in it.
     left_before = np.concatenate(([0], np.cumsum(~staying)))
     return _joined(pieces, left_before[pieces[1:, 0]] == left_before[pieces[:-1, 1]])
-
-
-def _across_gap(
-    times: Float[np.ndarray, " n"], staying: Bool[np.ndarray, " n"], samples: Int[np.ndarray, " k"], step: int
-) -> Int[np.ndarray, " k"]:
-    """Return the neighbours of samples where a gap in the track and no end of the holding lies between, else these."""
-    neighbours = np.clip(samples + step, 0, len(times) - 1)
-    across = staying[neighbours] & (np.abs(times[neighbours] - times[samples]) > LONGEST_SURE_GAP + _SLACK)
-    return np.where(across, neighbours, samples)
 
 
 def _joined(pieces: Int[np.ndarray, "k 2"], together: Bool[np.ndarray, " gaps"]) -> Int[np.ndarray, "m 2"]:

@@ -271,7 +271,7 @@ class KnowsEnds(Reader, Protocol):
 class NamesFurtherFiles(Reader, Protocol):
     """A reader some of whose files are required only because others are there, or name them."""
 
-    def require_further(self, found: RecordingFiles) -> None:
+    def require_further(self, found: RecordingFiles) -> object:
         """Do that part of reading which asks for such files; `prbench inspect` does it, too.
 
         Raises:

@@ -45,12 +45,7 @@ Rotations = Annotated[Float[np.ndarray, "n 4"], pa.list_(pa.list_(pa.float32(), 
 Flags = Annotated[Bool[np.ndarray, " n"], pa.list_(pa.bool_()), "none"]
 # The number that decided an event.
 Decisive = Annotated[float, pa.float64(), "m; s where clipping, body or lost tracking decided; 1 of a confidence"]
-_PLAIN = {
-    str: (pa.string(), "none"),
-    float: (pa.float64(), "1"),
-    int: (pa.int32(), "1"),
-    bool: (pa.bool_(), "none"),
-}
+_PLAIN = {str: (pa.string(), "none"), float: (pa.float64(), "1"), int: (pa.int32(), "1"), bool: (pa.bool_(), "none")}
 # A line of an ``Attributes:`` section, and the lines that go on with it.
 _ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 

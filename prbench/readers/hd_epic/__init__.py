@@ -37,6 +37,7 @@ class HdEpicReader:
     dataset: str = "hd-epic"
     options: HdEpicOptions = HdEpicOptions()  # noqa: RUF009 (frozen)
     egoallo_inputs = staticmethod(aria_inputs)
+    require_further = staticmethod(body_model)
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
@@ -62,10 +63,6 @@ class HdEpicReader:
             return None
         published = {} if first.dataset != self.dataset else load_manifest(self.dataset).published_counts
         return count_annotations(associations, first.path(MASKS), first.path(PRIMING), published)
-
-    def require_further(self, found: RecordingFiles) -> None:
-        """See :class:`prbench.readers.NamesFurtherFiles`."""
-        body_model(found)
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""

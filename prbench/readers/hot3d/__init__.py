@@ -25,6 +25,7 @@ class Hot3dReader:
     dataset: str = "hot3d"
     options: Hot3dOptions = Hot3dOptions()  # noqa: RUF009 (frozen)
     egoallo_inputs = staticmethod(aria_inputs)
+    require_further = staticmethod(body_model)
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
@@ -38,10 +39,6 @@ class Hot3dReader:
         found.require_usable(manifest.why_bad(found.recording_id) or found.skip_reason)
         readings = read_readings(found)
         return recording_from_hot3d(readings, manifest, dataset=found.dataset, meshes=self.options.meshes)
-
-    def require_further(self, found: RecordingFiles) -> None:
-        """See :class:`prbench.readers.NamesFurtherFiles`."""
-        body_model(found)
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""
