@@ -22,6 +22,7 @@ from jaxtyping import Float
 from prbench.curation.corrections import CHANGES, COLUMNS
 from prbench.curation.in_hand import contact_distance
 from prbench.curation.job import NativeSource, native_sources
+from prbench.curation.mending import Numbers, mended, stream_numbers
 from prbench.curation.options import BuildOptions
 from prbench.curation.priming import gaze_rays
 from prbench.engine import Engine, InProcess
@@ -127,11 +128,16 @@ def write_review(
     events = sorted(chosen, key=doubt)[:limit]
     if not events:
         raise UsageError(f"{data}: expected events that the options choose, found none among {len(rows)}.")
+
+    def told(kind: str) -> dict[str, str]:
+        return {key.removeprefix(kind): text for key, text in info.options.items() if key.startswith(kind)}
+
     # The recordings are read as the table's build read them; of options that are places the table knows digests only.
     name = info.dataset.removeprefix(SYNTHETIC_PREFIX)
-    told = {key.removeprefix("reader."): text for key, text in info.options.items() if key.startswith("reader.")}
     usual = reader_for(name).options
-    reader = {key: text for key, text in told.items() if getattr(usual, key, None) is not None} | dict(option or {})
+    reader = {key: text for key, text in told("reader.").items() if getattr(usual, key, None) is not None}
+    reader |= dict(option or {})
+    mends = (stream_numbers(told("shift."), "shift"), stream_numbers(told("scale."), "scale"))
     sources = {each.recording_id: each for each in native_sources(name, root, BuildOptions(reader=(*reader.items(),)))}
     work = [
         (each, sources.get(each), [event for event in events if event.recording_id == each])
@@ -143,7 +149,7 @@ def write_review(
     said = info.options.get("in_hand_rule", "none")
     rule = None if said == "none" else load_manifest(name).in_hand_rule(None if said == "default" else said)
     before = protocol.curation.priming_window + _BEFORE
-    draw = partial(_pictures, rule=rule, origin=info.options.get("ray_origin", "eye"), before=before)
+    draw = partial(_pictures, mends=mends, rule=rule, origin=info.options.get("ray_origin", "eye"), before=before)
     pictures: dict[str, dict[str, Any]] = {}
     problems: dict[str, str] = {}
     for number, (found, problem) in enumerate(engine.map(draw, work)):
@@ -213,14 +219,19 @@ def _uncorrected(event: Event) -> float:
 
 
 def _pictures(
-    work: tuple[str, NativeSource | None, Sequence[Event]], *, rule: InHandRule | None, origin: str, before: float
+    work: tuple[str, NativeSource | None, Sequence[Event]],
+    *,
+    mends: tuple[Numbers, Numbers],
+    rule: InHandRule | None,
+    origin: str,
+    before: float,
 ) -> tuple[dict[str, dict[str, Any]], str]:
     """Read one recording and return the numbers of its events' pictures, or why there are none."""
     _, source, events = work
     if source is None:
         return {}, "this recording is not below --root"
     try:
-        recording = source.read()
+        recording = mended(source.read(), *mends)
     except PrbenchError as error:
         return {}, source.without_places(str(error))
     rays = gaze_rays(recording, origin)

@@ -8,12 +8,13 @@ import shutil
 import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 
 from prbench.cli import main
-from prbench.curation import BuildOptions, build_dataset
+from prbench.curation import BuildOptions, CurationOptions, build_dataset
 from prbench.curation.corrections import CHANGES, COLUMNS, read_corrections
 from prbench.engine.pool import ProcessPool
 from prbench.errors import InputFileError, RedistributionError, UsageError
@@ -36,9 +37,9 @@ def made(dataset: str) -> Path:
     return made_once(f"reviewed-{dataset}", make)
 
 
-def page(place: Path, out: Path, table: Path | None = None, **chosen) -> dict:
+def page(place: Path, out: Path, **chosen: Any) -> dict:
     """Return the numbers of a page."""
-    write_review(table or place / "table", place / "raw", out, **chosen)
+    write_review(chosen.pop("table", place / "table"), place / "raw", out, **chosen)
     text = out.read_text(encoding="utf-8")
     (data,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text, flags=re.DOTALL)
     return json.loads(data)
@@ -110,9 +111,13 @@ def test_no_name_becomes_markup_and_nothing_is_loaded(tmp_path) -> None:
     event = SequenceTable.open(place / "table").events()["event_id"][0].as_py()
     corrections = tmp_path / "c.csv"
     corrections.write_text(f'{",".join(COLUMNS)}\n{event},rename,{HOSTILE},"{HOSTILE}",MM\n')
-    options = BuildOptions(corrections=read_corrections(corrections))
+    options = BuildOptions(CurationOptions(shift=(("gaze", 0.4),)), corrections=read_corrections(corrections))
     build_dataset("adt", place / "raw", tmp_path / "table", options=options)
-    data = page(place, tmp_path / "page.html", tmp_path / "table")
+    data = page(place, tmp_path / "page.html", table=tmp_path / "table")
+    for each in data["events"]:  # streams are shifted as for the table: the first look begins at the prime
+        if each["prime"] is not None:
+            looks = [0 <= at(data, each, "gaze", each["prime"] + later) <= data["near"] for later in (-0.15, 0.0)]
+            assert looks == [False, True]
     (shown,) = (each for each in data["events"] if each["id"] == event)
     assert HOSTILE in shown["title"] and HOSTILE in shown["corrected"]  # noqa: PT018
     assert data["notice"].startswith("This table was built with corrections: load their file first")
@@ -137,9 +142,9 @@ def test_where_the_licence_keeps_recorded_motion_the_page_needs_permission(tmp_p
     info = DatasetInfo.read(table)
     msgspec.structs.replace(info, redistribution="none").write(table)
     with pytest.raises(RedistributionError, match="--permission synthetic-adt"):
-        page(place, tmp_path / "page.html", table)
+        page(place, tmp_path / "page.html", table=table)
     assert not (tmp_path / "page.html").exists()
-    data = page(place, tmp_path / "page.html", table, permitted=["synthetic-adt"])
+    data = page(place, tmp_path / "page.html", table=table, permitted=["synthetic-adt"])
     assert "do not pass it on" in data["notice"]
 
 

@@ -176,8 +176,8 @@ class FilmStage:
         grid = self._figure.add_gridspec(
             rows, columns, left=0.04, right=0.6, bottom=0.07, top=0.88, hspace=0.3, wspace=0.1
         )
-        for place, motion in zip(grid, scene.motions, strict=False):
-            panel = self._figure.add_subplot(place)
+        for number, motion in enumerate(scene.motions):
+            panel = self._figure.add_subplot(grid[number])
             panel.set(xlim=(low[0] - _FOOTPRINT, high[0] + _FOOTPRINT), ylim=(-0.05, height))
             panel.set_aspect("equal", adjustable="box")
             panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
