@@ -116,6 +116,7 @@ def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Pat
         require(root, (name and _is_wanted(name, dataset), "", wanted, root.resolve().name, remedy))
         return [(name, root)]
     level = [root]
+    found: list[tuple[str, Path]] = []
     for depth in range(1 + _FOLDERS_DEEP):
         inner = sorted(folder for around in level for folder in around.iterdir() if folder.is_dir())
         # A folder `adt` somewhere below may be anything, such as a built table.

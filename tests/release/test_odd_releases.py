@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ def renamed(old, new, change=lambda value: value):
     return each_entry(entry)
 
 
-def split_lists(found, spell=str):
+def split_lists(found, spell: Callable[[str], object] = str):
     """Take the subsets out of the entries: keys of each subset."""
     lists = {"train": [], "test": []}
     for key, fields in found.items():
