@@ -59,14 +59,11 @@ class MergedRun:
         made_from = tuple(map(FoldRun.of, self.folds))
         with sole_writer(out):
             if out.exists() and (not out.is_dir() or any(out.iterdir())):
-                if not (out / FOLDS_FILE).is_file():
-                    raise StorageError(
-                        f"{out}: exists and holds no {FOLDS_FILE}, so it is no merged run. Choose a new folder for"
-                        " --out."
-                    )
-                if read_folds(out) != made_from:
-                    raise StorageError(f"{out}: holds the merged scores of other runs. Choose a new folder for --out.")
-                return
+                if (out / FOLDS_FILE).is_file() and read_folds(out) == made_from:
+                    return
+                raise StorageError(
+                    f"{out}: holds something else than these runs merged. Choose a new folder for --out."
+                )
             with atomic_folder(out) as folder:
                 self.record.write(folder)
                 protocol = self.folds[0].protocol

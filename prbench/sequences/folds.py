@@ -69,7 +69,6 @@ def fold_tables(folders: Iterable[Path], fold: str | None) -> tuple[Path, ...]:
     for folder in folders:
         table = SequenceTable.open(folder).with_sequences()
         info = table.info
-        _require_whole(table)
         # Everything that the fold's bytes depend on. Runs find their tables in this place of the cache.
         key = text_digest(prbench.__version__, str(SCHEMA_VERSION), info.content_digest, info.protocol_digest)
         out = cache_folder() / "tables" / f"{info.dataset}-fold-{number}-of-{count}-{key[:12]}"
@@ -161,7 +160,8 @@ def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> Dat
         StorageError: if the folder holds something else, or cannot be written.
     """
     parse_fold(f"{fold}/{folds}")
-    _require_whole(table)
+    if OPTION in table.info.options:
+        raise UsageError(f"{table.folder}: is fold {table.info.options[OPTION]} already; name the whole table.")
     table.require_unchanged()
     fold_of = participant_folds(table, folds)
 
@@ -183,8 +183,3 @@ def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> Dat
             recordings=map(split, table.recordings().to_batches()),
             scenes=table.scenes().to_batches(),
         )
-
-
-def _require_whole(table: SequenceTable) -> None:
-    if OPTION in table.info.options:
-        raise UsageError(f"{table.folder}: is fold {table.info.options[OPTION]} already; name the whole table.")

@@ -220,7 +220,12 @@ def test_forged_merged_scores_are_refused(fold_runs, tmp_path, capsys):
     with pytest.raises(RunError, match="does not follow from the runs"):
         collect_runs([out, *fold_runs])
     words = ["merge", *map(str, fold_runs), "--out"]
-    refused([*words, str(fold_runs[0])], capsys, code=StorageError.exit_code, message="it is no merged run")
+    refused(
+        [*words, str(fold_runs[0])],
+        capsys,
+        code=StorageError.exit_code,
+        message="something else than these runs merged",
+    )
 
 
 @pytest.fixture(scope="module")
