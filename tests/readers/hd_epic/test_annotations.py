@@ -71,39 +71,40 @@ anything = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
     max_leaves=4,
 )
-many = settings(max_examples=150, deadline=None)
 
 
-@many
-@given(anything)
-def test_whatever_stands_in_place_of_an_object_its_neighbour_is_read(folder, value) -> None:
-    found, unreadable = _tracks(folder, _with(TRACKS, ("bowl",), value))
-    assert found.keys() >= {"t2", "t3"}
-    assert len(unreadable) <= 1
+CONTENT = {"tracks": TRACKS, "masks": MASKS, "priming": PRIMING}
+ALL = {"t1", "t2", "t3", "t1/m1", "t1/m2", "t2/m3", "0/start", "0/end", "1/start", "1/end"}
+# An entry, what may be lost with it, and places in it.
+ENTRIES: list[tuple[str, tuple[Any, ...], set[str], list[tuple[Any, ...]]]] = [
+    ("tracks", ("bowl",), {"t1", "t1/m1", "t1/m2"}, [()]),
+    (
+        "tracks",
+        ("jar", "tracks", 0),
+        {"t2", "t2/m3"},
+        [(), ("track_id",), ("time_segment", 0), ("masks",), ("masks", 0)],
+    ),
+    ("masks", ("m1",), {"t1/m1"}, [(), ("frame_number",), ("3d_location",), ("3d_location", 1), ("bbox",)]),
+    (
+        "priming",
+        ("1", "end"),
+        {"1/end"},
+        [(), ("frame",), ("3d_location",), ("prime_stats",), ("prime_stats", "frame_primed")],
+    ),
+]
+PLACES = [(what, (*entry, *inside), lost) for what, entry, lost, places in ENTRIES for inside in places]
 
 
-@many
-@given(anything, st.sampled_from([(), ("track_id",), ("time_segment",), ("time_segment", 0), ("masks",)]))
-def test_whatever_stands_in_a_movement_the_others_are_read(folder, value, inside) -> None:
-    found, unreadable = _tracks(folder, _with(TRACKS, ("jar", "tracks", 0, *inside), value))
-    assert found.keys() >= {"t1", "t3"}
-    assert len(found) + len(unreadable) == 3
-
-
-@many
-@given(anything, st.sampled_from([(), ("frame_number",), ("3d_location",), ("3d_location", 1), ("bbox",)]))
-def test_whatever_stands_in_a_mask_the_others_keep_their_places(folder, value, inside) -> None:
-    found, unreadable = _tracks(folder, masks=_with(MASKS, ("m1", *inside), value))
-    assert [mask.mask_id for mask in found["t2"].masks] == ["m3"]
-    assert len(found["t1"].masks) + len(unreadable) == 2
-
-
-@many
-@given(anything, st.sampled_from([(), ("frame",), ("3d_location",), ("prime_stats",), ("prime_stats", "frame_primed")]))
-def test_whatever_stands_in_a_published_side_the_others_are_read(folder, value, inside) -> None:
-    sides, unreadable = _priming(folder, _with(PRIMING, ("1", "end", *inside), value))
-    assert sides.keys() >= {"0/start", "0/end", "1/start"}
-    assert len(unreadable) <= 1
+@settings(max_examples=300, deadline=None)
+@given(anything, st.sampled_from(PLACES))
+def test_whatever_stands_in_place_of_one_entry_the_others_are_read(folder, value, place) -> None:
+    what, path, may_be_lost = place
+    content = CONTENT | {what: _with(CONTENT[what], path, value)}
+    tracks, odd = _tracks(folder, content["tracks"], content["masks"])
+    sides, odd_sides = _priming(folder, content["priming"])
+    masks = {f"{name}/{mask.mask_id}" for name, track in tracks.items() for mask in track.masks}
+    assert ALL - {*tracks, *masks, *sides} <= may_be_lost
+    assert len(odd) + len(odd_sides) <= 1
 
 
 @pytest.mark.parametrize(
