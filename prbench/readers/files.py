@@ -434,7 +434,7 @@ def read_entries(
             readable[key] = decode(raw)
         except InputFileError as error:
             unreadable.append(UnreadableEntry(path.name, key, error.expected, error.found))
-        except (msgspec.DecodeError, ValueError) as error:
+        except ValueError as error:  # those of msgspec are such, too
             found = _GOT.sub(r"\2 instead of \1", str(error)).replace(" - at ", " at ")
             unreadable.append(UnreadableEntry(path.name, key, expected, found))
     return readable, unreadable
