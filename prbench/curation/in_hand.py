@@ -217,8 +217,8 @@ def held_segments(
     pieces = runs(held)
     pieces = _joined(pieces, times[pieces[1:, 0]] - times[pieces[:-1, 1] - 1] <= join_gap + _SLACK)
     # A tracking gap beside a piece counts as part of it: the object was moved in there, too.
-    ends = pieces - [0, 1]
-    beyond = np.clip(pieces - [1, 0], 0, len(times) - 1)
+    ends = pieces - np.array([0, 1])
+    beyond = np.clip(pieces - np.array([1, 0]), 0, len(times) - 1)
     across = staying[beyond] & (np.abs(times[beyond] - times[ends]) > LONGEST_SURE_GAP + _SLACK)
     lasting = np.diff(times[np.where(across, beyond, ends)], axis=1)[:, 0]
     pieces = pieces[lasting >= minimum_duration - _SLACK]

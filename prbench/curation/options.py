@@ -165,13 +165,13 @@ def build_options(
     """
     from prbench.protocol.own_protocol import read_protocol
 
-    mends = {name: stream_numbers(curation[name] or {}, name) for name in ("shift", "scale")}
+    curation |= {name: stream_numbers(curation[name] or {}, name) for name in ("shift", "scale")}
     # Readers load meshes only where a rule asks for the surfaces of objects.
     implied = {"meshes": "true"} if curation["in_hand"] == "surface" else {}
     if events_only:
         implied["events_only"] = "true"
     return BuildOptions(
-        curation=CurationOptions(**curation | mends),
+        curation=CurationOptions(**curation),
         recordings=recordings,
         limit=max_recordings,
         reader=tuple(sorted((implied | dict(option)).items())),

@@ -170,3 +170,11 @@ def test_builds_of_different_datasets_are_not_compared(first) -> None:
     msgspec.structs.replace(DatasetInfo.read(second), dataset="synthetic-gimo").write(second)
     with pytest.raises(UsageError, match="synthetic-gimo"):
         compare_builds(first, second)
+
+
+def test_what_an_older_version_does_not_tell_is_no_difference(first) -> None:
+    surer = [fake_event(row, event_confidence=0.5, prime_margin=0.02) for row in ROWS]
+    second = write(first.with_name("second"), events=surer)
+    assert {change.decided_by for change in compare_builds(first, second).changes} == {"prime_margin, event_confidence"}
+    msgspec.structs.replace(DatasetInfo.read(first), schema_version=3).write(first)
+    assert compare_builds(first, second).equal
