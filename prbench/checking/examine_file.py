@@ -131,13 +131,7 @@ def _from_table(names: Sequence[str], folder: Path, *, seed: int) -> dict[str, E
 def _from_conditions(names: Sequence[str], path: Path) -> dict[str, Expected]:
     """Return what a conditions file asks for: by opaque id, by number, or in order where there are no names."""
     conditions = read_conditions_file(path)
-    expected = []
-    for row in range(len(conditions)):
-        initial, previous = (
-            None if each is None else np.asarray(each[row], dtype=np.float64)
-            for each in (conditions.initial_joints, conditions.previous_joints)
-        )
-        expected.append(Expected(initial, previous, int(conditions.n_frames[row]), float(conditions.fps[row])))
+    expected = Expected.of_each(conditions)
     found = dict(zip(conditions.opaque_id, expected, strict=True))
     # The names that `motions/%010d.npy` files have.
     found |= {f"{row:010d}": each for row, each in enumerate(expected)}

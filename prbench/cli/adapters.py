@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -168,8 +167,7 @@ def new(*, benchmark: str | None, **given: Any) -> Answer:
     return Answer(made, show)
 
 
-# Colour of each outcome, from good to bad.
-_COLOURS = {"passed": "green", "skipped": "dim", "warning": "yellow", "failed": "bold red"}
+_OUTCOMES = ("passed", "skipped", "warning", "failed")
 _FAILED = 5  # as for every other breach of the adapter contract
 
 
@@ -229,7 +227,7 @@ def check(
 
 
 def print_report(report: Report) -> None:
-    """Print a table on a terminal, plain lines elsewhere; one line for all checks that wait for the same one."""
+    """Print a line a finding, and one for all checks that wait for the same one."""
     shown = []
     waiting: dict[str, list[str]] = {}
     for finding in report.findings:
@@ -239,24 +237,12 @@ def print_report(report: Report) -> None:
         # Behind a log the remedy has a line of its own.
         between = "\n    " if "\n" in finding.said else " "
         shown.append((finding.check, finding.outcome.value, f"{finding.said}{between}{finding.remedy}".strip()))
-    if sys.stdout.isatty():
-        from rich import box
-        from rich.table import Table
-        from rich.text import Text
-
-        from prbench.cli.terminal import console
-
-        table = Table("check", "", "what was found, and what to change", box=box.SIMPLE, pad_edge=False)
-        for check_name, outcome, sentences in shown:
-            table.add_row(check_name, Text(outcome, _COLOURS[outcome]), clean(sentences, keep="\n"))
-        console().print(table)
-    else:
-        for check_name, outcome, sentences in shown:
-            print(f"{outcome:<8} {check_name:<16} {sentences}")
+    for check_name, outcome, sentences in shown:
+        print(f"{outcome:<8} {check_name:<16} {clean(sentences, keep=chr(10))}")
     for reason, names in waiting.items():
         print(f"skipped  {reason} {len(names)}: {', '.join(names)}.")
     counts = ", ".join(
-        f"{sum(finding.outcome == outcome for finding in report.findings)} {outcome}" for outcome in _COLOURS
+        f"{sum(finding.outcome == outcome for finding in report.findings)} {outcome}" for outcome in _OUTCOMES
     )
     verdict = "does not keep the contract" if report.failed else "keeps the contract"
     print(f"{report.method} {verdict}: {counts}; {report.seconds:.1f} s.")

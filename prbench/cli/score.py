@@ -17,7 +17,6 @@ from prbench.cli.summaries import (
     exit_code_of,
     print_agreement,
     print_findings,
-    print_scene,
     print_summary,
     run_answer,
 )
@@ -150,7 +149,6 @@ def score(
         for each in made:
             print_summary(each.scores, origin=each.origin, motionless=each.motionless)
             print_agreement(each.agreement)
-            print_scene([each.scores], [each.agreement])
         if out is not None:
             print(f"scores: {out}")
             if any(each.scores.condition == UNSTATED for each in made):

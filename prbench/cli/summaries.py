@@ -47,25 +47,6 @@ def print_agreement(agreement: DatasetAgreement | None) -> None:
         print(f"agreement with recorded people (phi): {', '.join(parts)}")
 
 
-def print_scene(summaries: Sequence[DatasetSummary], agreements: Sequence[DatasetAgreement | None]) -> None:
-    """Print with ``--all`` how far motions come into the boxes of the scene, beside recorded people.
-
-    Args:
-        summaries: Scores of one method, one a dataset.
-        agreements: One a dataset, in the same order; None for a run of an earlier version.
-    """
-    for summary, agreement in zip(summaries, agreements, strict=True):
-        share = summary.metric("scene_penetration")
-        depth = summary.metric("scene_depth")
-        people = agreement and agreement.scene
-        if session().all_metrics and share and depth and people:
-            print(
-                f"{_short(summary)}: joints inside solid boxes in {100 * share.mean:.2f} % of frames,"
-                f" {100 * depth.mean:.1f} cm at the deepest (recorded people {100 * people.penetration:.2f} %,"
-                f" {100 * people.depth:.1f} cm); {people.solid} of {people.boxes} boxes; never ranked"
-            )
-
-
 def print_summary(
     summary: DatasetSummary, *, origin: str, motionless: bool = False, metrics: Sequence[MetricInfo] = ()
 ) -> None:
@@ -396,4 +377,3 @@ def _print_run(report: RunReport, *, single: bool) -> None:
     else:
         one_mean = share_a_mean(record.tables)
         print_datasets(report.summaries, agreements, metrics=metrics, one_mean=one_mean, **shared)
-    print_scene(report.summaries, agreements)

@@ -11,6 +11,7 @@ import pkgutil
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -77,20 +78,16 @@ class MetricInfo:
         return " ↑" if self.higher_is_better else " ↓"
 
 
-def headline(
-    id: str, title: str, unit: str, position: int, *, higher_is_better: bool, **more: bool | str
+def described(
+    main: bool, id: str, title: str, unit: str, position: int, *, higher_is_better: bool | None, **more: Any
 ) -> MetricInfo:
-    """Describe a metric that stands in leaderboards; ``more`` are further fields of :class:`MetricInfo`."""
+    """Describe a metric; ``more`` are further fields of :class:`MetricInfo`."""
     told: dict[str, Any] = {"compares_with_recorded": False} | more
-    return MetricInfo(id, title, unit, higher_is_better=higher_is_better, main=True, position=position, **told)
+    return MetricInfo(id, title, unit, higher_is_better=higher_is_better, main=main, position=position, **told)
 
 
-def detail(
-    id: str, title: str, unit: str, position: int, *, higher_is_better: bool | None, **more: bool | str
-) -> MetricInfo:
-    """Describe a metric that stands in the scores of single runs alone; ``more`` are further fields."""
-    told: dict[str, Any] = {"compares_with_recorded": False} | more
-    return MetricInfo(id, title, unit, higher_is_better=higher_is_better, main=False, position=position, **told)
+headline = partial(described, True)  # of a metric that stands in leaderboards
+detail = partial(described, False)  # of one that stands in the scores of single runs alone
 
 
 def printed_scale(unit: str) -> float:

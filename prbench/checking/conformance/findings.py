@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -106,18 +106,6 @@ class CheckRequest:
     time_limit: float = TIME_LIMIT
     start_limit: float = START_LIMIT
 
-    def as_json(self) -> dict[str, object]:
-        """Return the request as plain values, for another process."""
-        weights = None if self.weights is None else str(self.weights)
-        data = None if self.data is None else str(self.data.absolute())
-        return asdict(self) | {"options": dict(self.options), "weights": weights, "data": data}
-
-    @classmethod
-    def of_json(cls, values: Mapping[str, Any]) -> CheckRequest:
-        """Read the request that :meth:`as_json` wrote."""
-        paths = {name: None if values[name] is None else Path(values[name]) for name in ("weights", "data")}
-        return cls(**{**values, **paths})
-
 
 def passed(said: str, **numbers: float) -> Finding:
     """Find that all is well; ``said`` holds the evidence. The loop puts the name of the check to it."""
@@ -163,15 +151,9 @@ class Check:
     fresh: bool = False
 
 
-def check(
-    name: str, title: str, *, needs: tuple[str, ...] = (), of_motions: bool = False, fresh: bool = False
-) -> Callable[[_Examine], Check]:
+def check(name: str, title: str, **settings: Any) -> Callable[[_Examine], Check]:
     """Make a check of a function; the arguments are those of :class:`Check`."""
-
-    def made(examine: _Examine) -> Check:
-        return Check(name, title, examine, needs, of_motions, fresh)
-
-    return made
+    return lambda examine: Check(name, title, examine, **settings)
 
 
 def examine(

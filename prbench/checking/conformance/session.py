@@ -23,6 +23,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
+import msgspec
 import psutil
 
 from prbench.checking.conformance.cases import cases_of_table, synthetic_cases
@@ -94,7 +95,7 @@ def run_ordered() -> None:
         events.write(json.dumps(event) + "\n")
         events.flush()
 
-    request = CheckRequest.of_json(order["request"])
+    request = msgspec.convert(order["request"], CheckRequest, dec_hook=lambda kind, text: kind(text))
     folder = Path(order["folder"])
     spec = method_spec(
         request.method,
@@ -185,7 +186,7 @@ def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
                     findings += [replace(skipped(why), check=one.name) for one in left]
                     break
                 order = {
-                    "request": request.as_json(),
+                    "request": msgspec.to_builtins(request, enc_hook=str),
                     "checks": [one.name for one in left],
                     "known": {name: outcome.value for name, outcome in known.items()},
                     "folder": folder,
@@ -198,8 +199,7 @@ def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
                             if announce is not None:
                                 announce(blamed, next(announced), len(judge.checks))
                         elif message["event"] == "finding":
-                            found = message["finding"]
-                            findings.append(Finding(**(found | {"outcome": Outcome(found["outcome"])})))
+                            findings.append(msgspec.convert(message["finding"], Finding))
                 except _Lost as why_lost:
                     if left and left[0].name == blamed:
                         del left[0]

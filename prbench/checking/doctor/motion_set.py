@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -32,6 +33,14 @@ class Expected:
     previous_joints: Float[np.ndarray, "22 3"] | None = None
     n_frames: int | None = None
     fps: float | None = None
+
+    @classmethod
+    def of_each(cls, asked: Any) -> list[Expected]:
+        """Return what a batch of conditions, or a file of them, asks of each of its motions."""
+        nothing = [None] * len(asked)
+        poses = (nothing if each is None else each for each in (asked.initial_joints, asked.previous_joints))
+        rates = np.broadcast_to(asked.fps, len(asked)).tolist()
+        return [cls(*each) for each in zip(*poses, asked.n_frames.tolist(), rates, strict=True)]
 
 
 NOTHING_KNOWN = Expected()

@@ -57,13 +57,7 @@ def doctor(subject: Subject) -> Iterator[Finding]:
 def _diagnosed(subject: Subject, condition: Condition) -> tuple[Diagnosis, ...]:
     answer = subject.standard(condition)
     batch = answer.batch
-    expected = []
-    for row in range(len(batch)):
-        initial, previous = (
-            None if each is None else each[row] for each in (batch.initial_joints, batch.previous_joints)
-        )
-        expected.append(Expected(initial, previous, int(batch.n_frames[row]), batch.fps))
-    return diagnose([answer.motion(row) for row in range(len(batch))], expected, fps=batch.fps)
+    return diagnose([answer.motion(row) for row in range(len(batch))], Expected.of_each(batch), fps=batch.fps)
 
 
 def _is_failure(subject: Subject, diagnosis: Diagnosis) -> bool:
@@ -72,11 +66,10 @@ def _is_failure(subject: Subject, diagnosis: Diagnosis) -> bool:
 
 def _hidden_by(subject: Subject, kinds: frozenset[str]) -> Finding | None:
     """Return a skip if a diagnosed fault already explains a measurement, else None."""
-    for condition in subject.working:
-        for diagnosis in _diagnosed(subject, condition):
-            if diagnosis.kind in kinds and _is_failure(subject, diagnosis):
-                return skipped(f"not looked at before 'doctor' passes ({diagnosis.kind}).")
-    return None
+    found = (each for condition in subject.working for each in _diagnosed(subject, condition))
+    hiding = (each.kind for each in found if each.kind in kinds and _is_failure(subject, each))
+    first = next(hiding, "")
+    return skipped(f"not looked at before 'doctor' passes ({first}).") if first else None
 
 
 @check("initial-pose", "motions begin with the pose that they were given", of_motions=True)
