@@ -94,7 +94,7 @@ permission_option = click.option(
 )
 
 
-def data_option(*, required: bool, help: str = "Built dataset folder(s).") -> Callable:
+def data_option(*, required: bool, help: str = "Built dataset folder(s), or a folder of such.") -> Callable:
     """Add ``--data DIR…``, repeatable; a folder that is no table stands for the tables in it."""
 
     def each_table(_ctx: click.Context, _param: click.Parameter, folders: tuple[Any, ...]) -> tuple[Any, ...]:

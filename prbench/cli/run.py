@@ -76,7 +76,7 @@ _FIRST_RUN_WORKERS = 2
     " folder: the run is repeated.",
 )
 @click.option("--show-config", is_flag=True, help="Print the experiment that the command line means, and stop.")
-@opt.data_option(required=False, help="Built dataset folder(s); without it small synthetic ones are built and used.")
+@opt.data_option(required=False, help="Built dataset folder(s), or a folder of such (default: small synthetic ones).")
 @opt.out_folder_option("Run folder (default: one under ./runs); resumes. Several runs: the folder of their folders.")
 @opt.split_option(
     help="Split of the table (default test); published: that of a study of motion prediction.", more=(opt.PUBLISHED,)
