@@ -28,7 +28,7 @@ from prbench.sequences.sequence import recording_key
 from tests.fakes import fake_dataset
 from tests.harness.run_folder.test_record import METRIC, SUMMARY
 
-ENTRY = msgspec.structs.replace(METRIC, mean=0.25, low=0.2, high=0.3, interval="student-hall-cluster")
+ENTRY = msgspec.structs.replace(METRIC, mean=0.25, low=0.2, high=0.3, interval="student-cr2")
 
 
 def tree(entry: MetricSummary) -> dict[str, object]:
