@@ -43,7 +43,6 @@ from prbench.viewing.replay.scene import (
 )
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -313,26 +312,22 @@ def chosen_frames(scene: Scene) -> Int[np.ndarray, " poses"]:
 def _draw_key(axes: Axes, scene: Scene) -> None:
     """Explain the lines and marks that this sequence's picture has."""
     from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
 
-    grey: dict[str, Any] = {"color": MARK_COLOUR}
-    handles: list[Artist] = [
-        Line2D([], [], linewidth=2.1, label="right limbs and trunk (left: thin)", **grey),
-        Line2D([], [], linewidth=1.1, linestyle=(0, (4, 2)), label="head ray", **grey),
+    with_gaze = [motion.label for motion in scene.motions if motion.gaze is not None]
+    generated = bool(set(with_gaze) - {RECORDED})
+    entries: list[tuple[bool, str, dict[str, Any]]] = [
+        (True, "right limbs and trunk (left: thin)", {"linewidth": 2.1}),
+        (True, "head ray", {"linewidth": 1.1, "linestyle": (0, (4, 2))}),
+        (bool(with_gaze), "gaze", {"linewidth": 1.5, "color": GAZE_COLOUR}),
+        (generated, "generated gaze (from above, curves)", {"linewidth": 1.5, "linestyle": ":"}),
+        (scene.goal is not None, "goal and its box", {"marker": "s", "linestyle": "", "color": GOAL_COLOUR}),
+        (True, "first frame", {"marker": "o", "linestyle": "", "markersize": 5}),
+        (True, "at prime time", {"marker": "D", "linestyle": "", "markersize": 5}),
+        (True, "at the event", {"marker": "*", "linestyle": "", "markersize": 9}),
+        (True, f"prime time ± {scene.thresholds.prime_window:g} s", {"linewidth": 7, "color": "0.88"}),
     ]
-    with_gaze = [motion for motion in scene.motions if motion.gaze is not None]
-    if with_gaze:
-        handles.append(Line2D([], [], linewidth=1.5, color=GAZE_COLOUR, label="gaze"))
-    if any(motion.label != RECORDED for motion in with_gaze):
-        dotted: dict[str, Any] = {"linewidth": 1.5, "linestyle": ":", **grey}
-        handles.append(Line2D([], [], label="generated gaze (from above, curves)", **dotted))
-    if scene.goal is not None:
-        handles.append(Line2D([], [], marker="s", linestyle="", color=GOAL_COLOUR, label="goal and its box"))
-    handles += [
-        Line2D([], [], marker="o", linestyle="", markersize=5, label="first frame", **grey),
-        Line2D([], [], marker="D", linestyle="", markersize=5, label="at prime time", **grey),
-        Line2D([], [], marker="*", linestyle="", markersize=9, label="at the event", **grey),
-        Patch(facecolor="0.88", label=f"prime time ± {scene.thresholds.prime_window:g} s"),
+    handles = [
+        Line2D([], [], label=label, **{"color": MARK_COLOUR, **style}) for drawn, label, style in entries if drawn
     ]
     axes.set_axis_off()
     axes.legend(handles=handles, fontsize=7.2, ncols=2, frameon=False, loc="upper left", borderaxespad=0.0)
