@@ -135,7 +135,7 @@ class Replay:
 
 
 def _save_scenes(scenes: tuple[Scene, ...], path: Path) -> Path:
-    from prbench.viewing.replay.sheet import file_kind, write_view
+    from prbench.viewing.view import file_kind, write_view
 
     kind = file_kind(path)
     with progress(f"drawing {path.name}") as show:
@@ -161,7 +161,7 @@ def replay_of(scenes: tuple[Scene, ...]) -> Replay:
     Raises:
         MissingExtraError: if the extra ``view`` is not installed.
     """
-    from prbench.viewing.replay.sheet import file_kind
+    from prbench.viewing.view import file_kind
 
     file_kind(Path("replay.html"))  # asks for the package before anything is drawn
     return Replay(_titles(scenes), scenes)

@@ -201,7 +201,7 @@ def _run_all(
     if shard is not None:
         opt.chosen_shard(str(shard), first_run=first_run)
     if view is not None:
-        from prbench.viewing.replay.sheet import file_kind
+        from prbench.viewing.view import file_kind
 
         file_kind(view)  # what would fail after the run fails before it
     # Packages that offer a method under a name of prbench's own are named; theirs is never run.

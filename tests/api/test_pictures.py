@@ -59,7 +59,7 @@ def test_a_replay_becomes_a_film(synthetic, tmp_path):
 
 
 def test_without_the_extra_a_replay_says_what_to_install(synthetic, monkeypatch):
-    monkeypatch.setattr("prbench.viewing.replay.sheet.find_spec", lambda name: None)
+    monkeypatch.setattr("prbench.viewing.view.find_spec", lambda name: None)
     with pytest.raises(prbench.PrbenchError, match=r"pip install 'prbench\[view\]'"):
         synthetic[0].replay()
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.errors import MissingExtraError, StorageError, UsageError
 from prbench.geometry.skeleton import Joint
 from prbench.shown import figure_text
 from prbench.viewing.figures import new_figure, write_png
@@ -331,58 +329,3 @@ def _draw_key(axes: Axes, scene: Scene) -> None:
     ]
     axes.set_axis_off()
     axes.legend(handles=handles, fontsize=7.2, ncols=2, frameon=False, loc="upper left", borderaxespad=0.0)
-
-
-# The kinds of files, and the package that each needs beside the required ones.
-_PACKAGES = {".png": "", ".mp4": "imageio-ffmpeg", ".html": "viser"}
-
-
-def file_kind(path: Path) -> str:
-    """Return the kind of file, ``png``, ``mp4`` or ``html``, that a path asks for.
-
-    A command calls it first: everything that it refuses would otherwise fail after minutes of drawing.
-
-    Raises:
-        UsageError: if the path ends in something else.
-        StorageError: if it is a folder.
-        MissingExtraError: if a package is needed that is not installed.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in _PACKAGES:
-        found = f"'{suffix}'" if suffix else "no suffix"
-        raise UsageError(f"{path}: expected a file that ends in .png, .mp4 or .html, found {found}.")
-    if path.is_dir():
-        raise StorageError(f"{path}: is a folder. Choose a file for --out.")
-    kind = suffix[1:]
-    package = _PACKAGES[suffix]
-    # Only looked for, not imported: whether it is there is all that is asked yet.
-    if package and find_spec(package.replace("-", "_")) is None:
-        raise MissingExtraError(package, "view", f"writing {kind.upper()}")
-    return kind
-
-
-def write_view(scenes: Sequence[Scene], path: Path, kind: str, progress: Progress) -> None:
-    """Render scenes into one file.
-
-    Args:
-        scenes: Scenes to show, in order.
-        path: The file; replaced when it exists.
-        kind: What :func:`file_kind` returned for the path.
-        progress: Called after every step.
-
-    Raises:
-        UsageError: if a PNG would become too large.
-        StorageError: if the file cannot be written.
-    """
-    if kind == "png":
-        if len(scenes) > MOST_SCENES:
-            raise UsageError(f"{path}: expected at most {MOST_SCENES} sequences in one PNG, found {len(scenes)}.")
-        draw_sheet(scenes, path, progress=progress)
-    elif kind == "mp4":
-        from prbench.viewing.replay.film import film_scenes
-
-        film_scenes(scenes, path, progress)
-    else:
-        from prbench.viewing.replay.page import write_page
-
-        write_page(scenes, path, progress)
