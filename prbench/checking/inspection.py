@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from prbench.curation.mending import Numbers, mended, stream_numbers
 from prbench.curation.stream_checks import examine_streams
 from prbench.entry_points import CORPORA, load_built_in
 from prbench.errors import InputFileError, PrbenchError
@@ -28,6 +27,7 @@ from prbench.readers import (
 )
 from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
 from prbench.readers.extents import damage
+from prbench.recording import Recording
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.table import table_statistics, why_no_sequences
@@ -35,7 +35,8 @@ from prbench.sequences.table import table_statistics, why_no_sequences
 State = Literal["complete", "cut short", "incomplete", "damaged", "left out", "unreadable", "inconsistent"]
 
 
-NOTHING: Mapping[str, Mapping[str, object]] = {}  # to mend
+_Progress = Callable[[int, int, str], None]
+_Mend = Callable[[Recording], Recording]
 
 
 def look(root: Path) -> tuple[Discovery, tuple[Any, ...]]:
@@ -140,11 +141,7 @@ class Inspection:
 
 
 def inspect_folders(
-    folders: Sequence[Path],
-    *,
-    thorough: bool = False,
-    mend: Mapping[str, Mapping[str, object]] = NOTHING,
-    progress: Callable[[int, int, str], None] | None = None,
+    folders: Sequence[Path], *, thorough: bool = False, mend: _Mend | None = None, progress: _Progress | None = None
 ) -> Inspection:
     """Look at built tables and at every recording below other folders.
 
@@ -199,11 +196,7 @@ def _inspect_table(folder: Path) -> InspectedTable:
 
 @foreign_input()
 def inspect_folder(
-    root: Path | str,
-    *,
-    thorough: bool = False,
-    mend: Mapping[str, Mapping[str, object]] = NOTHING,
-    progress: Callable[[int, int, str], None] | None = None,
+    root: Path | str, *, thorough: bool = False, mend: _Mend | None = None, progress: _Progress | None = None
 ) -> Inspection:
     """Look at every recording below a folder.
 
@@ -211,15 +204,13 @@ def inspect_folder(
         root: A dataset's folder, or one that holds several.
         thorough: Read every recording as a build would, and every row of its trajectory, instead of looking for its
             files and at their ends; then examine whether its streams belong together.
-        mend: What ``--shift`` and ``--scale`` say, by option and stream.
+        mend: Changes each recording that is read, as ``--shift`` and ``--scale`` say.
         progress: Called with done, total and the recording's name.
 
     Raises:
         InputFileError: if nothing is recognised.
-        UsageError: if no such stream can be mended.
     """
     root = Path(root)
-    numbers = {option: stream_numbers(given, option) for option, given in mend.items()}
     discovery, corpora = look(root)
     # Counted before the first recording is read: with --thorough each is read in full, and progress needs a total.
     total = sum(len(found.recordings) for found in discovery.found)
@@ -228,7 +219,7 @@ def inspect_folder(
     for found in discovery.found:
         inspected = []
         for recording in found.recordings:
-            state, remarks = _inspect(found, recording, thorough, **numbers)
+            state, remarks = _inspect(found, recording, thorough, mend)
             size = sum(file.size for file in recording.files)
             inspected.append(InspectedRecording(recording.recording_id, state, size, remarks))
             done += 1
@@ -257,7 +248,7 @@ def inspect_folder(
 
 
 def _inspect(
-    found: FoundDataset, recording: RecordingFiles, thorough: bool, shift: Numbers = (), scale: Numbers = ()
+    found: FoundDataset, recording: RecordingFiles, thorough: bool, mend: _Mend | None
 ) -> tuple[State, tuple[str, ...]]:
     """Return the state of one recording, and what is wrong with it."""
     manifest = load_manifest(found.dataset)
@@ -283,7 +274,8 @@ def _inspect(
         return ("cut short" if shortfalls else "complete"), shortfalls + remarks
     try:
         read = reader.read(recording)
-        read = mended(replace(read, shortfalls=cut_short(recording, read)), shift, scale)
+        read = replace(read, shortfalls=cut_short(recording, read))
+        read = read if mend is None else mend(read)
         findings = examine_streams(read)
     except PrbenchError as error:
         return "unreadable", (str(error),)

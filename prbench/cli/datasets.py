@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -127,10 +128,11 @@ def inspect(
     study table-1` prints those beside the study's.
     """
     from prbench.checking.inspection import inspect_folders
+    from prbench.curation.mending import mended, stream_numbers
 
     if (shift or scale) and not thorough:
         raise UsageError("--shift and --scale change what is read; give --thorough, too.")
-    mend = {"shift": dict(shift), "scale": dict(scale)}
+    mend = partial(mended, shift=stream_numbers(dict(shift), "shift"), scale=stream_numbers(dict(scale), "scale"))
     with progress("inspecting") as show:
         found = inspect_folders(places, thorough=thorough, mend=mend, progress=show)
 

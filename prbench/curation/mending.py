@@ -37,19 +37,18 @@ def stream_numbers(given: Mapping[str, object], option: str) -> Numbers:
         UsageError: for a name that is no stream, with the nearest one, and for what is no such number.
     """
     known = STREAMS if option == "shift" else STREAMS[1:]  # gaze has no length
+    wanted = "seconds, such as -5.0" if option == "shift" else "a factor above 0, such as 0.001"
     found = {}
     for name, text in given.items():
         if name not in known:
             hint = did_you_mean(name, known)
             raise UsageError(f"--{option}: expected one of {', '.join(known)}, found '{name}'.{hint}")
         try:
-            number = float(str(text))
+            found[name] = float(str(text))
         except ValueError:
-            number = np.nan
-        if not (abs(number) <= _FARTHEST_SHIFT and (option == "shift" or number > 0)):
-            wanted = "seconds, such as -5.0" if option == "shift" else "a factor above 0, such as 0.001"
+            found[name] = np.nan
+        if not abs(found[name]) <= _FARTHEST_SHIFT or (option == "scale" and found[name] <= 0):
             raise UsageError(f"--{option} {name}: expected {wanted}, found '{text}'.")
-        found[name] = number
     return tuple(sorted(found.items()))
 
 
@@ -75,16 +74,14 @@ def mended(recording: Recording, shift: Numbers, scale: Numbers) -> Recording:
 
     old = recording.head
     head = moved(old, "head")
-    hands = []
-    for hand in recording.hands:
-        if not recording.hands_from_glasses:
-            hands.append(moved(hand, "hands", "points"))
-            continue
-        origin, turn, _ = _poses(old, hand.times)
-        local = turn.inv().apply(hand.points.mean(axis=1) - origin) * factor["hands"]
-        times = hand.times + later["hands"]
-        origin, turn, posed = _poses(head, times)
-        hands.append(replace(hand, times=times, points=(turn.apply(local) + origin)[:, None], valid=hand.valid & posed))
+    hands = [moved(hand, "hands", "points") for hand in recording.hands]
+    if recording.hands_from_glasses:
+        for place, hand in enumerate(recording.hands):
+            origin, turn, _ = _poses(old, hand.times)
+            local = turn.inv().apply(hand.points[:, 0] - origin) * factor["hands"]
+            origin, turn, posed = _poses(head, hands[place].times)
+            points = (turn.apply(local) + origin)[:, None]
+            hands[place] = replace(hands[place], points=points, valid=hand.valid & posed)
     new = replace(
         recording,
         camera=moved(recording.camera, "camera"),
@@ -95,10 +92,10 @@ def mended(recording: Recording, shift: Numbers, scale: Numbers) -> Recording:
         objects=tuple(moved(track, "objects") for track in recording.objects),
         shortfalls=() if shift else recording.shortfalls,  # ends of files tell nothing where clocks are moved
     )
-    events = tuple(
-        _moved_event(event, new, later["objects"], factor["objects"]) for event in recording.annotated_events
-    )
-    return replace(new, annotated_events=events)
+    if {name for name, _ in (*shift, *scale)} <= {"gaze", "camera"}:
+        return new  # events have no share in these
+    moves = (new, later["objects"], factor["objects"])
+    return replace(new, annotated_events=tuple(_moved_event(event, *moves) for event in recording.annotated_events))
 
 
 def _poses(
@@ -112,7 +109,7 @@ def _poses(
 
 def rides(gaze: GazeStream, head: PoseStream) -> bool:
     """Return True for gaze rays that were made of these poses of the head: they begin where it is."""
-    if not (len(head.times) and gaze.valid.any()):
+    if not (head.valid.any() and gaze.valid.any()):
         return False
     apart = np.linalg.norm(gaze.origin - head.pose_at(gaze.times)[0], axis=1)
     return float(np.median(apart[gaze.valid])) <= SAME_PLACE
@@ -130,15 +127,16 @@ def _moved_gaze(gaze: GazeStream, old: PoseStream, head: PoseStream, later: floa
 
 
 def _moved_event(event: AnnotatedEvent, new: Recording, later: float, factor: float) -> AnnotatedEvent:
-    tracks = [track for track in new.objects if track.object_id == event.object_id]
-    if tracks:
-        position, rotation = tracks[0].pose_at(np.array([event.event_time]))
-        low, high = tracks[0].world_box(position, rotation)
+    track = next((each for each in new.objects if each.object_id == event.object_id), None)
+    if track is not None and (later, factor) != (0.0, 1.0):
+        low, high = track.world_box(*track.pose_at(np.array([event.event_time])))
         event = replace(event, location=(low[0] + high[0]) / 2, box_min=low[0], box_max=high[0])
-    elif event.location is not None:
-        boxes = {name: box * factor for name in ("box_min", "box_max") if (box := getattr(event, name)) is not None}
-        event = replace(event, event_time=event.event_time + later, location=event.location * factor, **boxes)
+    elif track is None and event.location is not None:
+        places = ("location", "box_min", "box_max")
+        scaled = {name: place * factor for name in places if (place := getattr(event, name)) is not None}
+        event = replace(event, event_time=event.event_time + later, **scaled)
     if event.location is None or event.hand_source not in (None, "tracked", "body"):
         return event
-    hand, source = reaching_hand(wrists_at(new.hands, new.body, event.event_time), event.location)
+    tracked = new.hands if new.hands_from_glasses else ()  # elsewhere wrists are the body's
+    hand, source = reaching_hand(wrists_at(tracked, new.body, event.event_time), event.location)
     return replace(event, hand=hand, hand_source=source)

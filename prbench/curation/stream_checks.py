@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.curation.in_hand import runs
-from prbench.curation.mending import rides
+from prbench.curation.mending import SAME_PLACE, rides
 from prbench.diagnosis import Diagnosis
 from prbench.geometry.skeleton import WRISTS, Joint, bone_lengths, head_forward
 from prbench.geometry.timelines import covered, interpolate
@@ -23,6 +23,7 @@ from prbench.recording import Recording
 from prbench.recording.streams import SIDES
 
 RATE = 30.0  # Hz, of the common grid
+_LONGEST = 6 * 3600.0  # seconds from the start that are looked at; a broken clock must not ask for all memory
 _REACH = 3  # steps of the grid to either side over which speeds are taken: 0.2 s in all
 _STEPS = np.arange(-240, 241)  # lags that are looked at: 8 s to either side
 _NO_LAG = len(_STEPS) // 2
@@ -36,19 +37,15 @@ _STEADY = 0.25  # radians a second within which a gaze rests on its place
 _CARRIED = 0.2  # share of the highest speed of any object from which on an object is carried
 _SHORTEST_CARRY = 12  # steps
 _AT_PLACE = 0.15  # metres from an annotated place at which a wrist is there
-_LEAD = 0.2  # seconds by which gaze turns before the face does
-# What is matched: agreement that a lag needs, seconds of movement (for places: events) that tell it, and seconds of lag
-# that say nothing: people annotate a moment before or after it happens.
+# What is matched: agreement that a lag needs, seconds of movement (for places: events) that tell it, the natural lag
+# (gaze turns before the face does), and the lag that says nothing (people annotate a moment too early or late).
 _NEEDED = {
-    "gaze in head": (0.12, 6.0, 0.0),
-    "gaze in world": (0.3, 6.0, 0.0),
-    "movement": (0.55, 3.0, 0.0),
-    "carrying": (0.5, 3.0, 0.0),
-    "places": (0.5, 8.0, 0.5),
+    "gaze in head": (0.12, 6.0, 0.0, 0.0),
+    "gaze in world": (0.3, 6.0, -0.2, 0.0),
+    "movement": (0.55, 3.0, 0.0, 0.0),
+    "carrying": (0.5, 3.0, 0.0, 0.0),
+    "places": (0.5, 8.0, 0.0, 0.5),
 }
-_NO_PEAK = 0.85  # share of the best agreement which, if reached elsewhere, says that no lag agrees
-_TELLING = 10.0  # seconds of movement after which that is a finding of its own
-_TURNED = 0.75  # agreement of two streams in other axes that tells that one of them has these
 _TOLD_LAG = 0.2  # seconds
 _GROSS_LAG = 0.5  # seconds: half of what a reach takes, as for files that end early
 _FARTHEST_OFFSET = 0.6  # metres between one place as two streams see it: half of a large object, and some more
@@ -71,6 +68,7 @@ class Pair:
     """How well two streams that should move together do so.
 
     Attributes:
+        kind: What was matched, such as ``movement``.
         one: Name of the first stream.
         other: Name of the second stream.
         lag: Seconds by which the first is late where they agree best, beyond what is natural.
@@ -78,11 +76,10 @@ class Pair:
         second: Best agreement at any other lag.
         seconds: Time of movement that told it; number of events where places did.
         sure: True if the lag can be believed.
-        strange: True for a gaze that rests on no place at any lag, though the head turns for long.
         offset: The first minus the second (3,) in the median, metres; None where nothing tells it.
-        turned: Axes (3, 3) of the first in which it would agree with the second, where it does not in its own.
     """
 
+    kind: str
     one: str
     other: str
     lag: float
@@ -90,9 +87,7 @@ class Pair:
     second: float
     seconds: float
     sure: bool
-    strange: bool
     offset: Float[np.ndarray, "3"] | None = None
-    turned: Float[np.ndarray, "3 3"] | None = None
 
 
 @dataclass(frozen=True)
@@ -133,44 +128,39 @@ def examine_streams(recording: Recording) -> tuple[Diagnosis, ...]:
     Returns:
         Findings, certain ones first: with those, events would be wrong, and the recording must not be curated.
     """
-    grid = np.arange(recording.span[0], recording.span[1], 1 / RATE)
+    start, end = recording.span
+    grid = np.arange(start, min(end, start + _LONGEST), 1 / RATE)
     if len(grid) <= 2 * _REACH:
         return ()
     streams = gridded(recording, grid)
     pairs = stream_pairs(streams)
-    found = _stuck(streams)
-    found |= _wrong_units(streams, pairs, found)
-    found |= _wrong_axes(streams, pairs, found)
-    sure = [pair for pair in _unblamed(streams, pairs, found) if pair.sure]
-    for name, off in _outliers([(pair.one, pair.other, np.array([pair.lag])) for pair in sure], _TOLD_LAG).items():
+    stuck = _stuck(streams)
+    found = _wrong_measures(streams, pairs, {name: each for name, each in stuck.items() if each.kind == "stuck"})
+    pairs = _unblamed(streams, pairs, found)
+    sure = [pair for pair in pairs if pair.sure]
+    for name, (lag,) in _outliers([(pair.one, pair.other, np.array([pair.lag])) for pair in sure], _TOLD_LAG).items():
         told = max((pair for pair in sure if name in (pair.one, pair.other)), key=lambda pair: abs(pair.lag))
-        found[name] = _wrong_clock(name, float(off[0]), told)
-    left = _unblamed(streams, pairs, found)
+        said = f"{name}: {abs(lag):.2f} s {'late' if lag > 0 else 'early'}, expected within {_TOLD_LAG} s: so it agrees"
+        said += f" best ({told.one} with {told.other}: {told.height:.2f}, at any other lag at most {told.second:.2f},"
+        said += f" over {told.seconds:.0f} {'events' if told.kind == 'places' else 's of movement'})."
+        remedy = _options("shift", name, f"{-lag:.2f}")
+        certain = bool(abs(lag) >= _GROSS_LAG)
+        found[name] = Diagnosis("clock", certain, said, "Its times are those of another clock.", remedy)
+    left = [pair for pair in pairs if not {pair.one, pair.other} & found.keys()]
     apart = [(pair.one, pair.other, pair.offset) for pair in left if pair.offset is not None]
     for name, (x, y, z) in _outliers(apart, _FARTHEST_OFFSET).items():
         said = f"{name}: {x:+.2f}, {y:+.2f}, {z:+.2f} m (x, up, z) from where other streams see the same place,"
         said += f" expected within {_FARTHEST_OFFSET} m."
-        found[name] = Diagnosis("place", True, said, "Its world has another origin or floor.", _NO_OPTION)
-    for pair in _unblamed(streams, left, found):
-        if pair.strange:
-            said = f"gaze: rests on no place while the head turns, at any lag ({pair.height:.2f} at best over"
-            said += f" {pair.seconds:.0f} s)."
-            cause = "It may belong to another recording, or have mirrored axes."
-            found["gaze"] = Diagnosis("axes", False, said, cause, _NO_OPTION)
-    return tuple(sorted(found.values(), key=lambda each: not each.certain))
+        found[name] = Diagnosis("place", True, said, "Its world has other axes, another origin or floor.", _NO_OPTION)
+    return tuple(sorted((stuck | found).values(), key=lambda each: not each.certain))
 
 
 def _unblamed(streams: Gridded, pairs: Sequence[Pair], found: _Found) -> list[Pair]:
-    blamed = _blamed(streams, found)
-    return [pair for pair in pairs if not {pair.one, pair.other} & blamed]
-
-
-def _blamed(streams: Gridded, found: _Found) -> set[str]:
-    """Return streams with a certain fault, and those that were measured from one of them."""
-    names = {name for name, each in found.items() if each.certain}
+    """Return pairs of streams without a finding, of which none was measured from a stream with one."""
+    names = set(found)
     if ("head" if streams.turn is not None else "body") in names:
-        names |= {"gaze", *(["hands"] if streams.recording.hands_from_glasses else [])}
-    return names
+        names |= {"gaze", "hands"} if streams.recording.hands_from_glasses else {"gaze"}
+    return [pair for pair in pairs if not {pair.one, pair.other} & names]
 
 
 def gridded(recording: Recording, grid: Float[np.ndarray, " n"]) -> Gridded:
@@ -189,7 +179,7 @@ def gridded(recording: Recording, grid: Float[np.ndarray, " n"]) -> Gridded:
     head = joints.get("head")
     facing = turn = local = None
     turning = np.zeros(0, dtype=int)
-    if len(glasses.times):
+    if glasses.valid.any():
         head = _on_grid(glasses.times, glasses.position, glasses.valid, grid)
         facing = Rotation.from_quat(glasses.pose_at(grid)[1], scalar_first=True)
         steps = (facing[: -2 * _REACH].inv() * facing[2 * _REACH :]).as_rotvec() * (RATE / (2 * _REACH))
@@ -233,40 +223,16 @@ def _matched(one: _Moving, other: _Moving) -> _Curve:
     return products[:, :3].sum(axis=1) / np.maximum(shared, least + 1e-12)
 
 
-def _turned(one: _Rows, other: _Rows) -> tuple[float, Float[np.ndarray, "3 3"]]:
-    """Return the agreement of two velocities in the best axes for it, and these axes of the first."""
-    left, strength, right = np.linalg.svd(other.T @ one)
-    power = np.sqrt((one**2).sum() * (other**2).sum())
-    return float(strength.sum() / max(power, 1e-12)), left @ right
-
-
-def _pair(
-    names: tuple[str, str],
-    kind: str,
-    curve: _Curve,
-    seconds: float,
-    *,
-    offset: np.ndarray | None = None,
-    turned: tuple[float, np.ndarray] | None = None,
-    natural: float = 0.0,
-) -> Pair:
+def _pair(one: str, other: str, kind: str, curve: _Curve, seconds: float, offset: np.ndarray | None = None) -> Pair:
     """Judge the best lag of a curve, which a parabola through the peak tells to parts of a step."""
-    top = int(np.argmax(curve))
-    height = float(curve[top])
+    least, shortest, natural, slack = _NEEDED[kind]
+    top = int(np.argmax(curve[1:-1])) + 1
+    before, height, after = curve[top - 1 : top + 2].tolist()
     second = float(np.max(curve[np.abs(_STEPS - _STEPS[top]) > _ONE_PEAK]))
-    least, shortest, slack = _NEEDED[kind]
-    inside = 0 < top < len(curve) - 1
-    lag = float(_STEPS[top]) / RATE
-    if inside:
-        before, after = curve[[top - 1, top + 1]]
-        lag += float(np.clip(0.5 * (before - after) / min(before - 2 * height + after, -1e-12), -0.5, 0.5)) / RATE
-    lag -= natural
-    sure = inside and height >= least and second <= _CLEAR * height and seconds >= shortest and abs(lag) >= slack
-    strange = kind == "gaze in head" and second >= _NO_PEAK * height and seconds >= _TELLING
-    axes = None
-    if turned is not None and not sure and seconds >= 2 * shortest and turned[0] >= _TURNED:
-        axes = turned[1] if (np.abs(turned[1] - np.eye(3)) > 0.5).any() else None
-    return Pair(*names, lag, height, second, seconds, sure, strange, offset, axes)
+    part = float(np.clip(0.5 * (before - after) / min(before - 2 * height + after, -1e-12), -0.5, 0.5))
+    lag = (float(_STEPS[top]) + part) / RATE - natural
+    sure = height >= least and second <= _CLEAR * height and seconds >= shortest and abs(lag) >= slack
+    return Pair(kind, one, other, lag, height, second, seconds, sure, offset)
 
 
 def stream_pairs(streams: Gridded) -> list[Pair]:
@@ -305,8 +271,7 @@ def _moving_pair(one: str, other: str, first: _Moving, second: _Moving) -> Pair:
     speed = np.linalg.norm(swaying[1][0], axis=1)
     seconds = float((moving & (speed > 0.2 * np.quantile(speed, 0.98))).sum() / RATE)
     offset = np.median((first[0] - second[0])[both], axis=0) if both.any() else None
-    turned = _turned(swaying[0][0][moving], swaying[1][0][moving])
-    return _pair((one, other), "movement", _matched(*swaying), seconds, offset=offset, turned=turned)
+    return _pair(one, other, "movement", _matched(*swaying), seconds, offset)
 
 
 def _gaze_pair(streams: Gridded) -> Pair | None:
@@ -323,11 +288,11 @@ def _gaze_pair(streams: Gridded) -> Pair | None:
     if streams.turn is not None and streams.local is not None:
         if not rides(gaze, recording.head):
             return _moving_pair("gaze", "head", origin, streams.head)
-        change, known = _speeds(streams.local)
-        curve = _steadiness(streams, np.cross(streams.local[0], change), known)
-        return _pair(("gaze", "head"), "gaze in head", curve, len(streams.turning) / RATE)
+        seconds = float(streams.local[1][streams.turning].sum() / RATE)
+        return _pair("gaze", "head", "gaze in head", _steadiness(streams, streams.local), seconds)
     assert body is not None, "without glasses the head is the body's"
-    if float(np.median(np.linalg.norm(origin[0] - streams.head[0], axis=1)[origin[1]])) > 0.02:
+    apart = np.linalg.norm(origin[0] - streams.head[0], axis=1)[origin[1]]
+    if np.median(np.append(apart, 0.0)) > SAME_PLACE:
         return _moving_pair("gaze", "body", origin, streams.head)
     forward, _ = head_forward(body.joints, recording.head_tilt_deg)
     turns = []
@@ -336,24 +301,26 @@ def _gaze_pair(streams: Gridded) -> Pair | None:
         change, known = _speeds(looked)
         turns.append((np.cross(looked[0], change), known))
     seconds = float((np.linalg.norm(turns[1][0], axis=1) > _TURNING).sum() / RATE)
-    return _pair(("gaze", "body"), "gaze in world", _matched(*turns), seconds, natural=-_LEAD)
+    return _pair("gaze", "body", "gaze in world", _matched(*turns), seconds)
 
 
-def _steadiness(streams: Gridded, eye: _Rows, known: np.ndarray) -> _Curve:
-    """Return the share of a turning head's time in which gaze keeps its place, for eyes that are late by each lag.
+def _steadiness(streams: Gridded, local: _Moving, steps: np.ndarray = _STEPS) -> _Curve:
+    """Return the share of a turning head's time in which gaze keeps its place, for eyes that are late by some steps.
 
     Rolling about the gaze moves no gaze, so only turns about x and y count.
     """
     assert streams.turn is not None, "asked of recordings with glasses"
-    curve = np.zeros(len(_STEPS))
-    for index, step in enumerate(_STEPS):
+    change, known = _speeds(local)
+    eye = np.cross(local[0], change)
+    curve = np.zeros(len(steps))
+    for index, step in enumerate(steps):
         rows = streams.turning
         rows = rows[(rows + step >= 0) & (rows + step < len(known))]
         rows = rows[known[rows + step]]
         drift = streams.turn[rows, :2] + eye[rows + step, :2]
         steady = np.exp(-(drift**2).sum(axis=1) / (2 * _STEADY**2))
         # Few instants would agree by chance.
-        curve[index] = steady.sum() / max(len(rows), 0.2 * len(streams.turning), 1)
+        curve[index] = steady.sum() / max(len(rows), 0.4 * len(streams.turning), 1)
     return curve
 
 
@@ -385,7 +352,6 @@ def _carrying_pair(streams: Gridded) -> Pair | None:
         return None
     agreed = np.zeros(len(_STEPS))
     seen = np.zeros(len(_STEPS))
-    besides = []
     for _, speeds, part in streams.carries:
         length = len(speeds)
         around = slice(part.start, part.stop + 2 * _NO_LAG)
@@ -400,15 +366,12 @@ def _carrying_pair(streams: Gridded) -> Pair | None:
             alike[row] = together / np.sqrt(np.maximum(power, floor) * (speeds**2).sum())
         agreed += length * np.where(known, alike, 0.0).max(axis=0)
         seen += length * known.any(axis=0)
-        beside = [fast[around][_NO_LAG : _NO_LAG + length] for fast, _ in hands]
-        besides.append(max(beside, key=lambda each, speeds=speeds: _turned(speeds, each)[0]))
     # An object that is late meets the hand of before. A stretch without a hand tells nothing.
     total = sum(len(speeds) for _, speeds, _ in streams.carries)
     curve = (agreed / np.maximum(seen, total / 2))[::-1]
-    turned = _turned(np.concatenate([speeds for _, speeds, _ in streams.carries]), np.concatenate(besides))
     apart = _from_hands(streams, int(_STEPS[np.argmax(curve)]))
     offset = None if apart is None else np.median(apart, axis=0)
-    return _pair(("objects", "hands"), "carrying", curve, float(seen[_NO_LAG]) / RATE, offset=offset, turned=turned)
+    return _pair("objects", "hands", "carrying", curve, float(seen[_NO_LAG]) / RATE, offset)
 
 
 def _from_hands(streams: Gridded, step: int, factor: float = 1.0) -> _Rows | None:
@@ -449,7 +412,7 @@ def _placing_pair(streams: Gridded) -> Pair | None:
         there = np.maximum(there, np.where(inside & known[rows], np.exp(-(apart**2) / (2 * _AT_PLACE**2)), 0.0))
         seen |= inside & known[rows]
     curve = there.sum(axis=0) / np.maximum(seen.sum(axis=0), 0.3 * len(events))
-    return _pair(("objects", "hands"), "places", curve, float(seen[:, _NO_LAG].sum()))
+    return _pair("objects", "hands", "places", curve, float(seen[:, _NO_LAG].sum()))
 
 
 def _outliers(edges: Sequence[tuple[str, str, np.ndarray]], tolerance: float) -> dict[str, np.ndarray]:
@@ -484,19 +447,22 @@ def _offsets_from(anchor: str, edges: Sequence[tuple[str, str, np.ndarray]]) -> 
     return off
 
 
-def _wrong_units(streams: Gridded, pairs: Sequence[Pair], found: _Found) -> dict[str, Diagnosis]:
-    """Compare lengths with people's, in the unit that the reader took and in others."""
+def _wrong_measures(streams: Gridded, pairs: Sequence[Pair], found: _Found) -> dict[str, Diagnosis]:
+    """Compare lengths and directions with people's; lengths also in other units than the reader took."""
     wrong = dict(found)
-    for stream, reference, measure, lengths, low, high in _lengths(streams, pairs):
-        fits = (lengths >= low) & (lengths <= high)
-        if fits[0] or not fits.any() or {stream, reference} & _blamed(streams, wrong):
+    for stream, reference, measure, values, low, high in _measures(streams, pairs):
+        fits = (values >= low) & (values <= high)
+        if fits[0] or stream in wrong or reference in wrong:
             continue
-        # Of several units that fit the one in which the length is the most usual.
-        unusual = np.abs(np.log(np.maximum(lengths, 1e-9) / np.sqrt(low * high)))
-        factor = _FACTORS[int(np.argmin(np.where(fits, unusual, np.inf)))]
-        said = f"{stream}: {measure} is {lengths[0]:.3g} m, expected {low:g} to {high:g} m."
-        cause = f"Its positions are {factor:g} times what they should be: another unit than the dataset's."
-        wrong[stream] = Diagnosis("unit", True, said, cause, _options("scale", stream, f"{1 / factor:g}"))
+        said = f"{stream}: {measure} is {values[0]:.3g}, expected {low:g} to {high:g}."
+        if len(values) == 1:
+            wrong[stream] = Diagnosis("axes", True, said, "Its axes are exchanged, mirrored or turned.", _NO_OPTION)
+        elif fits.any():
+            # Of several units that fit the one in which the length is the most usual.
+            unusual = np.abs(np.log(np.maximum(values, 1e-9) / np.sqrt(low * high)))
+            factor = _FACTORS[int(np.argmin(np.where(fits, unusual, np.inf)))]
+            cause = f"Its positions are {factor:g} times what they should be: another unit than the dataset's."
+            wrong[stream] = Diagnosis("unit", True, said, cause, _options("scale", stream, f"{1 / factor:g}"))
     return wrong
 
 
@@ -506,111 +472,81 @@ def _options(option: str, stream: str, number: str) -> str:
     return "Mend it with " + " ".join(f"--{option} {name}={number}" for name in names) + "."
 
 
-def _lengths(streams: Gridded, pairs: Sequence[Pair]) -> Iterator[tuple[str, str, str, np.ndarray, float, float]]:
-    """Yield a stream, what it is measured against, the measure, that length divided by each factor, people's range."""
-    body = streams.recording.body
+def _measures(streams: Gridded, pairs: Sequence[Pair]) -> Iterator[tuple[str, str, str, np.ndarray, float, float]]:
+    """Yield a stream, the one it is measured from, the measure, its value, people's least and largest.
+
+    Of lengths there are more values: divided by each of the factors that a wrong unit multiplies positions with.
+    """
+    recording = streams.recording
+    body = recording.body
     head = streams.head
+    face = "body" if streams.turn is None else "head"
+    ahead = np.ones(0)
+
+    def away(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
+        return np.array([np.median(np.linalg.norm(points / factor - centre, axis=1)) for factor in _FACTORS])
+
     if body is not None and body.valid.any():
-        bones = np.median(bone_lengths(body.joints[body.valid]), axis=0)
+        joints = body.joints[body.valid]
+        bones = np.median(bone_lengths(joints), axis=0)
         upright = bones[[joint - 1 for joint in _UPRIGHT]].sum()  # bones stand in the order of their lower ends
-        yield "body", "body", "ankle to head along the bones", upright / _FACTORS, 0.9, 2.4
-    if streams.turn is not None and head is not None:
+        yield "body", "body", "ankle to head along the bones (m)", upright / _FACTORS, 0.9, 2.4
+        up = np.median(joints[:, Joint.HEAD] - joints[:, Joint.LEFT_ANKLE], axis=0)
+        yield "body", "body", "its up along Y (cosine)", up[1:2] / np.linalg.norm(up), _LEAST_UP, 1.0
+    if streams.turn is not None and streams.facing is not None and head is not None and head[1].any():
         speeds, known = _speeds(head)
         rows = streams.turning[known[streams.turning]]
         if len(rows) > _NEEDED["movement"][1] * RATE:
             lever = np.linalg.norm(speeds[rows], axis=1) / np.linalg.norm(streams.turn[rows], axis=1)
-            yield "head", "head", "its way for a radian of turning", np.median(lever) / _FACTORS, 0.02, 5.0
+            yield "head", "head", "its way for a radian of turning (m)", np.median(lever) / _FACTORS, 0.02, 5.0
+        up = np.median(streams.facing.apply((0.0, 1.0, 0.0))[head[1]], axis=0, keepdims=True)
+        yield "head", "head", "its up along Y (cosine)", up[0, 1:2], _LEAST_UP, 1.0
     for place, known in streams.hands.values():
         both = known if head is None else known & head[1]
         if head is not None and both.any():
             # Wrists that glasses measured lie beside the head in any unit.
-            centre = head[0][both] * streams.recording.hands_from_glasses
-            local = place[both] - centre
-            away = [np.linalg.norm(centre + local / factor - head[0][both], axis=1) for factor in _FACTORS]
-            reference = "body" if streams.turn is None else "head"
-            yield "hands", reference, "the distance of a wrist from the head", np.median(away, axis=1), 0.1, 1.2
+            beside = head[0][both] * recording.hands_from_glasses
+            distances = away(place[both] - beside, head[0][both] - beside)
+            yield "hands", face, "the distance of a wrist from the head (m)", distances, 0.1, 1.2
     late = next((pair.lag for pair in pairs if pair.one == "objects" and pair.sure), 0.0)
     carried = [_from_hands(streams, round(late * RATE), factor) for factor in _FACTORS]
-    away = [np.median(np.linalg.norm(apart, axis=1)) for apart in carried if apart is not None]
-    if away:
-        measure = "the distance of carried ones from the nearer hand"
-        yield "objects", "hands", measure, np.array(away), 0.005, _FARTHEST_OFFSET
-    places = [event.location for event in streams.recording.annotated_events if event.location is not None]
-    if places and head is not None and not streams.recording.objects:
-        centre = np.median(head[0][head[1]], axis=0) if head[1].any() else np.zeros(3)
-        away = [np.median(np.linalg.norm(np.stack(places) / factor - centre, axis=1)) for factor in _FACTORS]
-        yield (
-            "objects",
-            "head",
-            "the distance of their places from the middle of the head's way",
-            np.array(away),
-            0.2,
-            15.0,
-        )
-
-
-def _wrong_axes(streams: Gridded, pairs: Sequence[Pair], found: _Found) -> dict[str, Diagnosis]:
-    """Look for streams whose axes are not those of the world, or of the head."""
-    wrong = dict(found)
-    body = streams.recording.body
-    glasses = streams.recording.head
-    ups = {}
-    if body is not None and body.valid.any():
-        ankles = body.joints[:, [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE]].mean(axis=1)
-        ups["body"] = np.median((body.joints[:, Joint.HEAD] - ankles)[body.valid], axis=0)
-    if glasses.valid.any():
-        turned = Rotation.from_quat(glasses.rotation[glasses.valid], scalar_first=True)
-        ups["head"] = np.median(turned.apply((0.0, 1.0, 0.0)), axis=0)
-    for name, up in ups.items():
-        x, y, z = up / max(float(np.linalg.norm(up)), 1e-12)
-        if y < _LEAST_UP and name not in _blamed(streams, wrong):
-            said = f"{name}: its up is ({x:+.2f}, {y:+.2f}, {z:+.2f}), expected the second axis, at least {_LEAST_UP}."
-            wrong[name] = Diagnosis("axes", True, said, "Two of its axes are exchanged, or one is turned.", _NO_OPTION)
-    angle = _gaze_angle(streams)
-    late = any(pair.sure and abs(pair.lag) > _TOLD_LAG for pair in pairs if pair.one == "gaze")
-    if angle > _WIDEST_GAZE and not late and "gaze" not in _blamed(streams, wrong):
-        said = (
-            f"gaze: {angle:.0f} degrees from the head's forward axis in the median, expected at most {_WIDEST_GAZE:g}."
-        )
-        cause = "It has other axes than the head, or was turned into the world once too often or not at all."
-        wrong["gaze"] = Diagnosis("axes", True, said, cause, _NO_OPTION)
-    for pair in pairs:
-        if pair.turned is not None and _unblamed(streams, [pair], wrong):
-            best = np.abs(pair.turned).argmax(axis=1)
-            signs = ["+-"[int(axes[at] < 0)] for axes, at in zip(pair.turned, best, strict=True)]
-            axes = ", ".join(f"{'xyz'[row]} is {signs[row]}{'xyz'[at]}" for row, at in enumerate(best))
-            name = max((pair.one, pair.other), key=_TRUSTED.index)
-            said = f"{name}: {pair.one} and {pair.other} move together only if of {pair.one} {axes}; in their own axes"
-            said += f" they agree by {pair.height:.2f} at best."
-            wrong[name] = Diagnosis("axes", True, said, "Its axes are not those of the world.", _NO_OPTION)
-    return wrong
-
-
-def _gaze_angle(streams: Gridded) -> float:
-    """Return the angle of gaze to the head's forward axis, or the face's, in the median, degrees; 0 where unknown."""
-    gaze = streams.recording.gaze
-    body = streams.recording.body
-    forward = np.ones(1)
+    distances = [np.median(np.linalg.norm(apart, axis=1)) for apart in carried if apart is not None]
+    if distances:
+        measure = "the distance of carried ones from the nearer hand (m)"
+        yield "objects", "hands", measure, np.array(distances), 0.005, _FARTHEST_OFFSET
+    places = [event.location for event in recording.annotated_events if event.location is not None]
+    if places and head is not None and head[1].any() and not recording.objects:
+        measure = "the distance of their places from the middle of the way (m)"
+        yield "objects", "head", measure, away(np.stack(places), np.median(head[0][head[1]], axis=0)), 0.2, 15.0
+    gaze = recording.gaze
     if streams.local is not None:
-        forward = streams.local[0][streams.local[1], 2]
-    elif body is not None and body.valid.any() and gaze.valid.any():
-        ahead, _ = head_forward(body.joints[body.valid], streams.recording.head_tilt_deg)
+        ahead = streams.local[0][streams.local[1], 2]
+    elif body is not None and body.valid.any():
+        forward, _ = head_forward(body.joints[body.valid], recording.head_tilt_deg)
         seen = gaze.times[gaze.valid]
-        forward = (interpolate(body.times[body.valid], ahead, seen) * gaze.direction[gaze.valid]).sum(axis=1)
-    if len(forward) < _NEEDED["gaze in head"][1] * RATE:
-        return 0.0
-    return float(np.rad2deg(np.arccos(np.clip(np.median(forward), -1.0, 1.0))))
+        ahead = (interpolate(body.times[body.valid], forward, seen) * gaze.direction[gaze.valid]).sum(axis=1)
+    is_late = any(pair.sure and abs(pair.lag) > _TOLD_LAG for pair in pairs if pair.one == "gaze")
+    if len(ahead) < _NEEDED["gaze in head"][1] * RATE or is_late:
+        return
+    if streams.local is not None:
+        points, known = streams.local
+        mirrored = (points, points * [-1.0, 1.0, 1.0], points * [1.0, -1.0, 1.0], points[:, [1, 0, 2]])
+        own, *others = (float(_steadiness(streams, (each, known), np.zeros(1, dtype=int))[0]) for each in mirrored)
+        if max(others) >= _NEEDED["gaze in head"][0]:
+            measure = "how often it rests on its place, beside mirrored or exchanged axes"
+            yield "gaze", face, measure, np.array([own / max(others)]), 0.4, np.inf
+    angle = np.rad2deg(np.arccos(np.clip(np.median(ahead), -1.0, 1.0)))
+    yield "gaze", face, "its angle to where the head faces (degrees)", np.array([angle]), 0.0, _WIDEST_GAZE
 
 
 def _stuck(streams: Gridded) -> dict[str, Diagnosis]:
     """Look for streams that stand still to the last digit, which no person does."""
     parts = [("body", each) for each in streams.joints.values()] + [("hands", each) for each in streams.hands.values()]
-    if streams.turn is not None and streams.head is not None:
-        parts.append(("head", streams.head))
-    if streams.local is not None:
-        parts.append(("gaze", streams.local))
+    parts.append(("head", streams.head if streams.turn is not None else None))
+    parts.append(("gaze", streams.local))
     found = {}
-    for name, (points, known) in parts:
+    for name, moving in parts:
+        points, known = moving or (np.zeros((2, 3)), np.zeros(2, dtype=bool))
         still = runs((np.abs(np.diff(points, axis=0)).max(axis=1) < 1e-9) & known[1:])
         lasting = (still[:, 1] - still[:, 0]) / RATE
         frozen = float(lasting[lasting >= _LONGEST_STILL].sum())
@@ -618,18 +554,9 @@ def _stuck(streams: Gridded) -> dict[str, Diagnosis]:
         if frozen:
             said = f"{name}: does not move at all for {frozen:.1f} s ({share:.0%} of its time), expected at most"
             said += f" {_LONGEST_STILL:g} s at a time."
+            kind = "stuck" if share > 0.5 else "still"
+            # A head or a hand may be held still by whatever carries it; eyes and a whole body never are.
+            certain = kind == "stuck" and name in ("gaze", "body")
             cause = "The sensor or its file repeats one value."
-            # A head or a hand may be held still by whatever carries it; eyes never are.
-            certain = name == "gaze" and share > 0.5
-            found[name] = Diagnosis("stuck", certain, said, cause, "Copy or record it again.")
+            found[name] = Diagnosis(kind, certain, said, cause, "Copy or record it again.")
     return found
-
-
-def _wrong_clock(name: str, lag: float, told: Pair) -> Diagnosis:
-    """Say that a stream is late or early."""
-    other = told.other if told.one == name else told.one
-    said = f"{name}: {abs(lag):.2f} s {'late' if lag > 0 else 'early'}, expected within {_TOLD_LAG} s: there it agrees"
-    said += f" best with {other} ({told.height:.2f}, at any other lag at most {told.second:.2f}, over"
-    said += f" {told.seconds:.0f} {'s of movement' if told.offset is not None or told.one == 'gaze' else 'events'})."
-    cause = "Its times are those of another clock."
-    return Diagnosis("clock", abs(lag) >= _GROSS_LAG, said, cause, _options("shift", name, f"{-lag:.2f}"))
