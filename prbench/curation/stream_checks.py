@@ -541,9 +541,10 @@ def _measures(streams: Gridded, pairs: Sequence[Pair]) -> Iterator[tuple[str, st
 
 def _stuck(streams: Gridded) -> dict[str, Diagnosis]:
     """Look for streams that stand still to the last digit, which no person does."""
-    parts = [("body", each) for each in streams.joints.values()] + [("hands", each) for each in streams.hands.values()]
-    parts.append(("head", streams.head if streams.turn is not None else None))
-    parts.append(("gaze", streams.local))
+    parts: list[tuple[str, _Moving | None]] = [("head", streams.head if streams.turn is not None else None)]
+    parts += [("gaze", streams.local)]
+    parts += [("body", each) for each in streams.joints.values()]
+    parts += [("hands", each) for each in streams.hands.values()]
     found = {}
     for name, moving in parts:
         points, known = moving or (np.zeros((2, 3)), np.zeros(2, dtype=bool))
