@@ -152,7 +152,8 @@ class Command(click.Command):
         except click.UsageError as error:
             if isinstance(error, click.BadParameter) and error.param and isinstance(error.param.type, click.Choice):
                 word = error.message.partition("' is not one of")[0].removeprefix("'")
-                error.message += did_you_mean(word, list(error.param.type.choices))
+                nearest = did_you_mean(word, list(error.param.type.choices))
+                raise click.BadParameter(error.message + nearest, error.ctx or ctx, error.param) from error
             if isinstance(error, click.NoSuchOption) and error.option_name in self.former:
                 now = self.former[error.option_name]
                 raise click.UsageError(f"No such option '{error.option_name}'. Did you mean '{now}'?", ctx) from error
