@@ -59,7 +59,10 @@ def flips(units: tuple[str, ...], most: int = 2**16) -> Float[np.ndarray, "units
     for unit in units:
         generator = named_generator("sign-flips", hashlib.sha256(unit.encode()).hexdigest())
         drawn.append(np.unpackbits(np.frombuffer(generator.bytes(most // 8), np.uint8))[1:])
-    return np.array(drawn, dtype=np.float64)
+    flipped = np.array(drawn, dtype=np.float64)
+    # Flipping nothing is counted once already; flipping everything is the same flip, seen from the other side.
+    flipped[:, ~flipped.any(axis=0)] = 1
+    return flipped
 
 
 def flipped_means(
@@ -72,7 +75,7 @@ def flipped_means(
     The sum of y_i - d n_i with flipped signs is at least that without if and only if the mean of the flipped units is
     at most d. So these means are all that the test of any difference d needs (Hartigan 1969).
     """
-    return totals @ flipped / np.maximum(sizes @ flipped, 1)
+    return totals @ flipped / (sizes @ flipped)
 
 
 def flip_test(means: Float[np.ndarray, "*sets flips"]) -> PerSet:
