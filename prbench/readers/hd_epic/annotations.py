@@ -127,8 +127,11 @@ def read_tracks(associations: Path, masks: Path | None, video: str) -> Movements
     unreadable += odd
     shown = {}
     if masks is not None:
-        shown, odd = read_entries(masks, listed or {}, _MASK.decode, "a mask with frame_number and 3d_location")
+        forms, odd = read_entries(masks, listed or {}, _MASK.decode, "a mask with frame_number and 3d_location")
         unreadable += odd
+        shown = {
+            key: hd_epic.ObjectMask(key, int(mask.frame_number), _point(mask.location)) for key, mask in forms.items()
+        }
     expected = "an object with its name and its list of tracks"
     named, odd = read_entries(associations, objects, _ASSOCIATION.decode, expected)
     unreadable += odd
@@ -152,7 +155,7 @@ def read_tracks(associations: Path, masks: Path | None, video: str) -> Movements
             ids = [mask for mask in track.masks or () if isinstance(mask, str)]
             n_masks += len(track.masks or ())
             missing += len(track.masks or ()) - sum(mask in (listed or ()) for mask in ids)
-            seen = tuple(_object_mask(mask, shown[mask]) for mask in ids if mask in shown)
+            seen = tuple(shown[mask] for mask in ids if mask in shown)
             tracks.append(hd_epic.ObjectTrack(track_id, key, name, *track.time_segment, seen))
     # Names decide between equal times, so that the order of the file leaves no trace.
     tracks.sort(key=lambda track: (track.start, track.end, track.object_id, track.track_id))
@@ -162,10 +165,6 @@ def read_tracks(associations: Path, masks: Path | None, video: str) -> Movements
     elif missing:
         remarks = (f"{missing} of {n_masks} masks of the tracks are not in {masks.name}",)
     return Movements(tuple(tracks), len(named), n_masks, remarks, tuple(unreadable))
-
-
-def _object_mask(key: str, mask: _Mask) -> hd_epic.ObjectMask:
-    return hd_epic.ObjectMask(key, int(mask.frame_number), _point(mask.location))
 
 
 def _of_video(path: Path, video: str) -> tuple[dict[str, msgspec.Raw] | None, list[UnreadableEntry]]:
