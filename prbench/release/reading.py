@@ -136,6 +136,9 @@ def read_release(
     report.fields = _map_fields(folder / layout.TARGETS, entries, options.field_map, command)
     names = {name for fields in entries.values() for name in fields}
     report.fields_kept_in_extra = sorted(names - set(report.fields.values()))
+    if "text" not in report.fields:
+        others = ", ".join(report.fields_kept_in_extra[:_EXAMPLES])
+        report.warnings.append(f"the prompt has no known name: --field-map text=NAME says it (other fields: {others})")
     _tell_frames(found, list(entries.values()), options.fps, command)
     progress(report.dataset, f"measuring {len(entries)} sequences")
     for key, fields in entries.items():
@@ -182,7 +185,8 @@ def _map_fields(
                 name for name, found in values.items() if name not in mapping.values() and _fits(canonical, found)
             ]
             said.append(f"{canonical}={proposed[0] if proposed else 'NAME'}")
-        shown = [f"{quoted(name, longest=60)} ({_example(found[0])})" for name, found in values.items()]
+        texts = {name: json.dumps(found[0], ensure_ascii=False) for name, found in values.items()}
+        shown = [f"{quoted(name, longest=60)} ({quoted(text, longest=40)})" for name, text in texts.items()]
         more = f" and {len(shown) - _EXAMPLES} more" if len(shown) > _EXAMPLES else ""
         first = (*absent, *unclear)[0]
         several = fitting.get(first, [])
@@ -199,10 +203,6 @@ def _map_fields(
             aliases = known.fields[canonical]
             mapping[canonical] = min(names, key=lambda name: aliases.index(layout.letters(name)))
     return mapping
-
-
-def _example(value: Any) -> str:
-    return quoted(json.dumps(value, ensure_ascii=False, default=str), longest=40)
 
 
 def _fits(canonical: str, values: list[Any]) -> bool:

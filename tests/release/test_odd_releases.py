@@ -145,6 +145,11 @@ def test_listed_keys_without_an_entry_are_named(tmp_path) -> None:
     assert {each.sequence for each in report.problems if each.left_out} == {"0000000077"}
 
 
+def test_a_prompt_that_is_not_found_is_told(tmp_path) -> None:
+    (warning,) = imported(tmp_path, spoil=renamed("text_prompt", "what to do")).warnings
+    assert "--field-map text=NAME says it (other fields: what to do)" in warning
+
+
 def test_gaze_that_looks_elsewhere_is_told(tmp_path) -> None:
     report = imported(tmp_path, gaze=lambda row: -row.gaze_direction)
     assert value(report, "gaze_frame") == ("unknown", "unknown")
