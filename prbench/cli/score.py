@@ -147,7 +147,8 @@ def score(
         from prbench.harness.score_predictions import UNSTATED
 
         for each in made:
-            print_summary(each.scores, origin=each.origin, motionless=each.motionless)
+            metrics = load_benchmark(about.name).metrics
+            print_summary(each.scores, origin=each.origin, motionless=each.motionless, metrics=metrics)
             print_agreement(each.agreement)
         if out is not None:
             print(f"scores: {out}")
@@ -263,6 +264,7 @@ def export_conditions(
 )
 @opt.replace_option("table or corpus")
 @opt.workers_option(help="Processes that score a run (default 1); changes no result.")
+@opt.scores_options
 def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: bool, workers: int) -> Answer:
     """Put the shards of a build or run together, with the bytes of an unsharded one, or runs on folds as one run.
 

@@ -48,7 +48,7 @@ def print_agreement(agreement: DatasetAgreement | None) -> None:
 
 
 def print_summary(
-    summary: DatasetSummary, *, origin: str, motionless: bool = False, metrics: Sequence[MetricInfo] = ()
+    summary: DatasetSummary, *, origin: str, motionless: bool = False, metrics: Sequence[MetricInfo]
 ) -> None:
     """Print the scores of one method on one dataset.
 
@@ -56,14 +56,14 @@ def print_summary(
         summary: What it scored.
         origin: Whose method it is, in words.
         motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
-        metrics: All metrics of the benchmark; those of prime-and-reach by default.
+        metrics: All metrics of the benchmark.
     """
     from prbench.board.tables import undecided
     from prbench.harness.run_folder.summary import counted_units
-    from prbench.metrics import MAIN_METRICS, METRICS, printed_scale, printed_unit
+    from prbench.metrics import printed_scale, printed_unit
 
     irrelevant = _irrelevant(motionless)
-    shown = {info.id for info in metrics or METRICS if info.main or (session().all_metrics and not info.is_detail)}
+    shown = {info.id for info in metrics if info.main or (session().all_metrics and not info.is_detail)}
     rows = []
     for metric in summary.metrics:
         if metric.metric not in shown:
@@ -86,7 +86,7 @@ def print_summary(
     )
     print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
     # What the data cannot decide.
-    compared = [info for info in metrics if info.main and info.compared] or MAIN_METRICS
+    compared = [info for info in metrics if info.main and info.compared]
     about = (summary.dataset, summary.split, summary.sequences, summary.recordings)
     for line in undecided(*about, [summary.metrics], metrics=compared):
         print(line)
