@@ -78,7 +78,7 @@ _RENAMED = {
     "leaderboard merge": "merge RUN... --out DIR",
     "prediction tables": "study prediction WINDOWS",
     "prediction view": "view RUN --data WINDOWS",
-    "split-dataset": "run --folds participant, or export-conditions and score with --fold K/N",
+    "split-dataset": "run --folds participant",
     "stats": "inspect TABLE",
 }
 

@@ -41,7 +41,7 @@ def parse_fold(text: str) -> tuple[int, int]:
     number, _, count = text.partition("/")
     # Few digits, so that no number is too long for Python to read.
     if not all(part.isdecimal() and len(part) <= 6 for part in (number, count)):
-        alone = f" All folds together are `prbench run --folds {ALL_FOLDS}`'s." if text == ALL_FOLDS else ""
+        alone = f" All folds together are `prbench run --folds {ALL_FOLDS}`'s." if text.startswith(ALL_FOLDS) else ""
         raise UsageError(f"--fold {text}: expected K/N, such as 2/6.{alone}")
     fold = int(number)
     folds = int(count)
