@@ -63,7 +63,7 @@ def test_a_run_without_data_builds_the_datasets_once_and_says_where(cache, tmp_p
     header = next(line for line in first.out.splitlines() if "metric" in line)
     assert header.split() == ["metric", "adt", "hot3d", "mean"]
     assert "· phi" in first.out
-    assert "Cannot be decided: adt, hot3d (1 recording, where a comparison of methods needs 6)." in first.out
+    assert "Cannot be decided: adt, hot3d (1 recording, where a comparison of 2 methods needs 9)." in first.out
     built = (folder / "adt" / "sequences.parquet").stat().st_mtime_ns
     assert main([*run, "--out", str(tmp_path / "two"), "--json"]) == 0
     second = capsys.readouterr()
