@@ -56,7 +56,7 @@ ODD: dict[str, list[tuple[Damage, str, str]]] = {
         (_object(lambda content: content.update(x=content[FORK])), "instances.json, x", f"{FORK} again"),
         (set_cell("3d_bounding_box.csv", 2, 3, ""), "3d_bounding_box.csv, line 2", "''"),
         (set_cell("3d_bounding_box.csv", 2, 3, "wide"), "3d_bounding_box.csv, line 2", "'wide'"),
-        (set_cell("3d_bounding_box.csv", 2, 4, "1e300"), "3d_bounding_box.csv, line 2", "1e+300"),
+        (set_cell("3d_bounding_box.csv", 2, 3, "1e300"), "3d_bounding_box.csv, line 2", "1e+300"),
         (_frame([[0.0] * 3] * 50), "Skeleton_T.json, frame 7", "150 numbers instead of 153"),
         (_frame([["a", "b", "c"]] * 51), "Skeleton_T.json, frame 7", "words"),
         (_frame(None), "Skeleton_T.json, frame 7", "1 numbers instead of 153"),
