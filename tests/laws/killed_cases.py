@@ -147,6 +147,8 @@ def make_inputs(folder: Path, *, heavy: bool = False) -> Path:
     fake_dataset(folder / "table", 6)
     write_windows(folder / "windows")
     call("synthesize adt --count 1 --events 2 --out {adt}")
+    if heavy:
+        call(f"{BUILD} --out {{built}}")
     gimo_sample.write_root(folder / "gimo", gimo_sample.readings())
     call(f"{RUN} --out {{run}}")
     call(f"{STATIC} --out {{static}}")
@@ -250,6 +252,7 @@ WRITING = (
         Writing(f"view --out {kind}", "view {run} --data {table} --limit 1 --out {out}", f"v.{kind}", heavy=True)
         for kind in ("png", "html", "mp4")
     ),
+    Writing("review --out", "review {built} --root {adt} --out {out}", "r.html", heavy=True),
     Writing("explain --draw", "explain --data {table} {event} --draw {out}", "e.png", heavy=True),
     Writing("explain --out", "explain --data {table} {event} --out {out}", "e.json"),
     Writing("inspect --out TABLE", "inspect {table} --out {out}", "s.json"),
