@@ -424,7 +424,8 @@ class Table:
         """All candidate events, those that became sequences and those that did not."""
         rows = self._table.events()
         columns = [row_values(rows[name].combine_chunks()) for name in EVENTS.names]
-        return Events(rows, (Event(*values) for values in zip(*columns, strict=True)))
+        named = (dict(zip(EVENTS.names, values, strict=True)) for values in zip(*columns, strict=True))
+        return Events(rows, (Event(**values) for values in named))
 
     @property
     def recordings(self) -> Recordings:

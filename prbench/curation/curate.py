@@ -25,8 +25,6 @@ from prbench.sequences.sequence import Event, SceneBox, Sequence
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.table import body_movement, hand_movement
 
-# Columns of events that are null for an annotation that cannot be read.
-_UNKNOWN = ("sequence_id", "hand", "prime_time", "prime_kind", "location", "box_min", "box_max", "value", "threshold")
 # Metres within which a thing keeps its place through the recording; choice: above the noise of optical tracking.
 _STILL = 0.01
 
@@ -134,7 +132,6 @@ def curate_recording(
         )
         if sequence is not None:
             sequences.append(sequence)
-    unknown = dict.fromkeys(_UNKNOWN)
     for entry in recording.unreadable:
         rows.append(
             Event(
@@ -147,7 +144,6 @@ def curate_recording(
                 outcome="unreadable_entry",
                 stage="in_hand",
                 unreadable=str(entry),
-                **unknown,
             )
         )
     lacks = _missing_parts(recording, rule, found=bool(events))

@@ -152,7 +152,6 @@ def _event(sequence: Sequence) -> Event:
         box_max=sequence.goal_box_world_max,
         outcome="sequence",
         stage="filters",
-        value=None,
         threshold=None,
     )
 

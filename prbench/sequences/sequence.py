@@ -383,7 +383,7 @@ class Sequence:
         )
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Event:
     """One candidate event, an object picked or put, and what became of it; world frame, metres, seconds.
 
@@ -425,21 +425,21 @@ class Event:
 
     event_id: str
     recording_id: str
-    sequence_id: str | None
+    sequence_id: str | None = None
     object_id: str
     object_name: str
     action: str
-    hand: str | None
+    hand: str | None = None
     event_time: Seconds
-    prime_time: Seconds | None
-    prime_kind: str | None
-    location: PrecisePoint | None
-    box_min: PrecisePoint | None
-    box_max: PrecisePoint | None
+    prime_time: Seconds | None = None
+    prime_kind: str | None = None
+    location: PrecisePoint | None = None
+    box_min: PrecisePoint | None = None
+    box_max: PrecisePoint | None = None
     outcome: str
     stage: str
-    value: Decisive | None
-    threshold: Decisive | None
+    value: Decisive | None = None
+    threshold: Decisive | None = None
     left_wrist: PrecisePoint | None = None
     right_wrist: PrecisePoint | None = None
     published_priming: str | None = None
