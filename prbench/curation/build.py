@@ -337,8 +337,9 @@ def found_datasets(root: Path | str, options: BuildOptions) -> tuple[tuple[Found
         UsageError: for options of one dataset, or if one dataset was found twice.
     """
     # Rules and reader's options are named after what one dataset records, so none is meant for all of them.
-    if options.curation.in_hand is not None or options.reader or options.corrections is not None:
-        belonging = "--in-hand, --events-only, --option and --corrections belong to one dataset"
+    chosen = options.curation
+    if chosen.in_hand or chosen.shift or chosen.scale or options.reader or options.corrections is not None:
+        belonging = "--in-hand, --events-only, --option, --shift, --scale and --corrections belong to one dataset"
         raise UsageError(f"{belonging}; build that dataset by itself.")
     discovery = discover(Path(root))
     twice = [name for name, count in Counter(each.name for each in discovery.found).items() if count > 1]

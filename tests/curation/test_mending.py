@@ -138,3 +138,10 @@ def test_nothing_to_mend_is_the_recording_itself():
 def test_a_wrong_stream_or_number_is_refused(option, given, says):
     with pytest.raises(UsageError, match=says.replace("?", r"\?")):
         stream_numbers(given, option)
+
+
+def test_one_shift_is_not_meant_for_every_dataset(tmp_path, capfd):
+    made = made_once("adt-with-clocks", adt)
+    out = str(tmp_path / "tables")
+    assert main(["build-dataset", "all", "--root", str(made / "ADT"), "--out", out, "--shift=gaze=1"]) == 2
+    assert "belong to one dataset" in capfd.readouterr().err
