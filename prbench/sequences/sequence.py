@@ -419,7 +419,7 @@ class Event:
             was met, negative by what was lacking; None without valid gaze and where only the dataset tells the prime.
         event_confidence: A number from 0 to 1 (docs/specification/curation.md#confidence); None for events
             without a place.
-        corrected: What was corrected by hand and why; None otherwise.
+        corrected: What a person said of it, why and who (docs/review.md); None where nobody did.
         unreadable: File and key of an annotation that could not be read, what was expected and found; None otherwise.
     """
 
