@@ -15,7 +15,7 @@ from prbench.errors import UsageError
 from prbench.recording import UnreadableEntry
 from prbench.viewing.explain import EventStory, draw_event_story, explain_event
 from tests.curation.scenes import LOOK_A, PLACE_A, clock, gaze, scene, stranger
-from tests.curation.sources import SceneSource
+from tests.curation.sources import SceneSource, trembling
 from tests.fakes import fake_dataset
 
 
@@ -26,7 +26,7 @@ class UnseenPut(SceneSource):
         import dataclasses
 
         looks = [(LOOK_A, LOOK_A + 0.5, PLACE_A)]
-        return dataclasses.replace(super().read(), gaze=gaze(clock(30), looks))
+        return trembling(dataclasses.replace(super().read(), gaze=gaze(clock(30), looks)))
 
 
 @pytest.fixture(scope="module")
@@ -106,9 +106,8 @@ def test_a_dataset_without_sequences_can_be_explained(tmp_path: Path) -> None:
     class Unseen(SceneSource):
         def read(self):
             times = clock(120)
-            return scene(
-                gaze=gaze(clock(30), []), other_people=(stranger(times, np.tile([9.0, 1.0, 9.0], (len(times), 1))),)
-            )
+            passer_by = stranger(times, np.tile([9.0, 1.0, 9.0], (len(times), 1)))
+            return trembling(scene(gaze=gaze(clock(30), []), other_people=(passer_by,)))
 
     build_from_sources([Unseen("kitchen_1")], tmp_path / "adt")
     assert explain_event(tmp_path / "adt", "cup/pick").event.outcome == "not_primed"
