@@ -27,7 +27,7 @@ from prbench.curation.options import BuildOptions
 from prbench.curation.priming import gaze_rays
 from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, PrbenchError, UsageError, did_you_mean
-from prbench.files.storage import text_digest, write_text
+from prbench.files.storage import sole_writer, text_digest, write_text
 from prbench.geometry.shapes import near_miss, slab_test
 from prbench.geometry.skeleton import WRISTS, Joint
 from prbench.geometry.timelines import covered, interpolate, nearest_index
@@ -177,7 +177,8 @@ def write_review(
     # Nothing in a name may end the element that holds the numbers.
     text = msgspec.json.encode(page).decode().replace("<", "\\u003c")
     template = Path(__file__).with_name("review.html").read_text(encoding="utf-8")
-    write_text(out, template.replace("__DATA__", text))
+    with sole_writer(out):
+        write_text(out, template.replace("__DATA__", text))
     return Review(out, len(events), problems)
 
 
