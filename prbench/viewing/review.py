@@ -115,7 +115,8 @@ def write_review(
     info = table.info
     require_may_pass_on(info, "the page", permitted)
     rows = table.events()
-    everything = map(Event, *(row_values(rows[name].combine_chunks()) for name in EVENTS.names))
+    columns = [row_values(rows[name].combine_chunks()) for name in EVENTS.names]
+    everything = [Event(**dict(zip(EVENTS.names, values, strict=True))) for values in zip(*columns, strict=True)]
     chosen = [
         event
         for event in everything
