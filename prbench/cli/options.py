@@ -260,7 +260,7 @@ def stream_options(function: Callable) -> Callable:
     """Add ``--shift STREAM=SECONDS`` and ``--scale STREAM=FACTOR``."""
     streams = "gaze, camera, head, body, hands or objects"
     shift = f"Add seconds to the times of a stream ({streams}), such as gaze=-5.0; `prbench inspect --thorough` says"
-    shift += " which."
+    shift += " which. P01*:gaze=-5.0 means recordings by id."
     scale = "Multiply the positions of a stream, such as objects=0.001 where its file holds millimetres."
     function = click.option("--scale", type=KeyValue(), multiple=True, metavar="STREAM=FACTOR", help=scale)(function)
     return click.option("--shift", type=KeyValue(), multiple=True, metavar="STREAM=SECONDS", help=shift)(function)

@@ -6,6 +6,7 @@ times and back into the world at their new ones.
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -27,10 +28,10 @@ _FARTHEST_SHIFT = 1e6  # seconds
 
 
 def stream_numbers(given: Mapping[str, object], option: str) -> Numbers:
-    """Return numbers by stream, sorted, from what a command line or a program says.
+    """Return numbers by stream, those for every recording first, from what a command line or a program says.
 
     Args:
-        given: Texts or numbers by name of a stream.
+        given: Texts or numbers by name of a stream; ``GLOB:stream`` means the recordings whose ids match.
         option: ``shift`` (seconds) or ``scale`` (factors above 0).
 
     Raises:
@@ -40,16 +41,23 @@ def stream_numbers(given: Mapping[str, object], option: str) -> Numbers:
     wanted = "seconds, such as -5.0" if option == "shift" else "a factor above 0, such as 0.001"
     found = {}
     for name, text in given.items():
-        if name not in known:
-            hint = did_you_mean(name, known)
-            raise UsageError(f"--{option}: expected one of {', '.join(known)}, found '{name}'.{hint}")
+        stream = name.rpartition(":")[2]
+        if stream not in known:
+            hint = did_you_mean(stream, known)
+            raise UsageError(f"--{option}: expected one of {', '.join(known)}, found '{stream}'.{hint}")
         try:
             found[name] = float(str(text))
         except ValueError:
             found[name] = np.nan
         if not abs(found[name]) <= _FARTHEST_SHIFT or (option == "scale" and found[name] <= 0):
             raise UsageError(f"--{option} {name}: expected {wanted}, found '{text}'.")
-    return tuple(sorted(found.items()))
+    return tuple(sorted(found.items(), key=lambda item: (":" in item[0], item)))
+
+
+def _meant(numbers: Numbers, recording_id: str) -> dict[str, float]:
+    """Return the numbers by stream that are meant for one recording."""
+    named = [(*name.rpartition(":")[::2], number) for name, number in numbers]
+    return {stream: number for glob, stream, number in named if fnmatch.fnmatchcase(recording_id, glob or "*")}
 
 
 def mended(recording: Recording, shift: Numbers, scale: Numbers) -> Recording:
@@ -63,10 +71,12 @@ def mended(recording: Recording, shift: Numbers, scale: Numbers) -> Recording:
         shift: Seconds that are added to the times of a stream.
         scale: Factor on the positions of a stream; boxes of objects keep their size.
     """
-    if not shift and not scale:
+    shifts = _meant(shift, recording.recording_id)
+    scales = _meant(scale, recording.recording_id)
+    if not shifts and not scales:
         return recording
-    later = dict.fromkeys(STREAMS, 0.0) | dict(shift)
-    factor = dict.fromkeys(STREAMS, 1.0) | dict(scale)
+    later = dict.fromkeys(STREAMS, 0.0) | shifts
+    factor = dict.fromkeys(STREAMS, 1.0) | scales
 
     def moved(stream: Any, name: str, places: str = "position") -> Any:
         points = getattr(stream, places) * factor[name]
@@ -90,9 +100,9 @@ def mended(recording: Recording, shift: Numbers, scale: Numbers) -> Recording:
         body=None if recording.body is None else moved(recording.body, "body", "joints"),
         hands=tuple(hands),
         objects=tuple(moved(track, "objects") for track in recording.objects),
-        shortfalls=() if shift else recording.shortfalls,  # ends of files tell nothing where clocks are moved
+        shortfalls=() if shifts else recording.shortfalls,  # ends of files tell nothing where clocks are moved
     )
-    if {name for name, _ in (*shift, *scale)} <= {"gaze", "camera"}:
+    if shifts.keys() | scales.keys() <= {"gaze", "camera"}:
         return new  # events have no share in these
     moves = (new, later["objects"], factor["objects"])
     return replace(new, annotated_events=tuple(_moved_event(event, *moves) for event in recording.annotated_events))

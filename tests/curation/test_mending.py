@@ -120,6 +120,16 @@ def test_what_is_moved_there_and_back_is_the_same(preset):
     )
 
 
+def test_a_glob_before_the_stream_means_some_recordings_and_goes_before_what_is_meant_for_all():
+    recording = clean("adt")
+    name = recording.recording_id
+    numbers = stream_numbers({f"{name[:9]}*:gaze": 2, "gaze": 1, "other:body": 3}, "shift")
+    moved = mended(recording, numbers, ())
+    np.testing.assert_allclose(moved.gaze.times, recording.gaze.times + 2)
+    np.testing.assert_array_equal(moved.body.times, recording.body.times)
+    assert mended(recording, stream_numbers({"other:body": 3}, "shift"), ()) is recording
+
+
 def test_nothing_to_mend_is_the_recording_itself():
     recording = clean("adt")
     assert mended(recording, (), ()) is recording
