@@ -8,9 +8,9 @@ from prbench.checking.doctor.examinations import OF_THE_CONVERSION, diagnose
 from prbench.checking.doctor.motion_set import Diagnosis, Expected
 from prbench.contract import GIVEN, Condition
 from prbench.harness.conditions import opaque_ids, run_salt
-from prbench.harness.methods.motions import native_frames
 from prbench.harness.planning import Selection
 from prbench.harness.run_folder.predictions import Predictions
+from prbench.harness.scoring import at_table_rate
 
 # Motions of a dataset that are looked at: a fault of the conversion is in all of them, and more would cost as much
 # time as the scores themselves.
@@ -40,25 +40,23 @@ def certain_faults(
     places = np.linspace(0, len(selection) - 1, min(len(selection), _LOOKED_AT)).round().astype(int)
     chosen = selection.chosen(np.isin(np.arange(len(selection)), places))
     salt = run_salt(id_seed, selection.table.identity)
-    fps = native_fps or selection.fps
-    n_frames = chosen.n_frames
-    if native_fps is not None:
-        n_frames = native_frames(n_frames, fps=selection.fps, native_fps=native_fps)
     known = {each.value for each in Condition if "initial_joints" in GIVEN[each]}
     motions = []
     expected = []
     for place, chunk in chosen.windows(["joints", "previous_joints"]):
         ids = chunk.sequence_ids
         rows = predictions.motions(ids if predictions.id_column != "opaque_id" else opaque_ids(ids, salt), 0)
-        for row, asked in enumerate(n_frames[place]):
+        if native_fps is not None:
+            rows = at_table_rate(rows, chosen.n_frames[place], step=native_fps / selection.fps)
+        for row, asked in enumerate(chosen.n_frames[place].tolist()):
             motion = rows.values[rows.offsets[row] : rows.offsets[row + 1]].astype(np.float64)
             initial = chunk.joints[chunk.offsets[row]].astype(np.float64)
-            step = (chunk.poses("previous_joints")[row] - initial) * (selection.fps / fps)
+            previous = chunk.poses("previous_joints")[row].astype(np.float64)
             motions.append(motion)
             if condition in known or np.abs(motion[0] - initial).max() < _BEGINS_THERE:
-                expected.append(Expected(initial, initial + step, int(asked), fps))
+                expected.append(Expected(initial, previous, asked, selection.fps))
             else:
-                expected.append(Expected(None, None, int(asked), fps))
-    found = diagnose(motions, expected, fps=fps, examinations=OF_THE_CONVERSION)
+                expected.append(Expected(None, None, asked, selection.fps))
+    found = diagnose(motions, expected, fps=selection.fps, examinations=OF_THE_CONVERSION)
     # Scoring itself refuses another length, unless the user allows it.
     return tuple(each for each in found if each.certain and each.kind != "length")

@@ -69,8 +69,8 @@ def likely_cause(expected: Int[np.ndarray, " n"], found: Int[np.ndarray, " n"], 
     for rate in _USUAL_RATES if len(expected) > 1 else ():
         if rate != fps and (np.abs(found - ((expected - 1) * rate / fps + 1)) <= 1).all():
             return (
-                f"They look like motions at {rate:g} frames per second where {fps:g} are asked for: resample them, or"
-                f" export the conditions with --native-fps {rate:g} and generate anew."
+                f"They look like motions at {rate:g} frames per second where {fps:g} are asked for: score"
+                f" them with --native-fps {rate:g}, or resample them."
             )
     return ""
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from prbench.contract import Gaze, Motions
 from prbench.engine import Engine, InProcess
@@ -216,7 +216,7 @@ def _score_together(part: _Part) -> pa.Table:
         rows = part.predictions.motions(part.names, sample)
         _check(rows, recorded, chunk, sample, part)
         if rules.native_fps is not None:
-            rows = _at_table_rate(rows, recorded, part, rules.native_fps)
+            rows = at_table_rate(rows, recorded.n_frames, step=rules.native_fps / float(chunk.numbers("fps")[0]))
         predicted = MotionBatch(rows.values, rows.offsets)
         shown = targets
         if rows.gaze is not None:
@@ -322,8 +322,14 @@ def _check(rows: PredictionRows, recorded: MotionBatch, chunk: SequenceChunk, sa
             raise PredictionsError(f"{place(row)}, gaze, {problem}")
 
 
-def _at_table_rate(predicted: PredictionRows, recorded: MotionBatch, part: _Part, native_fps: float) -> PredictionRows:
-    """Motions at their own rate as a run resamples them before it keeps them."""
+def at_table_rate(predicted: PredictionRows, asked: Int[np.ndarray, " n"], *, step: float) -> PredictionRows:
+    """Return motions at their own rate as a run resamples them before it keeps them.
+
+    Args:
+        predicted: Motions at their own rate.
+        asked: Frames that each shall have.
+        step: Frames of ``predicted`` from one new frame to the next.
+    """
     n_frames = np.diff(predicted.offsets)
     valid = np.arange(int(n_frames.max())) < n_frames[:, None]
 
@@ -335,7 +341,6 @@ def _at_table_rate(predicted: PredictionRows, recorded: MotionBatch, part: _Part
     gaze = None
     if predicted.gaze is not None:
         gaze = Gaze(padded(predicted.gaze[:, 0]), padded(predicted.gaze[:, 1]))
-    step = native_fps / float(SequenceChunk(part.recorded).numbers("fps")[0])
-    found = resampled(Motions(padded(predicted.values), n_frames, gaze=gaze), recorded.n_frames, step=step)
+    found = resampled(Motions(padded(predicted.values), n_frames, gaze=gaze), asked, step=step)
     rays = None if found.gaze is None else np.stack((found.gaze.origin, found.gaze.direction), axis=2)
     return PredictionRows.from_padded(found.joints, found.n_frames, gaze=rays)

@@ -58,8 +58,8 @@ def examine_length(motion_set: MotionSet) -> Finding | None:
         for row, n_frames in zip(known, asked, strict=True):
             frames = np.arange(len(motions[row]))
             motions[row] = on_straight_lines(motions[row], frames, np.linspace(0, frames[-1], n_frames))
-        diagnosis = Diagnosis("frame-rate", True, evidence, cause, _AT_RATE)
-        return Finding((diagnosis,), motion_set.with_motions(motions))
+        remedy = f"Score a file with --native-fps {rate:g}. {_AT_RATE}"
+        return Finding((Diagnosis("frame-rate", True, evidence, cause, remedy),), motion_set.with_motions(motions))
     elif len(set(found.tolist())) == 1 and len(set(asked.tolist())) > 1:
         cause = f"every motion has {found[0]} frames: a fixed window of the model, or padding that was not cut off"
     else:

@@ -24,7 +24,7 @@ from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder, read_scores
 from prbench.harness.score_predictions import score_predictions
 from prbench.harness.score_request import ScoreRequest
-from tests.fakes import fake_dataset
+from tests.fakes import STANDING, fake_dataset
 from tests.harness.offline import method
 
 FORMS = {
@@ -317,8 +317,8 @@ def test_offline_scores_stand_in_a_leaderboard_beside_runs(tables, tmp_path):
 def test_scores_of_an_unstated_condition_are_shown_without_rank(table, tmp_path, monkeypatch):
     monkeypatch.setattr(tables_of_board, "FEWEST_RANKED", 1)
     conditions = export([table], tmp_path / "c.npz", condition="text")
-    motions = method.generated(conditions)
-    for name, condition, off in (("one", Condition.TEXT, 0), ("two", Condition.TEXT, 1), ("three", None, 2)):
+    motions = [np.repeat(STANDING[None], len(motion), axis=0) for motion in method.generated(conditions)]
+    for name, condition, off in (("one", Condition.TEXT, 0), ("two", Condition.TEXT, 0.02), ("three", None, 0.04)):
         path = method.write_padded(tmp_path / f"{name}.npz", conditions, [motion + off for motion in motions])
         score([table], path, out=tmp_path / "scores" / name, condition=condition)
     board = tables_of_board.make_leaderboard(collect_runs([tmp_path / "scores"]))
