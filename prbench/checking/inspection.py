@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from prbench.curation.mending import Numbers, mended, named_streams
 from prbench.curation.stream_checks import examine_streams
 from prbench.entry_points import CORPORA, load_built_in
 from prbench.errors import InputFileError, PrbenchError
@@ -27,7 +28,6 @@ from prbench.readers import (
 )
 from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
 from prbench.readers.extents import damage
-from prbench.recording import Recording
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.table import table_statistics, why_no_sequences
@@ -36,7 +36,8 @@ State = Literal["complete", "cut short", "incomplete", "damaged", "left out", "u
 
 
 _Progress = Callable[[int, int, str], None]
-_Mend = Callable[[Recording], Recording]
+# Numbers of --shift and of --scale.
+_Mends = tuple[Numbers, Numbers]
 
 
 def look(root: Path) -> tuple[Discovery, tuple[Any, ...]]:
@@ -141,14 +142,14 @@ class Inspection:
 
 
 def inspect_folders(
-    folders: Sequence[Path], *, thorough: bool = False, mend: _Mend | None = None, progress: _Progress | None = None
+    folders: Sequence[Path], *, thorough: bool = False, mends: _Mends = ((), ()), progress: _Progress | None = None
 ) -> Inspection:
     """Look at built tables and at every recording below other folders.
 
     Args:
         folders: Tables, datasets, or folders that hold several datasets.
         thorough: Read every recording as a build would (:func:`inspect_folder`).
-        mend: See there.
+        mends: See there.
         progress: Called with done, total and the recording's name.
 
     Raises:
@@ -157,7 +158,7 @@ def inspect_folders(
     """
     tables = [folder for folder in folders if (folder / DATASET_FILE).exists()]
     found = [
-        inspect_folder(folder, thorough=thorough, mend=mend, progress=progress)
+        inspect_folder(folder, thorough=thorough, mends=mends, progress=progress)
         for folder in folders
         if folder not in tables
     ]
@@ -196,7 +197,7 @@ def _inspect_table(folder: Path) -> InspectedTable:
 
 @foreign_input()
 def inspect_folder(
-    root: Path | str, *, thorough: bool = False, mend: _Mend | None = None, progress: _Progress | None = None
+    root: Path | str, *, thorough: bool = False, mends: _Mends = ((), ()), progress: _Progress | None = None
 ) -> Inspection:
     """Look at every recording below a folder.
 
@@ -204,7 +205,7 @@ def inspect_folder(
         root: A dataset's folder, or one that holds several.
         thorough: Read every recording as a build would, and every row of its trajectory, instead of looking for its
             files and at their ends; then examine whether its streams belong together.
-        mend: Changes each recording that is read, as ``--shift`` and ``--scale`` say.
+        mends: Numbers of ``--shift`` and of ``--scale``, for the recordings that are read.
         progress: Called with done, total and the recording's name.
 
     Raises:
@@ -219,7 +220,7 @@ def inspect_folder(
     for found in discovery.found:
         inspected = []
         for recording in found.recordings:
-            state, remarks = _inspect(found, recording, thorough, mend)
+            state, remarks = _inspect(found, recording, thorough, mends)
             size = sum(file.size for file in recording.files)
             inspected.append(InspectedRecording(recording.recording_id, state, size, remarks))
             done += 1
@@ -248,7 +249,7 @@ def inspect_folder(
 
 
 def _inspect(
-    found: FoundDataset, recording: RecordingFiles, thorough: bool, mend: _Mend | None
+    found: FoundDataset, recording: RecordingFiles, thorough: bool, mends: _Mends
 ) -> tuple[State, tuple[str, ...]]:
     """Return the state of one recording, and what is wrong with it."""
     manifest = load_manifest(found.dataset)
@@ -275,8 +276,8 @@ def _inspect(
     try:
         read = reader.read(recording)
         read = replace(read, shortfalls=cut_short(recording, read))
-        read = read if mend is None else mend(read)
-        findings = examine_streams(read)
+        read = mended(read, *mends)
+        findings = examine_streams(read, named_streams(read.recording_id, *mends))
     except PrbenchError as error:
         return "unreadable", (str(error),)
     shortfalls = read.shortfalls

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -128,13 +127,13 @@ def inspect(
     study table-1` prints those beside the study's.
     """
     from prbench.checking.inspection import inspect_folders
-    from prbench.curation.mending import mended, stream_numbers
+    from prbench.curation.mending import stream_numbers
 
     if (shift or scale) and not thorough:
         raise UsageError("--shift and --scale change what is read; give --thorough, too.")
-    mend = partial(mended, shift=stream_numbers(dict(shift), "shift"), scale=stream_numbers(dict(scale), "scale"))
+    mends = (stream_numbers(dict(shift), "shift"), stream_numbers(dict(scale), "scale"))
     with progress("inspecting") as show:
-        found = inspect_folders(places, thorough=thorough, mend=mend, progress=show)
+        found = inspect_folders(places, thorough=thorough, mends=mends, progress=show)
 
     def show_all() -> None:
         for dataset in found.datasets:

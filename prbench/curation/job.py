@@ -21,7 +21,7 @@ import pyarrow as pa
 import prbench
 from prbench.curation.corrections import Corrections, UnknownEventError
 from prbench.curation.curate import CuratedRecording, curate_recording
-from prbench.curation.mending import mended
+from prbench.curation.mending import mended, named_streams
 from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.curation.stream_checks import examine_streams
 from prbench.engine import Engine, is_out_of_memory
@@ -319,8 +319,9 @@ class CurationJob(RecordingJob):
 
     def make(self, source: RecordingSource) -> tuple[RecordingRow, dict[str, pa.RecordBatch]]:
         """See :class:`RecordingJob`."""
-        recording = mended(source.read(), self.options.shift, self.options.scale)
-        findings = examine_streams(recording)
+        options = (self.options.shift, self.options.scale)
+        recording = mended(source.read(), *options)
+        findings = examine_streams(recording, named_streams(recording.recording_id, *options))
         certain = [str(each) for each in findings if each.certain]
         if certain:
             raise RecordingUnusable(" ".join(certain))

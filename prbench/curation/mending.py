@@ -60,6 +60,11 @@ def _meant(numbers: Numbers, recording_id: str) -> dict[str, float]:
     return {stream: number for glob, stream, number in named if fnmatch.fnmatchcase(recording_id, glob or "*")}
 
 
+def named_streams(recording_id: str, *options: Numbers) -> set[str]:
+    """Return the streams of a recording that the user has named, if only by ``gaze=0``: they vouch for these."""
+    return {stream for numbers in options for stream in _meant(numbers, recording_id)}
+
+
 def mended(recording: Recording, shift: Numbers, scale: Numbers) -> Recording:
     """Return a recording with streams moved in time and positions multiplied.
 

@@ -7,7 +7,7 @@ of every threshold: docs/specification/curation.md#clocks-units-and-worlds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -117,13 +117,14 @@ class Gridded:
     local: _Moving | None
 
 
-def examine_streams(recording: Recording) -> tuple[Diagnosis, ...]:
+def examine_streams(recording: Recording, trusted: Collection[str] = ()) -> tuple[Diagnosis, ...]:
     """Say which streams of a recording have another clock, unit or world than the others, or do not move.
 
     A fault that explains others comes alone: what is looked at later leaves out the streams that have one.
 
     Args:
         recording: What a reader yields, mended as the user asks (:mod:`prbench.curation.mending`).
+        trusted: Streams that the user vouches for: their findings are told, and never certain.
 
     Returns:
         Findings, certain ones first: with those, events would be wrong, and the recording must not be curated.
@@ -152,7 +153,9 @@ def examine_streams(recording: Recording) -> tuple[Diagnosis, ...]:
         said = f"{name}: {x:+.2f}, {y:+.2f}, {z:+.2f} m (x, up, z) from where other streams see the same place,"
         said += f" expected within {_FARTHEST_OFFSET} m."
         found[name] = Diagnosis("place", True, said, "Its world has other axes, another origin or floor.", _NO_OPTION)
-    return tuple(sorted((stuck | found).values(), key=lambda each: not each.certain))
+    faults = (stuck | found).items()
+    judged = [replace(fault, certain=fault.certain and name not in trusted) for name, fault in faults]
+    return tuple(sorted(judged, key=lambda fault: not fault.certain))
 
 
 def _unblamed(streams: Gridded, pairs: Sequence[Pair], found: _Found) -> list[Pair]:

@@ -90,6 +90,10 @@ def test_inspect_calls_the_recording_inconsistent_and_complete_once_mended(tmp_p
     assert recording["state"] == "inconsistent"
     assert recording["remarks"][0].startswith(said[0])
     assert main(["inspect", str(root), "--thorough", option]) == 0
+    # Whoever names a stream vouches for it: the finding is told, and stops nothing.
+    assert main(["inspect", str(root), "--thorough", "--shift=gaze=0"]) == 0
+    assert main(["build-dataset", "adt", "--root", str(root), "--out", str(tmp_path / "table"), "--shift=gaze=0"]) == 0
+    assert "gaze: 5.0" in capfd.readouterr().err
     assert main(["inspect", str(root), option]) == 2
     assert "--thorough" in capfd.readouterr().err
 
