@@ -85,7 +85,6 @@ _KINDS = {
     section="board",
     example="prbench analyse diversity runs/pr --data tables/adt --fan fan.png",
     report=AnalysisReport,
-    writes_report=True,
 )
 @click.argument("kind", type=click.Choice(list(_KINDS)), metavar="KIND", is_eager=True)
 @click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")

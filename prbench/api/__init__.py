@@ -26,37 +26,3 @@ from prbench.api.tables import (
 from prbench.engine.choice import Cluster
 from prbench.errors import PrbenchError
 from prbench.geometry.skeleton import Joint
-
-__all__ = [
-    "Build",
-    "Cluster",
-    "Comparison",
-    "Event",
-    "Events",
-    "Gaze",
-    "Goal",
-    "Head",
-    "Joint",
-    "Measures",
-    "Picture",
-    "PrbenchError",
-    "Recording",
-    "Recordings",
-    "Replay",
-    "Run",
-    "Scores",
-    "Sequence",
-    "Story",
-    "SyntheticRecordings",
-    "Table",
-    "build_dataset",
-    "compare",
-    "embedded_tables",
-    "measure",
-    "measure_futures",
-    "open_run",
-    "open_table",
-    "run",
-    "score",
-    "synthesize",
-]

@@ -39,7 +39,6 @@ adapters = Group(
     "list",
     example="prbench adapters list --details",
     report={"": [InstalledEntry], "--details": ["prbench.harness.methods.describe:Description"]},
-    writes_report=True,
 )
 @click.argument("names", nargs=-1, metavar="[NAME...]")
 @click.option(
@@ -171,12 +170,7 @@ _OUTCOMES = ("passed", "skipped", "warning", "failed")
 _FAILED = 5  # as for every other breach of the adapter contract
 
 
-@command(
-    "check",
-    example="prbench adapters check static",
-    report="prbench.checking.conformance.findings:Report",
-    writes_report=True,
-)
+@command("check", example="prbench adapters check static", report="prbench.checking.conformance.findings:Report")
 @click.argument("method")
 @opt.benchmark_option
 @click.option(
@@ -248,12 +242,7 @@ def print_report(report: Report) -> None:
     print(f"{report.method} {verdict}: {counts}; {report.seconds:.1f} s.")
 
 
-@command(
-    "doctor",
-    example="prbench doctor motions.npy",
-    report="prbench.checking.examine_file:DoctorReport",
-    writes_report=True,
-)
+@command("doctor", example="prbench doctor motions.npy", report="prbench.checking.examine_file:DoctorReport")
 @click.argument("motions", type=opt.PATH, metavar="FILE")
 @opt.data_option(
     required=False, help="Built dataset folder(s): compare with their initial poses, lengths and recordings."

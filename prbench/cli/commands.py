@@ -103,8 +103,8 @@ class Command(click.Command):
         resumes: The command takes up what an interruption has left.
         report: Data class or msgspec struct that it prints with ``--json``, or ``module:class`` of one whose module
             takes long to import; a list of one, where it prints a list; one for each value of the first argument or
-            option that chooses it; None for no report.
-        writes_report: ``--out FILE`` writes that JSON; False where the command has an ``--out`` of its own.
+            option that chooses it; None for no report. ``--out FILE`` writes that JSON, too, unless the command has an
+            ``--out`` of its own.
         section: Section of ``prbench --help`` that lists the command of another package, named by the word before its
             colon, such as ``train``.
         first: Options that help shows first, for a command with many; the others follow under "advanced".
@@ -120,7 +120,6 @@ class Command(click.Command):
         example: str,
         resumes: bool = False,
         report: Report = None,
-        writes_report: bool = False,
         section: str = "",
         first: Collection[str] = (),
         former: Mapping[str, str] | None = None,
@@ -138,7 +137,7 @@ class Command(click.Command):
         if report is not None:
             as_json = "Print the report as JSON (docs/command-line.md#json); notes stay on standard error."
             self.params.append(_shared_option(["--json", "as_json"], as_json, is_flag=True, is_eager=True))
-        if writes_report:
+        if report is not None and not any("--out" in option.opts for option in self.params):
             to_file = "Write the report as JSON to this file, too."
             place = PlaceType("file", dir_okay=False)
             self.params.append(_shared_option(["--out", "report_file"], to_file, type=place, metavar="FILE"))

@@ -28,12 +28,7 @@ if TYPE_CHECKING:
     from prbench.checking.inspection import InspectedDataset, InspectedTable
 
 
-@command(
-    "datasets",
-    example="prbench datasets --root /data",
-    report="prbench.checking.catalogue:Catalogue",
-    writes_report=True,
-)
+@command("datasets", example="prbench datasets --root /data", report="prbench.checking.catalogue:Catalogue")
 @click.argument("name", required=False)
 @opt.root_option("Look here for copies, and one folder below.", required=False)
 @click.option(
@@ -103,12 +98,7 @@ _SHOWN = 30
 _NOT_COMPLETE = 3
 
 
-@command(
-    "inspect",
-    example="prbench inspect /data tables/adt",
-    report="prbench.checking.inspection:Inspection",
-    writes_report=True,
-)
+@command("inspect", example="prbench inspect /data tables/adt", report="prbench.checking.inspection:Inspection")
 @click.argument("places", type=opt.NATIVE, nargs=-1, required=True, metavar="DIR...")
 @click.option("--thorough", is_flag=True, help="Read every recording as a build would; takes as long.")
 @opt.stream_options
@@ -197,7 +187,6 @@ def _print_tables(tables: tuple[InspectedTable, ...]) -> None:
     "validate",
     example="prbench validate hd-epic --root /data/HD-EPIC --data tables/hd-epic",
     report="prbench.checking.hd_epic:Validation",
-    writes_report=True,
 )
 @click.argument("dataset", type=click.Choice(["hd-epic"]))
 @click.option("--data", type=opt.PATH, metavar="DIR", help="A table of it that was built by the rule.")
@@ -289,7 +278,6 @@ def _print_priming(priming: dict[str, dict[str, int]], shares: dict[str, tuple[f
     example="prbench poses egoallo --root /data/HD-EPIC --config egoallo.toml",
     resumes=True,
     report=["prbench.curation.poses.make:Outcome"],
-    writes_report=True,
 )
 @click.argument("estimator", type=click.Choice(["egoallo"]))
 @opt.root_option(type=opt.LOCAL_PATH)

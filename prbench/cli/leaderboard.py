@@ -60,7 +60,6 @@ def export(runs: tuple[Path, ...], format: str, out: Path | None, data: tuple[Pa
     "compare",
     example="prbench leaderboard compare runs/static runs/scripted",
     report="prbench.board.comparison:RunComparison",
-    writes_report=True,
 )
 @click.argument("first", type=opt.PATH, metavar="RUN")
 @click.argument("second", type=opt.PATH, metavar="RUN")

@@ -95,12 +95,7 @@ class ExplainReport(msgspec.Struct, frozen=True, kw_only=True):
     notice: str
 
 
-@command(
-    "explain",
-    example="prbench explain Mug_2/pick --data tables/adt --draw story.png",
-    report=ExplainReport,
-    writes_report=True,
-)
+@command("explain", example="prbench explain Mug_2/pick --data tables/adt --draw story.png", report=ExplainReport)
 @click.argument("event")
 @click.option("--data", type=opt.PATH, required=True, metavar="DIR", help="Built dataset folder.")
 @click.option("--draw", type=opt.OUT_FILE, metavar="FILE", help="Draw the story as PNG.")
@@ -181,7 +176,6 @@ SHOWN = 40
     "diff",
     example="prbench diff tables/adt tables/adt-wrist --out changes.json",
     report="prbench.curation.differences:Difference",
-    writes_report=True,
 )
 @click.argument("first", type=opt.PATH, metavar="BUILD_A")
 @click.argument("second", type=opt.PATH, metavar="BUILD_B")

@@ -6,20 +6,6 @@ An engine is anything with :meth:`Engine.map`; builds, runs and scoring take one
 
 from prbench.engine.pool import Engine, Full, InProcess, ProcessPool, answer, call, end_with_parent, is_out_of_memory
 
-__all__ = [
-    "Engine",
-    "Full",
-    "InProcess",
-    "ProcessPool",
-    "answer",
-    "call",
-    "capacity",
-    "close_engine",
-    "end_with_parent",
-    "engine_for",
-    "is_out_of_memory",
-]
-
 
 def capacity(engine: Engine) -> int:
     """Items that an engine works on at a time."""

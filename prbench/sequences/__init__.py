@@ -4,14 +4,3 @@ from prbench.sequences.corpus import CorpusTable
 from prbench.sequences.dataset_info import CorpusInfo, DatasetInfo
 from prbench.sequences.sequence import Event, Recording, Sequence, SequenceChunk
 from prbench.sequences.table import SequenceTable
-
-__all__ = [
-    "CorpusInfo",
-    "CorpusTable",
-    "DatasetInfo",
-    "Event",
-    "Recording",
-    "Sequence",
-    "SequenceChunk",
-    "SequenceTable",
-]

@@ -49,7 +49,7 @@ def test_star_import_and_stub_offer_the_same_names():
     imported = {alias.asname for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
     declared = {node.target.id for node in stub.body if isinstance(node, ast.AnnAssign)}  # type: ignore[union-attr]
     assert imported | declared == set(prbench.__all__)
-    assert set(prbench.api.__all__) == imported
+    assert all(hasattr(prbench.api, name) for name in imported)
 
 
 @pytest.mark.parametrize(("typed", "meant"), [("opn_table", "open_table"), ("embedded_table", "embedded_tables")])
@@ -60,7 +60,7 @@ def test_misspelt_names_are_answered_with_the_nearest(typed, meant):
 
 def _public_members() -> list[tuple[str, object]]:
     members: list[tuple[str, object]] = []
-    for name in prbench.api.__all__:
+    for name in sorted(set(prbench.__all__) - {"__version__"}):
         value = getattr(prbench.api, name)
         if not value.__module__.startswith("prbench.api"):
             continue

@@ -5,14 +5,3 @@ from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.record import RunCost, RunRecord
 from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
-
-__all__ = [
-    "DatasetFolder",
-    "DatasetSummary",
-    "MetricSummary",
-    "Predictions",
-    "RunCost",
-    "RunFolder",
-    "RunRecord",
-    "read_scores",
-]
