@@ -13,17 +13,8 @@ import pyarrow as pa
 from jaxtyping import Float
 
 from prbench.api import arguments as args
-from prbench.api.pictures import (
-    Picture,
-    Replay,
-    frame_from_rows,
-    frame_of,
-    frozen,
-    notebook_table,
-    picture_of,
-    progress,
-    replay_of,
-)
+from prbench.api import pictures
+from prbench.api.pictures import Picture, Replay
 from prbench.api.tables import Table, embedded_tables, table_folders
 from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.engine.choice import Cluster
@@ -56,7 +47,7 @@ def summary_frame(summaries: Sequence[DatasetSummary], *, motionless: bool) -> p
         for metric in summary.metrics:
             if metric.metric not in irrelevant:
                 rows.append((*about, *(getattr(metric, name) for name in _METRIC), ";".join(metric.marks)))
-    return frame_from_rows(rows, ("dataset", "method", "condition", *_METRIC, "marks"))
+    return pictures.frame_from_rows(rows, ("dataset", "method", "condition", *_METRIC, "marks"))
 
 
 def scores_for_notebook(summaries: Sequence[DatasetSummary], *, motionless: bool) -> str:
@@ -70,7 +61,9 @@ def scores_for_notebook(summaries: Sequence[DatasetSummary], *, motionless: bool
     if any(each.synthetic for each in summaries):
         remarks.append(ON_SYNTHETIC_DATA)
     columns = ["dataset", "title", "unit", "mean", "low", "high", "marks"]
-    return notebook_table(described(summaries), summary_frame(summaries, motionless=motionless)[columns], remarks)
+    return pictures.notebook_table(
+        described(summaries), summary_frame(summaries, motionless=motionless)[columns], remarks
+    )
 
 
 def described(summaries: Sequence[DatasetSummary]) -> str:
@@ -167,7 +160,7 @@ class Run:
             RunError: if the run is not finished, or its scores cannot be read.
         """
         tables = [read_scores(self._folder.dataset(name).scores) for name in self.datasets]
-        return frame_of(pa.concat_tables(tables).combine_chunks())
+        return pictures.frame_of(pa.concat_tables(tables).combine_chunks())
 
     def motion(self, sequence_id: str, *, sample: int = 0) -> Float[np.ndarray, "n 22 3"]:
         """Return the motion that the method made for one sequence.
@@ -192,7 +185,7 @@ class Run:
         known = sorted({name for predictions in opened for name in predictions.ids})
         name = find_sequence_id(sequence_id, known, among=str(self.folder))
         predictions = next(each for each in opened if (name, sample) in each)
-        return frozen(predictions.motions([name], sample).values.copy())
+        return pictures.frozen(predictions.motions([name], sample).values.copy())
 
     @args.own_parameters
     def plot(
@@ -222,7 +215,7 @@ class Run:
             TableError: if the run's table cannot be found.
             RedistributionError: if nothing is left that the licence lets be shown.
         """
-        return picture_of(self._scenes(sequence, data, limit, sample, permission))
+        return pictures.picture_of(self._scenes(sequence, data, limit, sample, permission))
 
     @args.own_parameters
     def replay(
@@ -253,7 +246,7 @@ class Run:
             TableError: if the run's table cannot be found.
             RedistributionError: if nothing is left that the licence lets be shown.
         """
-        return replay_of(self._scenes(sequence, data, limit, sample, permission))
+        return pictures.replay_of(self._scenes(sequence, data, limit, sample, permission))
 
     def _scenes(
         self,
@@ -438,7 +431,7 @@ def run(
                 "writes": (folder or DEFAULT_PARENT / "run",),
                 "packages": packages_of((request.method,), about.entry_points),
             }
-        with args.engine_of(workers, **needs) as engine, progress(f"running {request.method_label}") as show:
+        with args.engine_of(workers, **needs) as engine, pictures.progress(f"running {request.method_label}") as show:
             make = run_folds if fold == ALL_FOLDS else run_method
             report = make(
                 replace(request, out=folder),

@@ -20,17 +20,8 @@ from jaxtyping import Bool, Float
 
 from prbench import sequences
 from prbench.api import arguments as args
-from prbench.api.pictures import (
-    Picture,
-    Replay,
-    frame_from_rows,
-    frame_of,
-    frozen,
-    notebook_table,
-    picture_of,
-    progress,
-    replay_of,
-)
+from prbench.api import pictures
+from prbench.api.pictures import Picture, Replay
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import Joint, invert_rigid, transform_points
 from prbench.sequences import DatasetInfo, Event, Recording, SequenceChunk, SequenceTable
@@ -66,7 +57,7 @@ class Goal:
         """The eight corners of the box, canonical frame, metres; the last axis of the world changes fastest."""
         ends = zip(self.box_world_min, self.box_world_max, strict=True)
         corners = np.array(list(itertools.product(*ends)), dtype=np.float64)
-        return frozen(transform_points(invert_rigid(self._world_from_canonical), corners))
+        return pictures.frozen(transform_points(invert_rigid(self._world_from_canonical), corners))
 
     def __repr__(self) -> str:
         x, y, z = self.location
@@ -175,7 +166,7 @@ class Sequence(sequences.Sequence):
         Raises:
             RedistributionError: if the dataset's licence keeps recorded motion and no permission is stated.
         """
-        return picture_of((self._scene(permission),))
+        return pictures.picture_of((self._scene(permission),))
 
     def replay(self, *, permission: str | Iterable[str] = ()) -> Replay:
         """Show the sequence in 3-D, to turn and play.
@@ -190,7 +181,7 @@ class Sequence(sequences.Sequence):
             MissingExtraError: if the extra ``view`` is not installed.
             RedistributionError: if the dataset's licence keeps recorded motion and no permission is stated.
         """
-        return replay_of((self._scene(permission),))
+        return pictures.replay_of((self._scene(permission),))
 
     def _scene(self, permission: str | Iterable[str]) -> Scene:
         from prbench.sequences.dataset_info import require_may_pass_on
@@ -212,8 +203,8 @@ class Sequence(sequences.Sequence):
             ("first look at the goal", f"{self.prime_after:.2f} s after the first frame ({self.prime_kind})"),
             ("gaze", f"valid in {int(self.gaze.valid.sum())} of {self.n_frames} frames"),
         ]
-        frame = frame_from_rows(rows, ["", "value"])
-        return notebook_table(f"{self.action} of {self.object_name} ({self.dataset})", frame)
+        frame = pictures.frame_from_rows(rows, ["", "value"])
+        return pictures.notebook_table(f"{self.action} of {self.object_name} ({self.dataset})", frame)
 
 
 def sequences_of(chunks: Iterable[SequenceChunk], table: SequenceTable) -> Iterator[Sequence]:
@@ -226,7 +217,7 @@ def sequences_of(chunks: Iterable[SequenceChunk], table: SequenceTable) -> Itera
     for chunk in chunks:
         columns = [row_values(chunk.batch.column(name)) for name in SEQUENCES.names]
         for row in zip(*columns, strict=True):
-            values: list[Any] = [frozen(each.copy()) if isinstance(each, np.ndarray) else each for each in row]
+            values: list[Any] = [pictures.frozen(each.copy()) if isinstance(each, np.ndarray) else each for each in row]
             yield Sequence(*values, _table=table)
 
 
@@ -245,7 +236,7 @@ class _Records(list[_Record]):
 
         Vectors (``location``, ``box_min`` …) hold one array (3,) a cell, world frame, metres.
         """
-        return frame_of(self._rows)
+        return pictures.frame_of(self._rows)
 
 
 class Events(_Records[Event]):
@@ -256,7 +247,9 @@ class Events(_Records[Event]):
 
     def _repr_html_(self) -> str:
         shown = ["object_name", "action", "hand", "event_time", "prime_time", "outcome", "stage", "event_id"]
-        return notebook_table(f"{len(self)} candidate events: {self._counted()}", frame_of(self._rows.select(shown)))
+        return pictures.notebook_table(
+            f"{len(self)} candidate events: {self._counted()}", pictures.frame_of(self._rows.select(shown))
+        )
 
     def _counted(self) -> str:
         """Return how many events have each outcome, the most frequent first."""
@@ -273,7 +266,7 @@ class Recordings(_Records[Recording]):
         return f"<{len(self)} recordings, {statuses.count('read')} of them read>"
 
     def _repr_html_(self) -> str:
-        return notebook_table(f"{len(self)} recordings", self.to_pandas())
+        return pictures.notebook_table(f"{len(self)} recordings", self.to_pandas())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -484,7 +477,7 @@ class Table:
 
         scalars = self._table.scalars()
         # Without the map of what only one dataset has: Sequence.extra holds it.
-        frame = frame_of(scalars.select([field.name for field in scalars.schema if field.type != KEY_VALUES]))
+        frame = pictures.frame_of(scalars.select([field.name for field in scalars.schema if field.type != KEY_VALUES]))
         large = [field.name for field in SEQUENCES if is_bulky(field.type) and field.type != KEY_VALUES]
         if arrays:
             rows = [[getattr(sequence, name) for name in large] for sequence in self]
@@ -530,7 +523,7 @@ class Table:
         scalars = self._table.scalars(columns=_SHOWN_COLUMNS)
         if scalars.num_rows > _SHOWN_ROWS:
             remarks.insert(0, f"the first {_SHOWN_ROWS} of {scalars.num_rows} rows; .to_pandas() gives all")
-        return notebook_table(title, frame_of(scalars.slice(0, _SHOWN_ROWS)), remarks)
+        return pictures.notebook_table(title, pictures.frame_of(scalars.slice(0, _SHOWN_ROWS)), remarks)
 
 
 def _require_split(split: str | None) -> None:
@@ -574,7 +567,7 @@ def embedded_tables(*, workers: int = 1) -> tuple[Table, ...]:
     from prbench.harness.first_run import default_tables
 
     args.require_positive(workers=workers)
-    with progress("building synthetic data") as show:
+    with pictures.progress("building synthetic data") as show:
         return tuple(map(Table, default_tables(engine_for(workers), show)))
 
 

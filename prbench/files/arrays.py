@@ -29,19 +29,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Bool, Float
 
+from prbench import limits
 from prbench.errors import InputFileError, RecordingUnusable
 from prbench.files.bounded import require, require_rows, require_size, require_unpackable
-from prbench.limits import (
-    LARGEST_ARCHIVE,
-    LARGEST_ARRAYS,
-    LARGEST_HEADER,
-    LATEST_TIME,
-    LONGEST_AXIS,
-    LONGEST_RECORDING,
-    MOST_ROWS,
-    MOST_VALUES,
-    MOST_VALUES_PER_BYTE,
-)
 
 _PIECE = 4 * 1024**2
 _NO_OBJECTS = "Save numbers and text only: np.array(values, dtype=np.float32), or np.array(names) without dtype=object."
@@ -91,7 +81,7 @@ def read_header(stream: IO[bytes], path: Path, where: str, *, remedy: str = "") 
         raise InputFileError(
             path, where, expected="an array as np.save writes it", found=first, remedy=remedy
         ) from error
-    is_array = all(0 <= size <= LONGEST_AXIS for size in shape) and dtype.itemsize > 0
+    is_array = all(0 <= size <= limits.LONGEST_AXIS for size in shape) and dtype.itemsize > 0
     require(
         path,
         (not dtype.hasobject, where, "numbers or text", "Python objects", remedy or _NO_OBJECTS),
@@ -115,7 +105,7 @@ def map_array(path: Path, header: ArrayHeader) -> np.ndarray:
     return np.memmap(path, header.dtype, mode="r", offset=header.offset, shape=header.shape, order=order)
 
 
-def load_array(path: Path, *, largest: int = LARGEST_ARRAYS, remedy: str = "") -> np.ndarray:
+def load_array(path: Path, *, largest: int = limits.LARGEST_ARRAYS, remedy: str = "") -> np.ndarray:
     """Return a whole ``.npy``; nothing is allocated before its header agrees with the size of the file.
 
     Args:
@@ -189,7 +179,7 @@ class Archive:
         found = ", ".join(sorted(self.members)) or "nothing"
         require(self.path, *((name in self.members, "", f"an array '{name}'", found, self.remedy) for name in names))
 
-    def load(self, names: Iterable[str], *, largest: int = LARGEST_ARRAYS) -> dict[str, np.ndarray]:
+    def load(self, names: Iterable[str], *, largest: int = limits.LARGEST_ARRAYS) -> dict[str, np.ndarray]:
         """Those of some arrays that are there, whole and writable; their declared sizes are looked at first.
 
         Args:
@@ -250,7 +240,7 @@ class Archive:
     def _opened(self) -> Iterator[zipfile.ZipFile]:
         """Yield the archive; what is wrong with its bytes becomes an error that names it."""
         try:
-            require_size(self.path, largest=LARGEST_ARCHIVE)
+            require_size(self.path, largest=limits.LARGEST_ARCHIVE)
             with zipfile.ZipFile(self.path) as archive:
                 yield archive
         except FileNotFoundError as error:
@@ -285,21 +275,21 @@ def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:
         pa.ArrowInvalid: if it is no Parquet file, or declares too much.
         OSError: if it is missing or cannot be read.
     """
-    require_size(path, largest=LARGEST_ARCHIVE)
+    require_size(path, largest=limits.LARGEST_ARCHIVE)
     file = pq.ParquetFile(
         path,
         page_checksum_verification=verify,
-        thrift_string_size_limit=LARGEST_HEADER,
+        thrift_string_size_limit=limits.LARGEST_HEADER,
         # Reading ahead keeps every row group that was streamed in memory until the file is closed.
         pre_buffer=False,
     )
     metadata = file.metadata
-    if metadata.num_rows > MOST_ROWS:
-        raise pa.ArrowInvalid(f"{metadata.num_rows:,} rows declared, expected at most {MOST_ROWS:,}")
+    if metadata.num_rows > limits.MOST_ROWS:
+        raise pa.ArrowInvalid(f"{metadata.num_rows:,} rows declared, expected at most {limits.MOST_ROWS:,}")
     for number in range(metadata.num_row_groups):
         group = metadata.row_group(number)
         for column in map(group.column, range(group.num_columns)):
-            plausible = max(MOST_VALUES, MOST_VALUES_PER_BYTE * column.total_compressed_size)
+            plausible = max(limits.MOST_VALUES, limits.MOST_VALUES_PER_BYTE * column.total_compressed_size)
             if column.num_values > plausible:
                 raise pa.ArrowInvalid(
                     f"{column.num_values:,} values of '{column.path_in_schema}' declared in row group {number},"
@@ -332,14 +322,14 @@ def require_times(stream: str, times: Float[np.ndarray, " n"]) -> None:
         RecordingUnusable: naming the first row beyond :data:`prbench.limits.LATEST_TIME`, or the two ends of a stream
             that is longer than :data:`prbench.limits.LONGEST_RECORDING`.
     """
-    beyond = np.abs(times) > LATEST_TIME
+    beyond = np.abs(times) > limits.LATEST_TIME
     if beyond.any():
         row = int(np.argmax(beyond))
-        raise _unusable(stream, row, f"a time within {LATEST_TIME:.0e} s", f"{times[row]:g} s")
-    if len(times) and np.ptp(times) > LONGEST_RECORDING:
+        raise _unusable(stream, row, f"a time within {limits.LATEST_TIME:.0e} s", f"{times[row]:g} s")
+    if len(times) and np.ptp(times) > limits.LONGEST_RECORDING:
         raise RecordingUnusable(
-            f"{stream}: expected at most {LONGEST_RECORDING:,.0f} s from first to last, found {times.min():.1f} …"
-            f" {times.max():.1f} s. {_REMEDY}"
+            f"{stream}: expected at most {limits.LONGEST_RECORDING:,.0f} s from first to last, found"
+            f" {times.min():.1f} … {times.max():.1f} s. {_REMEDY}"
         )
 
 

@@ -16,16 +16,7 @@ from jaxtyping import Int
 
 import prbench
 from prbench.harness.benchmark import Benchmark, Cases, CaseWork, load_benchmark
-from prbench.harness.methods.loading import (
-    MethodSpec,
-    chosen_condition,
-    find_adapter,
-    forget_loaded_methods,
-    method_spec,
-    require_weights,
-    used_weights,
-    weights_digest,
-)
+from prbench.harness.methods import loading
 from prbench.harness.methods.motions import Declared
 from prbench.harness.methods.remote import RemoteMethod
 from prbench.harness.planning import plan_digest
@@ -62,7 +53,7 @@ class PreparedDataset:
 
     chosen: Cases
     cases: Cases
-    method: MethodSpec | None
+    method: loading.MethodSpec | None
     work: CaseWork
 
     @property
@@ -106,7 +97,7 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
     spec = None
     if earlier is None:
         # A method that an earlier run of this process has loaded may hold its state.
-        forget_loaded_methods()
+        loading.forget_loaded_methods()
     request = benchmark.settled(request)
     tables = benchmark.open_tables(request)
     rules = benchmark.rules(request, tables)
@@ -118,8 +109,8 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
         condition = next(iter(benchmark.conditions)) if asked is None else benchmark.condition(asked)
         method = MethodRecord.bare(request.method, CONTROL, "prbench", prbench.__version__)
     else:
-        require_weights(request.weights)
-        spec = method_spec(
+        loading.require_weights(request.weights)
+        spec = loading.method_spec(
             request.method,
             weights=request.weights,
             options=request.options,
@@ -132,7 +123,7 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
         )
         asked = request.condition
         loaded = spec.load()
-        condition = chosen_condition(
+        condition = loading.chosen_condition(
             loaded.name, loaded.adapter, None if asked is None else benchmark.condition(asked), group=benchmark.methods
         )
         method = _method(request, spec, condition)
@@ -156,7 +147,7 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
     return PreparedRun(request, benchmark, record, tuple(datasets), out, rules)
 
 
-def _method(request: RunRequest, spec: MethodSpec, condition: StrEnum) -> MethodRecord:
+def _method(request: RunRequest, spec: loading.MethodSpec, condition: StrEnum) -> MethodRecord:
     """Return what is recorded about an adapter or a program."""
     method = spec.load()
     origin = f"adapter '{method.name}'"
@@ -168,13 +159,13 @@ def _method(request: RunRequest, spec: MethodSpec, condition: StrEnum) -> Method
     if remote is not None and condition in remote.weights:
         weights = remote.weights[condition]
     elif remote is not None:
-        weights = (given.name, weights_digest(given) if given.exists() else None) if given else weights
-    elif used := used_weights(method.adapter, condition, given, origin=origin):
-        weights = (used.name, weights_digest(used))
+        weights = (given.name, loading.weights_digest(given) if given.exists() else None) if given else weights
+    elif used := loading.used_weights(method.adapter, condition, given, origin=origin):
+        weights = (used.name, loading.weights_digest(used))
     if remote is not None and spec.package is not None:
         kind, package, version = PROGRAM, spec.package, remote.version
     else:
-        installed = find_adapter(spec.name, entry_points=spec.group.entry_points)
+        installed = loading.find_adapter(spec.name, entry_points=spec.group.entry_points)
         kind = BUILT_IN if installed.built_in else PACKAGE
         package, version = installed.package, installed.version
     same = ("max_frames", "native_fps", "motionless", "gaze", "one_design")

@@ -18,16 +18,10 @@ from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.engine import Engine
 from prbench.errors import AdapterError
 from prbench.files.storage import in_turn
+from prbench.harness import controls
 from prbench.harness.agreement import agreement_with_people, require_agreement
 from prbench.harness.benchmark import Answer, Benchmark, CaseWork
 from prbench.harness.conditions import ConditionSource, ConditionStream, derangement, run_salt
-from prbench.harness.controls import (
-    HOLDS_RECORDINGS,
-    NEAREST_NEIGHBOUR,
-    RECORDED_MOTION,
-    SHUFFLED_GOAL,
-    control_motions,
-)
 from prbench.harness.faults import certain_faults
 from prbench.harness.methods.loading import LoadedMethod, MethodSpec, fitted_to
 from prbench.harness.methods.motions import generate_checked
@@ -105,18 +99,18 @@ class MotionWork(CaseWork):
         self._source: ConditionSource | ConditionStream = ConditionStream(selection)
         self._scored_goals: Float[np.ndarray, "n 3"] | None = None
         # These put conditions of sequences together that lie anywhere in the table.
-        if request.control == SHUFFLED_GOAL or request.method == NEAREST_NEIGHBOUR:
+        if request.control == controls.SHUFFLED_GOAL or request.method == controls.NEAREST_NEIGHBOUR:
             whole = ConditionSource.read(selection)
-            if request.control == SHUFFLED_GOAL:
+            if request.control == controls.SHUFFLED_GOAL:
                 whole = whole.with_goals_of(derangement(selection, seed=request.seed))
-                if request.method in RECORDED_MOTION:
+                if request.method in controls.RECORDED_MOTION:
                     self._scored_goals = whole.goal_location
             self._source = whole
 
     @property
     def holds_recordings(self) -> bool:
         """See :attr:`CaseWork.holds_recordings`."""
-        return self._request.method in HOLDS_RECORDINGS
+        return self._request.method in controls.HOLDS_RECORDINGS
 
     @property
     def plan(self) -> list[Int[np.ndarray, "_"]]:
@@ -133,7 +127,7 @@ class MotionWork(CaseWork):
         salt = run_salt(request.seed, self._selection.table.identity)
         given = None
         if request.is_control:
-            given = control_motions(request.method, self._selection, self._source, self.plan)
+            given = controls.control_motions(request.method, self._selection, self._source, self.plan)
         for index, rows in enumerate(self.plan):
             # Controls come in order: those of finished batches are made and passed over.
             motions = next(given) if given is not None else None
@@ -149,7 +143,7 @@ class MotionWork(CaseWork):
         """See :meth:`CaseWork.scores`."""
         rules = ScoringRules(
             self._protocol.metrics,
-            recorded_motion=self._request.method in RECORDED_MOTION,
+            recorded_motion=self._request.method in controls.RECORDED_MOTION,
             other_goals=self._scored_goals,
             run_of=self._method.name,
         )

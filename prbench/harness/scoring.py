@@ -16,13 +16,7 @@ from prbench.engine import Engine, InProcess
 from prbench.errors import PredictionsError
 from prbench.geometry.shapes import Boxes
 from prbench.harness.conditions import SCENE_COLUMNS, boxes_around, opaque_ids, run_salt, solid_boxes
-from prbench.harness.methods.motions import (
-    coordinate_problem,
-    gaze_problem,
-    impossible_frames,
-    native_frames,
-    resampled,
-)
+from prbench.harness.methods import motions
 from prbench.harness.planning import WINDOW, Selection
 from prbench.harness.recorded_motion import is_recorded_motion, length_problem
 from prbench.harness.run_folder.predictions import PredictionRows, Predictions
@@ -298,7 +292,7 @@ def _check(rows: PredictionRows, recorded: MotionBatch, chunk: SequenceChunk, sa
     expected = recorded.n_frames
     fps = float(chunk.numbers("fps")[0])  # a selection has one rate
     if rules.native_fps is not None:
-        expected = native_frames(expected, fps=fps, native_fps=rules.native_fps)
+        expected = motions.native_frames(expected, fps=fps, native_fps=rules.native_fps)
         fps = rules.native_fps
     wrong = None if rules.allow_length_mismatch else length_problem(place, expected, predicted.n_frames, fps=fps)
     if wrong is not None:
@@ -307,17 +301,17 @@ def _check(rows: PredictionRows, recorded: MotionBatch, chunk: SequenceChunk, sa
     if short.size:
         raise PredictionsError(f"{place(int(short[0]))}: expected 2 frames or more, found 1.")
     # Checked before resampling: an interpolated NaN would name the wrong frame.
-    impossible = np.flatnonzero(impossible_frames(predicted.values, rules.farthest))
+    impossible = np.flatnonzero(motions.impossible_frames(predicted.values, rules.farthest))
     if impossible.size:
         row = int(predicted.sequence_of_row[impossible[0]])
         motion = predicted.values[predicted.offsets[row] : predicted.offsets[row + 1]]
         kept = "" if rules.run_of is None else f" {_NOT_AS_KEPT}"
-        raise PredictionsError(f"{place(row)}, {coordinate_problem(motion, rules.farthest)}{kept}")
+        raise PredictionsError(f"{place(row)}, {motions.coordinate_problem(motion, rules.farthest)}{kept}")
     if rows.gaze is None:
         return
     for row in range(len(ids)):
         frames = slice(rows.offsets[row], rows.offsets[row + 1])
-        problem = gaze_problem(rows.values[frames], rows.gaze[frames, 0], rows.gaze[frames, 1])
+        problem = motions.gaze_problem(rows.values[frames], rows.gaze[frames, 0], rows.gaze[frames, 1])
         if problem:
             raise PredictionsError(f"{place(row)}, gaze, {problem}")
 
@@ -341,6 +335,6 @@ def at_table_rate(predicted: PredictionRows, asked: Int[np.ndarray, " n"], *, st
     gaze = None
     if predicted.gaze is not None:
         gaze = Gaze(padded(predicted.gaze[:, 0]), padded(predicted.gaze[:, 1]))
-    found = resampled(Motions(padded(predicted.values), n_frames, gaze=gaze), asked, step=step)
+    found = motions.resampled(Motions(padded(predicted.values), n_frames, gaze=gaze), asked, step=step)
     rays = None if found.gaze is None else np.stack((found.gaze.origin, found.gaze.direction), axis=2)
     return PredictionRows.from_padded(found.joints, found.n_frames, gaze=rays)

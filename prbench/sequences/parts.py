@@ -15,19 +15,8 @@ import pyarrow as pa
 
 from prbench.engine.shards import FILE_NAME, Shard, ShardRecord, begin_shard, code_digest
 from prbench.errors import ShardError
+from prbench.files import storage
 from prbench.files.bounded import foreign_input, read_whole
-from prbench.files.storage import (
-    atomic_folder,
-    file_digest,
-    inside,
-    read_json,
-    remove_folder,
-    remove_leftovers,
-    require_replaceable,
-    sole_writer,
-    text_digest,
-    write_json,
-)
 from prbench.limits import LARGEST_JSON
 
 _RECEIPT = "receipt.json"
@@ -40,16 +29,16 @@ def work_folder(out: Path) -> Path:
 
 def part_folder(work: Path, name: str, input_digest: str, settings: str) -> Path:
     """Return the folder of one part: another input, option or version of the code is another folder."""
-    return work / text_digest(name, input_digest, settings, code_digest())[:32]
+    return work / storage.text_digest(name, input_digest, settings, code_digest())[:32]
 
 
 def write_part(folder: Path, batches: Mapping[str, pa.RecordBatch], receipt: Mapping[str, object]) -> None:
     """Write one part, whole or not at all: a batch of rows for each table, and what tells of it without opening one."""
-    with atomic_folder(folder, told_by=_RECEIPT) as temporary:
+    with storage.atomic_folder(folder, told_by=_RECEIPT) as temporary:
         for name, batch in batches.items():
             with pa.OSFile(str(temporary / f"{name}.arrow"), "wb") as sink, pa.ipc.new_file(sink, batch.schema) as file:
                 file.write_batch(batch)
-        write_json(temporary / _RECEIPT, receipt)
+        storage.write_json(temporary / _RECEIPT, receipt)
 
 
 def plain(receipt: object) -> Any:
@@ -67,7 +56,7 @@ def read_receipt(folder: Path) -> dict | None:
     """Read the receipt that :func:`write_part` was given for a finished part; None if there is no such part."""
     if not (folder / _RECEIPT).is_file():
         return None
-    entries = read_json(folder / _RECEIPT)
+    entries = storage.read_json(folder / _RECEIPT)
     assert isinstance(entries, dict)
     return entries
 
@@ -87,9 +76,9 @@ def working_in_parts(out: Path) -> Iterator[None]:
 
     Finished parts stay when the block fails. They go all or none: half a part would look finished to the next build.
     """
-    remove_leftovers(work_folder(out))
+    storage.remove_leftovers(work_folder(out))
     yield
-    remove_folder(work_folder(out))
+    storage.remove_folder(work_folder(out))
 
 
 Record = TypeVar("Record")
@@ -167,10 +156,10 @@ def making_shard(out: Path, record: ShardRecord) -> Iterator[Path]:
         StorageError: if the folder holds something else, cannot be written, or another process writes there.
         ShardError: if it holds another shard.
     """
-    with sole_writer(out):
+    with storage.sole_writer(out):
         for name in (FILE_NAME, _FINISHED):
-            remove_leftovers(out / name)
-        require_replaceable(out, FILE_NAME, kind="shard")
+            storage.remove_leftovers(out / name)
+        storage.require_replaceable(out, FILE_NAME, kind="shard")
         begin_shard(out, record)
         # A part that is made again must not look changed to a merge.
         (out / _FINISHED).unlink(missing_ok=True)
@@ -187,13 +176,13 @@ def finish_shard(out: Path, record: ShardRecord, folders: Sequence[Path]) -> Non
     """
     kept = []
     for place, folder in zip(record.shard.places(len(record.plan)), folders, strict=True):
-        digests = {path.name: file_digest(path) for path in sorted(folder.iterdir())}
+        digests = {path.name: storage.file_digest(path) for path in sorted(folder.iterdir())}
         kept.append((place, record.plan[place], folder.name, digests))
     names = {name for _, _, name, _ in kept}
     for left in (out / _PARTS).iterdir() if (out / _PARTS).is_dir() else ():
         if left.name not in names:
             shutil.rmtree(left, ignore_errors=True)
-    write_json(out / _FINISHED, kept)
+    storage.write_json(out / _FINISHED, kept)
 
 
 # What ``finished.json`` holds of each part: place in the plan, name, folder, and SHA-256 of its files by name.
@@ -224,10 +213,10 @@ def shard_parts(shards: Iterable[tuple[Path, ShardRecord]]) -> list[tuple[Path, 
         if [part[:2] for part in parts] != expected:
             raise ShardError(f"{path}: does not list the parts of shard {record.shard}. {again}")
         for number, _, part_name, files in parts:
-            place = inside(folder / _PARTS, part_name)
+            place = storage.inside(folder / _PARTS, part_name)
             for name, digest in files.items():
-                file = inside(place, name)
-                there = file_digest(file) if file.is_file() else "no file"
+                file = storage.inside(place, name)
+                there = storage.file_digest(file) if file.is_file() else "no file"
                 if there != digest:
                     raise ShardError(
                         f"{file}: expected the file that shard {record.shard} has written (SHA-256 {digest[:12]}…),"

@@ -131,7 +131,7 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, monkeypatch: py
     def full(path: Path, value: object) -> None:
         raise OSError(errno.ENOSPC, "no space left")
 
-    monkeypatch.setattr("prbench.sequences.parts.write_json", full)
+    monkeypatch.setattr("prbench.files.storage.write_json", full)
     with pytest.raises(StorageError, match="no space left"):
         build_from_sources(some_sources(2), tmp_path / "adt")
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []

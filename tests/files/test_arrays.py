@@ -118,7 +118,7 @@ def test_billions_of_rows_in_a_small_file_are_refused(many_rows, read, error):
 
 
 def test_long_lists_are_held_against_the_bytes_that_are_stored(tmp_path, monkeypatch):
-    monkeypatch.setattr(arrays, "MOST_VALUES", 1000)
+    monkeypatch.setattr("prbench.limits.MOST_VALUES", 1000)
     for name, values in {"bomb": np.zeros(10**5), "honest": np.random.default_rng(0).random(10**5)}.items():
         rows = pa.table({"joints": pa.array([values], pa.list_(pa.float64()))})
         pq.write_table(rows, tmp_path / f"{name}.parquet")
