@@ -22,27 +22,12 @@ from prbench.errors import InputFileError, PrbenchError
 from prbench.files.storage import require_replaceable, sole_writer, text_digest
 from prbench.protocol.manifests import digest_of, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
+from prbench.sequences import corpus as corpus_tables
 from prbench.sequences import parts
-from prbench.sequences.corpus import (
-    ANNOTATION_OUTCOMES,
-    CORPUS_SCHEMA_VERSION,
-    CORPUS_TABLES,
-    CorpusRecord,
-    corpus_batch,
-    write_corpus,
-)
 from prbench.sequences.dataset_info import CORPUS_FILE, CorpusCounts, CorpusInfo, QuarantinedRecording
 from prbench.sequences.parts import BuildPlan, BuildReport, ShardReport, finish_shard, making_shard, shard_parts
 from prbench.shown import quoted
-from prbench_adapters.corpora.sources import (
-    Corpus,
-    CorpusOptions,
-    CorpusRecording,
-    ReadRecording,
-    RecordingGroup,
-    corpus_for,
-    find_groups,
-)
+from prbench_adapters.corpora import sources as corpora
 
 
 class GroupReceipt(msgspec.Struct, frozen=True, kw_only=True):
@@ -50,7 +35,7 @@ class GroupReceipt(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     input_digest: str
-    records: tuple[CorpusRecord, ...]
+    records: tuple[corpus_tables.CorpusRecord, ...]
     clips: int
     captions: int
     approximate_clips: int
@@ -73,7 +58,7 @@ class CorpusJob:
     stop_on_error: bool
     work: Path
 
-    def __call__(self, group: RecordingGroup, full: PrbenchError | None = None) -> _Finished:
+    def __call__(self, group: corpora.RecordingGroup, full: PrbenchError | None = None) -> _Finished:
         """Make the part of one group; where the memory does not suffice, nothing of it is read, and it says why."""
         name, recordings = group
         try:
@@ -96,9 +81,11 @@ class CorpusJob:
         clips = [clip for read, _ in done for clip in sorted(read.clips, key=lambda clip: clip.sequence_id)]
         records = tuple(record for _, record in done)
         batches = {
-            "clips": corpus_batch("clips", clips),
-            "annotations": corpus_batch("annotations", (row for read, _ in done for row in read.annotations)),
-            "recordings": corpus_batch("recordings", records),
+            "clips": corpus_tables.corpus_batch("clips", clips),
+            "annotations": corpus_tables.corpus_batch(
+                "annotations", (row for read, _ in done for row in read.annotations)
+            ),
+            "recordings": corpus_tables.corpus_batch("recordings", records),
         }
         receipt = GroupReceipt(
             name=name,
@@ -112,9 +99,11 @@ class CorpusJob:
         parts.write_part(folder, batches, parts.plain(receipt))
         return folder, receipt, False
 
-    def _read(self, recording: CorpusRecording, full: PrbenchError | None) -> tuple[ReadRecording, CorpusRecord]:
+    def _read(
+        self, recording: corpora.CorpusRecording, full: PrbenchError | None
+    ) -> tuple[corpora.ReadRecording, corpus_tables.CorpusRecord]:
         identity = recording.identity
-        read = ReadRecording((), (), 0.0, clock_method="none")
+        read = corpora.ReadRecording((), (), 0.0, clock_method="none")
         status = "read"
         message = ""
         try:
@@ -138,7 +127,7 @@ class CorpusJob:
                 raise PrbenchError(f"{identity.recording_id}: {message}") from error
             status = "failed"
             message = recording.without_places(message)
-        record = CorpusRecord(
+        record = corpus_tables.CorpusRecord(
             recording_id=identity.recording_id,
             participant_id=identity.participant_id,
             split=identity.split,
@@ -155,7 +144,7 @@ class CorpusJob:
 
 
 _IN_PROCESS = InProcess()
-_DEFAULTS = CorpusOptions()
+_DEFAULTS = corpora.CorpusOptions()
 
 Progress = Callable[[int, int, str], None]  # Called with finished recordings, all of them, and what was finished last.
 
@@ -165,10 +154,10 @@ def build_corpus(
     root: Path | str | None,
     out: Path | str,
     *,
-    options: CorpusOptions = _DEFAULTS,
+    options: corpora.CorpusOptions = _DEFAULTS,
     engine: Engine = _IN_PROCESS,
     progress: Progress | None = None,
-) -> BuildReport[CorpusInfo, CorpusRecord]:
+) -> BuildReport[CorpusInfo, corpus_tables.CorpusRecord]:
     """Build a corpus.
 
     Args:
@@ -189,9 +178,9 @@ def build_corpus(
     """
     out = Path(out).expanduser().absolute()
     require_replaceable(out, CORPUS_FILE, kind="corpus")
-    corpus = corpus_for(name)
+    corpus = corpora.corpus_for(name)
     corpus.described(options)  # refuses unknown options before anything is searched
-    groups = find_groups(corpus, None if root is None else Path(root), options)
+    groups = corpora.find_groups(corpus, None if root is None else Path(root), options)
     with sole_writer(out), parts.working_in_parts(out):
         finished = _make_parts(corpus, groups, parts.work_folder(out), options, engine, progress)
         return _write_corpus(groups[0][1][0].identity.dataset, corpus, finished, out, options)
@@ -203,10 +192,10 @@ def build_corpus_shard(
     out: Path | str,
     shard: Shard,
     *,
-    options: CorpusOptions = _DEFAULTS,
+    options: corpora.CorpusOptions = _DEFAULTS,
     engine: Engine = _IN_PROCESS,
     progress: Progress | None = None,
-) -> ShardReport[CorpusRecord]:
+) -> ShardReport[corpus_tables.CorpusRecord]:
     """Make one shard of a build, for :func:`merge_corpus_shards`; goes on where it was interrupted.
 
     Args:
@@ -222,9 +211,9 @@ def build_corpus_shard(
         ShardError: if ``out`` holds another shard.
     """
     out = Path(out).expanduser().absolute()
-    corpus = corpus_for(name)
+    corpus = corpora.corpus_for(name)
     corpus.described(options)
-    groups = find_groups(corpus, None if root is None else Path(root), options)
+    groups = corpora.find_groups(corpus, None if root is None else Path(root), options)
     record = ShardRecord(
         kind="corpus",
         number=shard.number,
@@ -241,7 +230,7 @@ def build_corpus_shard(
 
 def merge_corpus_shards(
     shards: Sequence[tuple[Path, ShardRecord]], out: Path, *, replace: bool
-) -> BuildReport[CorpusInfo, CorpusRecord]:
+) -> BuildReport[CorpusInfo, corpus_tables.CorpusRecord]:
     """Write the corpus of an unsharded build from all of its shards, with the same bytes.
 
     Args:
@@ -255,9 +244,9 @@ def merge_corpus_shards(
         RecordingsWouldBeLost: see :func:`build_corpus`.
     """
     folder, record = shards[0]
-    corpus = corpus_for(record.settings["corpus"])
+    corpus = corpora.corpus_for(record.settings["corpus"])
     dataset = record.settings["dataset"]
-    options = dataclasses.replace(msgspec.convert(record.settings["options"], CorpusOptions), replace=replace)
+    options = dataclasses.replace(msgspec.convert(record.settings["options"], corpora.CorpusOptions), replace=replace)
     require_settings(folder, record, _shard_settings(corpus, dataset, options))
     out = out.expanduser().absolute()
     require_replaceable(out, CORPUS_FILE, kind="corpus")
@@ -266,7 +255,7 @@ def merge_corpus_shards(
         return _write_corpus(dataset, corpus, finished, out, options)
 
 
-def _shard_settings(corpus: Corpus, dataset: str, options: CorpusOptions) -> dict[str, Any]:
+def _shard_settings(corpus: corpora.Corpus, dataset: str, options: corpora.CorpusOptions) -> dict[str, Any]:
     """Return what decides a corpus beside its recordings, as JSON knows it."""
     return {
         "corpus": corpus.name,
@@ -277,15 +266,15 @@ def _shard_settings(corpus: Corpus, dataset: str, options: CorpusOptions) -> dic
     }
 
 
-def _manifest_digest(corpus: Corpus) -> str:
+def _manifest_digest(corpus: corpora.Corpus) -> str:
     return "" if corpus.manifest is None else digest_of(corpus.manifest)
 
 
 def _make_parts(
-    corpus: Corpus,
-    groups: Sequence[RecordingGroup],
+    corpus: corpora.Corpus,
+    groups: Sequence[corpora.RecordingGroup],
     work: Path,
-    options: CorpusOptions,
+    options: corpora.CorpusOptions,
     engine: Engine,
     progress: Progress | None,
 ) -> list[_Finished]:
@@ -305,8 +294,8 @@ def _make_parts(
 
 
 def _write_corpus(
-    dataset: str, corpus: Corpus, finished: Sequence[_Finished], out: Path, options: CorpusOptions
-) -> BuildReport[CorpusInfo, CorpusRecord]:
+    dataset: str, corpus: corpora.Corpus, finished: Sequence[_Finished], out: Path, options: corpora.CorpusOptions
+) -> BuildReport[CorpusInfo, corpus_tables.CorpusRecord]:
     """Write the corpus of all parts of a build."""
     protocol = load_protocol()
     manifest = corpus.manifest
@@ -321,7 +310,7 @@ def _write_corpus(
     for record in records:
         outcomes.update(record.outcomes)
     info = CorpusInfo(
-        schema_version=CORPUS_SCHEMA_VERSION,
+        schema_version=corpus_tables.CORPUS_SCHEMA_VERSION,
         protocol_version=protocol.version,
         protocol_digest=protocol.digest,
         dataset=dataset,
@@ -344,7 +333,7 @@ def _write_corpus(
             approximate_clips=sum(receipt.approximate_clips for receipt in receipts),
             frames=sum(receipt.frames for receipt in receipts),
         ),
-        outcomes={outcome: outcomes[outcome] for outcome in ANNOTATION_OUTCOMES},
+        outcomes={outcome: outcomes[outcome] for outcome in corpus_tables.ANNOTATION_OUTCOMES},
         quarantine=tuple(
             QuarantinedRecording(recording_id=record.recording_id, status=record.status, message=record.message)
             for record in records
@@ -355,29 +344,29 @@ def _write_corpus(
         **terms,
     )
     folders = [folder for folder, _, _ in finished]
-    tables = {table: parts.read_batches(folders, table) for table in CORPUS_TABLES}
+    tables = {table: parts.read_batches(folders, table) for table in corpus_tables.CORPUS_TABLES}
     # Last of all: until here an earlier corpus stands as it was.
-    info = write_corpus(out, info, tables, replace=options.replace)
+    info = corpus_tables.write_corpus(out, info, tables, replace=options.replace)
     return BuildReport(out, info, records, reused)
 
 
-def _records(finished: Sequence[_Finished]) -> tuple[tuple[CorpusRecord, ...], int]:
+def _records(finished: Sequence[_Finished]) -> tuple[tuple[corpus_tables.CorpusRecord, ...], int]:
     """All recordings, and how many of them an interrupted build had made."""
     records = tuple(record for _, receipt, _ in finished for record in receipt.records)
     return records, sum(len(receipt.records) for _, receipt, reused in finished if reused)
 
 
-def plan_corpus(name: str, root: Path | str | None, options: CorpusOptions = _DEFAULTS) -> BuildPlan:
+def plan_corpus(name: str, root: Path | str | None, options: corpora.CorpusOptions = _DEFAULTS) -> BuildPlan:
     """Return the dry run: what :func:`build_corpus` would read. Writes nothing.
 
     Raises:
         UsageError: for an unknown corpus or option.
         InputFileError: if there is nothing to read.
     """
-    corpus = corpus_for(name)
+    corpus = corpora.corpus_for(name)
     corpus.described(options)  # options that the build would refuse are refused here, too
     root = None if root is None else Path(root)
-    groups = find_groups(corpus, root, options)
+    groups = corpora.find_groups(corpus, root, options)
     recordings = [each for _, members in groups for each in members]
     read = [each for each in recordings if each.skip_reason is None]
     return BuildPlan(

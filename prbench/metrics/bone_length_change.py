@@ -54,7 +54,5 @@ def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:
     return (MetricValues("bone_length_change", change, {"zero_length_bone": missing}),)
 
 
-FAMILY = MetricFamily(
-    (detail("bone_length_change", "Bone length change", "ratio", 18, higher_is_better=False),),
-    _compute,
-)
+_METRIC = detail("bone_length_change", "Bone length change", "ratio", 18, higher_is_better=False)
+FAMILY = MetricFamily((_METRIC,), _compute)

@@ -113,18 +113,9 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
     return MetricValues("foot_skating", sliding, {}), MetricValues("contact_share", contact, {})
 
 
-FAMILY = MetricFamily(
-    (
-        headline(
-            "foot_skating",
-            "Foot Skating",
-            "ratio",
-            7,
-            higher_is_better=False,
-            in_study=True,
-            irrelevant_if_motionless=True,
-        ),
-        detail("contact_share", "Foot contact", "ratio", 17, higher_is_better=None),
-    ),
-    _compute,
+_SKATING = {"higher_is_better": False, "in_study": True, "irrelevant_if_motionless": True}
+_METRICS = (
+    headline("foot_skating", "Foot Skating", "ratio", 7, **_SKATING),
+    detail("contact_share", "Foot contact", "ratio", 17, higher_is_better=None),
 )
+FAMILY = MetricFamily(_METRICS, _compute)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.metrics.batch import MotionBatch, ScoringPair
-from prbench.metrics.registry import MetricFamily, MetricValues, headline
+from prbench.metrics.registry import MetricFamily, MetricValues, study_error
 from prbench.protocol.manifests import MetricConstants
 
 
@@ -29,8 +29,4 @@ def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:
     return (MetricValues("goal_mpjpe", goal_mpjpe(pair.predicted, pair.recorded), {}),)
 
 
-FAMILY = MetricFamily(
-    (headline("goal_mpjpe", "Goal MPJPE", "m", 4, higher_is_better=False, in_study=True, compares_with_recorded=True),),
-    _compute,
-    minimum_frames=1,
-)
+FAMILY = MetricFamily((study_error("goal_mpjpe", "Goal MPJPE", "m", 4),), _compute, minimum_frames=1)

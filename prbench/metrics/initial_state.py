@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.metrics.batch import MotionBatch, ScoringPair
-from prbench.metrics.registry import MetricFamily, MetricValues, detail
+from prbench.metrics.registry import MetricFamily, MetricValues, compared_detail, detail
 from prbench.protocol.manifests import MetricConstants
 
 
@@ -46,10 +46,8 @@ def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues, Metri
     )
 
 
-FAMILY = MetricFamily(
-    (
-        detail("first_frame_error", "First frame error", "m", 19, higher_is_better=False, compares_with_recorded=True),
-        detail("first_step", "First step", "m", 20, higher_is_better=None),
-    ),
-    _compute,
+_METRICS = (
+    compared_detail("first_frame_error", "First frame error", "m", 19, higher_is_better=False),
+    detail("first_step", "First step", "m", 20, higher_is_better=None),
 )
+FAMILY = MetricFamily(_METRICS, _compute)

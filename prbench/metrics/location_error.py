@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from prbench.geometry.skeleton import Joint
 from prbench.metrics.batch import MotionBatch, ScoringPair
-from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
+from prbench.metrics.registry import MetricFamily, MetricValues, compared_detail, study_error
 from prbench.protocol.manifests import MetricConstants
 
 
@@ -38,27 +38,8 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
     return MetricValues("location_error", full, {}), MetricValues("location_error_horizontal", horizontal, {})
 
 
-FAMILY = MetricFamily(
-    (
-        headline(
-            "location_error",
-            "Location Error",
-            "rate",
-            5,
-            higher_is_better=False,
-            in_study=True,
-            compares_with_recorded=True,
-            title_in_study="Loc Err",
-        ),
-        detail(
-            "location_error_horizontal",
-            "Location Error (horizontal)",
-            "rate",
-            16,
-            higher_is_better=False,
-            compares_with_recorded=True,
-        ),
-    ),
-    _compute,
-    minimum_frames=1,
+_METRICS = (
+    study_error("location_error", "Location Error", "rate", 5, title_in_study="Loc Err"),
+    compared_detail("location_error_horizontal", "Location Error (horizontal)", "rate", 16, higher_is_better=False),
 )
+FAMILY = MetricFamily(_METRICS, _compute, minimum_frames=1)

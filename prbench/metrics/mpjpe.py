@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.metrics.batch import MotionBatch, ScoringPair, require_equal_lengths
-from prbench.metrics.registry import MetricFamily, MetricValues, headline
+from prbench.metrics.registry import MetricFamily, MetricValues, study_error
 from prbench.protocol.manifests import MetricConstants
 
 
@@ -45,18 +45,4 @@ def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:
     return (MetricValues("mpjpe", mpjpe(pair.predicted.shortened(shorter), pair.recorded.shortened(shorter)), {}),)
 
 
-FAMILY = MetricFamily(
-    (
-        headline(
-            "mpjpe",
-            "MPJPE",
-            "m",
-            6,
-            higher_is_better=False,
-            in_study=True,
-            compares_with_recorded=True,
-            carries_copy_remark=True,
-        ),
-    ),
-    _compute,
-)
+FAMILY = MetricFamily((study_error("mpjpe", "MPJPE", "m", 6, carries_copy_remark=True),), _compute)

@@ -187,15 +187,13 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
     )
 
 
-FAMILY = MetricFamily(
-    (
-        headline("plausible", "Plausible", "rate", 8, higher_is_better=True, ranked=False),
-        detail("floating", "Floating", "m", 21, higher_is_better=False),
-        detail("penetration", "Penetration", "m", 22, higher_is_better=False),
-        detail("slow_slides", "Slow slides", "ratio", 23, higher_is_better=False),
-        # Of jerk and speed, less is no merit within the limits: a body that stands still has none.
-        detail("largest_jerk", "Largest jerk", "m/s³", 24, higher_is_better=None),
-        detail("largest_speed", "Largest speed", "m/s", 25, higher_is_better=None),
-    ),
-    _compute,
+_METRICS = (
+    headline("plausible", "Plausible", "rate", 8, higher_is_better=True, ranked=False),
+    detail("floating", "Floating", "m", 21, higher_is_better=False),
+    detail("penetration", "Penetration", "m", 22, higher_is_better=False),
+    detail("slow_slides", "Slow slides", "ratio", 23, higher_is_better=False),
+    # Of jerk and speed, less is no merit within the limits: a body that stands still has none.
+    detail("largest_jerk", "Largest jerk", "m/s³", 24, higher_is_better=None),
+    detail("largest_speed", "Largest speed", "m/s", 25, higher_is_better=None),
 )
+FAMILY = MetricFamily(_METRICS, _compute)

@@ -129,12 +129,10 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
     )
 
 
-FAMILY = MetricFamily(
-    (
-        headline("prime_success", "Prime Success", "rate", 1, higher_is_better=True, in_study=True),
-        detail("prime_success_arrival", "Prime Success (arrival)", "rate", 2, higher_is_better=True),
-        detail("prime_success_onset", "Prime Success (onset)", "rate", 11, higher_is_better=True),
-        detail("prime_success_angle", "Prime Success (fixed angle)", "rate", 12, higher_is_better=True),
-    ),
-    _compute,
+_METRICS = (
+    headline("prime_success", "Prime Success", "rate", 1, higher_is_better=True, in_study=True),
+    detail("prime_success_arrival", "Prime Success (arrival)", "rate", 2, higher_is_better=True),
+    detail("prime_success_onset", "Prime Success (onset)", "rate", 11, higher_is_better=True),
+    detail("prime_success_angle", "Prime Success (fixed angle)", "rate", 12, higher_is_better=True),
 )
+FAMILY = MetricFamily(_METRICS, _compute)

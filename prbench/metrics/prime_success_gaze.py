@@ -56,11 +56,8 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
 # Flag of a sequence with a frame without gaze among those that decide.
 INVALID = "invalid_gaze_samples"
 
-FAMILY = MetricFamily(
-    (
-        detail("prime_success_gaze", "Prime Success (gaze)", "rate", 28, higher_is_better=True),
-        detail("prime_success_gaze_arrival", "Prime Success (gaze, arrival)", "rate", 29, higher_is_better=True),
-    ),
-    _compute,
-    needs_gaze=True,
+_METRICS = (
+    detail("prime_success_gaze", "Prime Success (gaze)", "rate", 28, higher_is_better=True),
+    detail("prime_success_gaze_arrival", "Prime Success (gaze, arrival)", "rate", 29, higher_is_better=True),
 )
+FAMILY = MetricFamily(_METRICS, _compute, needs_gaze=True)

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from prbench.geometry.skeleton import WRISTS
 from prbench.metrics.batch import MotionBatch, ScoringPair, final_reaching_wrist
-from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
+from prbench.metrics.registry import MetricFamily, MetricValues, compared_detail, detail, headline
 from prbench.protocol.manifests import MetricConstants
 
 
@@ -78,18 +78,9 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
     )
 
 
-FAMILY = MetricFamily(
-    (
-        headline("reach_success", "Reach Success", "rate", 3, higher_is_better=True, in_study=True),
-        detail("reach_success_final", "Reach Success (final)", "rate", 14, higher_is_better=True),
-        detail(
-            "reach_wrist",
-            "Reach Success (recorded wrist)",
-            "rate",
-            15,
-            higher_is_better=True,
-            compares_with_recorded=True,
-        ),
-    ),
-    _compute,
+_METRICS = (
+    headline("reach_success", "Reach Success", "rate", 3, higher_is_better=True, in_study=True),
+    detail("reach_success_final", "Reach Success (final)", "rate", 14, higher_is_better=True),
+    compared_detail("reach_wrist", "Reach Success (recorded wrist)", "rate", 15, higher_is_better=True),
 )
+FAMILY = MetricFamily(_METRICS, _compute)

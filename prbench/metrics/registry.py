@@ -88,6 +88,9 @@ def described(
 
 headline = partial(described, True)  # of a metric that stands in leaderboards
 detail = partial(described, False)  # of one that stands in the scores of single runs alone
+compared_detail = partial(detail, compares_with_recorded=True)  # of such a one that looks at the recorded motion, too
+# Of an error of the study: a distance from the recorded motion.
+study_error = partial(headline, higher_is_better=False, in_study=True, compares_with_recorded=True)
 
 
 def printed_scale(unit: str) -> float:

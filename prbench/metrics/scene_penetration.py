@@ -54,11 +54,8 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
     return MetricValues("scene_penetration", share, flags), MetricValues("scene_depth", largest, flags)
 
 
-FAMILY = MetricFamily(
-    (
-        detail("scene_penetration", "Scene penetration", "ratio", 41, higher_is_better=False),
-        detail("scene_depth", "Scene penetration (depth)", "m", 42, higher_is_better=False),
-    ),
-    _compute,
-    needs_scene=True,
+_METRICS = (
+    detail("scene_penetration", "Scene penetration", "ratio", 41, higher_is_better=False),
+    detail("scene_depth", "Scene penetration (depth)", "m", 42, higher_is_better=False),
 )
+FAMILY = MetricFamily(_METRICS, _compute, needs_scene=True)

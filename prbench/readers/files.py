@@ -23,26 +23,9 @@ import pyarrow as pa
 import pyarrow.csv
 from jaxtyping import Bool, Float, Int
 
+from prbench import limits
 from prbench.errors import InputFileError
-from prbench.files.bounded import (
-    foreign_input,
-    read_end,
-    read_whole,
-    require,
-    require_rows,
-    require_size,
-    require_unpackable,
-    too_long_line,
-)
-from prbench.limits import (
-    FARTHEST_POSITION,
-    LARGEST_ARCHIVE,
-    LARGEST_FILE,
-    LARGEST_JSON,
-    LARGEST_TABLE,
-    LARGEST_UNPACKED,
-    LONGEST_LINE,
-)
+from prbench.files import bounded
 from prbench.readers.found import InputFile
 from prbench.recording import UnreadableEntry
 
@@ -87,7 +70,7 @@ def archive_members(archive: Path) -> dict[str, int]:
     Raises:
         InputFileError: if it is no zip archive, or its table of contents is damaged.
     """
-    require_size(archive, largest=LARGEST_ARCHIVE)
+    bounded.require_size(archive, largest=limits.LARGEST_ARCHIVE)
     try:
         with zipfile.ZipFile(archive) as opened:
             return {entry.filename: entry.file_size for entry in opened.infolist() if not entry.is_dir()}
@@ -106,11 +89,11 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
         FileNotFoundError: if a plain file is missing.
     """
     if isinstance(source, Path):
-        require_size(source, largest=LARGEST_UNPACKED)
+        bounded.require_size(source, largest=limits.LARGEST_UNPACKED)
         with open(source, "rb") as file:
             yield file
         return
-    require_size(source.archive, largest=LARGEST_ARCHIVE)
+    bounded.require_size(source.archive, largest=limits.LARGEST_ARCHIVE)
     damaged = partial(
         InputFileError, source.shown, "", expected="a file that can be unpacked", remedy=_COPY_ARCHIVE_AGAIN
     )
@@ -118,7 +101,7 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
         try:
             archive = stack.enter_context(zipfile.ZipFile(source.archive))
             member = archive.getinfo(source.member)
-            require_unpackable(source.shown, member)
+            bounded.require_unpackable(source.shown, member)
             file = cast(io.BufferedIOBase, stack.enter_context(archive.open(member)))
         except KeyError as error:
             expected = f"the file {source.member} in it"
@@ -131,7 +114,7 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
             raise damaged(found=str(error)) from error
 
 
-def read_all(source: Source, *, largest: int = LARGEST_FILE) -> bytes:
+def read_all(source: Source, *, largest: int = limits.LARGEST_FILE) -> bytes:
     """Read all bytes of a source (see :func:`opened` for what it raises).
 
     Args:
@@ -142,7 +125,7 @@ def read_all(source: Source, *, largest: int = LARGEST_FILE) -> bytes:
         InputFileError: see :func:`opened`, or if the source is larger.
     """
     if isinstance(source, Path):
-        return read_whole(source, largest=largest)
+        return bounded.read_whole(source, largest=largest)
     content = bytearray()
     with opened(source) as file:
         # By pieces: one call for everything would unpack all that is there, however little the archive declares.
@@ -197,7 +180,7 @@ def require_whole_last_line(
     Raises:
         InputFileError: saying what to do.
     """
-    tail = read_end(path, _RememberingTail.LENGTH) if tail is None else tail
+    tail = bounded.read_end(path, _RememberingTail.LENGTH) if tail is None else tail
     if tail.endswith((b"\n", b"\r")):
         return
     last = tail.splitlines()[-1] if tail else b""
@@ -213,7 +196,7 @@ def require_whole_last_line(
 # A time in a JSON file; NumPy has no larger integers.
 Nanoseconds = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
 # A coordinate in a JSON file; no recording reaches farther.
-Metres = Annotated[float, msgspec.Meta(ge=-FARTHEST_POSITION, le=FARTHEST_POSITION)]
+Metres = Annotated[float, msgspec.Meta(ge=-limits.FARTHEST_POSITION, le=limits.FARTHEST_POSITION)]
 Column = type[int] | type[float] | type[str]
 Encoded = TypeVar("Encoded")
 Decoded = TypeVar("Decoded")
@@ -228,7 +211,7 @@ _COPY_AGAIN = "The file may be truncated; copy or download it again."
 _SORT = "The clock runs backwards or a row is repeated; sort the rows by time and remove repeated ones."
 
 
-@foreign_input()
+@bounded.foreign_input()
 def read_columns(path: Source, columns: Mapping[str, Column]) -> pa.Table:
     """Read the named columns of a CSV file; further columns and their order do not matter.
 
@@ -242,7 +225,7 @@ def read_columns(path: Source, columns: Mapping[str, Column]) -> pa.Table:
     header = read_header(path)
     require_column_names(path, header, columns)
     if isinstance(path, Path) and path.stat().st_size < _WATCHED_SIZE:
-        require_size(path, largest=LARGEST_FILE)
+        bounded.require_size(path, largest=limits.LARGEST_FILE)
         with contextlib.suppress(pa.ArrowInvalid):  # reading by blocks names the row
             table = pyarrow.csv.read_csv(path, convert_options=_conversion(columns))
             require_whole_last_line(path, columns, header)
@@ -255,7 +238,10 @@ def read_columns(path: Source, columns: Mapping[str, Column]) -> pa.Table:
         kept.append(block)
         size += block.nbytes
         found = f"more in the first {sum(map(len, kept)):,} rows"
-        require(shown(path), (size <= LARGEST_TABLE, "", f"columns of at most {LARGEST_TABLE:,} bytes", found, ""))
+        bounded.require(
+            shown(path),
+            (size <= limits.LARGEST_TABLE, "", f"columns of at most {limits.LARGEST_TABLE:,} bytes", found, ""),
+        )
     return pa.concat_tables(kept).combine_chunks()
 
 
@@ -310,7 +296,7 @@ def require_integers(path: Source, table: pa.Table, columns: Mapping[str, Column
     for name, kind in columns.items():
         if kind is int:
             empty = table[name].is_null().to_numpy()
-            require_rows(shown(path), empty, f"an integer '{name}'", "nothing", first=first)
+            bounded.require_rows(shown(path), empty, f"an integer '{name}'", "nothing", first=first)
 
 
 def column_vectors(table: pa.Table, names: tuple[str, ...]) -> Float[np.ndarray, "n k"]:
@@ -334,7 +320,7 @@ def require_increasing(
     Raises:
         InputFileError: naming the first row that does not come after the one before it.
     """
-    require_rows(
+    bounded.require_rows(
         shown(path),
         np.diff(times) <= 0,
         lambda row: f"a time after {times[row]} {unit}",
@@ -368,9 +354,9 @@ def require_poses(
     matters = np.ones(len(position), dtype=bool) if used is None else used
     bad = matters & ~np.isfinite(np.einsum("nk->n", position) + np.einsum("nk->n", rotation))
     remedy = "Remove the row, or download the file again."
-    require_rows(shown(path), bad, "a pose of finite numbers", "NaN or nothing", first=first, remedy=remedy)
+    bounded.require_rows(shown(path), bad, "a pose of finite numbers", "NaN or nothing", first=first, remedy=remedy)
     length = np.sqrt(np.einsum("nk,nk->n", rotation, rotation))
-    require_rows(
+    bounded.require_rows(
         shown(path),
         matters & (np.abs(length - 1) > _QUATERNION_TOLERANCE),
         "a quaternion of length 1",
@@ -384,7 +370,7 @@ _GOT = re.compile(r"Expected (.+), got (\S+)")  # msgspec's words for a value of
 _NO_NUMBER = re.compile(rb"(?<=[\[,:\s])-?(?:NaN|Infinity)\b")
 
 
-@foreign_input()
+@bounded.foreign_input()
 def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded]) -> Decoded:
     """Read a JSON file into a data class; keys that the class does not name are skipped unread.
 
@@ -399,7 +385,7 @@ def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded]) -> Decoded
     """
     try:
         # Some programs begin a file with a byte-order mark, which JSON does not know.
-        content = read_all(path, largest=LARGEST_JSON).removeprefix(b"\xef\xbb\xbf")
+        content = read_all(path, largest=limits.LARGEST_JSON).removeprefix(b"\xef\xbb\xbf")
         try:
             return decoder.decode(content)
         except msgspec.DecodeError:
@@ -467,7 +453,7 @@ def missing_file(path: Source) -> InputFileError:
     )
 
 
-@foreign_input()
+@bounded.foreign_input()
 def read_header(path: Source) -> list[str]:
     """Read the column names of a CSV file.
 
@@ -476,9 +462,9 @@ def read_header(path: Source) -> list[str]:
     """
     try:
         with opened(path) as file:
-            line = file.readline(LONGEST_LINE + 1)
-        if len(line) > LONGEST_LINE:
-            raise too_long_line(shown(path), "header")
+            line = file.readline(limits.LONGEST_LINE + 1)
+        if len(line) > limits.LONGEST_LINE:
+            raise bounded.too_long_line(shown(path), "header")
         return header_names(line)
     except FileNotFoundError as error:
         raise missing_file(path) from error

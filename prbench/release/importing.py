@@ -23,15 +23,7 @@ from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, require_replaceable, sole_writer, text_digest
 from prbench.geometry.skeleton import WRISTS, Joint, invert_rigid, transform_points
 from prbench.protocol.manifests import Manifest, digest_of, load_citations, load_manifest, load_protocol
-from prbench.release import layout
-from prbench.release.reading import (
-    UNKNOWN,
-    ImportOptions,
-    ReleasedDataset,
-    ReleasedSequence,
-    clean_gaze,
-    read_release,
-)
+from prbench.release import layout, reading
 from prbench.release.report import ImportReleaseReport, ImportReport
 from prbench.sequences import DatasetInfo, Event, Recording, Sequence, SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME, FunnelCounts, QuarantinedRecording, strictest
@@ -48,7 +40,11 @@ _PUTS = re.compile(r"\b(put|plac|drop|set(s|ting)? down|return)", re.IGNORECASE)
 
 
 def make_row(
-    found: ReleasedDataset, one: ReleasedSequence, *, head_tilt_deg: float, texts: Mapping[Literal["pick", "put"], str]
+    found: reading.ReleasedDataset,
+    one: reading.ReleasedSequence,
+    *,
+    head_tilt_deg: float,
+    texts: Mapping[Literal["pick", "put"], str],
 ) -> Sequence:
     """Read one sequence again and convert it; times count from the first frame.
 
@@ -69,7 +65,7 @@ def make_row(
     # Motion, goal and gaze come into the canonical frame by one and the same transform.
     joints = layout.read_array(one.motion, (22, 3)).astype(np.float64)
     gaze = None if one.gaze is None else layout.read_array(one.gaze, (3,))
-    directions, valid = clean_gaze(gaze, len(joints))
+    directions, valid = reading.clean_gaze(gaze, len(joints))
     canonical_from_motion = invert_rigid(one.motion_from_canonical)
     goal = transform_points(canonical_from_motion, one.goal)
     if (one.motion_from_canonical != np.eye(4)).any():  # a canonical motion keeps every bit
@@ -91,7 +87,7 @@ def make_row(
     return Sequence(
         sequence_id=f"{found.report.dataset}/{one.index:010d}/{_POSE_SOURCE}",
         recording_id=one.source,
-        participant_id=UNKNOWN,
+        participant_id=reading.UNKNOWN,
         split_group=one.source,
         dataset=found.report.dataset,
         split=one.subset,
@@ -156,7 +152,7 @@ def _event(sequence: Sequence) -> Event:
     )
 
 
-NO_OPTIONS = ImportOptions()
+NO_OPTIONS = reading.ImportOptions()
 _ROWS = 64  # sequences that are converted at once
 _STUDY_TERMS = "Prime and Reach release (its page states no licence known to prbench; ask its authors)"
 # Our assumption, since the study states no terms of its own contribution: the terms of most of its datasets.
@@ -169,7 +165,7 @@ def import_release(
     out: Path | str,
     *,
     dataset: str | None = None,
-    options: ImportOptions = NO_OPTIONS,
+    options: reading.ImportOptions = NO_OPTIONS,
     progress: Callable[[str, str], None] = lambda _dataset, _step: None,
 ) -> ImportReleaseReport:
     """Turn a release into sequence tables.
@@ -222,19 +218,19 @@ def _import_dataset(
     dataset: str,
     folder: Path,
     out: Path,
-    options: ImportOptions,
+    options: reading.ImportOptions,
     progress: Callable[[str, str], None],
     command: str,
 ) -> ImportReport:
     manifest = load_manifest(dataset.removeprefix(layout.SYNTHETIC_PREFIX))
     exported = layout.read_export_record(folder)
     report = ImportReport(dataset=dataset, folder=out)
-    found = read_release(report, folder, options, progress, command)
+    found = reading.read_release(report, folder, options, progress, command)
     # Tables are sorted by id, so that a release in another order gives the same bytes.
     found.sequences.sort(key=lambda one: f"{one.index:010d}")
     progress(dataset, f"writing {len(found.sequences)} sequences")
     # Source recordings where the release names them, else one unknown recording for each split.
-    sequences_of: dict[str, list[ReleasedSequence]] = defaultdict(list)
+    sequences_of: dict[str, list[reading.ReleasedSequence]] = defaultdict(list)
     for one in found.sequences:
         sequences_of[one.source].append(one)
     records = []
@@ -248,7 +244,7 @@ def _import_dataset(
             message = ""
         record = Recording(
             recording_id=name,
-            participant_id=UNKNOWN,
+            participant_id=reading.UNKNOWN,
             # A recording has one split in our tables: the commoner one, where a release mixes them.
             split=splits.most_common(1)[0][0],
             split_group=name,
@@ -259,7 +255,7 @@ def _import_dataset(
         )
         records.append(record)
     for key, reason in sorted(report.reasons.items()):
-        records.append(Recording(f"sequence {key}", UNKNOWN, "", "", 0.0, {}, "failed", reason))
+        records.append(Recording(f"sequence {key}", reading.UNKNOWN, "", "", 0.0, {}, "failed", reason))
     events: list[Event] = []
     texts = load_protocol().text
     head_tilt_deg = manifest.body.head_tilt_deg
@@ -312,7 +308,7 @@ def terms_of(dataset: str, manifest: Manifest, exported: Mapping[str, Any] | Non
 
 
 def _describe(
-    found: ReleasedDataset, records: list[Recording], manifest: Manifest, terms: Mapping[str, Any]
+    found: reading.ReleasedDataset, records: list[Recording], manifest: Manifest, terms: Mapping[str, Any]
 ) -> DatasetInfo:
     """Describe an import: every inference stands among its options; the writer fills in the digests."""
     protocol = load_protocol()

@@ -17,18 +17,7 @@ from prbench.geometry.skeleton import CHAINS, Joint, head_forward
 from prbench.harness.diversity import MotionsToGoal, timing
 from prbench.protocol.manifests import MetricConstants
 from prbench.shown import figure_text
-from prbench.viewing.figures import (
-    draw_chains,
-    flattened,
-    horizontal_direction,
-    new_figure,
-    require_drawable,
-    shades,
-    side_by_side,
-    square_limits,
-    without_frame,
-    write_figure,
-)
+from prbench.viewing import figures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,9 +71,9 @@ def draw_fan(fan: Fan, path: Path, *, dpi: int = 110) -> None:
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
-    require_drawable(path)
+    figures.require_drawable(path)
     height = 2.9 * len(fan.groups) + 1.2
-    figure = new_figure(14.0, height, dpi=dpi)
+    figure = figures.new_figure(14.0, height, dpi=dpi)
     # A fixed layout: that of matplotlib's solver differs in its last digits from call to call, and so do ids in an SVG.
     grid = {"left": 0.005, "right": 0.995, "top": 1 - 0.62 / height, "bottom": 0.85 / height, "wspace": 0.13}
     rows = figure.subplots(
@@ -94,7 +83,7 @@ def draw_fan(fan: Fan, path: Path, *, dpi: int = 110) -> None:
     points = [group.motions.joints[:, :, [Joint.PELVIS, Joint.HEAD]].reshape(-1, 3)[:, [0, 2]] for group in fan.groups]
     if fan.shows_goal:
         points.append(fan.groups[0].motions.goal[None, [0, 2]])
-    seen_from_above = square_limits(np.concatenate(points), margin=_MARGIN)
+    seen_from_above = figures.square_limits(np.concatenate(points), margin=_MARGIN)
     for group, (bodies, above, looks, wrists) in zip(fan.groups, rows, strict=True):
         _draw_bodies(bodies, fan, group)
         # Draw the ways of the pelvis from above, and where each head points at its prime time.
@@ -129,7 +118,7 @@ def draw_fan(fan: Fan, path: Path, *, dpi: int = 110) -> None:
         )
     figure.suptitle(figure_text(f"{fan.dataset}: {fan.sequence_id}"), fontsize=10, x=0.01, y=0.985, ha="left")
     figure.supxlabel(figure_text(_foot(fan)), fontsize=7.5, color="0.35", x=0.01, y=0.01, ha="left")
-    write_figure(figure, path)
+    figures.write_figure(figure, path)
 
 
 def _foot(fan: Fan) -> str:
@@ -152,30 +141,30 @@ def _foot(fan: Fan) -> str:
 
 def _shades(group: FanGroup) -> list[tuple[float, float, float]]:
     """One colour a motion: the group's own, from dark to light."""
-    return shades(group.colour, len(group.motions.joints))
+    return figures.shades(group.colour, len(group.motions.joints))
 
 
 def _draw_bodies(axes: Axes, fan: Fan, group: FanGroup) -> None:
     """Draw all bodies at three moments, each moment at a place of its own along the way."""
     motions = group.motions
     start = motions.joints[0, 0, Joint.PELVIS]
-    sideways = horizontal_direction(motions.goal - start)
+    sideways = figures.horizontal_direction(motions.goal - start)
     primes = np.round(timing(motions, fan.constants).prime * motions.fps).astype(int)
     last = motions.joints.shape[1] - 1
     frames = (np.zeros_like(primes), primes, np.full_like(primes, last))
     bodies = [motions.joints[np.arange(len(chosen)), chosen] for chosen in frames]
-    clouds = [flattened(poses.reshape(-1, 3), start, sideways, 0.0) for poses in bodies]
-    goal = flattened(motions.goal[None], start, sideways, 0.0)
+    clouds = [figures.flattened(poses.reshape(-1, 3), start, sideways, 0.0) for poses in bodies]
+    goal = figures.flattened(motions.goal[None], start, sideways, 0.0)
     if fan.shows_goal:
         clouds = [clouds[0], *(np.concatenate([points, goal]) for points in clouds[1:])]
     # Bodies of two moments never overlap: each moment begins behind the one before it.
-    shifts = side_by_side(clouds, spacing=_SPACING)
+    shifts = figures.side_by_side(clouds, spacing=_SPACING)
     for moment, poses, points, shift in zip(_MOMENTS, bodies, clouds, shifts, strict=True):
         for pose, colour in reversed(list(zip(poses, _shades(group), strict=True))):
-            flat = flattened(pose, start, sideways, shift)
-            draw_chains(axes, flat, CHAINS, colour)
+            flat = figures.flattened(pose, start, sideways, shift)
+            figures.draw_chains(axes, flat, CHAINS, colour)
             forward, _ = head_forward(pose, fan.groups[0].motions.head_tilt_deg)
-            tip = flattened((pose[Joint.HEAD] + _LOOK * forward)[None], start, sideways, shift)[0]
+            tip = figures.flattened((pose[Joint.HEAD] + _LOOK * forward)[None], start, sideways, shift)[0]
             axes.plot(*np.stack([flat[Joint.HEAD], tip]).T, color=colour, linewidth=0.9, linestyle="--")
             axes.plot(*flat[Joint.HEAD], "o", color=colour, markersize=4.5)
         if fan.shows_goal and moment != _MOMENTS[0]:
@@ -187,7 +176,7 @@ def _draw_bodies(axes: Axes, fan: Fan, group: FanGroup) -> None:
     axes.set_ylim(-0.32, everything[:, 1].max() + 0.15)
     axes.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
     axes.set_aspect("equal")
-    without_frame(axes)
+    figures.without_frame(axes)
 
 
 def _draw_curves(axes: Axes, group: FanGroup, curves: np.ndarray, title: str, top: float) -> None:

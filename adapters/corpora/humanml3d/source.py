@@ -15,24 +15,16 @@ from prbench.files.storage import file_digest, text_digest
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
 from prbench.sequences.corpus import Annotation, Caption, Clip
+from prbench_adapters.corpora import sources as corpora
 from prbench_adapters.corpora.humanml3d import files as layout
 from prbench_adapters.corpora.humanml3d.files import TextLine, read_joints, read_texts
-from prbench_adapters.corpora.sources import (
-    ClipLimits,
-    Corpus,
-    CorpusOptions,
-    CorpusRecording,
-    ReadRecording,
-    RecordingIdentity,
-    cut_clip,
-)
 
 
 def clips_of(
-    identity: RecordingIdentity,
+    identity: corpora.RecordingIdentity,
     joints: Float[np.ndarray, "frames 22 3"],
     lines: Sequence[TextLine],
-    limits: ClipLimits,
+    limits: corpora.ClipLimits,
     manifest: Manifest,
 ) -> tuple[tuple[Clip, ...], tuple[Annotation, ...]]:
     """Clips of one motion, and what became of every caption.
@@ -82,7 +74,7 @@ def clips_of(
             threshold = limits.shortest / limits.fps
         if outcome == "clip":
             n_frames = min(available, limits.longest)
-            clip = cut_clip(
+            clip = corpora.cut_clip(
                 joints,
                 first,
                 1,
@@ -141,7 +133,7 @@ _MAKE_JOINTS = (
 
 
 @dataclass(frozen=True)
-class HumanML3DSource(CorpusRecording):
+class HumanML3DSource(corpora.CorpusRecording):
     """One motion.
 
     Attributes:
@@ -170,7 +162,7 @@ class HumanML3DSource(CorpusRecording):
         return text_digest(self.identity.recording_id, *texts)
 
     @foreign_input()
-    def read(self) -> ReadRecording:
+    def read(self) -> corpora.ReadRecording:
         """Read joints and captions, and cut the clips that the captions describe.
 
         Raises:
@@ -190,23 +182,23 @@ class HumanML3DSource(CorpusRecording):
         joints = read_joints(self.joints)
         lines = read_texts(self.texts)
         clips, annotations = clips_of(self.identity, joints, lines, self.limits, load_manifest("humanml3d"))
-        return ReadRecording(clips, annotations, len(joints) / layout.RATE)
+        return corpora.ReadRecording(clips, annotations, len(joints) / layout.RATE)
 
 
-class HumanML3DCorpus(Corpus):
+class HumanML3DCorpus(corpora.Corpus):
     """See :class:`prbench_adapters.corpora.sources.Corpus`."""
 
     name = "humanml3d"
     native_rate = layout.RATE
 
-    def limits(self, options: CorpusOptions) -> ClipLimits:
+    def limits(self, options: corpora.CorpusOptions) -> corpora.ClipLimits:
         """See :class:`prbench_adapters.corpora.sources.Corpus`."""
         if options.rate != layout.RATE:
             raise UsageError(f"HumanML3D has 20 frames a second; --fps {options.rate:g} cannot be made from them.")
         return super().limits(options)
 
     @foreign_input()
-    def find(self, root: Path | None, options: CorpusOptions) -> tuple[HumanML3DSource, ...]:
+    def find(self, root: Path | None, options: corpora.CorpusOptions) -> tuple[HumanML3DSource, ...]:
         """Find all motions with joints, features or texts."""
         if root is None:
             raise UsageError("--root DIR is needed: the folder HumanML3D with new_joints, texts and train.txt.")
@@ -237,7 +229,7 @@ class HumanML3DCorpus(Corpus):
             split = splits.get(name)
             reason = None if split else "not listed in train.txt, val.txt or test.txt"
             group = name.removeprefix(layout.MIRROR_PREFIX)
-            identity = RecordingIdentity(dataset, name, _UNKNOWN_PERSON, split or "train", group)
+            identity = corpora.RecordingIdentity(dataset, name, _UNKNOWN_PERSON, split or "train", group)
             text = texts.get(name, root / layout.TEXTS_FOLDER / f"{name}.txt")
             sources.append(HumanML3DSource(identity, limits, root, reason, joints.get(name), text))
         return tuple(sources)

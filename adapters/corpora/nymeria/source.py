@@ -18,6 +18,7 @@ from prbench.readers import ReaderOptions, RecordingFiles, require_one_origin
 from prbench.readers.aria_mps.files import read_near
 from prbench.readers.extents import SEVERAL_SENSORS
 from prbench.sequences.corpus import Annotation, Caption, Clip
+from prbench_adapters.corpora import sources as corpora
 from prbench_adapters.corpora.nymeria import format as nymeria
 from prbench_adapters.corpora.nymeria.clock import (
     ClockOffset,
@@ -28,25 +29,16 @@ from prbench_adapters.corpora.nymeria.clock import (
 from prbench_adapters.corpora.nymeria.files import OFFSET, SUIT, TRAJECTORY, find_sequences, read_narrations
 from prbench_adapters.corpora.nymeria.format import SUIT_RATE, Narration
 from prbench_adapters.corpora.nymeria.suit import CleanSuit, Piece, clean_suit, read_suit
-from prbench_adapters.corpora.sources import (
-    ClipLimits,
-    Corpus,
-    CorpusOptions,
-    CorpusRecording,
-    ReadRecording,
-    RecordingIdentity,
-    cut_clip,
-)
 
 _ROUNDING = 1e-6
 
 
 def clips_of(
-    identity: RecordingIdentity,
+    identity: corpora.RecordingIdentity,
     body: CleanSuit,
     narrations: Sequence[Narration],
     offset: ClockOffset | None,
-    limits: ClipLimits,
+    limits: corpora.ClipLimits,
     coverage: float,
 ) -> tuple[tuple[Clip, ...], tuple[Annotation, ...]]:
     """Clips of one recording, and what became of every text.
@@ -89,7 +81,7 @@ def clips_of(
         if place is not None and offset is not None:
             piece, first, n_frames = place
             annotators = " ".join(sorted({row.annotator for row in rows if row.annotator}))
-            clip = cut_clip(
+            clip = corpora.cut_clip(
                 piece.joints,
                 first,
                 round(SUIT_RATE / limits.fps),
@@ -139,7 +131,7 @@ _Fate = tuple[str, float | None, float | None, tuple[Piece, int, int] | None]
 
 
 def _placed(
-    span: Narration, pieces: Sequence[Piece], offset: ClockOffset | None, limits: ClipLimits, coverage: float
+    span: Narration, pieces: Sequence[Piece], offset: ClockOffset | None, limits: corpora.ClipLimits, coverage: float
 ) -> _Fate:
     """Return what becomes of a span: outcome, deciding number, threshold, and its place in the motion if it has one.
 
@@ -197,7 +189,7 @@ class NymeriaOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_
 
 
 @dataclass(frozen=True)
-class NymeriaSource(CorpusRecording):
+class NymeriaSource(corpora.CorpusRecording):
     """One sequence."""
 
     found: RecordingFiles
@@ -229,7 +221,7 @@ class NymeriaSource(CorpusRecording):
         return clean_suit(read_suit(path), load_manifest("nymeria"), path=path)
 
     @foreign_input()
-    def read(self) -> ReadRecording:
+    def read(self) -> corpora.ReadRecording:
         """Read motion and texts, bring them onto one clock, and cut clips.
 
         Raises:
@@ -275,16 +267,16 @@ class NymeriaSource(CorpusRecording):
 
 
 def recording_clips(
-    identity: RecordingIdentity,
+    identity: corpora.RecordingIdentity,
     body: CleanSuit,
     narrations: tuple[Narration, ...],
     offset: ClockOffset | None,
-    limits: ClipLimits,
-) -> ReadRecording:
+    limits: corpora.ClipLimits,
+) -> corpora.ReadRecording:
     """Clips and the fate of every text; used for files and for recordings that were never written."""
     coverage = load_manifest("nymeria").thresholds["smallest_coverage"]
     clips, annotations = clips_of(identity, body, narrations, offset, limits, coverage)
-    return ReadRecording(
+    return corpora.ReadRecording(
         clips,
         annotations,
         sum(len(piece.joints) / SUIT_RATE for piece in body.pieces),
@@ -295,7 +287,7 @@ def recording_clips(
     )
 
 
-class NymeriaCorpus(Corpus):
+class NymeriaCorpus(corpora.Corpus):
     """See :class:`prbench_adapters.corpora.sources.Corpus`."""
 
     name = "nymeria"
@@ -303,14 +295,14 @@ class NymeriaCorpus(Corpus):
     native_rate = SUIT_RATE
     rates = "a rate must divide the suit's 240 Hz (20, 24, 30, 40 …)"
 
-    def chosen(self, options: CorpusOptions) -> NymeriaOptions:
+    def chosen(self, options: corpora.CorpusOptions) -> NymeriaOptions:
         """See :class:`prbench_adapters.corpora.sources.Corpus`."""
         chosen = super().chosen(options)
         _ = chosen.chosen_kinds  # refuses an unknown kind before anything is read
         return chosen
 
     @foreign_input()
-    def find(self, root: Path | None, options: CorpusOptions) -> tuple[NymeriaSource, ...]:
+    def find(self, root: Path | None, options: corpora.CorpusOptions) -> tuple[NymeriaSource, ...]:
         """Find all sequences below a folder."""
         if root is None:
             raise UsageError("--root DIR is needed: your copy of Nymeria.")
@@ -321,7 +313,7 @@ class NymeriaCorpus(Corpus):
         for found in find_sequences(root):
             participant = nymeria.participant_of(found.recording_id)
             split = found.split or split_by_participant(manifest, participant)
-            identity = RecordingIdentity(found.dataset, found.recording_id, participant, split, participant)
+            identity = corpora.RecordingIdentity(found.dataset, found.recording_id, participant, split, participant)
             skip_reason = manifest.why_bad(found.recording_id)
             sources.append(NymeriaSource(identity, limits, root, skip_reason, found, chosen))
         require_one_origin(root, (source.identity.dataset for source in sources))

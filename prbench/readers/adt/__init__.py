@@ -12,7 +12,6 @@ from prbench.readers.adt.files import AdtOptions, associated_people, extents, fi
 from prbench.readers.adt.to_recording import ASSUMED_SIZE, prepared_trajectory, recording_from_adt
 from prbench.readers.egoallo.bodies import body_model
 from prbench.readers.egoallo.files import POINT_FILES, EgoalloInputs, aria_inputs
-from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.recording import Recording
 
@@ -36,6 +35,7 @@ class AdtReader:
 
     dataset: str = "adt"
     options: AdtOptions = _DEFAULTS
+    extents = staticmethod(extents)
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
@@ -52,10 +52,6 @@ class AdtReader:
         """See :class:`prbench.readers.NamesFurtherFiles`."""
         associated_people(found)
         body_model(found)
-
-    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
-        """See :class:`prbench.readers.KnowsEnds`."""
-        return extents(found, recording)
 
     def egoallo_inputs(self, root: Path, found: RecordingFiles) -> EgoalloInputs:
         """See :class:`prbench.readers.AriaGlasses`."""

@@ -22,29 +22,15 @@ from prbench.errors import InputFileError
 from prbench.files.bounded import require
 from prbench.limits import LARGEST_OBJECT
 from prbench.readers import ReaderOptions, read_synthetic_tree
+from prbench.readers import files as native
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.to_recording import ASSUMED_SIZE, turned_to_z_up
-from prbench.readers.aria_mps.files import (
-    find_gaze_file,
-    read_gaze_angles,
-    read_size_and_camera,
-    read_trajectory,
-    require_up,
-)
+from prbench.readers.aria_mps import files as aria
 from prbench.readers.aria_mps.format import CALIBRATION_FILE, TIME_COLUMN, GazeAngles, device_from_cpf
 from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.files import body_extent, find_outputs
 from prbench.readers.extents import Extent, csv_extent, json_extent
-from prbench.readers.files import (
-    Nanoseconds,
-    decode_json,
-    read_columns,
-    read_entries,
-    read_poses_by_body,
-    require_increasing,
-    told_together,
-)
 from prbench.readers.found import RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.recording import Recording, UnreadableEntry
 
@@ -63,8 +49,6 @@ class AdtOptions(ReaderOptions, frozen=True, kw_only=True):
     poses_root: Path | None = None
 
 
-# Roles of the files of a recording; a skeleton's is SKELETON_PREFIX and the skeleton's name.
-# Roles of the files of a recording; a skeleton's is SKELETON_PREFIX and the skeleton's name.
 # Roles of the files of a recording; a skeleton's is SKELETON_PREFIX and the skeleton's name.
 METADATA = "metadata"
 INSTANCES = "instances"
@@ -124,7 +108,7 @@ def find_recordings(root: Path | str, options: AdtOptions = _DEFAULTS) -> tuple[
             continue
         places = {role: folder / name for role, name in _FILES.items()}
         if not is_present(places[GAZE]):
-            places[GAZE] = find_gaze_file(folder / adt.MPS_FOLDER / "eye_gaze") or places[GAZE]
+            places[GAZE] = aria.find_gaze_file(folder / adt.MPS_FOLDER / "eye_gaze") or places[GAZE]
         places[CALIBRATION] = folder / adt.MPS_FOLDER / "slam" / CALIBRATION_FILE
         places |= {f"{SKELETON_PREFIX}{path.stem}": path for path in sorted(folder.glob("Skeleton_*.json"))}
         files = [input_file(role, path) for role, path in places.items() if is_present(path)]
@@ -144,7 +128,7 @@ def _is_recording(folder: Path) -> bool:
         return any((folder / _FILES[role]).is_file() for role in _OWN_ROLES)
     try:
         # HOT3D's metadata have the same name and tell the kind of headset.
-        return decode_json(path, METADATA_DECODER).headset is None
+        return native.decode_json(path, METADATA_DECODER).headset is None
     except InputFileError:
         return True
 
@@ -193,7 +177,7 @@ class _Associations(msgspec.Struct):
 
 class _Frame(msgspec.Struct):
     joints: msgspec.Raw
-    timestamp_ns: Nanoseconds
+    timestamp_ns: native.Nanoseconds
 
 
 class _SkeletonFile(msgspec.Struct):
@@ -222,8 +206,8 @@ def read_objects(
         InputFileError: for a missing or damaged file, a pose that is no pose, or a clock that runs backwards.
     """
     expected = "an object with its instance_id, names, category, motion_type and instance_type"
-    entries, unreadable = read_entries(
-        instances_path, decode_json(instances_path, _INSTANCES), _INSTANCE.decode, expected
+    entries, unreadable = native.read_entries(
+        instances_path, native.decode_json(instances_path, _INSTANCES), _INSTANCE.decode, expected
     )
     instances: dict[int, _Instance] = {}
     for key, instance in entries.items():
@@ -231,14 +215,14 @@ def read_objects(
             found = f"{instance.instance_id} again"
             unreadable.append(UnreadableEntry(instances_path.name, key, "an instance_id of its own", found))
     columns = (adt.OBJECT_ID, *adt.BOX_MIN, *adt.BOX_MAX)
-    table = read_columns(boxes_path, dict.fromkeys(columns, str))
+    table = native.read_columns(boxes_path, dict.fromkeys(columns, str))
     rows = zip(*(table[name].to_pylist() for name in columns), strict=True)
     lines = {f"line {number}": row for number, row in enumerate(rows, start=2)}
-    listed, odd = read_entries(boxes_path, lines, _box, "an id, and a lower and an upper corner in metres")
+    listed, odd = native.read_entries(boxes_path, lines, _box, "an id, and a lower and an upper corner in metres")
     boxes = dict(listed.values())
     unreadable += odd
     known = {key for key, instance in instances.items() if instance.instance_type != "human"}
-    poses = read_poses_by_body(
+    poses = native.read_poses_by_body(
         poses_path,
         body={adt.OBJECT_ID: int},
         time=adt.OBJECT_TIME,
@@ -290,15 +274,15 @@ def read_skeletons(found: RecordingFiles) -> tuple[tuple[adt.AdtSkeleton, ...], 
     skeletons = []
     names = [str(column) for column in range(_WIDTH)]
     for person, path in people:
-        listed = enumerate(decode_json(path, _SKELETON).frames)
+        listed = enumerate(native.decode_json(path, _SKELETON).frames)
         expected = f"a time, and the known skeleton of {adt.N_NATIVE_JOINTS} joints with three coordinates"
-        frames, odd = read_entries(path, {f"frame {number}": raw for number, raw in listed}, _frame, expected)
-        told = told_together(odd)
+        frames, odd = native.read_entries(path, {f"frame {number}": raw for number, raw in listed}, _frame, expected)
+        told = native.told_together(odd)
         unreadable += told
         remedy = f"Download the recording again, or remove {person.name} from the association file."
         require(path, (len(frames) > 0, "frames", f"frames of a body: {expected}", told[0] if told else "none", remedy))
         times = np.array([time for time, _ in frames.values()], dtype=np.int64)
-        require_increasing(path, times, unit="ns", place="frame", first=0)
+        native.require_increasing(path, times, unit="ns", place="frame", first=0)
         rows = [row for _, row in frames.values()]
         try:
             table = pyarrow.csv.read_csv(
@@ -325,10 +309,10 @@ def associated_people(found: RecordingFiles) -> tuple[list[tuple[_Association, P
     association = found.path(ASSOCIATION)
     if association is None:
         return [], []
-    listed = enumerate(decode_json(association, _ASSOCIATIONS).people)
+    listed = enumerate(native.decode_json(association, _ASSOCIATIONS).people)
     entries = {f"SkeletonMetadata[{number}]": raw for number, raw in listed}
     expected = "a person with AssociatedDeviceSerial, SkeletonId and SkeletonName"
-    people, unreadable = read_entries(association, entries, _ASSOCIATION.decode, expected)
+    people, unreadable = native.read_entries(association, entries, _ASSOCIATION.decode, expected)
     named = [person for person in people.values() if person.name != adt.NOBODY]
     paths = [found.require(f"{SKELETON_PREFIX}{person.name}", f"{person.name}.json") for person in named]
     return list(zip(named, paths, strict=True)), unreadable
@@ -355,7 +339,7 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
         InputFileError: for a missing or damaged file, an unknown time domain, or a scene that is not Y up.
     """
     path = found.require(METADATA, adt.METADATA_FILE)
-    metadata = decode_json(path, METADATA_DECODER)
+    metadata = native.decode_json(path, METADATA_DECODER)
     remedy = "Download the sequence again: its present release has one flat folder a recording."
     require(path, (metadata.subtours is None, "subtours", "layout v2.0", "layout v1.x", remedy))
     expected = f"'{adt.TIME_DOMAIN}' (the device clock)"
@@ -365,11 +349,11 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
     concurrent = metadata.concurrent_sequence or ""
     paths = (found.require(role, _FILES[role]) for role in (INSTANCES, BOXES, OBJECTS))
     objects, remarks, unreadable = read_objects(*paths)
-    size, device_from_rgb = read_size_and_camera(found.path(CALIBRATION))
+    size, device_from_rgb = aria.read_size_and_camera(found.path(CALIBRATION))
     path = found.require(TRAJECTORY, adt.TRAJECTORY_FILE)
-    trajectory = read_trajectory(path)
+    trajectory = aria.read_trajectory(path)
     remedy = "This looks like a native MPS trajectory; use the recording's own aria_trajectory.csv."
-    require_up(path, trajectory, adt.UP, within=1e-3, remedy=remedy)
+    aria.require_up(path, trajectory, adt.UP, within=1e-3, remedy=remedy)
     skeletons, odd = read_skeletons(found)
     body = None
     if options.poses == "egoallo":
@@ -397,7 +381,7 @@ def read_gaze(path: Path) -> GazeAngles:
     Raises:
         InputFileError: as :func:`read_gaze_angles`; or if many angles would look backwards.
     """
-    gaze = read_gaze_angles(path)
+    gaze = aria.read_gaze_angles(path)
     largest = np.maximum(np.abs(gaze.yaw), np.abs(gaze.pitch))
     known = largest[np.isfinite(largest)]
     if len(known) and (known > _BEHIND).mean() > _TOO_MANY:

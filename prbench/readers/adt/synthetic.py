@@ -22,14 +22,7 @@ from prbench.geometry.timelines import interpolate, slerp
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.to_recording import prepared_trajectory, recording_from_adt
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.synthetic import (
-    device_poses,
-    gaze_bias,
-    gaze_rows,
-    pose_columns,
-    trajectory_columns,
-    write_csv,
-)
+from prbench.readers.aria_mps import synthetic as aria
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.synthetic import sense_egoallo, write_outputs, write_smplh_model
 from prbench.synthetic.layouts import Layout
@@ -109,7 +102,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     sensing = Sensing(performance, noise, switches or Switches())
     times = sensing.times(RATE)
     pose_us = device_start_us(performance) + np.rint((times - performance.times[0]) * 1e6).astype(np.int64)
-    position, rotation = device_poses(sensing, times, GLASSES_SIZE)
+    position, rotation = aria.device_poses(sensing, times, GLASSES_SIZE)
     rng = sensing.generator("pose-noise")
     scale = sensing.strength("pose_noise")
     offset = rng.normal(0.0, _POSE_NOISE, (len(times), 3)) * scale
@@ -129,7 +122,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
             np.round(np.where(lost, 0.0, quality), _METRES),
         ),
         # The file's depth is 0, "unknown", between fixations.
-        gaze=gaze_rows(sensing, times, pose_us - adt.GAZE_BEFORE_POSE_US, fixation_depth(sensing, times, 0.0)),
+        gaze=aria.gaze_rows(sensing, times, pose_us - adt.GAZE_BEFORE_POSE_US, fixation_depth(sensing, times, 0.0)),
         objects=_sense_objects(sensing, times, pose_us * 1000 + adt.OBJECT_AFTER_POSE_NS),
         skeletons=tuple(
             _sense_suit(sensing, body.joints, body.finger_bases, person_id, number)
@@ -362,12 +355,16 @@ def write(readings: adt.AdtReadings, folder: Path) -> None:
         ]
         write_json(target / adt.INSTANCES_FILE, {str(entry["instance_id"]): entry for entry in instances})
         still = np.zeros((len(readings.glasses.time_us), 6))
-        write_csv(target / adt.TRAJECTORY_FILE, trajectory_columns(readings.glasses, _GRAPH_UID, _GRAVITY, still))
+        aria.write_csv(
+            target / adt.TRAJECTORY_FILE, aria.trajectory_columns(readings.glasses, _GRAPH_UID, _GRAVITY, still)
+        )
         gaze = readings.gaze
         ranges = (gaze.yaw_range[:, 0], gaze.pitch_range[:, 0], gaze.yaw_range[:, 1], gaze.pitch_range[:, 1])
         names = (mps.YAW_RANGE[0], mps.PITCH_RANGE[0], mps.YAW_RANGE[1], mps.PITCH_RANGE[1])
         columns: dict[str, object] = {mps.TIME_COLUMN: gaze.time_us, mps.YAW: gaze.yaw, mps.PITCH: gaze.pitch}
-        write_csv(target / adt.GAZE_FILE, columns | {mps.DEPTH: gaze.depth} | dict(zip(names, ranges, strict=True)))
+        aria.write_csv(
+            target / adt.GAZE_FILE, columns | {mps.DEPTH: gaze.depth} | dict(zip(names, ranges, strict=True))
+        )
         columns = {
             adt.OBJECT_ID: np.array([entry.object_id for entry in objects]),
             adt.OBJECT_TIME: np.full(len(objects), adt.STATIC_TIME),
@@ -375,8 +372,8 @@ def write(readings: adt.AdtReadings, folder: Path) -> None:
         for axis in range(3):
             columns[adt.BOX_MIN[axis]] = np.array([entry.box_min[axis] for entry in objects])
             columns[adt.BOX_MAX[axis]] = np.array([entry.box_max[axis] for entry in objects])
-        write_csv(target / adt.BOXES_FILE, columns)
-        write_csv(target / adt.OBJECTS_FILE, pose_columns({entry.object_id: entry for entry in objects}))
+        aria.write_csv(target / adt.BOXES_FILE, columns)
+        aria.write_csv(target / adt.OBJECTS_FILE, aria.pose_columns({entry.object_id: entry for entry in objects}))
         people = [
             {"AssociatedDeviceSerial": person.serial, "SkeletonId": person.skeleton_id, "SkeletonName": person.name}
             for person in readings.skeletons
@@ -423,6 +420,6 @@ LAYOUT = Layout(
     events=lambda performance: performance.events,
     clock_start=lambda performance: device_start_us(performance) / 1e6,
     object_id=lambda object_id: str(native_object_id(object_id)),
-    gaze_bias=gaze_bias,
+    gaze_bias=aria.gaze_bias,
     write_estimates=_write_estimates,
 )

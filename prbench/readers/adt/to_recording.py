@@ -19,22 +19,10 @@ from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, AriaTrajectory, GlassesSize
 from prbench.readers.aria_mps.to_recording import gaze_in_world, head_and_camera, size_remark
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS, body_stream
-from prbench.recording.streams import (
-    SIDES,
-    BodyStream,
-    ContactPoint,
-    GazeStream,
-    HandStream,
-    ObjectTrack,
-    OtherPerson,
-    PoseStream,
-    Recording,
-    hold_neighbours,
-    plausible_body_frames,
-)
+from prbench.recording import streams
 
 ASSUMED_SIZE: GlassesSize = "DVT-L"  # Size of glasses where no file tells it (choice: the public sample's).
-_CONTACTS: tuple[tuple[ContactPoint, tuple[int, int]], ...] = (
+_CONTACTS: tuple[tuple[streams.ContactPoint, tuple[int, int]], ...] = (
     ("wrist", adt.WRIST_JOINTS),
     ("middle_finger_base", adt.MIDDLE_FINGER_BASES),
 )
@@ -45,7 +33,7 @@ Poses = Literal["native", "egoallo"]
 
 def recording_from_adt(
     readings: adt.AdtReadings, manifest: Manifest, *, dataset: str, poses: Poses = "native"
-) -> Recording:
+) -> streams.Recording:
     """Return the streams in the world from native readings.
 
     Args:
@@ -87,7 +75,7 @@ def recording_from_adt(
         # One that never moves has a single sample.
         times = entry.time_ns / 1e9 if entry.time_ns[0] != adt.STATIC_TIME else device.times[:1]
         rotation = entry.rotation / np.linalg.norm(entry.rotation, axis=1, keepdims=True)
-        track = ObjectTrack(
+        track = streams.ObjectTrack(
             object_id=str(entry.object_id),
             name=entry.name,
             category=entry.category,
@@ -122,7 +110,7 @@ def recording_from_adt(
         ends = [track.times[-1] for track in moving]
         ranges["objects"] = float(min(starts)), float(max(ends))
     require_overlap(ranges, recording=readings.recording_id)
-    return Recording(
+    return streams.Recording(
         dataset=dataset,
         recording_id=readings.recording_id,
         participant_id="unknown" if wearer is None else wearer.name.removeprefix("Skeleton_"),
@@ -135,7 +123,9 @@ def recording_from_adt(
         body=body,
         hands=hands,
         objects=tuple(track for track in tracks if track.object_id not in rooms),
-        other_people=tuple(OtherPerson(person.name, _body_and_hands(person, manifest, span)[1]) for person in others),
+        other_people=tuple(
+            streams.OtherPerson(person.name, _body_and_hands(person, manifest, span)[1]) for person in others
+        ),
         # Twins name each other; the smaller of both names is the same seen from either.
         split_group=min(filter(None, (readings.recording_id, readings.concurrent))),
         hinged_objects=frozenset(
@@ -148,7 +138,7 @@ def recording_from_adt(
 
 def _body_and_hands(
     person: adt.AdtSkeleton, manifest: Manifest, span: tuple[float, float]
-) -> tuple[BodyStream, tuple[HandStream, ...]]:
+) -> tuple[streams.BodyStream, tuple[streams.HandStream, ...]]:
     """Return the 22 joints, and wrists and middle-finger bases; implausible frames are masked and filled.
 
     So are frames outside ``span``, the time in which the glasses were tracked: there is no ground truth.
@@ -156,21 +146,21 @@ def _body_and_hands(
     times = person.time_ns / 1e9
     native = person.joints
     joints = adt.body_joints(native, manifest.body.joint_mapping)
-    valid = plausible_body_frames(times, joints) & _within(times, span)
+    valid = streams.plausible_body_frames(times, joints) & _within(times, span)
     hands = []
     for contact, pair in _CONTACTS:
-        for side, index in zip(SIDES, pair, strict=True):
+        for side, index in zip(streams.SIDES, pair, strict=True):
             point = native[:, index]
             measured = valid & np.isfinite(point).all(axis=1) & (point != 0).any(axis=1)
-            points = hold_neighbours(native[:, index, None], measured)
-            hands.append(HandStream(side, contact, times, points, measured))
-    return BodyStream(times, hold_neighbours(joints, valid), valid), tuple(hands)
+            points = streams.hold_neighbours(native[:, index, None], measured)
+            hands.append(streams.HandStream(side, contact, times, points, measured))
+    return streams.BodyStream(times, streams.hold_neighbours(joints, valid), valid), tuple(hands)
 
 
-def glasses_stream(poses: AriaTrajectory) -> PoseStream:
+def glasses_stream(poses: AriaTrajectory) -> streams.PoseStream:
     """Return the poses of the device in the scene; quality 0 is invalid."""
     rotation = poses.rotation / np.linalg.norm(poses.rotation, axis=1, keepdims=True)
-    return PoseStream(poses.time_us / 1e6, poses.position, rotation, poses.quality > 0)
+    return streams.PoseStream(poses.time_us / 1e6, poses.position, rotation, poses.quality > 0)
 
 
 def _within(times: Float[np.ndarray, " n"], span: tuple[float, float]) -> Bool[np.ndarray, " n"]:
@@ -189,8 +179,8 @@ def _gaps(times: Float[np.ndarray, " n"], longest: float, where: str) -> list[st
 def _remarks(
     readings: adt.AdtReadings,
     span: tuple[float, float],
-    gaze: GazeStream,
-    body: BodyStream | None,
+    gaze: streams.GazeStream,
+    body: streams.BodyStream | None,
     wearer: adt.AdtSkeleton | None,
 ) -> list[str]:
     """Tell the user what is unusual about these readings."""
@@ -235,9 +225,11 @@ def prepared_trajectory(glasses: AriaTrajectory) -> AriaTrajectory:
     )
 
 
-def turned_to_z_up(glasses: AriaTrajectory) -> PoseStream:
+def turned_to_z_up(glasses: AriaTrajectory) -> streams.PoseStream:
     """Return the poses of the device in the scene turned to Z up, device seconds."""
     device = glasses_stream(glasses)
     turn = Rotation.from_matrix(adt.Z_UP_FROM_SCENE[:3, :3])
     rotation = turn * Rotation.from_quat(device.rotation, scalar_first=True)
-    return PoseStream(device.times, turn.apply(device.position), rotation.as_quat(scalar_first=True), device.valid)
+    return streams.PoseStream(
+        device.times, turn.apply(device.position), rotation.as_quat(scalar_first=True), device.valid
+    )

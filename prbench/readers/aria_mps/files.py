@@ -19,22 +19,8 @@ from prbench.errors import InputFileError
 from prbench.files.arrays import require_column
 from prbench.files.bounded import foreign_input, require
 from prbench.limits import FARTHEST_POSITION, LARGEST_ANGLE, LONGEST_LINE
+from prbench.readers import files as native
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.files import (
-    Column,
-    Source,
-    archive_members,
-    column_vectors,
-    decode_json,
-    opened,
-    read_blocks,
-    read_columns,
-    read_header,
-    require_increasing,
-    require_poses,
-    shown,
-    source_of,
-)
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present
 
 # Names of the file of each role, the preferred one first.
@@ -75,7 +61,7 @@ def find_mps_files(root: Path) -> tuple[InputFile, ...]:
             present.append(input_file("", path))
         elif path == root or (path.suffix == ".zip" and path.is_file()):
             try:
-                members = sorted(archive_members(path).items())
+                members = sorted(native.archive_members(path).items())
                 present += [InputFile("", path, size, member) for member, size in members]
             except InputFileError:
                 if path == root:
@@ -115,7 +101,7 @@ def _rank(file: InputFile, names: Sequence[str]) -> tuple[int, bool, int, bool, 
 _ANYTHING = msgspec.json.Decoder()
 
 
-def read_warnings(path: Source) -> tuple[str, ...]:
+def read_warnings(path: native.Source) -> tuple[str, ...]:
     """Read what the operators of a stream warn of; their names vary between versions, and none is required.
 
     Returns:
@@ -124,7 +110,7 @@ def read_warnings(path: Source) -> tuple[str, ...]:
     Raises:
         InputFileError: if the file is damaged, or an operator reports an ERROR: the stream is then not to be used.
     """
-    summary = decode_json(path, _ANYTHING)
+    summary = native.decode_json(path, _ANYTHING)
     warnings = []
     for operator, entry in summary.items() if isinstance(summary, dict) else ():
         for report in entry if isinstance(entry, list) else [entry]:  # some operators hold a list of reports
@@ -135,8 +121,10 @@ def read_warnings(path: Source) -> tuple[str, ...]:
             reason = f" ({said})" if said else ""
             expected = "no operator with the status ERROR"
             remedy = "The services could not compute this stream; leave the recording out, or request it again."
-            require(shown(path), (report["status"] != "ERROR", str(operator), expected, f"ERROR{reason}", remedy))
-            warnings.append(f"{shown(path).parent.name}: {operator} warns{reason}")
+            require(
+                native.shown(path), (report["status"] != "ERROR", str(operator), expected, f"ERROR{reason}", remedy)
+            )
+            warnings.append(f"{native.shown(path).parent.name}: {operator} warns{reason}")
     return tuple(warnings)
 
 
@@ -180,9 +168,9 @@ def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
     for role in (mps.TRAJECTORY, mps.GAZE):
         if role not in files:
             for archive in (file for file in found.files if file.role.startswith(UNREADABLE)):
-                archive_members(archive.path)  # says what is wrong with it
+                native.archive_members(archive.path)  # says what is wrong with it
             found.require(role, _REQUIRED[role])  # says what was looked for
-    sources = {role: source_of(file) for role, file in files.items()}
+    sources = {role: native.source_of(file) for role, file in files.items()}
     summaries = [sources[role] for role in (mps.SLAM_SUMMARY, mps.GAZE_SUMMARY) if role in sources]
     remarks = [remark for summary in summaries for remark in read_warnings(summary)]
     gaze = read_gaze_angles(sources[mps.GAZE])
@@ -211,10 +199,10 @@ def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
 
 _NUMBERS = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
 # Columns that are read; the velocities are unreliable and stay unread.
-COLUMNS: dict[str, Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(_NUMBERS, float)}
+COLUMNS: dict[str, native.Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(_NUMBERS, float)}
 
 
-def read_trajectory(source: Source) -> mps.AriaTrajectory:
+def read_trajectory(source: native.Source) -> mps.AriaTrajectory:
     """Read ``closed_loop_trajectory.csv`` or ADT's ``aria_trajectory.csv``.
 
     Rows without pose (``UNDEFINED_ROW``) and rows of another world frame than the most frequent one are left out.
@@ -225,8 +213,8 @@ def read_trajectory(source: Source) -> mps.AriaTrajectory:
     Raises:
         InputFileError: if the file is missing or empty, a column is missing, a pose is no pose, or time runs backwards.
     """
-    table = read_columns(source, COLUMNS)
-    require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
+    table = native.read_columns(source, COLUMNS)
+    native.require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
     return _trajectory_of(source, table)
 
 
@@ -252,7 +240,7 @@ def require_up(
     require(place, (is_up, "gravity columns of the trajectory", expected, found, remedy))
 
 
-def read_near(source: Source, gaze_us: Int[np.ndarray, " n"], rate: float = mps.POSE_RATE) -> mps.AriaTrajectory:
+def read_near(source: native.Source, gaze_us: Int[np.ndarray, " n"], rate: float = mps.POSE_RATE) -> mps.AriaTrajectory:
     """Check every row, and keep those around the gaze times and a regular grid, as :func:`mps.thinned` chooses them.
 
     Rows without a world or of another one are left out after the choice, so that at the edge of such a stretch poses
@@ -269,17 +257,19 @@ def read_near(source: Source, gaze_us: Int[np.ndarray, " n"], rate: float = mps.
     kept: list[pa.Table] = []
     last = first_us = None
     rows = 0
-    for table in read_blocks(source, COLUMNS):
+    for table in native.read_blocks(source, COLUMNS):
         if not len(table):
             continue
         # The last row of the block before joins in: it may lie before a wanted time of this block.
         known = table if last is None else pa.concat_tables([last, table])
         time_us = known[mps.TIME_COLUMN].to_numpy()
         line = rows + 2 - (last is not None)
-        require_increasing(source, time_us, unit="us", first=line)
+        native.require_increasing(source, time_us, unit="us", first=line)
         has_world = pc.call_function("not_equal", [known[mps.GRAPH_COLUMN], pa.scalar(mps.UNDEFINED_GRAPH)])
-        position, rotation = (column_vectors(known, names) for names in (mps.POSITION_COLUMNS, mps.ROTATION_COLUMNS))
-        require_poses(source, position, rotation, used=has_world.to_numpy(zero_copy_only=False), first=line)
+        position, rotation = (
+            native.column_vectors(known, names) for names in (mps.POSITION_COLUMNS, mps.ROTATION_COLUMNS)
+        )
+        native.require_poses(source, position, rotation, used=has_world.to_numpy(zero_copy_only=False), first=line)
         first_us = int(time_us[0]) if first_us is None else first_us
         wanted = mps.wanted_times_us(gaze_us, first_us, int(time_us[-1]), rate, from_us=int(time_us[0]))
         kept.append(known.take(mps.rows_around(time_us, wanted[wanted <= time_us[-1]])))
@@ -293,14 +283,15 @@ def read_near(source: Source, gaze_us: Int[np.ndarray, " n"], rate: float = mps.
     return _trajectory_of(source, table.filter(pa.array(np.diff(time_us, prepend=time_us[0] - 1) > 0)))
 
 
-def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
+def _trajectory_of(source: native.Source, table: pa.Table) -> mps.AriaTrajectory:
     """Return the poses of one world in a table of :data:`COLUMNS`.
 
     Raises:
         InputFileError: if there is none, or a pose is no pose.
     """
     position, rotation, gravity = (
-        column_vectors(table, names) for names in (mps.POSITION_COLUMNS, mps.ROTATION_COLUMNS, mps.GRAVITY_COLUMNS)
+        native.column_vectors(table, names)
+        for names in (mps.POSITION_COLUMNS, mps.ROTATION_COLUMNS, mps.GRAVITY_COLUMNS)
     )
     # World frames of a trajectory, most frequent first, and the rows of the first.
     encoded = table[mps.GRAPH_COLUMN].combine_chunks().dictionary_encode()
@@ -310,9 +301,12 @@ def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
     # sorted() is stable: of two equally frequent worlds the one that comes first in the file.
     graphs = tuple(sorted(counts, key=lambda name: -counts[name]))
     kept = codes == names.index(graphs[0]) if graphs else np.zeros(len(codes), dtype=bool)
-    require_poses(source, position, rotation, used=kept)
+    native.require_poses(source, position, rotation, used=kept)
     expected = "at least one pose of the glasses"
-    require(shown(source), (kept.any(), "", expected, "none", "The recording has no ground truth; download it again."))
+    require(
+        native.shown(source),
+        (kept.any(), "", expected, "none", "The recording has no ground truth; download it again."),
+    )
     # Gravity is a constant of a world, so that the first row of the kept one tells it.
     down = gravity[kept][0]
     return mps.AriaTrajectory(
@@ -326,7 +320,7 @@ def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
     )
 
 
-def read_gaze_angles(path: Source) -> mps.GazeAngles:
+def read_gaze_angles(path: native.Source) -> mps.GazeAngles:
     """Read one gaze file of any of the three schemas, told apart by columns (docs/specification/aria-mps.md#eye-gaze).
 
     Two yaws (schema B) become one; bounds that a schema lacks are NaN, and so is a missing depth.
@@ -334,21 +328,21 @@ def read_gaze_angles(path: Source) -> mps.GazeAngles:
     Raises:
         InputFileError: if the file or a column is missing, it has no rows, or time runs backwards.
     """
-    names = read_header(path)
+    names = native.read_header(path)
     # Schema B has a yaw for each eye, the other two schemas have one for both.
     two_eyes = mps.YAW not in names and mps.LEFT_YAW in names
     yaws = (mps.LEFT_YAW, mps.RIGHT_YAW) if two_eyes else (mps.YAW,)
     ranges = (*mps.YAW_RANGE, *mps.LEFT_YAW_RANGE, *mps.RIGHT_YAW_RANGE, *mps.PITCH_RANGE)
     optional = [name for name in (*ranges, mps.DEPTH) if name in names]
-    table = read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys((*yaws, mps.PITCH, *optional), float)})
+    table = native.read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys((*yaws, mps.PITCH, *optional), float)})
     remedy = "Without gaze nothing is primed; download it again."
-    require(shown(path), (len(table) > 0, "", "gaze rows", "none", remedy))
-    require_increasing(path, table[mps.TIME_COLUMN].to_numpy(), unit="us")
+    require(native.shown(path), (len(table) > 0, "", "gaze rows", "none", remedy))
+    native.require_increasing(path, table[mps.TIME_COLUMN].to_numpy(), unit="us")
     columns = {name: table[name].to_numpy() for name in table.column_names}
     for name in (*yaws, mps.PITCH):  # their bounds steer no ray
-        require_column(shown(path), name, columns[name], largest=LARGEST_ANGLE, unit="rad", remedy=_LIKE_DEGREES)
+        require_column(native.shown(path), name, columns[name], largest=LARGEST_ANGLE, unit="rad", remedy=_LIKE_DEGREES)
     if mps.DEPTH in columns:
-        require_column(shown(path), mps.DEPTH, columns[mps.DEPTH], largest=FARTHEST_POSITION, unit="m")
+        require_column(native.shown(path), mps.DEPTH, columns[mps.DEPTH], largest=FARTHEST_POSITION, unit="m")
     unknown = np.full(len(table), np.nan)
 
     def pair(names: tuple[str, str]) -> np.ndarray:
@@ -364,7 +358,7 @@ def read_gaze_angles(path: Source) -> mps.GazeAngles:
     return mps.GazeAngles(columns[mps.TIME_COLUMN], yaw, columns[mps.PITCH], depth, yaw_range, pair(mps.PITCH_RANGE))
 
 
-def read_size_and_camera(path: Source | None) -> tuple[mps.GlassesSize | None, Float[np.ndarray, "4 4"] | None]:
+def read_size_and_camera(path: native.Source | None) -> tuple[mps.GlassesSize | None, Float[np.ndarray, "4 4"] | None]:
     """Read the size of the glasses, which the distance of the SLAM cameras tells, and the pose of the RGB camera.
 
     Raises:
@@ -377,7 +371,7 @@ def read_size_and_camera(path: Source | None) -> tuple[mps.GlassesSize | None, F
     return mps.glasses_size(float(np.linalg.norm(left[:3, 3] - right[:3, 3]))), cameras["camera-rgb"]
 
 
-def read_first_calibration(path: Source) -> dict[str, Float[np.ndarray, "4 4"]]:
+def read_first_calibration(path: native.Source) -> dict[str, Float[np.ndarray, "4 4"]]:
     """Read the first record of ``online_calibration.jsonl``; later ones differ by fractions of a millimetre.
 
     Returns:
@@ -387,25 +381,25 @@ def read_first_calibration(path: Source) -> dict[str, Float[np.ndarray, "4 4"]]:
         InputFileError: if the file is missing or empty, or its first line is no calibration of the three cameras.
     """
     try:
-        with opened(path) as file:
+        with native.opened(path) as file:
             row = msgspec.json.decode(file.readline(LONGEST_LINE), type=_CalibrationRow)
     except (FileNotFoundError, msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputFileError(shown(path), "line 1", expected="a calibration record", found=str(error)) from error
+        raise InputFileError(native.shown(path), "line 1", expected="a calibration record", found=str(error)) from error
     poses = {}
     for camera in row.cameras:
         quaternion = (camera.pose.quaternion[0], *camera.pose.quaternion[1])
-        require_poses(path, np.array([camera.pose.translation]), np.array([quaternion]))
+        native.require_poses(path, np.array([camera.pose.translation]), np.array([quaternion]))
         poses[camera.label] = np.eye(4)
         poses[camera.label][:3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
         poses[camera.label][:3, 3] = camera.pose.translation
     missing = {"camera-slam-left", "camera-slam-right", "camera-rgb"} - poses.keys()
     if missing:
         found = ", ".join(sorted(poses))
-        raise InputFileError(shown(path), "line 1", expected=f"the camera {min(missing)}", found=found)
+        raise InputFileError(native.shown(path), "line 1", expected=f"the camera {min(missing)}", found=found)
     return poses
 
 
-def read_wrists(path: Source) -> mps.WristPositions:
+def read_wrists(path: native.Source) -> mps.WristPositions:
     """Read ``wrist_and_palm_poses.csv``, old or new; the palms stay unread.
 
     A hand counts as seen where its confidence is above 0 and its wrist is a number; where it was not, other columns
@@ -416,11 +410,13 @@ def read_wrists(path: Source) -> mps.WristPositions:
     """
     confidences = tuple(f"{side}_tracking_confidence" for side in mps.SIDES)
     axes = [tuple(f"t{axis}_{side}_wrist_device" for axis in "xyz") for side in mps.SIDES]
-    table = read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys((*confidences, *axes[0], *axes[1]), float)})
+    table = native.read_columns(
+        path, {mps.TIME_COLUMN: int, **dict.fromkeys((*confidences, *axes[0], *axes[1]), float)}
+    )
     time_us = table[mps.TIME_COLUMN].to_numpy()
-    require_increasing(path, time_us, unit="us")
-    wrists = np.stack([column_vectors(table, names) for names in axes], axis=1)
-    confidence = np.nan_to_num(column_vectors(table, confidences), nan=0.0)
+    native.require_increasing(path, time_us, unit="us")
+    wrists = np.stack([native.column_vectors(table, names) for names in axes], axis=1)
+    confidence = np.nan_to_num(native.column_vectors(table, confidences), nan=0.0)
     # A hand without a wrist is not seen, whatever its confidence says.
     seen = (confidence > 0) & np.isfinite(wrists).all(axis=2)
     return mps.WristPositions(

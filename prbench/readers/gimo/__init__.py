@@ -8,7 +8,6 @@ from pathlib import Path
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import AnnotationLine
-from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.files import GimoOptions, extents, find_segments, open_route, read_readings, row_of
@@ -25,6 +24,7 @@ class GimoReader:
 
     dataset: str = "gimo"
     options: GimoOptions = GimoOptions()  # noqa: RUF009 (frozen)
+    extents = staticmethod(extents)
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
@@ -59,10 +59,6 @@ class GimoReader:
     def require_further(self, found: RecordingFiles) -> None:
         """See :class:`prbench.readers.NamesFurtherFiles`."""
         open_route(found, self.options)
-
-    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
-        """See :class:`prbench.readers.KnowsEnds`."""
-        return extents(found, recording)
 
     @property
     def annotation_columns(self) -> tuple[str, ...]:

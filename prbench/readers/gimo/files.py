@@ -13,39 +13,14 @@ from prbench.errors import InputFileError
 from prbench.files.bounded import require
 from prbench.files.storage import inside
 from prbench.readers import ReaderOptions, read_synthetic_tree
+from prbench.readers import found as listing
 from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent
-from prbench.readers.found import (
-    FilesOnDemand,
-    InputFile,
-    RecordingFiles,
-    existing_folder,
-    input_file,
-    is_present,
-    names_in,
-)
+from prbench.readers.gimo import bodies
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.bodies import (
-    SMPLX_PAGE,
-    VPOSER_PAGE,
-    joints_from_parameters,
-    read_pose_decoder,
-    read_poses,
-    read_rest_joints,
-)
+from prbench.readers.gimo import table as tables
 from prbench.readers.gimo.bvh import read_bvh
 from prbench.readers.gimo.gaze import read_gaze, read_transform
-from prbench.readers.gimo.table import (
-    EventRow,
-    Row,
-    events_of,
-    hints_in_both_splits,
-    lines_of_no_segment,
-    overlapping,
-    read_events,
-    read_segments,
-    require_one_split,
-)
-from prbench.recording import Recording, UnreadableEntry
+from prbench.recording import Recording
 
 
 class GimoOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -82,45 +57,43 @@ TRANSFORM = "transform"
 NORM = "norm"
 SKELETON = "skeleton"
 # Beginnings of the roles of files of one frame; the frame number follows.
-# Beginnings of the roles of files of one frame; the frame number follows.
-# Beginnings of the roles of files of one frame; the frame number follows.
 POSE = "pose:"
 CONE = "gaze:"
 CENTRE = "gaze centre:"
 
 
-def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFiles, ...]:
+def find_segments(root: Path | str, options: GimoOptions) -> tuple[listing.RecordingFiles, ...]:
     """Find every segment of ``dataset.csv`` with its files; those that cannot be built carry the reason.
 
     Raises:
         InputFileError: if there is no readable ``dataset.csv``, none of its sequences is there (listing them), or the
             table of events is damaged or has an event in both splits.
     """
-    root = existing_folder(root, "a folder of GIMO")
+    root = listing.existing_folder(root, "a folder of GIMO")
     table_path = root / gimo.TABLE_FILE
     remedy = f"Give the folder that holds {gimo.TABLE_FILE} and the folders of the scenes."
-    require(table_path, (table_path.is_file(), "", "this file", f"{names_in(root)} in its place", remedy))
-    rows, unreadable = read_segments(table_path)
+    require(table_path, (table_path.is_file(), "", "this file", f"{listing.names_in(root)} in its place", remedy))
+    rows, unreadable = tables.read_segments(table_path)
     events_path = root / gimo.EVENTS_FILE if options.events is None else options.events.expanduser()
     remedy = "Correct the option, or make the table: `prbench build-dataset gimo --propose-events FILE` proposes one."
     is_given = options.events is None or events_path.is_file()
     require(events_path, (is_given, "", "the table of events that the option names", "no such file", remedy))
     table = _events_in(events_path)
-    require_one_split(events_path, rows, table)
+    tables.require_one_split(events_path, rows, table)
     tree = read_synthetic_tree(root)
-    unreadable += lines_of_no_segment(events_path, rows, table)
-    in_both = hints_in_both_splits(rows)
+    unreadable += tables.lines_of_no_segment(events_path, rows, table)
+    in_both = tables.hints_in_both_splits(rows)
     by_frame = cache(_by_frame)  # the files of one sequence are listed once for all its segments
     dataset = "gimo" if tree is None else f"{SYNTHETIC_PREFIX}gimo"
     # A line that cannot be read is listed in place of its recording, and skipped with what is wrong.
-    found = [
-        RecordingFiles(dataset, _name_of_line(entry), root / entry.file, (), skip_reason=str(entry))
-        for entry in unreadable
-    ]
+    found = []
+    for entry in unreadable:
+        name = f"{entry.file}-{entry.key.partition(',')[0].replace(' ', '-')}"
+        found.append(listing.RecordingFiles(dataset, name, root / entry.file, (), skip_reason=str(entry)))
     for row in rows:
         segment = row.segment
         folder = inside(root, f"{segment.scene}/{segment.sequence}")
-        events, _, reason = events_of(row, table, hints=options.hints)
+        events, _, reason = tables.events_of(row, table, hints=options.hints)
         reason = None if reason is None else f"{segment.name}: {reason}"
         if any(event.source == "hint" for event in events) and segment.key in in_both:
             reason = f"its hinted event (frame {segment.hint}) also stands in a segment of the other split"
@@ -130,11 +103,11 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFile
             reason = f"{segment.scene}/{segment.sequence}: its folder is missing; unpack or download it"
         in_tree = tree is not None and segment.sequence in tree.split
         found.append(
-            RecordingFiles(
+            listing.RecordingFiles(
                 dataset=dataset,
                 recording_id=segment.sequence if in_tree else segment.name,
                 folder=folder,
-                files=FilesOnDemand(partial(_files, root, options, events_path, segment, folder, by_frame)),
+                files=listing.FilesOnDemand(partial(_files, root, options, events_path, segment, folder, by_frame)),
                 split="test" if segment.training == gimo.TEST else "train",
                 skip_reason=reason,
             )
@@ -147,14 +120,9 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFile
     return tuple(sorted(found, key=lambda recording: recording.recording_id))
 
 
-def _name_of_line(entry: UnreadableEntry) -> str:
-    line = entry.key.partition(",")[0]
-    return f"{entry.file}-{line.replace(' ', '-')}"
-
-
-def _events_in(path: Path | None) -> tuple[EventRow, ...]:
+def _events_in(path: Path | None) -> tuple[tables.EventRow, ...]:
     """Return the table of events; an empty one where the user has none."""
-    return read_events(path) if path is not None and is_present(path) else ()
+    return tables.read_events(path) if path is not None and listing.is_present(path) else ()
 
 
 def _files(
@@ -164,7 +132,7 @@ def _files(
     segment: gimo.Segment,
     folder: Path,
     by_frame: Callable[[Path], dict[str, dict[int, Path]]],
-) -> list[InputFile]:
+) -> list[listing.InputFile]:
     scene = root / segment.scene / gimo.SCENE_FOLDER
     transform = inside(folder, segment.transformation)
     if transform.suffix != ".json":  # some copies of the table leave out the ending
@@ -181,7 +149,7 @@ def _files(
         paths |= {f"{role}{frame}": files[frame] for frame in wanted}
     if options.body != "smplx":
         paths[SKELETON] = folder / gimo.SKELETON_FILE
-    return [input_file(role, path) for role, path in paths.items() if is_present(path)]
+    return [listing.input_file(role, path) for role, path in paths.items() if listing.is_present(path)]
 
 
 def _by_frame(folder: Path) -> dict[str, dict[int, Path]]:
@@ -212,7 +180,7 @@ def _frame_of(name: str) -> str | None:
     return number if number.isascii() and number.isdigit() else None
 
 
-def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
+def extents(found: listing.RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
     """Return the frames that the table promises, and those that have files; nothing is said of what has none at all."""
     segment = row_of(found)[0].segment
     promised = segment.start_frame / gimo.FRAME_RATE, segment.end_frame / gimo.FRAME_RATE
@@ -226,14 +194,14 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
     return tuple(streams)
 
 
-def row_of(found: RecordingFiles) -> tuple[Row, tuple[Row, ...]]:
+def row_of(found: listing.RecordingFiles) -> tuple[tables.Row, tuple[tables.Row, ...]]:
     """Return the row of ``dataset.csv`` that a recording stands for, and all rows.
 
     Raises:
         InputFileError: if the table has changed since the search.
     """
     path = found.require(TABLE, gimo.TABLE_FILE)
-    rows, _ = read_segments(path)
+    rows, _ = tables.read_segments(path)
     # Ids under which a row can be known: its own, and in synthetic trees the name of its sequence.
     row = next((row for row in rows if found.recording_id in (row.segment.name, row.segment.sequence)), None)
     if row is None:
@@ -241,12 +209,12 @@ def row_of(found: RecordingFiles) -> tuple[Row, tuple[Row, ...]]:
     return row, rows
 
 
-def frames_of(found: RecordingFiles, role: str) -> dict[int, Path]:
+def frames_of(found: listing.RecordingFiles, role: str) -> dict[int, Path]:
     """Return the files of one kind by frame."""
     return {int(file.role.removeprefix(role)): file.path for file in found.files if file.role.startswith(role)}
 
 
-def read_readings(found: RecordingFiles, options: GimoOptions) -> gimo.GimoReadings:
+def read_readings(found: listing.RecordingFiles, options: GimoOptions) -> gimo.GimoReadings:
     """Read one segment.
 
     Raises:
@@ -257,10 +225,10 @@ def read_readings(found: RecordingFiles, options: GimoOptions) -> gimo.GimoReadi
     is_there = found.folder.is_dir()
     require(found.folder, (is_there, "", expected, "no such folder", "Unpack or download this sequence."))
     table = _events_in(found.path(EVENTS))
-    events, event_remarks, _ = events_of(row, table, hints=options.hints)
+    events, event_remarks, _ = tables.events_of(row, table, hints=options.hints)
     odd = (event.unreadable for event in table if event.segment == row.segment.key)
     gaze, gaze_remarks = read_gaze(frames_of(found, CONE), frames_of(found, CENTRE))
-    overlaps = [f"shares frames with the segment {other.name}" for other in overlapping(rows, row)]
+    overlaps = [f"shares frames with the segment {other.name}" for other in tables.overlapping(rows, row)]
     folders = [found.folder / folder for folder in (gimo.POSE_FOLDER, gimo.GAZE_FOLDER)]
     stray = [name for folder in folders for name in sorted(names_of(folder)) if _frame_of(name) is None]
     shown = ", ".join(stray[:3]) + (" …" if len(stray) > 3 else "")
@@ -280,20 +248,20 @@ def read_readings(found: RecordingFiles, options: GimoOptions) -> gimo.GimoReadi
     )
 
 
-def _body(found: RecordingFiles, options: GimoOptions) -> gimo.LocalJoints | gimo.LocalSkeleton:
+def _body(found: listing.RecordingFiles, options: GimoOptions) -> gimo.LocalJoints | gimo.LocalSkeleton:
     """Return the joints by the first way that is open."""
     poses = frames_of(found, POSE)
     skeleton = found.path(SKELETON)
     if open_route(found, options) == "bvh":
         assert skeleton is not None
-        return gimo.LocalSkeleton(read_bvh(skeleton), read_poses(poses))
+        return gimo.LocalSkeleton(read_bvh(skeleton), bodies.read_poses(poses))
     assert options.smplx_model is not None
     assert options.vposer_model is not None
-    rest = read_rest_joints(options.smplx_model)
-    return joints_from_parameters(read_poses(poses), read_pose_decoder(options.vposer_model), rest)
+    rest = bodies.read_rest_joints(options.smplx_model)
+    return bodies.joints_from_parameters(bodies.read_poses(poses), bodies.read_pose_decoder(options.vposer_model), rest)
 
 
-def open_route(found: RecordingFiles, options: GimoOptions) -> str:
+def open_route(found: listing.RecordingFiles, options: GimoOptions) -> str:
     """Return the first way to the joints that is open: ``smplx`` or ``bvh``.
 
     Raises:
@@ -311,5 +279,7 @@ def open_route(found: RecordingFiles, options: GimoOptions) -> str:
             return route
     expected = "a way to the joints: smplx or bvh"
     told = "; ".join(f"{route} lacks {what}" for route, what in lacking.items())
-    remedy = f"VPoser v1: {VPOSER_PAGE}; SMPL-X neutral: {SMPLX_PAGE} (options vposer_model and smplx_model)."
+    remedy = (
+        f"VPoser v1: {bodies.VPOSER_PAGE}; SMPL-X neutral: {bodies.SMPLX_PAGE} (options vposer_model and smplx_model)."
+    )
     raise InputFileError(found.folder, "", expected=expected, found=told, remedy=remedy)

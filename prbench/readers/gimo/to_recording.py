@@ -16,22 +16,12 @@ from prbench.geometry.timelines import covered, interpolate
 from prbench.protocol.manifests import Manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import place_skeleton
-from prbench.recording.streams import (
-    NO_POSES,
-    SIDES,
-    AnnotatedEvent,
-    BodyStream,
-    GazeStream,
-    HandStream,
-    PublishedTrack,
-    Recording,
-    hold_neighbours,
-)
+from prbench.recording import streams
 
 _SHORTEST_LOOK = 0.01  # metres; nearer to the eyes a point gives no direction
 
 
-def recording_from_gimo(readings: gimo.GimoReadings, manifest: Manifest, *, dataset: str) -> Recording:
+def recording_from_gimo(readings: gimo.GimoReadings, manifest: Manifest, *, dataset: str) -> streams.Recording:
     """Return the streams in the canonical room from native readings.
 
     The pose of the glasses is unknown. Gaze rays begin at the head joint and end at the points on the scan.
@@ -66,20 +56,20 @@ def recording_from_gimo(readings: gimo.GimoReadings, manifest: Manifest, *, data
     # Some unit vector stands where nothing was measured; the mask says so.
     direction = np.where(valid[:, None], apart / np.where(valid, distance, 1.0)[:, None], [0.0, 0.0, 1.0])
     gaze_remark = f"gaze on {measured} of {len(body.times)} frames, {int(seen.sum()) - measured} interpolated"
-    return Recording(
+    return streams.Recording(
         dataset=dataset,
         recording_id=readings.recording_id,
         participant_id="unknown",
         pose_source=source.pose_source,
         head_tilt_deg=source.head_tilt_deg,
         span=(float(body.times[0]), float(body.times[-1])),
-        gaze=GazeStream(body.times, origin, direction, valid),
-        camera=NO_POSES,
-        head=NO_POSES,
+        gaze=streams.GazeStream(body.times, origin, direction, valid),
+        camera=streams.NO_POSES,
+        head=streams.NO_POSES,
         body=body,
         hands=tuple(
-            HandStream(side, "wrist", body.times, body.joints[:, wrist, None], body.valid)
-            for side, wrist in zip(SIDES, WRISTS, strict=True)
+            streams.HandStream(side, "wrist", body.times, body.joints[:, wrist, None], body.valid)
+            for side, wrist in zip(streams.SIDES, WRISTS, strict=True)
         ),
         objects=(),
         annotated_events=events,
@@ -90,7 +80,7 @@ def recording_from_gimo(readings: gimo.GimoReadings, manifest: Manifest, *, data
     )
 
 
-def _body(readings: gimo.GimoReadings, manifest: Manifest) -> tuple[BodyStream, list[str]]:
+def _body(readings: gimo.GimoReadings, manifest: Manifest) -> tuple[streams.BodyStream, list[str]]:
     """Return the 22 joints on every frame of the segment; short gaps interpolated, long ones invalid."""
     remarks = []
     if isinstance(readings.body, gimo.LocalJoints):
@@ -113,7 +103,7 @@ def _body(readings: gimo.GimoReadings, manifest: Manifest) -> tuple[BodyStream, 
             f"{missing} of {len(wanted)} frames have no pose, {int((~valid).sum())} in gaps too long to fill"
         )
     in_room = transform_points(readings.transform.room_from_body(), joints)
-    return BodyStream(wanted / gimo.FRAME_RATE, in_room, valid), remarks
+    return streams.BodyStream(wanted / gimo.FRAME_RATE, in_room, valid), remarks
 
 
 def filled(
@@ -129,12 +119,12 @@ def filled(
     asked = wanted.astype(np.float64)
     valid = covered(known, np.ones(len(known), dtype=bool), asked, max_gap=longest + 1.0)
     values = interpolate(known, joints, asked)
-    return hold_neighbours(values, valid), valid
+    return streams.hold_neighbours(values, valid), valid
 
 
 def _events(
-    readings: gimo.GimoReadings, body: BodyStream, manifest: Manifest
-) -> tuple[tuple[AnnotatedEvent, ...], list[str]]:
+    readings: gimo.GimoReadings, body: streams.BodyStream, manifest: Manifest
+) -> tuple[tuple[streams.AnnotatedEvent, ...], list[str]]:
     """Return the picks with the wrist as their place: the dataset knows no objects.
 
     Source: docs/specification/gimo.md#objects-and-events.
@@ -148,8 +138,8 @@ def _events(
             # The wrist with the longer path in the last moments before the event.
             first = max(row - round(manifest.thresholds["hand_window"] * gimo.FRAME_RATE), 0)
             steps = np.diff(body.joints[first : row + 1][:, WRISTS], axis=0)
-            hand = SIDES[int(np.linalg.norm(steps, axis=2).sum(axis=0).argmax())]
-        place = body.joints[row, WRISTS[SIDES.index(hand)]] if body.valid[row] else None
+            hand = streams.SIDES[int(np.linalg.norm(steps, axis=2).sum(axis=0).argmax())]
+        place = body.joints[row, WRISTS[streams.SIDES.index(hand)]] if body.valid[row] else None
         if place is None:
             remarks.append(f"no pose on frame {event.frame}, so its event has no place")
         if event.hand is None:
@@ -157,7 +147,7 @@ def _events(
         if event.source == "hint":
             remarks.append(f"event frame {event.frame} is the table's hint, nobody has confirmed it")
         events.append(
-            AnnotatedEvent(
+            streams.AnnotatedEvent(
                 native_key=str(event.frame),
                 action="pick",
                 object_id=gimo.OBJECT_ID,
@@ -174,8 +164,8 @@ def _events(
 
 
 def published_track(
-    readings: gimo.GimoReadings, recording: Recording, manifest: Manifest, *, with_jaw: bool
-) -> PublishedTrack:
+    readings: gimo.GimoReadings, recording: streams.Recording, manifest: Manifest, *, with_jaw: bool
+) -> streams.PublishedTrack:
     """Return the one row of ``dataset.csv`` that a recording is, every frame of it.
 
     Args:
@@ -203,7 +193,7 @@ def published_track(
         longest = round(manifest.thresholds["longest_filled_gap"])
         jaw, _ = filled(posed, fitted.jaw[:, None], frames, longest=longest)
         joints = np.concatenate([joints, transform_points(readings.transform.room_from_body(), jaw)], axis=1)
-    return PublishedTrack(
+    return streams.PublishedTrack(
         name=readings.segment.name,
         published_split=gimo.PUBLISHED_SPLITS[readings.segment.training],
         times=body.times,

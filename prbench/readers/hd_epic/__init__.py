@@ -11,19 +11,10 @@ from prbench.protocol.manifests import load_manifest
 from prbench.readers import AnnotationCounts
 from prbench.readers.egoallo.bodies import body_model
 from prbench.readers.egoallo.files import aria_inputs
-from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
+from prbench.readers.hd_epic import files
 from prbench.readers.hd_epic.annotations import count_annotations
-from prbench.readers.hd_epic.files import (
-    ASSOCIATIONS,
-    MASKS,
-    PRIMING,
-    HdEpicOptions,
-    extents,
-    find_recordings,
-    read_annotations,
-    read_readings,
-)
+from prbench.readers.hd_epic.files import HdEpicOptions, find_recordings, read_readings
 from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
 from prbench.recording import Recording
 
@@ -38,6 +29,7 @@ class HdEpicReader:
     options: HdEpicOptions = HdEpicOptions()  # noqa: RUF009 (frozen)
     egoallo_inputs = staticmethod(aria_inputs)
     require_further = staticmethod(body_model)
+    extents = staticmethod(files.extents)
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
@@ -49,7 +41,7 @@ class HdEpicReader:
         """See :class:`prbench.readers.Reader`."""
         manifest = load_manifest(self.dataset)
         if self.options.events_only:  # what a video lacks beside its annotations does not matter
-            return recording_from_hd_epic(read_annotations(found), manifest, dataset=found.dataset)
+            return recording_from_hd_epic(files.read_annotations(found), manifest, dataset=found.dataset)
         found.require_usable(found.skip_reason or manifest.why_bad(found.recording_id))
         readings = read_readings(found)
         return recording_from_hd_epic(readings, manifest, dataset=found.dataset)
@@ -58,15 +50,11 @@ class HdEpicReader:
     def annotation_counts(self, recordings: Sequence[RecordingFiles]) -> AnnotationCounts | None:
         """See :class:`prbench.readers.CountsAnnotations`; all videos of the annotations, whichever lie on the disk."""
         first = recordings[0]
-        associations = first.path(ASSOCIATIONS)
+        associations = first.path(files.ASSOCIATIONS)
         if associations is None:
             return None
         published = {} if first.dataset != self.dataset else load_manifest(self.dataset).published_counts
-        return count_annotations(associations, first.path(MASKS), first.path(PRIMING), published)
-
-    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
-        """See :class:`prbench.readers.KnowsEnds`."""
-        return extents(found, recording)
+        return count_annotations(associations, first.path(files.MASKS), first.path(files.PRIMING), published)
 
 
 READER = HdEpicReader()

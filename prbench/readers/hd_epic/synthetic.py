@@ -28,14 +28,8 @@ from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.synthetic import gaze_bias as aria_gaze_bias
 from prbench.readers.aria_mps.synthetic import sense_mps, uid_of, write_csv, write_mps
 from prbench.readers.egoallo import format as ego
+from prbench.readers.egoallo import synthetic as egoallo
 from prbench.readers.egoallo.format import EgoAlloOutput
-from prbench.readers.egoallo.synthetic import (
-    NATIVE_FROM_WORLD,
-    sense_egoallo,
-    synthetic_smplh,
-    write_outputs,
-    write_smplh_model,
-)
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
@@ -129,7 +123,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         glasses=glasses,
         body=None,
     )
-    bodies = sense_egoallo(performance, glasses.trajectory, noise=noise, switches=switches, start_us=start_us)
+    bodies = egoallo.sense_egoallo(performance, glasses.trajectory, noise=noise, switches=switches, start_us=start_us)
     return SensedVideo(readings, bodies)
 
 
@@ -205,7 +199,7 @@ def masks_of(sensing: Sensing, track: hd_epic.ObjectTrack, ends: tuple[TrueEvent
     ):
         if not missing:
             frame = round(seconds * hd_epic.FPS)
-            place = np.round(transform_points(NATIVE_FROM_WORLD, event.goal + offset), _METRES)
+            place = np.round(transform_points(egoallo.NATIVE_FROM_WORLD, event.goal + offset), _METRES)
             box = _box(performance, event, frame)
             fixture = _fixture(performance, event.goal)
             masks.append(hd_epic.ObjectMask(_identifier(f"{track.track_id} {side}"), frame, place, box, fixture))
@@ -391,7 +385,7 @@ def _share(readings: hd_epic.HdEpicReadings) -> dict[str, object]:
 def _to_recording(readings: SensedVideo, manifest: Manifest, *, dataset: str) -> Recording:
     """Return the streams of one synthetic video, thinned as its reader thins them."""
     video = readings.readings
-    bodies = body_from_outputs(readings.bodies, synthetic_smplh())
+    bodies = body_from_outputs(readings.bodies, egoallo.synthetic_smplh())
     assert video.glasses is not None, "synthetic people wear them"
     seen = dataclasses.replace(video, glasses=mps.thinned(video.glasses), body=bodies)
     return recording_from_hd_epic(seen, manifest, dataset=dataset)
@@ -401,7 +395,7 @@ def _write_below(readings: SensedVideo, root: Path) -> None:
     """Write archives and time file of one video, its bodies, and its share of the annotations."""
     _write_video(readings.readings, root / hd_epic.DATA_FOLDER)
     video = readings.readings.video
-    write_outputs(readings.bodies, root / ego.POSES_FOLDER / video / ego.OUTPUT_FOLDER)
+    egoallo.write_outputs(readings.bodies, root / ego.POSES_FOLDER / video / ego.OUTPUT_FOLDER)
     write_json(root / SHARED_PARTS / f"{video}.json", _share(readings.readings))
 
 
@@ -421,7 +415,7 @@ def _finish(root: Path) -> None:
         numbers = {f"{participant}/{video}.vrs": slam_number(video) for video in videos}
         multi = root / hd_epic.DATA_FOLDER / hd_epic.MPS_FOLDER / participant / hd_epic.MULTI_SLAM_FOLDER
         write_json(multi / hd_epic.SLAM_MAP_FILE, numbers)
-    write_smplh_model(root / ego.MODEL_FILE)
+    egoallo.write_smplh_model(root / ego.MODEL_FILE)
 
 
 LAYOUT = Layout(

@@ -9,7 +9,6 @@ from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.egoallo.bodies import body_model
 from prbench.readers.egoallo.files import aria_inputs
-from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d.files import Hot3dOptions, extents, find_recordings, read_readings
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
@@ -26,6 +25,7 @@ class Hot3dReader:
     options: Hot3dOptions = Hot3dOptions()  # noqa: RUF009 (frozen)
     egoallo_inputs = staticmethod(aria_inputs)
     require_further = staticmethod(body_model)
+    extents = staticmethod(extents)
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
@@ -39,10 +39,6 @@ class Hot3dReader:
         found.require_usable(manifest.why_bad(found.recording_id) or found.skip_reason)
         readings = read_readings(found)
         return recording_from_hot3d(readings, manifest, dataset=found.dataset, meshes=self.options.meshes)
-
-    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
-        """See :class:`prbench.readers.KnowsEnds`."""
-        return extents(found, recording)
 
 
 READER = Hot3dReader()

@@ -19,6 +19,7 @@ from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.files.bounded import require, require_size
 from prbench.readers import ReaderOptions, synthetic_tree_around
+from prbench.readers import files as native
 from prbench.readers.aria_mps.files import find_mps_files, read_mps, require_up
 from prbench.readers.aria_mps.format import GAZE, TIME_COLUMN, TRAJECTORY
 from prbench.readers.aria_mps.to_recording import mps_streams
@@ -26,14 +27,6 @@ from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.files import body_extent, find_outputs
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS
 from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent, json_extent
-from prbench.readers.files import (
-    decode_json,
-    missing_file,
-    read_columns,
-    read_entries,
-    read_poses_by_body,
-    told_together,
-)
 from prbench.readers.found import RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.hands import read_profile, read_umetrack
@@ -108,7 +101,7 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
         if any(part.startswith(".") for part in path.relative_to(root).parts):
             continue
         try:
-            metadata = decode_json(path, METADATA_DECODER)
+            metadata = native.decode_json(path, METADATA_DECODER)
         except InputFileError:
             # Other datasets call their metadata the same; damaged ones of this dataset lie beside its own files.
             if not any((folder / _FILES[role]).is_file() for role in (HEADSET, OBJECTS, UMETRACK)):
@@ -126,7 +119,7 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
             # Digits only, so that no uid of a file can name a path; none of a missing or damaged file.
             uids: set[str] = set()
             with contextlib.suppress(InputFileError):
-                table = read_columns(folder / hot3d.OBJECTS_FILE, {hot3d.OBJECT_ID: str})
+                table = native.read_columns(folder / hot3d.OBJECTS_FILE, {hot3d.OBJECT_ID: str})
                 uids = set(filter(str.isdecimal, table[hot3d.OBJECT_ID].unique().to_pylist()))
             models = [(uid, library / f"{uid}.glb") for uid in sorted(uids)]
             files += [input_file(f"{MODEL_PREFIX}{uid}", path) for uid, path in models if is_present(path)]
@@ -211,7 +204,9 @@ def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], 
     rows = _read_pose_rows(path)
     names = found.require(INSTANCES, f"../assets/{hot3d.INSTANCES_FILE}")
     expected = "an object with instance_name and instance_type"
-    instances, unreadable = read_entries(names, decode_json(names, _INSTANCES), _INSTANCE.decode, expected)
+    instances, unreadable = native.read_entries(
+        names, native.decode_json(names, _INSTANCES), _INSTANCE.decode, expected
+    )
     held = [uid for uid in sorted(rows) if uid not in instances or instances[uid].instance_type == hot3d.LIBRARY_OBJECT]
     if not held:
         raise InputFileError(path, hot3d.OBJECT_ID, expected="objects", found="headsets only")
@@ -237,7 +232,7 @@ def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
         InputFileError: if the file or a column is missing, it has no rows, a pose is no pose, or the clock of a body
             stands still (a repeated row) or runs backwards.
     """
-    poses = read_poses_by_body(
+    poses = native.read_poses_by_body(
         path, body={hot3d.OBJECT_ID: str}, time=hot3d.TIME, position=hot3d.POSITION, rotation=hot3d.ROTATION
     )
     expected = "rows of poses"
@@ -268,7 +263,7 @@ def read_glb(path: Path) -> hot3d.Mesh:
         scene = trimesh.load_scene(io.BytesIO(content), file_type="glb", process=False, skip_materials=True)
         mesh = scene.to_mesh()
     except FileNotFoundError as error:
-        raise missing_file(path) from error
+        raise native.missing_file(path) from error
     except (InputFileError, MemoryError):
         raise
     except Exception as error:
@@ -291,7 +286,7 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
         InputFileError: for a missing or damaged file, or a world that is not Z up.
         RecordingUnusable: for a recording of Quest 3, or without ground truth.
     """
-    metadata = decode_json(found.require(METADATA, hot3d.METADATA_FILE), METADATA_DECODER)
+    metadata = native.decode_json(found.require(METADATA, hot3d.METADATA_FILE), METADATA_DECODER)
     found.require_usable(why_unusable(metadata))
     objects, remarks, unreadable = read_objects(found)
     path = found.require(HEADSET, hot3d.HEADSET_FILE)
@@ -332,7 +327,7 @@ def read_mask(path: Path) -> tuple[hot3d.Mask, list[UnreadableEntry]]:
     Raises:
         InputFileError: if the file or a column is missing.
     """
-    table = read_columns(path, {hot3d.TIME: int, hot3d.STREAM: str, hot3d.MASK: str})
+    table = native.read_columns(path, {hot3d.TIME: int, hot3d.STREAM: str, hot3d.MASK: str})
     values = table[hot3d.MASK].to_numpy()
     streams = table[hot3d.STREAM].to_numpy()
     known = np.isin(values, list(_TRUTH))
@@ -343,4 +338,4 @@ def read_mask(path: Path) -> tuple[hot3d.Mask, list[UnreadableEntry]]:
     rgb = known & (streams == hot3d.RGB_STREAM)
     time_ns, first = np.unique(table[hot3d.TIME].to_numpy()[rgb], return_index=True)
     good = np.isin(values[rgb], [text for text, good in _TRUTH.items() if good])[first]
-    return (time_ns, good), told_together(odd)
+    return (time_ns, good), native.told_together(odd)

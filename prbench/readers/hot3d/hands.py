@@ -13,15 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
 from prbench.files.bounded import open_regular, require, whole_lines
-from prbench.readers.files import (
-    Metres,
-    Nanoseconds,
-    decode_json,
-    must_exist,
-    read_entries,
-    require_increasing,
-    told_together,
-)
+from prbench.readers import files as native
 from prbench.readers.hot3d import format as hot3d
 from prbench.recording import UnreadableEntry
 
@@ -40,7 +32,7 @@ _FARTHEST = 1.0  # metres from the wrist, many times as long as a hand
 
 
 class _Wrist(msgspec.Struct):
-    t_xyz: tuple[Metres, Metres, Metres]
+    t_xyz: tuple[native.Metres, native.Metres, native.Metres]
     q_wxyz: tuple[float, float, float, float]
 
 
@@ -57,7 +49,7 @@ class _UmeTrackHand(msgspec.Struct):
 
 
 class _UmeTrackLine(msgspec.Struct):
-    timestamp_ns: Nanoseconds
+    timestamp_ns: native.Nanoseconds
     hand_poses: dict[str, msgspec.Raw]
 
 
@@ -137,25 +129,25 @@ def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], list[Unreadab
     Raises:
         InputFileError: if the file is missing or holds no line at all, or time runs backwards.
     """
-    with must_exist(path), open_regular(path) as file:
+    with native.must_exist(path), open_regular(path) as file:
         numbered = enumerate(whole_lines(file, path), start=1)
         entries = {f"line {number}": line for number, line in numbered if line.strip()}
-    lines, odd = read_entries(path, entries, _UMETRACK_LINE.decode, "timestamp_ns and hand_poses")
-    unreadable = told_together(odd)
+    lines, odd = native.read_entries(path, entries, _UMETRACK_LINE.decode, "timestamp_ns and hand_poses")
+    unreadable = native.told_together(odd)
     expected = "hand poses, one JSON object a line"
     remedy = "metadata.json says that this ground truth is there; download the recording again."
     found = f"{len(odd)} lines that are none" if odd else "an empty file"
     require(path, (len(lines) > 0, "", expected, found, remedy))
     times = np.array([line.timestamp_ns for line in lines.values()], dtype=np.int64)
-    require_increasing(path, times, unit="ns", place="record", first=1)
+    native.require_increasing(path, times, unit="ns", place="record", first=1)
     hands = []
     for side, key in hot3d.HAND_KEYS.items():
         seen = {
             f"{place}, {side} hand": line.hand_poses[key] for place, line in lines.items() if key in line.hand_poses
         }
         expected = f"finite numbers, {N_ANGLES} joint angles and a quaternion of length 1"
-        poses, odd = read_entries(path, seen, _UMETRACK_HAND.decode, expected)
-        unreadable += told_together(odd)
+        poses, odd = native.read_entries(path, seen, _UMETRACK_HAND.decode, expected)
+        unreadable += native.told_together(odd)
         time_ns = np.array([lines[place.partition(",")[0]].timestamp_ns for place in poses], dtype=np.int64)
         wrists = [pose.wrist_xform for pose in poses.values()]
         position = np.array([wrist.t_xyz for wrist in wrists], dtype=np.float64).reshape(-1, 3)
@@ -174,7 +166,7 @@ def read_profile(path: Path) -> hot3d.HandModel:
     Raises:
         InputFileError: if the file is missing or damaged, an array has another shape, or weights do not sum to 1.
     """
-    profile = decode_json(path, _PROFILE)
+    profile = native.decode_json(path, _PROFILE)
     require(path, ("hand_model" in profile, "", "the key 'hand_model'", "an empty object", "Download it again."))
     model = profile["hand_model"]
     for row, weights in enumerate(model.dense_bone_weights):

@@ -25,13 +25,7 @@ from prbench.geometry.skeleton import Joint, z_up
 from prbench.geometry.timelines import interpolate, slerp
 from prbench.readers.aria_mps.synthetic import GAZE_RATE, gaze_bias, pose_columns, sense_mps, write_csv, write_mps
 from prbench.readers.egoallo import format as ego
-from prbench.readers.egoallo.synthetic import (
-    NATIVE_FROM_WORLD,
-    sense_egoallo,
-    synthetic_smplh,
-    write_outputs,
-    write_smplh_model,
-)
+from prbench.readers.egoallo import synthetic as egoallo
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands as umetrack
@@ -176,7 +170,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     time_ns = round(clock_start(performance) * 1e9) + np.rint(since * 1e9 * (1 + drift)).astype(np.int64)
     start_us = device_start_us(performance)
     mps = sense_mps(performance, start_us=start_us, noise=noise, switches=switches, hands=False)
-    outputs = sense_egoallo(performance, mps.trajectory, noise=noise, switches=switches, start_us=start_us)
+    outputs = egoallo.sense_egoallo(performance, mps.trajectory, noise=noise, switches=switches, start_us=start_us)
     times = performance.times[0] + since
     hands = tuple(_sense_hand(sensing, side, times, time_ns) for side in (0, 1))
     trajectory = mps.trajectory
@@ -206,7 +200,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         hand_model=synthetic_hand(hand_length),
         masks=masks,
         mps=mps,
-        body=body_from_outputs(outputs, synthetic_smplh()),
+        body=body_from_outputs(outputs, egoallo.synthetic_smplh()),
         egoallo_outputs=outputs,
     )
 
@@ -305,7 +299,7 @@ def _native_rows(
     time_ns: Int[np.ndarray, " n"], position: Float[np.ndarray, "n 3"], rotation: Rotation, seen: Bool[np.ndarray, " n"]
 ) -> hot3d.PoseRows:
     """Return those poses that were seen, in the native world, rounded."""
-    turned = Rotation.from_matrix(NATIVE_FROM_WORLD[:3, :3]) * rotation
+    turned = Rotation.from_matrix(egoallo.NATIVE_FROM_WORLD[:3, :3]) * rotation
     quaternion = turned.as_quat(canonical=True, scalar_first=True)
     return hot3d.PoseRows(
         time_ns[seen], np.round(z_up(position), _METRES)[seen], np.round(quaternion, _QUATERNION)[seen]
@@ -371,7 +365,7 @@ def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
             }
             write_csv(target / hot3d.MASK_FOLDER / f"mask_{name}.csv", columns)
         write_mps(readings.mps, target / hot3d.MPS_FOLDER)
-        write_outputs(readings.egoallo_outputs, target / ego.OUTPUT_FOLDER)
+        egoallo.write_outputs(readings.egoallo_outputs, target / ego.OUTPUT_FOLDER)
 
 
 def write_library_part(readings: hot3d.Hot3dReadings, folder: Path) -> None:
@@ -455,7 +449,7 @@ def _finish(root: Path) -> None:
         for model in sorted(part.glob("*.glb")):
             model.replace(library / model.name)
     write_json(library / hot3d.INSTANCES_FILE, instances)
-    write_smplh_model(root / ego.MODEL_FILE)
+    egoallo.write_smplh_model(root / ego.MODEL_FILE)
 
 
 def profile(model: HandModel) -> dict[str, object]:

@@ -8,7 +8,6 @@ from pathlib import Path
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import ReaderOptions
-from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.files import extents, find_recordings, read_readings
@@ -35,6 +34,7 @@ class MogazeReader:
 
     dataset: str = "mogaze"
     options: MogazeOptions = MogazeOptions()  # noqa: RUF009 (frozen)
+    extents = staticmethod(extents)
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
@@ -64,10 +64,6 @@ class MogazeReader:
         found.require_usable(manifest.why_bad(found.recording_id))
         readings = read_readings(found, manifest)
         return readings, recording_from_mogaze(readings, manifest, dataset=found.dataset)
-
-    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
-        """See :class:`prbench.readers.KnowsEnds`."""
-        return extents(found, recording)
 
 
 READER = MogazeReader()

@@ -30,19 +30,9 @@ from prbench.readers.aria_mps.format import gaze_directions_cpf
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.format import LINKS, MODEL_OFFSETS, OFFSET_KEYS, PARENT_LINKS, STATE_COLUMNS
 from prbench.readers.mogaze.to_recording import recording_from_mogaze
+from prbench.synthetic import sensors
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
-from prbench.synthetic.sensors import (
-    Sensing,
-    Switches,
-    closed_eyes,
-    fixation_depth,
-    gaze_bias_of,
-    measured_gaze,
-    sensor_generator,
-    tracked,
-    untracked,
-)
 
 _TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
 # Columns: the link's axes (left, back, up) in the frame of a trunk segment (left, up, forward).
@@ -151,7 +141,9 @@ _UPRIGHT_FROM_Z_UP = Rotation.from_matrix(np.transpose([(1.0, 0.0, 0.0), (0.0, 0
 _Z_UP_KINDS = ("plate", "jug")
 
 
-def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> mogaze.MogazeReadings:
+def sense(
+    performance: Performance, *, noise: float = 1.0, switches: sensors.Switches | None = None
+) -> mogaze.MogazeReadings:
     """Return what the sensors of a MoGaze recording say about a performance.
 
     Args:
@@ -159,7 +151,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         noise: Multiplies every error: its size, or how often it happens; 0 for ideal sensors.
         switches: Which errors are on; all if None.
     """
-    sensing = Sensing(performance, noise, switches or Switches())
+    sensing = sensors.Sensing(performance, noise, switches or sensors.Switches())
     times = sensing.times(mogaze.RATE)
     acted = sensing.performance
     joints = interpolate(acted.times, acted.joints, times)
@@ -170,30 +162,30 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     tremble = noise_of_body.normal(0.0, _BODY_TURN, (len(times), state.shape[1] - 3))
     state = state + np.hstack([shift, tremble]) * sensing.strength("body_noise")
     # Draw the rotation from the eye tracker's camera to the goggles, another one in every recording.
-    tracker = Rotation.from_quat(sensor_generator(performance, "calibration").normal(size=4))
+    tracker = Rotation.from_quat(sensors.sensor_generator(performance, "calibration").normal(size=4))
     # The gaze points in the eye tracker's camera, millimetres, and confidence.
     head = _head(sensing.performance, times)
-    angles = measured_gaze(sensing, head, sensing.gaze(times), bias=_GAZE_BIAS, jitter=_GAZE_JITTER)
-    depth = np.clip(fixation_depth(sensing, times, _DEPTH[1]), *_DEPTH)  # as far as the tracker tells distances
+    angles = sensors.measured_gaze(sensing, head, sensing.gaze(times), bias=_GAZE_BIAS, jitter=_GAZE_JITTER)
+    depth = np.clip(sensors.fixation_depth(sensing, times, _DEPTH[1]), *_DEPTH)  # as far as the tracker tells distances
     points = _FACE_FROM_TRACKER.inv().apply(gaze_directions_cpf(*angles.T)) * depth[:, None] * 1e3
     rng = sensing.generator("gaze-quality")
     points[rng.random(len(times)) < _MIRRORED] *= -1.0
     confidence = rng.uniform(*_CONFIDENT, len(times))
     doubt = rng.uniform(*_BLINKING, len(times))
     garbage = rng.normal(0.0, 300.0, points.shape)
-    closed = closed_eyes(sensing, times)
+    closed = sensors.closed_eyes(sensing, times)
     points, confidence = np.where(closed[:, None], garbage, points), np.where(closed, doubt, confidence)
     names = body_names(performance)
     turned = _TO_NATIVE * _head(sensing.performance, times) * _FACE_FROM_TRACKER * tracker.inv()
     position = _TO_NATIVE.apply(sensing.eye(times))
     scale = sensing.strength("object_noise")
-    position, rotation = tracked(sensing, "goggles", position, turned, size=_OBJECT_NOISE, scale=scale)
+    position, rotation = sensors.tracked(sensing, "goggles", position, turned, size=_OBJECT_NOISE, scale=scale)
     quaternion = rotation.as_quat(canonical=True)
     bodies = [mogaze.MogazeBody(GOGGLES_ID, mogaze.GOGGLES, position, quaternion, np.zeros(3), np.zeros(3))]
     bodies += [_sense_object(sensing, motion, names[motion.object_id], times) for motion in performance.objects]
     # Alternate nothing and an object; a segment begins with the last frame of the one before it, or one later.
     n_frames = len(times)
-    rng = sensor_generator(performance, "segment-borders")
+    rng = sensors.sensor_generator(performance, "segment-borders")
     segments: list[mogaze.Segment] = []
     free_from = 0
     for start, end, label in _carries(performance, names, n_frames):
@@ -220,9 +212,9 @@ def events(performance: Performance) -> tuple[TrueEvent, ...]:
     return tuple(event for event in performance.events if event.tag != "hinge")
 
 
-def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
+def gaze_bias(performance: Performance, *, noise: float, switches: sensors.Switches) -> tuple[float, float]:
     """Return the recording's constant gaze error, yaw and pitch, radians."""
-    return gaze_bias_of(Sensing(performance, noise, switches), _GAZE_BIAS)
+    return sensors.gaze_bias_of(sensors.Sensing(performance, noise, switches), _GAZE_BIAS)
 
 
 def body_names(performance: Performance) -> dict[str, str]:
@@ -250,14 +242,14 @@ def _head(performance: Performance, times: Float[np.ndarray, " n"]) -> Rotation:
 
 
 def _sense_object(
-    sensing: Sensing, motion: ObjectMotion, name: str, times: Float[np.ndarray, " n"]
+    sensing: sensors.Sensing, motion: ObjectMotion, name: str, times: Float[np.ndarray, " n"]
 ) -> mogaze.MogazeBody:
     performance = sensing.performance
     low, high, upright_from_body = _shape(motion, name)
     track = performance.times[: len(motion.position)]
     turned = Rotation.from_quat(_turned(performance, motion.rotation, times), scalar_first=True) * upright_from_body
     origin = interpolate(track, motion.position, times) - turned.apply((low + high) / 2)
-    position, rotation = tracked(
+    position, rotation = sensors.tracked(
         sensing,
         motion.object_id,
         _TO_NATIVE.apply(origin),
@@ -267,7 +259,7 @@ def _sense_object(
     )
     quaternion = rotation.as_quat(canonical=True)
     # A body out of sight: the release has NaN for its place and zeros for its rotation.
-    lost = untracked(performance, motion, times)
+    lost = sensors.untracked(performance, motion, times)
     position[lost] = np.nan
     quaternion[lost] = 0.0
     return mogaze.MogazeBody(int(motion.object_id), name, position, quaternion, low, high)

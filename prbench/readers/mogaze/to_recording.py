@@ -15,29 +15,14 @@ from prbench.geometry.skeleton import WRISTS, Y_UP_FROM_Z_UP, transform_points
 from prbench.protocol.manifests import Manifest
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.format import NULL_LABEL, RATE, SEGMENT_DATASET, Segment
-from prbench.recording.streams import (
-    SIDES,
-    AnnotatedEvent,
-    BodyStream,
-    GazeStream,
-    HandStream,
-    ObjectTrack,
-    PoseStream,
-    PublishedTrack,
-    Recording,
-    UnreadableEntry,
-    hold_neighbours,
-    plausible_body_frames,
-    reaching_hand,
-    wrists_at,
-)
+from prbench.recording import streams
 
 _UNIT_TOLERANCE = 0.1
 _TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
 _ROUNDING = 1e-9  # s
 
 
-def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *, dataset: str) -> Recording:
+def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *, dataset: str) -> streams.Recording:
     """Return the streams in the world from native readings.
 
     Args:
@@ -48,7 +33,7 @@ def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *
     times = np.arange(len(readings.state)) / mogaze.RATE
     links, turned = mogaze.link_poses(readings.state, mogaze.link_offsets(readings.fixed))
     native_joints = mogaze.body_joints(links, manifest.body.joint_mapping)
-    plausible = plausible_body_frames(times, native_joints)
+    plausible = streams.plausible_body_frames(times, native_joints)
     remarks = []
 
     # Z up to Y up; the floor is moved to 0 where the lowest toes tell that it lies elsewhere. Toes of implausible
@@ -61,19 +46,19 @@ def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *
         if abs(lowest) > manifest.thresholds["floor_tolerance"]:
             world_from_source[1, 3] = -lowest
             remarks.append(f"the lowest toes are at {lowest:.2f} m: the floor is moved there")
-    joints = hold_neighbours(transform_points(world_from_source, native_joints), plausible)
-    body = BodyStream(times, joints, plausible)
+    joints = streams.hold_neighbours(transform_points(world_from_source, native_joints), plausible)
+    body = streams.BodyStream(times, joints, plausible)
 
     # The goggles' poses, turned as the head is: the goggles' own axes mean nothing.
     goggles = next(each for each in readings.bodies if each.name == mogaze.GOGGLES)
     tracked = seen(goggles.position, goggles.rotation)
-    position = hold_neighbours(transform_points(world_from_source, goggles.position), tracked)
+    position = streams.hold_neighbours(transform_points(world_from_source, goggles.position), tracked)
     head_link = turned[:, mogaze.LINKS.index("head")]
     known = np.isfinite(head_link).all(axis=(1, 2))
     face = np.array(mogaze.HEAD_FROM_CPF)
     turned = np.where(np.reshape(known, (-1, 1, 1)), head_link, _TO_WORLD.T @ face.T)
     rotation = Rotation.from_matrix(_TO_WORLD @ turned @ face)
-    head = PoseStream(times, position, rotation.as_quat(canonical=True, scalar_first=True), tracked & known)
+    head = streams.PoseStream(times, position, rotation.as_quat(canonical=True, scalar_first=True), tracked & known)
     directions, usable, in_metres = _gaze(readings, goggles, manifest)
     bodies = [each for each in readings.bodies if each is not goggles]
     tracks = tuple(_track(times, each, world_from_source) for each in bodies)
@@ -93,20 +78,20 @@ def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *
     unknown = [track.name for track in tracks if (track.box_min == track.box_max).all()]
     if unknown:
         remarks.append(f"no mesh and no known size, so a point instead of a box: {', '.join(unknown)}")
-    return Recording(
+    return streams.Recording(
         dataset=dataset,
         recording_id=readings.recording_id,
         participant_id=readings.participant_id,
         pose_source=manifest.body.pose_source,
         head_tilt_deg=manifest.body.head_tilt_deg,
         span=(0.0, float(times[-1])),
-        gaze=GazeStream(times, head.position, directions, usable),
+        gaze=streams.GazeStream(times, head.position, directions, usable),
         camera=head,
         head=head,
         body=body,
         hands=tuple(
-            HandStream(side, "wrist", times, body.joints[:, [wrist]], body.valid)
-            for side, wrist in zip(SIDES, WRISTS, strict=True)
+            streams.HandStream(side, "wrist", times, body.joints[:, [wrist]], body.valid)
+            for side, wrist in zip(streams.SIDES, WRISTS, strict=True)
         ),
         objects=tracks,
         annotated_events=events,
@@ -155,18 +140,18 @@ def _gaze(
 
 def _track(
     times: Float[np.ndarray, " n"], body: mogaze.MogazeBody, world_from_source: Float[np.ndarray, "4 4"]
-) -> ObjectTrack:
+) -> streams.ObjectTrack:
     valid = seen(body.position, body.rotation)
     # x y z w, as in the files; unseen rows, which hold no rotation, become the identity.
     native = Rotation.from_quat(np.where(valid[:, None], body.rotation, (0.0, 0.0, 0.0, 1.0)))
     rotation = (Rotation.from_matrix(_TO_WORLD) * native).as_quat(canonical=True, scalar_first=True)
-    return ObjectTrack(
+    return streams.ObjectTrack(
         object_id=str(body.body_id),
         name=body.name,
         category=mogaze.kind_of_body(body.name),
         times=times,
-        position=hold_neighbours(transform_points(world_from_source, body.position), valid),
-        rotation=hold_neighbours(rotation, valid) if valid.any() else rotation,
+        position=streams.hold_neighbours(transform_points(world_from_source, body.position), valid),
+        rotation=streams.hold_neighbours(rotation, valid) if valid.any() else rotation,
         valid=valid,
         box_min=body.box_min,
         box_max=body.box_max,
@@ -175,8 +160,12 @@ def _track(
 
 
 def annotated_events(
-    segments: Sequence[Segment], tracks: Sequence[ObjectTrack], body: BodyStream, rest_window: int, file: str
-) -> tuple[tuple[AnnotatedEvent, ...], tuple[str, ...], list[UnreadableEntry]]:
+    segments: Sequence[Segment],
+    tracks: Sequence[streams.ObjectTrack],
+    body: streams.BodyStream,
+    rest_window: int,
+    file: str,
+) -> tuple[tuple[streams.AnnotatedEvent, ...], tuple[str, ...], list[streams.UnreadableEntry]]:
     """Return the picks at the start, puts at the end of every segment in which an object moves.
 
     The place of a pick is the object's last pose before it, that of a put the median pose over the ``rest_window``
@@ -219,7 +208,7 @@ def annotated_events(
         if reason:
             place = f"{SEGMENT_DATASET}[{number}], {segment.start} to {segment.end} ({segment.label})"
             expected = f"a segment within the {n_frames} frames, of an object that is seen"
-            unusable.append(UnreadableEntry(file, place, expected, reason))
+            unusable.append(streams.UnreadableEntry(file, place, expected, reason))
         elif segment.label == previous and segment.start <= reached + 1:
             merged += 1
             if is_object:
@@ -251,9 +240,9 @@ def annotated_events(
         for action, frame, (position, rotation) in ends:
             low, high = track.world_box(position[None], rotation[None])
             centre = (low[0] + high[0]) / 2
-            hand, source = reaching_hand(wrists_at((), body, frame / RATE), centre)
+            hand, source = streams.reaching_hand(streams.wrists_at((), body, frame / RATE), centre)
             events.append(
-                AnnotatedEvent(
+                streams.AnnotatedEvent(
                     native_key=f"{number}/{action}",
                     action=action,
                     object_id=track.object_id,
@@ -269,14 +258,16 @@ def annotated_events(
     return tuple(events), tuple(remarks), unusable
 
 
-def _resting_before(track: ObjectTrack, frame: int) -> tuple[np.ndarray, np.ndarray]:
+def _resting_before(track: streams.ObjectTrack, frame: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the last pose seen up to a frame, else the first one after it."""
     seen = np.flatnonzero(track.valid)
     index = seen[max(int(np.searchsorted(seen, frame, side="right")) - 1, 0)]
     return track.position[index], track.rotation[index]
 
 
-def _resting_after(track: ObjectTrack, frame: int, stop: int, moved_again: int) -> tuple[np.ndarray, np.ndarray]:
+def _resting_after(
+    track: streams.ObjectTrack, frame: int, stop: int, moved_again: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the median pose over ``[frame, stop]``; of an unseen object its next pose at rest or its last."""
     window = np.arange(frame, min(stop, len(track.valid) - 1) + 1)
     window = window[track.valid[window]]
@@ -294,8 +285,8 @@ FEWEST_GAZE = 0.8  # Share of a segment's frames with confident gaze; the segmen
 
 
 def published_tracks(
-    readings: mogaze.MogazeReadings, recording: Recording, *, least_confidence: float
-) -> tuple[PublishedTrack, ...]:
+    readings: mogaze.MogazeReadings, recording: streams.Recording, *, least_confidence: float
+) -> tuple[streams.PublishedTrack, ...]:
     """Return every row of ``segments`` as a pick or a place, cut to its first and last confident gaze.
 
     A row without an object in motion is the pick that comes next (``pick_001``), one with an object is the ``place``.
@@ -309,7 +300,7 @@ def published_tracks(
     links, _ = mogaze.link_poses(readings.state, mogaze.link_offsets(readings.fixed))
     assert recording.body is not None
     body = recording.body
-    joints = hold_neighbours(transform_points(recording.world_from_source, links), body.valid)
+    joints = streams.hold_neighbours(transform_points(recording.world_from_source, links), body.valid)
     confident = recording.gaze.valid & (readings.gaze_confidence >= least_confidence)
     tracks = []
     number = 0
@@ -327,7 +318,7 @@ def published_tracks(
         first, last = np.flatnonzero(measured)[[0, -1]]
         kept = frames[first : last + 1]
         tracks.append(
-            PublishedTrack(
+            streams.PublishedTrack(
                 name=f"{'pick' if segment.label == NULL_LABEL else 'place'}_{number:03d}",
                 published_split="",
                 times=kept / mogaze.RATE,

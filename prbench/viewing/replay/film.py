@@ -17,23 +17,7 @@ from prbench.files.storage import sole_file
 from prbench.geometry.skeleton import Joint
 from prbench.shown import figure_text
 from prbench.viewing.figures import new_figure
-from prbench.viewing.replay.scene import (
-    GAZE_COLOUR,
-    METHOD_COLOURS,
-    Progress,
-    Scene,
-    ShownMotion,
-    bone_segments,
-    draw_bodies,
-    draw_goal,
-    extent,
-    head_rays,
-    phase,
-    rays,
-    side_view,
-    top_view,
-    verdict,
-)
+from prbench.viewing.replay import scene as replay
 from prbench.viewing.replay.sheet import chosen_frames, draw_curves, draw_way
 
 if TYPE_CHECKING:
@@ -53,7 +37,7 @@ _Flatten = Callable[[np.ndarray], np.ndarray]
 _Update = Callable[[int], None]
 
 
-def film_scenes(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:
+def film_scenes(scenes: Sequence[replay.Scene], path: Path, progress: replay.Progress) -> None:
     """Show sequences one after another, and write the film.
 
     Args:
@@ -102,7 +86,7 @@ def film_scenes(scenes: Sequence[Scene], path: Path, progress: Progress) -> None
             writer.close()
 
 
-def shown_frames(scene: Scene) -> Int[np.ndarray, " pictures"]:
+def shown_frames(scene: replay.Scene) -> Int[np.ndarray, " pictures"]:
     """Return the frame that each picture shows: the nearest one in time, and the last one for a second more."""
     # A little more than the exact product, so that rounding cannot lose the last picture.
     times = np.arange(int(scene.event_time * FPS + 1e-6) + 1) / FPS
@@ -117,7 +101,7 @@ class FilmStage:
         scene: The sequence.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: replay.Scene) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
         self._scene = scene
@@ -128,7 +112,7 @@ class FilmStage:
         write = self._figure.text
         write(0.02, 0.962, figure_text(scene.title), fontsize=13, weight="bold")
         write(0.02, 0.935, figure_text(scene.sequence_id), fontsize=7.5, color="0.35", family="monospace")
-        write(0.02, 0.012, figure_text(scene.notice), fontsize=8, color=METHOD_COLOURS[1])
+        write(0.02, 0.012, figure_text(scene.notice), fontsize=8, color=replay.METHOD_COLOURS[1])
         self._add_side_views()
         # The sheet's view from above and its curves, in which bodies and the moment move.
         grid = self._figure.add_gridspec(
@@ -137,10 +121,10 @@ class FilmStage:
         above, *curves = (self._figure.add_subplot(place) for place in grid)
         draw_way(above, scene, chosen_frames(scene))
         for motion in scene.motions:
-            self._add_body(above, motion, top_view)
+            self._add_body(above, motion, replay.top_view)
         clock = above.text(0.98, 0.962, "", fontsize=13, weight="bold", transform=self._figure.transFigure, ha="right")
         clock.set_clip_on(False)
-        self._add(above, clock, lambda frame: clock.set_text(f"{phase(scene, frame)}{frame / scene.fps:5.2f} s"))
+        self._add(above, clock, lambda frame: clock.set_text(f"{replay.phase(scene, frame)}{frame / scene.fps:5.2f} s"))
         if scene.goal is not None:
             draw_curves((curves[0], curves[1], curves[2]), scene, scene.goal)
         for panel in curves:
@@ -167,10 +151,10 @@ class FilmStage:
         axis = scene.picture_axis
 
         def flat(points: np.ndarray) -> np.ndarray:
-            return side_view(points, axis)
+            return replay.side_view(points, axis)
 
         height = max(2.0, max(float(motion.joints[..., 1].max()) for motion in scene.motions) + 0.1)
-        low, high = extent(scene, flat)
+        low, high = replay.extent(scene, flat)
         columns = 1 + (len(scene.motions) > 2) + (len(scene.motions) > 6)
         rows = -(-len(scene.motions) // columns)
         grid = self._figure.add_gridspec(
@@ -185,26 +169,29 @@ class FilmStage:
             for side in ("top", "right"):
                 panel.spines[side].set_visible(False)
             panel.set_title(
-                figure_text(f"{motion.label}\n{verdict(scene, motion)}"), fontsize=8.5, color=motion.colour, loc="left"
+                figure_text(f"{motion.label}\n{replay.verdict(scene, motion)}"),
+                fontsize=8.5,
+                color=motion.colour,
+                loc="left",
             )
             if scene.goal is not None:
                 corners = flat(scene.goal.box_corners)
-                draw_goal(panel, corners, flat(scene.goal.location), linewidth=1.0, markersize=4.0, zorder=1)
+                replay.draw_goal(panel, corners, flat(scene.goal.location), linewidth=1.0, markersize=4.0, zorder=1)
             self._add_body(panel, motion, flat)
 
-    def _add_body(self, panel: Axes, motion: ShownMotion, flat: _Flatten) -> None:
+    def _add_body(self, panel: Axes, motion: replay.ShownMotion, flat: _Flatten) -> None:
         scene = self._scene
         goal = scene.goal_location
         points = flat(motion.joints)
-        head_segments = flat(head_rays(motion.joints, scene.head_tilt_deg, goal, _LONGEST_RAY))
+        head_segments = flat(replay.head_rays(motion.joints, scene.head_tilt_deg, goal, _LONGEST_RAY))
         self._add_ray(panel, head_segments, {"color": motion.colour, "linewidth": 1.2, "linestyle": (0, (4, 2))})
         if motion.gaze is not None:
-            segments = flat(rays(motion.gaze.origin, motion.gaze.direction, goal, _LONGEST_RAY))
+            segments = flat(replay.rays(motion.gaze.origin, motion.gaze.direction, goal, _LONGEST_RAY))
             # A line to NaN is not drawn, which hides the ray where the gaze is not valid.
             segments = np.where(motion.gaze.valid[:, None, None], segments, np.nan)
-            self._add_ray(panel, segments, {"color": GAZE_COLOUR, "linewidth": 1.6})
-        lines, head = draw_bodies(panel, points[:1], motion.colour)
-        bones = bone_segments(points)
+            self._add_ray(panel, segments, {"color": replay.GAZE_COLOUR, "linewidth": 1.6})
+        lines, head = replay.draw_bodies(panel, points[:1], motion.colour)
+        bones = replay.bone_segments(points)
         self._add(panel, lines, lambda frame: lines.set_segments(list(bones[frame])))
         self._add(panel, head, lambda frame: head.set_data(*points[frame, Joint.HEAD, :, None]))
 

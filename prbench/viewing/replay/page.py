@@ -16,22 +16,7 @@ from prbench.files.storage import sole_writer, write_text
 from prbench.geometry.skeleton import Joint
 from prbench.shown import html
 from prbench.viewing.figures import BOX_EDGES
-from prbench.viewing.replay.scene import (
-    BOX_COLOUR,
-    GAZE_COLOUR,
-    GOAL_COLOUR,
-    IS_THICK,
-    MARK_COLOUR,
-    Progress,
-    Scene,
-    ShownMotion,
-    bone_segments,
-    head_rays,
-    phase,
-    rays,
-    rgb,
-    score_sentence,
-)
+from prbench.viewing.replay import scene as replay
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -42,7 +27,7 @@ _BETWEEN = 0.8  # metres between lanes
 _LEAST_LANE = 1.0
 
 
-def camera_of(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def camera_of(scene: replay.Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Place a camera ahead of the bodies and to their side, far enough to see all lanes.
 
     Returns:
@@ -73,7 +58,7 @@ class PageStage:
         scene: The sequence.
     """
 
-    def __init__(self, server: ViserServer, number: int, scene: Scene) -> None:
+    def __init__(self, server: ViserServer, number: int, scene: replay.Scene) -> None:
         self._root = server.scene.add_frame(f"/sequence_{number}", show_axes=False, visible=False)
         self._scene = scene
         self._bodies = [
@@ -92,7 +77,7 @@ class PageStage:
         """Move everything to a frame."""
         for body in self._bodies:
             body.set_frame(frame)
-        happens = phase(self._scene, frame).strip()
+        happens = replay.phase(self._scene, frame).strip()
         self._clock.text = f"{self._scene.title}: {frame / self._scene.fps:.2f} s{f' · {happens}' if happens else ''}"
 
     def _above(self) -> Float[np.ndarray, "3"]:
@@ -105,25 +90,30 @@ class _Body:
     """One motion in its lane, with its rays and its own copy of the goal."""
 
     def __init__(
-        self, server: ViserServer, name: str, scene: Scene, motion: ShownMotion, offset: Float[np.ndarray, "3"]
+        self,
+        server: ViserServer,
+        name: str,
+        scene: replay.Scene,
+        motion: replay.ShownMotion,
+        offset: Float[np.ndarray, "3"],
     ) -> None:
         joints = motion.joints + offset
         goal = None if scene.goal is None else scene.goal.location + offset
-        colour = rgb(motion.colour)
+        colour = replay.rgb(motion.colour)
         self._heads = joints[:, Joint.HEAD]
         self._head = server.scene.add_icosphere(f"{name}/head", radius=_HEAD_RADIUS, color=colour, subdivisions=2)
-        bones = bone_segments(joints)
+        bones = replay.bone_segments(joints)
         segments = {
-            "right": (bones[:, IS_THICK], colour, 0.03),
-            "left": (bones[:, ~IS_THICK], colour, 0.016),
-            "head_ray": (head_rays(joints, scene.head_tilt_deg, goal, _LONGEST_RAY)[:, None], colour, 0.008),
+            "right": (bones[:, replay.IS_THICK], colour, 0.03),
+            "left": (bones[:, ~replay.IS_THICK], colour, 0.016),
+            "head_ray": (replay.head_rays(joints, scene.head_tilt_deg, goal, _LONGEST_RAY)[:, None], colour, 0.008),
         }
         if motion.gaze is not None:
             origin = motion.gaze.origin + offset
-            gaze = rays(origin, motion.gaze.direction, goal, _LONGEST_RAY)
+            gaze = replay.rays(origin, motion.gaze.direction, goal, _LONGEST_RAY)
             # A ray without length where the gaze is not valid: the viewer shows no NaN.
             gaze = np.where(motion.gaze.valid[:, None, None], gaze, origin[:, None])
-            segments["gaze"] = (gaze[:, None], rgb(GAZE_COLOUR), 0.012)
+            segments["gaze"] = (gaze[:, None], replay.rgb(replay.GAZE_COLOUR), 0.012)
         self._moving = [
             (
                 positions.astype(np.float32),
@@ -134,7 +124,7 @@ class _Body:
             for what, (positions, shade, width) in segments.items()
         ]
         # Add the parts that do not move: label, path of the pelvis on the floor, and goal.
-        colour = rgb(motion.colour)
+        colour = replay.rgb(motion.colour)
         floor = motion.joints[:, Joint.PELVIS] * [1.0, 0.0, 1.0] + offset + [0.0, 0.005, 0.0]
         way = np.stack([floor[:-1], floor[1:]], axis=1).astype(np.float32)
         server.scene.add_line_segments(f"{name}/way", way, colors=colour, thickness=0.012)
@@ -142,11 +132,13 @@ class _Body:
         if scene.goal is not None:
             # Every lane has its own copy of the goal, because its body reaches for that.
             edges = (scene.goal.box_corners + offset)[np.array(BOX_EDGES)].astype(np.float32)
-            server.scene.add_line_segments(f"{name}/goal_box", edges, colors=rgb(BOX_COLOUR), thickness=0.01)
+            server.scene.add_line_segments(
+                f"{name}/goal_box", edges, colors=replay.rgb(replay.BOX_COLOUR), thickness=0.01
+            )
             server.scene.add_icosphere(
                 f"{name}/goal",
                 radius=0.03,
-                color=rgb(GOAL_COLOUR),
+                color=replay.rgb(replay.GOAL_COLOUR),
                 subdivisions=2,
                 position=tuple(scene.goal.location + offset),
             )
@@ -158,7 +150,7 @@ class _Body:
             handle.points = positions[frame]
 
 
-def lane_offsets(scene: Scene) -> Float[np.ndarray, "motions 3"]:
+def lane_offsets(scene: replay.Scene) -> Float[np.ndarray, "motions 3"]:
     """Return the offset of each motion's lane, metres: side by side, across the way to the goal, around the middle."""
     across = np.cross([0.0, 1.0, 0.0], scene.picture_axis)
     spans = [np.ptp(motion.joints[:, Joint.PELVIS] @ across) for motion in scene.motions]
@@ -182,7 +174,7 @@ font:11px/1.4 system-ui,sans-serif;color:#222}
 HOLD = 1.0
 
 
-def write_page(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:
+def write_page(scenes: Sequence[replay.Scene], path: Path, progress: replay.Progress) -> None:
     """Show sequences one after another on the time line of a 3-D viewer, and write the page.
 
     Args:
@@ -247,7 +239,7 @@ def viewer() -> Iterator[ViserServer]:
             server.stop()
 
 
-def with_overlay(page: str, scenes: Sequence[Scene], *, hold: float) -> str:
+def with_overlay(page: str, scenes: Sequence[replay.Scene], *, hold: float) -> str:
     """Put the overlay into a page: times and scores of each sequence, colours, and the notice of the licence.
 
     Args:
@@ -262,15 +254,15 @@ def with_overlay(page: str, scenes: Sequence[Scene], *, hold: float) -> str:
         when = f"{start:.1f} to {end:.1f} s, prime at {start + scene.prime_time:.1f} s"
         parts.append(f'<h2>{html(scene.title)} ({when})</h2><div class="id">{html(scene.sequence_id)}</div>')
         for motion in scene.motions:
-            scores = html(score_sentence(scene, motion) or "not scored")
+            scores = html(replay.score_sentence(scene, motion) or "not scored")
             parts.append(f"<div>{swatch(motion.colour)}<b>{html(motion.label)}</b>: {scores}</div>")
         # The time line of the viewer runs through all sequences, each held at its end.
         start = end + hold
-    key = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", MARK_COLOUR)]
+    key = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", replay.MARK_COLOUR)]
     if any(motion.gaze is not None for scene in scenes for motion in scene.motions):
-        key.append(("gaze", GAZE_COLOUR))
+        key.append(("gaze", replay.GAZE_COLOUR))
     if any(scene.goal is not None for scene in scenes):
-        key.append(("goal and its box", GOAL_COLOUR))
+        key.append(("goal and its box", replay.GOAL_COLOUR))
     notices = dict.fromkeys(scene.notice for scene in scenes if scene.notice)
     notice = "".join(f'<p class="notice">{html(text)}</p>' for text in notices)
     lines = "".join(f"<div>{swatch(colour)}{html(text)}</div>" for text, colour in key)

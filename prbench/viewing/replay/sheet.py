@@ -13,32 +13,7 @@ from jaxtyping import Float, Int
 from prbench.geometry.skeleton import Joint
 from prbench.shown import figure_text
 from prbench.viewing.figures import new_figure, write_png
-from prbench.viewing.replay.scene import (
-    BOX_COLOUR,
-    GAZE_COLOUR,
-    GOAL_COLOUR,
-    HEADER,
-    MARK_COLOUR,
-    METHOD_COLOURS,
-    RECORDED,
-    Goal,
-    Progress,
-    Scene,
-    ShownMotion,
-    draw_bodies,
-    draw_goal,
-    gaze_angle,
-    gaze_distance,
-    gaze_style,
-    head_rays,
-    limit_top_view,
-    mark_times,
-    measure,
-    rays,
-    score_row,
-    side_view,
-    top_view,
-)
+from prbench.viewing.replay import scene as replay
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,7 +27,7 @@ _HIGHEST = 3.0  # metres shown of a distance
 
 
 def draw_strip(
-    axes: Axes, scene: Scene, motion: ShownMotion, frames: Int[np.ndarray, " poses"], *, with_times: bool
+    axes: Axes, scene: replay.Scene, motion: replay.ShownMotion, frames: Int[np.ndarray, " poses"], *, with_times: bool
 ) -> None:
     """Draw poses of one motion from the side; every body stands in the middle of its own place, however far it walked.
 
@@ -70,31 +45,31 @@ def draw_strip(
 
     def flat(points: Float[np.ndarray, "poses k 3"]) -> Float[np.ndarray, "poses k 2"]:
         # Each pose is drawn around its own pelvis; how far the body walked is what the view from above shows.
-        moved = side_view(points, axis, around=pelvis[:, None])
+        moved = replay.side_view(points, axis, around=pelvis[:, None])
         moved[..., 0] += places[:, None]
         return moved
 
-    draw_bodies(axes, flat(joints), motion.colour)
+    replay.draw_bodies(axes, flat(joints), motion.colour)
     goal = scene.goal_location
-    for ray in flat(head_rays(motion.joints[frames], scene.head_tilt_deg, goal, _LONGEST_RAY)):
+    for ray in flat(replay.head_rays(motion.joints[frames], scene.head_tilt_deg, goal, _LONGEST_RAY)):
         axes.plot(*ray.T, color=motion.colour, linewidth=1.0, linestyle=(0, (4, 2)), zorder=2)
     if motion.gaze is not None:
-        segments = flat(rays(motion.gaze.origin[frames], motion.gaze.direction[frames], goal, _LONGEST_RAY))
+        segments = flat(replay.rays(motion.gaze.origin[frames], motion.gaze.direction[frames], goal, _LONGEST_RAY))
         for ray in segments[motion.gaze.valid[frames]]:
-            axes.plot(*ray.T, color=GAZE_COLOUR, linewidth=1.3, zorder=2)
+            axes.plot(*ray.T, color=replay.GAZE_COLOUR, linewidth=1.3, zorder=2)
     if scene.goal is not None:
         # Draw the goal beside each body that is near enough, else an arrow that points to it.
         for start, place in zip(pelvis, places, strict=True):
             shift = np.array([place, 0.0])
-            location = side_view(scene.goal.location, axis, around=start) + shift
+            location = replay.side_view(scene.goal.location, axis, around=start) + shift
             side = np.sign(location[0] - place)
             # Little more than half of the spacing: farther goals would lie beside the next body.
             if abs(location[0] - place) < 0.64 * _SPACING:
-                corners = side_view(scene.goal.box_corners, axis, around=start) + shift
-                draw_goal(axes, corners, location, linewidth=0.8, markersize=3.5, zorder=1)
+                corners = replay.side_view(scene.goal.box_corners, axis, around=start) + shift
+                replay.draw_goal(axes, corners, location, linewidth=0.8, markersize=3.5, zorder=1)
             else:
                 tip = place + side * 0.46 * _SPACING
-                arrow = {"arrowstyle": "-|>", "color": BOX_COLOUR, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
+                arrow = {"arrowstyle": "-|>", "color": replay.BOX_COLOUR, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
                 axes.annotate("", (tip, location[1]), (tip - side * 0.14 * _SPACING, location[1]), arrowprops=arrow)
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlim=(-0.75, places[-1] + 0.95), ylim=(-0.05, 2.15), yticks=[0, 1, 2])
@@ -109,7 +84,7 @@ def draw_strip(
         axes.spines[side].set_visible(False)
 
 
-def draw_way(axes: Axes, scene: Scene, frames: Int[np.ndarray, " poses"]) -> None:
+def draw_way(axes: Axes, scene: replay.Scene, frames: Int[np.ndarray, " poses"]) -> None:
     """Draw the paths of all motions of a sequence seen from above; metres.
 
     Args:
@@ -118,30 +93,30 @@ def draw_way(axes: Axes, scene: Scene, frames: Int[np.ndarray, " poses"]) -> Non
         frames: Poses whose head direction is marked.
     """
     for motion in scene.motions:
-        path = top_view(motion.joints[:, Joint.PELVIS])
-        axes.plot(*path.T, color=motion.colour, linewidth=2.0 if motion.label == RECORDED else 1.6, alpha=0.9)
-        for tick in top_view(head_rays(motion.joints[frames], scene.head_tilt_deg, None, _TICK)):
+        path = replay.top_view(motion.joints[:, Joint.PELVIS])
+        axes.plot(*path.T, color=motion.colour, linewidth=2.0 if motion.label == replay.RECORDED else 1.6, alpha=0.9)
+        for tick in replay.top_view(replay.head_rays(motion.joints[frames], scene.head_tilt_deg, None, _TICK)):
             axes.plot(*tick.T, color=motion.colour, linewidth=0.8)
-        ray = head_rays(motion.joints[[scene.prime_frame]], scene.head_tilt_deg, scene.goal_location, _RAY)
-        axes.plot(*top_view(ray)[0].T, color=motion.colour, linewidth=1.1, linestyle=(0, (4, 2)))
+        ray = replay.head_rays(motion.joints[[scene.prime_frame]], scene.head_tilt_deg, scene.goal_location, _RAY)
+        axes.plot(*replay.top_view(ray)[0].T, color=motion.colour, linewidth=1.1, linestyle=(0, (4, 2)))
         if motion.gaze is not None and motion.gaze.valid[scene.prime_frame]:
             at_prime = [scene.prime_frame]
-            ray = rays(motion.gaze.origin[at_prime], motion.gaze.direction[at_prime], scene.goal_location, _RAY)
-            axes.plot(*top_view(ray)[0].T, linewidth=1.5, **gaze_style(motion))
-        draw_bodies(axes, top_view(motion.joints[[-1]]), motion.colour, alpha=0.45)
+            ray = replay.rays(motion.gaze.origin[at_prime], motion.gaze.direction[at_prime], scene.goal_location, _RAY)
+            axes.plot(*replay.top_view(ray)[0].T, linewidth=1.5, **replay.gaze_style(motion))
+        replay.draw_bodies(axes, replay.top_view(motion.joints[[-1]]), motion.colour, alpha=0.45)
         for frame, mark, size in ((0, "o", 5), (scene.prime_frame, "D", 6), (-1, "*", 11)):
             axes.plot(*path[frame], mark, color=motion.colour, markersize=size, markeredgecolor="white", zorder=6)
     if scene.goal is not None:
-        corners = top_view(scene.goal.box_corners)
-        draw_goal(axes, corners, top_view(scene.goal.location), linewidth=1.0, markersize=5.0, zorder=5)
-    limit_top_view(axes, scene, least=1.3, margin=0.45)
+        corners = replay.top_view(scene.goal.box_corners)
+        replay.draw_goal(axes, corners, replay.top_view(scene.goal.location), linewidth=1.0, markersize=5.0, zorder=5)
+    replay.limit_top_view(axes, scene, least=1.3, margin=0.45)
     axes.set_xlabel("x (m), seen from above", fontsize=8)
     axes.set_ylabel("z (m)", fontsize=8)
     axes.tick_params(labelsize=7.5)
     axes.grid(alpha=0.25, linewidth=0.6)
 
 
-def draw_curves(panels: tuple[Axes, Axes, Axes], scene: Scene, goal: Goal) -> None:
+def draw_curves(panels: tuple[Axes, Axes, Axes], scene: replay.Scene, goal: replay.Goal) -> None:
     """Distance and angle between head ray and goal, and the nearer wrist's distance, over time.
 
     Args:
@@ -152,16 +127,16 @@ def draw_curves(panels: tuple[Axes, Axes, Axes], scene: Scene, goal: Goal) -> No
     ray, angle, wrist = panels
     highest = dict.fromkeys(panels, 0.0)
     for motion in scene.motions:
-        values = measure(motion, goal, scene.head_tilt_deg)
+        values = replay.measure(motion, goal, scene.head_tilt_deg)
         for panel, curve in zip(panels, (values.head_distance, values.head_angle, values.wrist_distance), strict=True):
             panel.plot(scene.times, curve, color=motion.colour, linewidth=1.5)
             highest[panel] = max(highest[panel], float(curve.max()))
         if motion.gaze is not None:
-            style = {"linewidth": 1.0, "zorder": 1.5, **gaze_style(motion)}
-            ray.plot(scene.times, gaze_distance(motion.gaze, goal), **style)
-            angle.plot(scene.times, gaze_angle(motion.gaze, goal), **style)
-    ray.axhline(scene.thresholds.prime_distance, color=MARK_COLOUR, linewidth=0.8, linestyle=":")
-    wrist.axhline(scene.thresholds.reach_distance, color=MARK_COLOUR, linewidth=0.8, linestyle=":")
+            style = {"linewidth": 1.0, "zorder": 1.5, **replay.gaze_style(motion)}
+            ray.plot(scene.times, replay.gaze_distance(motion.gaze, goal), **style)
+            angle.plot(scene.times, replay.gaze_angle(motion.gaze, goal), **style)
+    ray.axhline(scene.thresholds.prime_distance, color=replay.MARK_COLOUR, linewidth=0.8, linestyle=":")
+    wrist.axhline(scene.thresholds.reach_distance, color=replay.MARK_COLOUR, linewidth=0.8, linestyle=":")
     titles = (
         f"head ray to goal (m); primed below {scene.thresholds.prime_distance * 100:.0f} cm",
         "angle of head to goal (degrees)",
@@ -171,7 +146,7 @@ def draw_curves(panels: tuple[Axes, Axes, Axes], scene: Scene, goal: Goal) -> No
     limits = (min(highest[ray] * 1.08, _HIGHEST), min(highest[angle] * 1.08, 180.0), highest[wrist] * 1.08)
     for panel, title, limit in zip(panels, titles, limits, strict=True):
         panel.set_ylim(0.0, max(limit, 0.3))
-        mark_times(panel, scene)
+        replay.mark_times(panel, scene)
         panel.set_xlim(0.0, scene.event_time * 1.01)
         panel.set_title(title, fontsize=8, loc="left", pad=3)
         panel.set_xlabel("time (s)", fontsize=8)
@@ -235,7 +210,9 @@ class Block:
         return self.figure.add_axes(place)
 
 
-def draw_sheet(scenes: Sequence[Scene], path: Path, *, dpi: int = 100, progress: Progress | None = None) -> None:
+def draw_sheet(
+    scenes: Sequence[replay.Scene], path: Path, *, dpi: int = 100, progress: replay.Progress | None = None
+) -> None:
     """Draw sequences below one another and write the picture.
 
     Args:
@@ -261,11 +238,13 @@ def draw_sheet(scenes: Sequence[Scene], path: Path, *, dpi: int = 100, progress:
     notices = dict.fromkeys(scene.notice for scene in scenes if scene.notice)
     if notices:
         height = figure.get_figheight()
-        figure.text(0.35 / WIDTH, 0.12 / height, figure_text("   ".join(notices)), fontsize=8, color=METHOD_COLOURS[1])
+        figure.text(
+            0.35 / WIDTH, 0.12 / height, figure_text("   ".join(notices)), fontsize=8, color=replay.METHOD_COLOURS[1]
+        )
     write_png(figure, path)
 
 
-def draw_scene(block: Block, scene: Scene) -> None:
+def draw_scene(block: Block, scene: replay.Scene) -> None:
     """Draw one sequence into its part of the sheet."""
     block.text(0.35, 0.25, scene.title, fontsize=12, weight="bold")
     block.text(0.35, 0.47, scene.sequence_id, fontsize=7.5, color="0.35", family="monospace")
@@ -284,7 +263,7 @@ def draw_scene(block: Block, scene: Scene) -> None:
     down = _TITLE + _WAY_SIDE + 0.75
     axes = block.panel(_RIGHT - 0.35, down, _WAY_SIDE + 0.5, (n + 1.5) * _ROW)
     axes.set_axis_off()
-    rows = [HEADER, *(score_row(scene, motion) for motion in scene.motions)]
+    rows = [replay.HEADER, *(replay.score_row(scene, motion) for motion in scene.motions)]
     colours = ["0.35", *(motion.colour for motion in scene.motions)]
     for number, (row, colour) in enumerate(zip(rows, colours, strict=True)):
         height = 1.0 - (number + 1.0) / (len(rows) + 0.5)
@@ -297,7 +276,7 @@ def draw_scene(block: Block, scene: Scene) -> None:
     _draw_key(block.panel(_RIGHT - 0.35, down + (n + 1.5) * _ROW + 0.15, _WAY_SIDE + 0.5, _KEY), scene)
 
 
-def chosen_frames(scene: Scene) -> Int[np.ndarray, " poses"]:
+def chosen_frames(scene: replay.Scene) -> Int[np.ndarray, " poses"]:
     """Evenly spread frames, first and last among them; the one nearest to the prime time is moved onto it."""
     frames = np.unique(np.linspace(0, scene.n_frames - 1, _POSES).round().astype(int))
     if len(frames) > 2:
@@ -307,25 +286,27 @@ def chosen_frames(scene: Scene) -> Int[np.ndarray, " poses"]:
     return np.unique(frames)
 
 
-def _draw_key(axes: Axes, scene: Scene) -> None:
+def _draw_key(axes: Axes, scene: replay.Scene) -> None:
     """Explain the lines and marks that this sequence's picture has."""
     from matplotlib.lines import Line2D
 
     with_gaze = [motion.label for motion in scene.motions if motion.gaze is not None]
-    generated = bool(set(with_gaze) - {RECORDED})
+    generated = bool(set(with_gaze) - {replay.RECORDED})
     entries: list[tuple[bool, str, dict[str, Any]]] = [
         (True, "right limbs and trunk (left: thin)", {"linewidth": 2.1}),
         (True, "head ray", {"linewidth": 1.1, "linestyle": (0, (4, 2))}),
-        (bool(with_gaze), "gaze", {"linewidth": 1.5, "color": GAZE_COLOUR}),
+        (bool(with_gaze), "gaze", {"linewidth": 1.5, "color": replay.GAZE_COLOUR}),
         (generated, "generated gaze (from above, curves)", {"linewidth": 1.5, "linestyle": ":"}),
-        (scene.goal is not None, "goal and its box", {"marker": "s", "linestyle": "", "color": GOAL_COLOUR}),
+        (scene.goal is not None, "goal and its box", {"marker": "s", "linestyle": "", "color": replay.GOAL_COLOUR}),
         (True, "first frame", {"marker": "o", "linestyle": "", "markersize": 5}),
         (True, "at prime time", {"marker": "D", "linestyle": "", "markersize": 5}),
         (True, "at the event", {"marker": "*", "linestyle": "", "markersize": 9}),
         (True, f"prime time ± {scene.thresholds.prime_window:g} s", {"linewidth": 7, "color": "0.88"}),
     ]
     handles = [
-        Line2D([], [], label=label, **{"color": MARK_COLOUR, **style}) for drawn, label, style in entries if drawn
+        Line2D([], [], label=label, **{"color": replay.MARK_COLOUR, **style})
+        for drawn, label, style in entries
+        if drawn
     ]
     axes.set_axis_off()
     axes.legend(handles=handles, fontsize=7.2, ncols=2, frameon=False, loc="upper left", borderaxespad=0.0)

@@ -7,18 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from prbench.checking.conformance import subject as asking
 from prbench.checking.conformance.findings import Finding, Remedy, check, failed, passed, skipped, warning
-from prbench.checking.conformance.subject import (
-    RICHEST_FIRST,
-    STATE_SEED,
-    TOLERANCE,
-    Answer,
-    MethodSubject,
-    Subject,
-    largest_changes,
-    metres,
-    same_bytes,
-)
 from prbench.contract import GIVEN
 
 _ROUNDING = np.float32(1e-6)  # metres; about the last digit of a float32 position some metres away
@@ -26,7 +16,7 @@ _AMPLIFIED = 30.0  # how much more than such a nudge another batch may move a mo
 
 
 @check("determinism", "the same batch gives the same motions", of_motions=True)
-def determinism(subject: MethodSubject) -> Iterator[Finding]:
+def determinism(subject: asking.MethodSubject) -> Iterator[Finding]:
     """Ask for the usual batch again, after another one."""
     first = subject.standard(subject.main)
     # Another batch in between shows a method that carries state from call to call.
@@ -39,15 +29,15 @@ def determinism(subject: MethodSubject) -> Iterator[Finding]:
 
 
 @check("global-random", "nothing is drawn from global generators", needs=("determinism",), of_motions=True)
-def global_random(subject: MethodSubject) -> Iterator[Finding]:
+def global_random(subject: asking.MethodSubject) -> Iterator[Finding]:
     """Ask for the usual batch with other states of Python's, NumPy's and torch's global generators."""
     if subject.is_program:
         yield skipped("a program's generators are its own; 'determinism' and 'process' see what they would change.")
         return
     first = subject.standard(subject.main)
-    other = subject.ask(first.batch, state_seed=STATE_SEED + 1)
+    other = subject.ask(first.batch, state_seed=asking.STATE_SEED + 1)
     drew = ", ".join(sorted(subject.drew_from)) or "a global generator"
-    if other.motions is not None and same_bytes(first, other):
+    if other.motions is not None and asking.same_bytes(first, other):
         if subject.drew_from:
             remedy = subject.own_generators.after(
                 "Leave global generators alone: another method or test in the process may use them."
@@ -60,7 +50,7 @@ def global_random(subject: MethodSubject) -> Iterator[Finding]:
 
 
 @check("noise-seed", "noise_seed is the only source of chance", needs=("determinism", "global-random"), of_motions=True)
-def noise_seed(subject: MethodSubject) -> Iterator[Finding]:
+def noise_seed(subject: asking.MethodSubject) -> Iterator[Finding]:
     """Ask for the usual batch with another run's seed and opaque ids, then with other noise seeds."""
     first = subject.standard(subject.main)
     renamed = tuple(name[::-1] for name in first.batch.opaque_id)
@@ -76,7 +66,7 @@ def noise_seed(subject: MethodSubject) -> Iterator[Finding]:
     if redrawn.motions is None:
         yield failed(f"with other noise seeds: {redrawn.error}", subject.own_generators)
         return
-    changes = largest_changes(first, redrawn)
+    changes = asking.largest_changes(first, redrawn)
     if not changes.any():
         yield passed("the run's seed changes nothing; the method draws nothing: more --samples would be copies.")
     elif not changes.all():
@@ -87,13 +77,13 @@ def noise_seed(subject: MethodSubject) -> Iterator[Finding]:
         )
     else:
         yield passed(
-            f"the run's seed changes nothing, another noise_seed moves joints by up to {metres(changes.max())}.",
+            f"the run's seed changes nothing, another noise_seed moves joints by up to {asking.metres(changes.max())}.",
             change_m=changes.max(),
         )
 
 
 @check("process", "another process generates the same motions", needs=("determinism",), fresh=True, of_motions=True)
-def process(subject: MethodSubject) -> Iterator[Finding]:
+def process(subject: asking.MethodSubject) -> Iterator[Finding]:
     """Ask for the very first batch in a process that has done nothing else."""
     kept = subject.first_motions()
     if kept is None:
@@ -111,12 +101,12 @@ def process(subject: MethodSubject) -> Iterator[Finding]:
         "A run may use several processes and be resumed in new ones. Python's hash() of text and the order of sets"
         " change from process to process, and so does whatever is drawn or read while loading."
     )
-    finding = failed if moved > TOLERANCE else warning
-    yield finding(f"another process moved joints by up to {metres(moved)}.", remedy, change_m=moved)
+    finding = failed if moved > asking.TOLERANCE else warning
+    yield finding(f"another process moved joints by up to {asking.metres(moved)}.", remedy, change_m=moved)
 
 
 @check("single-row", "a batch of one works", of_motions=True)
-def single_row(subject: MethodSubject) -> Iterator[Finding]:
+def single_row(subject: asking.MethodSubject) -> Iterator[Finding]:
     """Ask for the first sequence alone."""
     answer = subject.ask(subject.batch(subject.rows[:1], subject.main))
     if answer.motions is None:
@@ -134,7 +124,7 @@ def single_row(subject: MethodSubject) -> Iterator[Finding]:
     needs=("determinism", "global-random", "noise-seed", "single-row"),
     of_motions=True,
 )
-def batch(subject: MethodSubject) -> Iterator[Finding]:
+def batch(subject: asking.MethodSubject) -> Iterator[Finding]:
     """Ask for the usual sequences in reverse, and in two parts."""
     first = subject.standard(subject.main)
     n = len(first.batch)
@@ -149,44 +139,48 @@ def batch(subject: MethodSubject) -> Iterator[Finding]:
             if answer.motions is None:
                 yield failed(f"the same {subject.case}s {name}: {answer.error}", subject.own_row)
                 return
-            moved[name] = max(moved[name], largest_changes(first, answer, part).max())
+            moved[name] = max(moved[name], asking.largest_changes(first, answer, part).max())
     most = max(moved.values())
-    if most <= TOLERANCE:
-        yield passed(f"the same within {metres(most)} (tolerance {metres(TOLERANCE)}).", change_m=most)
+    if most <= asking.TOLERANCE:
+        yield passed(
+            f"the same within {asking.metres(most)} (tolerance {asking.metres(asking.TOLERANCE)}).", change_m=most
+        )
         return
     # Optimisation at generation time amplifies rounding; a nudge of the input's last digit tells it from a defect.
     amplified = 0.0
     nudged = subject.nudged(first.batch, _ROUNDING)
     if nudged is not None and (answer := subject.ask(nudged)).motions is not None:
-        amplified = float(largest_changes(first, answer).max())
-    told = " and ".join(f"by {metres(distance)} {name}" for name, distance in moved.items() if distance > TOLERANCE)
+        amplified = float(asking.largest_changes(first, answer).max())
+    told = " and ".join(
+        f"by {asking.metres(distance)} {name}" for name, distance in moved.items() if distance > asking.TOLERANCE
+    )
     if most > _AMPLIFIED * amplified:
         yield failed(f"the same {subject.case}s move {told}.", subject.own_row, change_m=most, amplified_m=amplified)
         return
     yield warning(
         f"the same {subject.case}s move {told}; but a nudge of {_ROUNDING:.0e} m of their input alone moves them by"
-        f" {metres(amplified)}: the method amplifies rounding, as optimisation does.",
+        f" {asking.metres(amplified)}: the method amplifies rounding, as optimisation does.",
         "Only scores can be compared between batch sizes, not motions; name the batch size beside your results.",
         change_m=most,
         amplified_m=amplified,
     )
 
 
-def _compared(first: Answer, second: Answer, when: str, remedy: str) -> Finding:
+def _compared(first: asking.Answer, second: asking.Answer, when: str, remedy: str) -> Finding:
     """Pass equal bytes, warn of rounding, and fail anything else."""
     if second.motions is None:
         return failed(f"{when}: {second.error}", remedy)
-    if same_bytes(first, second):
+    if asking.same_bytes(first, second):
         return passed(f"{when}: the same bytes.", change_m=0.0)
-    moved = largest_changes(first, second).max()
-    if moved <= TOLERANCE:
+    moved = asking.largest_changes(first, second).max()
+    if moved <= asking.TOLERANCE:
         return warning(
             f"{when}: joints moved by up to {moved:.1e} m.",
             "That is rounding; resumed runs may differ in the last digits."
             " torch.use_deterministic_algorithms(True) names the operations.",
             change_m=moved,
         )
-    return failed(f"{when}: joints moved by up to {metres(moved)}.", remedy, change_m=moved)
+    return failed(f"{when}: joints moved by up to {asking.metres(moved)}.", remedy, change_m=moved)
 
 
 CHECKS = (determinism, global_random, noise_seed, process, single_row, batch)
@@ -209,7 +203,7 @@ _ODD_TEXTS = {
 
 
 @check("lengths", "every length that the protocol asks for", of_motions=True)
-def lengths(subject: Subject) -> Iterator[Finding]:
+def lengths(subject: asking.Subject) -> Iterator[Finding]:
     """Ask for the protocol's shortest and longest sequence in one batch."""
     shortest = min(subject.shortest, subject.longest)
     rows = [subject.rows[0], subject.rows[1 % len(subject.rows)]]
@@ -231,19 +225,19 @@ def lengths(subject: Subject) -> Iterator[Finding]:
 
 
 @check("conditions", "conditions that it does not declare do no harm", needs=("determinism",), of_motions=True)
-def conditions(subject: Subject) -> Iterator[Finding]:
+def conditions(subject: asking.Subject) -> Iterator[Finding]:
     """Ask under each of them; then the first batch must come out as before."""
-    undeclared = [condition for condition in RICHEST_FIRST if condition not in subject.conditions]
+    undeclared = [condition for condition in asking.RICHEST_FIRST if condition not in subject.conditions]
     if not undeclared:
         yield skipped("it declares all four conditions.")
         return
     answers = [subject.ask(subject.batch(subject.rows[:1], condition)) for condition in undeclared]
     before = subject.standard(subject.main)
     after = subject.ask(before.batch)
-    moved = 0.0 if after.motions is None else largest_changes(before, after).max()
+    moved = 0.0 if after.motions is None else asking.largest_changes(before, after).max()
     names = ", ".join(condition.value for condition in undeclared)
     if after.motions is None or moved:
-        what = after.error or f"it moved joints by up to {metres(moved)}."
+        what = after.error or f"it moved joints by up to {asking.metres(moved)}."
         yield failed(f"asked under {names}, which it does not declare, and then again as before: {what}", _REFUSE)
         return
     refused = sum(answer.motions is None for answer in answers)
@@ -251,7 +245,7 @@ def conditions(subject: Subject) -> Iterator[Finding]:
 
 
 @check("text", "texts of any kind", of_motions=True)
-def text(subject: Subject) -> Iterator[Finding]:
+def text(subject: asking.Subject) -> Iterator[Finding]:
     """Ask with empty, long and foreign texts."""
     with_text = [condition for condition in subject.working if "text" in GIVEN[condition]]
     if not with_text:
