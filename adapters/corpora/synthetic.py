@@ -6,7 +6,7 @@ files hold the same joints.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,17 +18,14 @@ from prbench.protocol.manifests import load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, ReaderOptions
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import identity_of, narrated_recording
-from prbench.synthetic.layouts import defect
 from prbench.synthetic.write_tree import WrittenRecording, WrittenTree, require_free, write_mark
 from prbench_adapters.corpora.humanml3d import synthetic as humanml3d
 from prbench_adapters.corpora.humanml3d.files import MIRROR_PREFIX, SPLIT_FILES
-from prbench_adapters.corpora.humanml3d.synthetic import DEFECTS as HUMANML3D_DEFECTS
 from prbench_adapters.corpora.nymeria import synthetic as nymeria
 from prbench_adapters.corpora.nymeria.clock import ClockOffset
 from prbench_adapters.corpora.nymeria.format import SUIT_RATE
 from prbench_adapters.corpora.nymeria.source import NymeriaCorpus, NymeriaOptions, recording_clips
 from prbench_adapters.corpora.nymeria.suit import clean_suit
-from prbench_adapters.corpora.nymeria.synthetic import DEFECTS as NYMERIA_DEFECTS
 from prbench_adapters.corpora.nymeria.synthetic import sense_nymeria
 from prbench_adapters.corpora.sources import Corpus, CorpusOptions, CorpusRecording, ReadRecording, RecordingIdentity
 
@@ -129,8 +126,7 @@ class SyntheticCorpus(Corpus):
 CORPUS = SyntheticCorpus()
 
 
-# The layouts that can be written, and what can be done to their files.
-_DEFECTS = {"nymeria": NYMERIA_DEFECTS, "humanml3d": HUMANML3D_DEFECTS}
+_LAYOUTS = ("nymeria", "humanml3d")  # Those that can be written.
 _TRUTH_FILE = "truth/clock_offsets.json"  # Holds TIME_CODE minus device time of each sequence. Readers never open it.
 _WITHOUT_TRAJECTORY = 3  # Every so many-th sequence comes without the glasses' trajectory.
 
@@ -147,7 +143,6 @@ def synthesize_corpus_tree(
     seed: int = 0,
     workers: int = 1,
     noise: float = 1.0,
-    defects: Sequence[str] = (),
     on_written: Callable[[WrittenRecording], None] | None = None,
 ) -> WrittenTree:
     """Write native files of narrated recordings, complete or not at all; bytes depend on layout, seed and index alone.
@@ -159,16 +154,14 @@ def synthesize_corpus_tree(
         seed: The tree's seed; recording i depends on it and on i alone.
         workers: Processes.
         noise: Multiplies every sensor error.
-        defects: Names of defects that are done to the first recording.
         on_written: Called after each recording, in their order.
 
     Raises:
-        UsageError: for an unknown layout or defect, or a folder that holds something else.
+        UsageError: for an unknown layout, or a folder that holds something else.
         StorageError: if the disk is full or the folder cannot be written.
     """
-    if layout not in _DEFECTS:
-        raise UsageError(f"unknown corpus layout '{layout}'; known ones are: {', '.join(_DEFECTS)}.")
-    damages = [defect(layout, name, _DEFECTS[layout]) for name in defects]
+    if layout not in _LAYOUTS:
+        raise UsageError(f"unknown corpus layout '{layout}'; known ones are: {', '.join(_LAYOUTS)}.")
     require_free(out)
     with sole_writer(out), atomic_folder(out) as root:
         done: list[_Done] = []
@@ -184,8 +177,6 @@ def synthesize_corpus_tree(
                 write_text(root / name, members)
         else:
             write_json(root / _TRUTH_FILE, {recording.recording_id: offset for recording, offset, _ in done})
-        for damage in damages:
-            damage.apply(root, done[0][2][0][0])
         write_mark(root, layout, seed, "default", splits)
     return WrittenTree(out, tuple(recording for recording, _, _ in done))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -240,7 +240,6 @@ def synthesize(
     size: Literal["tiny", "default"] = "tiny",
     events: int | None = None,
     bystander_objects: int | None = None,
-    defect: str | Iterable[str] = (),
     egoallo: bool = False,
     workers: int = 1,
 ) -> SyntheticRecordings:
@@ -256,7 +255,6 @@ def synthesize(
         size: ``tiny`` or ``default``.
         events: Picks and puts a recording; by default the size's number (6 or 10).
         bystander_objects: Objects that never move.
-        defect: Damage done to the first recording as real copies are damaged; a wrong name lists them.
         egoallo: Also write bodies as EgoAllo would estimate them (``adt`` alone).
         workers: Processes to use; changes no result. A script that asks for several needs
             ``if __name__ == "__main__":``.
@@ -265,7 +263,7 @@ def synthesize(
         What was written.
 
     Raises:
-        UsageError: for an unknown layout, size or defect, or a folder that holds something else.
+        UsageError: for an unknown layout or size, or a folder that holds something else.
         StorageError: if the folder cannot be written.
     """
     from prbench.synthetic.write_tree import planned_recordings, synthesize_tree
@@ -283,7 +281,6 @@ def synthesize(
             workers=workers,
             n_events=events,
             bystander_objects=bystander_objects,
-            defects=args.as_texts(defect),
             estimates=egoallo,
             on_written=lambda written: show(next(done), planned, written.recording_id),
         )

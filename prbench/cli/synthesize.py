@@ -61,13 +61,6 @@ class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option("--events", type=opt.POSITIVE, metavar="N", help="Picks and puts of each recording.")
 @click.option("--bystander-objects", type=int, metavar="N", help="Objects that never move.")
 @click.option(
-    "--defect",
-    "defects",
-    multiple=True,
-    metavar="NAME",
-    help="Damage the first recording as real copies are; repeatable (a wrong name lists them).",
-)
-@click.option(
     "--egoallo",
     is_flag=True,
     help="Also write bodies as EgoAllo would estimate them (adt; hd-epic and hot3d have no others).",
@@ -84,7 +77,6 @@ def synthesize(
     size: Literal["tiny", "default", "large"],
     events: int | None,
     bystander_objects: int | None,
-    defects: tuple[str, ...],
     egoallo: bool,
     workers: int,
 ) -> Answer:
@@ -97,8 +89,8 @@ def synthesize(
     if out is None:
         raise UsageError(f"--out DIR is needed: the folder of the {'table' if table else 'recordings'}.")
     if table:
-        if defects or egoallo or bystander_objects is not None:
-            raise UsageError("--table writes no native files; leave --defect, --egoallo and --bystander-objects out.")
+        if egoallo or bystander_objects is not None:
+            raise UsageError("--table writes no native files; leave --egoallo and --bystander-objects out.")
         return _table(layout, out, size, count, seed=seed, events=events, replace=replace, workers=workers)
     of_corpus = layout in _CORPUS_LAYOUTS
     planned = (count or _CORPUS_RECORDINGS) if of_corpus else planned_recordings(size, count)
@@ -108,7 +100,7 @@ def synthesize(
         def tell_written(written: WrittenRecording) -> None:
             tell(next(done), planned, written.recording_id)
 
-        shared = {"seed": seed, "workers": workers, "defects": defects, "on_written": tell_written}
+        shared = {"seed": seed, "workers": workers, "on_written": tell_written}
         if of_corpus:
             tree = load_built_in(CORPORA, "synthesize")(layout, out, recordings=planned, **shared)
         else:

@@ -7,7 +7,7 @@ seconds from the recording's first frame: add ``clock_offset_s`` of its stream t
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from prbench.engine import engine_for
 from prbench.errors import UsageError
 from prbench.files.storage import atomic_folder, atomic_path, sole_writer, write_json
 from prbench.synthetic import GENERATOR_VERSION
-from prbench.synthetic.layouts import SHARED_PARTS, defect, layout_for
+from prbench.synthetic.layouts import SHARED_PARTS, layout_for
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import Switches
@@ -230,7 +230,6 @@ def synthesize_tree(
     bystander_objects: int | None = None,
     provocations: Mapping[str, float] | None = None,
     noise: float = 1.0,
-    defects: Sequence[str] = (),
     estimates: bool = False,
     on_written: Callable[[WrittenRecording], None] | None = None,
 ) -> WrittenTree:
@@ -247,7 +246,6 @@ def synthesize_tree(
         bystander_objects: Objects that never move; 3 to 12 if None.
         provocations: See :func:`prbench.synthetic.people.perform`.
         noise: Multiplies every sensor error; 0 for ideal sensors.
-        defects: Names of defects that are done to the first recording (:mod:`prbench.synthetic.layouts`).
         estimates: Write bodies as EgoAllo estimates them, beside the layout's own.
         on_written: Called after each recording, in their order.
 
@@ -259,7 +257,6 @@ def synthesize_tree(
     layout = layout_for(preset)
     if estimates and layout.write_estimates is None:
         raise UsageError(f"{preset} has no bodies of its own beside which EgoAllo's estimates could stand.")
-    damages = [defect(preset, name) for name in defects]
     _, events, truth_rate = _amount(size)
     require_free(out)
     count = planned_recordings(size, recordings)
@@ -284,9 +281,6 @@ def synthesize_tree(
         written = tuple(recording for recording, _, _ in done)
         layout.finish(root)
         shutil.rmtree(root / SHARED_PARTS, ignore_errors=True)
-        # Damages come after the shared files are written, because some of them change those.
-        for damage in damages:
-            damage.apply(root, written[0].recording_id)
         for name in ("recordings", "events", "fixations"):
             write_truth(pa.concat_tables([tables[name] for _, _, tables in done]), root, name)
         write_mark(root, preset, seed, done[0][1], {each.recording_id: each.split for each in written})

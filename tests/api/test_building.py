@@ -64,9 +64,10 @@ def test_options_are_those_of_the_command(recordings, tmp_path):
 
 
 def test_a_damaged_recording_is_named(tmp_path):
-    damaged = prbench.synthesize("adt", tmp_path / "recordings", count=2, events=3, defect="missing-trajectory")
-    build = prbench.build_dataset("adt", damaged.folder, tmp_path / "table")
-    first = damaged.to_pandas().recording_id[0]
+    written = prbench.synthesize("adt", tmp_path / "recordings", count=2, events=3)
+    first = written.to_pandas().recording_id[0]
+    (written.folder / first / "aria_trajectory.csv").unlink()
+    build = prbench.build_dataset("adt", written.folder, tmp_path / "table")
     assert list(build.unread) == [first]
     assert first in build._repr_html_()
     assert [note for note in build.notes if note.startswith(f"{first}: failed: ")]
@@ -111,7 +112,6 @@ def test_a_build_that_cannot_be_is_refused(recordings, tmp_path, changes, messag
     [
         ({"layout": "adtt"}, "adtt"),
         ({"size": "huge"}, "huge"),
-        ({"defect": "nonsense"}, "nonsense"),
         ({"count": 0}, "count: expected a whole number"),
     ],
 )

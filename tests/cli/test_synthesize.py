@@ -42,7 +42,7 @@ def test_a_table_is_written_without_native_files_and_reported(tmp_path, capsys) 
         ([], "--out DIR is needed"),
         (["--recordings", "1", "--out", "x"], "No such option '--recordings'. Did you mean '--count'?"),
         (["--size", "large", "--out", "x"], "--table"),
-        (["--table", "--defect", "any", "--out", "x"], "--defect"),
+        (["--table", "--egoallo", "--out", "x"], "--egoallo"),
     ],
 )
 def test_mistakes_are_refused_and_the_way_out_named(words, message, tmp_path, capsys, monkeypatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +12,6 @@ import pytest
 
 from prbench.curation import BuildReport, build_dataset
 from prbench.sequences import SequenceTable
-from prbench.synthetic.layouts import defects_of
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.readers import gimo_sample
 
@@ -22,7 +22,11 @@ TREES = {
     "mogaze": {"recordings": 2, "seed": 4, "n_events": 4},  # long enough that 20 frames are below 1 %
 }
 GIMO = ("2022-01-01-000000", "2022-01-02-000000")  # two segments of 45 frames
-DEFECTS = {(layout, each.name): each for layout in (*TREES, "gimo") for each in defects_of(layout)}
+DEFECTS = {
+    (layout, each.name): each
+    for layout in (*TREES, "gimo")
+    for each in importlib.import_module(f"tests.readers.{layout.replace('-', '_')}.defects").DEFECTS
+}
 HARMLESS = {("adt", "mps-gaze"), ("mogaze", "bad-segments"), ("mogaze", "raised-floor")}  # reading repairs them
 SHARED = {("mogaze", "no-scene")}  # what is damaged belongs to all recordings
 

@@ -14,15 +14,15 @@ from prbench.errors import InputFileError, UsageError
 from prbench.protocol.manifests import load_manifest
 from prbench.sequences import CorpusTable
 from prbench.sequences.corpus import ANNOTATION_OUTCOMES, ANNOTATIONS, CLIPS, CORPUS_RECORDINGS
-from prbench.synthetic.layouts import Defect
 from prbench_adapters.corpora.build import build_corpus, plan_corpus
-from prbench_adapters.corpora.humanml3d.synthetic import DEFECTS as HUMANML3D_DEFECTS
 from prbench_adapters.corpora.nymeria.format import participant_of
 from prbench_adapters.corpora.nymeria.source import CORPUS, split_by_participant
-from prbench_adapters.corpora.nymeria.synthetic import DEFECTS as NYMERIA_DEFECTS
 from prbench_adapters.corpora.sources import CorpusOptions
 from prbench_adapters.corpora.synthetic import synthesize_corpus_tree
+from tests.adapters.corpora.humanml3d_defects import DEFECTS as HUMANML3D_DEFECTS
+from tests.adapters.corpora.nymeria_defects import DEFECTS as NYMERIA_DEFECTS
 from tests.adapters.corpora.suits import SEED
+from tests.readers.defects import Defect
 
 
 def files_of(folder) -> dict[str, bytes]:
@@ -244,11 +244,7 @@ def test_harmless_defects_change_no_clip(nymeria_tree, tmp_path, name):
     assert one.content_digest == other.content_digest
 
 
-def test_defects_are_done_by_name(tmp_path):
-    synthesize_corpus_tree("nymeria", tmp_path / "tree", recordings=1, defects=["missing-suit"])
-    assert not list((tmp_path / "tree").glob("*/body/xdata.npz"))
-    with pytest.raises(UsageError, match="Did you mean 'missing-suit'"):
-        synthesize_corpus_tree("nymeria", tmp_path / "other", recordings=1, defects=["missing-suits"])
+def test_an_unknown_layout_is_refused(tmp_path):
     with pytest.raises(UsageError, match="nymeria, humanml3d"):
         synthesize_corpus_tree("motionx", tmp_path / "other", recordings=1)
 

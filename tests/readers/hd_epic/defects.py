@@ -11,7 +11,7 @@ from pathlib import Path
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.synthetic.layouts import Damage, Defect, Row, change_cells, change_json, changed_rows, cut_in_half, removed
+from tests.readers.defects import Damage, Defect, Row, change_cells, change_json, changed_rows, cut_in_half, removed
 
 
 def _only(root: Path, pattern: str) -> Path:

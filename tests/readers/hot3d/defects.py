@@ -12,7 +12,7 @@ from prbench.readers.aria_mps.format import GAZE_FOLDER, SLAM_FOLDER, TRAJECTORY
 from prbench.readers.egoallo.format import OUTPUT_FOLDER
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.synthetic import LIBRARY
-from prbench.synthetic.layouts import Damage, Defect, change_cells, change_json, missing
+from tests.readers.defects import Damage, Defect, change_cells, change_json, missing
 
 _TRAJECTORY = f"{hot3d.MPS_FOLDER}/{SLAM_FOLDER}/{TRAJECTORY_FILE}"
 _GAZE_FILES = f"{hot3d.MPS_FOLDER}/{GAZE_FOLDER}/*_eye_gaze.csv"

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from prbench.readers.gimo import format as gimo
-from prbench.synthetic.layouts import Damage, Defect, removed
+from tests.readers.defects import Damage, Defect, removed
 
 _SHORT_GAP = 3  # frames
 _LONG_GAP = 15

@@ -9,7 +9,7 @@ from pathlib import Path
 from prbench.files.storage import write_json
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps import format as mps
-from prbench.synthetic.layouts import Damage, Defect, Row, changed_rows, cut_in_half, missing
+from tests.readers.defects import Damage, Defect, Row, changed_rows, cut_in_half, missing
 
 _ANGLES = (mps.YAW, mps.PITCH)
 _TRAJECTORY = adt.TRAJECTORY_FILE

@@ -12,7 +12,7 @@ import numpy as np
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.format import STATE_COLUMNS
 from prbench.readers.mogaze.synthetic import GOGGLES_ID
-from prbench.synthetic.layouts import Damage, Defect, cut_in_half, removed
+from tests.readers.defects import Damage, Defect, cut_in_half, removed
 
 HUMAN, OBJECTS, GAZE, SEGMENTS = mogaze.PARTS
 _RISE = 0.5  # m
