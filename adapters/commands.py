@@ -11,18 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
+from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, progress, session
-from prbench.cli.options import (
-    PATH,
-    POSITIVE,
-    KeyValue,
-    data_option,
-    engine_options,
-    fold_option,
-    opened,
-    out_folder_option,
-    threads_option,
-)
 from prbench.errors import UsageError
 from prbench_adapters.trained_network import TrainedNetwork
 
@@ -53,23 +43,19 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
     report=TrainReport,
 )
 @click.option("--method", required=True, metavar="NAME", help="What to train: mdm, pr, t2m-evaluator …")
-@click.option(
-    "--stage",
-    metavar="STAGE",
-    help="pretrain or finetune; some methods have others (default: the first).",
-)
-@data_option(required=False, help="Built dataset or corpus folder(s), whose split 'train' is learnt from.")
-@out_folder_option("Training folder: checkpoints, logs, weights; an interrupted training goes on in it.")
+@click.option("--stage", metavar="STAGE", help="pretrain or finetune; some methods have others (default: the first).")
+@opt.data_option(required=False, help="Built dataset or corpus folder(s), whose split 'train' is learnt from.")
+@opt.out_folder_option("Training folder: checkpoints, logs, weights; an interrupted training goes on in it.")
 @click.option(
     "--config",
-    type=PATH,
+    type=opt.PATH,
     metavar="NAME|FILE",
     help="A configuration of the method, or a .toml file (default: the stage's own, else small).",
 )
 @click.option(
     "--set",
     "overrides",
-    type=KeyValue(),
+    type=opt.KeyValue(),
     multiple=True,
     metavar="TABLE.KEY=VALUE",
     help="Override a key, such as training.steps=1000 or model.width=256; repeatable.",
@@ -79,13 +65,13 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
     is_flag=True,
     help="Learn from the split 'validation' as well, once nothing is chosen by it; needs validation.every=0.",
 )
-@fold_option
-@click.option("--init", type=PATH, metavar="FILE", help="Weights to start from.")
+@opt.fold_option
+@click.option("--init", type=opt.PATH, metavar="FILE", help="Weights to start from.")
 @click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1, mps.")
-@click.option("--devices", type=POSITIVE, default=1, metavar="N", help="Processes to train in (default 1).")
-@threads_option
+@click.option("--devices", type=opt.POSITIVE, default=1, metavar="N", help="Processes to train in (default 1).")
+@opt.threads_option
 @click.option("--loaders", type=int, default=0, metavar="N", help="Processes that load data (default 0).")
-@engine_options(help="Processes that prepare the data (default 1; with --engine ray all processors).")
+@opt.engine_options(help="Processes that prepare the data (default 1; with --engine ray all processors).")
 @click.option("--show-config", is_flag=True, help="Print the resolved configuration and stop.")
 def train(
     method: str,
@@ -147,7 +133,7 @@ def train(
                 if now.validation is not None:
                     print(f"validation at {now.step}: {_in_words(now.validation)}", file=sys.stderr, flush=True)
 
-        trained = run_training(request, report=report_progress, engine=opened(engine, reads=data))
+        trained = run_training(request, report=report_progress, engine=opt.opened(engine, reads=data))
     if trained is None:  # one of several processes that train together; the first one speaks for all
         return 0
     report = TrainReport(method=method, configuration=None, trained=trained)

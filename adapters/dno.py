@@ -8,6 +8,7 @@ that was only pre-trained it is the study's zero-shot row; with one fine-tuned o
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,12 +48,10 @@ class DNO(SingleModelMethod):
         from prbench_adapters.diffusion.optimised_generation import generate_optimised
 
         require_goals_within_reach(batch, adapter=self.name)
-        return generate_optimised(self.model, batch, self.settings, objective=keyframes, texts=self._texts(batch))
-
-    def _texts(self, batch: ConditionBatch) -> tuple[str, ...] | None:
-        if self.prompt == _OWN_PROMPT:
-            return batch.text
-        return ("" if self.prompt == _NO_PROMPT else self.prompt,) * len(batch)
+        texts = batch.text
+        if self.prompt != _OWN_PROMPT:
+            texts = ("" if self.prompt == _NO_PROMPT else self.prompt,) * len(batch)
+        return generate_optimised(self.model, batch, self.settings, objective=keyframes, texts=texts)
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DNO:
@@ -71,12 +70,12 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
         InputFileError: if the file is not one of a denoiser.
         ValueError: for options that are unknown or have impossible values.
     """
-    from prbench_adapters.diffusion.generation import require_known
+    from prbench_adapters.diffusion import noise_optimisation as noise
+    from prbench_adapters.diffusion.generation import choice, number, require_known
     from prbench_adapters.diffusion.method import bundled_names, resolve
     from prbench_adapters.diffusion.model import MotionModel, require_goal
-    from prbench_adapters.diffusion.noise_optimisation import KEYFRAME_OPTIONS
 
-    require_known(options, ("optimise", "prompt", "guidance", "text-path", *KEYFRAME_OPTIONS))
+    require_known(options, ("optimise", "prompt", "guidance", "text-path", *noise.KEYFRAME_OPTIONS))
     # The default belongs to another method, which a user may have removed.
     if weights is None and DEFAULT_WEIGHTS not in bundled_names():
         raise AdapterError(
@@ -86,18 +85,10 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     path = resolve(weights, DEFAULT_WEIGHTS)
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     require_goal(model, path, "none")
-    settings = _settings(options, model.configuration.diffusion_steps)
-    return DNO(model, path, settings, prompt=options.get("prompt", _NO_PROMPT))
-
-
-def _settings(options: Mapping[str, str], diffusion_steps: int) -> OptimisationSettings:
-    from dataclasses import replace
-
-    from prbench_adapters.diffusion.generation import choice, number
-    from prbench_adapters.diffusion.noise_optimisation import dno_paper, fast, optimisation_settings
-
+    steps = model.configuration.diffusion_steps
     # The initial pose is given; bones of its lengths cost the goal nothing, where the prior's waver by a quarter.
-    quick = replace(fast(diffusion_steps), bones="initial")
-    preset = quick if choice(options, "optimise", _MODES) == "fast" else dno_paper(diffusion_steps)
+    quick = replace(noise.fast(steps), bones="initial")
+    preset = quick if choice(options, "optimise", _MODES) == "fast" else noise.dno_paper(steps)
     preset = replace(preset, guidance=number(options, "guidance", preset.guidance))
-    return optimisation_settings(options, preset, diffusion_steps=diffusion_steps)
+    settings = noise.optimisation_settings(options, preset, diffusion_steps=steps)
+    return DNO(model, path, settings, prompt=options.get("prompt", _NO_PROMPT))

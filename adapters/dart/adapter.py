@@ -15,16 +15,8 @@ from torch.nn.functional import pad
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError
 from prbench.geometry.skeleton import N_JOINTS, Joint
+from prbench_adapters.dart import rollout
 from prbench_adapters.dart.model import OPTIONS, DartModel, DartSettings, dart_settings
-from prbench_adapters.dart.rollout import (
-    GuidedDenoiser,
-    SampleLatent,
-    by_ddim,
-    by_ddpm,
-    first_history,
-    optimise,
-    roll_out,
-)
 from prbench_adapters.diffusion.generation import ModelBodies, SequenceNoise, require_known
 from prbench_adapters.diffusion.method import SingleModelMethod, own_weights, require_goals_within_reach
 from prbench_adapters.diffusion.optimised_generation import targets_of
@@ -158,9 +150,9 @@ def _sampled(
     # Longest first, so that the sequences which have a primitive are always the first rows.
     going_on = [int((primitives > number).sum()) for number in range(int(primitives.max()))]
     previous, initial = (DART.from_y_up(each) for each in (targets.previous_joints, targets.initial_joints))
-    frames, placement = first_history(previous, initial)
+    frames, placement = rollout.first_history(previous, initial)
     history = model.scaling.standardised(frames)
-    denoiser = GuidedDenoiser(model.denoiser, model.text_vectors(batch.text), settings.guidance)
+    denoiser = rollout.GuidedDenoiser(model.denoiser, model.text_vectors(batch.text), settings.guidance)
     drawn = SequenceNoise(batch.noise_seed, np.ones(len(batch), dtype=np.int64), model.device)
     decoded = 0
 
@@ -168,7 +160,7 @@ def _sampled(
         """Return next noise of every sequence, drawn from its own seed: neither batch nor length changes a number."""
         return drawn.draw(model.configuration.latent)
 
-    def rolled(sample: SampleLatent) -> Float[Tensor, "batch frames 22 3"]:
+    def rolled(sample: rollout.SampleLatent) -> Float[Tensor, "batch frames 22 3"]:
         """Return the initial pose and what follows, cut to the longest sequence, zeros behind each end; canonical.
 
         The world that is rolled out in is the canonical frame with its axes exchanged, so nothing else has to be
@@ -176,21 +168,21 @@ def _sampled(
         """
         nonlocal decoded
         decoded += sum(going_on)
-        done = roll_out(model, history, placement, sample, len(going_on), going_on=going_on)
+        done = rollout.roll_out(model, history, placement, sample, len(going_on), going_on=going_on)
         # Primitives of sequences that have ended have fewer rows; zeros keep the batch rectangular.
         rows = [pad(each.joints, (0, 0) * 3 + (0, len(batch) - len(each.joints))) for each in done]
         future = DART.to_y_up(torch.cat(rows, dim=1))
         return torch.cat((targets.initial_joints[:, None], future), dim=1)[:, :n_frames]
 
     def from_noise(noise: Float[Tensor, "primitives batch 1 latent"]) -> Float[Tensor, "batch frames 22 3"]:
-        return rolled(by_ddim(denoiser, model.schedule, noise, steps=settings.ddim_steps))
+        return rolled(rollout.by_ddim(denoiser, model.schedule, noise, steps=settings.ddim_steps))
 
     if settings.optimised:
         # Small noise: the start lies near the mean of what the model draws.
         start = settings.noise_scale * torch.stack([draw() for _ in going_on])
         lengths = torch.as_tensor(batch.n_frames, device=model.device)
-        _, joints = optimise(from_noise, start, targets, lengths, settings)
+        _, joints = rollout.optimise(from_noise, start, targets, lengths, settings)
     else:
         with torch.no_grad():
-            joints = rolled(by_ddpm(denoiser, model.schedule, draw))
+            joints = rolled(rollout.by_ddpm(denoiser, model.schedule, draw))
     return joints.cpu().numpy(), denoiser.passes + decoded

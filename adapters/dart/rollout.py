@@ -14,14 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from prbench_adapters.dart.model import (
-    HISTORY_FRAMES,
-    DartModel,
-    DartSettings,
-    Frames,
-    LatentDenoiser,
-    Placement,
-)
+from prbench_adapters.dart import model as dart
 from prbench_adapters.diffusion.denoiser import TransformerLayer
 from prbench_adapters.diffusion.generation import Guidance
 from prbench_adapters.diffusion.noise_optimisation import Targets, chosen_wrist, last_frame
@@ -46,18 +39,18 @@ class Primitive:
     history: Float[Tensor, "batch history 276"]
     latent: Float[Tensor, "batch 1 latent"]
     features: Float[Tensor, "batch future 276"]
-    placement: Placement
+    placement: dart.Placement
     joints: Float[Tensor, "batch future 22 3"]
 
 
 def first_history(
     previous: Float[Tensor, "batch 22 3"], initial: Float[Tensor, "batch 22 3"]
-) -> tuple[Frames, Placement]:
+) -> tuple[dart.Frames, dart.Placement]:
     """Return the history that a motion starts from: the frame before it and its first, in the world with Z up, metres.
 
     What leads on from the first frame is not known; the body is taken to go on as it came.
     """
-    frames = Frames.of_joints(torch.stack((previous, initial, initial), dim=1))
+    frames = dart.Frames.of_joints(torch.stack((previous, initial, initial), dim=1))
     came = {
         name: getattr(frames, name)[:, :1].expand_as(getattr(frames, name))
         for name in ("translation_delta", "orientation_delta", "joints_delta")
@@ -66,9 +59,9 @@ def first_history(
 
 
 def roll_out(
-    model: DartModel,
+    model: dart.DartModel,
     history: Float[Tensor, "batch history 276"],
-    placement: Placement,
+    placement: dart.Placement,
     sample: SampleLatent,
     primitives: int,
     *,
@@ -102,17 +95,17 @@ def roll_out(
     return done
 
 
-def next_history(future: Frames) -> tuple[Frames, Placement]:
+def next_history(future: dart.Frames) -> tuple[dart.Frames, dart.Placement]:
     """Return a primitive's last frames as the history of the next, and the next one's frame of reference in this one.
 
     That frame of reference is taken from the predicted joints.
     """
     n = future.joints.shape[1]
-    return future.part(n - HISTORY_FRAMES, n).canonical()
+    return future.part(n - dart.HISTORY_FRAMES, n).canonical()
 
 
-_CONTEXT = slice(1, 2 + HISTORY_FRAMES)  # places of text and history among the tokens
-_LATENT = 2 + HISTORY_FRAMES
+_CONTEXT = slice(1, 2 + dart.HISTORY_FRAMES)  # places of text and history among the tokens
+_LATENT = 2 + dart.HISTORY_FRAMES
 
 
 class PreparedDenoiser:
@@ -129,7 +122,7 @@ class PreparedDenoiser:
 
     def __init__(
         self,
-        denoiser: LatentDenoiser,
+        denoiser: dart.LatentDenoiser,
         text: Float[Tensor, "batch dimension"],
         history: Float[Tensor, "batch history 276"],
     ) -> None:
@@ -166,9 +159,7 @@ class PreparedDenoiser:
 
 
 def _tokens(
-    time: Float[Tensor, " width"],
-    context: Float[Tensor, "batch context width"],
-    latent: Float[Tensor, "batch width"],
+    time: Float[Tensor, " width"], context: Float[Tensor, "batch context width"], latent: Float[Tensor, "batch width"]
 ) -> Float[Tensor, "rows width"]:
     """All tokens of all rows below each other: linear layers take a matrix quicker than a stack of them."""
     return torch.cat((time.expand(len(latent), 1, -1), context, latent[:, None]), dim=1).flatten(0, 1)
@@ -183,7 +174,7 @@ class GuidedDenoiser(Guidance):
         scale: Weight of the guidance; 1 is the conditional estimate alone, in one pass, anything else takes two.
     """
 
-    def __init__(self, denoiser: LatentDenoiser, text: Float[Tensor, "batch dimension"], scale: float) -> None:
+    def __init__(self, denoiser: dart.LatentDenoiser, text: Float[Tensor, "batch dimension"], scale: float) -> None:
         super().__init__(scale)
         self.denoiser, self.text = denoiser, text
 
@@ -237,7 +228,7 @@ def optimise(
     start: Noise,
     targets: Targets,
     n_frames: Int[Tensor, " batch"],
-    settings: DartSettings,
+    settings: dart.DartSettings,
 ) -> tuple[Noise, Joints]:
     """Lower the loss of every sequence by Adam on its noise.
 
@@ -273,7 +264,7 @@ def optimise(
 
 
 def goal_loss(
-    joints: Joints, n_frames: Int[Tensor, " batch"], targets: Targets, settings: DartSettings
+    joints: Joints, n_frames: Int[Tensor, " batch"], targets: Targets, settings: dart.DartSettings
 ) -> Float[Tensor, " batch"]:
     """Huber loss (δ = 1 m) of the last frame, averaged over the coordinates that are asked for.
 

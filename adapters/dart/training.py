@@ -14,19 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from prbench.errors import UsageError
-from prbench_adapters.dart.model import (
-    HISTORY_FRAMES,
-    KIND,
-    N_FEATURES,
-    REPRESENTATION,
-    DartConfiguration,
-    FeatureScaling,
-    Frames,
-    LatentDenoiser,
-    PrimitiveVAE,
-    pooled_texts,
-    scaling_of,
-)
+from prbench_adapters.dart import model as dart
 from prbench_adapters.dart.rollout import next_history
 from prbench_adapters.diffusion.denoiser import TransformerLayer
 from prbench_adapters.diffusion.model import TextVectors
@@ -51,13 +39,13 @@ class Window:
         valid: True for primitives that lie inside their motion, the step that leads on from their last frame included.
     """
 
-    frames: Frames
+    frames: dart.Frames
     valid: Bool[Tensor, "batch primitives"]
 
-    def primitive(self, number: int, future_frames: int) -> Frames:
+    def primitive(self, number: int, future_frames: int) -> dart.Frames:
         """Cut out one primitive, in its own frame of reference."""
         start = number * future_frames
-        return self.frames.part(start, start + HISTORY_FRAMES + future_frames).canonical()[0]
+        return self.frames.part(start, start + dart.HISTORY_FRAMES + future_frames).canonical()[0]
 
 
 def window(
@@ -65,7 +53,7 @@ def window(
     rows: Int[Tensor, " windows"],
     start: Int[Tensor, " windows"],
     primitives: int,
-    configuration: DartConfiguration,
+    configuration: dart.DartConfiguration,
 ) -> Window:
     """Cut primitives out of motions, of which the frame before the first belongs to them.
 
@@ -79,34 +67,34 @@ def window(
     # The frame before the first is recorded, too, and gives the first primitive its history.
     motions = torch.cat((batch.previous_joints[:, None], batch.joints), dim=1)
     last = batch.n_frames[rows]  # its index in these
-    length = HISTORY_FRAMES + primitives * configuration.future_frames + 1
+    length = dart.HISTORY_FRAMES + primitives * configuration.future_frames + 1
     wanted = start[:, None] + torch.arange(length, device=motions.device)
     places = torch.minimum(wanted, last[:, None])
     joints = motions[rows[:, None], places]
     # Where the last delta of each primitive leads to: one frame behind the primitive itself.
     numbers = torch.arange(1, primitives + 1, device=motions.device)
-    ends = start[:, None] + HISTORY_FRAMES + configuration.future_frames * numbers
-    return Window(Frames.of_joints(DART.from_y_up(joints)), ends <= last[:, None])
+    ends = start[:, None] + dart.HISTORY_FRAMES + configuration.future_frames * numbers
+    return Window(dart.Frames.of_joints(DART.from_y_up(joints)), ends <= last[:, None])
 
 
 def drawn_starts(
-    n_frames: Int[Tensor, " batch"], primitives: int, configuration: DartConfiguration, generator: torch.Generator
+    n_frames: Int[Tensor, " batch"], primitives: int, configuration: dart.DartConfiguration, generator: torch.Generator
 ) -> Int[Tensor, " batch"]:
     """Return a uniformly drawn first frame for each motion, from which the whole window fits where it can."""
-    latest = (n_frames - HISTORY_FRAMES - primitives * configuration.future_frames).clamp_min(0)
+    latest = (n_frames - dart.HISTORY_FRAMES - primitives * configuration.future_frames).clamp_min(0)
     drawn = torch.rand(len(n_frames), generator=generator, dtype=torch.float64)
     return (drawn * (latest + 1)).long().clamp_max(latest)
 
 
-def feature_scaling(data: SequenceDataset, configuration: DartConfiguration) -> FeatureScaling:
+def feature_scaling(data: SequenceDataset, configuration: dart.DartConfiguration) -> dart.FeatureScaling:
     """Mean and floored standard deviation of the features of all primitives, each in its own frame of reference.
 
     Raises:
         UsageError: if no motion is long enough for a primitive.
     """
     # Sums of squares of a whole corpus lose their last digits in float32.
-    total = torch.zeros(N_FEATURES).double()
-    squares = torch.zeros(N_FEATURES).double()
+    total = torch.zeros(dart.N_FEATURES).double()
+    squares = torch.zeros(dart.N_FEATURES).double()
     count = 0
     for primitives in primitives_of(data, range(len(data)), configuration):
         features = primitives.pack().flatten(0, 1)
@@ -121,15 +109,15 @@ def feature_scaling(data: SequenceDataset, configuration: DartConfiguration) -> 
     mean = total / count
     floor = torch.cat([torch.full((n,), value) for n, value in _STD_FLOORS]).double()
     std = (squares / count - mean.square()).clamp_min(0.0).sqrt().maximum(floor)
-    return FeatureScaling(mean.float(), std.float())
+    return dart.FeatureScaling(mean.float(), std.float())
 
 
 def primitives_of(
     data: SequenceDataset,
     places: Sequence[int],
-    configuration: DartConfiguration,
+    configuration: dart.DartConfiguration,
     device: torch.device | str = "cpu",
-) -> Iterator[Frames]:
+) -> Iterator[dart.Frames]:
     """Yield the primitives of some motions, end to end from the first frame, each in its own frame of reference."""
     for first in range(0, len(places), _ITEMS_AT_ONCE):
         items = [data[place] for place in places[first : first + _ITEMS_AT_ONCE]]
@@ -141,7 +129,7 @@ def primitives_of(
             inside = cut.valid[:, number]
             if bool(inside.any()):
                 frames = cut.primitive(number, configuration.future_frames)
-                yield Frames(**{name: value[inside] for name, value in vars(frames).items()})
+                yield dart.Frames(**{name: value[inside] for name, value in vars(frames).items()})
 
 
 _PerMotion = Float[Tensor, " batch"]
@@ -209,7 +197,7 @@ def divergence(mean: Float[Tensor, "batch 1 latent"], log_variance: Float[Tensor
 
 
 def body_losses(
-    predicted: Frames, recorded: Frames, offsets: Float[Tensor, "batch 22 3"]
+    predicted: dart.Frames, recorded: dart.Frames, offsets: Float[Tensor, "batch 22 3"]
 ) -> tuple[_PerMotion, _PerMotion]:
     """Compare the joints that follow from predicted rotations with the recorded and with the predicted joints.
 
@@ -222,7 +210,7 @@ def body_losses(
     return huber(moved, recorded.joints), huber(predicted.joints, moved)
 
 
-def delta_loss(predicted: Frames, history: Frames) -> _PerMotion:
+def delta_loss(predicted: dart.Frames, history: dart.Frames) -> _PerMotion:
     """Compare deltas with the differences that they announce, from the last frame of the history on; sum of three.
 
     Args:
@@ -230,7 +218,7 @@ def delta_loss(predicted: Frames, history: Frames) -> _PerMotion:
         history: The frames before them, in the same frame of reference.
     """
     # The last frame of the history announces the step to the first predicted frame.
-    before = history.part(HISTORY_FRAMES - 1, HISTORY_FRAMES)
+    before = history.part(dart.HISTORY_FRAMES - 1, dart.HISTORY_FRAMES)
 
     def chain(name: str) -> Tensor:
         return torch.cat((getattr(before, name), getattr(predicted, name)), dim=1)
@@ -270,10 +258,10 @@ class DartTraining(TrainingModule):
 
     def __init__(
         self,
-        vae: PrimitiveVAE,
-        denoiser: LatentDenoiser,
+        vae: dart.PrimitiveVAE,
+        denoiser: dart.LatentDenoiser,
         *,
-        scaling: FeatureScaling,
+        scaling: dart.FeatureScaling,
         texts: TextVectors,
         objective: Objective,
         data: SequenceDataset,
@@ -317,7 +305,7 @@ class DartTraining(TrainingModule):
         self._measure_latents()
         texts = tuple(batch.text[row] for row in rows.tolist())
         hidden = torch.rand(len(texts), generator=generator) < self.objective.text_drop
-        text = pooled_texts(self.texts, texts).masked_fill(hidden[:, None], 0.0).to(device)
+        text = dart.pooled_texts(self.texts, texts).masked_fill(hidden[:, None], 0.0).to(device)
         # The decoder passes gradients on to the denoiser and gets none itself, so its optimiser leaves it alone.
         self.vae.requires_grad_(False)
         try:
@@ -348,17 +336,17 @@ class DartTraining(TrainingModule):
         self, cut: Window, text: Tensor | None, share_of_own: float, generator: torch.Generator
     ) -> dict[str, Tensor]:
         """Return the losses of the VAE, or with texts of the denoiser, averaged over primitives inside their motion."""
-        scaling = FeatureScaling(self.mean, self.std)
+        scaling = dart.FeatureScaling(self.mean, self.std)
         weights = self.objective
         device = cut.valid.device
         sums: dict[str, Tensor] = {}
         losses: dict[str, tuple[float, Tensor]] = {}
-        own: Frames | None = None
+        own: dart.Frames | None = None
         for number in range(weights.primitives):
             with torch.autocast(device.type, enabled=False):
                 recorded = cut.primitive(number, self.configuration.future_frames)
                 given = scaling.standardised(recorded)
-                history, future = given[:, :HISTORY_FRAMES], given[:, HISTORY_FRAMES:]
+                history, future = given[:, : dart.HISTORY_FRAMES], given[:, dart.HISTORY_FRAMES :]
                 # The future stays the recorded one, seen from the recorded history: the network learns to come back.
                 chosen = torch.rand(len(given), generator=generator).to(device) < share_of_own
                 if own is not None:
@@ -379,7 +367,7 @@ class DartTraining(TrainingModule):
                 reconstruction = huber(features.float(), future)
                 deltas = delta_loss(predicted, scaling.frames(history))
                 if text is None:
-                    following = recorded.part(HISTORY_FRAMES, recorded.joints.shape[1])
+                    following = recorded.part(dart.HISTORY_FRAMES, recorded.joints.shape[1])
                     body, consistency = body_losses(predicted, following, rest_offsets(recorded.joints[:, 0]))
                     losses = {
                         "reconstruction": (1.0, reconstruction),
@@ -390,7 +378,7 @@ class DartTraining(TrainingModule):
                     }
                     # Gradients do not run through the history: each primitive learns for itself.
                     ended = next_history(predicted)[0]
-                    own = Frames(**{name: value.detach() for name, value in vars(ended).items()})
+                    own = dart.Frames(**{name: value.detach() for name, value in vars(ended).items()})
                 else:
                     losses = {
                         "latent": (weights.latent_weight, huber(latent.float(), clean.float())),
@@ -408,7 +396,7 @@ class DartTraining(TrainingModule):
         return {"loss": loss, **{name: parts.get(name, torch.zeros_like(loss)).detach() for name in PARTS}}
 
     @torch.no_grad()
-    def _sampled_history(self, history: Tensor, text: Tensor, generator: torch.Generator) -> Frames:
+    def _sampled_history(self, history: Tensor, text: Tensor, generator: torch.Generator) -> dart.Frames:
         """Return end of a primitive from the whole sampling loop, as it will be at inference but without guidance."""
         was_training = self.denoiser.training
         self.denoiser.eval()
@@ -422,7 +410,7 @@ class DartTraining(TrainingModule):
         self.denoiser.train(was_training)
         features = self.vae.decode(latent * self.latent_std, history)
         with torch.autocast(history.device.type, enabled=False):
-            return next_history(FeatureScaling(self.mean, self.std).frames(features.float()))[0]
+            return next_history(dart.FeatureScaling(self.mean, self.std).frames(features.float()))[0]
 
     def _noisy(self, clean: Float[Tensor, "batch 1 latent"], generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Noisy latents and their diffusion steps, uniform."""
@@ -443,8 +431,10 @@ class DartTraining(TrainingModule):
         self.vae.eval()
         latents = []
         for frames in primitives_of(self.data, places, self.configuration, self.mean.device):
-            features = FeatureScaling(self.mean, self.std).standardised(frames)
-            latents.append(self.vae.encode(features[:, :HISTORY_FRAMES], features[:, HISTORY_FRAMES:])[0].float())
+            features = dart.FeatureScaling(self.mean, self.std).standardised(frames)
+            latents.append(
+                self.vae.encode(features[:, : dart.HISTORY_FRAMES], features[:, dart.HISTORY_FRAMES :])[0].float()
+            )
         self.latent_std.copy_(torch.cat(latents).std().clamp_min(1e-6))
 
     def weights(self) -> tuple[dict[str, Tensor], dict[str, str]]:
@@ -452,7 +442,7 @@ class DartTraining(TrainingModule):
         tensors = {f"vae.{name}": tensor for name, tensor in self.vae.state_dict().items()}
         tensors |= {f"denoiser.{name}": tensor for name, tensor in self.denoiser.state_dict().items()}
         tensors |= {"statistics.mean": self.mean, "statistics.std": self.std, "latent.std": self.latent_std}
-        metadata = weights_header(KIND, self.configuration, REPRESENTATION)
+        metadata = weights_header(dart.KIND, self.configuration, dart.REPRESENTATION)
         return tensors, metadata
 
     def hidden_matrices(self) -> tuple[nn.Parameter, ...]:
@@ -510,11 +500,11 @@ class DartTask:
             )
         # A wrong size of text vectors shows before any statistics are computed.
         texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
-        start = read_weights(initial, kind=KIND) if initial is not None else None
+        start = read_weights(initial, kind=dart.KIND) if initial is not None else None
         if objective.vae_share == 0 and start is None:
             raise UsageError("model.vae_share: 0 keeps the VAE of initial weights; give some with --init.")
-        vae = PrimitiveVAE(configuration)
-        denoiser = LatentDenoiser(configuration)
+        vae = dart.PrimitiveVAE(configuration)
+        denoiser = dart.LatentDenoiser(configuration)
         if start is not None:
             start.require_same(configuration, apart_from=FREE_TO_CHANGE)
             start.load_into(vae, "vae")
@@ -522,7 +512,7 @@ class DartTask:
         return DartTraining(
             vae,
             denoiser,
-            scaling=feature_scaling(data.train, configuration) if start is None else scaling_of(start),
+            scaling=feature_scaling(data.train, configuration) if start is None else dart.scaling_of(start),
             texts=texts,
             objective=objective,
             data=data.train,
@@ -533,10 +523,10 @@ class DartTask:
         )
 
 
-def read_model_table(model: Mapping[str, Any]) -> tuple[DartConfiguration, Objective]:
+def read_model_table(model: Mapping[str, Any]) -> tuple[dart.DartConfiguration, Objective]:
     """Split the table ``[model]`` into the networks and what they are trained for.
 
     Raises:
         UsageError: for an unknown key or an impossible value.
     """
-    return split_model_table(model, DartConfiguration, Objective)
+    return split_model_table(model, dart.DartConfiguration, Objective)

@@ -245,10 +245,7 @@ class ConditionScaling:
 
     @classmethod
     def of(
-        cls,
-        configuration: DenoiserConfiguration,
-        mean: Float[torch.Tensor, " size"],
-        std: Float[torch.Tensor, " size"],
+        cls, configuration: DenoiserConfiguration, mean: Float[torch.Tensor, " size"], std: Float[torch.Tensor, " size"]
     ) -> ConditionScaling:
         """Scale by the statistics of a training split, or by none if the configuration says so.
 

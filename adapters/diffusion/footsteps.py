@@ -46,11 +46,7 @@ class _Swing:
 
 
 def stepped(
-    wanted: Float[np.ndarray, "frames 2 3"],
-    stands: Bool[np.ndarray, "frames 2"],
-    fps: float,
-    *,
-    keeps_last: bool,
+    wanted: Float[np.ndarray, "frames 2 3"], stands: Bool[np.ndarray, "frames 2"], fps: float, *, keeps_last: bool
 ) -> Float[np.ndarray, "frames 2 3"]:
     """Toes that stand still on the floor or swing above it, close to where they are wanted.
 

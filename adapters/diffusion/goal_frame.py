@@ -335,9 +335,7 @@ def sight(
     return torch.cat(parts, dim=-1)
 
 
-def head_axes(
-    joints: Float[Tensor, "*batch 22 3"],
-) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
+def head_axes(joints: Float[Tensor, "*batch 22 3"]) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
     """Return the unit vectors that ``skeleton.head_forward`` mixes: forward without tilt, and neck to head."""
     up = _unit(joints[..., Joint.HEAD, :] - joints[..., Joint.NECK, :])
     left = joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :]

@@ -9,27 +9,9 @@ import torch
 from jaxtyping import Float, Int
 
 from prbench.contract import ConditionBatch, Cost, Motions
+from prbench_adapters.diffusion import generation, noise_optimisation
 from prbench_adapters.diffusion.configuration import EncodedCondition
-from prbench_adapters.diffusion.generation import (
-    Guided,
-    ModelBodies,
-    bone_lengths,
-    parts_of_similar_length,
-    require_lengths,
-    start_noise,
-    with_bone_lengths,
-)
 from prbench_adapters.diffusion.model import MotionModel, led_to_goal
-from prbench_adapters.diffusion.noise_optimisation import (
-    Joints,
-    Objective,
-    OptimisationSettings,
-    OptimisedMotions,
-    Targets,
-    Watch,
-    optimise,
-    prime_and_reach,
-)
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim
 
 Noise = Float[torch.Tensor, "batch frames features"]
@@ -55,7 +37,7 @@ class UnrolledChain:
         model: Any,
         condition: EncodedCondition,
         n_frames: Int[torch.Tensor, " batch"],
-        settings: OptimisationSettings,
+        settings: noise_optimisation.OptimisationSettings,
         *,
         lengths: Float[torch.Tensor, "batch 21"] | None = None,
         counter: list[int] | None = None,
@@ -63,14 +45,14 @@ class UnrolledChain:
         self._model, self._condition, self._n_frames = model, condition, n_frames
         self._settings, self._lengths, self._counter = settings, lengths, counter or [0]
         self._schedule = CosineSchedule(model.denoiser.configuration.diffusion_steps)
-        self._guided = Guided(model.denoiser, condition, n_frames, settings.guidance, reuse=True)
+        self._guided = generation.Guided(model.denoiser, condition, n_frames, settings.guidance, reuse=True)
 
     @property
     def network_passes(self) -> int:
         """Forward passes so far, a sequence: two a step with guidance, and those that are computed again."""
         return self._counter[0]
 
-    def __call__(self, noise: Noise) -> Joints:
+    def __call__(self, noise: Noise) -> noise_optimisation.Joints:
         """Joints of every sequence, canonical frame, metres."""
         settings = self._settings
         clean = sample_ddim(
@@ -82,7 +64,7 @@ class UnrolledChain:
             checkpointing=settings.checkpointing,
         )
         joints = self._model.joints(clean, self._condition, self._n_frames)
-        return joints if self._lengths is None else with_bone_lengths(joints, self._lengths)
+        return joints if self._lengths is None else generation.with_bone_lengths(joints, self._lengths)
 
     def rows(self, index: Int[torch.Tensor, " kept"]) -> UnrolledChain:
         """Return the chain of some of the sequences; passes are counted together."""
@@ -103,15 +85,15 @@ class UnrolledChain:
 def optimise_noise(
     model: Any,
     condition: EncodedCondition,
-    targets: Targets,
+    targets: noise_optimisation.Targets,
     n_frames: Int[torch.Tensor, " batch"],
     noise: Float[torch.Tensor, "batch frames features"],
-    settings: OptimisationSettings,
+    settings: noise_optimisation.OptimisationSettings,
     *,
     seeds: Sequence[int],
-    objective: Objective = prime_and_reach,
-    watch: Watch | None = None,
-) -> OptimisedMotions:
+    objective: noise_optimisation.Objective = noise_optimisation.prime_and_reach,
+    watch: noise_optimisation.Watch | None = None,
+) -> noise_optimisation.OptimisedMotions:
     """Optimise the noise of B sequences, in parts of similar length.
 
     Args:
@@ -126,24 +108,24 @@ def optimise_noise(
         watch: Called in every iteration of each part.
     """
     batch, frames = noise.shape[:2]
-    found = OptimisedMotions(
+    found = noise_optimisation.OptimisedMotions(
         noise.new_zeros((batch, frames, 22, 3)),
         noise.clone(),
         noise.new_zeros(batch),
         noise.new_zeros(batch),
         torch.zeros(batch, dtype=torch.int64),
     )
-    for rows in parts_of_similar_length(n_frames.numpy(), settings.batch_size):
+    for rows in generation.parts_of_similar_length(n_frames.numpy(), settings.batch_size):
         own = n_frames[torch.as_tensor(rows)]
         index = torch.as_tensor(rows, device=noise.device)
         wanted = targets.rows(index)
-        bones = bone_lengths(wanted.initial_joints) if settings.bones == "initial" else None
+        bones = generation.bone_lengths(wanted.initial_joints) if settings.bones == "initial" else None
         # A chain for each part, because the condition is prepared for its rows once and for all iterations.
         chain = UnrolledChain(model, condition.rows(index), own, settings, lengths=bones)
         start = noise[index, : int(own.max())]
         seeds_here = [seeds[row] for row in rows]
         lengths = own.to(noise.device)
-        part = optimise(chain, objective, wanted, start, lengths, seeds_here, settings, watch=watch)
+        part = noise_optimisation.optimise(chain, objective, wanted, start, lengths, seeds_here, settings, watch=watch)
         found.joints[rows, : start.shape[1]] = part.joints
         found.noise[rows, : start.shape[1]] = part.noise
         found.initial[rows], found.goal[rows] = part.initial, part.goal
@@ -154,9 +136,9 @@ def optimise_noise(
 def generate_optimised(
     model: MotionModel,
     batch: ConditionBatch,
-    settings: OptimisationSettings,
+    settings: noise_optimisation.OptimisationSettings,
     *,
-    objective: Objective = prime_and_reach,
+    objective: noise_optimisation.Objective = noise_optimisation.prime_and_reach,
     texts: tuple[str, ...] | None = None,
 ) -> Motions:
     """Sample one motion for each row and optimise its noise.
@@ -171,8 +153,8 @@ def generate_optimised(
     Raises:
         AdapterError: if a sequence is longer than the model knows.
     """
-    require_lengths(batch, model.configuration.max_frames)
-    bodies = ModelBodies.of(batch, model.configuration)
+    generation.require_lengths(batch, model.configuration.max_frames)
+    bodies = generation.ModelBodies.of(batch, model.configuration)
     condition = model.encode(bodies.batch, texts=texts)
     n_frames = torch.as_tensor(batch.n_frames)
     found = optimise_noise(
@@ -180,7 +162,7 @@ def generate_optimised(
         condition,
         targets_of(bodies.batch, model.device),
         n_frames,
-        start_noise(batch.noise_seed, batch.n_frames, model.device, columns=model.configuration.n_features),
+        generation.start_noise(batch.noise_seed, batch.n_frames, model.device, columns=model.configuration.n_features),
         settings,
         seeds=batch.noise_seed,
         objective=objective,
@@ -192,7 +174,7 @@ def generate_optimised(
     return Motions(bodies.own(joints.cpu().numpy()), batch.n_frames, cost)
 
 
-def targets_of(batch: ConditionBatch, device: torch.device) -> Targets:
+def targets_of(batch: ConditionBatch, device: torch.device) -> noise_optimisation.Targets:
     """Return initial state and goal of a batch as tensors.
 
     Raises:
@@ -205,4 +187,4 @@ def targets_of(batch: ConditionBatch, device: torch.device) -> Targets:
     tensors = {
         name: torch.as_tensor(v, dtype=torch.float32, device=device) for name, v in given.items() if v is not None
     }
-    return Targets(**tensors)
+    return noise_optimisation.Targets(**tensors)

@@ -10,10 +10,7 @@ from typing import Any, cast
 import torch
 
 from prbench.errors import UsageError
-from prbench_adapters.diffusion.configuration import (
-    ConditionScaling,
-    DenoiserConfiguration,
-)
+from prbench_adapters.diffusion.configuration import ConditionScaling, DenoiserConfiguration
 from prbench_adapters.diffusion.goal_frame import GoalFrame, seen_condition
 from prbench_adapters.diffusion.model import KIND, TextVectors, network, stored_scaling, stored_statistics
 from prbench_adapters.diffusion.training import DiffusionTraining, Objective, raw_condition_of_items

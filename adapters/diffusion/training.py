@@ -167,9 +167,7 @@ def _squared(
 
 
 def scored_losses(
-    objective: Objective,
-    predicted: Float[torch.Tensor, "batch frames 22 3"],
-    batch: MotionBatch,
+    objective: Objective, predicted: Float[torch.Tensor, "batch frames 22 3"], batch: MotionBatch
 ) -> dict[str, torch.Tensor]:
     """Return the weighted sum ``loss`` of those of :mod:`.scored_losses` that have a weight, and these, unweighted.
 

@@ -15,28 +15,11 @@ import torch
 
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
 from prbench.geometry.skeleton import N_JOINTS
-from prbench_adapters.diffusion.generation import (
-    ModelBodies,
-    SequenceNoise,
-    choice,
-    number,
-    on_own_bones,
-    parts_of_similar_length,
-    require_known,
-    require_lengths,
-    whole_number,
-)
+from prbench_adapters.diffusion import generation
 from prbench_adapters.diffusion.goal_frame import smoothed
 from prbench_adapters.diffusion.method import SingleModelMethod, own_weights, require_goals_within_reach
 from prbench_adapters.gmd.model import GMDModel, decode_absolute
-from prbench_adapters.gmd.sampling import (
-    Ends,
-    GMDSettings,
-    GuidedNetwork,
-    Keyframes,
-    sample_motion,
-    sample_trajectory,
-)
+from prbench_adapters.gmd.sampling import Ends, GMDSettings, GuidedNetwork, Keyframes, sample_motion, sample_trajectory
 
 _OPTIONS = ("guidance", "goal-scale", "keyframes", "steps", "bones", "text-path")
 _LARGEST_PART = {"cpu": 16}  # sequences in one pass; their activations are kept for the gradient
@@ -80,15 +63,15 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> GM
         InputFileError: if the file is not one of GMD.
         ValueError: for options that are unknown or have impossible values.
     """
-    require_known(options, _OPTIONS)
+    generation.require_known(options, _OPTIONS)
     path = own_weights(GMD.name, weights)
     model = GMDModel.load(path, device, text_path=options.get("text-path"))
     settings = GMDSettings(
-        guidance=number(options, "guidance", GMDSettings.guidance),
-        goal_scale=number(options, "goal-scale", GMDSettings.goal_scale),
-        keyframes=cast("Keyframes", choice(options, "keyframes", ("root", "pose"))),
-        steps=whole_number(options, "steps", most=model.configuration.diffusion_steps),
-        bones="initial" if choice(options, "bones", ("predicted", "initial")) == "initial" else "predicted",
+        guidance=generation.number(options, "guidance", GMDSettings.guidance),
+        goal_scale=generation.number(options, "goal-scale", GMDSettings.goal_scale),
+        keyframes=cast("Keyframes", generation.choice(options, "keyframes", ("root", "pose"))),
+        steps=generation.whole_number(options, "steps", most=model.configuration.diffusion_steps),
+        bones="initial" if generation.choice(options, "bones", ("predicted", "initial")) == "initial" else "predicted",
     )
     return GMD(model, path, settings)
 
@@ -101,8 +84,8 @@ def generate(model: GMDModel, batch: ConditionBatch, settings: GMDSettings) -> M
     Raises:
         AdapterError: if a sequence is longer than the model knows.
     """
-    require_lengths(batch, model.configuration.max_frames)
-    bodies = ModelBodies.of(batch, model.configuration)
+    generation.require_lengths(batch, model.configuration.max_frames)
+    bodies = generation.ModelBodies.of(batch, model.configuration)
     given = bodies.batch
     assert given.initial_joints is not None
     assert given.goal_joints is not None
@@ -115,11 +98,11 @@ def generate(model: GMDModel, batch: ConditionBatch, settings: GMDSettings) -> M
     parts = []
     for window in np.unique(windows):
         rows = np.flatnonzero(windows == window)
-        parts += [rows[part] for part in parts_of_similar_length(batch.n_frames[rows], largest)]
+        parts += [rows[part] for part in generation.parts_of_similar_length(batch.n_frames[rows], largest)]
     for rows in parts:
         n_frames = torch.as_tensor(given.n_frames[rows], device=model.device)
         ends = Ends(_tensor(given.initial_joints[rows], model), _tensor(given.goal_joints[rows], model), n_frames)
-        noise = SequenceNoise([given.noise_seed[row] for row in rows], given.n_frames[rows], model.device)
+        noise = generation.SequenceNoise([given.noise_seed[row] for row in rows], given.n_frames[rows], model.device)
         text = model.encode(tuple(given.text[row] for row in rows))
         window = model.configuration.window(int(n_frames.max()))
         trajectory_network, motion_network = (
@@ -135,7 +118,7 @@ def generate(model: GMDModel, batch: ConditionBatch, settings: GMDSettings) -> M
         joints[rows, : own.shape[1]] = own
         passes += trajectory_network.passes + motion_network.passes
     motions = Motions(bodies.own(joints), batch.n_frames, Cost(passes))
-    return on_own_bones(motions, batch) if settings.bones == "initial" else motions
+    return generation.on_own_bones(motions, batch) if settings.bones == "initial" else motions
 
 
 def _tensor(values: np.ndarray, model: GMDModel) -> torch.Tensor:

@@ -9,12 +9,8 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from prbench.errors import PrbenchError
-
-if TYPE_CHECKING:
-    from prbench_adapters.gmd.public_weights import Imported
 
 _EXAMPLE = """\
 example, in a clone of the original's repository with both checkpoints unpacked in save/:
@@ -32,23 +28,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         0 on success; the ``exit_code`` of a :class:`PrbenchError`; 130 after Ctrl-C.
     """
-    given = _parser().parse_args(arguments)
-    try:
-        from prbench_adapters.gmd.public_weights import PublicFiles, import_public  # late: torch
-
-        mean, std = given.statistics
-        files = PublicFiles(given.motion, given.trajectory, mean, std, given.projection)
-        _report(import_public(files, given.out), given.out)
-    except PrbenchError as error:
-        print(f"import_public: {error}", file=sys.stderr)  # noqa: T201 - a command
-        return error.exit_code
-    except KeyboardInterrupt:
-        print("import_public: interrupted; nothing was written.", file=sys.stderr)  # noqa: T201
-        return 130
-    return 0
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m prbench_adapters.gmd.import_public",
         description="Turn the public checkpoints of GMD into weights for `prbench run --method gmd`. No code that a"
@@ -72,10 +51,20 @@ def _parser() -> argparse.ArgumentParser:
         "--projection", type=Path, required=True, metavar="FILE.npy", help="the emphasis projection, not its inverse"
     )
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.safetensors", help="the weights to write")
-    return parser
+    given = parser.parse_args(arguments)
+    try:
+        from prbench_adapters.gmd.public_weights import PublicFiles, import_public  # late: torch
 
-
-def _report(imported: Imported, out: Path) -> None:
+        mean, std = given.statistics
+        files = PublicFiles(given.motion, given.trajectory, mean, std, given.projection)
+        imported = import_public(files, given.out)
+    except PrbenchError as error:
+        print(f"import_public: {error}", file=sys.stderr)  # noqa: T201 - a command
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("import_public: interrupted; nothing was written.", file=sys.stderr)  # noqa: T201
+        return 130
+    out = given.out
     sizes = imported.configuration
     lines = [
         f"motion network: {', '.join(map(str, sizes.motion_widths))} channels, copy '{imported.copies['motion']}'",
@@ -87,6 +76,7 @@ def _report(imported: Imported, out: Path) -> None:
         f"next: prbench run --method gmd --condition goal-pose --weights {out}",
     ]
     print("\n".join(lines))  # noqa: T201
+    return 0
 
 
 if __name__ == "__main__":

@@ -40,9 +40,7 @@ _EMPHASISED = 3
 _DRAW = 13
 
 
-def with_absolute_root(
-    features: Float[Tensor, "*batch frames 263"],
-) -> Float[Tensor, "*batch frames 263"]:
+def with_absolute_root(features: Float[Tensor, "*batch frames 263"]) -> Float[Tensor, "*batch frames 263"]:
     """Replace the steps of the root, columns 0 to 2, by where they lead from the origin."""
     steps = pad(features[..., :-1, : ROOT_XZ.stop].movedim(-1, 0), (1, 0))  # each frame's step from the one before
     # The column holds half of each frame's turn, and sums of halves are half of the sum.
@@ -338,9 +336,7 @@ class _ConvBlock(nn.Module):
             _set_to_zero(self.convolution)
 
     def forward(
-        self,
-        stream: Float[Tensor, "batch channels frames"],
-        scale_shift: tuple[Tensor, Tensor] | None = None,
+        self, stream: Float[Tensor, "batch channels frames"], scale_shift: tuple[Tensor, Tensor] | None = None
     ) -> Float[Tensor, "batch width frames"]:
         """Apply the block; ``scale_shift`` are (batch, width) each."""
         stream = self.norm(self.convolution(stream))

@@ -60,10 +60,7 @@ Imputed = tuple[Float[Tensor, "batch frames columns"], Bool[Tensor, "batch frame
 
 
 def clean_of_noise(
-    chain: Chain,
-    i: int,
-    state: Float[Tensor, "batch frames columns"],
-    noise: Float[Tensor, "batch frames columns"],
+    chain: Chain, i: int, state: Float[Tensor, "batch frames columns"], noise: Float[Tensor, "batch frames columns"]
 ) -> Float[Tensor, "batch frames columns"]:
     """Return the clean estimate that belongs to an estimate of the noise, cut at six standard deviations."""
     level = float(chain.alphas_cumprod[i])

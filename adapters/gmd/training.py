@@ -17,19 +17,7 @@ from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.diffusion.training import Draw, losses, scored_losses
 from prbench_adapters.diffusion.training import Objective as DenoiserObjective
-from prbench_adapters.gmd.model import (
-    KIND,
-    N_ROOT,
-    FeatureSpace,
-    GMDConfiguration,
-    GMDNetworks,
-    TemporalUNet,
-    caption_vectors,
-    decode_absolute,
-    emphasis_projection,
-    stored_space,
-    with_absolute_root,
-)
+from prbench_adapters.gmd import model as gmd
 from prbench_adapters.training import MotionBatch
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import origin_of, read_weights, representation_entry, weights_header
@@ -75,9 +63,9 @@ class GMDTraining(TrainingModule):
 
     def __init__(
         self,
-        networks: GMDNetworks,
+        networks: gmd.GMDNetworks,
         *,
-        space: FeatureSpace,
+        space: gmd.FeatureSpace,
         texts: TextVectors,
         objective: Objective,
         origin: tuple[str, ...] = (),
@@ -101,17 +89,17 @@ class GMDTraining(TrainingModule):
         """
         with torch.autocast(batch.features.device.type, enabled=False):
             space = self.space(batch.features.device)
-            raw = with_absolute_root(batch.features)
+            raw = gmd.with_absolute_root(batch.features)
             # Before the projection, which mixes columns and would spread what stands in padding.
             standardised = space.standardised(raw).masked_fill(batch.padding[..., None], 0.0)
             projected = space.projected(standardised)
-        text = caption_vectors(self.texts, batch.text).to(batch.features.device, non_blocking=True)
+        text = gmd.caption_vectors(self.texts, batch.text).to(batch.features.device, non_blocking=True)
         generator = self.generator(step)
         # Two draws: the networks learn from different steps and noise, as if they were trained apart.
         motion = self.draw(projected, generator)
-        trajectory = self.draw(standardised[..., :N_ROOT], generator)
+        trajectory = self.draw(standardised[..., : gmd.N_ROOT], generator)
         clean = self._predicted(self.networks.motion, projected, motion, text, batch)
-        noise = self._predicted(self.networks.trajectory, standardised[..., :N_ROOT], trajectory, text, batch)
+        noise = self._predicted(self.networks.trajectory, standardised[..., : gmd.N_ROOT], trajectory, text, batch)
         with torch.autocast(batch.features.device.type, enabled=False):  # turned back into metres: float32 only
             found = self._motion_losses(clean, projected, batch, space)
             error = noise - trajectory.noise
@@ -127,7 +115,7 @@ class GMDTraining(TrainingModule):
         }
 
     def _motion_losses(
-        self, clean: torch.Tensor, projected: torch.Tensor, batch: MotionBatch, space: FeatureSpace
+        self, clean: torch.Tensor, projected: torch.Tensor, batch: MotionBatch, space: gmd.FeatureSpace
     ) -> dict[str, torch.Tensor]:
         """Return the motion network's weighted losses: of projected features, and of the joints that they decode to."""
         objective = DenoiserObjective(
@@ -140,7 +128,7 @@ class GMDTraining(TrainingModule):
             loss = _mean_squared(clean - projected, batch.padding)
             return {"loss": loss, "features": loss.detach()}
         raw = space.restored(space.unprojected(clean))
-        joints = decode_absolute(smoothed(raw, batch.n_frames) if self.configuration.smoothed else raw)
+        joints = gmd.decode_absolute(smoothed(raw, batch.n_frames) if self.configuration.smoothed else raw)
         found = losses(objective, clean, projected, joints, batch.joints, batch.padding)
         scored = scored_losses(objective, joints, batch)
         return {**found, **scored, "loss": found["loss"] + scored["loss"]}
@@ -154,14 +142,14 @@ class GMDTraining(TrainingModule):
         return Draw(*(values.to(clean.device, non_blocking=True) for values in (step, without_text, noise)))
 
     def _predicted(
-        self, network: TemporalUNet, clean: torch.Tensor, draw: Draw, text: torch.Tensor, batch: MotionBatch
+        self, network: gmd.TemporalUNet, clean: torch.Tensor, draw: Draw, text: torch.Tensor, batch: MotionBatch
     ) -> torch.Tensor:
         noisy = self.signal[draw.step][:, None, None] * clean + self.noise[draw.step][:, None, None] * draw.noise
         text = text.masked_fill(draw.without_text[:, None], 0.0)
         window = self.configuration.window(clean.shape[1])
         return network(noisy, draw.step, text, batch.n_frames, window=window).float()
 
-    def space(self, device: torch.device) -> FeatureSpace:
+    def space(self, device: torch.device) -> gmd.FeatureSpace:
         """Statistics and projection on a device; a resumed run makes them anew, so no checkpoint holds them."""
         if self._space.mean.device != device:
             self._space = self._space.to(device)
@@ -176,7 +164,7 @@ class GMDTraining(TrainingModule):
         tensors = {f"networks.{name}": tensor for name, tensor in self.networks.state_dict().items()}
         space = self._space
         tensors |= {"statistics.mean": space.mean, "statistics.std": space.std, "projection": space.projection}
-        metadata = weights_header(KIND, self.configuration, representation_entry(self.configuration.representation))
+        metadata = weights_header(gmd.KIND, self.configuration, representation_entry(self.configuration.representation))
         return tensors, metadata
 
 
@@ -224,28 +212,28 @@ class GMDTask:
             max_frames=configuration.max_frames,
         )
         texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
-        start = read_weights(initial, kind=KIND) if initial is not None else None
-        networks = GMDNetworks(configuration)
+        start = read_weights(initial, kind=gmd.KIND) if initial is not None else None
+        networks = gmd.GMDNetworks(configuration)
         if start is not None:
             start.require_same(configuration, apart_from=FREE_TO_CHANGE)
             start.load_into(networks, "networks")
-            space = stored_space(start)
+            space = gmd.stored_space(start)
         else:
             # Statistics of the training split with absolute roots; x and z of the root share one deviation.
             accumulator = StatisticsAccumulator()
             for index in range(len(data.train)):
-                accumulator.add(with_absolute_root(torch.tensor(data.train[index].features)).numpy())
+                accumulator.add(gmd.with_absolute_root(torch.tensor(data.train[index].features)).numpy())
             found = accumulator.result()
-            projection = emphasis_projection(configuration.emphasis)
-            space = FeatureSpace.of(torch.as_tensor(found.mean), torch.as_tensor(found.std), projection)
+            projection = gmd.emphasis_projection(configuration.emphasis)
+            space = gmd.FeatureSpace.of(torch.as_tensor(found.mean), torch.as_tensor(found.std), projection)
         origin = (texts.origin, *origin_of(start))
         return GMDTraining(networks, space=space, texts=texts, objective=objective, origin=origin)
 
 
-def read_model_table(model: Mapping[str, Any]) -> tuple[GMDConfiguration, Objective]:
+def read_model_table(model: Mapping[str, Any]) -> tuple[gmd.GMDConfiguration, Objective]:
     """Split the table ``[model]`` into the networks and what they are trained for.
 
     Raises:
         UsageError: for an unknown key or a value of a wrong kind.
     """
-    return split_model_table(model, GMDConfiguration, Objective)
+    return split_model_table(model, gmd.GMDConfiguration, Objective)

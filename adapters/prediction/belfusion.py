@@ -20,18 +20,7 @@ from torch.nn.utils.parametrizations import weight_norm
 
 from prbench_adapters.diffusion.denoiser import sinusoid_table
 from prbench_adapters.diffusion.sampling import Chain, ddim_factors
-from prbench_adapters.prediction.recurrent import (
-    Futures,
-    Losses,
-    Observed,
-    PoseDecoder,
-    Seeds,
-    from_zero,
-    gaussian_kl,
-    last_state,
-    latent_noise,
-    require_sizes,
-)
+from prbench_adapters.prediction import recurrent
 
 Motion = Float[Tensor, "windows frames joints 3"]
 Behaviour = Float[Tensor, "windows behaviour"]
@@ -132,7 +121,7 @@ class LatentUNet(nn.Module):
                     stage.append(_Block(width, width, embedding, "double"))
                 self.up.append(nn.ModuleList(stage))
                 inputs = width
-        output = from_zero(nn.Conv2d(inputs, 1, 3, padding=1))
+        output = recurrent.from_zero(nn.Conv2d(inputs, 1, 3, padding=1))
         self.output = nn.Sequential(nn.GroupNorm(_GROUPS, inputs), nn.SiLU(), output)
         table = sinusoid_table(configuration.steps, channels)
         self.register_buffer("sinusoid", torch.cat([table[:, 1::2], table[:, ::2]], dim=1), persistent=False)
@@ -174,7 +163,7 @@ class _Block(nn.Module):
         self.first = nn.Conv2d(inputs, outputs, 3, padding=1)
         self.scale_shift = nn.Linear(embedding, 2 * outputs)
         self.second_norm = nn.GroupNorm(_GROUPS, outputs)
-        self.second = from_zero(nn.Conv2d(outputs, outputs, 3, padding=1))
+        self.second = recurrent.from_zero(nn.Conv2d(outputs, outputs, 3, padding=1))
         self.skip = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
 
     def forward(self, stream: Image, embedding: Tensor) -> Tensor:
@@ -199,7 +188,7 @@ class _Attention(nn.Module):
         self.heads = channels // head_channels
         self.norm = nn.GroupNorm(_GROUPS, channels)
         self.query_key_value = nn.Conv1d(channels, 3 * channels, 1)
-        self.output = from_zero(nn.Conv1d(channels, channels, 1))
+        self.output = recurrent.from_zero(nn.Conv1d(channels, channels, 1))
 
     def forward(self, stream: Image, embedding: Tensor) -> Image:  # noqa: ARG002 - called like a block
         """Let each place of the stream look at all others; the embedding of the diffusion step has no part in it."""
@@ -238,7 +227,7 @@ class BehaviourConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
 
     def __post_init__(self) -> None:
         sizes = ("n_joints", "observed", "predicted", "context", "past", "behaviour", "decoder", "context_width")
-        require_sizes(self, *sizes)
+        recurrent.require_sizes(self, *sizes)
         if self.context > self.observed:
             raise ValueError(f"'context' must be at most the {self.observed} observed frames, found {self.context}")
 
@@ -260,11 +249,11 @@ class PastAutoencoder(nn.Module):
         self.configuration = configuration
         values, past = configuration.values, configuration.past
         self.encoder = nn.GRU(values, past, batch_first=True)
-        self.decoder = PoseDecoder(past, past, past, configuration.mlp, values)
+        self.decoder = recurrent.PoseDecoder(past, past, past, configuration.mlp, values)
 
     def code(self, observed: Motion) -> Past:
         """Return the code of observed frames in metres."""
-        return last_state(self.encoder, observed.flatten(2))
+        return recurrent.last_state(self.encoder, observed.flatten(2))
 
     def forward(self, motion: Motion) -> Motion:
         """Return the first frame as it is, and the others from their code."""
@@ -303,7 +292,7 @@ class BehaviourAutoencoder(nn.Module):
 
     def encode(self, sequence: Motion) -> tuple[Behaviour, Behaviour]:
         """Mean and logarithm of the deviation of the behaviour of context and future."""
-        hidden = last_state(self.encoder, sequence.flatten(2))
+        hidden = recurrent.last_state(self.encoder, sequence.flatten(2))
         return self.mean(hidden), self.log_deviation(hidden)
 
     def draw(self, sequence: Motion, noise: Behaviour) -> Behaviour:
@@ -311,7 +300,7 @@ class BehaviourAutoencoder(nn.Module):
         mean, log_deviation = self.encode(sequence)
         return mean + log_deviation.exp() * noise
 
-    def decode(self, context: Motion, behaviour: Behaviours) -> Futures:
+    def decode(self, context: Motion, behaviour: Behaviours) -> recurrent.Futures:
         """Futures that go on from the context, which is encoded once a window."""
         samples = behaviour.shape[1]
         flat = context.flatten(2)
@@ -327,7 +316,7 @@ class BehaviourAutoencoder(nn.Module):
         steps = behaviour[:, None].expand(-1, frames, -1)
         return self.auxiliary_pose(self.auxiliary(steps)[0]).unflatten(-1, (-1, 3))
 
-    def loss(self, sequence: Motion, noise: Behaviour, *, coupler_alone: bool = False) -> Losses:
+    def loss(self, sequence: Motion, noise: Behaviour, *, coupler_alone: bool = False) -> recurrent.Losses:
         """Return the published losses of encoder, coupler and auxiliary decoder in one, m² a window.
 
         Args:
@@ -347,7 +336,7 @@ class BehaviourAutoencoder(nn.Module):
         if coupler_alone:
             return {"loss": squared_error, "squared_error": squared_error}
         # The published program puts the logarithm of the deviation where that of the variance belongs.
-        kl = gaussian_kl(mean, log_deviation).sum() / n
+        kl = recurrent.gaussian_kl(mean, log_deviation).sum() / n
         # The same number as `behaviour`, of whose gradient 1 - delta goes on: the auxiliary decoder learns from its
         # whole error, and the encoder from what the published program leaves of it, which makes it hide the poses.
         hidden = behaviour.detach() + (1.0 - self.configuration.delta) * (behaviour - behaviour.detach())
@@ -406,7 +395,7 @@ class BeLFusion(nn.Module):
         self.behaviour_min: Tensor
         self.behaviour_max: Tensor
 
-    def condition(self, observed: Observed) -> Past:
+    def condition(self, observed: recurrent.Observed) -> Past:
         """Return the code of the past, ±1 over the training windows."""
         return _scaled(self.past.code(observed), self.past_min, self.past_max)
 
@@ -415,7 +404,7 @@ class BeLFusion(nn.Module):
         drawn = self.behaviour.draw(motion[:, self._context_start :], noise)
         return _scaled(drawn, self.behaviour_min, self.behaviour_max)
 
-    def decode(self, observed: Observed, latent: Behaviours) -> Futures:
+    def decode(self, observed: recurrent.Observed, latent: Behaviours) -> recurrent.Futures:
         """Futures of scaled behaviours."""
         behaviour = (latent + 1.0) / 2.0 * (self.behaviour_max - self.behaviour_min) + self.behaviour_min
         return self.behaviour.decode(observed[:, self._context_start :], behaviour)
@@ -449,9 +438,9 @@ class BeLFusion(nn.Module):
         return {"loss": latent + self.decoded_weight * decoded, "latent": latent, "decoded": decoded}
 
     @torch.no_grad()
-    def predict(self, observed: Observed, seeds: Seeds) -> Futures:
+    def predict(self, observed: recurrent.Observed, seeds: recurrent.Seeds) -> recurrent.Futures:
         """Draw continuations."""
-        start = latent_noise(seeds, self.configuration.behaviour, observed)
+        start = recurrent.latent_noise(seeds, self.configuration.behaviour, observed)
         *_, (_, clean) = self.states(start, self.condition(observed))
         return self.decode(observed, clean)
 

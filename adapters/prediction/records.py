@@ -18,57 +18,11 @@ from prbench_adapters.prediction.belfusion import (
 from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion
 from prbench_adapters.prediction.configuration import DiffusionConfiguration
 from prbench_adapters.prediction.recurrent import CVAE, CVAEConfiguration, DLow, DLowConfiguration
-from prbench_adapters.training.batches import WindowsDataset
+from prbench_adapters.training.batches import SeenWindows
 from prbench_adapters.training.weights import Weights, weights_header
-from prbench_benchmarks.motion_prediction.batch import Condition
-from prbench_benchmarks.motion_prediction.joint_sets import JointSet, joint_set
-from prbench_benchmarks.motion_prediction.protocol import FrameName
 
 Sizes = TypeVar("Sizes", bound=msgspec.Struct)
 PredictorNetwork = CoefficientDiffusion | CVAE | DLow | BeLFusion
-
-
-class SeenWindows(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The windows that a network was trained on, and the only ones that it can predict."""
-
-    condition: Condition
-    frame: FrameName
-    joint_set: str
-    fps: float
-    observed: int
-    predicted: int
-
-    @classmethod
-    def of(cls, data: WindowsDataset) -> SeenWindows:
-        """Return those of a training split."""
-        return cls(
-            condition=data.choice.condition,
-            frame=data.choice.frame,
-            joint_set=data.shape.joint_set,
-            fps=data.shape.fps,
-            observed=data.shape.observed,
-            predicted=data.shape.predicted,
-        )
-
-    @property
-    def joints(self) -> JointSet:
-        """The joints by name."""
-        return joint_set(self.joint_set)
-
-    @property
-    def n_joints(self) -> int:
-        """Number of joints."""
-        return len(self.joints.names)
-
-    @property
-    def direction(self) -> bool:
-        """True if a direction stands behind the joints."""
-        return self.condition is not Condition.POSE
-
-    @property
-    def nodes(self) -> int:
-        """Joints, and the direction if there is one."""
-        return self.n_joints + self.direction
 
 
 class Autoencoders(nn.Module):

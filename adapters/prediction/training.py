@@ -332,7 +332,7 @@ class PredictorTask:
         """
         course = _converted(model.get("rate", {}), RateCourse, "model.rate")
         sizes = {key: value for key, value in model.items() if key not in ("windows", "rate")}
-        seen = SeenWindows.of(data)
+        seen = data.shape
         if self.name == "dlow":
             return _dlow(sizes, seen, course, initial)
         if self.name == "belfusion" and stage == STAGES_OF_BELFUSION[0]:

@@ -11,15 +11,10 @@ if TYPE_CHECKING:
     from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask
 
 _HOMES = {
-    "LengthBatches": "prbench_adapters.training.batches",
-    "MotionBatch": "prbench_adapters.training.dataset",
-    "MotionItem": "prbench_adapters.training.dataset",
-    "SequenceDataset": "prbench_adapters.training.dataset",
-    "TrainingData": "prbench_adapters.training.task",
-    "TrainingModule": "prbench_adapters.training.task",
-    "TrainingTask": "prbench_adapters.training.task",
-    "collate": "prbench_adapters.training.dataset",
-    "fit": "prbench_adapters.training.loop",
+    "batches": ("LengthBatches",),
+    "dataset": ("MotionBatch", "MotionItem", "SequenceDataset", "collate"),
+    "loop": ("fit",),
+    "task": ("TrainingData", "TrainingModule", "TrainingTask"),
 }
 
 __all__ = [
@@ -37,8 +32,9 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that the command line can list tasks without torch."""
-    if name not in _HOMES:
+    home = next((module for module, names in _HOMES.items() if name in names), None)
+    if home is None:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     import importlib
 
-    return getattr(importlib.import_module(_HOMES[name]), name)
+    return getattr(importlib.import_module(f"{__name__}.{home}"), name)

@@ -76,17 +76,11 @@ def load_ablations() -> tuple[Ablation, ...]:
     """All rows, in the order of the study's tables."""
     content = tomllib.loads(_read("prbench_benchmarks.prime_and_reach", "ablations.toml"))
     full = content["full"]
-    return tuple(
-        Ablation(
-            row["table"],
-            row.get("condition", full["condition"]),
-            row["variant"],
-            full["model"] | row.get("model", {}),
-            full["options"] | row.get("options", {}),
-            row.get("pretraining", full["pretraining"]),
-        )
-        for row in content["row"]
-    )
+    rows = []
+    for row in content["row"]:
+        changed = {key: full[key] | row.get(key, {}) for key in ("model", "options")}
+        rows.append(Ablation(**full | row | changed))
+    return tuple(rows)
 
 
 @cache

@@ -52,10 +52,11 @@ class WindowChoice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     left_out: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class WindowShape:
-    """What all windows of a training have in common."""
+class SeenWindows(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The windows that a network was trained on, and the only ones that it can predict."""
 
+    condition: Condition
+    frame: FrameName
     joint_set: str
     fps: float
     observed: int
@@ -71,6 +72,21 @@ class WindowShape:
         """The joints by name."""
         return joint_set(self.joint_set)
 
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return len(self.joints.names)
+
+    @property
+    def direction(self) -> bool:
+        """True if a direction stands behind the joints."""
+        return self.condition is not Condition.POSE
+
+    @property
+    def nodes(self) -> int:
+        """Joints, and the direction if there is one."""
+        return self.n_joints + self.direction
+
 
 @dataclass(frozen=True)
 class WindowItem:
@@ -83,8 +99,7 @@ class WindowItem:
     joints: Float[np.ndarray, "frames joints 3"]
     direction: Float[np.ndarray, "frames 3"] | None
     direction_valid: Bool[np.ndarray, " frames"]
-    shape: WindowShape
-    frame: FrameName
+    shape: SeenWindows
 
 
 @dataclass(frozen=True)
@@ -120,7 +135,7 @@ def collate_windows(items: Sequence[WindowItem]) -> WindowBatch:
     joints = np.stack([item.joints for item in items]).astype(np.float64)
     last = shape.observed - 1
     batch_from_room = np.tile(np.eye(4), (len(items), 1, 1))
-    if items[0].frame == "last-pose":
+    if shape.frame == "last-pose":
         batch_from_room = invert_each(shape.joints.last_pose_frame(joints[:, last]))
     nodes = [transform_each(batch_from_room, joints)]
     valid = None
@@ -164,7 +179,7 @@ class WindowsDataset(Dataset[WindowItem]):
     ) -> None:
         opened = [table if isinstance(table, WindowsTable) else WindowsTable.open(table) for table in tables]
         self.choice = choice or WindowChoice()
-        self.shape = _common_shape(opened)
+        self.shape = _common_shape(opened, self.choice)
         self.fps = self.shape.fps
         self.tables: tuple[WindowsTable, ...] = tuple(opened)
         self.split, self.seed = split, seed
@@ -192,7 +207,7 @@ class WindowsDataset(Dataset[WindowItem]):
         elif self.choice.condition is Condition.POSE_HEAD:
             direction = run.head_direction[part]
             valid = np.ones(self.shape.frames, dtype=bool)
-        return WindowItem(run.joints[part], direction, valid, self.shape, self.choice.frame)
+        return WindowItem(run.joints[part], direction, valid, self.shape)
 
     def spread(self, limit: int) -> tuple[int, ...]:
         """Places of at most ``limit`` items of each table, at equal distances: every recording has its share."""
@@ -239,7 +254,7 @@ class WindowsDataset(Dataset[WindowItem]):
         return self.split == REFIT or held_out is (self.split == "validation")
 
 
-def _common_shape(tables: Sequence[WindowsTable]) -> WindowShape:
+def _common_shape(tables: Sequence[WindowsTable], choice: WindowChoice) -> SeenWindows:
     """Return the shape of the windows of all tables, which have to be different ones."""
     if not tables:
         raise UsageError("no table was given; name at least one folder of windows.")
@@ -248,8 +263,13 @@ def _common_shape(tables: Sequence[WindowsTable]) -> WindowShape:
     if len(set(folders)) < len(folders) or len(set(digests)) < len(digests):
         raise UsageError("a table of windows was given twice.")
     shapes = {
-        table.folder: WindowShape(
-            table.info.joint_set, table.info.fps, table.info.observed_frames, table.info.future_frames
+        table.folder: SeenWindows(
+            condition=choice.condition,
+            frame=choice.frame,
+            joint_set=table.info.joint_set,
+            fps=table.info.fps,
+            observed=table.info.observed_frames,
+            predicted=table.info.future_frames,
         )
         for table in tables
     }
@@ -262,7 +282,7 @@ def _common_shape(tables: Sequence[WindowsTable]) -> WindowShape:
     return shapes[tables[0].folder]
 
 
-def _allowed_starts(run: Run, shape: WindowShape, fewest_gaze: int) -> Int[np.ndarray, " starts"]:
+def _allowed_starts(run: Run, shape: SeenWindows, fewest_gaze: int) -> Int[np.ndarray, " starts"]:
     """First frames of the windows of a run with a body in every frame, and enough measured gaze."""
     count = len(run) - shape.frames + 1
     if count < 1:

@@ -315,11 +315,7 @@ class SequenceDataset(Dataset[MotionItem]):
 
 
 def configured_dataset(
-    tables: Iterable[Table | Path],
-    configuration: TrainingConfiguration,
-    *,
-    split: str,
-    engine: Engine = _IN_PROCESS,
+    tables: Iterable[Table | Path], configuration: TrainingConfiguration, *, split: str, engine: Engine = _IN_PROCESS
 ) -> SequenceDataset:
     """Return the sequences of a split, as a configuration wants them."""
     wanted = configuration.data

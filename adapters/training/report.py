@@ -212,13 +212,7 @@ class Outputs:
     """
 
     def __init__(
-        self,
-        out: Path,
-        checkpoints: Path,
-        describe: Describe,
-        *,
-        dtype: Literal["float32", "float16"],
-        resumed_at: int,
+        self, out: Path, checkpoints: Path, describe: Describe, *, dtype: Literal["float32", "float16"], resumed_at: int
     ) -> None:
         try:
             from torch.utils.tensorboard import SummaryWriter

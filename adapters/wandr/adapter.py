@@ -179,10 +179,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
 
 @torch.no_grad()
 def roll_out(
-    network: WandrNetwork,
-    start: Start,
-    noise: Float[torch.Tensor, "batch steps latent"],
-    most_speed: float = math.inf,
+    network: WandrNetwork, start: Start, noise: Float[torch.Tensor, "batch steps latent"], most_speed: float = math.inf
 ) -> Float[torch.Tensor, "batch frames 22 3"]:
     """Joints of all frames; those behind a sequence's own number of frames are padding.
 

@@ -14,13 +14,7 @@ from jaxtyping import Float
 from torch import nn
 
 from prbench.geometry.skeleton import N_JOINTS, Joint
-from prbench_adapters.kinematics import (
-    fitted_rotations,
-    forward_kinematics,
-    matrices_of,
-    rows_of,
-    unit,
-)
+from prbench_adapters.kinematics import fitted_rotations, forward_kinematics, matrices_of, rows_of, unit
 from prbench_adapters.training.weights import Weights, weights_header
 
 # Numbers of a change: step of the pelvis, turn of the root, turns of the 21 other joints.

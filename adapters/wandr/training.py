@@ -20,22 +20,7 @@ from prbench_adapters.kinematics import rest_offsets, root_orientation
 from prbench_adapters.training import MotionBatch, collate
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import origin_of, read_weights
-from prbench_adapters.wandr.network import (
-    JOINTS,
-    KIND,
-    ROOT,
-    TRANSLATION,
-    BodyState,
-    Standardisation,
-    WandrConfiguration,
-    WandrNetwork,
-    clean_delta,
-    contents,
-    heading_of,
-    intentions,
-    network_of,
-    yaw_rotation,
-)
+from prbench_adapters.wandr import network as wandr
 
 _FAR = 1.5  # metres that the pelvis has to walk to a pseudo goal
 _ROUNDING = 1e-4  # frames
@@ -81,14 +66,14 @@ class Recordings:
         has_goal = torch.isfinite(batch.goal_location).all(dim=-1)
         return cls(WORLD.from_y_up(torch.where(left, mirrored, joints)), n_frames, has_goal)
 
-    def states(self, places: Places) -> BodyState:
+    def states(self, places: Places) -> wandr.BodyState:
         """Return the bodies at some places; fitted when asked for, because a step needs few of the frames."""
-        return BodyState.fitted(self.joints[places.index])
+        return wandr.BodyState.fitted(self.joints[places.index])
 
     @cached_property
     def headings(self) -> Float[torch.Tensor, "batch frames 3"]:
         """Directions that the bodies face."""
-        return heading_of(yaw_rotation(root_orientation(self.joints)))
+        return wandr.heading_of(wandr.yaw_rotation(root_orientation(self.joints)))
 
     def deltas(self, places: Places) -> Float[torch.Tensor, "*places 135"]:
         """Return the changes from there to the frames that follow."""
@@ -217,7 +202,7 @@ def delta_loss(
 ) -> Float[torch.Tensor, ""]:
     """Mean squared errors of standardised changes: translation, root and joints each for themselves, summed."""
     error = (decoded - wanted).square()
-    return sum((error[:, part].mean() for part in (TRANSLATION, ROOT, JOINTS)), error.new_zeros(()))
+    return sum((error[:, part].mean() for part in (wandr.TRANSLATION, wandr.ROOT, wandr.JOINTS)), error.new_zeros(()))
 
 
 def joint_loss(
@@ -244,7 +229,7 @@ class WandrTraining(TrainingModule):
         origin: Lines for the card about what the weights build upon.
     """
 
-    def __init__(self, network: WandrNetwork, objective: Objective, origin: tuple[str, ...] = ()) -> None:
+    def __init__(self, network: wandr.WandrNetwork, objective: Objective, origin: tuple[str, ...] = ()) -> None:
         super().__init__()
         self.network, self.objective, self.origin = network, objective, origin
 
@@ -326,7 +311,7 @@ class WandrTraining(TrainingModule):
             else:
                 latent = torch.randn(len(condition), self.network.configuration.latent, generator=generator)
                 decoded = self.network.decode(latent.to(condition), condition)
-            delta = clean_delta(self.network.delta.undone(decoded))
+            delta = wandr.clean_delta(self.network.delta.undone(decoded))
             state = state.changed(delta)
             joints = state.joints(offsets)
             changes.append(delta_loss(decoded, wanted))
@@ -343,7 +328,7 @@ class WandrTraining(TrainingModule):
         recordings: Recordings,
         places: Places,
         goals: Int[torch.Tensor, " places"],
-        state: BodyState,
+        state: wandr.BodyState,
         *,
         delta: Float[torch.Tensor, "places 135"],
         joints: Float[torch.Tensor, "places 22 3"],
@@ -359,7 +344,7 @@ class WandrTraining(TrainingModule):
             joints: Joints of the states.
         """
         left = (goals - places.frame)[:, None]
-        intention = intentions(
+        intention = wandr.intentions(
             state.yaw,
             wrist=joints[:, Joint.RIGHT_WRIST],
             pelvis=joints[:, Joint.PELVIS],
@@ -392,7 +377,7 @@ class WandrTraining(TrainingModule):
 
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         """Return the network with its statistics, and the header of its file."""
-        return contents(self.network)
+        return wandr.contents(self.network)
 
 
 # Keys that fine-tuning may set otherwise than the weights that it starts from.
@@ -436,13 +421,13 @@ class WandrTask:
         """
         configuration, objective = read_model_table(model)
         if initial is not None:
-            start = read_weights(initial, kind=KIND)
+            start = read_weights(initial, kind=wandr.KIND)
             start.require_same(configuration, apart_from=FREE_TO_CHANGE)
-            network = WandrNetwork(configuration)
+            network = wandr.WandrNetwork(configuration)
             # Through a network of the file's own configuration, which checks every shape.
-            network.load_state_dict(network_of(start).state_dict())
+            network.load_state_dict(wandr.network_of(start).state_dict())
             return WandrTraining(network, objective, origin_of(start))
-        network = WandrNetwork(configuration)
+        network = wandr.WandrNetwork(configuration)
         # Standardise by the training split.
         seen = []
         deltas = []
@@ -463,16 +448,16 @@ class WandrTask:
         return WandrTraining(network, objective)
 
 
-def read_model_table(model: Mapping[str, Any]) -> tuple[WandrConfiguration, Objective]:
+def read_model_table(model: Mapping[str, Any]) -> tuple[wandr.WandrConfiguration, Objective]:
     """Split the table ``[model]`` into the network and what it is trained for.
 
     Raises:
         UsageError: for an unknown key or a value of a wrong kind.
     """
-    return split_model_table(model, WandrConfiguration, Objective)
+    return split_model_table(model, wandr.WandrConfiguration, Objective)
 
 
-def _set(into: Standardisation, values: Float[torch.Tensor, "places size"], least: float) -> None:
+def _set(into: wandr.Standardisation, values: Float[torch.Tensor, "places size"], least: float) -> None:
     values = values.double()
     into.mean.copy_(values.mean(0))
     into.std.copy_(values.std(0, correction=0).clamp_min(least))

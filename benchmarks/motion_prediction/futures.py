@@ -23,18 +23,7 @@ from prbench.sequences.dataset_info import notice, require_may_pass_on
 from prbench.sequences.schema import read_parquet
 from prbench.sequences.table import by_share, find_sequence_id
 from prbench.shown import figure_text
-from prbench.viewing.figures import (
-    draw_chains,
-    flattened,
-    horizontal_direction,
-    new_figure,
-    require_drawable,
-    shades,
-    side_by_side,
-    square_limits,
-    without_frame,
-    write_figure,
-)
+from prbench.viewing import figures
 from prbench.viewing.replay.read import run_labels
 from prbench.viewing.replay.scene import METHOD_COLOURS
 from prbench.viewing.view import DEFAULT_LIMIT, ViewReport, ViewRequest
@@ -79,7 +68,7 @@ class Fan:
     @property
     def shades(self) -> list[tuple[float, float, float]]:
         """A colour for each future."""
-        return shades(self.colour, len(self.joints))
+        return figures.shades(self.colour, len(self.joints))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +110,7 @@ class ShownWindow:
         way = self.recorded[-1, self.pelvis] - self.observed[0, self.pelvis]
         if np.hypot(way[0], way[2]) < 0.1:
             way = self.joint_set.last_pose_frame(self.observed[-1:])[0, :3, 2]
-        return horizontal_direction(way)
+        return figures.horizontal_direction(way)
 
     def errors(self, fan: Fan) -> Float[np.ndarray, "samples scored"]:
         """Mean distance of the joints from what happened, metres."""
@@ -148,7 +137,7 @@ def view_futures(request: ViewRequest) -> FuturesReport:
         UsageError: for a window that is not in all runs, or too much for one picture.
         StorageError: if the file cannot be written.
     """
-    require_drawable(request.out)
+    figures.require_drawable(request.out)
     if len(request.data) != 1 or request.sample:
         raise UsageError("runs of motion prediction: name their windows with one --data DIR; no --sample.")
     table = WindowsTable.open(request.data[0])
@@ -234,7 +223,7 @@ def _draw(windows: Sequence[ShownWindow], request: ViewRequest) -> None:
     """Draw windows below one another, a row for each run."""
     rows = [(window, fan) for window in windows for fan in window.motions]
     height = 2.9 * len(rows) + 1.1
-    figure = new_figure(14.0, height, dpi=110)
+    figure = figures.new_figure(14.0, height, dpi=110)
     grid = {"left": 0.005, "right": 0.992, "top": 1 - 0.55 / height, "bottom": 0.8 / height, "wspace": 0.13}
     panels = figure.subplots(
         len(rows), 3, squeeze=False, width_ratios=(3.4, 1.2, 1.2), gridspec_kw={**grid, "hspace": 0.26}
@@ -265,7 +254,7 @@ def _draw(windows: Sequence[ShownWindow], request: ViewRequest) -> None:
     notices = dict.fromkeys(window.notice for window in windows if window.notice)
     foot = "\n".join((*textwrap.wrap(" ".join(said), _LINE), *notices)).strip()
     figure.supxlabel(figure_text(foot), fontsize=7.5, color="0.35", x=0.01, y=0.01, ha="left")
-    write_figure(figure, request.out)
+    figures.write_figure(figure, request.out)
 
 
 def _draw_from_above(axes: Axes, window: ShownWindow, fan: Fan) -> None:
@@ -291,7 +280,7 @@ def _draw_from_above(axes: Axes, window: ShownWindow, fan: Fan) -> None:
     if window.goal is not None:
         axes.plot(window.goal[0], window.goal[2], "o", color=GOAL_COLOUR, markersize=8, alpha=0.8)
         shown.append(window.goal[None])
-    x, z = square_limits(np.concatenate(shown)[:, [0, 2]], margin=_MARGIN)
+    x, z = figures.square_limits(np.concatenate(shown)[:, [0, 2]], margin=_MARGIN)
     # x grows to the left, as for somebody who looks down on a body that faces away from them.
     axes.set_xlim(*reversed(x))
     axes.set_ylim(*z)
@@ -308,7 +297,7 @@ def _draw_bodies(axes: Axes, window: ShownWindow, fan: Fan) -> None:
     groups = [(name, frame) for name, frame in groups if frame < fan.joints.shape[1]]
     # All poses of each moment with their colours; what futures show after the event nobody has recorded.
     moments: list[tuple[str, list[tuple[np.ndarray, Any, float]], np.ndarray | None]] = []
-    greys = reversed(shades(OBSERVED_COLOUR, len(chosen)))
+    greys = reversed(figures.shades(OBSERVED_COLOUR, len(chosen)))
     poses = [(pose, colour, 1.5) for pose, colour in zip(window.observed[chosen], greys, strict=True)]
     moments.append(("observed", poses, None))
     for name, frame in groups:
@@ -320,24 +309,24 @@ def _draw_bodies(axes: Axes, window: ShownWindow, fan: Fan) -> None:
     clouds = []
     for _, poses, goal in moments:
         points = [pose for pose, _, _ in poses] + ([] if goal is None else [goal[None]])
-        clouds.append(flattened(np.concatenate(points), last, window.sideways, 0.0))
-    shifts = side_by_side(clouds, spacing=_SPACING)
+        clouds.append(figures.flattened(np.concatenate(points), last, window.sideways, 0.0))
+    shifts = figures.side_by_side(clouds, spacing=_SPACING)
     head = window.joint_set.index(window.joint_set.head)[0]
     for (name, poses, goal), cloud, shift in zip(moments, clouds, shifts, strict=True):
         for pose, colour, width in poses:
-            flat = flattened(pose, last, window.sideways, shift)
-            draw_chains(axes, flat, window.joint_set.chains, colour, linewidth=width)
+            flat = figures.flattened(pose, last, window.sideways, shift)
+            figures.draw_chains(axes, flat, window.joint_set.chains, colour, linewidth=width)
             axes.plot(*flat[head], "o", color=colour, markersize=4.0)
         if goal is not None:
-            place = flattened(goal[None], last, window.sideways, shift)[0]
+            place = figures.flattened(goal[None], last, window.sideways, shift)[0]
             axes.plot(*place, "o", color=GOAL_COLOUR, markersize=8, alpha=0.8, zorder=4)
         centre = float(cloud[:, 0].mean()) + shift
         axes.text(centre, window.floor - 0.1, name, fontsize=7, ha="center", va="top", color="0.35")
     if window.look is not None:
-        axes.plot(*flattened(window.look, last, window.sideways, shifts[0]).T, color=GAZE_COLOUR, linewidth=1.4)
+        axes.plot(*figures.flattened(window.look, last, window.sideways, shifts[0]).T, color=GAZE_COLOUR, linewidth=1.4)
     everything = np.concatenate([points + np.array([shift, 0.0]) for points, shift in zip(clouds, shifts, strict=True)])
     axes.set_xlim(everything[:, 0].min() - _MARGIN, everything[:, 0].max() + _MARGIN)
     axes.set_ylim(min(window.floor, float(everything[:, 1].min())) - 0.3, everything[:, 1].max() + 0.15)
     axes.axhline(window.floor, color="0.8", linewidth=0.8, zorder=0)
     axes.set_aspect("equal")
-    without_frame(axes)
+    figures.without_frame(axes)

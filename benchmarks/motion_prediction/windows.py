@@ -31,16 +31,8 @@ from prbench.protocol.manifests import Manifest, digest_of, load_manifest, load_
 from prbench.readers import SYNTHETIC_PREFIX, PublishedForPrediction, Reader, reader_for
 from prbench.recording.streams import BodyStream, PublishedTrack, Recording
 from prbench.sequences import parts
+from prbench.sequences import parts as in_parts
 from prbench.sequences.dataset_info import QuarantinedRecording
-from prbench.sequences.parts import (
-    BuildReport,
-    ShardReport,
-    finish_shard,
-    making_shard,
-    shard_parts,
-    work_folder,
-    working_in_parts,
-)
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.sequence import row_batch
 from prbench_benchmarks.motion_prediction.joint_sets import SMPL22, joint_set
@@ -426,7 +418,7 @@ def build_windows(
     on_error: OnError = "skip",
     engine: Engine = _IN_PROCESS,
     progress: Progress = None,
-) -> BuildReport[WindowsInfo, RecordingRow]:
+) -> in_parts.BuildReport[WindowsInfo, RecordingRow]:
     """Build a table of windows.
 
     Args:
@@ -442,15 +434,15 @@ def build_windows(
     """
     out = Path(out).expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="table of windows")
-    with sole_writer(out), working_in_parts(out):
-        job = WindowsJob(on_error == "fail", work_folder(out), load_prediction_protocol())
+    with sole_writer(out), in_parts.working_in_parts(out):
+        job = WindowsJob(on_error == "fail", in_parts.work_folder(out), load_prediction_protocol())
         finished = job.make_all(plan.sources, engine, progress)
         return _write_table(plan.settings, finished, out)
 
 
 def build_windows_shard(
     plan: WindowsPlan, out: Path, shard: Shard, *, on_error: OnError, engine: Engine, progress: Progress
-) -> ShardReport[RecordingRow]:
+) -> in_parts.ShardReport[RecordingRow]:
     """Make one shard of a build, for :func:`merge_windows_shards`; goes on where it was interrupted.
 
     Args:
@@ -473,17 +465,17 @@ def build_windows_shard(
         plan=tuple(source.recording_id for source in plan.sources),
     )
     mine = [plan.sources[place] for place in shard.places(len(plan.sources))]
-    with making_shard(out, record) as work:
+    with in_parts.making_shard(out, record) as work:
         job = WindowsJob(on_error == "fail", work, load_prediction_protocol())
         finished = job.make_all(mine, engine, progress)
-        finish_shard(out, record, [each.folder for each in finished])
+        in_parts.finish_shard(out, record, [each.folder for each in finished])
     reused = sum(each.reused for each in finished)
-    return ShardReport(out, shard, len(plan.sources), tuple(each.record for each in finished), reused)
+    return in_parts.ShardReport(out, shard, len(plan.sources), tuple(each.record for each in finished), reused)
 
 
 def merge_windows_shards(
     shards: Sequence[tuple[Path, ShardRecord]], out: Path
-) -> BuildReport[WindowsInfo, RecordingRow]:
+) -> in_parts.BuildReport[WindowsInfo, RecordingRow]:
     """Write the table of an unsharded build from all of its shards, with the same bytes.
 
     Args:
@@ -501,13 +493,13 @@ def merge_windows_shards(
     out = out.expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="table of windows")
     with sole_writer(out):
-        finished = [part_receipt(part, entries, reused=False) for part, entries in shard_parts(shards)]
+        finished = [part_receipt(part, entries, reused=False) for part, entries in in_parts.shard_parts(shards)]
         return _write_table(now, finished, out)
 
 
 def _write_table(
     settings: dict[str, Any], finished: list[PartReceipt], out: Path
-) -> BuildReport[WindowsInfo, RecordingRow]:
+) -> in_parts.BuildReport[WindowsInfo, RecordingRow]:
     """Write the table of all parts of a build."""
     dataset = settings["dataset"]
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
@@ -546,4 +538,4 @@ def _write_table(
     splits = draw_splits(records, manifest, load_protocol().splits)
     runs = (run for each in finished for run in read_cut_runs(each.folder))
     info = write_windows(out, info, (replace(run, split=splits[run.recording_id]) for run in runs))
-    return BuildReport(out, info, tuple(records), sum(each.reused for each in finished))
+    return in_parts.BuildReport(out, info, tuple(records), sum(each.reused for each in finished))

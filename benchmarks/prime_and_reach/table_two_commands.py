@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import msgspec
 
 from prbench.cli.commands import Answer, note, progress
 from prbench.cli.options import embedded_tables, opened
@@ -17,26 +14,11 @@ from prbench.errors import UsageError
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
     from prbench.harness.request import ProgressCallback
-    from prbench.tables import Table
     from prbench_benchmarks.prime_and_reach.table_two.request import PlannedRow
 
 _ALL = "all"
 _WORKERS = 2
 _SINGLE_RUN = {"sequences": "sequence", "isolate": "isolate", "timeout": "timeout", "fold": "fold"}
-
-
-class TableTwoAnswer(msgspec.Struct, frozen=True, kw_only=True):
-    """Table 2 on one's own tables (``--method all``).
-
-    Attributes:
-        folder: Folder of the rows' run folders and of the two files of the table.
-        failed: Maps rows that were to be run and have no numbers to the reason.
-        tables: The content of ``table_2.json``: a part for each dataset.
-    """
-
-    folder: Path
-    failed: dict[str, str]
-    tables: list[Table]
 
 
 def run_table_two(given: Mapping[str, Any], *, choice: EngineChoice) -> Answer:
@@ -78,8 +60,7 @@ def run_table_two(given: Mapping[str, Any], *, choice: EngineChoice) -> Answer:
         print(f"table: {report.folder / MARKDOWN}, {report.folder / JSON}")
         print(f"beside the study's numbers: prbench study table-2 {report.folder} --data DIR... --with-published")
 
-    answer = TableTwoAnswer(folder=report.folder, failed=report.failed, tables=report.tables)
-    return Answer(answer, show, exit_code=1 if report.failed else 0)
+    return Answer(report, show, exit_code=1 if report.failed else 0)
 
 
 @contextlib.contextmanager

@@ -17,18 +17,8 @@ from prbench.sequences import CorpusTable, SequenceTable
 from prbench.text import EncodedText, text_encoder
 from prbench.text import TextEncoder as TokenVectors
 from prbench_adapters.training.store import Motion, cut, encoded, frame_rate, open_table, read_rows
+from prbench_benchmarks.text_to_motion import networks
 from prbench_benchmarks.text_to_motion.metrics import BATCH
-from prbench_benchmarks.text_to_motion.networks import (
-    GLOVE,
-    MOVEMENT_FEATURES,
-    SNIPPET,
-    EvaluatorConfiguration,
-    GloveCaptions,
-    MovementEncoder,
-    SequenceEncoder,
-    TextEncoder,
-    WordVectors,
-)
 
 _SHORTER = 1 / 3
 
@@ -113,7 +103,7 @@ class EvaluatedClips:
             for row in rows:
                 # P&R tables have one text a sequence; corpora have captions of several kinds.
                 captions = row.texts if allowed is None else allowed.get(row.sequence_id, ())
-                if captions and row.motion.n_frames >= SNIPPET:
+                if captions and row.motion.n_frames >= networks.SNIPPET:
                     motion = row.motion  # copied, so as not to keep the chunk alive from which it was read
                     motion = Motion(
                         motion.joints.copy(),
@@ -137,12 +127,12 @@ class EvaluatedClips:
         return tuple(sorted({caption for clip in self.clips for caption in clip.captions}))
 
 
-def longest(clip: Clip, configuration: EvaluatorConfiguration) -> int:
+def longest(clip: Clip, configuration: networks.EvaluatorConfiguration) -> int:
     """Return the most frames that are evaluated of a clip, a multiple of 4."""
-    return min(clip.motion.n_frames, configuration.max_frames) // SNIPPET * SNIPPET
+    return min(clip.motion.n_frames, configuration.max_frames) // networks.SNIPPET * networks.SNIPPET
 
 
-def draw(clip: Clip, taken: Pass, configuration: EvaluatorConfiguration) -> Draw:
+def draw(clip: Clip, taken: Pass, configuration: networks.EvaluatorConfiguration) -> Draw:
     """Choose a caption and a crop: a multiple of 4 frames, one time in three 4 fewer.
 
     Source: docs/specification/mdm.md#training.
@@ -151,13 +141,15 @@ def draw(clip: Clip, taken: Pass, configuration: EvaluatorConfiguration) -> Draw
     caption = clip.captions[int(generator.integers(len(clip.captions)))]
     n_frames = longest(clip, configuration)
     # HumanML3D's own loader shortens one clip in three, so that lengths vary beyond multiples of 4.
-    if generator.random() < _SHORTER and n_frames > SNIPPET:
-        n_frames -= SNIPPET
+    if generator.random() < _SHORTER and n_frames > networks.SNIPPET:
+        n_frames -= networks.SNIPPET
     start = int(generator.integers(clip.motion.n_frames - n_frames + 1))
     return Draw(caption, start, n_frames)
 
 
-def recorded_features(clip: Clip, drawn: Draw, configuration: EvaluatorConfiguration) -> Float[np.ndarray, "n 263"]:
+def recorded_features(
+    clip: Clip, drawn: Draw, configuration: networks.EvaluatorConfiguration
+) -> Float[np.ndarray, "n 263"]:
     """Return the crop, encoded anew in its own canonical frame."""
     motion = cut(clip.motion, drawn.start, drawn.n_frames, name=clip.sequence_id)
     return encoded(motion, configuration.representation, name=clip.sequence_id)
@@ -192,7 +184,7 @@ def token_vectors(
         UsageError: if a path is missing, or given to vectors that read no files.
         InputFileError: if the files are not what they should be.
     """
-    if name != GLOVE:
+    if name != networks.GLOVE:
         if words:
             raise UsageError(f"the text vectors '{name}' need no word vectors. Leave their folder away.")
         return text_encoder(name, path or None), ""
@@ -202,13 +194,13 @@ def token_vectors(
             " --set model.words=DIR for training, --words DIR for evaluation."
         )
     tables = list(tables)
-    vectors = WordVectors.read(Path(words))
+    vectors = networks.WordVectors.read(Path(words))
     source = ", ".join(str(table.folder) for table in tables)
     # The ``word/POS`` tokens of every caption; P&R tables have none.
     corpora = (table for table in tables if isinstance(table, CorpusTable))
     captions = (caption for table in corpora for row in table.scalars()["captions"].to_pylist() for caption in row)
     tokens = {caption["text"]: caption["tokens"] for caption in captions}
-    return GloveCaptions(vectors, tokens, source=source), vectors.digest
+    return networks.GloveCaptions(vectors, tokens, source=source), vectors.digest
 
 
 _AT_ONCE = 128
@@ -231,10 +223,10 @@ class Extractor:
 
     def __init__(
         self,
-        configuration: EvaluatorConfiguration,
-        movement: MovementEncoder,
-        motion: SequenceEncoder,
-        text: TextEncoder,
+        configuration: networks.EvaluatorConfiguration,
+        movement: networks.MovementEncoder,
+        motion: networks.SequenceEncoder,
+        text: networks.TextEncoder,
         *,
         statistics: Statistics,
         tokens: TokenVectors,
@@ -265,22 +257,24 @@ class Extractor:
             ValueError: if a motion is shorter than 4 or longer than ``max_frames`` frames.
         """
         lengths = np.array([len(rows) for rows in features], dtype=np.int64)
-        for row in np.flatnonzero((lengths < SNIPPET) | (lengths > self.configuration.max_frames)):
-            limits = f"{SNIPPET} to {self.configuration.max_frames}"
+        for row in np.flatnonzero((lengths < networks.SNIPPET) | (lengths > self.configuration.max_frames)):
+            limits = f"{networks.SNIPPET} to {self.configuration.max_frames}"
             raise ValueError(f"motion {row}: expected {limits} frames, found {lengths[row]}")
-        snippets = lengths // SNIPPET
+        snippets = lengths // networks.SNIPPET
         embeddings = np.empty((len(lengths), self.configuration.embedding), dtype=np.float32)
         # Similar lengths together: batches differ in padding, never in what they embed.
         order = np.argsort(snippets, kind="stable")
         for start in range(0, len(order), _AT_ONCE):
             rows = order[start : start + _AT_ONCE]
             # Standardised without the contacts, then padded with zeros to the longest.
-            batch = np.zeros((len(rows), int(snippets[rows].max()) * SNIPPET, MOVEMENT_FEATURES), dtype=np.float32)
+            batch = np.zeros(
+                (len(rows), int(snippets[rows].max()) * networks.SNIPPET, networks.MOVEMENT_FEATURES), dtype=np.float32
+            )
             for place, row in enumerate(rows):
-                n = snippets[row] * SNIPPET
-                batch[place, :n] = self.statistics.standardise(features[row][:n])[:, :MOVEMENT_FEATURES]
+                n = snippets[row] * networks.SNIPPET
+                batch[place, :n] = self.statistics.standardise(features[row][:n])[:, : networks.MOVEMENT_FEATURES]
             counts = torch.from_numpy(snippets[rows]).to(self.device)
-            steps = self.movement(torch.from_numpy(batch).to(self.device), counts * SNIPPET)
+            steps = self.movement(torch.from_numpy(batch).to(self.device), counts * networks.SNIPPET)
             embedded = self.motion(steps, counts)
             embeddings[rows] = embedded.float().cpu().numpy()
         return embeddings
@@ -297,7 +291,7 @@ class Extractor:
 
 
 def cut_tokens(
-    encoded: EncodedText, configuration: EvaluatorConfiguration
+    encoded: EncodedText, configuration: networks.EvaluatorConfiguration
 ) -> tuple[Float[torch.Tensor, "texts tokens dimension"], Int[torch.Tensor, " texts"]]:
     """Token vectors as tensors, and how many each text has: at most ``most_tokens``."""
     lengths = np.minimum((~encoded.padding).sum(axis=1), configuration.most_tokens)

@@ -15,16 +15,7 @@ from jaxtyping import Float
 
 from prbench.geometry.skeleton import CHAINS, Joint, head_forward
 from prbench.shown import figure_text
-from prbench.viewing.figures import (
-    draw_chains,
-    flattened,
-    grid_shape,
-    horizontal_direction,
-    legend_below,
-    new_figure,
-    without_frame,
-    write_figure,
-)
+from prbench.viewing import figures
 from prbench.viewing.replay.scene import Scene, ShownMotion
 
 if TYPE_CHECKING:
@@ -54,8 +45,8 @@ def draw_examples(scenes: Sequence[Scene], path: Path, *, title: str, columns: i
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
-    rows, wide = grid_shape(len(scenes), columns)
-    figure = new_figure(5.6 * wide, 3.0 * rows + 0.6, dpi=dpi, layout="constrained")
+    rows, wide = figures.grid_shape(len(scenes), columns)
+    figure = figures.new_figure(5.6 * wide, 3.0 * rows + 0.6, dpi=dpi, layout="constrained")
     axes = figure.subplots(rows, wide, squeeze=False).ravel()
     for scene, place in zip(scenes, axes):
         motion = scene.motions[0]
@@ -74,7 +65,7 @@ def draw_examples(scenes: Sequence[Scene], path: Path, *, title: str, columns: i
     # A figure of a single panel is narrower than the note.
     foot = textwrap.fill(_foot(scenes, "Darker: later. Green: gaze at the prime time."), _NOTE_CHARACTERS * wide)
     figure.supxlabel(figure_text(foot), fontsize=7, color="0.35")
-    write_figure(figure, path)
+    figures.write_figure(figure, path)
 
 
 def draw_moments(scenes: Sequence[Scene], path: Path, *, title: str, dpi: int = 110) -> None:
@@ -92,7 +83,7 @@ def draw_moments(scenes: Sequence[Scene], path: Path, *, title: str, dpi: int = 
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
-    figure = new_figure(11.5, 2.7 * len(scenes) + 0.9, dpi=dpi, layout="constrained")
+    figure = figures.new_figure(11.5, 2.7 * len(scenes) + 0.9, dpi=dpi, layout="constrained")
     axes = figure.subplots(len(scenes), len(MOMENTS), squeeze=False)
     for scene, row in zip(scenes, axes, strict=True):
         frames = moments(scene)
@@ -112,9 +103,9 @@ def draw_moments(scenes: Sequence[Scene], path: Path, *, title: str, dpi: int = 
         row[0].set_ylabel(figure_text(f"{scene.dataset}\n{scene.title}"), fontsize=7)
     for motion in {motion.label: motion for scene in scenes for motion in scene.motions}.values():
         axes[0, 0].plot([], [], color=motion.colour, linewidth=3, label=figure_text(motion.label))
-    legend_below(figure, axes[0, 0], _foot(scenes, "Arrows: where the head points."), columns=4)
+    figures.legend_below(figure, axes[0, 0], _foot(scenes, "Arrows: where the head points."), columns=4)
     figure.suptitle(figure_text(title), fontsize=10, x=0.01, ha="left")
-    write_figure(figure, path)
+    figures.write_figure(figure, path)
 
 
 def moments(scene: Scene) -> tuple[int, int, int]:
@@ -138,12 +129,12 @@ def _flat(scene: Scene, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "
     end = scene.motions[0].joints[-1, Joint.PELVIS]
     if scene.goal is not None:
         end = scene.goal.location
-    return flattened(points, start, horizontal_direction(end - start), 0.0)
+    return figures.flattened(points, start, figures.horizontal_direction(end - start), 0.0)
 
 
 def _draw_pose(axes: Axes, scene: Scene, joints: Float[np.ndarray, "22 3"], *, colour: str, alpha: float) -> None:
     flat = _flat(scene, joints)
-    draw_chains(axes, flat, CHAINS, colour, alpha=alpha, linewidth=1.8)
+    figures.draw_chains(axes, flat, CHAINS, colour, alpha=alpha, linewidth=1.8)
     axes.plot(*flat[Joint.HEAD], "o", color=colour, alpha=alpha, markersize=5.5)
 
 
@@ -173,7 +164,7 @@ def _frame_panel(axes: Axes, points: Float[np.ndarray, "n 2"]) -> None:
     axes.set_ylim(min(low[1], 0.0) - 0.05, high[1])
     axes.set_aspect("equal")
     axes.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
-    without_frame(axes)
+    figures.without_frame(axes)
 
 
 def _foot(scenes: Sequence[Scene], marks: str) -> str:

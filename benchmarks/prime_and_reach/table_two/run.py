@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -35,18 +35,19 @@ MARKDOWN = "table_2.md"
 JSON = "table_2.json"
 
 
-@dataclass(frozen=True)
-class TableReport:
-    """A table that is through.
+class TableReport(msgspec.Struct, frozen=True, kw_only=True):
+    """Table 2 on one's own tables (``--method all``), once it is through.
 
     Attributes:
-        tables: A part for each dataset; a table of notes alone where no row has numbers.
+        folder: Folder of the rows' run folders and of the two files of the table.
         failed: Maps rows that were to be run and have no numbers to the reason.
+        tables: The content of ``table_2.json``: a part for each dataset; a table of notes alone where no row has
+            numbers.
     """
 
     folder: Path
-    tables: list[Table]
     failed: dict[str, str]
+    tables: list[Table]
 
 
 def run_table(
@@ -113,7 +114,7 @@ def run_table(
         for name in (MARKDOWN, JSON):
             remove_leftovers(folder / name)  # of a process that was killed while it wrote them
             write_tables(parts, folder / name)  # last, after all rows: a table on disk is a finished one
-    return TableReport(folder, parts, failed)
+    return TableReport(folder=folder, failed=failed, tables=parts)
 
 
 @foreign_input()
