@@ -25,6 +25,7 @@ from prbench_adapters.diffusion.model import TextVectors, torch_device
 from prbench_adapters.diffusion.noise_optimisation import Hand
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.kinematics import fitted_rotations, matrices_of, rows_of, unit
+from prbench_adapters.training.configuration import require_counts
 from prbench_adapters.training.weights import Weights, read_weights
 
 N_FEATURES = 276
@@ -170,10 +171,6 @@ def _broadcast(origin: Float[Tensor, "batch 3"], points: Tensor) -> Tensor:
 # H: the last frames of one primitive, which the next begins with; the first has those of the initial state.
 HISTORY_FRAMES = 2
 
-_COUNTS = (
-    "future_frames", "latent", "vae_width", "vae_heads", "vae_layers", "vae_feed_forward", "width",
-    "heads", "layers", "feed_forward", "text_dimension", "diffusion_steps",
-)  # fmt: skip
 _OF_OPTIMISATION = ("iterations", "learning-rate", "noise-scale", "ddim-steps", "hand")
 OPTIONS = ("optimise", *_OF_OPTIMISATION, "guidance", "text-path")
 _MOST_ITERATIONS = 100_000
@@ -212,9 +209,8 @@ class DartConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     uniform_skeleton: bool = False
 
     def __post_init__(self) -> None:
-        for name in _COUNTS:
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        require_counts(self, "future_frames", "latent", "vae_width", "vae_heads", "vae_layers", "vae_feed_forward")
+        require_counts(self, "width", "heads", "layers", "feed_forward", "text_dimension", "diffusion_steps")
         # Skips join each layer in front of the middle one to a layer behind it.
         if self.vae_layers % 2 == 0:
             raise ValueError(f"'vae_layers' must be odd, found {self.vae_layers}")

@@ -19,20 +19,11 @@ from jaxtyping import Bool, Float
 from prbench.contract import ConditionBatch
 from prbench.representation.features import N_FEATURES
 from prbench_adapters.diffusion.goal_frame import N_GOAL_FRAME_FEATURES, seen_condition, seen_size
+from prbench_adapters.training.configuration import require_counts
 
 _ConditionPart = Literal["initial_pose", "initial_velocity", "goal", "text"]
 
 _POSE = 66  # 22 joints with x, y, z
-_COUNTS = (
-    "width",
-    "heads",
-    "layers",
-    "feed_forward",
-    "frames_per_token",
-    "text_dimension",
-    "diffusion_steps",
-    "max_frames",
-)
 _GOAL_SIZE = {"none": 0, "pose": _POSE, "location": 3}
 
 
@@ -87,9 +78,8 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     uniform_skeleton: bool = False
 
     def __post_init__(self) -> None:
-        for name in _COUNTS:
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        require_counts(self, "width", "heads", "layers", "feed_forward")
+        require_counts(self, "frames_per_token", "text_dimension", "diffusion_steps", "max_frames")
         # Even, because the table of sinusoids pairs sines with cosines.
         if self.width % self.heads or self.width % 2:
             raise ValueError(f"'width' must be even and a multiple of 'heads' ({self.heads}), found {self.width}")
@@ -97,9 +87,6 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
             raise ValueError(f"'dropout' must be in [0, 1), found {self.dropout}")
         if self.fps <= 0:
             raise ValueError(f"'fps' must be positive, found {self.fps}")
-        self._require_fitting_features()
-
-    def _require_fitting_features(self) -> None:
         if (self.architecture == "frames") is not (self.features == "goal-frame"):
             raise ValueError(
                 f"'architecture' and 'features': expected frames with goal-frame, or neither, found"

@@ -61,12 +61,7 @@ class DiffusionTask:
         """
         configuration, objective = read_model_table(model)
         self._require_goal(configuration, stage)
-        data.require_fit(
-            "the model",
-            representation=configuration.representation,
-            fps=configuration.fps,
-            max_frames=configuration.max_frames,
-        )
+        data.require_fit("the model", configuration)
         # Prime-and-reach tables keep everybody's own bones; HumanML3D alone comes on one skeleton, and has no goals.
         if configuration.uniform_skeleton and configuration.goal != "none":
             for table in data.train.tables:

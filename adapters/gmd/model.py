@@ -25,6 +25,7 @@ from prbench.text import text_encoder
 from prbench_adapters.diffusion.denoiser import pooled, sinusoid_table
 from prbench_adapters.diffusion.model import TextVectors, torch_device
 from prbench_adapters.diffusion.sampling import CosineSchedule
+from prbench_adapters.training.configuration import require_counts
 from prbench_adapters.training.weights import Weights, read_weights
 
 # Half the turn of the heading since the first frame, radians.
@@ -194,9 +195,7 @@ class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
             widths = getattr(self, name)
             if not widths or any(width < GROUPS or width % GROUPS for width in widths):
                 raise ValueError(f"'{name}' must be one or more positive multiples of {GROUPS}, found {list(widths)}")
-        for name in ("text_dimension", "diffusion_steps", "max_frames"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        require_counts(self, "text_dimension", "diffusion_steps", "max_frames")
         if self.condition_width < 2 or self.condition_width % 2:
             raise ValueError(f"'condition_width' must be even and positive, found {self.condition_width}")
         if self.emphasis <= 0 or self.fps <= 0:

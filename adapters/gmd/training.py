@@ -205,12 +205,7 @@ class GMDTask:
             InputFileError: if the initial weights do not fit them.
         """
         configuration, objective = read_model_table(model)
-        data.require_fit(
-            "the model",
-            representation=configuration.representation,
-            fps=configuration.fps,
-            max_frames=configuration.max_frames,
-        )
+        data.require_fit("the model", configuration)
         texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
         start = read_weights(initial, kind=gmd.KIND) if initial is not None else None
         networks = gmd.GMDNetworks(configuration)

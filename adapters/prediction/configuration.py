@@ -9,20 +9,8 @@ from typing import Any, Literal
 
 import msgspec
 
-_COUNTS = (
-    "n_joints",
-    "observed",
-    "predicted",
-    "coefficients",
-    "width",
-    "heads",
-    "feed_forward",
-    "diffusion_steps",
-    "sampling_steps",
-    "encoder_width",
-    "encoder_heads",
-    "fusion_blocks",
-)
+from prbench_adapters.training.configuration import require_counts
+
 _SHARES = ("dropout", "encoder_dropout", "fusion_dropout")
 
 
@@ -88,9 +76,8 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     guidance: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in _COUNTS:
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        require_counts(self, "n_joints", "observed", "predicted", "coefficients", "width", "heads", "feed_forward")
+        require_counts(self, "diffusion_steps", "sampling_steps", "encoder_width", "encoder_heads", "fusion_blocks")
         for name in _SHARES:
             if not 0.0 <= getattr(self, name) < 1.0:
                 raise ValueError(f"'{name}' must be at least 0 and below 1, found {getattr(self, name)}")

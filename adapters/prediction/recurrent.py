@@ -16,6 +16,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from prbench.randomness import sequence_generator
+from prbench_adapters.training.configuration import require_counts
 
 Observed = Float[Tensor, "windows observed joints 3"]
 Future = Float[Tensor, "windows predicted joints 3"]
@@ -63,9 +64,7 @@ def require_sizes(configuration: msgspec.Struct, *names: str) -> None:
     Raises:
         ValueError: naming the size.
     """
-    for name in names:
-        if getattr(configuration, name) < 1:
-            raise ValueError(f"'{name}' must be at least 1, found {getattr(configuration, name)}")
+    require_counts(configuration, *names)
     mlp = getattr(configuration, "mlp", (1,))
     if not mlp or min(mlp) < 1:
         raise ValueError(f"'mlp' must be one or more positive widths, found {list(mlp)}")

@@ -22,6 +22,17 @@ from prbench.limits import HARMLESS_SIZE
 DEFAULT_STAGES = ("pretrain", "finetune")
 
 
+def require_counts(settings: msgspec.Struct, *names: str) -> None:
+    """Refuse settings below 1.
+
+    Raises:
+        ValueError: naming the setting.
+    """
+    for name in names:
+        if getattr(settings, name) < 1:
+            raise ValueError(f"'{name}' must be at least 1, found {getattr(settings, name)}")
+
+
 class DataConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """``[data]``: how sequences are cut and encoded.
 

@@ -45,27 +45,26 @@ class TrainingData:
     max_frames: int
     fps: float = 20.0
 
-    def require_fit(self, model: str, *, representation: str, fps: float, max_frames: int) -> None:
+    def require_fit(self, model: str, configuration: Any) -> None:
         """Refuse data that a model cannot learn from.
 
         Args:
             model: What a message calls it, such as ``the model``.
-            representation: Its features: ``continuous`` or ``reference``.
-            fps: Its frame rate.
-            max_frames: The longest motion that it takes.
+            configuration: Says its ``representation`` (``continuous`` or ``reference``), its frame rate ``fps``, and
+                ``max_frames``, the longest motion that it takes.
 
         Raises:
             UsageError: naming the setting, and what was expected and found.
         """
         for key, wanted, found in (
-            ("data.mode", representation, self.mode),
-            ("frames per second of the tables", fps, self.fps),
+            ("data.mode", configuration.representation, self.mode),
+            ("frames per second of the tables", configuration.fps, self.fps),
         ):
             if wanted != found:
                 raise UsageError(f"{key}: {model} expects {wanted}, found {found}. Change one of the two.")
-        if self.max_frames > max_frames:
+        if self.max_frames > configuration.max_frames:
             raise UsageError(
-                f"data.max_frames: expected at most {model}'s {max_frames}, found {self.max_frames}."
+                f"data.max_frames: expected at most {model}'s {configuration.max_frames}, found {self.max_frames}."
                 " Lower it, or raise model.max_frames."
             )
 

@@ -15,6 +15,7 @@ from torch import nn
 
 from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench_adapters.kinematics import fitted_rotations, forward_kinematics, matrices_of, rows_of, unit
+from prbench_adapters.training.configuration import require_counts
 from prbench_adapters.training.weights import Weights, weights_header
 
 # Numbers of a change: step of the pelvis, turn of the root, turns of the 21 other joints.
@@ -184,9 +185,7 @@ class WandrConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     most_speed: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("layers", "widest", "latent"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        require_counts(self, "layers", "widest", "latent")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"'dropout' must be in [0, 1), found {self.dropout}")
         if not self.fps > 0:

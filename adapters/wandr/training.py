@@ -18,6 +18,7 @@ from prbench.representation.encoding import MIRRORED_JOINTS
 from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.kinematics import rest_offsets, root_orientation
 from prbench_adapters.training import MotionBatch, collate
+from prbench_adapters.training.configuration import require_counts
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import origin_of, read_weights
 from prbench_adapters.wandr import network as wandr
@@ -190,9 +191,7 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         for name in ("kl_weight", "free_bits", "joint_loss_weight", "frames_per_step"):
             if getattr(self, name) < 0:
                 raise ValueError(f"'{name}' must be at least 0, found {getattr(self, name)}")
-        for name in ("longest_chunk", "steps_per_chunk_frame", "frames_back"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        require_counts(self, "longest_chunk", "steps_per_chunk_frame", "frames_back")
         if not 0 <= self.pseudo_goals <= 1:
             raise ValueError(f"'pseudo_goals' must be between 0 and 1, found {self.pseudo_goals}")
 

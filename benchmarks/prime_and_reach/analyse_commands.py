@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
-from click.core import ParameterSource
 
 from prbench.cli.commands import Answer, command, progress
 from prbench.cli.options import OUT_FILE, PATH, data_option, permission_option, run_checker, workers_option
 from prbench.cli.terminal import print_tables
 from prbench.errors import UsageError
+from prbench_benchmarks.prime_and_reach.study_commands import taken_options
 
 if TYPE_CHECKING:  # help is quick: tables load NumPy
     from prbench.tables import Table
@@ -110,9 +110,4 @@ def analyse(ctx: click.Context, kind: str, runs: Paths, **given: Any) -> Answer:
     run with --samples 2 or more (docs/diversity.md).
     """
     make, taken = _KINDS[kind]
-    spelt = {option.name: option.opts[0] for option in ctx.command.params if option.name in given}
-    for option, spelling in spelt.items():
-        if option not in taken and ctx.get_parameter_source(option) is not ParameterSource.DEFAULT:
-            own = sorted(spelt[each] for each in taken)
-            raise UsageError(f"analyse {kind} takes no {spelling}; its options: {', '.join(own)}.")
-    return make(runs, **{option: given[option] for option in taken})
+    return make(runs, **taken_options(ctx, f"analyse {kind}", given, taken))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -289,6 +289,20 @@ _ITEMS = {
 }
 
 
+def taken_options(ctx: click.Context, name: str, given: Mapping[str, Any], taken: tuple[str, ...]) -> dict[str, Any]:
+    """Return the options that an item takes; refuse one that was given and belongs to others.
+
+    Raises:
+        UsageError: naming the option, and those of the item.
+    """
+    spelt = {option.name: option.opts[0] for option in ctx.command.params if option.name in given}
+    for option, spelling in spelt.items():
+        if option not in taken and ctx.get_parameter_source(option) is not ParameterSource.DEFAULT:
+            own = sorted(spelt[each] for each in taken)
+            raise UsageError(f"{name} takes no {spelling}; its options: {', '.join(own)}.")
+    return {option: given[option] for option in taken}
+
+
 class _OutType(PlaceType):
     """Type of ``--out``: files that are written or, with ``--train``, a folder."""
 
@@ -379,13 +393,9 @@ def study(ctx: click.Context, item: str, inputs: Paths, train: bool, **given: An
         rows = ", ".join(each for each, about in _ITEMS.items() if about.trains)
         raise UsageError(f"study {item} has nothing to train; --train goes with: {rows}.")
     taken = _TRAINING if train else row.options
-    spelt = {option.name: option.opts[0] for option in ctx.command.params if option.name in given}
-    for option, spelling in spelt.items():
-        if option not in taken and ctx.get_parameter_source(option) is not ParameterSource.DEFAULT:
-            own = sorted(spelt[each] for each in taken)
-            raise UsageError(f"{name} takes no {spelling}; its options: {', '.join(own)}.")
+    chosen = taken_options(ctx, name, given, taken)
     if train:
-        return _train(item, inputs, **{option: given[option] for option in taken})
+        return _train(item, inputs, **chosen)
     if not inputs:
         raise UsageError(f"{name}: name {row.inputs}..., which it is made from.")
     # Refuse files of unknown formats before anything is done.
@@ -400,4 +410,4 @@ def study(ctx: click.Context, item: str, inputs: Paths, train: bool, **given: An
         if len(given["out"]) != 1:
             raise UsageError(f"{name}: --out FILE is needed, the picture: .png or .svg.")
         require_drawable(given["out"][0])
-    return row.make(item, inputs, **{option: given[option] for option in taken})
+    return row.make(item, inputs, **chosen)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,20 +16,11 @@ from prbench.representation import Statistics
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.text import EncodedText, text_encoder
 from prbench.text import TextEncoder as TokenVectors
-from prbench_adapters.training.store import Motion, cut, encoded, frame_rate, open_table, read_rows
+from prbench_adapters.training.store import Row, cut, encoded, frame_rate, open_table, read_rows
 from prbench_benchmarks.text_to_motion import networks
 from prbench_benchmarks.text_to_motion.metrics import BATCH
 
 _SHORTER = 1 / 3
-
-
-@dataclass(frozen=True)
-class Clip:
-    """One recorded motion with the captions that it is evaluated with."""
-
-    sequence_id: str
-    captions: tuple[str, ...]
-    motion: Motion
 
 
 @dataclass(frozen=True)
@@ -73,7 +64,7 @@ class EvaluatedClips:
 
     table: SequenceTable | CorpusTable
     split: str
-    clips: tuple[Clip, ...]
+    clips: tuple[Row, ...]
     left_out: int
 
     @classmethod
@@ -105,13 +96,9 @@ class EvaluatedClips:
                 captions = row.texts if allowed is None else allowed.get(row.sequence_id, ())
                 if captions and row.motion.n_frames >= networks.SNIPPET:
                     motion = row.motion  # copied, so as not to keep the chunk alive from which it was read
-                    motion = Motion(
-                        motion.joints.copy(),
-                        motion.previous_joints.copy(),
-                        motion.next_joints.copy(),
-                        motion.goal_location,
-                    )
-                    clips.append(Clip(row.sequence_id, captions, motion))
+                    names = ("joints", "previous_joints", "next_joints")
+                    motion = replace(motion, **{name: getattr(motion, name).copy() for name in names})
+                    clips.append(replace(row, texts=captions, motion=motion))
                 else:
                     left_out += 1
         if len(clips) < BATCH:
@@ -124,21 +111,21 @@ class EvaluatedClips:
 
     def captions(self) -> tuple[str, ...]:
         """Return all distinct captions, sorted."""
-        return tuple(sorted({caption for clip in self.clips for caption in clip.captions}))
+        return tuple(sorted({caption for clip in self.clips for caption in clip.texts}))
 
 
-def longest(clip: Clip, configuration: networks.EvaluatorConfiguration) -> int:
+def longest(clip: Row, configuration: networks.EvaluatorConfiguration) -> int:
     """Return the most frames that are evaluated of a clip, a multiple of 4."""
     return min(clip.motion.n_frames, configuration.max_frames) // networks.SNIPPET * networks.SNIPPET
 
 
-def draw(clip: Clip, taken: Pass, configuration: networks.EvaluatorConfiguration) -> Draw:
+def draw(clip: Row, taken: Pass, configuration: networks.EvaluatorConfiguration) -> Draw:
     """Choose a caption and a crop: a multiple of 4 frames, one time in three 4 fewer.
 
     Source: docs/specification/mdm.md#training.
     """
     generator = taken.generator(clip.sequence_id)
-    caption = clip.captions[int(generator.integers(len(clip.captions)))]
+    caption = clip.texts[int(generator.integers(len(clip.texts)))]
     n_frames = longest(clip, configuration)
     # HumanML3D's own loader shortens one clip in three, so that lengths vary beyond multiples of 4.
     if generator.random() < _SHORTER and n_frames > networks.SNIPPET:
@@ -148,7 +135,7 @@ def draw(clip: Clip, taken: Pass, configuration: networks.EvaluatorConfiguration
 
 
 def recorded_features(
-    clip: Clip, drawn: Draw, configuration: networks.EvaluatorConfiguration
+    clip: Row, drawn: Draw, configuration: networks.EvaluatorConfiguration
 ) -> Float[np.ndarray, "n 263"]:
     """Return the crop, encoded anew in its own canonical frame."""
     motion = cut(clip.motion, drawn.start, drawn.n_frames, name=clip.sequence_id)

@@ -7,18 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, note, progress
-from prbench.cli.options import (
-    PATH,
-    POSITIVE,
-    device_option,
-    option_option,
-    out_file_option,
-    seed_option,
-    split_option,
-    threads_option,
-    weights_option,
-)
 from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
 
@@ -44,39 +34,45 @@ _TITLES = {
     " --out text.json",
     report="prbench_benchmarks.text_to_motion.report:TextEvaluation",
 )
-@click.option("--evaluator", type=PATH, required=True, metavar="FILE", help="Weights of a t2m-evaluator.")
-@click.option("--corpus", type=PATH, required=True, metavar="DIR", help="A built corpus or dataset.")
-@out_file_option("Where the numbers are written.", required=True, metavar="FILE.json")
-@split_option()
+@click.option("--evaluator", type=opt.PATH, required=True, metavar="FILE", help="Weights of a t2m-evaluator.")
+@click.option("--corpus", type=opt.PATH, required=True, metavar="DIR", help="A built corpus or dataset.")
+@opt.out_file_option("Where the numbers are written.", required=True, metavar="FILE.json")
+@opt.split_option()
 @click.option(
     "--kind", "kinds", multiple=True, metavar="KIND", help="Only captions of this kind; repeatable (default: all)."
 )
 @click.option("--method", metavar="NAME", help="An installed method that takes texts (default: recorded motion alone).")
-@weights_option
-@option_option("method")
+@opt.weights_option
+@opt.option_option("method")
 @click.option(
     "--repetitions",
-    type=POSITIVE,
+    type=opt.POSITIVE,
     metavar="N",
     help="Repetitions of the measurement (default 20, with --multimodality 5).",
 )
-@click.option("--prompts", type=POSITIVE, default=1000, metavar="N", help="Texts of each repetition (default 1000).")
+@click.option(
+    "--prompts", type=opt.POSITIVE, default=1000, metavar="N", help="Texts of each repetition (default 1000)."
+)
 @click.option("--multimodality", is_flag=True, help="Generate 30 motions for each of 100 texts as well.")
 @click.option(
     "--diversity-pairs",
-    type=POSITIVE,
+    type=opt.POSITIVE,
     default=300,
     metavar="N",
     help="Pairs of motions behind the diversity (default 300).",
 )
-@click.option("--words", type=PATH, metavar="DIR", help="Word vectors and lists of a GloVe evaluator.")
+@click.option("--words", type=opt.PATH, metavar="DIR", help="Word vectors and lists of a GloVe evaluator.")
 @click.option("--text-path", metavar="DIR|ID", help="DistilBERT's files, if the evaluator reads with it.")
-@seed_option("of crops, captions, pairs and noise")
+@opt.seed_option("of crops, captions, pairs and noise")
 @click.option(
-    "--batch-size", type=POSITIVE, default=64, metavar="N", help="Motions that the method makes at once (default 64)."
+    "--batch-size",
+    type=opt.POSITIVE,
+    default=64,
+    metavar="N",
+    help="Motions that the method makes at once (default 64).",
 )
-@device_option
-@threads_option
+@opt.device_option
+@opt.threads_option
 def evaluate_text(out: Path, kinds: tuple[str, ...], **given) -> Answer:
     """Measure how well motions match texts, with a trained text-motion evaluator."""
     from prbench_benchmarks.text_to_motion import evaluate

@@ -19,9 +19,9 @@ from prbench.harness.methods.loading import chosen_condition, load_adapter, weig
 from prbench.harness.methods.motions import Declared, generate_checked, native_frames
 from prbench.randomness import noise_seed
 from prbench.representation import encode
-from prbench_adapters.training.store import open_table
+from prbench_adapters.training.store import Row, open_table
+from prbench_benchmarks.text_to_motion import metrics
 from prbench_benchmarks.text_to_motion.clips import (
-    Clip,
     Draw,
     EvaluatedClips,
     Extractor,
@@ -29,28 +29,6 @@ from prbench_benchmarks.text_to_motion.clips import (
     draw,
     longest,
     recorded_features,
-)
-from prbench_benchmarks.text_to_motion.metrics import (
-    DISTANCE,
-    DIVERSITY,
-    DIVERSITY_PAIRS,
-    FEWEST,
-    FID,
-    METRICS,
-    MULTIMODALITY,
-    MULTIMODALITY_PROMPTS,
-    MULTIMODALITY_SAMPLES,
-    R_PRECISION,
-    EmbeddedPairs,
-    Repeated,
-    RPrecision,
-    diversity,
-    draw_diversity_pairs,
-    draw_multimodality_pairs,
-    fid,
-    multimodal_distance,
-    multimodality,
-    r_precision,
 )
 from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration
 from prbench_benchmarks.text_to_motion.report import ResultRow, TextEvaluation
@@ -92,7 +70,7 @@ class TextEvaluationRequest:
     repetitions: int | None = None
     multimodality: bool = False
     prompts: int = _PROMPTS
-    diversity_pairs: int = DIVERSITY_PAIRS
+    diversity_pairs: int = metrics.DIVERSITY_PAIRS
     seed: int = 0
     device: str = "cpu"
     threads: int = 1
@@ -110,14 +88,14 @@ class _Row:
     """The repetitions of one row so far."""
 
     values: dict[str, list[float]] = field(default_factory=dict)
-    rankings: list[RPrecision] = field(default_factory=list)
+    rankings: list[metrics.RPrecision] = field(default_factory=list)
     motions: int = 0
 
-    def add(self, pairs: EmbeddedPairs, more: dict[str, float]) -> None:
+    def add(self, pairs: metrics.EmbeddedPairs, more: dict[str, float]) -> None:
         """Take in one repetition: what its pairs measure, and other values."""
-        ranking = r_precision(pairs.text, pairs.motion, pairs.captions)
-        measured = dict(zip(R_PRECISION, ranking.top.tolist())) | {
-            DISTANCE: multimodal_distance(pairs.text, pairs.motion)
+        ranking = metrics.r_precision(pairs.text, pairs.motion, pairs.captions)
+        measured = dict(zip(metrics.R_PRECISION, ranking.top.tolist())) | {
+            metrics.DISTANCE: metrics.multimodal_distance(pairs.text, pairs.motion)
         }
         for name, value in (measured | more).items():
             self.values.setdefault(name, []).append(value)
@@ -128,7 +106,7 @@ class _Row:
         """Return the row after at least one repetition."""
         return ResultRow(
             source=source,
-            metrics={name: Repeated.of(self.values[name]) for name in METRICS if name in self.values},
+            metrics={name: metrics.Repeated.of(self.values[name]) for name in metrics.METRICS if name in self.values},
             motions=self.motions,
             ranked_pairs=self.rankings[-1].n_pairs,
             dropped_pairs=self.rankings[-1].n_dropped,
@@ -149,23 +127,23 @@ class _Passes:
 
     request: TextEvaluationRequest
     evaluator: Extractor
-    clips: tuple[Clip, ...]
-    supported: tuple[Clip, ...]
+    clips: tuple[Row, ...]
+    supported: tuple[Row, ...]
     texts: dict[str, np.ndarray]
     adapter: Adapter | None
 
-    def embedded(self, drawn: Sequence[Draw], features: Sequence[Features]) -> EmbeddedPairs:
+    def embedded(self, drawn: Sequence[Draw], features: Sequence[Features]) -> metrics.EmbeddedPairs:
         """Put motions beside their texts in the evaluator's space."""
         text = np.stack([self.texts[one.caption] for one in drawn])
-        return EmbeddedPairs(tuple(one.caption for one in drawn), text, self.evaluator.embed_motions(features))
+        return metrics.EmbeddedPairs(tuple(one.caption for one in drawn), text, self.evaluator.embed_motions(features))
 
-    def recorded(self, taken: Pass) -> EmbeddedPairs:
+    def recorded(self, taken: Pass) -> metrics.EmbeddedPairs:
         """All clips, with the crops and captions of a pass."""
         configuration = self.evaluator.configuration
         drawn = [draw(clip, taken, configuration) for clip in self.clips]
         return self.embedded(drawn, [recorded_features(*pair, configuration) for pair in zip(self.clips, drawn)])
 
-    def generated(self, taken: Pass) -> EmbeddedPairs:
+    def generated(self, taken: Pass) -> metrics.EmbeddedPairs:
         """Motions of the method for the prompts of a pass."""
         clips = self._prompts(taken, self.request.prompts)
         drawn = [draw(clip, taken, self.evaluator.configuration) for clip in clips]
@@ -175,24 +153,26 @@ class _Passes:
     def multimodality(self, taken: Pass) -> float:
         """Compare motions of the same prompts with different noise."""
         # Noise of no other pass.
-        first = (taken.repetition + 1) * MULTIMODALITY_SAMPLES + self.request.chosen_repetitions
-        clips = self._prompts(taken, MULTIMODALITY_PROMPTS)
+        first = (taken.repetition + 1) * metrics.MULTIMODALITY_SAMPLES + self.request.chosen_repetitions
+        clips = self._prompts(taken, metrics.MULTIMODALITY_PROMPTS)
         prompts = [
             (clip.sequence_id, draw(clip, taken, self.evaluator.configuration), sample)
             for clip in clips
-            for sample in range(first, first + MULTIMODALITY_SAMPLES)
+            for sample in range(first, first + metrics.MULTIMODALITY_SAMPLES)
         ]
         found = self.evaluator.embed_motions(self._features(prompts))
-        pairs = draw_multimodality_pairs(MULTIMODALITY_SAMPLES, taken.generator("pairs"))
-        return multimodality(found.reshape(len(clips), MULTIMODALITY_SAMPLES, -1), pairs)
+        pairs = metrics.draw_multimodality_pairs(metrics.MULTIMODALITY_SAMPLES, taken.generator("pairs"))
+        return metrics.multimodality(found.reshape(len(clips), metrics.MULTIMODALITY_SAMPLES, -1), pairs)
 
-    def motions(self, pairs: EmbeddedPairs, reference: np.ndarray, taken: Pass) -> dict[str, float]:
+    def motions(self, pairs: metrics.EmbeddedPairs, reference: np.ndarray, taken: Pass) -> dict[str, float]:
         """FID to recorded motions, and diversity."""
         motion = pairs.motion
-        drawn = draw_diversity_pairs(len(motion), taken.generator("diversity"), n_pairs=self.request.diversity_pairs)
-        return {FID: fid(reference, motion), DIVERSITY: diversity(motion, drawn)}
+        drawn = metrics.draw_diversity_pairs(
+            len(motion), taken.generator("diversity"), n_pairs=self.request.diversity_pairs
+        )
+        return {metrics.FID: metrics.fid(reference, motion), metrics.DIVERSITY: metrics.diversity(motion, drawn)}
 
-    def _prompts(self, taken: Pass, most: int) -> list[Clip]:
+    def _prompts(self, taken: Pass, most: int) -> list[Row]:
         number = min(most, len(self.supported))
         places = taken.generator("prompts").choice(len(self.supported), number, replace=False)
         return [self.supported[place] for place in places]
@@ -269,7 +249,7 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
         if adapter is not None:
             extra = {}
             if request.multimodality:
-                extra[MULTIMODALITY] = passes.multimodality(Pass(request.seed, repetition, "multimodality"))
+                extra[metrics.MULTIMODALITY] = passes.multimodality(Pass(request.seed, repetition, "multimodality"))
             taken = Pass(request.seed, repetition, "generated")
             pairs = passes.generated(taken)
             made.add(pairs, passes.motions(pairs, reference, taken) | extra)
@@ -301,10 +281,10 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
 def _notes(rows: Sequence[ResultRow], request: TextEvaluationRequest) -> tuple[str, ...]:
     notes = ["± is 1.96 · standard deviation / √repetitions: how far chance moves these means, and nothing else."]
     fewest = min(row.motions for row in rows)
-    if fewest < FEWEST:
-        notes.append(f"FID is of {fewest} motions: biased upwards below {FEWEST}.")
-    if request.diversity_pairs != DIVERSITY_PAIRS:
-        notes.append(f"diversity is over {request.diversity_pairs} pairs instead of {DIVERSITY_PAIRS}.")
+    if fewest < metrics.FEWEST:
+        notes.append(f"FID is of {fewest} motions: biased upwards below {metrics.FEWEST}.")
+    if request.diversity_pairs != metrics.DIVERSITY_PAIRS:
+        notes.append(f"diversity is over {request.diversity_pairs} pairs instead of {metrics.DIVERSITY_PAIRS}.")
     for row in rows:
         if row.duplicate_captions and row.source != MISMATCHED:
             notes.append(
@@ -325,7 +305,7 @@ def _loaded(method: str, request: TextEvaluationRequest) -> Adapter:
     return adapter
 
 
-def _supported(adapter: Adapter, clips: tuple[Clip, ...], configuration: EvaluatorConfiguration) -> tuple[Clip, ...]:
+def _supported(adapter: Adapter, clips: tuple[Row, ...], configuration: EvaluatorConfiguration) -> tuple[Row, ...]:
     """Return the clips of which the method can generate as many frames as they may ask for."""
     declared = Declared.by(adapter, origin=f"adapter '{adapter.name}'")
     if declared.max_frames is None:

@@ -321,12 +321,7 @@ class EvaluatorTask:
             InputFileError: if the initial weights or the word vectors do not fit it.
         """
         configuration, objective = split_model_table(model, EvaluatorConfiguration, EvaluatorObjective)
-        data.require_fit(
-            "the evaluator",
-            representation=configuration.representation,
-            fps=configuration.fps,
-            max_frames=configuration.max_frames,
-        )
+        data.require_fit("the evaluator", configuration)
         alone = not torch.distributed.is_initialized() or torch.distributed.get_world_size() == 1
         if stage == "contrastive" and initial is None:
             raise UsageError("--stage contrastive needs --init FILE: the weights that --stage autoencoder has left.")

@@ -169,7 +169,7 @@ class TableRequest:
         if not self.data:
             raise UsageError("a table needs one dataset folder or more (--data DIR).")
         load_table_two().chosen(self.method, self.condition)
-        if self.weights is not None and not any(self._weights_named(name) for name in load_table_two().weights):
+        if self.weights is not None and not any(self.user_weights(name) for name in load_table_two().weights):
             found = "a folder without any" if self.weights.is_dir() else "no folder"
             raise UsageError(
                 f"--weights {self.weights}: expected a folder of weights for a table, found {found}. It holds NAME or"
@@ -195,11 +195,8 @@ class TableRequest:
         own = {key.partition(".")[2]: value for key, value in self.options.items() if key.startswith(f"{method}.")}
         return plain | own
 
-    def user_weights(self, row: StudyRow) -> Path | None:
-        """Return the user's own weights of a row: a file, or a folder such as ``prbench train`` leaves."""
-        return self._weights_named(row.weights)
-
-    def _weights_named(self, name: str) -> Path | None:
+    def user_weights(self, name: str) -> Path | None:
+        """Return the user's own weights of this name: a file, or a folder such as ``prbench train`` leaves."""
         if self.weights is None:
             return None
         paths = (self.weights / name, self.weights / f"{name}.safetensors")
@@ -316,7 +313,7 @@ def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> li
     installed = {adapter.name for adapter in list_adapters() if not adapter.problem}
     planned = []
     for row in request.rows:
-        own = request.user_weights(row)
+        own = request.user_weights(row.weights)
         run = replace(
             base,
             method=row.method,

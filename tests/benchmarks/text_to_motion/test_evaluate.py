@@ -117,7 +117,7 @@ def test_the_same_request_gives_the_same_numbers_whatever_the_batches(request_fo
 
 
 def test_multimodality_takes_thirty_motions_of_each_text(request_for, swaying, monkeypatch):
-    monkeypatch.setattr("prbench_benchmarks.text_to_motion.evaluate.MULTIMODALITY_PROMPTS", 3)
+    monkeypatch.setattr("prbench_benchmarks.text_to_motion.metrics.MULTIMODALITY_PROMPTS", 3)
     result = evaluate_text(request_for(method="swaying", multimodality=True, repetitions=1))
     assert result.rows[-1].metrics["multimodality"].mean > 0
     assert sum(swaying.calls) == 36 + 3 * 30
