@@ -147,7 +147,7 @@ def test_passes_draw_crops_of_four_frame_steps_and_captions_anew(corpus):
         whole = clip.motion.n_frames // 4 * 4
         assert one.n_frames in (whole, whole - 4)
         assert 0 <= one.start <= clip.motion.n_frames - one.n_frames
-        assert one.caption in clip.captions
+        assert one.caption in clip.texts
         assert recorded_features(clip, one, CONFIGURATION).shape == (one.n_frames, 263)
     shorter = np.mean([one.n_frames % 4 == 0 and one.n_frames < clip.motion.n_frames // 4 * 4
                        for run in drawn for clip, one in zip(clips, run)])  # fmt: skip
