@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 from prbench.files.storage import write_json
 
-# Damages the recording of that id below the tree's root; deterministic.
 Damage = Callable[[Path, str], object]
 # One line of a CSV file by column.
 Row = dict[str, str]
@@ -22,7 +21,8 @@ class Defect:
 
     Attributes:
         name: Lower case with dashes, for example ``missing-gaze``.
-        what: One line for the help page.
+        what: What is wrong with the copy, in a few words.
+        apply: Damages the recording of that id below the root of its tree, the same way each time.
         outcome: What a build must make of the recording: leave it out with a message, or read what is left of it.
         says: A part of the message that the user must see; empty where a repair needs no words.
     """

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,12 +22,6 @@ def write_copy(root: Path) -> Path:
 
 def annotation(root: Path, name: str) -> Path:
     return root / hd_epic.ANNOTATIONS_FOLDER / hd_epic.MOVEMENTS_FOLDER / name
-
-
-def change_json(path: Path, change: Callable[[Any], None]) -> None:
-    content = json.loads(path.read_text())
-    change(content)
-    path.write_text(json.dumps(content))
 
 
 def time_file(root: Path, video: str) -> Path:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.files.storage import atomic_path
 from prbench.geometry.skeleton import XSENS_SEGMENTS
 from prbench_adapters.corpora.nymeria import format as nymeria
 from tests.readers.defects import Defect, change_cells, cut_in_half, removed
@@ -31,8 +30,7 @@ def _on_arrays(keys: Sequence[str], change: Callable[[np.ndarray], np.ndarray], 
     with np.load(path, allow_pickle=False) as archive:
         arrays = {key: archive[key] for key in archive.files}
     arrays |= {key: change(arrays[key]) for key in keys}
-    with atomic_path(path) as temporary:
-        np.savez(temporary, **arrays)
+    np.savez(path, **arrays)
 
 
 def _filled(values: np.ndarray, places: tuple[slice | int, ...], value: float) -> np.ndarray:
@@ -55,7 +53,7 @@ def _on_rows(change: Callable[[list[list[str]]], list[list[str]]], root: Path, r
     path = root / recording / "narration" / _ATOMIC
     with open(path, encoding="utf-8-sig", newline="") as file:
         header, *rows = list(csv.reader(file))
-    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8-sig", newline="") as file:
+    with open(path, "w", encoding="utf-8-sig", newline="") as file:
         csv.writer(file, quoting=csv.QUOTE_ALL).writerows([header, *change(rows)])
 
 

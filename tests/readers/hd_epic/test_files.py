@@ -19,7 +19,8 @@ from prbench.readers.hd_epic import annotations
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.annotations import read_video_clock
 from tests.comparing import differences
-from tests.readers.hd_epic_copies import FIRST, SECOND, annotation, change_json, time_file, write_copy
+from tests.readers.defects import change_json
+from tests.readers.hd_epic_copies import FIRST, SECOND, annotation, time_file, write_copy
 
 
 @pytest.fixture(scope="module")
