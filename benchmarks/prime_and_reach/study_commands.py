@@ -335,10 +335,9 @@ class _OutType(PlaceType):
     help="The tables of the runs: scores are held against the motions on them, and called unverified without; the"
     " embedded tables need not be named. With --train: split 'train' is learnt from, 'test' is run.",
 )
-@click.option(
+@opt.flag(
     "--with-published",
-    is_flag=True,
-    help="Show the study's rows in a block of their own and, for runs on real recordings, the differences.",
+    "Show the study's rows in a block of their own and, for runs on real recordings, the differences.",
 )
 @click.option(
     "--out",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,11 +42,7 @@ adapters = Group(
     report={"": [InstalledEntry], "--details": ["prbench.harness.methods.describe:Description"]},
 )
 @click.argument("names", nargs=-1, metavar="[NAME...]")
-@click.option(
-    "--details",
-    is_flag=True,
-    help="Import each and show its conditions, whether it trains, its limits and weights, or its error.",
-)
+@opt.flag("--details", "Import each and show its conditions, whether it trains, its limits and weights, or its error.")
 @click.option(
     "--converters",
     type=opt.OUT_FILE,
@@ -141,12 +138,8 @@ def _print_details(described: list[Description], *, with_controls: bool) -> None
     help=f"What the method is given: {opt.conditions_by_benchmark()} (default goal-loc; of motion-prediction pose);"
     " repeatable.",
 )
-@click.option("--trainable", is_flag=True, help="Write fit(), too: a method that learns from a table.")
-@click.option(
-    "--program",
-    is_flag=True,
-    help="Write a program of its own instead of a package: one plain Python file and a TOML file.",
-)
+@opt.flag("--trainable", "Write fit(), too: a method that learns from a table.")
+@opt.flag("--program", "Write a program of its own instead of a package: one plain Python file and a TOML file.")
 @opt.benchmark_option
 def new(*, benchmark: str | None, **given: Any) -> Answer:
     """Write a complete package with a new method that works at once, for you to change.
@@ -170,6 +163,11 @@ _OUTCOMES = ("passed", "skipped", "warning", "failed")
 _FAILED = 5  # as for every other breach of the adapter contract
 
 
+def _limit_option(name: str, default: int, of: str) -> Callable:
+    help = f"Time limit of {of} (default {default})."
+    return click.option(name, type=opt.SECONDS, default=default, metavar="SECONDS", help=help)
+
+
 @command("check", example="prbench adapters check static", report="prbench.checking.conformance.findings:Report")
 @click.argument("method")
 @opt.benchmark_option
@@ -177,21 +175,9 @@ _FAILED = 5  # as for every other breach of the adapter contract
     "--data", type=opt.PATH, metavar="DIR", help="Ask about 12 test cases of this table (default: synthetic people)."
 )
 @opt.method_settings
-@click.option(
-    "--timeout",
-    type=opt.SECONDS,
-    default=600,
-    metavar="SECONDS",
-    help="Time limit of each call of the method (default 600).",
-)
-@click.option(
-    "--start-timeout",
-    type=opt.SECONDS,
-    default=120,
-    metavar="SECONDS",
-    help="Time limit of importing an installed method, and of loading it (default 120).",
-)
-@click.option("--isolate", is_flag=True, help="Run an installed method in a process of its own.")
+@_limit_option("--timeout", 600, "each call of the method")
+@_limit_option("--start-timeout", 120, "importing an installed method, and of loading it")
+@opt.flag("--isolate", "Run an installed method in a process of its own.")
 def check(
     *,
     method: str,

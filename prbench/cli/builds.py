@@ -118,18 +118,16 @@ def note_recordings(records: Iterable[Recording], *, reused: int) -> None:
 )
 @opt.replace_option()
 @opt.recordings_options
-@click.option("--dry-run", is_flag=True, help="Say what would be read, and write nothing.")
+@opt.flag("--dry-run", "Say what would be read, and write nothing.")
 @click.option(
     "--propose-events",
     type=opt.OUT_FILE,
     metavar="FILE",
     help="Write picks for a person to confirm into this new CSV file, and no table (gimo: docs/gimo-events.md).",
 )
-@click.option(
+@opt.flag(
     "--events-only",
-    is_flag=True,
-    help="List picks and puts from the annotations alone, without sequences, before anything else is downloaded"
-    " (hd-epic).",
+    "List picks and puts from the annotations alone, without sequences, before anything else is downloaded (hd-epic).",
 )
 @click.option("--in-hand", metavar="RULE", help="Another in-hand rule of the manifest, for example wrist.")
 @click.option("--ray-origin", type=click.Choice(["eye", "camera"]), help="Where gaze rays start (default: eye).")
@@ -219,7 +217,11 @@ def build_dataset(
             from prbench.curation import build_dataset as build
 
             report = build(dataset, root, out, options=chosen, engine=where, progress=tell)
-            return table_answer(report, annotations=_annotations(dataset, root) if given["events_only"] else None)
+            from prbench.readers import CountsAnnotations, reader_for
+
+            reader = reader_for(dataset, {"events_only": "true"}) if given["events_only"] else None
+            counts = reader.annotation_counts(reader.find(root)) if isinstance(reader, CountsAnnotations) else None
+            return table_answer(report, annotations=counts)
         from prbench.curation.build import build_shard_from_sources
         from prbench.curation.job import native_sources
 
@@ -270,13 +272,6 @@ def print_annotations(counts: AnnotationCounts) -> None:
     print_table("annotated picks and puts", ("participant", *names), rows, numbers=range(1, 7))
     for line in (*counts.remarks, *counts.examples[:_EXAMPLES]):
         print(line)
-
-
-def _annotations(dataset: str, root: Path) -> AnnotationCounts | None:
-    from prbench.readers import CountsAnnotations, reader_for
-
-    reader = reader_for(dataset, {"events_only": "true"})
-    return reader.annotation_counts(reader.find(root)) if isinstance(reader, CountsAnnotations) else None
 
 
 def table_answer(

@@ -100,9 +100,9 @@ _NOT_COMPLETE = 3
 
 @command("inspect", example="prbench inspect /data tables/adt", report="prbench.checking.inspection:Inspection")
 @click.argument("places", type=opt.NATIVE, nargs=-1, required=True, metavar="DIR...")
-@click.option("--thorough", is_flag=True, help="Read every recording as a build would; takes as long.")
+@opt.flag("--thorough", "Read every recording as a build would; takes as long.")
 @opt.stream_options
-@click.option("--all", "everything", is_flag=True, help="List complete recordings too, and every incomplete one.")
+@opt.flag("--all", "everything", "List complete recordings too, and every incomplete one.")
 def inspect(
     *,
     places: tuple[Path, ...],
@@ -287,7 +287,7 @@ def _print_priming(priming: dict[str, dict[str, int]], shares: dict[str, tuple[f
 @click.option(
     "--poses-root", type=opt.LOCAL_PATH, metavar="DIR", help="Folder of EgoAllo's outputs (default: ROOT/egoallo)."
 )
-@click.option("--dry-run", is_flag=True, help="Say which recordings lack a body, and run nothing.")
+@opt.flag("--dry-run", "Say which recordings lack a body, and run nothing.")
 def poses(
     *,
     estimator: str,

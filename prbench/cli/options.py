@@ -117,6 +117,18 @@ tables_option = data_option(
 )
 
 
+def flag(*words: str) -> Callable:
+    """Add an option without a value: its name, that of the command's argument where it is another, and its help."""
+    *names, help = words
+    return click.option(*names, is_flag=True, help=help)
+
+
+def number_option(*words: str) -> Callable:
+    """Add an option whose value is a whole number of 1 or more; see :func:`flag`."""
+    *names, help = words
+    return click.option(*names, type=POSITIVE, metavar="N", help=help)
+
+
 def out_folder_option(help: str, *, required: bool = False) -> Callable:
     """Add ``--out DIR``, the folder that the command writes."""
     return click.option("--out", type=_OUT_FOLDER, metavar="DIR", required=required, help=help)
@@ -216,7 +228,7 @@ def limit_option(default: str = "all") -> Callable:
     """Add ``--limit N`` sequences of each dataset; equal limits mean the same sequences in every command."""
     share = "of every recording its share, for every command the same"
     help = f"At most N sequences of each dataset, {share} (default: {default})."
-    return click.option("--limit", type=POSITIVE, metavar="N", help=help)
+    return number_option("--limit", help)
 
 
 def root_option(
@@ -228,14 +240,14 @@ def root_option(
 
 def count_option(help: str) -> Callable:
     """Add ``--count N``, how many synthetic recordings to make; ``--recordings`` chooses among recordings there are."""
-    return click.option("--count", type=POSITIVE, metavar="N", help=help)
+    return number_option("--count", help)
 
 
 def recordings_options(function: Callable) -> Callable:
     """Add ``--recordings GLOB`` and ``--max-recordings N``, which choose recordings of a copy of a dataset."""
     glob = "Only recordings whose name matches (default: all)."
     most = "At most N recordings: the first by name."
-    limited = click.option("--max-recordings", type=POSITIVE, metavar="N", help=most)(function)
+    limited = number_option("--max-recordings", most)(function)
     return click.option("--recordings", default="*", metavar="GLOB", help=glob)(limited)
 
 
@@ -295,7 +307,7 @@ def on_error_option(*, what: str = "a recording", them: str = "it") -> Callable:
 def replace_option(what: str = "table") -> Callable:
     """Add ``--replace``, which loses what an earlier result holds."""
     help = f"Replace an earlier {what} even where the new one lacks recordings that it holds (refused by default)."
-    return click.option("--replace", is_flag=True, help=help)
+    return flag("--replace", help)
 
 
 def complete_method(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:  # noqa: ARG001

@@ -91,10 +91,9 @@ def import_release(
 )
 @click.argument("data", type=opt.PATH, nargs=-1, metavar="[DIR]...")
 @opt.out_folder_option("Folder of the release; each dataset gets a folder in it.", required=True)
-@click.option(
+@opt.flag(
     "--as-published",
-    is_flag=True,
-    help="Only what the authors' page names: goal, prompt, subset and primed frame, without action, hand, recording ….",
+    "Only what the authors' page names: goal, prompt, subset and primed frame, without action, hand, recording ….",
 )
 @opt.permission_option
 def export_release(*, data: tuple[Path, ...], out: Path, as_published: bool, permission: tuple[str, ...]) -> Answer:

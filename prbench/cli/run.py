@@ -75,7 +75,7 @@ _FIRST_RUN_WORKERS = 2
     help="An experiment's TOML file (docs/experiments.md); --data, --out and the like replace what it says. Or a run"
     " folder: the run is repeated.",
 )
-@click.option("--show-config", is_flag=True, help="Print the experiment that the command line means, and stop.")
+@opt.flag("--show-config", "Print the experiment that the command line means, and stop.")
 @opt.data_option(required=False, help="Built dataset folder(s), or a folder of such (default: small synthetic ones).")
 @opt.out_folder_option("Run folder (default: one under ./runs); resumes. Several runs: the folder of their folders.")
 @opt.split_option(
@@ -92,7 +92,7 @@ _FIRST_RUN_WORKERS = 2
 @opt.limit_option(f"all; {opt.FIRST_RUN_SEQUENCES} without --data; with all: 5 of each dataset")
 @opt.sequence_option("Run this one only")
 @click.option("--view", type=opt.OUT_FILE, metavar="FILE", help="Show the motions as .png, .mp4 or .html.")
-@click.option("--with-controls", is_flag=True, help="With all: the cheats of docs/audit.md and nearest-neighbour, too.")
+@opt.flag("--with-controls", "With all: the cheats of docs/audit.md and nearest-neighbour, too.")
 @opt.protocol_option(
     "the numbers of the metrics, stamped into the run; the table must have been built by the same rules."
 )
@@ -100,19 +100,13 @@ _FIRST_RUN_WORKERS = 2
 @opt.method_settings
 @opt.control_option("Give every sequence another one's goal.")
 @opt.seed_option("of the run")
-@click.option(
-    "--samples",
-    type=opt.POSITIVE,
-    metavar="N",
-    help=f"Answers to each case: motions a sequence, futures a window (default {opt.usual_number('samples')}).",
+@opt.number_option(
+    "--samples", f"Answers to each case: motions a sequence, futures a window (default {opt.usual_number('samples')})."
 )
-@click.option(
-    "--batch-size", type=opt.POSITIVE, metavar="N", help=f"Cases a batch (default {opt.usual_number('batch_size')})."
-)
-@click.option(
+@opt.number_option("--batch-size", f"Cases a batch (default {opt.usual_number('batch_size')}).")
+@opt.flag(
     "--isolate",
-    is_flag=True,
-    help="Run the method in a process that is given neither paths, objects nor environment; with bubblewrap (Linux)"
+    "Run the method in a process that is given neither paths, objects nor environment; with bubblewrap (Linux)"
     " the file system is withheld too.",
 )
 @click.option(

@@ -10,16 +10,9 @@ import click
 import msgspec
 
 from prbench.cli import options as opt
+from prbench.cli import summaries
 from prbench.cli.builds import BuildsReport, table_answer
 from prbench.cli.commands import Answer, command, note, progress
-from prbench.cli.summaries import (
-    RunAnswer,
-    exit_code_of,
-    print_agreement,
-    print_findings,
-    print_summary,
-    run_answer,
-)
 from prbench.entry_points import CORPORA, STUDY_ITEMS, load_built_in
 from prbench.errors import UsageError
 from prbench.protocol.manifests import default_benchmark
@@ -66,23 +59,17 @@ class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
 @opt.seed_option("behind the opaque ids, if the predictions have those", default=None)
 @click.option("--condition", type=click.Choice(opt.CONDITIONS), help="What the method was given; leaderboards need it.")
 @opt.control_option("The method was given other sequences' goals.")
-@click.option("--max-frames", type=opt.POSITIVE, metavar="N", help="Longer sequences count as unsupported.")
+@opt.number_option("--max-frames", "Longer sequences count as unsupported.")
 @click.option(
     "--native-fps", type=float, metavar="F", help="Rate of the motions in frames per second, if not the table's."
 )
-@click.option(
-    "--allow-length-mismatch", is_flag=True, help="Score motions of another length than the recorded one, too."
-)
+@opt.flag("--allow-length-mismatch", "Score motions of another length than the recorded one, too.")
 @opt.protocol_option("the numbers of the metrics; the table must have been built by the same rules.")
 @opt.out_folder_option("Write scores.parquet, summary.json … into this folder.")
 @opt.engine_options()
 @opt.benchmark_option
 @opt.scores_options
-@click.option(
-    "--one-design",
-    is_flag=True,
-    help="The K futures of a window are one design: fewer have no scores (motion-prediction).",
-)
+@opt.flag("--one-design", "The K futures of a window are one design: fewer have no scores (motion-prediction).")
 def score(
     *,
     predictions: Path,
@@ -148,16 +135,16 @@ def score(
 
         for each in made:
             metrics = load_benchmark(about.name).metrics
-            print_summary(each.scores, origin=each.origin, motionless=each.motionless, metrics=metrics)
-            print_agreement(each.agreement)
+            summaries.print_summary(each.scores, origin=each.origin, motionless=each.motionless, metrics=metrics)
+            summaries.print_agreement(each.agreement)
         if out is not None:
             print(f"scores: {out}")
             if any(each.scores.condition == UNSTATED for each in made):
                 unstated = "the condition is not stated (--condition or --conditions)"
                 print(f"{unstated}: a leaderboard will not rank these scores")
-        print_findings([each.scores for each in made])
+        summaries.print_findings([each.scores for each in made])
 
-    return Answer(made, show_scores, exit_code_of([each.scores for each in made]))
+    return Answer(made, show_scores, summaries.exit_code_of([each.scores for each in made]))
 
 
 @command(
@@ -182,12 +169,7 @@ def score(
 @opt.split_option()
 @opt.fold_option
 @opt.limit_option()
-@click.option(
-    "--max-frames",
-    type=opt.POSITIVE,
-    metavar="N",
-    help="Leave out sequences of more than N frames; scoring counts them as unsupported.",
-)
+@opt.number_option("--max-frames", "Leave out sequences of more than N frames; scoring counts them as unsupported.")
 @click.option(
     "--native-fps",
     type=float,
@@ -252,7 +234,7 @@ def export_conditions(
 @command(
     "merge",
     example="prbench merge shards/adt-* --out tables/adt",
-    report={"of tables": BuildsReport, "of runs": RunAnswer},
+    report={"of tables": BuildsReport, "of runs": summaries.RunAnswer},
     resumes=True,
 )
 @click.argument("parts", type=opt.PATH, nargs=-1, required=True, metavar="DIR...")
@@ -291,7 +273,7 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
             note(f"unverified: {reason}")
         merged.write(out)
         folds = RunReport(RunFolder.open(out), (merged.summary,), batches_made=0, batches_found=0)
-        return run_answer([folds], single=False)
+        return summaries.run_answer([folds], single=False)
     if out.resolve() in [folder.resolve() for folder in parts]:
         raise UsageError(f"--out {out}: is one of the shards. Choose another folder.")
     opened = require_whole(parts)
@@ -319,4 +301,4 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
             engine=engine_for(workers),
             progress=lambda step: tell(step.done, step.total, f"{step.stage} {step.dataset}"),
         )
-    return run_answer([run], single=bool(run.folder.record.sequences))
+    return summaries.run_answer([run], single=bool(run.folder.record.sequences))

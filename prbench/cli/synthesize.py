@@ -47,24 +47,16 @@ class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
 )
 @click.argument("layout")
 @opt.out_folder_option("Folder of the recordings, or of the table.")
-@click.option(
-    "--table",
-    is_flag=True,
-    help="Write the finished table of sequences instead of native files (the only way for size large).",
-)
+@opt.flag("--table", "Write the finished table of sequences instead of native files (the only way for size large).")
 @opt.replace_option()
 @opt.count_option("Number of recordings to make (default: the size's number).")
 @opt.seed_option("of everything")
 @click.option(
     "--size", type=click.Choice(["tiny", "default", "large"]), default="tiny", help="How much (default tiny)."
 )
-@click.option("--events", type=opt.POSITIVE, metavar="N", help="Picks and puts of each recording.")
+@opt.number_option("--events", "Picks and puts of each recording.")
 @click.option("--bystander-objects", type=int, metavar="N", help="Objects that never move.")
-@click.option(
-    "--egoallo",
-    is_flag=True,
-    help="Also write bodies as EgoAllo would estimate them (adt; hd-epic and hot3d have no others).",
-)
+@opt.flag("--egoallo", "Also write bodies as EgoAllo would estimate them (adt; hd-epic and hot3d have no others).")
 @opt.workers_option()
 def synthesize(
     *,

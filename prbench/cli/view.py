@@ -141,7 +141,7 @@ def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ..
     metavar="X",
     help="Only events that are at most so sure, from 0 to 1.",
 )
-@click.option("--limit", type=opt.POSITIVE, metavar="N", help="Only the N most doubtful events (default: all).")
+@opt.number_option("--limit", "Only the N most doubtful events (default: all).")
 @opt.reader_options(remark="of the table's own options only those that name files or folders have to be said again")
 @opt.permission_option
 @opt.engine_options()

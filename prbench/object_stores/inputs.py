@@ -16,17 +16,7 @@ import msgspec
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, PrbenchError, StorageError
 from prbench.files.storage import in_turn, remove_folder, text_digest, write_bytes
-from prbench.object_stores.store import (
-    FINISHED,
-    LARGEST_MANIFEST,
-    UNFINISHED,
-    FolderManifest,
-    Store,
-    StoredObject,
-    StoreUrl,
-    decode_manifest,
-    opened_elsewhere,
-)
+from prbench.object_stores import store as stores
 from prbench.protocol.manifests import load_manifest
 from prbench.shown import clean
 
@@ -59,10 +49,10 @@ def fetched(text: str, *, tell: Tell = lambda _: None) -> Path:
             another size or digest than its manifest says.
         StorageError: if the store cannot be reached, or the disk is full.
     """
-    known = opened_elsewhere(text)
+    known = stores.opened_elsewhere(text)
     if known is not None:
         return known
-    store = Store(StoreUrl.parse(text))
+    store = stores.Store(stores.StoreUrl.parse(text))
     for last_try in (False, True):
         manifest = read_manifest(store)
         if manifest is None:
@@ -86,13 +76,15 @@ def fetched(text: str, *, tell: Tell = lambda _: None) -> Path:
     raise AssertionError
 
 
-def read_manifest(store: Store, name: str = FINISHED) -> FolderManifest | None:
+def read_manifest(store: stores.Store, name: str = stores.FINISHED) -> stores.FolderManifest | None:
     """Read the manifest of a folder, by default that of a finished one; None if there is none."""
-    content = store.read(name, largest=LARGEST_MANIFEST)
-    return None if content is None else decode_manifest(content, f"{store.url}/{name}")
+    content = store.read(name, largest=stores.LARGEST_MANIFEST)
+    return None if content is None else stores.decode_manifest(content, f"{store.url}/{name}")
 
 
-def fetch_files(store: Store, manifest: FolderManifest, target: Callable[[str], Path], tell: Tell) -> None:
+def fetch_files(
+    store: stores.Store, manifest: stores.FolderManifest, target: Callable[[str], Path], tell: Tell
+) -> None:
     """Copy those files of a manifest that are not there in their size.
 
     Args:
@@ -111,19 +103,19 @@ def fetch_files(store: Store, manifest: FolderManifest, target: Callable[[str], 
     _download_all(store, [download(name) for name in missing], sizes, tell)
 
 
-def _fetched_file(store: Store, tell: Tell) -> Path:
+def _fetched_file(store: stores.Store, tell: Tell) -> Path:
     url = store.url
     found = store.describe()
     if found is None:
         # It names no file and holds no manifest.
         remedy = "Correct the URL."
-        if store.read(UNFINISHED, largest=LARGEST_MANIFEST) is not None:
+        if store.read(stores.UNFINISHED, largest=stores.LARGEST_MANIFEST) is not None:
             what = "an unfinished one"
             remedy = "Run the command that writes it again with the same --out: it goes on, here or on another machine."
         elif store.is_empty():
             what = "nothing"
         else:
-            what = f"other files and no {FINISHED}"
+            what = f"other files and no {stores.FINISHED}"
             remedy = (
                 "Only what prbench has finished is read there. Of a folder that was copied by another program:"
                 " `python -m prbench.object_stores.store DIR` writes the manifest to copy with it, last."
@@ -153,10 +145,10 @@ def fetched_native(text: str, dataset: str | None, *, tell: Tell = lambda _: Non
         UsageError, MissingExtraError, StorageError: as :func:`fetched` raises them.
         InputFileError: if nothing lies there that a reader asks for.
     """
-    known = opened_elsewhere(text)
+    known = stores.opened_elsewhere(text)
     if known is not None:
         return known
-    store = Store(StoreUrl.parse(text))
+    store = stores.Store(stores.StoreUrl.parse(text))
     # The files that readers ask for, each as patterns for the last parts of a path.
     names = readable_datasets() if dataset is None else (dataset,)
     found: set[tuple[str, ...]] = {(_MARK,)}
@@ -198,7 +190,7 @@ def fetched_native(text: str, dataset: str | None, *, tell: Tell = lambda _: Non
     return root
 
 
-def _mirror(store: Store, wanted: Sequence[StoredObject], root: Path, tell: Tell) -> None:
+def _mirror(store: stores.Store, wanted: Sequence[stores.StoredObject], root: Path, tell: Tell) -> None:
     """Make a folder equal to some objects; versions are kept beside it, as no digest of them is known."""
     kept = root.parent / "versions.json"
     try:
@@ -219,7 +211,7 @@ def _mirror(store: Store, wanted: Sequence[StoredObject], root: Path, tell: Tell
         if path.relative_to(root).as_posix() not in versions:
             path.unlink()
 
-    def download(each: StoredObject) -> Download:
+    def download(each: stores.StoredObject) -> Download:
         return lambda: store.download(each.name, root / each.name, size=each.size)
 
     _download_all(store, [download(each) for each in changed], [each.size for each in changed], tell)
@@ -251,7 +243,7 @@ def _has_size(path: Path, size: int) -> bool:
         return False
 
 
-def _download_all(store: Store, downloads: Sequence[Download], sizes: Sequence[int], tell: Tell) -> None:
+def _download_all(store: stores.Store, downloads: Sequence[Download], sizes: Sequence[int], tell: Tell) -> None:
     """Fetch some files, several at once; the first that fails ends it.
 
     Raises:

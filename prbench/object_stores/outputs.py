@@ -15,21 +15,8 @@ import msgspec
 
 from prbench.errors import InputFileError, StorageError, UsageError
 from prbench.files.storage import file_digest, remove_folder, sole_writer, write_bytes
+from prbench.object_stores import store as stores
 from prbench.object_stores.inputs import Tell, fetch_files, read_manifest
-from prbench.object_stores.store import (
-    FINISHED,
-    OWN_PREFIX,
-    UNFINISHED,
-    WORK_PREFIX,
-    FolderManifest,
-    ObjectStoreError,
-    Store,
-    StoredFile,
-    StoreUrl,
-    opened,
-    opened_elsewhere,
-    stays_inside,
-)
 
 # Environment variable: seconds between two uploads of finished parts while a command works.
 SECONDS_VARIABLE = "PRBENCH_UPLOAD_SECONDS"
@@ -66,17 +53,17 @@ def written_folder(text: str, *, tell: Tell = lambda _: None) -> Iterator[tuple[
         MissingExtraError: if fsspec or the package of the protocol is missing.
         StorageError: if the store cannot be reached, something else lies there, or another command writes there.
     """
-    known = opened_elsewhere(text)
+    known = stores.opened_elsewhere(text)
     if known is not None:
         yield known, Outcome()
         return
-    copy = _OutputCopy(Store(StoreUrl.parse(text)), tell)
+    copy = _OutputCopy(stores.Store(stores.StoreUrl.parse(text)), tell)
     outcome = Outcome()
     copy.folder.parent.mkdir(parents=True, exist_ok=True)
     with sole_writer(copy.folder.parent):
         copy.begin()
         try:
-            with opened(text, copy.folder), copy.uploading():
+            with stores.opened(text, copy.folder), copy.uploading():
                 yield copy.folder, outcome
         except BaseException:
             copy.keep()
@@ -96,9 +83,9 @@ def written_file(text: str, *, tell: Tell = lambda _: None) -> Iterator[Path]:
     Raises:
         StorageError: see :func:`written_folder`, whose other errors these are, too.
     """
-    url = StoreUrl.parse(text)
-    store = Store(url)
-    beside = Store(url.parent)
+    url = stores.StoreUrl.parse(text)
+    store = stores.Store(url)
+    beside = stores.Store(url.parent)
     with sole_writer(url.cache / "new"):
         beside.is_empty()  # a bucket that does not exist is told before the work
         folder = url.cache / "new"
@@ -114,8 +101,8 @@ def written_file(text: str, *, tell: Tell = lambda _: None) -> Iterator[Path]:
             if before.get(name) != status:
                 try:
                     beside.upload(folder / name, name)
-                except ObjectStoreError as error:
-                    raise ObjectStoreError(f"{error} Until then the file lies in {folder / name}.") from error
+                except stores.ObjectStoreError as error:
+                    raise stores.ObjectStoreError(f"{error} Until then the file lies in {folder / name}.") from error
                 tell(f"{url.parent}/{name}: uploaded.")
 
 
@@ -148,11 +135,11 @@ class _OutputCopy:
         failed: The last upload failed, and that was told.
     """
 
-    store: Store
+    store: stores.Store
     tell: Tell
     writer: str = field(default_factory=lambda: secrets.token_hex(8))
-    before: FolderManifest | None = None
-    known: FolderManifest | None = None
+    before: stores.FolderManifest | None = None
+    known: stores.FolderManifest | None = None
     left_over: set[str] = field(default_factory=set)
     digests: dict[str, tuple[_Status, str]] = field(default_factory=dict)
     failed: bool = False
@@ -174,15 +161,15 @@ class _OutputCopy:
         """Make the local copy equal to what lies there, unless it is newer."""
         store = self.store
         self.before = read_manifest(store)
-        self.known = read_manifest(store, UNFINISHED)
+        self.known = read_manifest(store, stores.UNFINISHED)
         if self.before is None and self.known is None and not store.is_empty():
             raise StorageError(
-                f"{store.url}: is not empty and holds no {FINISHED}, so it is nothing that may be replaced. Choose an"
-                " empty or new folder for --out."
+                f"{store.url}: is not empty and holds no {stores.FINISHED}, so it is nothing that may be replaced."
+                " Choose an empty or new folder for --out."
             )
         if self.known is not None and self.known.begun_from != self._begun_from:
             # A command was killed after the manifest and before it had cleared away, or another one has finished since.
-            self.left_over = {UNFINISHED, *self.known.objects}
+            self.left_over = {stores.UNFINISHED, *self.known.objects}
             self.known = None
         if not self._local_is_newest():
             remove_folder(self.work)
@@ -212,8 +199,8 @@ class _OutputCopy:
 
     def _local(self, name: str) -> Path:
         """Path of a file of the manifest: in the folder, or in that of intermediate parts."""
-        if name.startswith(WORK_PREFIX):
-            return self.work / name.removeprefix(WORK_PREFIX)
+        if name.startswith(stores.WORK_PREFIX):
+            return self.work / name.removeprefix(stores.WORK_PREFIX)
         return self.folder / name
 
     @contextlib.contextmanager
@@ -268,15 +255,15 @@ class _OutputCopy:
         self._upload(files, taken)
         self._announce(files)
 
-    def _announce(self, files: Mapping[str, StoredFile]) -> None:
+    def _announce(self, files: Mapping[str, stores.StoredFile]) -> None:
         """Write the manifest of unfinished work; what it no longer names goes with the next manifest."""
-        manifest = FolderManifest.of(files)
+        manifest = stores.FolderManifest.of(files)
         self.left_over |= (self.known.objects.keys() if self.known else set()) - manifest.objects.keys()
         self.known = msgspec.structs.replace(manifest, writer=self.writer, begun_from=self._begun_from)
-        self.store.write(UNFINISHED, self.known.encoded())
+        self.store.write(stores.UNFINISHED, self.known.encoded())
         self._remember()
 
-    def _upload(self, files: Mapping[str, StoredFile], there: Mapping[str, str]) -> None:
+    def _upload(self, files: Mapping[str, stores.StoredFile], there: Mapping[str, str]) -> None:
         """Upload the files whose objects are not there yet."""
         for name, file in files.items():
             target = file.object or name
@@ -293,7 +280,7 @@ class _OutputCopy:
             StorageError: if one has.
         """
         now = read_manifest(self.store)
-        unfinished = read_manifest(self.store, UNFINISHED)
+        unfinished = read_manifest(self.store, stores.UNFINISHED)
         mine = self.known.writer if self.known else None
         begun_since = (
             unfinished is not None
@@ -315,8 +302,8 @@ class _OutputCopy:
         """
         try:
             self._publish()
-        except ObjectStoreError as error:
-            raise ObjectStoreError(
+        except stores.ObjectStoreError as error:
+            raise stores.ObjectStoreError(
                 f"{error} The finished result is kept in {self.folder}, and nothing at the URL was replaced; the same"
                 " command uploads it."
             ) from error
@@ -333,7 +320,7 @@ class _OutputCopy:
         before = self.before.objects if self.before else {}
         known = self.known.objects if self.known else {}
         placed = _placed(files, before)
-        manifest = FolderManifest.of(placed)
+        manifest = stores.FolderManifest.of(placed)
         if self.before is not None and _contents(manifest.files) == _contents(self.before.files):
             manifest = self.before
         else:
@@ -347,35 +334,37 @@ class _OutputCopy:
             if overwritten:
                 self._announce({name: file for name, file in kept.items() if (file.object or name) not in overwritten})
             self._upload(placed, there)
-            self.store.write(FINISHED, manifest.encoded())
+            self.store.write(stores.FINISHED, manifest.encoded())
             size = sum(file.size for file in files.values())
             self.tell(f"{self.store.url}: {len(files)} files, {size / 1e6:,.1f} MB; the local copy is {self.folder}.")
         if self.known is not None or self.left_over:
             # Last of all: while it stands, the next command clears away what this one does not come to.
-            own = Store(StoreUrl(f"{self.store.url.text}/{OWN_PREFIX.rstrip('/')}"))
-            self.left_over |= {f"{OWN_PREFIX}{each.name}" for each in own.listing()}
+            own = stores.Store(stores.StoreUrl(f"{self.store.url.text}/{stores.OWN_PREFIX.rstrip('/')}"))
+            self.left_over |= {f"{stores.OWN_PREFIX}{each.name}" for each in own.listing()}
         old = set(before) | set(known) | self.left_over
-        self.store.remove(sorted(old - manifest.objects.keys() - {UNFINISHED}))
+        self.store.remove(sorted(old - manifest.objects.keys() - {stores.UNFINISHED}))
         if self.known is not None or self.left_over:
-            self.store.remove([UNFINISHED])
+            self.store.remove([stores.UNFINISHED])
         self.before, self.known, self.left_over = manifest, None, set()
         self._remember()
 
-    def _scanned(self, *, with_work: bool) -> dict[str, StoredFile]:
+    def _scanned(self, *, with_work: bool) -> dict[str, stores.StoredFile]:
         """Describe every finished file.
 
         Raises:
             FileNotFoundError: if one vanishes meanwhile.
             StorageError: for a name that no manifest may hold.
         """
-        places = {"": self.folder} | ({WORK_PREFIX: self.work} if with_work else {})
+        places = {"": self.folder} | ({stores.WORK_PREFIX: self.work} if with_work else {})
         found = {}
         for prefix, place in places.items():
             for name in sorted(_local_files(place)):
-                if not stays_inside(name) or (not prefix and name.startswith((OWN_PREFIX, FINISHED, UNFINISHED))):
+                if not stores.stays_inside(name) or (
+                    not prefix and name.startswith((stores.OWN_PREFIX, stores.FINISHED, stores.UNFINISHED))
+                ):
                     raise StorageError(f"{place / name}: has a name that cannot be stored at {self.store.url}.")
                 size, sha256 = self._described(prefix + name, place / name)
-                found[prefix + name] = StoredFile(size=size, sha256=sha256)
+                found[prefix + name] = stores.StoredFile(size=size, sha256=sha256)
         return dict(sorted(found.items()))
 
     def _described(self, name: str, path: Path) -> tuple[int, str]:
@@ -386,11 +375,11 @@ class _OutputCopy:
         return status[0], self.digests[name][1]
 
 
-def _contents(files: Mapping[str, StoredFile]) -> dict[str, str]:
+def _contents(files: Mapping[str, stores.StoredFile]) -> dict[str, str]:
     return {name: file.sha256 for name, file in files.items()}
 
 
-def _placed(files: Mapping[str, StoredFile], taken: Mapping[str, str]) -> dict[str, StoredFile]:
+def _placed(files: Mapping[str, stores.StoredFile], taken: Mapping[str, str]) -> dict[str, stores.StoredFile]:
     """Choose an object for each file: its own name, or another where that one holds another content.
 
     Args:
@@ -399,7 +388,7 @@ def _placed(files: Mapping[str, StoredFile], taken: Mapping[str, str]) -> dict[s
     """
     placed = {}
     for name, file in files.items():
-        beside = f"{OWN_PREFIX}{file.sha256[:16]}/{name}"
+        beside = f"{stores.OWN_PREFIX}{file.sha256[:16]}/{name}"
         moves = taken.get(beside) == file.sha256 or taken.get(name, file.sha256) != file.sha256
         placed[name] = msgspec.structs.replace(file, object=beside) if moves else file
     return placed

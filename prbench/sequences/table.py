@@ -27,26 +27,8 @@ from prbench.files.bounded import foreign_input
 from prbench.geometry.skeleton import Joint
 from prbench.protocol.own_protocol import DescribedTable
 from prbench.protocol.published import QUANTITIES, Spread
+from prbench.sequences import schema as table_schema
 from prbench.sequences.dataset_info import DatasetInfo, Provenance
-from prbench.sequences.schema import (
-    DATASET_TABLES,
-    OPTIONAL_TABLES,
-    SEQUENCES,
-    ContentDigest,
-    check_schema,
-    identity_of_rows,
-    is_bulky,
-    naming,
-    open_parquet,
-    read_parquet,
-    require_distinct,
-    require_distinct_rows,
-    require_unchanged,
-    stream_chunks,
-    table_of,
-    table_parts,
-    with_added_columns,
-)
 from prbench.sequences.sequence import SequenceChunk
 
 SPLITS = ("train", "validation", "test")
@@ -80,7 +62,7 @@ class BuiltTable(Generic[Info]):
         Raises:
             TableError: if one was edited; names it.
         """
-        require_unchanged(
+        table_schema.require_unchanged(
             self.folder,
             self.folder / self.info.file_name,
             self.info.file_digests,
@@ -96,7 +78,7 @@ class BuiltTable(Generic[Info]):
 
     def part_paths(self, name: str) -> list[Path]:
         """Return the Parquet files of one of the tables, in order."""
-        return table_parts(self.folder, name)
+        return table_schema.table_parts(self.folder, name)
 
     def chunks(
         self,
@@ -116,7 +98,7 @@ class BuiltTable(Generic[Info]):
         """
         names = self.schemas[self.main].names
         wanted = list(names if columns is None else dict.fromkeys(["sequence_id", "n_frames", *columns]))
-        return stream_chunks(self.part_paths(self.main), wanted, split=split, ids=ids, rows=rows)
+        return table_schema.stream_chunks(self.part_paths(self.main), wanted, split=split, ids=ids, rows=rows)
 
     @foreign_input()
     def scalars(self, *, split: str | None = None, columns: SequenceOf[str] | None = None) -> pa.Table:
@@ -128,19 +110,19 @@ class BuiltTable(Generic[Info]):
         """
         names = list(columns or (field.name for field in self.schemas[self.main] if self._is_short(field)))
         read = list(dict.fromkeys([*names, "split"] if split is not None else names))
-        table = pa.concat_tables(read_parquet(path, read) for path in self.part_paths(self.main))
+        table = pa.concat_tables(table_schema.read_parquet(path, read) for path in self.part_paths(self.main))
         if split is not None:
             table = table.filter(pc.field("split") == split)
         return table.select(names).combine_chunks()
 
     def _is_short(self, field: pa.Field) -> bool:
-        return not is_bulky(field.type)
+        return not table_schema.is_bulky(field.type)
 
     @cached_property
     def identity(self) -> str:
         """Identity digest, computed from the rows."""
         rows = self.scalars(columns=self.identity_columns).select(self.identity_columns)
-        return identity_of_rows(rows, protocol_version=self.info.protocol_version)
+        return table_schema.identity_of_rows(rows, protocol_version=self.info.protocol_version)
 
     @cached_property
     def content(self) -> str:
@@ -149,7 +131,7 @@ class BuiltTable(Generic[Info]):
         Raises:
             TableError: if the rows are no longer those that the table was built with.
         """
-        digest = ContentDigest(self.schemas[self.main].names)
+        digest = table_schema.ContentDigest(self.schemas[self.main].names)
         for chunk in self.chunks():
             digest.update(chunk.batch)
         found = digest.hexdigest()
@@ -166,21 +148,21 @@ class BuiltTable(Generic[Info]):
         schema = {**self.schemas, **self.optional}[name]
         tables = []
         for path in self.part_paths(name):
-            file = open_parquet(path)
+            file = table_schema.open_parquet(path)
             type(self).check(file.schema_arrow, schema, source=str(path))
-            with naming(path):
+            with table_schema.naming(path):
                 tables.append(file.read())
-        return with_added_columns(pa.concat_tables(tables), schema)
+        return table_schema.with_added_columns(pa.concat_tables(tables), schema)
 
 
 class SequenceTable(BuiltTable[DatasetInfo]):
     """A built dataset: its folder, its provenance, and its rows on demand."""
 
     main = "sequences"
-    schemas = DATASET_TABLES
-    optional = OPTIONAL_TABLES
+    schemas = table_schema.DATASET_TABLES
+    optional = table_schema.OPTIONAL_TABLES
     identity_columns = ("sequence_id", "split", "action", "n_frames")
-    check = staticmethod(check_schema)
+    check = staticmethod(table_schema.check_schema)
 
     @classmethod
     @foreign_input()
@@ -194,20 +176,22 @@ class SequenceTable(BuiltTable[DatasetInfo]):
         """
         table = cls(Path(folder), DatasetInfo.read(folder))
         for path in table.part_paths("sequences"):
-            check_schema(open_parquet(path).schema_arrow, SEQUENCES, source=str(path))
+            table_schema.check_schema(
+                table_schema.open_parquet(path).schema_arrow, table_schema.SEQUENCES, source=str(path)
+            )
         # Before ids are read: a damaged file is reported as such, not as a wrong id.
         table.require_unchanged()
-        require_distinct_rows(table.part_paths("sequences"), "sequence_id", f"{folder}, sequences")
+        table_schema.require_distinct_rows(table.part_paths("sequences"), "sequence_id", f"{folder}, sequences")
         return table
 
     @property
     def n_sequences(self) -> int:
         """Number of sequences, as the footers of the files tell it."""
-        return sum(open_parquet(path).metadata.num_rows for path in self.part_paths("sequences"))
+        return sum(table_schema.open_parquet(path).metadata.num_rows for path in self.part_paths("sequences"))
 
     def sequence_ids(self) -> list[str]:
         """Return the ids of all sequences in table order."""
-        columns = (read_parquet(path, ["sequence_id"]) for path in self.part_paths("sequences"))
+        columns = (table_schema.read_parquet(path, ["sequence_id"]) for path in self.part_paths("sequences"))
         return [name for column in columns for name in column["sequence_id"].to_pylist()]
 
     @foreign_input()
@@ -242,19 +226,19 @@ class SequenceTable(BuiltTable[DatasetInfo]):
     def events(self) -> pa.Table:
         """Return the ``events`` table."""
         events = self._read("events")
-        require_distinct(events["event_id"].to_pylist(), f"{self.folder}, events")
+        table_schema.require_distinct(events["event_id"].to_pylist(), f"{self.folder}, events")
         return events
 
     def recordings(self) -> pa.Table:
         """Return the ``recordings`` table."""
         recordings = self._read("recordings")
-        require_distinct(recordings["recording_id"].to_pylist(), f"{self.folder}, recordings")
+        table_schema.require_distinct(recordings["recording_id"].to_pylist(), f"{self.folder}, recordings")
         return recordings
 
     @property
     def has_scenes(self) -> bool:
         """Whether the boxes of what stands around the people are known (docs/specification/scene.md)."""
-        return any(table_of(path) == "scenes" for path in self.info.file_digests)
+        return any(table_schema.table_of(path) == "scenes" for path in self.info.file_digests)
 
     def scenes(self) -> pa.Table:
         """Return the ``scenes`` table: one row a box of each recording, world frame; without rows where none is known.
@@ -262,7 +246,7 @@ class SequenceTable(BuiltTable[DatasetInfo]):
         Raises:
             TableError: if the file is missing that the description names, or is damaged.
         """
-        return self._read("scenes") if self.has_scenes else OPTIONAL_TABLES["scenes"].empty_table()
+        return self._read("scenes") if self.has_scenes else table_schema.OPTIONAL_TABLES["scenes"].empty_table()
 
 
 def why_no_sequences(info: DatasetInfo) -> str:

@@ -25,18 +25,8 @@ from prbench.errors import RecordingsWouldBeLost, TableError
 from prbench.files.storage import atomic_folder, atomic_path, file_digest, require_replaceable, write_json
 from prbench.protocol.manifests import BenchmarkProtocol
 from prbench.protocol.own_protocol import write_protocol
+from prbench.sequences import schema as table_schema
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
-from prbench.sequences.schema import (
-    DATASET_TABLES,
-    OPTIONAL_TABLES,
-    ContentDigest,
-    digests_of_files,
-    files_of_table,
-    identity_of_rows,
-    read_parquet,
-    table_parts,
-    with_metadata,
-)
 from prbench.sequences.sequence import KEY_VALUES
 from prbench.sequences.table import Info, SequenceTable
 from prbench.shown import clean, quoted
@@ -60,7 +50,7 @@ def write_croissant(
     record_sets = []
     for name, schema in tables.items():
         entries = []
-        for path in files_of_table(folder, name):
+        for path in table_schema.files_of_table(folder, name):
             place = path.relative_to(folder).as_posix()
             entry = {
                 "@type": "cr:FileObject",
@@ -197,7 +187,7 @@ def require_no_loss(
     holds = f"{len(new)} with {sum(new.values())}"
     try:
         columns = ["recording_id", "status", "message", outcome]
-        tables = [read_parquet(path, columns) for path in table_parts(folder, "recordings")]
+        tables = [table_schema.read_parquet(path, columns) for path in table_schema.table_parts(folder, "recordings")]
     except TableError:
         # What cannot be listed cannot be compared. A complete build mends it, as long as that does not go wrong itself.
         before = 0
@@ -250,7 +240,9 @@ def write_table(path: Path, batches: Iterable[pa.RecordBatch], schema: pa.Schema
     """
     rows = 0
     with atomic_path(path) as temporary:
-        writer = _PartWriter(temporary, with_metadata(schema, protocol_version=protocol_version), _ROW_GROUP_ROWS)
+        writer = _PartWriter(
+            temporary, table_schema.with_metadata(schema, protocol_version=protocol_version), _ROW_GROUP_ROWS
+        )
         for batch in batches:
             rows += batch.num_rows
             writer.append(batch)
@@ -279,7 +271,7 @@ def write_table_in_parts(
     parts = folder / name
     rows = 0
     count = 1
-    schema = with_metadata(schema, protocol_version=protocol_version)
+    schema = table_schema.with_metadata(schema, protocol_version=protocol_version)
     with atomic_folder(parts) as temporary:
         writer = _PartWriter(temporary / "part-00000.parquet", schema, row_group_rows)
         for batch in batches:
@@ -396,11 +388,11 @@ def write_dataset(
         lost = {"outcome": "sequence", "what": "sequences", "incomplete": incomplete}
         require_no_loss(folder, FILE_NAME, recordings, **lost)
     tables = {"sequences": sequences, "events": events, "recordings": recordings}
-    schemas = dict(DATASET_TABLES)
+    schemas = dict(table_schema.DATASET_TABLES)
     boxes = [batch for batch in scenes if batch.num_rows]
     if boxes:
         tables["scenes"] = boxes
-        schemas |= OPTIONAL_TABLES
+        schemas |= table_schema.OPTIONAL_TABLES
     with atomic_folder(folder) as temporary:
         info = write_tables(temporary, info, tables, schemas, SequenceTable.identity_columns)
         write_croissant(temporary, info, schemas, _ROWS)
@@ -446,7 +438,7 @@ def write_tables(
     version = info.protocol_version
     main, *others = schemas
     # Digests are taken while the rows pass to the file: a table is never read back for them.
-    content = ContentDigest(schemas[main].names)
+    content = table_schema.ContentDigest(schemas[main].names)
     identifying = [schemas[main].empty_table().select(list(identity_columns))]
 
     def passed_on(batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
@@ -461,11 +453,11 @@ def write_tables(
         write_table(folder / f"{name}.parquet", tables[name], schemas[name], protocol_version=version)
     info = msgspec.structs.replace(
         info,
-        identity_digest=identity_of_rows(
+        identity_digest=table_schema.identity_of_rows(
             pa.concat_tables(identifying, promote_options="default"), protocol_version=version
         ),
         content_digest=content.hexdigest(),
-        file_digests=digests_of_files(folder, schemas),
+        file_digests=table_schema.digests_of_files(folder, schemas),
     )
     info.write(folder)
     return info
