@@ -235,13 +235,8 @@ def read_json(path: Path, *, as_object: Callable[[list[tuple[str, Any]]], object
         raise InputFileError(path, "", expected="a JSON file", found="thousands of nested lists") from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         where = f"line {error.lineno} column {error.colno}" if isinstance(error, json.JSONDecodeError) else ""
-        raise InputFileError(
-            path,
-            where,
-            expected="valid JSON",
-            found=str(error),
-            remedy="The file may be truncated; copy or download it again.",
-        ) from error
+        remedy = "The file may be truncated; copy or download it again."
+        raise InputFileError(path, where, expected="valid JSON", found=str(error), remedy=remedy) from error
 
 
 def file_digest(path: Path) -> str:

@@ -176,12 +176,8 @@ def read_conditions_file(path: Path) -> ConditionsFile:
         kind, shape = _FORMS[name]
         right_kind = values.dtype.kind == "U" if kind == "U" else values.dtype == np.dtype(kind)
         if not right_kind or values.shape != (rows, *shape):
-            raise InputFileError(
-                path,
-                f"'{name}'",
-                expected=f"shape {(rows, *shape)} of {'text' if kind == 'U' else np.dtype(kind)}",
-                found=f"{values.shape} of {values.dtype}",
-            )
+            expected = f"shape {(rows, *shape)} of {'text' if kind == 'U' else np.dtype(kind)}"
+            raise InputFileError(path, f"'{name}'", expected=expected, found=f"{values.shape} of {values.dtype}")
         if kind == "U":
             columns[name] = tuple(values.tolist())
     return ConditionsFile(info=info, **columns)

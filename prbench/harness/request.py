@@ -296,13 +296,9 @@ def read_experiment(path: Path) -> Experiment:
     except OSError as error:
         raise InputFileError(path, "", expected="an experiment's TOML file", found=error.strerror or "none") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
-        raise InputFileError(
-            path,
-            "",
-            expected="the keys of an experiment",
-            found=str(error),
-            remedy="`prbench run --method static --show-config` prints an example.",
-        ) from error
+        expected = "the keys of an experiment"
+        remedy = "`prbench run --method static --show-config` prints an example."
+        raise InputFileError(path, "", expected=expected, found=str(error), remedy=remedy) from error
     known = find_benchmark(experiment.benchmark).conditions if experiment.benchmark in benchmarks() else ()
     named = [condition for method in experiment.methods for condition in method.conditions]
     strange = next((condition for condition in named if condition not in known), "")

@@ -284,12 +284,8 @@ def load_manifest(dataset: str) -> Manifest:
     file = folder_of(find_reader(dataset)) / f"{dataset}.toml"
     manifest = _convert_toml(file, Manifest)
     if manifest.name != dataset or manifest.kind != "benchmark":
-        raise InputFileError(
-            file,
-            "",
-            expected=f"name = '{dataset}' and kind = 'benchmark'",
-            found=f"name = '{quoted(manifest.name)}' and kind = '{manifest.kind}'",
-        )
+        found = f"name = '{quoted(manifest.name)}' and kind = '{manifest.kind}'"
+        raise InputFileError(file, "", expected=f"name = '{dataset}' and kind = 'benchmark'", found=found)
     return manifest
 
 
