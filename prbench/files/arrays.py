@@ -32,6 +32,7 @@ from jaxtyping import Bool, Float
 from prbench import limits
 from prbench.errors import InputFileError, RecordingUnusable
 from prbench.files.bounded import require, require_rows, require_size, require_unpackable
+from prbench.limits import LARGEST_ARRAYS, LONGEST_AXIS  # by name: scaffold/one_file.py copies what needs them
 
 _PIECE = 4 * 1024**2
 _NO_OBJECTS = "Save numbers and text only: np.array(values, dtype=np.float32), or np.array(names) without dtype=object."
@@ -81,7 +82,7 @@ def read_header(stream: IO[bytes], path: Path, where: str, *, remedy: str = "") 
         raise InputFileError(
             path, where, expected="an array as np.save writes it", found=first, remedy=remedy
         ) from error
-    is_array = all(0 <= size <= limits.LONGEST_AXIS for size in shape) and dtype.itemsize > 0
+    is_array = all(0 <= size <= LONGEST_AXIS for size in shape) and dtype.itemsize > 0
     require(
         path,
         (not dtype.hasobject, where, "numbers or text", "Python objects", remedy or _NO_OBJECTS),
@@ -105,7 +106,7 @@ def map_array(path: Path, header: ArrayHeader) -> np.ndarray:
     return np.memmap(path, header.dtype, mode="r", offset=header.offset, shape=header.shape, order=order)
 
 
-def load_array(path: Path, *, largest: int = limits.LARGEST_ARRAYS, remedy: str = "") -> np.ndarray:
+def load_array(path: Path, *, largest: int = LARGEST_ARRAYS, remedy: str = "") -> np.ndarray:
     """Return a whole ``.npy``; nothing is allocated before its header agrees with the size of the file.
 
     Args:
@@ -179,7 +180,7 @@ class Archive:
         found = ", ".join(sorted(self.members)) or "nothing"
         require(self.path, *((name in self.members, "", f"an array '{name}'", found, self.remedy) for name in names))
 
-    def load(self, names: Iterable[str], *, largest: int = limits.LARGEST_ARRAYS) -> dict[str, np.ndarray]:
+    def load(self, names: Iterable[str], *, largest: int = LARGEST_ARRAYS) -> dict[str, np.ndarray]:
         """Those of some arrays that are there, whole and writable; their declared sizes are looked at first.
 
         Args:
