@@ -103,12 +103,6 @@ def legend_below(figure: Figure, axes: Axes, note: str, *, columns: int) -> None
     figure.legend(handles, labels, ncols=min(len(labels), columns), title=figure_text(note), **style)
 
 
-def draw_box(axes: Axes, corners: Float[np.ndarray, "8 2"], **style: Any) -> None:
-    """Draw the edges of a box whose flat corners are numbered as :data:`BOX_EDGES` says."""
-    for one, other in BOX_EDGES:
-        axes.plot(*corners[[one, other]].T, **style)
-
-
 def horizontal_direction(offset: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     """Return the unit vector of the horizontal part of an offset; +z where there is hardly any, so that it is unit."""
     flat = offset * [1.0, 0.0, 1.0]

@@ -26,20 +26,9 @@ from typing import IO, Any
 import msgspec
 import psutil
 
+from prbench.checking.conformance import findings as verdicts
 from prbench.checking.conformance.cases import cases_of_table, synthetic_cases
 from prbench.checking.conformance.checks import CHECKS
-from prbench.checking.conformance.findings import (
-    FORM,
-    Check,
-    CheckRequest,
-    Finding,
-    Outcome,
-    Report,
-    examine,
-    failed,
-    skipped,
-    worst_of,
-)
 from prbench.checking.conformance.subject import MethodSubject, Subject
 from prbench.errors import UsageError
 from prbench.harness.benchmark import load_benchmark
@@ -58,12 +47,12 @@ class Judge:
         require_table: Refuses a folder that holds no cases.
     """
 
-    checks: tuple[Check, ...]
-    subject: Callable[[MethodSpec, CheckRequest, Path], MethodSubject]
+    checks: tuple[verdicts.Check, ...]
+    subject: Callable[[MethodSpec, verdicts.CheckRequest, Path], MethodSubject]
     require_table: Callable[[Path], object]
 
 
-def _motions(spec: MethodSpec, request: CheckRequest, folder: Path) -> Subject:
+def _motions(spec: MethodSpec, request: verdicts.CheckRequest, folder: Path) -> Subject:
     cases = synthetic_cases(folder) if request.data is None else cases_of_table(request.data)
     return Subject(spec, cases, folder)
 
@@ -95,7 +84,7 @@ def run_ordered() -> None:
         events.write(json.dumps(event) + "\n")
         events.flush()
 
-    request = msgspec.convert(order["request"], CheckRequest, dec_hook=lambda kind, text: kind(text))
+    request = msgspec.convert(order["request"], verdicts.CheckRequest, dec_hook=lambda kind, text: kind(text))
     folder = Path(order["folder"])
     spec = method_spec(
         request.method,
@@ -111,9 +100,11 @@ def run_ordered() -> None:
     subject = judge_of(request.benchmark).subject(spec, request, folder)
     subject.asking = lambda text: tell(event="asking", text=text)
     subject.starting = lambda text: tell(event="starting", text=text)
-    known = {name: Outcome(value) for name, value in order["known"].items()}
+    known = {name: verdicts.Outcome(value) for name, value in order["known"].items()}
     checks = [one for one in judge_of(request.benchmark).checks if one.name in order["checks"]]
-    for finding in examine(subject, checks, known=known, announce=lambda one: tell(event="check", name=one.name)):
+    for finding in verdicts.examine(
+        subject, checks, known=known, announce=lambda one: tell(event="check", name=one.name)
+    ):
         tell(event="finding", finding=asdict(finding))
     forget_loaded_methods()
     tell(event="end")
@@ -136,7 +127,7 @@ class _Lost(Exception):
     """The child crashed, or the method did not come to an end; the text says so."""
 
 
-def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
+def check(request: verdicts.CheckRequest, announce: _Announce | None = None) -> verdicts.Report:
     """Look at a method in every respect that the contract names.
 
     Args:
@@ -169,7 +160,7 @@ def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
         call += _GRACE
         start = spec.program.start_timeout + _GRACE
     limits = {"starting": start, "asking": call}
-    findings: list[Finding] = []
+    findings: list[verdicts.Finding] = []
     lost: list[str] = []
     announced = itertools.count(1)
     with tempfile.TemporaryDirectory(prefix="prbench-check-", ignore_cleanup_errors=True) as folder:
@@ -178,12 +169,12 @@ def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
             while left:
                 # A new child knows nothing of its predecessors, and checks depend on one another.
                 made = dict.fromkeys(finding.check for finding in findings)
-                known = {name: worst_of(each for each in findings if each.check == name) for name in made}
-                blocking = [name for name in lost if name in (*_STARTS, *FORM)]
-                blocking += ["load"] * (known.get("load") is Outcome.FAILED)
+                known = {name: verdicts.worst_of(each for each in findings if each.check == name) for name in made}
+                blocking = [name for name in lost if name in (*_STARTS, *verdicts.FORM)]
+                blocking += ["load"] * (known.get("load") is verdicts.Outcome.FAILED)
                 if blocking:
                     why = f"not looked at before '{blocking[0]}' passes."
-                    findings += [replace(skipped(why), check=one.name) for one in left]
+                    findings += [replace(verdicts.skipped(why), check=one.name) for one in left]
                     break
                 order = {
                     "request": msgspec.to_builtins(request, enc_hook=str),
@@ -199,16 +190,16 @@ def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
                             if announce is not None:
                                 announce(blamed, next(announced), len(judge.checks))
                         elif message["event"] == "finding":
-                            findings.append(msgspec.convert(message["finding"], Finding))
+                            findings.append(msgspec.convert(message["finding"], verdicts.Finding))
                 except _Lost as why_lost:
                     if left and left[0].name == blamed:
                         del left[0]
                     lost.append(blamed)
                     remedy = f"{_LOST} {_SLOW_START}" if blamed in _STARTS else _LOST
-                    findings.append(replace(failed(str(why_lost), remedy), check=blamed))
+                    findings.append(replace(verdicts.failed(str(why_lost), remedy), check=blamed))
     places = {one.name: place for place, one in enumerate(judge.checks)}
     findings.sort(key=lambda finding: places[finding.check])
-    return Report(request.method, tuple(findings), time.perf_counter() - started)
+    return verdicts.Report(request.method, tuple(findings), time.perf_counter() - started)
 
 
 def _events_of_child(order: Mapping[str, object], limits: Mapping[str, float]) -> Iterator[dict[str, Any]]:

@@ -21,20 +21,10 @@ from prbench.protocol.manifests import Manifest
 from prbench.readers.aria_mps.to_recording import MpsStreams, mps_streams
 from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.recording.streams import (
-    NO_GAZE,
-    NO_POSES,
-    AnnotatedEvent,
-    BodyStream,
-    HandStream,
-    PublishedPriming,
-    Recording,
-    reaching_hand,
-    wrists_at,
-)
+from prbench.recording import streams as recorded
 
 
-def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest, *, dataset: str) -> Recording:
+def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest, *, dataset: str) -> recorded.Recording:
     """Return the streams in the world, and the annotated events, from native readings.
 
     Gaze before the first and after the last video frame is masked: priming windows end where the video does.
@@ -61,7 +51,7 @@ def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest,
     events, remarks = annotated_events(readings, streams.wrists, body, manifest.thresholds)
     gaze = streams.gaze
     inside = (gaze.times >= readings.clock.span[0]) & (gaze.times <= readings.clock.span[1] + 1 / hd_epic.FPS)
-    return Recording(
+    return recorded.Recording(
         dataset=dataset,
         recording_id=readings.video,
         participant_id=readings.participant_id,
@@ -90,7 +80,7 @@ def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest,
 
 
 # In the place of glasses, where the annotations are read alone.
-_NO_STREAMS = MpsStreams(NO_POSES, NO_POSES, NO_POSES, NO_GAZE, (), ())
+_NO_STREAMS = MpsStreams(recorded.NO_POSES, recorded.NO_POSES, recorded.NO_POSES, recorded.NO_GAZE, (), ())
 
 _WHY_UNPLACED = {
     "no mask": "have no mask",
@@ -118,10 +108,10 @@ class MovementSide:
 
 def annotated_events(
     readings: hd_epic.HdEpicReadings,
-    wrists: Sequence[HandStream],
-    body: BodyStream | None,
+    wrists: Sequence[recorded.HandStream],
+    body: recorded.BodyStream | None,
     thresholds: Mapping[str, float],
-) -> tuple[tuple[AnnotatedEvent, ...], tuple[str, ...]]:
+) -> tuple[tuple[recorded.AnnotatedEvent, ...], tuple[str, ...]]:
     """Return the pick (lift) and put (release) of every movement, in the order of time, and remarks.
 
     Args:
@@ -133,7 +123,7 @@ def annotated_events(
     farthest = thresholds["farthest_mask_frames"]
     sides = [side for track in readings.tracks for side in _sides(track, readings.clock, farthest)]
     times = readings.clock.device_seconds(np.array([side.frame for side in sides], dtype=np.float64))
-    published: list[PublishedPriming | None] = [None] * len(sides)
+    published: list[recorded.PublishedPriming | None] = [None] * len(sides)
     remarks: tuple[str, ...] = ()
     if readings.priming is not None:
         published, remarks = published_priming(sides, readings.priming, readings.clock, thresholds)
@@ -142,9 +132,9 @@ def annotated_events(
         location = hand = source = None
         if side.mask is not None and side.mask.location is not None:
             location = transform_points(Y_UP_FROM_Z_UP, side.mask.location)
-            hand, source = reaching_hand(wrists_at(wrists, body, time), location)
+            hand, source = recorded.reaching_hand(recorded.wrists_at(wrists, body, time), location)
         events.append(
-            AnnotatedEvent(
+            recorded.AnnotatedEvent(
                 native_key=f"{side.track.object_id}/{side.track.track_id}/{'start' if side.is_start else 'end'}",
                 action="pick" if side.is_start else "put",
                 object_id=side.track.object_id,
@@ -214,13 +204,13 @@ def published_priming(
     entries: Sequence[hd_epic.PublishedSide],
     clock: hd_epic.VideoClock,
     thresholds: Mapping[str, float],
-) -> tuple[list[PublishedPriming | None], tuple[str, ...]]:
+) -> tuple[list[recorded.PublishedPriming | None], tuple[str, ...]]:
     """Return what the dataset publishes about each event, and remarks on what found no partner.
 
     An entry belongs to an event of the same side whose frame (annotated time or mask) is within 1 and whose location
     within 1 mm; each entry serves one event, nearest first.
     """
-    result: list[PublishedPriming | None] = [None] * len(sides)
+    result: list[recorded.PublishedPriming | None] = [None] * len(sides)
     at_frame: dict[int, list[int]] = {}
     for index, entry in enumerate(entries):
         at_frame.setdefault(entry.frame, []).append(index)
@@ -251,10 +241,10 @@ def published_priming(
     for number, index in partner.items():
         frame = entries[index].frame_primed
         if frame < 0:
-            result[number] = PublishedPriming("excluded" if frame == hd_epic.EXCLUDED else "not_primed", None)
+            result[number] = recorded.PublishedPriming("excluded" if frame == hd_epic.EXCLUDED else "not_primed", None)
         elif clock.covers(np.array([float(frame)]))[0]:
             time = float(clock.device_seconds(np.array([float(frame)]))[0])
-            result[number] = PublishedPriming("primed", time, uncertainty=1 / hd_epic.FPS)
+            result[number] = recorded.PublishedPriming("primed", time, uncertainty=1 / hd_epic.FPS)
         else:
             behind += 1
     lonely = len(entries) - len(partner)

@@ -13,7 +13,7 @@ from prbench.geometry.skeleton import BONES, WRISTS, Joint, head_forward
 from prbench.metrics import STUDY_METRICS, MetricInfo
 from prbench.metrics.ray_track import ray_distance
 from prbench.protocol.manifests import MetricConstants
-from prbench.viewing.figures import draw_box, horizontal_direction
+from prbench.viewing.figures import BOX_EDGES, horizontal_direction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -399,7 +399,8 @@ def draw_goal(
     zorder: int,
 ) -> None:
     """Draw the flat edges of a goal's box and a square at its location."""
-    draw_box(axes, corners, color=BOX_COLOUR, linewidth=linewidth, zorder=zorder)
+    for one, other in BOX_EDGES:
+        axes.plot(*corners[[one, other]].T, color=BOX_COLOUR, linewidth=linewidth, zorder=zorder)
     axes.plot(*location, "s", color=GOAL_COLOUR, markersize=markersize, zorder=zorder)
 
 
