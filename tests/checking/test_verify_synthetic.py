@@ -295,9 +295,9 @@ def found(
 ) -> Event:  # fmt: skip
     point, time = np.array([0.0, 0.0, 0.01]), float(time)
     return Event(
-        f"{name}/{action}/{time}", "r", None, name, "cup", action, hand, time,
-        None if prime is None else time + prime, None, point, point, point, outcome, stage, None, None,
-        **columns,
+        event_id=f"{name}/{action}/{time}", recording_id="r", object_id=name, object_name="cup", action=action,
+        hand=hand, event_time=time, prime_time=None if prime is None else time + prime, location=point,
+        box_min=point, box_max=point, outcome=outcome, stage=stage, **columns,
     )  # fmt: skip
 
 

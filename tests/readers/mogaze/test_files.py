@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from prbench.curation import BuildOptions, build_dataset
+from prbench.curation import BuildOptions, CurationOptions, build_dataset
 from prbench.errors import RecordingUnusable
 from prbench.readers import reader_for
 from prbench.readers.mogaze import format as mogaze
@@ -137,13 +137,14 @@ def test_recordings_with_known_defects_are_skipped_with_their_reason(root, tmp_p
     _copy_as(root, "p3_1")
     _copy_as(root, "p7_2")
     (root / "p3_1_gaze_data.hdf5").unlink()
-    report = build_dataset("mogaze", root, tmp_path / "table")
+    trusted = CurationOptions(shift=(("body", 0.0), ("gaze", 0.0)))  # nobody stands as still
+    report = build_dataset("mogaze", root, tmp_path / "table", options=BuildOptions(curation=trusted))
     assert {record.recording_id: record.status for record in report.records} == {
         "p1_1": "read", "p3_1": "skipped", "p7_2": "skipped",
     }  # fmt: skip
     assert "not recorded" in report.records[1].message
     assert "include_excluded" in report.records[2].message
-    kept = BuildOptions(reader=(("include_excluded", "true"),))
+    kept = BuildOptions(reader=(("include_excluded", "true"),), curation=trusted)
     report = build_dataset("mogaze", root, tmp_path / "table", options=kept)
     assert [record.status for record in report.records] == ["read", "skipped", "read"]
     assert report.info.options["reader.include_excluded"] == "true"
