@@ -105,7 +105,7 @@ def test_an_encrypted_archive_is_refused(tmp_path):
 
 
 def test_columns_that_outgrow_any_table_are_refused_while_they_are_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "LARGEST_TABLE", MEGABYTE)
+    monkeypatch.setattr("prbench.limits.LARGEST_TABLE", MEGABYTE)
     archive = zipped(tmp_path / "a.zip", "a.csv", b"x,y\n" + b",\n" * 200_000)
     with pytest.raises(InputFileError, match=r"a\.csv: expected columns of at most 1,048,576 bytes, found more"):
         read_columns(ZippedFile(archive, "a.csv"), {"x": float, "y": float})
