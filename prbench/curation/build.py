@@ -28,18 +28,9 @@ from prbench.progress_bar import ProgressCallback
 from prbench.protocol.manifests import digest_of, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.readers.discover import BrokenDataset, FoundDataset, discover
+from prbench.sequences import parts
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
-from prbench.sequences.parts import (
-    BuildPlan,
-    BuildReport,
-    ShardReport,
-    finish_shard,
-    making_shard,
-    read_batches,
-    shard_parts,
-    work_folder,
-    working_in_parts,
-)
+from prbench.sequences.parts import BuildPlan, BuildReport, ShardReport
 from prbench.sequences.sequence import Recording
 from prbench.sequences.write import with_splits, write_dataset
 
@@ -102,9 +93,9 @@ def build_from_sources(
     sources = _in_table_order(sources)
     dataset = sources[0].dataset
     _require_same_dataset(out, dataset)
-    with sole_writer(out), working_in_parts(out):
+    with sole_writer(out), parts.working_in_parts(out):
         corrections = _corrections_of(sources, options)
-        receipts = _make_parts(sources, work_folder(out), options, corrections, engine, progress)
+        receipts = _make_parts(sources, parts.work_folder(out), options, corrections, engine, progress)
         return _write_table(dataset, receipts, out, options, extra_options or {})
 
 
@@ -141,9 +132,9 @@ def build_shard_from_sources(
     )
     mine = [sources[place] for place in shard.places(len(sources))]
     corrections = _corrections_of(sources, options)
-    with making_shard(out, record) as work:
+    with parts.making_shard(out, record) as work:
         receipts = _make_parts(mine, work, options, corrections, engine, progress)
-        finish_shard(out, record, [receipt.folder for receipt in receipts])
+        parts.finish_shard(out, record, [receipt.folder for receipt in receipts])
     reused = sum(receipt.reused for receipt in receipts)
     return ShardReport(out, shard, len(sources), tuple(receipt.record for receipt in receipts), reused)
 
@@ -171,7 +162,7 @@ def merge_dataset_shards(
     require_replaceable(out, FILE_NAME, kind="dataset")
     _require_same_dataset(out, dataset)
     with sole_writer(out):
-        receipts = [part_receipt(part, entries, reused=False) for part, entries in shard_parts(shards)]
+        receipts = [part_receipt(part, entries, reused=False) for part, entries in parts.shard_parts(shards)]
         return _write_table(dataset, receipts, out, options, {})
 
 
@@ -241,10 +232,10 @@ def _write_table(
     info = write_dataset(
         out,
         describe(dataset, manifest, protocol, options, receipts, extra_options),
-        sequences=with_splits(read_batches(folders, "sequences"), splits),
-        events=read_batches(folders, "events"),
-        recordings=with_splits(read_batches(folders, "recordings"), splits),
-        scenes=read_batches(folders, "scenes"),
+        sequences=with_splits(parts.read_batches(folders, "sequences"), splits),
+        events=parts.read_batches(folders, "events"),
+        recordings=with_splits(parts.read_batches(folders, "recordings"), splits),
+        scenes=parts.read_batches(folders, "scenes"),
         replace=options.replace,
         incomplete=[receipt.record.recording_id for receipt in receipts if receipt.record.shortfalls],
         protocol=protocol,

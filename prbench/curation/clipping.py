@@ -77,9 +77,7 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
     step = 1 / grid.fps
     around = np.array([grid.start_time - step, event_time + step])
     recorded = covered(body.times, body.valid, around, max_gap=max_gap)
-    neighbours = _joints_at(body, around)
-    previous_joints, previous_source = _neighbour(neighbours[0], bool(recorded[0]), joints)
-    next_joints, next_source = _neighbour(neighbours[1], bool(recorded[1]), joints[::-1])
+    before, after = _joints_at(body, around)
     # The glasses' pose, interpolated over invalid rows; None if no valid row lies within the clip.
     head = recording.head
     head_position = head_rotation = None
@@ -87,19 +85,14 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
         near = _around(head.times, head.valid, times)
         head_position = interpolate(head.times[near], head.position[near], times)
         head_rotation = slerp(head.times[near], head.rotation[near], times)
-    gaze_origin, gaze_direction, gaze_valid = _gaze_at(recording.gaze, times, max_gap=max_gap)
     return Clip(
-        grid=grid,
-        joints=joints,
-        previous_joints=previous_joints,
-        previous_source=previous_source,
-        next_joints=next_joints,
-        next_source=next_source,
-        head_position=head_position,
-        head_rotation=head_rotation,
-        gaze_origin=gaze_origin,
-        gaze_direction=gaze_direction,
-        gaze_valid=gaze_valid,
+        grid,
+        joints,
+        *_neighbour(before, bool(recorded[0]), joints),
+        *_neighbour(after, bool(recorded[1]), joints[::-1]),
+        head_position,
+        head_rotation,
+        *_gaze_at(recording.gaze, times, max_gap=max_gap),
     )
 
 

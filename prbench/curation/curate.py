@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -27,6 +28,13 @@ from prbench.sequences.table import body_movement, hand_movement
 
 # Metres within which a thing keeps its place through the recording; choice: above the noise of optical tracking.
 _STILL = 0.01
+# What both tables of a recording tell of an event in the same words.
+_OF_THE_EVENT = ("action", "object_id", "object_name", "hand", "event_time")
+
+
+def _copied(source: object, *names: str) -> dict[str, Any]:
+    """Return attributes that a row of a table takes over as they are."""
+    return {name: getattr(source, name) for name in names}
 
 
 @dataclass(frozen=True)
@@ -103,13 +111,8 @@ def curate_recording(
             margin = decision.threshold - decision.value
         rows.append(
             Event(
-                event_id=event.event_id,
-                object_id=event.object_id,
-                object_name=event.object_name,
-                action=event.action,
-                hand=event.hand,
-                event_time=event.event_time,
-                hand_source=event.hand_source,
+                **_copied(event, "event_id", "corrected", "hand_source", *_OF_THE_EVENT),
+                **_copied(decision, "outcome", "stage", "value", "threshold"),
                 recording_id=recording.recording_id,
                 sequence_id=sequence and sequence.sequence_id,
                 prime_time=prime and prime.time,
@@ -117,17 +120,12 @@ def curate_recording(
                 location=place and place.location,
                 box_min=place and place.box_min,
                 box_max=place and place.box_max,
-                outcome=decision.outcome,
-                stage=decision.stage,
-                value=decision.value,
-                threshold=decision.threshold,
                 left_wrist=wrists.get("left"),
                 right_wrist=wrists.get("right"),
                 published_priming=published and published.outcome,
                 published_prime_time=published and published.prime_time,
                 prime_margin=margin,
                 event_confidence=confidence,
-                corrected=event.corrected,
             )
         )
         if sequence is not None:
@@ -255,22 +253,13 @@ def _sequence(
         extra["placed_in_tracking_gap_of_s"] = f"{event.tracking_gap:.3f}"
     return Sequence(
         sequence_id=f"{event.event_id}/{recording.pose_source}",  # one for each source of body poses
-        dataset=recording.dataset,
-        recording_id=recording.recording_id,
-        participant_id=recording.participant_id,
-        pose_source=recording.pose_source,
-        head_tilt_deg=recording.head_tilt_deg,
+        **_copied(recording, "dataset", "recording_id", "participant_id", "pose_source", "head_tilt_deg"),
+        **_copied(event, *_OF_THE_EVENT),
+        **_copied(grid, "fps", "n_frames", "start_time"),
+        **_copied(piece, "previous_source", "next_source", "gaze_valid"),
         split=split,
         split_group=recording.split_group or recording.recording_id,
-        action=event.action,
-        object_id=event.object_id,
-        object_name=event.object_name,
-        hand=event.hand,
-        event_time=event.event_time,
         text=protocol.text[event.action],
-        fps=grid.fps,
-        n_frames=grid.n_frames,
-        start_time=grid.start_time,
         prime_time=prime.time,
         prime_frame=round(preroll * grid.fps),
         prime_gap=event.event_time - prime.time,
@@ -281,9 +270,6 @@ def _sequence(
         goal_box_world_max=place.box_max,
         body_movement=body_movement(piece.joints),
         hand_movement=hand_movement(piece.joints, wrist),
-        previous_source=piece.previous_source,
-        next_source=piece.next_source,
-        gaze_valid=piece.gaze_valid,
         world_from_canonical=world_from_canonical,
         goal_location=transform_points(canonical_from_world, place.location),
         joints=transform_points(canonical_from_world, piece.joints),

@@ -72,27 +72,29 @@ ContactPoint = Literal["wrist", "middle_finger_base", "hand_vertex"]
 HandSource = Literal["annotated", "contact", "tracked", "body", "movement", "person"]
 
 
-def _check_stream(times: np.ndarray, *columns: np.ndarray) -> None:
+def _check_stream(name: str, times: np.ndarray, *columns: np.ndarray) -> None:
     # Guaranteed by readers, hence asserts; what users hand in is checked where it is read.
     assert times.ndim == 1, "one time a row"
     assert (np.diff(times) > 0).all(), "times must increase strictly; readers check their files"
     assert all(len(column) == len(times) for column in columns), "one row a time"
     assert all(np.isfinite(column).all() for column in columns), "streams hold no NaN; readers mask instead"
+    require_times(name, times)
 
 
 def _check_poses(name: str, stream: PoseStream | ObjectTrack) -> None:
-    require_times(name, stream.times)
+    _check_stream(name, stream.times, stream.position, stream.rotation, stream.valid)
     require_near(name, stream.position, stream.valid, farthest=FARTHEST_POSITION)
     require_unit_length(f"rotation of {name}", stream.rotation, stream.valid)
 
 
 def _pose_at(
-    stream: PoseStream | ObjectTrack, query: Float[np.ndarray, " m"]
+    self: PoseStream | ObjectTrack, query: Float[np.ndarray, " m"]
 ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 4"]]:
+    """Return the position and rotation interpolated between valid samples, end values held beyond them."""
     # Without a valid sample the fillers stand in: callers mask the result, and no caller has to treat this case.
-    usable = stream.valid if stream.valid.any() else np.ones_like(stream.valid)
-    times = stream.times[usable]
-    return interpolate(times, stream.position[usable], query), slerp(times, stream.rotation[usable], query)
+    usable = self.valid if self.valid.any() else np.ones_like(self.valid)
+    times = self.times[usable]
+    return interpolate(times, self.position[usable], query), slerp(times, self.rotation[usable], query)
 
 
 def _require_distinct(what: str, ids: Sequence[str]) -> None:
@@ -117,8 +119,7 @@ class GazeStream:
     valid: Bool[np.ndarray, " n"]
 
     def __post_init__(self) -> None:
-        _check_stream(self.times, self.origin, self.direction, self.valid)
-        require_times("gaze", self.times)
+        _check_stream("gaze", self.times, self.origin, self.direction, self.valid)
         require_near("gaze origin", self.origin, self.valid, farthest=FARTHEST_POSITION)
         require_unit_length("gaze direction", self.direction, self.valid)
 
@@ -133,12 +134,9 @@ class PoseStream:
     valid: Bool[np.ndarray, " n"]
 
     def __post_init__(self) -> None:
-        _check_stream(self.times, self.position, self.rotation, self.valid)
         _check_poses("glasses", self)
 
-    def pose_at(self, query: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 4"]]:
-        """Return the position and rotation interpolated between valid samples, end values held beyond them."""
-        return _pose_at(self, query)
+    pose_at = _pose_at
 
 
 # Streams of what nobody measured.
@@ -155,8 +153,7 @@ class BodyStream:
     valid: Bool[np.ndarray, " n"]
 
     def __post_init__(self) -> None:
-        _check_stream(self.times, self.joints, self.valid)
-        require_times("body", self.times)
+        _check_stream("body", self.times, self.joints, self.valid)
         require_near("body", self.joints, self.valid, farthest=FARTHEST_POSITION)
 
 
@@ -171,8 +168,7 @@ class HandStream:
     valid: Bool[np.ndarray, " n"]
 
     def __post_init__(self) -> None:
-        _check_stream(self.times, self.points, self.valid)
-        require_times(f"{self.side} hand", self.times)
+        _check_stream(f"{self.side} hand", self.times, self.points, self.valid)
         require_near(f"{self.side} hand", self.points, self.valid, farthest=FARTHEST_POSITION)
 
 
@@ -202,16 +198,13 @@ class ObjectTrack:
     surface: tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]] | None = None
 
     def __post_init__(self) -> None:
-        _check_stream(self.times, self.position, self.rotation, self.valid)
         name = f"object {quoted(self.name)} ({quoted(self.object_id)})"
         _check_poses(name, self)
         require_near(f"box of {name}", np.stack([self.box_min, self.box_max]), farthest=LARGEST_OBJECT)
         if self.surface is not None:
             require_near(f"surface of {name}", self.surface[0], farthest=LARGEST_OBJECT)
 
-    def pose_at(self, query: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 4"]]:
-        """Return the position and rotation interpolated between valid samples, end values held beyond them."""
-        return _pose_at(self, query)
+    pose_at = _pose_at
 
     def world_box(
         self, position: Float[np.ndarray, "m 3"], rotation: Float[np.ndarray, "m 4"]

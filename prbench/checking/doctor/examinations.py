@@ -6,59 +6,36 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from prbench.checking.doctor.body import (
-    examine_body,
-    examine_empty,
-    examine_finite,
-    examine_scale,
-    examine_shape,
-    examine_unit,
-)
-from prbench.checking.doctor.frame_rate import (
-    examine_frame_rate,
-    examine_holds,
-    examine_length,
-    examine_repeats,
-    examine_rhythm,
-)
+from prbench.checking.doctor import body, frame_rate, place
 from prbench.checking.doctor.joint_order import examine_joint_order, examine_left_right
 from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Expected, Finding, MotionSet
-from prbench.checking.doctor.place import (
-    examine_facing,
-    examine_first_frame,
-    examine_floor,
-    examine_position,
-    examine_root,
-    examine_up_axis,
-)
 
 Examination = Callable[[MotionSet], Finding | None]
 # Examinations, in the order in which faults hide one another
 EXAMINATIONS: tuple[Examination, ...] = (
-    examine_empty,
-    examine_shape,
-    examine_finite,
-    examine_body,
-    examine_unit,
+    body.examine_empty,
+    body.examine_shape,
+    body.examine_finite,
+    body.examine_body,
+    body.examine_unit,
     examine_joint_order,
-    examine_scale,
-    examine_up_axis,
+    body.examine_scale,
+    place.examine_up_axis,
     examine_left_right,
-    examine_root,
-    examine_first_frame,
-    examine_facing,
-    examine_position,
-    examine_floor,
-    examine_length,
-    examine_repeats,
-    examine_holds,
-    examine_rhythm,
-    examine_frame_rate,
+    place.examine_root,
+    place.examine_first_frame,
+    place.examine_facing,
+    place.examine_position,
+    place.examine_floor,
+    frame_rate.examine_length,
+    frame_rate.examine_repeats,
+    frame_rate.examine_holds,
+    frame_rate.examine_rhythm,
+    frame_rate.examine_frame_rate,
 )
 # A floor that is missed, and a clock that stumbles, may be how a method moves; the other faults are those of files.
-OF_THE_CONVERSION = tuple(
-    each for each in EXAMINATIONS if each not in (examine_floor, examine_repeats, examine_holds, examine_rhythm)
-)
+_OF_A_METHOD = (place.examine_floor, frame_rate.examine_repeats, frame_rate.examine_holds, frame_rate.examine_rhythm)
+OF_THE_CONVERSION = tuple(each for each in EXAMINATIONS if each not in _OF_A_METHOD)
 
 
 def diagnose(

@@ -18,7 +18,7 @@ from prbench.metrics import UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets,
 from prbench.protocol.manifests import MetricConstants, load_protocol
 from prbench.sequences import DatasetInfo, SequenceChunk, SequenceTable
 from prbench.sequences.dataset_info import may_pass_on, notice, require_may_pass_on
-from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED, RECORDED_COLOUR, Gaze, Goal, Scene, ShownMotion
+from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED, RECORDED_COLOUR, Goal, Scene, ShownMotion
 
 _SIDES = {"left": 0, "right": 1}
 
@@ -74,13 +74,13 @@ class RunMotions:
             raise PredictionsError(f"{self.files.predictions}, {sequence_id}: expected finite positions, found NaN.")
         return joints
 
-    def gaze(self, sequence_id: str) -> Gaze | None:
+    def gaze(self, sequence_id: str) -> GazeRays | None:
         """Read the gaze that was generated with a motion; None where the run has none."""
         rays = self.predictions.motions([sequence_id], self.sample).gaze
         if rays is None:
             return None
         origin, direction = rays.astype(np.float64).swapaxes(0, 1)
-        return Gaze(origin, direction, np.ones(len(rays), dtype=bool))
+        return GazeRays(origin, direction, np.ones(len(rays), dtype=bool))
 
     def scores(self, sequence_ids: Sequence[str]) -> Mapping[str, Mapping[str, float]]:
         """Map each sequence id to its metric values; to none for a run that was interrupted before it was scored.
@@ -184,7 +184,7 @@ def scene_of(
             hand=np.array([_SIDES.get(side, UNKNOWN_HAND) for side in chunk.strings("hand")]),
             head_tilt_deg=chunk.numbers("head_tilt_deg"),
             fps=chunk.numbers("fps"),
-            gaze=GazeRays(gaze.origin, gaze.direction, gaze.valid),
+            gaze=gaze,
         )
         motion = MotionBatch(chunk.joints, chunk.offsets)
         scores = {name: float(column.value[0]) for name, column in score(motion, motion, targets, constants).items()}
@@ -216,9 +216,9 @@ def goal_of(chunk: SequenceChunk) -> Goal:
     return Goal(chunk.vectors("goal_location")[0].astype(np.float64), transform_points(canonical_from_world, corners))
 
 
-def gaze_of(chunk: SequenceChunk) -> Gaze:
+def gaze_of(chunk: SequenceChunk) -> GazeRays:
     """Return the recorded gaze of one row."""
-    return Gaze(
+    return GazeRays(
         chunk.frames("gaze_origin").astype(np.float64),
         chunk.frames("gaze_direction").astype(np.float64),
         np.asarray(chunk.frames("gaze_valid"), dtype=bool),

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from prbench.geometry.skeleton import BONES, WRISTS, Joint, head_forward
-from prbench.metrics import STUDY_METRICS, MetricInfo
+from prbench.metrics import STUDY_METRICS, GazeRays, MetricInfo
 from prbench.metrics.ray_track import ray_distance
 from prbench.protocol.manifests import MetricConstants
 from prbench.viewing.figures import BOX_EDGES, horizontal_direction
@@ -28,19 +28,6 @@ Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Gaze:
-    """One ray a frame, canonical frame, metres.
-
-    Attributes:
-        direction: Unit vectors.
-    """
-
-    origin: Float[np.ndarray, "n 3"]
-    direction: Float[np.ndarray, "n 3"]
-    valid: Bool[np.ndarray, " n"]
-
-
-@dataclass(frozen=True, eq=False)
 class ShownMotion:
     """One motion of a sequence: the recorded one, or what a method made of it.
 
@@ -55,7 +42,7 @@ class ShownMotion:
     colour: str
     joints: Float[np.ndarray, "n 22 3"]
     scores: Mapping[str, float] = field(default_factory=dict)
-    gaze: Gaze | None = None
+    gaze: GazeRays | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,13 +174,13 @@ def measure(motion: ShownMotion, goal: Goal, head_tilt_deg: float) -> Measures:
     )
 
 
-def gaze_distance(gaze: Gaze, goal: Goal) -> Float[np.ndarray, " n"]:
+def gaze_distance(gaze: GazeRays, goal: Goal) -> Float[np.ndarray, " n"]:
     """Return the distance of the goal from the recorded gaze ray, metres; NaN where the gaze is not valid."""
     distance = ray_distance(gaze.origin, gaze.direction, goal.location[None])
     return np.where(gaze.valid, distance, np.nan)
 
 
-def gaze_angle(gaze: Gaze, goal: Goal) -> Float[np.ndarray, " n"]:
+def gaze_angle(gaze: GazeRays, goal: Goal) -> Float[np.ndarray, " n"]:
     """Return the angle of the recorded gaze to the direction of the goal, degrees; NaN where the gaze is not valid."""
     return np.where(gaze.valid, _angle_deg(gaze.direction, goal.location - gaze.origin), np.nan)
 

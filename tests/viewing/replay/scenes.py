@@ -5,8 +5,9 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
+from prbench.metrics import GazeRays
 from prbench.protocol.manifests import load_protocol
-from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED, RECORDED_COLOUR, Gaze, Goal, Scene, ShownMotion
+from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED, RECORDED_COLOUR, Goal, Scene, ShownMotion
 from tests.fakes import STANDING
 
 N_FRAMES = 61
@@ -34,14 +35,14 @@ def a_scene(
     scores = {"prime_success": 1.0, "reach_success": 0.0, "goal_mpjpe": 0.123, "location_error": 1.0, "mpjpe": 1.5}
     valid = np.ones(n_frames, dtype=bool)
     ahead = np.tile([0.0, 0.0, 1.0], (n_frames, 1))
-    eyes = Gaze(walking(n_frames, sideways=0.2)[:, 15], ahead, valid) if with_eyes else None
+    eyes = GazeRays(walking(n_frames, sideways=0.2)[:, 15], ahead, valid) if with_eyes else None
     motions = [
         ShownMotion(label, colour, walking(n_frames, sideways=0.2 * (number + 1)), scores, eyes)
         for number, (label, colour) in enumerate(zip(labels, METHOD_COLOURS, strict=False))
     ]
     seen = valid.copy()
     seen[3:4] = False  # a gap, where there are that many frames
-    gaze = Gaze(walking(n_frames)[:, 15], ahead, seen)
+    gaze = GazeRays(walking(n_frames)[:, 15], ahead, seen)
     own = ShownMotion(RECORDED, RECORDED_COLOUR, walking(n_frames), {"prime_success": 0.0, "reach_success": 1.0}, gaze)
     location = np.array([0.1, 1.0, 2.0])
     return Scene(

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from prbench.geometry.skeleton import Joint
-from prbench.metrics import MotionBatch
+from prbench.metrics import GazeRays, MotionBatch
 from prbench.metrics.reach_success import reach_success
 from prbench.protocol.manifests import load_protocol
 from prbench.viewing.figures import flattened
 from prbench.viewing.replay.scene import (
     RECORDED_COLOUR,
-    Gaze,
     Goal,
     ShownMotion,
     gaze_angle,
@@ -67,7 +66,7 @@ def test_reaching_by_the_curve_is_reaching_by_the_metric():
 
 
 def test_invalid_gaze_leaves_a_gap():
-    gaze = Gaze(np.zeros((2, 3)), np.array([[0.0, 0, 1], [0, 0, 1]]), np.array([True, False]))
+    gaze = GazeRays(np.zeros((2, 3)), np.array([[0.0, 0, 1], [0, 0, 1]]), np.array([True, False]))
     goal = Goal(np.array([3.0, 0.0, 4.0]), _NO_BOX)
     assert gaze_distance(gaze, goal)[0] == pytest.approx(3.0)
     assert gaze_angle(gaze, goal)[0] == pytest.approx(np.rad2deg(np.arctan2(3, 4)))
