@@ -236,20 +236,18 @@ def _parquet(path: Path) -> Iterator[_Named]:
         # The frames of one row, however deeply their numbers are nested.
         where = f"row {row}, column 'joints'"
         cell = table["joints"][row]
-        if not cell.is_valid or not pa.types.is_nested(cell.type):
-            found = str(cell.type) if cell.is_valid else "null"
-            raise InputFileError(path, where, expected="a list of frames", found=found)
+        found = str(cell.type) if cell.is_valid else "null"
+        require(path, (cell.is_valid and pa.types.is_nested(cell.type), where, "a list of frames", found, ""))
         values = cell.values
         count = len(values)
         while pa.types.is_nested(values.type):
-            if pa.types.is_struct(values.type) or pa.types.is_map(values.type):
-                raise InputFileError(path, where, expected="lists of numbers", found=str(values.type))
+            is_list = not (pa.types.is_struct(values.type) or pa.types.is_map(values.type))
+            require(path, (is_list, where, "lists of numbers", values.type, ""))
             values = values.flatten()
         numbers = _numbers(values.to_numpy(zero_copy_only=False), path, where)
         if numbers.size == count and count % _POSE_SIZE == 0:
             count //= _POSE_SIZE  # one flat list
-        if count == 0 or numbers.size % count:
-            found = f"{numbers.size} numbers in {count} frames"
-            raise InputFileError(path, where, expected="frames of one size", found=found)
+        found = f"{numbers.size} numbers in {count} frames"
+        require(path, (count > 0 and numbers.size % count == 0, where, "frames of one size", found, ""))
         frames = numbers.reshape(count, -1)
         yield str(name), frames.reshape(count, N_JOINTS, 3) if frames.shape[1] == _POSE_SIZE else frames

@@ -4,17 +4,3 @@ from prbench.curation.build import BuildPlan, BuildReport, build_dataset, build_
 from prbench.curation.curate import CuratedRecording, curate_recording
 from prbench.curation.job import RecordingSource, funnel_rows
 from prbench.curation.options import BuildOptions, CurationOptions
-
-__all__ = [
-    "BuildOptions",
-    "BuildPlan",
-    "BuildReport",
-    "CuratedRecording",
-    "CurationOptions",
-    "RecordingSource",
-    "build_dataset",
-    "build_from_sources",
-    "curate_recording",
-    "funnel_rows",
-    "plan_build",
-]

@@ -22,7 +22,8 @@ from prbench.curation.options import NO_OPTIONS, BuildOptions
 from prbench.curation.splits import draw_splits
 from prbench.engine import Engine, InProcess
 from prbench.engine.shards import Shard, ShardRecord, require_settings
-from prbench.errors import InputFileError, PrbenchError, StorageError, TableError, UsageError
+from prbench.errors import PrbenchError, StorageError, TableError, UsageError
+from prbench.files.bounded import require
 from prbench.files.storage import require_replaceable, sole_writer
 from prbench.progress_bar import ProgressCallback
 from prbench.protocol.manifests import digest_of, load_manifest, load_protocol
@@ -180,16 +181,11 @@ def _settings(dataset: str, options: BuildOptions) -> dict[str, Any]:
 def _in_table_order(sources: SequenceOf[RecordingSource]) -> list[RecordingSource]:
     # With the slash, because sequence ids go on with one: the table comes out sorted by id.
     ordered = sorted(sources, key=lambda source: f"{source.recording_id}/")
-    if not ordered:
-        raise InputFileError("sources", "", expected="recordings to build from", found="none")
+    require("sources", (ordered != [], "", "recordings to build from", "none", ""))
     for one, other in itertools.pairwise(ordered):
-        if one.recording_id == other.recording_id or one.dataset != other.dataset:
-            raise InputFileError(
-                one.recording_id,
-                "",
-                expected="recordings of one dataset with different names",
-                found=f"{one.dataset}/{one.recording_id} and {other.dataset}/{other.recording_id}",
-            )
+        differ = one.recording_id != other.recording_id and one.dataset == other.dataset
+        names = f"{one.dataset}/{one.recording_id} and {other.dataset}/{other.recording_id}"
+        require(one.recording_id, (differ, "", "recordings of one dataset with different names", names, ""))
     return ordered
 
 

@@ -27,7 +27,7 @@ from prbench.curation.stream_checks import examine_streams
 from prbench.engine import Engine, is_out_of_memory
 from prbench.errors import InputFileError, PrbenchError, RecordingUnusable, UsageError
 from prbench.files.arrays import first_repeated
-from prbench.files.bounded import foreign_input
+from prbench.files.bounded import foreign_input, require
 from prbench.files.storage import file_digest, text_digest
 from prbench.progress_bar import ProgressCallback
 from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, load_manifest
@@ -149,15 +149,10 @@ def native_sources(dataset: str, root: Path | str, options: BuildOptions) -> tup
     options.curation.require_fits(manifest)
     recordings = reader.find(root)
     repeated = first_repeated(recording.recording_id for recording in recordings)
-    if repeated is not None:
-        folders = [str(recording.folder) for recording in recordings if recording.recording_id == repeated]
-        raise InputFileError(
-            root,
-            "",
-            expected="recordings with different names",
-            found=f"'{repeated}' in {' and '.join(folders)}",
-            remedy="Move one of the two copies away.",
-        )
+    folders = [str(recording.folder) for recording in recordings if recording.recording_id == repeated]
+    twice = f"'{repeated}' in {' and '.join(folders)}"
+    remedy = "Move one of the two copies away."
+    require(root, (repeated is None, "", "recordings with different names", twice, remedy))
     found = {recording.recording_id: recording for recording in recordings}
     require_one_origin(root, (recording.dataset for recording in found.values()))
     require_marked(root, {name: recording.dataset for name, recording in found.items()})
@@ -183,15 +178,10 @@ def chosen_ids(recording_ids: SequenceOf[str], options: BuildOptions, *, where: 
         InputFileError: if none matches.
     """
     chosen = [name for name in recording_ids if fnmatch.fnmatchcase(name, options.recordings)]
-    if not chosen:
-        shown = ", ".join(sorted(recording_ids)[:5]) + (" …" if len(recording_ids) > 5 else "")
-        raise InputFileError(
-            where,
-            "",
-            expected=f"recordings whose name matches '{options.recordings}'",
-            found=f"{len(recording_ids)} others: {shown}",
-            remedy="Change the glob of --recordings.",
-        )
+    shown = ", ".join(sorted(recording_ids)[:5]) + (" …" if len(recording_ids) > 5 else "")
+    expected = f"recordings whose name matches '{options.recordings}'"
+    remedy = "Change the glob of --recordings."
+    require(where, (chosen != [], "", expected, f"{len(recording_ids)} others: {shown}", remedy))
     return sorted(chosen, key=lambda name: f"{name}/")[: options.limit]
 
 

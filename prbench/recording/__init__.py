@@ -13,17 +13,3 @@ from prbench.recording.streams import (
     UnreadableEntry,
     plausible_body_frames,
 )
-
-__all__ = [
-    "AnnotatedEvent",
-    "BodyStream",
-    "GazeStream",
-    "HandStream",
-    "ObjectTrack",
-    "OtherPerson",
-    "PoseStream",
-    "PublishedPriming",
-    "Recording",
-    "UnreadableEntry",
-    "plausible_body_frames",
-]

@@ -2,5 +2,3 @@
 
 from prbench.checking.conformance.findings import CheckRequest, Finding, Outcome, Report
 from prbench.checking.conformance.session import check
-
-__all__ = ["CheckRequest", "Finding", "Outcome", "Report", "check"]

@@ -2,5 +2,3 @@
 
 from prbench.checking.doctor.examinations import diagnose
 from prbench.checking.doctor.motion_set import Diagnosis, Expected
-
-__all__ = ["Diagnosis", "Expected", "diagnose"]

@@ -1,5 +1,3 @@
 """A new method's package or program: complete, installable, and working before anything is changed."""
 
 from prbench.checking.scaffold.create import ScaffoldRequest, new_adapter
-
-__all__ = ["ScaffoldRequest", "new_adapter"]

@@ -2,5 +2,3 @@
 
 from prbench.curation.poses.make import instructions, make_poses, read_config
 from prbench.curation.poses.states import PoseState, pose_states
-
-__all__ = ["PoseState", "instructions", "make_poses", "pose_states", "read_config"]

@@ -21,7 +21,7 @@ import msgspec
 
 from prbench.curation.poses.states import PoseState, coverage, head_poses, prepare, source_trajectory
 from prbench.errors import InputFileError, PrbenchError, StorageError, UsageError
-from prbench.files.bounded import foreign_input, read_text
+from prbench.files.bounded import foreign_input, read_text, require
 from prbench.files.storage import atomic_folder, lock_file, sole_writer
 from prbench.limits import HARMLESS_SIZE
 from prbench.progress_bar import ProgressCallback
@@ -122,13 +122,8 @@ def read_config(path: Path) -> PosesConfig:
             remedy="`prbench poses egoallo --root DIR` without --config prints one to start from.",
         ) from error
     unknown = [name for text in config.command for name in _PLACEHOLDER.findall(text) if name not in _PLACEHOLDERS]
-    if unknown:
-        raise InputFileError(
-            path,
-            "egoallo.command",
-            expected=f"the placeholders {', '.join(f'{{{name}}}' for name in _PLACEHOLDERS)}",
-            found=f"{{{unknown[0]}}}",
-        )
+    expected = f"the placeholders {', '.join(f'{{{name}}}' for name in _PLACEHOLDERS)}"
+    require(path, (not unknown, "egoallo.command", expected, f"{{{''.join(unknown[:1])}}}", ""))
     base = path.expanduser().absolute().parent
     model = None if config.model is None else base / config.model.expanduser()
     # A bare name such as python3.12 is found on PATH; anything with a separator is a path relative to the file.
@@ -273,14 +268,10 @@ def make_poses(
     # Checked once, before the first recording takes its minutes.
     model = find_model(root, config.model)
     wanted = any(state.lacking for state in states) and any("{model}" in text for text in config.command)
-    if wanted and (model is None or not model.is_file()):
-        raise InputFileError(
-            model or root / ego.MODEL_FILE,
-            "",
-            expected="the SMPL-H model, which the command names as {model}",
-            found="no such file",
-            remedy="Give its path as 'model' in the config.",
-        )
+    there = not wanted or (model is not None and model.is_file())
+    expected = "the SMPL-H model, which the command names as {model}"
+    remedy = "Give its path as 'model' in the config."
+    require(model or root / ego.MODEL_FILE, (there, "", expected, "no such file", remedy))
     outcomes = []
     for done, state in enumerate(states, start=1):
         outcome = Outcome(state.found.recording_id, *_make(state, config, model))

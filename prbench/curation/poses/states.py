@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.csv
 
 from prbench.errors import InputFileError, PrbenchError, UsageError
+from prbench.files.bounded import require
 from prbench.files.storage import atomic_path
 from prbench.geometry.timelines import nearest_index
 from prbench.limits import LARGEST_FILE
@@ -96,14 +97,10 @@ def prepare(inputs: EgoalloInputs, folder: Path) -> tuple[Path, int]:
     # one frame less than it takes poses.
     step = int(n / seconds // _FPS) if seconds > 0 else 0
     frames = math.ceil(n / step) - 1 if step else 0
-    if frames < 1:
-        raise InputFileError(
-            inputs.found.folder,
-            "trajectory",
-            expected=f"a trajectory of more than {_FPS:.0f} poses a second and of at least two output frames",
-            found=f"{n} poses in {seconds:.3f} s",
-            remedy="EgoAllo takes every int(rate / 30)-th pose and would take none.",
-        )
+    expected = f"a trajectory of more than {_FPS:.0f} poses a second and of at least two output frames"
+    found = f"{n} poses in {seconds:.3f} s"
+    remedy = "EgoAllo takes every int(rate / 30)-th pose and would take none."
+    require(inputs.found.folder, (frames >= 1, "trajectory", expected, found, remedy))
     return place, frames
 
 
@@ -152,15 +149,14 @@ def _write_turned_points(source: Source | None, place: Path) -> None:
     else:
         with opened(source) as packed, gzip.open(packed, "rb") as plain:
             content = plain.read(LARGEST_FILE + 1)
-        if len(content) > LARGEST_FILE:
-            raise InputFileError(str(source), "", expected=f"at most {LARGEST_FILE:,} bytes unpacked", found="more")
+        is_harmless = len(content) <= LARGEST_FILE
+        require(str(source), (is_harmless, "", f"at most {LARGEST_FILE:,} bytes unpacked", "more", ""))
         try:
             table = pyarrow.csv.read_csv(pa.BufferReader(content))
             x, y, z = (table[name] for name in _POINT_COLUMNS[2:5])
         except (pa.ArrowInvalid, KeyError) as error:
-            raise InputFileError(
-                str(source), "", expected="points with px_world, py_world, pz_world", found=str(error).splitlines()[0]
-            ) from error
+            expected = "points with px_world, py_world, pz_world"
+            raise InputFileError(str(source), "", expected=expected, found=str(error).splitlines()[0]) from error
         # (x, y, z) with Y up is (x, -z, y) with Z up.
         below = pa.array(-z.to_numpy())
         for name, values in zip(_POINT_COLUMNS[2:5], (x, below, y), strict=True):

@@ -105,16 +105,14 @@ def settings(subject: MethodSubject) -> Iterator[Finding]:
 @check("weights", "the weights that it names are there", needs=("load",))
 def weights(subject: MethodSubject) -> Iterator[Finding]:
     """Ask ``weights_for`` twice for each condition."""
+    named = {}
     if subject.is_program:
         # The handshake has checked the form of the hello, which names the weights of a program.
         named = {
             key.value: f"{each.name} ({each.sha256[:12]})"
             for key, each in getattr(subject.adapter, "weights", {}).items()
         }
-    elif not callable(getattr(subject.adapter, "weights_for", None)):
-        named = {}
-    else:
-        named = {}
+    elif callable(getattr(subject.adapter, "weights_for", None)):
         for condition in subject.conditions:
             try:
                 first, second = (
