@@ -320,13 +320,11 @@ def past(subject: PredictorSubject) -> Iterator[Finding]:
     """Look for futures that begin with the observed frames."""
     answers = {condition: subject.standard(condition) for condition in subject.conditions}
     answers = {condition: answer for condition, answer in answers.items() if answer.answered}
-    yield from form.by_condition(
-        answers,
-        lambda answer: "begin with the" in answer.error,
-        _PAST,
-        said="none begins with the observed frames",
-        things="futures",
-    )
+
+    def is_copy(answer: Answer) -> bool:
+        return "begin with the" in answer.error
+
+    yield from form.by_condition(subject, answers, is_copy, _PAST, said="none begins with the observed frames")
 
 
 @check("firewall", "without futures in the table every prediction stays the same", of_motions=True)

@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int
 from prbench.errors import TableError, UsageError
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import atomic_folder, require_replaceable
-from prbench.recording.streams import is_estimated
+from prbench.recording.streams import ESTIMATED
 from prbench.sequences.dataset_info import Provenance
 from prbench.sequences.schema import (
     naming,
@@ -203,7 +203,7 @@ def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[Run]) -> Window
     def streams() -> Iterator[pa.RecordBatch]:
         for run in cut:
             # Estimated bodies may carry later head motion: they never enter one mean with captured ones.
-            kinds.setdefault(is_estimated(run.pose_source), run.recording_id)
+            kinds.setdefault(run.pose_source in ESTIMATED, run.recording_id)
             if len(kinds) > 1:
                 raise TableError(
                     f"{folder}: expected captured bodies or estimated ones, found both: {kinds[False]} and"

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from prbench import readers
 from prbench.curation.mending import Numbers, mended, named_streams
 from prbench.curation.stream_checks import examine_streams
 from prbench.entry_points import CORPORA, load_built_in
@@ -16,16 +17,7 @@ from prbench.errors import InputFileError, PrbenchError
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
 from prbench.protocol.published import QUANTITIES, Spread
-from prbench.readers import (
-    SYNTHETIC_FILE,
-    AnnotationCounts,
-    CountsAnnotations,
-    NamesFurtherFiles,
-    RecordingFiles,
-    cut_short,
-    lacks_mark,
-    reader_for,
-)
+from prbench.readers import AnnotationCounts, CountsAnnotations, RecordingFiles, reader_for
 from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
 from prbench.readers.extents import damage
 from prbench.sequences import SequenceTable
@@ -257,10 +249,10 @@ def _inspect(
     if reason:
         return "left out", (reason,)
     missing = tuple(f"missing: {name}" for name in missing_files(recording, manifest.required_roles))
-    if lacks_mark(recording.recording_id, recording.dataset):
-        missing += (f"missing: {SYNTHETIC_FILE}",)
+    if readers.lacks_mark(recording.recording_id, recording.dataset):
+        missing += (f"missing: {readers.SYNTHETIC_FILE}",)
     reader = reader_for(found.dataset)
-    if not missing and isinstance(reader, NamesFurtherFiles):
+    if not missing and isinstance(reader, readers.NamesFurtherFiles):
         try:
             reader.require_further(recording)
         except InputFileError as error:
@@ -271,11 +263,11 @@ def _inspect(
     if missing or damaged:
         return ("incomplete" if missing else "damaged"), missing + damaged + remarks
     if not thorough:
-        shortfalls = cut_short(recording)
+        shortfalls = readers.cut_short(recording)
         return ("cut short" if shortfalls else "complete"), shortfalls + remarks
     try:
         read = reader.read(recording)
-        read = replace(read, shortfalls=cut_short(recording, read))
+        read = replace(read, shortfalls=readers.cut_short(recording, read))
         read = mended(read, *mends)
         findings = examine_streams(read, named_streams(read.recording_id, *mends))
     except PrbenchError as error:

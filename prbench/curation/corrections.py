@@ -235,6 +235,7 @@ def _csv_rows(path: Path, text: str) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield place and cells of each row; blank lines are passed over."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     header: list[str] = []
+    all_columns = f"the columns {', '.join(COLUMNS)}"
     end = 0
     try:
         for cells in reader:
@@ -250,18 +251,15 @@ def _csv_rows(path: Path, text: str) -> Iterator[tuple[str, dict[str, str]]]:
                 header = cells
                 remedy = "Save it with commas between the columns." if re.search(r"[;\t]", cells[0]) else ""
                 found = quoted(", ".join(header))
-                require(
-                    path, (sorted(header) == sorted(COLUMNS), where, f"the columns {', '.join(COLUMNS)}", found, remedy)
-                )
+                require(path, (sorted(header) == sorted(COLUMNS), where, all_columns, found, remedy))
                 continue
             remedy = "Text with commas stands between double quotes."
             require(path, (len(cells) == len(header), where, f"{len(header)} cells", str(len(cells)), remedy))
             yield where, dict(zip(header, cells, strict=True))
     except csv.Error as error:
-        raise InputFileError(
-            path, f"line {end + 1}", expected="values with commas between", found=str(error)
-        ) from error
-    require(path, (header != [], "line 1", f"the columns {', '.join(COLUMNS)}", "an empty file", ""))
+        expected = "values with commas between"
+        raise InputFileError(path, f"line {end + 1}", expected=expected, found=str(error)) from error
+    require(path, (header != [], "line 1", all_columns, "an empty file", ""))
 
 
 class _Table(msgspec.Struct, forbid_unknown_fields=True):

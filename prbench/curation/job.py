@@ -13,12 +13,13 @@ from collections.abc import Mapping
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import msgspec
 import pyarrow as pa
 
 import prbench
+from prbench import readers
 from prbench.curation.corrections import Corrections, UnknownEventError
 from prbench.curation.curate import CuratedRecording, curate_recording
 from prbench.curation.mending import mended, named_streams
@@ -32,16 +33,7 @@ from prbench.files.storage import file_digest, text_digest
 from prbench.progress_bar import ProgressCallback
 from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, load_manifest
 from prbench.protocol.own_protocol import OPTION
-from prbench.readers import (
-    SYNTHETIC_PREFIX,
-    RecordingFiles,
-    cut_short,
-    described_options,
-    read_synthetic_tree,
-    reader_for,
-    require_marked,
-    require_one_origin,
-)
+from prbench.readers import RecordingFiles, reader_for
 from prbench.recording import Recording
 from prbench.sequences import parts
 from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
@@ -53,7 +45,6 @@ from prbench.shown import quoted
 _EVENTS_ONLY = "events_only"  # the reader's option
 
 
-@runtime_checkable
 class RecordingSource(Protocol):
     """One recording that can be read, here or in another process; instances are picklable.
 
@@ -115,13 +106,13 @@ class NativeSource:
         digests = {path: file_digest(path) for path in {file.path for file in files}}  # many lie in one archive
         parts = [text for file in files for text in (file.role, file.path.name, file.member, digests[file.path])]
         options = reader_for(self.dataset, dict(self.reader_options)).options
-        chosen = [text for item in described_options(options).items() for text in item]
+        chosen = [text for item in readers.described_options(options).items() for text in item]
         return text_digest(self.dataset, self.recording_id, self.split or "", *parts, *chosen)
 
     def read(self) -> Recording:
         """See :class:`RecordingSource`; streams that end before the recording does are named."""
         recording = reader_for(self.dataset, dict(self.reader_options)).read(self.found)
-        return replace(recording, shortfalls=cut_short(self.found, recording))
+        return replace(recording, shortfalls=readers.cut_short(self.found, recording))
 
     def without_places(self, message: str) -> str:
         """See :class:`RecordingSource`."""
@@ -154,9 +145,9 @@ def native_sources(dataset: str, root: Path | str, options: BuildOptions) -> tup
     remedy = "Move one of the two copies away."
     require(root, (repeated is None, "", "recordings with different names", twice, remedy))
     found = {recording.recording_id: recording for recording in recordings}
-    require_one_origin(root, (recording.dataset for recording in found.values()))
-    require_marked(root, {name: recording.dataset for name, recording in found.items()})
-    tree = read_synthetic_tree(root)
+    readers.require_one_origin(root, (recording.dataset for recording in found.values()))
+    readers.require_marked(root, {name: recording.dataset for name, recording in found.items()})
+    tree = readers.read_synthetic_tree(root)
     return tuple(
         NativeSource(
             root,
@@ -362,7 +353,7 @@ def describe(
     extra_options: Mapping[str, str],
 ) -> DatasetInfo:
     """Provenance of a build; its two digests are filled in when the tables are written."""
-    synthetic = dataset.startswith(SYNTHETIC_PREFIX)
+    synthetic = dataset.startswith(readers.SYNTHETIC_PREFIX)
     outcomes = Counter[str]()
     for receipt in receipts:
         outcomes.update(receipt.record.outcomes)
@@ -370,7 +361,7 @@ def describe(
     chosen = {"recordings": options.recordings, "limit": "all" if options.limit is None else str(options.limit)}
     if options.reader:
         reader = reader_for(manifest.name, dict(options.reader))
-        chosen |= {f"reader.{name}": value for name, value in described_options(reader.options).items()}
+        chosen |= {f"reader.{name}": value for name, value in readers.described_options(reader.options).items()}
     if options.corrections is not None:
         read = (receipt.record.recording_id for receipt in receipts if receipt.record.status == "read")
         chosen |= options.corrections.described(dataset, read)

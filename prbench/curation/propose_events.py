@@ -24,10 +24,9 @@ from prbench.progress_bar import ProgressCallback
 from prbench.readers import AnnotatedByHand, RecordingFiles, reader_for
 from prbench.readers.discover import usable_readers
 from prbench.recording import Recording
-from prbench.recording.streams import Side
+from prbench.recording.streams import SIDES, Side
 from prbench.shown import csv_text
 
-_SIDES: tuple[Side, Side] = ("left", "right")
 _ARMS = (
     (Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST),
     (Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST),
@@ -146,9 +145,9 @@ def _judged(
     confidence = sum(weight * marks[name] for name, weight in _WEIGHTS.items())
     seen = "no gaze" if np.isinf(look) else f"gaze {look * 100:.0f} cm from the wrist"
     more = "; this wrist moves more" if moved_more else ""
-    slows = f"{_SIDES[side]} wrist slows from {fastest:.1f} to {speed[row]:.1f} m/s"
+    slows = f"{SIDES[side]} wrist slows from {fastest:.1f} to {speed[row]:.1f} m/s"
     reason = f"{slows}; arm {stretch:.0%} stretched; {seen}{more}"
-    return Candidate(float(times[row]), _SIDES[side], round(confidence, 2), reason)
+    return Candidate(float(times[row]), SIDES[side], round(confidence, 2), reason)
 
 
 def _share(value: float, none: float, all_: float) -> float:

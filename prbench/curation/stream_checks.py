@@ -137,7 +137,11 @@ def examine_streams(recording: Recording, trusted: Collection[str] = ()) -> tupl
     pairs = stream_pairs(streams)
     stuck = _stuck(streams)
     found = _wrong_measures(streams, pairs, {name: each for name, each in stuck.items() if each.kind == "stuck"})
-    pairs = _unblamed(streams, pairs, found)
+    # What was measured from a stream with a finding tells nothing.
+    blamed = set(found)
+    if ("head" if streams.turn is not None else "body") in blamed:
+        blamed |= {"gaze", "hands"} if recording.hands_from_glasses else {"gaze"}
+    pairs = [pair for pair in pairs if not {pair.one, pair.other} & blamed]
     sure = [pair for pair in pairs if pair.sure]
     for name, (lag,) in _outliers([(pair.one, pair.other, np.array([pair.lag])) for pair in sure], _TOLD_LAG).items():
         told = max((pair for pair in sure if name in (pair.one, pair.other)), key=lambda pair: abs(pair.lag))
@@ -156,14 +160,6 @@ def examine_streams(recording: Recording, trusted: Collection[str] = ()) -> tupl
     faults = (stuck | found).items()
     judged = [replace(fault, certain=fault.certain and name not in trusted) for name, fault in faults]
     return tuple(sorted(judged, key=lambda fault: not fault.certain))
-
-
-def _unblamed(streams: Gridded, pairs: Sequence[Pair], found: _Found) -> list[Pair]:
-    """Return pairs of streams without a finding, of which none was measured from a stream with one."""
-    names = set(found)
-    if ("head" if streams.turn is not None else "body") in names:
-        names |= {"gaze", "hands"} if streams.recording.hands_from_glasses else {"gaze"}
-    return [pair for pair in pairs if not {pair.one, pair.other} & names]
 
 
 def gridded(recording: Recording, grid: Float[np.ndarray, " n"]) -> Gridded:

@@ -166,7 +166,7 @@ def score_recorded(
     for _, chunk in selection.windows(columns, rows=_SCORED_TOGETHER):
         recorded = MotionBatch(chunk.joints, chunk.offsets)
         goals.append(chunk.vectors("goal_location"))
-        gaze = _recorded_gaze(chunk) if by_gaze else None
+        gaze = recorded_gaze(chunk) if by_gaze else None
         boxes = boxes_around(chunk, scene) if scene is not None else None
         values = score(recorded, recorded, targets_of(chunk, goals[-1], gaze, boxes), constants, metrics=wanted)
         parts.append({name: column.value for name, column in values.items()})
@@ -196,7 +196,7 @@ def _score_together(part: _Part) -> pa.Table:
     rules = part.rules
     chunk = SequenceChunk(part.recorded)
     recorded = MotionBatch(chunk.joints, chunk.offsets)
-    gaze = _recorded_gaze(chunk) if rules.recorded_motion else None
+    gaze = recorded_gaze(chunk) if rules.recorded_motion else None
     targets = targets_of(chunk, part.goals, gaze, part.scene)
     metrics = None
     if rules.recorded_motion and rules.other_goals is not None:
@@ -254,7 +254,8 @@ def _score_together(part: _Part) -> pa.Table:
     return pa.Table.from_arrays(columns, schema=SCORES)
 
 
-def _recorded_gaze(chunk: SequenceChunk) -> GazeRays:
+def recorded_gaze(chunk: SequenceChunk) -> GazeRays:
+    """Return the recorded gaze of the sequences of a chunk."""
     return GazeRays(
         chunk.frames("gaze_origin").astype(np.float64),
         chunk.frames("gaze_direction").astype(np.float64),

@@ -27,16 +27,10 @@ from prbench.geometry.timelines import covered, interpolate, nearest_index, sler
 from prbench.limits import FARTHEST_POSITION, LARGEST_OBJECT
 from prbench.shown import quoted
 
-_ESTIMATED = frozenset({"egoallo"})
+# Sources of bodies that were computed from whole tracks of the head: a frame may carry later head motion
+# (docs/specification/motion-prediction.md#from-recordings-to-windows).
+ESTIMATED = frozenset({"egoallo"})
 _ENTRIES_NAMED = 3  # unreadable entries that a message names
-
-
-def is_estimated(pose_source: str) -> bool:
-    """Return True for bodies that were computed from whole tracks of the head: a frame may carry later head motion.
-
-    Source: docs/specification/motion-prediction.md#from-recordings-to-windows.
-    """
-    return pose_source in _ESTIMATED
 
 
 @dataclass(frozen=True)

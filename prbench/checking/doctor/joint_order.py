@@ -4,18 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from prbench.checking.doctor import motion_set as measures
 from prbench.checking.doctor.body import not_positions
-from prbench.checking.doctor.motion_set import (
-    ORDERS_OF_22,
-    Diagnosis,
-    Finding,
-    MotionSet,
-    fit,
-    front,
-    index_of,
-    sidedness,
-    unit,
-)
+from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet
 from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.representation.converters import JOINT_MAPS
 from prbench.representation.encoding import MIRRORED_JOINTS
@@ -39,10 +30,10 @@ def examine_joint_order(motion_set: MotionSet) -> Finding | None:
     distances = motion_set.distances
     if len(distances[0]) != N_JOINTS:
         return _another_number(motion_set, len(distances[0]))
-    own, _ = fit(distances)
+    own, _ = measures.fit(distances)
     if own < _IMPOSSIBLE:
         return _exchanged_pairs(motion_set, distances)
-    fits = {name: fit(distances, index_of(joints)) for name, joints in ORDERS_OF_22.items()}
+    fits = {name: measures.fit(distances, measures.index_of(joints)) for name, joints in measures.ORDERS_OF_22.items()}
     best = min(fits, key=lambda name: sum(fits[name]))
     evidence = f"as HumanML3D's order, bones miss people's lengths by {own:.0%}"
     if fits[best][0] >= _FITS:
@@ -56,8 +47,9 @@ def examine_joint_order(motion_set: MotionSet) -> Finding | None:
     # Orders that only exchange left and right have bones alike; the front tells which of them is right.
     alike = [name for name in fits if sum(fits[name]) < sum(fits[best]) + _ALIKE]
     poses = motion_set.poses()
-    best = max(alike, key=lambda name: np.sign(sidedness(poses[:, index_of(ORDERS_OF_22[name])]).mean().round(1)))
-    index = index_of(ORDERS_OF_22[best])
+    orders = {name: measures.index_of(measures.ORDERS_OF_22[name]) for name in alike}
+    best = max(alike, key=lambda name: np.sign(measures.sidedness(poses[:, orders[name]]).mean().round(1)))
+    index = orders[best]
     evidence += f"; in the order found by {fits[best][0]:.0%}"
     remedy = f"Put them into HumanML3D's order: joints[:, {index}] (names: prbench.geometry.skeleton.Joint)."
     found = Diagnosis("joint-order", True, evidence, f"joints stand in {best}", remedy)
@@ -69,7 +61,7 @@ def _another_number(motion_set: MotionSet, n_joints: int) -> Finding:
     evidence = f"{n_joints} joints a frame instead of 22"
     fitting = {name: each for name, each in JOINT_MAPS.items() if len(each.source_joints) == n_joints}
     mapped = {name: motion_set.changed(each.to_22) for name, each in fitting.items()}
-    misfits = {name: sum(fit(each.distances)) for name, each in mapped.items()}
+    misfits = {name: sum(measures.fit(each.distances)) for name, each in mapped.items()}
     best = min(misfits, key=lambda name: misfits[name], default="")
     if misfits.get(best, np.inf) >= _FITS:
         remedy = "Write a map of its joints (prbench.representation.converters.JointMap) to prbench.geometry.skeleton."
@@ -92,8 +84,8 @@ def _exchanged_pairs(motion_set: MotionSet, distances: tuple[np.ndarray, np.ndar
     if not crossed.any() or (crossed == _ARMS).all() or (crossed == ~_ARMS).all():
         return None  # whole limbs are examine_left_right's
     index = _with_sides(crossed)
-    before = sum(fit(distances))
-    after = sum(fit(distances, index))
+    before = sum(measures.fit(distances))
+    after = sum(measures.fit(distances, index))
     if after > min(before - _GAIN, _FITS):
         return None
     names = " and ".join(part for part, swap in zip(_PARTS, crossed, strict=True) if swap)
@@ -109,7 +101,7 @@ def _exchanged_pairs(motion_set: MotionSet, distances: tuple[np.ndarray, np.ndar
 def _agreement_with_hips(motion_set: MotionSet) -> np.ndarray:
     """Return for each part how often its left lies on the side of the left hip: 1 always, -1 never; (8 parts,)."""
     poses = motion_set.poses()
-    hips = unit(poses[:, Joint.LEFT_HIP] - poses[:, Joint.RIGHT_HIP])
+    hips = measures.unit(poses[:, Joint.LEFT_HIP] - poses[:, Joint.RIGHT_HIP])
     rights = [MIRRORED_JOINTS[joint] for joint in _LEFTS]
     sideways = ((poses[:, _LEFTS] - poses[:, rights]) * hips[:, None]).sum(axis=-1)
     return sideways.mean(axis=0) / np.maximum(np.abs(sideways).mean(axis=0), 1e-9)
@@ -127,8 +119,8 @@ def _with_sides(exchanged: np.ndarray) -> list[int]:
 def examine_left_right(motion_set: MotionSet) -> Finding | None:
     """Compare the front that toes, knees and head show with the one that follows from left and right."""
     poses = motion_set.poses()
-    by_hips = float(sidedness(poses).mean())
-    by_shoulders = float(sidedness(poses, "SHOULDER").mean())
+    by_hips = float(measures.sidedness(poses).mean())
+    by_shoulders = float(measures.sidedness(poses, "SHOULDER").mean())
     if by_hips > _WRONG_SIDE and by_shoulders > _WRONG_SIDE:
         return None
     evidence = (
@@ -146,7 +138,7 @@ def examine_left_right(motion_set: MotionSet) -> Finding | None:
         found = Diagnosis("left-right", True, evidence, cause, f"Exchange them: joints[:, {index}].")
         return Finding((found,), motion_set.changed(lambda motion: motion[:, index]))
     # Where the toes point backwards too, negating that axis undoes both, and exchanging names would undo one.
-    backwards = float(front(motion_set.first_poses())[:, 2].mean()) < 0
+    backwards = float(measures.front(motion_set.first_poses())[:, 2].mean()) < 0
     signs = np.array((1.0, 1.0, -1.0) if backwards else (-1.0, 1.0, 1.0))
     flip = f"joints * [{', '.join(f'{sign:g}' for sign in signs)}]"
     exchange = "Exchange the names: joints[:, prbench.representation.encoding.MIRRORED_JOINTS]."

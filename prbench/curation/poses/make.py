@@ -113,14 +113,10 @@ def read_config(path: Path) -> PosesConfig:
         content = tomllib.loads(read_text(path, encoding="utf-8", largest=HARMLESS_SIZE))
         config = msgspec.convert(content, dict[Literal["egoallo"], PosesConfig], dec_hook=_path)["egoallo"]
     except (FileNotFoundError, KeyError, tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
-        raise InputFileError(
-            path,
-            "",
-            expected="a table [egoallo] with python and folder, and optionally command, model, needs, timeout_minutes"
-            " and environment",
-            found="no such file" if isinstance(error, FileNotFoundError) else str(error),
-            remedy="`prbench poses egoallo --root DIR` without --config prints one to start from.",
-        ) from error
+        expected = "a table [egoallo] with python and folder, and optionally command, model, needs, timeout_minutes and"
+        found = "no such file" if isinstance(error, FileNotFoundError) else str(error)
+        remedy = "`prbench poses egoallo --root DIR` without --config prints one to start from."
+        raise InputFileError(path, "", expected=f"{expected} environment", found=found, remedy=remedy) from error
     unknown = [name for text in config.command for name in _PLACEHOLDER.findall(text) if name not in _PLACEHOLDERS]
     expected = f"the placeholders {', '.join(f'{{{name}}}' for name in _PLACEHOLDERS)}"
     require(path, (not unknown, "egoallo.command", expected, f"{{{''.join(unknown[:1])}}}", ""))

@@ -65,8 +65,11 @@ class PageStage:
             _Body(server, f"/sequence_{number}/motion_{lane}", scene, motion, offset)
             for lane, (motion, offset) in enumerate(zip(scene.motions, lane_offsets(scene), strict=True))
         ]
+        # The clock stands above the middle of the first body's way.
+        pelvis = scene.motions[0].joints[:, Joint.PELVIS]
+        x, _, z = (pelvis.min(axis=0) + pelvis.max(axis=0)) / 2
         self._clock = server.scene.add_label(
-            f"/sequence_{number}/clock", "", position=tuple(self._above()), anchor="bottom-center"
+            f"/sequence_{number}/clock", "", position=(x, 2.5, z), anchor="bottom-center"
         )
 
     def show(self, visible: bool) -> None:
@@ -79,11 +82,6 @@ class PageStage:
             body.set_frame(frame)
         happens = replay.phase(self._scene, frame).strip()
         self._clock.text = f"{self._scene.title}: {frame / self._scene.fps:.2f} s{f' · {happens}' if happens else ''}"
-
-    def _above(self) -> Float[np.ndarray, "3"]:
-        pelvis = self._scene.motions[0].joints[:, Joint.PELVIS]
-        middle = (pelvis.min(axis=0) + pelvis.max(axis=0)) / 2
-        return np.array([middle[0], 2.5, middle[2]])
 
 
 class _Body:

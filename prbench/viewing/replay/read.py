@@ -14,13 +14,12 @@ from jaxtyping import Float
 from prbench.errors import PredictionsError, RunError
 from prbench.geometry.skeleton import invert_rigid, transform_points
 from prbench.harness.run_folder import DatasetFolder, Predictions, RunFolder, RunRecord, read_scores
-from prbench.metrics import UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
+from prbench.harness.scoring import recorded_gaze, targets_of
+from prbench.metrics import GazeRays, MotionBatch, score
 from prbench.protocol.manifests import MetricConstants, load_protocol
 from prbench.sequences import DatasetInfo, SequenceChunk, SequenceTable
 from prbench.sequences.dataset_info import may_pass_on, notice, require_may_pass_on
 from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED, RECORDED_COLOUR, Goal, Scene, ShownMotion
-
-_SIDES = {"left": 0, "right": 1}
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,19 +172,12 @@ def scene_of(
     """
     constants = constants or load_protocol().metrics
     shown = may_pass_on(info, permitted)
-    gaze = gaze_of(chunk)
+    gaze = recorded_gaze(chunk)
     placed = info.why_not_scored is None  # else the goal's frame is unknown, so that no distance means anything
     scores = {}
     if placed:
         # The recorded motion's own scores are the ceiling that a method is compared with.
-        targets = ScoringTargets(
-            goal_location=chunk.vectors("goal_location").astype(np.float64),
-            prime_time=chunk.numbers("prime_time") - chunk.numbers("start_time"),
-            hand=np.array([_SIDES.get(side, UNKNOWN_HAND) for side in chunk.strings("hand")]),
-            head_tilt_deg=chunk.numbers("head_tilt_deg"),
-            fps=chunk.numbers("fps"),
-            gaze=gaze,
-        )
+        targets = targets_of(chunk, chunk.vectors("goal_location"), gaze)
         motion = MotionBatch(chunk.joints, chunk.offsets)
         scores = {name: float(column.value[0]) for name, column in score(motion, motion, targets, constants).items()}
     eyes = gaze if gaze.valid.any() else None
@@ -214,12 +206,3 @@ def goal_of(chunk: SequenceChunk) -> Goal:
     corners = np.array(list(itertools.product(*zip(low, high, strict=True))), dtype=np.float64)
     canonical_from_world = invert_rigid(chunk.vectors("world_from_canonical").reshape(4, 4))
     return Goal(chunk.vectors("goal_location")[0].astype(np.float64), transform_points(canonical_from_world, corners))
-
-
-def gaze_of(chunk: SequenceChunk) -> GazeRays:
-    """Return the recorded gaze of one row."""
-    return GazeRays(
-        chunk.frames("gaze_origin").astype(np.float64),
-        chunk.frames("gaze_direction").astype(np.float64),
-        np.asarray(chunk.frames("gaze_valid"), dtype=bool),
-    )

@@ -191,30 +191,25 @@ def generates(subject: Subject) -> Iterator[Finding]:
 
 def answered_everywhere(subject: MethodSubject, remedy: str, *, said: str) -> Iterator[Finding]:
     """Fail each condition under which a method raises, and a program that ended by itself."""
-    yield from by_condition(
-        {condition: subject.standard(condition) for condition in subject.conditions},
-        lambda answer: not answer.answered and not program_misshaped(answer),
-        remedy,
-        said=said,
-        things=subject.things,
-    )
+    answers = {condition: subject.standard(condition) for condition in subject.conditions}
+
+    def is_missing(answer: Answer) -> bool:
+        return not answer.answered and not program_misshaped(answer)
+
+    yield from by_condition(subject, answers, is_missing, remedy, said=said)
 
 
 @check("shapes", "motions have the asked shape and lengths", needs=("load",))
 def shapes(subject: MethodSubject) -> Iterator[Finding]:
     """Compare shapes and lengths with those that were asked for."""
-    yield from by_condition(
-        _answered(subject), subject.is_misshapen, subject.shape_remedy, said=subject.shape, things=subject.things
-    )
+    yield from by_condition(subject, _answered(subject), subject.is_misshapen, subject.shape_remedy, said=subject.shape)
 
 
 @check("dtype", "positions are decimals of enough digits", needs=("load",))
 def dtype(subject: MethodSubject) -> Iterator[Finding]:
     """Require floating point, and warn of half precision."""
     answers = {name: answer for name, answer in _answered(subject).items() if not subject.is_misshapen(answer)}
-    yield from by_condition(
-        answers, lambda answer: not _is_floating(answer), _DTYPE, said="floating point", things=subject.things
-    )
+    yield from by_condition(subject, answers, lambda answer: not _is_floating(answer), _DTYPE, said="floating point")
     coarse = [name.value for name, answer in answers.items() if _dtype_of(answer) == np.dtype(np.float16)]
     if coarse:
         said = f"{', '.join(coarse)}: joints come as float16, whose steps are 1 mm at 2 m from the origin."
@@ -224,17 +219,13 @@ def dtype(subject: MethodSubject) -> Iterator[Finding]:
 @check("finite", "no position is NaN or infinite", needs=("load",))
 def finite(subject: MethodSubject) -> Iterator[Finding]:
     """Require a finite number in every valid frame."""
-    answers = _answered(subject)
-    answers = {
-        name: answer for name, answer in answers.items() if not subject.is_misshapen(answer) and _is_floating(answer)
-    }
-    yield from by_condition(
-        answers,
-        lambda answer: "expected finite positions" in answer.error,
-        _FINITE,
-        said="all positions are numbers",
-        things=subject.things,
-    )
+    answers = {name: answer for name, answer in _answered(subject).items() if not subject.is_misshapen(answer)}
+    answers = {name: answer for name, answer in answers.items() if _is_floating(answer)}
+
+    def is_broken(answer: Answer) -> bool:
+        return "expected finite positions" in answer.error
+
+    yield from by_condition(subject, answers, is_broken, _FINITE, said="all positions are numbers")
 
 
 def _answered(subject: MethodSubject) -> dict[Any, Answer]:
@@ -245,14 +236,14 @@ def _answered(subject: MethodSubject) -> dict[Any, Answer]:
 
 
 def by_condition(
-    answers: Mapping[Any, Answer], is_wrong: Callable[[Answer], bool], remedy: str, *, said: str, things: str
+    subject: MethodSubject, answers: Mapping[Any, Answer], is_wrong: Callable[[Answer], bool], remedy: str, *, said: str
 ) -> Iterator[Finding]:
     """Fail each condition whose answer is wrong, and pass them together if none is."""
     wrong = {condition: answer for condition, answer in answers.items() if is_wrong(answer)}
     for condition, answer in wrong.items():
         yield failed(f"under {condition.value}: {answer.error}", remedy)
     if not answers:
-        yield skipped(f"there are no {things} to look at.")
+        yield skipped(f"there are no {subject.things} to look at.")
     elif not wrong:
         yield passed(f"{said}, under {', '.join(condition.value for condition in answers)}.")
 
