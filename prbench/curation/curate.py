@@ -79,7 +79,7 @@ def curate_recording(
         RecordingUnusable: if published priming is asked for and the recording has none.
     """
     group = recording.split_group or recording.recording_id
-    rule = options.in_hand_rule(manifest)
+    rule = manifest.in_hand_rule(options.in_hand)
     events, remarks = find_events(recording, rule)
     if corrections is not None:
         events = corrections.settle(events)
@@ -117,9 +117,7 @@ def curate_recording(
                 sequence_id=sequence and sequence.sequence_id,
                 prime_time=prime and prime.time,
                 prime_kind=prime and prime.kind,
-                location=place and place.location,
-                box_min=place and place.box_min,
-                box_max=place and place.box_max,
+                **({} if place is None else _copied(place, "location", "box_min", "box_max")),
                 left_wrist=wrists.get("left"),
                 right_wrist=wrists.get("right"),
                 published_priming=published and published.outcome,

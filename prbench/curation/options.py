@@ -12,7 +12,7 @@ from prbench.curation.mending import Numbers, stream_numbers
 from prbench.curation.priming import RAY_ORIGINS
 from prbench.errors import UsageError
 from prbench.geometry.shapes import import_open3d
-from prbench.protocol.manifests import BenchmarkProtocol, InHandRule, Manifest, digest_of
+from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of
 
 # What each option of curation may be.
 _CHOICES = {
@@ -53,14 +53,6 @@ class CurationOptions:
                 choices = ", ".join(each for each in known if each)
                 raise UsageError(f"unknown {name.replace('_', ' ')} '{getattr(self, name)}'; known ones: {choices}.")
 
-    def in_hand_rule(self, manifest: Manifest) -> InHandRule | None:
-        """Return the chosen in-hand rule; None where the dataset annotates its events.
-
-        Raises:
-            UsageError: for a name that the manifest does not list.
-        """
-        return manifest.in_hand_rule(self.in_hand)
-
     def require_fits(self, manifest: Manifest) -> None:
         """Refuse, before anything is read, what a dataset does not have.
 
@@ -68,7 +60,7 @@ class CurationOptions:
             UsageError: for an in-hand rule that the manifest does not list, or published priming of a dataset without.
             MissingExtraError: if hands are to be compared with meshes, and Open3D is not installed.
         """
-        rule = self.in_hand_rule(manifest)
+        rule = manifest.in_hand_rule(self.in_hand)
         if rule is not None and rule.target == "surface":
             import_open3d(f"the in-hand rule '{self.in_hand or 'default'}'")
         if self.priming == "published" and not manifest.publishes_priming:
@@ -79,7 +71,7 @@ class CurationOptions:
 
     def described(self, manifest: Manifest, protocol: BenchmarkProtocol) -> dict[str, str]:
         """Return the choices as text, as ``dataset.json`` holds them."""
-        rule = self.in_hand_rule(manifest)
+        rule = manifest.in_hand_rule(self.in_hand)
         # Named where it is asked for only: tables of the default keep their bytes.
         shortest = protocol.curation.minimum_prime
         chosen = {"minimum_prime": f"{shortest:g}"} if shortest > 0 else {}

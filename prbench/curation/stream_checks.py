@@ -60,7 +60,6 @@ _NO_OPTION = "No option mends it: write the file in the dataset's own axes and w
 _Rows = Float[np.ndarray, "_ 3"]
 _Moving = tuple[_Rows, Bool[np.ndarray, " _"]]  # values at 30 Hz, and where they are known
 _Curve = Float[np.ndarray, " _"]
-_Found = Mapping[str, Diagnosis]
 
 
 @dataclass(frozen=True)
@@ -446,7 +445,7 @@ def _offsets_from(anchor: str, edges: Sequence[tuple[str, str, np.ndarray]]) -> 
     return off
 
 
-def _wrong_measures(streams: Gridded, pairs: Sequence[Pair], found: _Found) -> dict[str, Diagnosis]:
+def _wrong_measures(streams: Gridded, pairs: Sequence[Pair], found: Mapping[str, Diagnosis]) -> dict[str, Diagnosis]:
     """Compare lengths and directions with people's; lengths also in other units than the reader took."""
     wrong = dict(found)
     for stream, reference, measure, values, low, high in _measures(streams, pairs):
@@ -540,8 +539,8 @@ def _measures(streams: Gridded, pairs: Sequence[Pair]) -> Iterator[tuple[str, st
 
 def _stuck(streams: Gridded) -> dict[str, Diagnosis]:
     """Look for streams that stand still to the last digit, which no person does."""
-    parts: list[tuple[str, _Moving | None]] = [("head", streams.head if streams.turn is not None else None)]
-    parts += [("gaze", streams.local)]
+    head = streams.head if streams.turn is not None else None
+    parts: list[tuple[str, _Moving | None]] = [("head", head), ("gaze", streams.local)]
     parts += [("body", each) for each in streams.joints.values()]
     parts += [("hands", each) for each in streams.hands.values()]
     found = {}

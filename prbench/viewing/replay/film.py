@@ -6,6 +6,7 @@ Still parts of a picture are drawn once, moving parts are drawn over them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -148,11 +149,7 @@ class FilmStage:
 
     def _add_side_views(self) -> None:
         scene = self._scene
-        axis = scene.picture_axis
-
-        def flat(points: np.ndarray) -> np.ndarray:
-            return replay.side_view(points, axis)
-
+        flat = partial(replay.side_view, axis=scene.picture_axis)
         height = max(2.0, max(float(motion.joints[..., 1].max()) for motion in scene.motions) + 0.1)
         low, high = replay.extent(scene, flat)
         columns = 1 + (len(scene.motions) > 2) + (len(scene.motions) > 6)

@@ -59,7 +59,7 @@ class PageStage:
     """
 
     def __init__(self, server: ViserServer, number: int, scene: replay.Scene) -> None:
-        self._root = server.scene.add_frame(f"/sequence_{number}", show_axes=False, visible=False)
+        self.root = server.scene.add_frame(f"/sequence_{number}", show_axes=False, visible=False)
         self._scene = scene
         self._bodies = [
             _Body(server, f"/sequence_{number}/motion_{lane}", scene, motion, offset)
@@ -71,10 +71,6 @@ class PageStage:
         self._clock = server.scene.add_label(
             f"/sequence_{number}/clock", "", position=(x, 2.5, z), anchor="bottom-center"
         )
-
-    def show(self, visible: bool) -> None:
-        """Let the sequence appear or vanish."""
-        self._root.visible = visible
 
     def set_frame(self, frame: int) -> None:
         """Move everything to a frame."""
@@ -207,14 +203,14 @@ def write_page(scenes: Sequence[replay.Scene], path: Path, progress: replay.Prog
         done = 0
         total = sum(scene.n_frames for scene in scenes)
         for scene, stage in zip(scenes, stages, strict=True):
-            stage.show(True)
+            stage.root.visible = True
             for frame in range(scene.n_frames):
                 stage.set_frame(frame)
                 recording.insert_sleep(1.0 / scene.fps)
                 done += 1
                 progress(done, total, scene.sequence_id)
             recording.insert_sleep(HOLD)
-            stage.show(False)
+            stage.root.visible = False
         page = recording.as_html()
     content = with_overlay(page, scenes, hold=HOLD)
     with sole_writer(path):

@@ -308,7 +308,7 @@ def side_view(
 
 
 def top_view(points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-    """Return ground coordinates (x, z), metres; :func:`limit_top_view` lets x grow to the left, as seen from above."""
+    """Return ground coordinates (x, z), metres; a panel lets x grow to the left, as seen from above."""
     return points[..., [0, 2]]
 
 
@@ -359,23 +359,6 @@ def extent(scene: Scene, flat: Callable[[np.ndarray], np.ndarray]) -> tuple[np.n
     return everything.min(axis=0), everything.max(axis=0)
 
 
-def limit_top_view(axes: Axes, scene: Scene, *, least: float, margin: float) -> None:
-    """Let a square panel show everything from above, x to the left, as one who looks down sees it.
-
-    Args:
-        axes: The panel.
-        scene: The sequence.
-        least: Smallest side of the square without its margins, metres.
-        margin: Metres around it.
-    """
-    low, high = extent(scene, top_view)
-    x, z = (low + high) / 2
-    half = max(float((high - low).max()), least) / 2 + margin
-    # x grows to the left, as for somebody who looks down on a body that faces away from them.
-    axes.set(xlim=(x + half, x - half), ylim=(z - half, z + half))
-    axes.set_aspect("equal", adjustable="box")
-
-
 def draw_goal(
     axes: Axes,
     corners: Float[np.ndarray, "8 2"],
@@ -389,11 +372,3 @@ def draw_goal(
     for one, other in BOX_EDGES:
         axes.plot(*corners[[one, other]].T, color=BOX_COLOUR, linewidth=linewidth, zorder=zorder)
     axes.plot(*location, "s", color=GOAL_COLOUR, markersize=markersize, zorder=zorder)
-
-
-def mark_times(axes: Axes, scene: Scene) -> None:
-    """Mark prime window, prime time and event on a panel whose x axis is time, seconds."""
-    window = scene.thresholds.prime_window
-    axes.axvspan(scene.prime_time - window, scene.prime_time + window, color="0.92", zorder=0, linewidth=0)
-    axes.axvline(scene.prime_time, color=MARK_COLOUR, linewidth=1.0, linestyle="--", zorder=1)
-    axes.axvline(scene.event_time, color=MARK_COLOUR, linewidth=1.4, zorder=1)

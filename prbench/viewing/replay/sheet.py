@@ -109,7 +109,13 @@ def draw_way(axes: Axes, scene: replay.Scene, frames: Int[np.ndarray, " poses"])
     if scene.goal is not None:
         corners = replay.top_view(scene.goal.box_corners)
         replay.draw_goal(axes, corners, replay.top_view(scene.goal.location), linewidth=1.0, markersize=5.0, zorder=5)
-    replay.limit_top_view(axes, scene, least=1.3, margin=0.45)
+    low, high = replay.extent(scene, replay.top_view)
+    x, z = (low + high) / 2
+    # A square of at least 1.3 m, and a margin around it.
+    half = max(float((high - low).max()), 1.3) / 2 + 0.45
+    # x grows to the left, as for somebody who looks down on a body that faces away from them.
+    axes.set(xlim=(x + half, x - half), ylim=(z - half, z + half))
+    axes.set_aspect("equal", adjustable="box")
     axes.set_xlabel("x (m), seen from above", fontsize=8)
     axes.set_ylabel("z (m)", fontsize=8)
     axes.tick_params(labelsize=7.5)
@@ -146,7 +152,11 @@ def draw_curves(panels: tuple[Axes, Axes, Axes], scene: replay.Scene, goal: repl
     limits = (min(highest[ray] * 1.08, _HIGHEST), min(highest[angle] * 1.08, 180.0), highest[wrist] * 1.08)
     for panel, title, limit in zip(panels, titles, limits, strict=True):
         panel.set_ylim(0.0, max(limit, 0.3))
-        replay.mark_times(panel, scene)
+        # Mark prime window, prime time and event.
+        window = scene.thresholds.prime_window
+        panel.axvspan(scene.prime_time - window, scene.prime_time + window, color="0.92", zorder=0, linewidth=0)
+        panel.axvline(scene.prime_time, color=replay.MARK_COLOUR, linewidth=1.0, linestyle="--", zorder=1)
+        panel.axvline(scene.event_time, color=replay.MARK_COLOUR, linewidth=1.4, zorder=1)
         panel.set_xlim(0.0, scene.event_time * 1.01)
         panel.set_title(title, fontsize=8, loc="left", pad=3)
         panel.set_xlabel("time (s)", fontsize=8)
