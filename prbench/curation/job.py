@@ -354,9 +354,7 @@ def describe(
 ) -> DatasetInfo:
     """Provenance of a build; its two digests are filled in when the tables are written."""
     synthetic = dataset.startswith(readers.SYNTHETIC_PREFIX)
-    outcomes = Counter[str]()
-    for receipt in receipts:
-        outcomes.update(receipt.record.outcomes)
+    outcomes = sum((Counter(receipt.record.outcomes) for receipt in receipts), Counter[str]())
     statuses = Counter(receipt.record.status for receipt in receipts)
     chosen = {"recordings": options.recordings, "limit": "all" if options.limit is None else str(options.limit)}
     if options.reader:

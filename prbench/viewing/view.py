@@ -132,12 +132,8 @@ def scenes_of(request: ViewRequest) -> tuple[Scene, ...]:
     scenes: list[Scene] = []
     for (table, motions), ids in zip(shown, _chosen(request, shown), strict=True):
         # Every view shows the recorded motion anyway; a shuffled control of it shows other motions and stays.
-        records = [each.run.record for each in motions]
-        generated = [
-            each
-            for each, record in zip(motions, records, strict=True)
-            if record.method.name != GROUND_TRUTH or record.control is not None
-        ]
+        made = [(each.run.record.method.name, each.run.record.control) for each in motions]
+        generated = [each for each, how in zip(motions, made, strict=True) if how != (GROUND_TRUTH, None)]
         if ids:
             scenes += read_scenes(table, ids, generated, permitted=request.permitted)
     return tuple(scenes)

@@ -34,7 +34,6 @@ _QUALITY = 7  # of 10, as the encoder's wrapper counts
 _DPI = 100
 _LONGEST_RAY = 6.0  # metres
 _FOOTPRINT = 0.5  # metres beside what must be seen
-_Flatten = Callable[[np.ndarray], np.ndarray]
 _Update = Callable[[int], None]
 
 
@@ -172,11 +171,10 @@ class FilmStage:
                 loc="left",
             )
             if scene.goal is not None:
-                corners = flat(scene.goal.box_corners)
-                replay.draw_goal(panel, corners, flat(scene.goal.location), linewidth=1.0, markersize=4.0, zorder=1)
+                replay.draw_goal(panel, scene.goal, flat, linewidth=1.0, markersize=4.0, zorder=1)
             self._add_body(panel, motion, flat)
 
-    def _add_body(self, panel: Axes, motion: replay.ShownMotion, flat: _Flatten) -> None:
+    def _add_body(self, panel: Axes, motion: replay.ShownMotion, flat: replay.Flatten) -> None:
         scene = self._scene
         goal = scene.goal_location
         points = flat(motion.joints)

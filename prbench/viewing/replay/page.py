@@ -6,7 +6,7 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -108,17 +108,12 @@ class _Body:
             # A ray without length where the gaze is not valid: the viewer shows no NaN.
             gaze = np.where(motion.gaze.valid[:, None, None], gaze, origin[:, None])
             segments["gaze"] = (gaze[:, None], replay.rgb(replay.GAZE_COLOUR), 0.012)
-        self._moving = [
-            (
-                positions.astype(np.float32),
-                server.scene.add_line_segments(
-                    f"{name}/{what}", positions[0].astype(np.float32), colors=shade, thickness=width
-                ),
-            )
-            for what, (positions, shade, width) in segments.items()
-        ]
+        self._moving = []
+        for what, (ends, shade, width) in segments.items():
+            positions = ends.astype(np.float32)
+            handle = server.scene.add_line_segments(f"{name}/{what}", positions[0], colors=shade, thickness=width)
+            self._moving.append((positions, handle))
         # Add the parts that do not move: label, path of the pelvis on the floor, and goal.
-        colour = replay.rgb(motion.colour)
         floor = motion.joints[:, Joint.PELVIS] * [1.0, 0.0, 1.0] + offset + [0.0, 0.005, 0.0]
         way = np.stack([floor[:-1], floor[1:]], axis=1).astype(np.float32)
         server.scene.add_line_segments(f"{name}/way", way, colors=colour, thickness=0.012)
@@ -129,13 +124,9 @@ class _Body:
             server.scene.add_line_segments(
                 f"{name}/goal_box", edges, colors=replay.rgb(replay.BOX_COLOUR), thickness=0.01
             )
-            server.scene.add_icosphere(
-                f"{name}/goal",
-                radius=0.03,
-                color=replay.rgb(replay.GOAL_COLOUR),
-                subdivisions=2,
-                position=tuple(scene.goal.location + offset),
-            )
+            place = tuple(scene.goal.location + offset)
+            shade = replay.rgb(replay.GOAL_COLOUR)
+            server.scene.add_icosphere(f"{name}/goal", radius=0.03, color=shade, subdivisions=2, position=place)
 
     def set_frame(self, frame: int) -> None:
         """Move the body to a frame."""
@@ -183,16 +174,8 @@ def write_page(scenes: Sequence[replay.Scene], path: Path, progress: replay.Prog
     with viewer() as server:
         # A floor at height 0, Y up, and a camera that sees the first sequence from the side of its goal.
         server.scene.set_up_direction("+y")
-        server.scene.add_grid(
-            "/floor",
-            width=40.0,
-            height=40.0,
-            plane="xz",
-            cell_size=0.5,
-            section_size=1.0,
-            cell_color=(228, 228, 228),
-            section_color=(200, 200, 200),
-        )
+        greys: dict[str, Any] = {"cell_color": (228, 228, 228), "section_color": (200, 200, 200)}
+        server.scene.add_grid("/floor", width=40.0, height=40.0, plane="xz", cell_size=0.5, section_size=1.0, **greys)
         place, look_at = camera_of(scenes[0])
         server.initial_camera.position = (float(place[0]), float(place[1]), float(place[2]))
         server.initial_camera.look_at = (float(look_at[0]), float(look_at[1]), float(look_at[2]))

@@ -25,6 +25,7 @@ RECORDED = "ground truth"
 
 # Called with finished steps, all steps, and the sequence that was worked on last.
 Progress = Callable[[int, int, str], None]
+Flatten = Callable[[np.ndarray], np.ndarray]  # maps points (..., 3) to a picture's coordinates
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,7 +345,7 @@ def rays(
     return np.stack([origin, origin + length[:, None] * direction], axis=1)
 
 
-def extent(scene: Scene, flat: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def extent(scene: Scene, flat: Flatten) -> tuple[np.ndarray, np.ndarray]:
     """Return the least and greatest coordinates of what must be seen: pelvis paths, last poses and the goal.
 
     Args:
@@ -359,16 +360,9 @@ def extent(scene: Scene, flat: Callable[[np.ndarray], np.ndarray]) -> tuple[np.n
     return everything.min(axis=0), everything.max(axis=0)
 
 
-def draw_goal(
-    axes: Axes,
-    corners: Float[np.ndarray, "8 2"],
-    location: Float[np.ndarray, "2"],
-    *,
-    linewidth: float,
-    markersize: float,
-    zorder: int,
-) -> None:
-    """Draw the flat edges of a goal's box and a square at its location."""
+def draw_goal(axes: Axes, goal: Goal, flat: Flatten, *, linewidth: float, markersize: float, zorder: int) -> None:
+    """Draw the edges of a goal's box and a square at its location, both made flat."""
+    corners = flat(goal.box_corners)
     for one, other in BOX_EDGES:
         axes.plot(*corners[[one, other]].T, color=BOX_COLOUR, linewidth=linewidth, zorder=zorder)
-    axes.plot(*location, "s", color=GOAL_COLOUR, markersize=markersize, zorder=zorder)
+    axes.plot(*flat(goal.location), "s", color=GOAL_COLOUR, markersize=markersize, zorder=zorder)

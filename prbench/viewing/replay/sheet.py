@@ -60,13 +60,15 @@ def draw_strip(
     if scene.goal is not None:
         # Draw the goal beside each body that is near enough, else an arrow that points to it.
         for start, place in zip(pelvis, places, strict=True):
-            shift = np.array([place, 0.0])
-            location = replay.side_view(scene.goal.location, axis, around=start) + shift
+
+            def beside(points: np.ndarray, start: np.ndarray = start, place: float = place) -> np.ndarray:
+                return replay.side_view(points, axis, around=start) + np.array([place, 0.0])
+
+            location = beside(scene.goal.location)
             side = np.sign(location[0] - place)
             # Little more than half of the spacing: farther goals would lie beside the next body.
             if abs(location[0] - place) < 0.64 * _SPACING:
-                corners = replay.side_view(scene.goal.box_corners, axis, around=start) + shift
-                replay.draw_goal(axes, corners, location, linewidth=0.8, markersize=3.5, zorder=1)
+                replay.draw_goal(axes, scene.goal, beside, linewidth=0.8, markersize=3.5, zorder=1)
             else:
                 tip = place + side * 0.46 * _SPACING
                 arrow = {"arrowstyle": "-|>", "color": replay.BOX_COLOUR, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
@@ -107,8 +109,7 @@ def draw_way(axes: Axes, scene: replay.Scene, frames: Int[np.ndarray, " poses"])
         for frame, mark, size in ((0, "o", 5), (scene.prime_frame, "D", 6), (-1, "*", 11)):
             axes.plot(*path[frame], mark, color=motion.colour, markersize=size, markeredgecolor="white", zorder=6)
     if scene.goal is not None:
-        corners = replay.top_view(scene.goal.box_corners)
-        replay.draw_goal(axes, corners, replay.top_view(scene.goal.location), linewidth=1.0, markersize=5.0, zorder=5)
+        replay.draw_goal(axes, scene.goal, replay.top_view, linewidth=1.0, markersize=5.0, zorder=5)
     low, high = replay.extent(scene, replay.top_view)
     x, z = (low + high) / 2
     # A square of at least 1.3 m, and a margin around it.
