@@ -108,19 +108,15 @@ def validate_build(folder: Path) -> Validation:
     if info.dataset.removeprefix(SYNTHETIC_PREFIX) != DATASET:
         raise UsageError(f"{folder}: expected a table of {DATASET}, found {info.dataset}.")
     if info.options.get("priming", "rule") != "rule":
-        raise UsageError(
-            f"{folder}: was built with --priming published, so it does not tell what the rule finds."
-            " Give a table built by the rule."
-        )
+        problem = "was built with --priming published, so it does not tell what the rule finds."
+        raise UsageError(f"{folder}: {problem} Give a table built by the rule.")
     table = SequenceTable(folder, info)
     table.require_unchanged()
     rows = [row for row in table.events().to_pylist() if row["outcome"] != "unreadable_entry"]
     # Tables of earlier versions have the column without values.
     if rows and all(row["published_priming"] is None for row in rows):
-        raise TableError(
-            f"{folder}: no event tells a published priming. Was priming_info.json beside the data when it was built,"
-            " and by this version of prbench? Build it again."
-        )
+        asked = "Was priming_info.json beside the data when it was built, and by this version of prbench?"
+        raise TableError(f"{folder}: no event tells a published priming. {asked} Build it again.")
     of_action = [agreement(action, [row for row in rows if row["action"] == action]) for action in ("pick", "put")]
     return Validation(
         recordings=info.counts.recordings_read,

@@ -84,10 +84,8 @@ def curate_recording(
     if corrections is not None:
         events = corrections.settle(events)
     if options.priming == "published" and not recording.has_published_priming:
-        raise RecordingUnusable(
-            f"{recording.recording_id}: --priming published needs the dataset's own priming results, and their file is"
-            " not there. Download it too, or leave the option out."
-        )
+        lacks = "--priming published needs the dataset's own priming results, and their file is not there"
+        raise RecordingUnusable(f"{recording.recording_id}: {lacks}. Download it too, or leave the option out.")
     rays = gaze_rays(recording, options.ray_origin or protocol.curation.ray_origin)
     sequences = []
     rows = []

@@ -93,9 +93,8 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
     tables = [SequenceTable.open(folder) for folder in (first, second)]
     one, other = (table.info for table in tables)
     if one.dataset != other.dataset:
-        raise UsageError(
-            f"{first} holds {one.dataset} and {second} holds {other.dataset}; compare builds of one dataset."
-        )
+        found = f"{first} holds {one.dataset} and {second} holds {other.dataset}"
+        raise UsageError(f"{found}; compare builds of one dataset.")
     # A table of an older version tells nothing of what has been added since: that is no change of an event.
     untold = ["prime_margin", "event_confidence"] if one.schema_version != other.schema_version else []
     before, after = (table.events().drop_columns(untold).to_pylist() for table in tables)

@@ -385,10 +385,8 @@ def find_holdings(recording: Recording, rule: InHandRule) -> list[Holding]:
         UsageError: for a rule about surfaces where no object has one.
     """
     if rule.target == "surface" and all(track.surface is None for track in recording.objects):
-        raise UsageError(
-            f"{recording.recording_id}: the in-hand rule measures distances to the objects' surfaces, and the recording"
-            " was read without them. Add `--option meshes=true`."
-        )
+        lacks = "the in-hand rule measures distances to the objects' surfaces, and the recording was read without them"
+        raise UsageError(f"{recording.recording_id}: {lacks}. Add `--option meshes=true`.")
     hands = contact_streams(recording, rule)
     if not recording.hand_streams(rule.contact):
         return []

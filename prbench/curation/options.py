@@ -64,10 +64,8 @@ class CurationOptions:
         if rule is not None and rule.target == "surface":
             import_open3d(f"the in-hand rule '{self.in_hand or 'default'}'")
         if self.priming == "published" and not manifest.publishes_priming:
-            raise UsageError(
-                f"{manifest.name} publishes no priming of its own, so --priming published is impossible;"
-                " leave the option out: the rule applies the equations to its gaze."
-            )
+            lacks = f"{manifest.name} publishes no priming of its own, so --priming published is impossible"
+            raise UsageError(f"{lacks}; leave the option out: the rule applies the equations to its gaze.")
 
     def described(self, manifest: Manifest, protocol: BenchmarkProtocol) -> dict[str, str]:
         """Return the choices as text, as ``dataset.json`` holds them."""

@@ -189,9 +189,8 @@ def write_candidates(
     # Taken before the segments are read, so that two processes cannot both find the file missing.
     with sole_writer(out):
         if out.exists():
-            raise StorageError(
-                f"{out}: exists already, and annotations are never overwritten. Name another file, and merge the two."
-            )
+            problem = f"{out}: exists already, and annotations are never overwritten."
+            raise StorageError(f"{problem} Name another file, and merge the two.")
         found = reader.find(root)
         rows = []
         problems = {}

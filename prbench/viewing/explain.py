@@ -192,8 +192,6 @@ def _stages(
         "priming": _priming(event, protocol),
         "clipping": _clipping(event, chunk, protocol),
         "body": f"no gap of more than {constants.largest_interpolated_gap:g} s in the body",
-        "filters": "",
-        "confidence": "",
     }
     if event.outcome == "no_body":
         texts["body"] = "no body pose"
@@ -210,7 +208,7 @@ def _stages(
         verdict: Verdict = "passed" if number < decided else "not reached"
         if number == decided:
             verdict = "passed" if event.outcome == "sequence" else "stopped here"
-        stages.append(StoryStage(name.replace("_", " "), verdict, texts[name] if number <= decided else ""))
+        stages.append(StoryStage(name.replace("_", " "), verdict, texts.get(name, "") if number <= decided else ""))
     return tuple(stages)
 
 

@@ -90,10 +90,8 @@ def method_names(name: str) -> MethodNames:
         raise UsageError(f"{name!r}: the package is called prbench-NAME by itself. Give '{shortened}'.")
     if not _NAME.fullmatch(name):
         hint = f" Would '{proposal}' do?" if _NAME.fullmatch(proposal) else ""
-        raise UsageError(
-            f"{name!r}: expected the name of a method in small letters and digits, its words joined by hyphens,"
-            f" beginning with a letter.{hint}"
-        )
+        expected = "expected the name of a method in small letters and digits, its words joined by hyphens"
+        raise UsageError(f"{name!r}: {expected}, beginning with a letter.{hint}")
     if len(name) > _LONGEST:
         raise UsageError(f"{name!r}: expected at most {_LONGEST} characters, found {len(name)}.")
     if name in _RESERVED:
@@ -166,10 +164,8 @@ class ScaffoldRequest:
             known = ", ".join(conditions)
             raise UsageError(f"--condition {unknown[0]}: expected one of the benchmark {self.benchmark}: {known}.")
         if self.program and self.trainable:
-            raise UsageError(
-                "--trainable --program: a program is not fitted by a run. Train it yourself and give it the result with"
-                " --weights, or write a package."
-            )
+            remedy = "Train it yourself and give it the result with --weights, or write a package."
+            raise UsageError(f"--trainable --program: a program is not fitted by a run. {remedy}")
         if not self.conditions:
             object.__setattr__(self, "conditions", (_USUAL[self.benchmark],))
 

@@ -174,10 +174,8 @@ def _run_program(command: Sequence[str], config: PosesConfig, log: Path) -> str:
                 start_new_session=os.name == "posix",
             )
         except OSError as error:
-            raise UsageError(
-                f"cannot start {command[0]} in {config.folder}: {error.strerror}."
-                " Check python, folder and command in the config."
-            ) from error
+            problem = f"cannot start {command[0]} in {config.folder}: {error.strerror}."
+            raise UsageError(f"{problem} Check python, folder and command in the config.") from error
         try:
             code = process.wait(config.timeout_minutes * 60)
             how = f"ended with exit code {code}" if code else ""

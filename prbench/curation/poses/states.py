@@ -240,9 +240,8 @@ def pose_states(
             raise UsageError(f"{root} holds {names}; give the folder of one dataset, or name it with --dataset.")
         dataset = held[0]
     if dataset not in datasets:
-        raise UsageError(
-            f"EgoAllo needs Aria glasses: --dataset must be one of {', '.join(datasets)}, not '{dataset}'."
-        )
+        known = ", ".join(datasets)
+        raise UsageError(f"EgoAllo needs Aria glasses: --dataset must be one of {known}, not '{dataset}'.")
     options = {"poses": "egoallo"} | ({} if poses_root is None else {"poses_root": str(poses_root)})
     found = reader_for(dataset, options).find(root)
     chosen = [each for each in found if fnmatchcase(each.recording_id, recordings)]
