@@ -350,6 +350,7 @@ def _carrying_pair(streams: Gridded) -> Pair | None:
         return None
     agreed = np.zeros(len(_STEPS))
     seen = np.zeros(len(_STEPS))
+    paced = 0.0
     for _, speeds, part in streams.carries:
         length = len(speeds)
         around = slice(part.start, part.stop + 2 * _NO_LAG)
@@ -359,17 +360,29 @@ def _carrying_pair(streams: Gridded) -> Pair | None:
             near = fast[around]
             together = sum(np.correlate(near[:, axis], speeds[:, axis], "valid") for axis in range(3))
             power = np.convolve((near**2).sum(axis=1), np.ones(length), "valid")
-            floor = 0.05 * (speeds**2).sum()
+            # A resting hand agrees by chance; its own movements say what little is, in whatever unit objects are.
+            floor = 0.05 * length * max(np.quantile((fast**2).sum(axis=1), 0.9), 1e-9)
             known[row] = np.convolve(its_known[around], np.ones(length), "valid") > 0.8 * length
             alike[row] = together / np.sqrt(np.maximum(power, floor) * (speeds**2).sum())
         agreed += length * np.where(known, alike, 0.0).max(axis=0)
         seen += length * known.any(axis=0)
+        own = slice(part.start + _NO_LAG, part.stop + _NO_LAG)
+        paced += length * max(_correlation(speeds, fast[own]) for fast, _ in hands)
     # An object that is late meets the hand of before. A stretch without a hand tells nothing.
     total = sum(len(speeds) for _, speeds, _ in streams.carries)
     curve = (agreed / np.maximum(seen, total / 2))[::-1]
-    apart = _from_hands(streams, int(_STEPS[np.argmax(curve)]))
+    # What no seen hand moves, but noise or another person, lies anywhere. Exchanged axes leave the pace alike.
+    carried = max(curve.max(), paced / total) >= _NEEDED["carrying"][0]
+    apart = _from_hands(streams, int(_STEPS[np.argmax(curve)])) if carried else None
     offset = None if apart is None else np.median(apart, axis=0)
     return _pair("objects", "hands", "carrying", curve, float(seen[_NO_LAG]) / RATE, offset)
+
+
+def _correlation(one: _Rows, other: _Rows) -> float:
+    """Return the correlation of the lengths of two sets of velocities."""
+    first, second = (np.linalg.norm(each, axis=1) for each in (one, other))
+    first, second = first - first.mean(), second - second.mean()
+    return float(first @ second / max(np.sqrt((first @ first) * (second @ second)), 1e-12))
 
 
 def _from_hands(streams: Gridded, step: int, factor: float = 1.0) -> _Rows | None:
@@ -506,12 +519,13 @@ def _measures(streams: Gridded, pairs: Sequence[Pair]) -> Iterator[tuple[str, st
             beside = head[0][both] * recording.hands_from_glasses
             distances = away(place[both] - beside, head[0][both] - beside)
             yield "hands", face, "the distance of a wrist from the head (m)", distances, 0.1, 1.2
-    late = next((pair.lag for pair in pairs if pair.one == "objects" and pair.sure), 0.0)
-    carried = [_from_hands(streams, round(late * RATE), factor) for factor in _FACTORS]
-    distances = [np.median(np.linalg.norm(apart, axis=1)) for apart in carried if apart is not None]
-    if distances:
-        measure = "the distance of carried ones from the nearer hand (m)"
-        yield "objects", "hands", measure, np.array(distances), 0.005, _FARTHEST_OFFSET
+    for pair in pairs:
+        if pair.kind == "carrying" and pair.offset is not None:
+            late = round(pair.lag * RATE) if pair.sure else 0
+            carried = [_from_hands(streams, late, factor) for factor in _FACTORS]
+            distances = [np.median(np.linalg.norm(apart, axis=1)) for apart in carried if apart is not None]
+            measure = "the distance of carried ones from the nearer hand (m)"
+            yield "objects", "hands", measure, np.array(distances), 0.005, _FARTHEST_OFFSET
     places = [event.location for event in recording.annotated_events if event.location is not None]
     if places and head is not None and head[1].any() and not recording.objects:
         measure = "the distance of their places from the middle of the way (m)"

@@ -137,6 +137,12 @@ def test_a_clean_recording_has_no_finding(preset):
     assert examine_streams(clean(preset)) == ()
 
 
+def test_where_nothing_is_carried_the_noise_of_objects_lies_anywhere():
+    assert (
+        examine_streams(synthetic_recording(perform("mogaze", seed=3, index=0, n_events=1, bystander_objects=1))) == ()
+    )
+
+
 @pytest.mark.parametrize("seconds", [-0.45, 0.3, 0.55, 5.0])
 def test_what_is_measured_of_a_late_gaze_is_right_to_50_ms_and_stops_the_recording_from_half_a_second_on(seconds):
     (found,) = examine_streams(shift(gaze=seconds)(clean("adt")))

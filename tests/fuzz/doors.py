@@ -103,6 +103,7 @@ def _dataset(layout: str, *, estimates: bool = False, **options: str) -> Door:
         sources = native_sources(layout, root, BuildOptions(reader=tuple(places.items())))
         recordings = [source.read() for source in sources]
         told += [message for recording in recordings for message in (*recording.messages, *recording.shortfalls)]
+        told += [str(entry) for recording in recordings for entry in recording.unreadable]
         return Seen(digest_of(recordings), tuple(told))
 
     return Door("adt-egoallo" if estimates else layout, make, look)
