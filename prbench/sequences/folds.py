@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import prbench
-from prbench.errors import TableError, UsageError
+from prbench.errors import TableError, UsageError, did_you_mean
 from prbench.files.storage import cache_folder, in_turn, sole_writer, text_digest
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.schema import SCHEMA_VERSION
@@ -41,7 +41,8 @@ def parse_fold(text: str) -> tuple[int, int]:
     number, _, count = text.partition("/")
     # Few digits, so that no number is too long for Python to read.
     if not all(part.isdecimal() and len(part) <= 6 for part in (number, count)):
-        alone = f" All folds together are `prbench run --folds {ALL_FOLDS}`'s." if text.startswith(ALL_FOLDS) else ""
+        meant = text == ALL_FOLDS or did_you_mean(text, (ALL_FOLDS,))
+        alone = f" All folds together are `prbench run --folds {ALL_FOLDS}`'s." if meant else ""
         raise UsageError(f"--fold {text}: expected K/N, such as 2/6.{alone}")
     fold = int(number)
     folds = int(count)

@@ -170,6 +170,7 @@ def test_a_fold_that_cannot_be_is_refused(table, fold_runs, tmp_path, capsys):
         ("--fold", "4/3"): "--fold 4/3: expected K/N",
         ("--folds", "people"): "--fold people: expected K/N, such as 2/6.",
         ("--folds", "participants"): "2/6. All folds together are `prbench run --folds participant`'s.",
+        ("--folds", "partcipant"): "2/6. All folds together are `prbench run --folds participant`'s.",
         ("--folds", "participant", "--shard", "1/2"): "which --data names; leave --view and --shard out",
         ("--folds", "participant", "--data", str(tmp_path)): "merges runs on all folds of one table",
     }.items():
