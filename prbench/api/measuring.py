@@ -46,7 +46,8 @@ _NEEDS: dict[str, tuple[str, ...]] = {
     "reach_wrist": ("recorded", _GOAL),
     **dict.fromkeys(("goal_mpjpe", "mpjpe", "first_frame_error"), ("recorded",)),
     **dict.fromkeys(("location_error", "location_error_horizontal"), ("recorded",)),
-    **dict.fromkeys(("foot_skating", "slow_slides", "largest_jerk", "largest_speed", "plausible"), ("fps",)),
+    **dict.fromkeys(("foot_skating", "slow_slides", "largest_jerk", "largest_speed", "plausible_3"), ("fps",)),
+    "plausible": (_GOAL, "fps"),
     **dict.fromkeys(("contact_share", "bone_length_change", "first_step", "floating", "penetration"), ()),
 }
 _SIDES = {"left": 0, "right": 1, None: UNKNOWN_HAND}

@@ -379,7 +379,7 @@ def undecided(
     recordings: int,
     measured: Sequence[Iterable[MetricSummary]],
     *,
-    metrics: Sequence[MetricInfo] = MAIN_METRICS,
+    metrics: Sequence[MetricInfo],
     methods: int = 2,
 ) -> Iterator[str]:
     """Yield sentences on what the data cannot decide, and the smallest differences that they can.
@@ -421,7 +421,7 @@ def undecided(
 
 def why_undecided(split: str, sequences: int, recordings: int, *, methods: int = 2) -> str:
     """Say why nothing can be decided on so few data; empty if something can."""
-    needed = units_needed(len(MAIN_METRICS) * comb(max(methods, 2), 2))
+    needed = units_needed(sum(info.compared for info in MAIN_METRICS) * comb(max(methods, 2), 2))
     if recordings < needed:
         return f"{counted_units(recordings, split)}, where a comparison of {max(methods, 2)} methods needs {needed}"
     if sequences < FEWEST_RANKED:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,34 +13,9 @@ from prbench.metrics.batch import MotionBatch, ScoringPair
 from prbench.metrics.bone_length_change import bone_length_change
 from prbench.metrics.foot_skating import Fps, slow_slides
 from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
-from prbench.protocol.manifests import MetricConstants
+from prbench.protocol.manifests import Limit, MetricConstants
 
 _FEET = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, *TOES)
-
-
-@dataclass(frozen=True, eq=False)
-class BodyNumbers:
-    """What decides whether each motion is plausible (docs/specification/metrics.md#plausible).
-
-    Attributes:
-        lowest_pelvis: Metres above the floor.
-        trunk_tilt: Largest, degrees from the vertical.
-        floating: Greatest height of the lower foot, metres.
-        penetration: Greatest depth below the floor, metres.
-        bone_change: Largest relative change of a bone's length; infinite where frame 0 has a bone without length.
-        slow_slides: Share of frame transitions.
-        jerk: Largest, m/s³.
-        speed: Largest of a joint, m/s.
-    """
-
-    lowest_pelvis: Float[np.ndarray, " n"]
-    trunk_tilt: Float[np.ndarray, " n"]
-    floating: Float[np.ndarray, " n"]
-    penetration: Float[np.ndarray, " n"]
-    bone_change: Float[np.ndarray, " n"]
-    slow_slides: Float[np.ndarray, " n"]
-    jerk: Float[np.ndarray, " n"]
-    speed: Float[np.ndarray, " n"]
 
 
 def largest_speed(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
@@ -114,81 +90,86 @@ def largest_trunk_tilt(motion: MotionBatch) -> Float[np.ndarray, " n"]:
     return np.maximum.reduceat(tilt, motion.first)
 
 
-def body_numbers(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> BodyNumbers:
-    """Measure everything that decides whether motions are plausible.
+Measure = Callable[[ScoringPair, MetricConstants], Float[np.ndarray, " n"]]
+
+
+def _bone_change(pair: ScoringPair, _: MetricConstants) -> Float[np.ndarray, " n"]:
+    change, missing = bone_length_change(pair.predicted)
+    return np.where(missing, np.inf, change)
+
+
+# What decides whether a motion is plausible, by the name under which the protocol limits it.
+MEASURES: Mapping[str, Measure] = MappingProxyType(
+    {
+        "lowest_pelvis": lambda pair, _: lowest_pelvis(pair.predicted),
+        "trunk_tilt": lambda pair, _: largest_trunk_tilt(pair.predicted),
+        "floating": lambda pair, _: floating(pair.predicted),
+        "penetration": lambda pair, _: penetration(pair.predicted),
+        "bone_change": _bone_change,
+        "slow_slides": lambda pair, constants: slow_slides(pair.predicted, pair.targets.fps, constants),
+        "jerk": lambda pair, _: largest_jerk(pair.predicted, pair.targets.fps),
+        "speed": lambda pair, _: largest_speed(pair.predicted, pair.targets.fps),
+    }
+)
+
+
+def body_numbers(
+    pair: ScoringPair, constants: MetricConstants, limits: Mapping[str, Limit]
+) -> dict[str, Float[np.ndarray, " n"]]:
+    """Measure what decides whether the predicted motions are plausible (docs/specification/metrics.md#plausible).
 
     Args:
-        motion: Canonical frame, metres, two frames or more.
-        fps: Frames per second.
+        pair: Predicted motions, canonical frame, metres, two frames or more, with their goals.
         constants: Thresholds of the protocol: heights and speeds that count as a slide.
+        limits: The limits by the name of their measure; nothing else is measured.
+
+    Returns:
+        One number a sequence by the name of the measure, each in the unit of its limit.
     """
-    change, missing = bone_length_change(motion)
-    return BodyNumbers(
-        lowest_pelvis=lowest_pelvis(motion),
-        trunk_tilt=largest_trunk_tilt(motion),
-        floating=floating(motion),
-        penetration=penetration(motion),
-        bone_change=np.where(missing, np.inf, change),
-        slow_slides=slow_slides(motion, fps, constants),
-        jerk=largest_jerk(motion, fps),
-        speed=largest_speed(motion, fps),
-    )
+    return {name: MEASURES[name](pair, constants) for name in limits}
 
 
-def broken_limits(numbers: BodyNumbers, constants: MetricConstants) -> dict[str, Bool[np.ndarray, " n"]]:
+def broken_limits(
+    numbers: Mapping[str, Float[np.ndarray, " n"]], limits: Mapping[str, Limit], tolerance: float
+) -> dict[str, Bool[np.ndarray, " n"]]:
     """Return which motions break which limit; a motion is plausible if it breaks none.
 
     Args:
         numbers: Measurements of :func:`body_numbers`.
-        constants: The limits; a number within ``threshold_tolerance`` of its limit, in its own unit, keeps it.
+        limits: The limits by the name of their measure.
+        tolerance: A number this close to its limit, in its own unit, keeps it.
 
     Returns:
         Masks by the flag that says what is broken.
     """
-    tolerance = constants.threshold_tolerance
-    too_low = numbers.lowest_pelvis < constants.lowest_pelvis - tolerance
-    too_tilted = numbers.trunk_tilt > constants.largest_trunk_tilt_deg + tolerance
-    return {
-        "not_upright": too_low | too_tilted,
-        "floating": numbers.floating > constants.largest_floating + tolerance,
-        "below_the_floor": numbers.penetration > constants.largest_penetration + tolerance,
-        "changing_bones": numbers.bone_change > constants.largest_bone_change + tolerance,
-        "sliding_feet": numbers.slow_slides > constants.largest_slide_share + tolerance,
-        "jerky": numbers.jerk > constants.largest_jerk + tolerance,
-        "too_fast": numbers.speed > constants.largest_speed + tolerance,
-    }
-
-
-def plausible(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> Float[np.ndarray, " n"]:
-    """1 where a motion breaks no limit of the protocol, else 0 (docs/specification/metrics.md#plausible).
-
-    Args:
-        motion: Canonical frame, metres, two frames or more.
-        fps: Frames per second.
-        constants: Thresholds of the protocol, in metres, seconds and degrees.
-    """
-    return _keeps_all(broken_limits(body_numbers(motion, fps, constants), constants))
-
-
-def _keeps_all(broken: dict[str, np.ndarray]) -> Float[np.ndarray, " n"]:
-    return 1.0 - np.logical_or.reduce(list(broken.values())).astype(np.float64)
+    broken: dict[str, np.ndarray] = {}
+    for name, limit in limits.items():
+        beyond = numbers[name] - limit.value if limit.bound == "most" else limit.value - numbers[name]
+        broken[limit.flag] = (beyond > tolerance) | broken.get(limit.flag, np.zeros(len(beyond), dtype=bool))
+    return broken
 
 
 def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, ...]:
-    numbers = body_numbers(pair.predicted, pair.targets.fps, constants)
-    broken = broken_limits(numbers, constants)
+    numbers = body_numbers(pair, constants, {**constants.plausible, **constants.plausible_3})
+    judged = []
+    for judge in ("plausible", "plausible_3"):
+        broken = broken_limits(numbers, getattr(constants, judge), constants.threshold_tolerance)
+        judged.append(MetricValues(judge, 1.0 - np.logical_or.reduce(list(broken.values())), broken))
+    too_fast = {name: mask for name, mask in judged[0].flags.items() if name == "too_fast"}
     return (
-        MetricValues("plausible", _keeps_all(broken), broken),
-        MetricValues("floating", numbers.floating, {}),
-        MetricValues("penetration", numbers.penetration, {}),
-        MetricValues("slow_slides", numbers.slow_slides, {}),
-        MetricValues("largest_jerk", numbers.jerk, {}),
-        MetricValues("largest_speed", numbers.speed, {"too_fast": broken["too_fast"]}),
+        *judged,
+        MetricValues("floating", numbers["floating"], {}),
+        MetricValues("penetration", numbers["penetration"], {}),
+        MetricValues("slow_slides", numbers["slow_slides"], {}),
+        MetricValues("largest_jerk", numbers["jerk"], {}),
+        MetricValues("largest_speed", numbers["speed"], too_fast),
     )
 
 
 _METRICS = (
     headline("plausible", "Plausible", "rate", 8, higher_is_better=True, ranked=False),
+    # The judge of the protocol before, for this one version.
+    headline("plausible_3", "Plausible (version 3)", "rate", 9, higher_is_better=True, ranked=False, compared=False),
     detail("floating", "Floating", "m", 21, higher_is_better=False),
     detail("penetration", "Penetration", "m", 22, higher_is_better=False),
     detail("slow_slides", "Slow slides", "ratio", 23, higher_is_better=False),

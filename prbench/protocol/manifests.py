@@ -175,11 +175,30 @@ class SplitRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     fewest_units: int
 
 
+class Limit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The number that a measure of a plausible motion reaches at least or exceeds at most.
+
+    Attributes:
+        flag: Remark on a motion that breaks the limit.
+        source: Reason for the value, as the constants page gives it in full.
+    """
+
+    bound: Literal["least", "most"]
+    value: float
+    unit: str
+    flag: str
+    source: str
+
+
 class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Constants of the metrics: metres, seconds, and degrees where a name says so.
 
     ``threshold_tolerance`` is how close to a threshold a distance lies *on* it: the table stores positions as float32.
     ``foot_tolerance`` is the same for the heights and speeds of Foot Skating and slow slides.
+
+    Attributes:
+        plausible: The limit of each measure of :data:`prbench.metrics.plausible.MEASURES` that plausible motions keep.
+        plausible_3: The limits of version 3 of the protocol.
     """
 
     prime_window: float
@@ -197,14 +216,8 @@ class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     prime_angle_deg: float
     arrival_margin: float
     slide_speed: float
-    largest_slide_share: float
-    lowest_pelvis: float
-    largest_trunk_tilt_deg: float
-    largest_floating: float
-    largest_penetration: float
-    largest_bone_change: float
-    largest_jerk: float
-    largest_speed: float
+    plausible: dict[str, Limit]
+    plausible_3: dict[str, Limit]
 
 
 class BreakdownConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

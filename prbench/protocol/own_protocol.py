@@ -125,15 +125,7 @@ def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
 def write_protocol(folder: Path, protocol: BenchmarkProtocol) -> None:
     """Write the copy of a user's own protocol into the folder of a table or run; nothing of prbench's own."""
     if protocol.is_own:
-        write_text(folder / FILE_NAME, tomli_w.dumps(_all_values(protocol)))
-
-
-def _all_values(part: msgspec.Struct) -> dict[str, Any]:
-    """Every value, those that have their default too."""
-    return {
-        key: _all_values(value) if isinstance(value, msgspec.Struct) else value
-        for key, value in msgspec.structs.asdict(part).items()
-    }
+        write_text(folder / FILE_NAME, tomli_w.dumps(msgspec.to_builtins(protocol)))
 
 
 def protocol_beside(folder: Path, *, digest: str, wrong: type[PrbenchError]) -> BenchmarkProtocol | None:
@@ -188,9 +180,9 @@ def protocol_for(file: Path | None, tables: Iterable[DescribedTable]) -> Benchma
                 f"--protocol {wanted.label}: {folder} was built under a protocol of another version of prbench, which"
                 " cannot be compared with it. Build the table again, with --protocol."
             )
-        found = {key: value for key, value in _leaves(_all_values(table)) if key.partition(".")[0] not in _SCORING}
-        for key, value in _leaves(_all_values(wanted)):
-            if key in found and found[key] != value:
+        found = dict(_leaves(msgspec.to_builtins(table)))
+        for key, value in _leaves(msgspec.to_builtins(wanted)):
+            if key.partition(".")[0] not in _SCORING and found.get(key, value) != value:
                 raise UsageError(
                     f"--protocol {wanted.label}, {key}: {value!r}, but the table {folder} was built with"
                     f" {found[key]!r}. Build it again with the same --protocol; only [metrics] and [breakdown] may"

@@ -142,7 +142,8 @@ def test_what_is_not_given_is_left_out_by_name(table, names, computed):
         ("slow_slides", ("fps",)),
         ("largest_jerk", ("fps",)),
         ("largest_speed", ("fps",)),
-        ("plausible", ("fps",)),
+        ("plausible", ("goal_location", "fps")),
+        ("plausible_3", ("fps",)),
     ],
 )
 def test_a_metric_beside_the_six_needs_no_more_than_it_reads(table, metric, names):

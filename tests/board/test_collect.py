@@ -68,7 +68,7 @@ def test_files_and_controls_without_measurements_have_dashes(tmp_path):
     run = write_run(tmp_path / "file", "mine", about={"kind": FILE})
     total_cost([]).write(run / "synthetic-adt/cost.json")
     _, _, *rows = cells(export(leaderboard(tmp_path), "md"))
-    assert [row[10:15] for row in rows] == [["–"] * 5] * 2
+    assert [row[11:16] for row in rows] == [["–"] * 5] * 2
 
 
 def test_a_damaged_cost_is_told(tmp_path):

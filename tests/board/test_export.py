@@ -22,8 +22,8 @@ def test_the_printed_table_holds_the_main_metrics_in_percent_and_metres(tmp_path
     header, _, row = cells(export(board, "md"))
     assert header[3:] == [
         "Prime Success ↑ (%)", "Reach Success ↑ (%)", "Goal MPJPE ↓ (m)", "Location Error ↓ (%)", "MPJPE ↓ (m)",
-        "Foot Skating ↓", "Plausible ↑ (%)", "s/motion", "CPU s/motion", "Passes/motion", "Memory (MiB)", "Parameters",
-        "Kind",
+        "Foot Skating ↓", "Plausible ↑ (%)", "Plausible (version 3) ↑ (%)", "s/motion", "CPU s/motion", "Passes/motion",
+        "Memory (MiB)", "Parameters", "Kind",
     ]  # fmt: skip
     assert [row[i] for i in (3, 5, 8)] == ["35.42 [31.88, 38.96]", "0.02 [0.02, 0.03]", "0.11 [0.10, 0.12]"]
 
@@ -63,7 +63,7 @@ def test_csv_has_one_number_a_row_and_a_unique_key(tmp_path):
     rows = csv_rows(board_of(tmp_path, one={**TWO, "prime_success": 1 / 3}, two=TWO))
     key = ["table", "dataset", "condition", "method", "variant", "metric"]
     assert list(rows[0])[:9] == [*key, "value", "unit", "higher_is_better"]
-    assert len({tuple(row[name] for name in key) for row in rows}) == len(rows) == 3 * 2 * 7
+    assert len({tuple(row[name] for name in key) for row in rows}) == len(rows) == 3 * 2 * 8
     first = next(row for row in rows if row["method"] == "one" and row["metric"] == "prime_success")
     assert (first["value"], first["unit"], first["higher_is_better"]) == ("33.333333", "%", "true")
 

@@ -183,7 +183,7 @@ def test_runs_of_an_earlier_protocol_stand_apart_under_its_version(tmp_path):
     # Two datasets and their mean, each once under version 1 and once under the present one.
     assert len(re.findall(r"^## .*protocol version 1", text, re.M)) == 3
     assert len(re.findall(r"^## (?!Notes)", text, re.M)) == 6
-    assert text.count("Scored under version 1 of the protocol; version 3 is the present one") == 2
+    assert text.count("Scored under version 1 of the protocol; version 4 is the present one") == 2
     notes = {row["method"]: row["note"] for row in csv_rows(board)}
     assert "protocol version 1" in notes["old"]
     assert "protocol version" not in notes["new"]
@@ -206,7 +206,7 @@ def test_the_macro_mean_weighs_datasets_alike_and_needs_all_of_them(tmp_path):
     assert (rows["one"].ranks["prime_success"], rows["two"].ranks["prime_success"]) == (1, 1)
     shown = printed(board, "Mean over")
     assert shown["one"][3] == "40.00 [36.84, 43.16] (1)"
-    assert shown["three"][3:-1] == [""] * 7 + ["gimo"]
+    assert shown["three"][3:-1] == [""] * 8 + ["gimo"]
 
 
 def test_no_macro_mean_over_tables_that_do_not_compare(tmp_path):

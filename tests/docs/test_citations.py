@@ -217,6 +217,8 @@ def test_every_constant_has_a_source():
     names = set(protocol) - {"version"}
     for table in ("curation", "splits", "text", "metrics", "breakdown"):
         names = (names - {table}) | set(protocol[table])
+    for table in ("plausible", "plausible_3"):
+        names |= set(protocol["metrics"][table])
     for path in (ROOT / "data_manifests").glob("*.toml"):
         manifest = tomllib.loads(text_of(path))
         names |= set(manifest.get("thresholds", {})) | set(manifest.get("in_hand", {}))

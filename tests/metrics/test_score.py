@@ -25,7 +25,16 @@ from prbench.metrics import (
     score,
 )
 from prbench.metrics.registry import find_families
+from prbench.protocol.manifests import Limit
 from tests.metrics.motions import CONSTANTS, batch, random_problem, standing, targets, turned
+
+_EASED = {"floating": 0.15, "penetration": 0.15, "bone_change": 2.5, "slow_slides": 0.95, "jerk": 90.0, "speed": 1.9}
+
+
+def eased(limits: dict[str, Limit]) -> dict[str, Limit]:
+    """Return limits that some random motions keep and some break."""
+    return {name: msgspec.structs.replace(limit, value=_EASED.get(name, limit.value)) for name, limit in limits.items()}
+
 
 EASIER = msgspec.structs.replace(
     CONSTANTS,
@@ -33,12 +42,8 @@ EASIER = msgspec.structs.replace(
     prime_angle_deg=35.0,
     reach_distance=0.2,
     location_error_distance=0.15,
-    largest_floating=0.15,
-    largest_penetration=0.15,
-    largest_bone_change=2.5,
-    largest_slide_share=0.95,
-    largest_jerk=90.0,
-    largest_speed=1.9,
+    plausible=eased(CONSTANTS.plausible),
+    plausible_3=eased(CONSTANTS.plausible_3),
 )
 LENGTHS = (2, 3, 4, 5, 17, 60, 200, 31, 2, 120, 44, 7)
 
@@ -66,9 +71,9 @@ def test_the_metrics_stand_in_printed_order() -> None:
     main = [info.id for info in METRICS if info.main]
     study = ["prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe", "foot_skating"]
     assert [info.id for info in STUDY_METRICS] == study, "the columns of the study's Table 2, in its order"
-    assert main == [*study, "plausible"]
+    assert main == [*study, "plausible", "plausible_3"]
     assert [info.id for info in MAIN_METRICS] == main
-    assert [info.id for info in MAIN_METRICS if info.ranked] == main[:-1], "a body that stands still is plausible"
+    assert [info.id for info in MAIN_METRICS if info.ranked] == study, "a body that stands still is plausible"
     beside = """
         prime_success_arrival
         prime_success_onset prime_success_angle first_frame_error first_step floating penetration slow_slides

@@ -33,7 +33,7 @@ DEFAULT = (resources.files("prbench_benchmarks.prime_and_reach") / "protocol.tom
 
 def own(folder: Path, *changes: tuple[str, str], name: str = "mine") -> Path:
     """Write prbench's protocol under another name, with some lines changed."""
-    text = DEFAULT.replace("version = 3", f'name = "{name}"\nversion = 3')
+    text = DEFAULT.replace("version = 4", f'name = "{name}"\nversion = 4')
     for before, after in changes:
         assert before in text
         text = text.replace(before, after)
@@ -76,7 +76,7 @@ def test_a_file_with_every_key_is_read_and_written_back(tmp_path: Path) -> None:
         ('name = "mine"', 'name = "prime-and-reach"', "name: expected small letters"),
         ('name = "mine"', 'name = "../x"', "name: expected small letters"),
         ('name = "mine"', "", "name: expected every key"),
-        ("version = 3", "version = 0", "version: expected 1 or more"),
+        ("version = 4", "version = 0", "version: expected 1 or more"),
         ("[metrics]", "[metrics", "expected a TOML file"),
         (
             "bearing = [30.0, 90.0]",
@@ -113,7 +113,7 @@ def test_a_build_follows_it_in_every_worker_and_bears_its_stamp(tmp_path: Path) 
     built(tmp_path / "two", protocol, workers=2)
     assert folder_bytes(tmp_path / "one") == folder_bytes(tmp_path / "two")
     assert set(table.scalars()["fps"].to_pylist()) == {25.0}
-    assert table.info.options["protocol"] == "mine 3"
+    assert table.info.options["protocol"] == "mine 4"
     assert table.info.protocol_digest == protocol.digest
     assert table.described_protocol.protocol() == protocol
     plain = built(tmp_path / "plain", None)
@@ -178,12 +178,12 @@ def test_runs_of_two_protocols_stand_in_two_tables_and_are_not_compared(table: S
     run(table, tmp_path / "runs" / "plain")
     run(table, tmp_path / "runs" / "mine", own(tmp_path, ("reach_distance = 0.10", "reach_distance = 0.2")))
     board = make_leaderboard(collect_runs([tmp_path / "runs"]))
-    assert [part.protocol for part in board.tables if part.protocol] == ["mine 3"]
+    assert [part.protocol for part in board.tables if part.protocol] == ["mine 4"]
     assert len(board.tables) == 2
     text = export(board, "md")
-    assert "own protocol mine 3" in text
+    assert "own protocol mine 4" in text
     assert "differ in protocol" in text
-    assert "own protocol mine 3" in export(board, "csv")
+    assert "own protocol mine 4" in export(board, "csv")
     with pytest.raises(RunError, match="different protocols"):
         compare_runs(tmp_path / "runs" / "plain", tmp_path / "runs" / "mine")
     with pytest.raises(RunError, match="protocol_digest"):
@@ -203,10 +203,10 @@ def test_a_table_of_other_rules_is_refused_by_key(table: SequenceTable, tmp_path
     with pytest.raises(UsageError, match=r"curation\.lead: 1\.0, but the table .* was built with 2\.0"):
         run(table, tmp_path / "out", slow)
     mine = built(tmp_path / "table", read_protocol(slow))
-    with pytest.raises(UsageError, match=r"follows a protocol of its own, mine 3\. Name it: --protocol"):
+    with pytest.raises(UsageError, match=r"follows a protocol of its own, mine 4\. Name it: --protocol"):
         run(mine, tmp_path / "out")
     (mine.folder / FILE_NAME).unlink()
-    with pytest.raises(TableError, match=r"follows the protocol mine 3, and its protocol\.toml is missing"):
+    with pytest.raises(TableError, match=r"follows the protocol mine 4, and its protocol\.toml is missing"):
         run(mine, tmp_path / "out", slow)
     assert not (tmp_path / "out").exists()
 

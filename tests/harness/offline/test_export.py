@@ -64,7 +64,7 @@ def test_the_file_says_how_it_was_made_and_nothing_more(table, other, tmp_path):
     tables = said.pop("tables")
     assert said == {
         "format_version": 1, "condition": "goal-loc", "seed": 3, "samples": 2, "split": "test", "limit": 5,
-        "max_frames": 110, "native_fps": None, "protocol_version": 3,
+        "max_frames": 110, "native_fps": None, "protocol_version": 4,
     }  # fmt: skip
     assert len(tables) == 2
     assert all(len(digest) == 64 for digest in tables)

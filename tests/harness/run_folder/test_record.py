@@ -25,7 +25,7 @@ METHOD = MethodRecord(
     options={"pose-only": "true"}, max_frames=None, native_fps=None, motionless=True,
 )  # fmt: skip
 RECORD = RunRecord(
-    schema_version=1, prbench_version="1", protocol_version=3, protocol_digest=DIGEST, method=METHOD, condition="none",
+    schema_version=1, prbench_version="1", protocol_version=4, protocol_digest=DIGEST, method=METHOD, condition="none",
     control=None, split="test", limit=None, seed=0, samples=1, device="cpu", threads=1, packages={"numpy": "2.0"},
     tables=(TABLE, msgspec.structs.replace(TABLE, dataset="synthetic-gimo")),
 )  # fmt: skip
