@@ -29,6 +29,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.errors import InputFileError, MissingExtraError, UsageError, did_you_mean
+from prbench.files.bounded import require_size
+from prbench.limits import HARMLESS_SIZE, LARGEST_UNPACKED
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +207,9 @@ class _Pretrained:
             local = self._is_in_the_hubs_cache()
         careful = {"trust_remote_code": False, "local_files_only": local}
         tokenizer_class, model_class = self._classes()
+        for file in Path(self.source).iterdir() if Path(self.source).is_dir() else ():
+            if not file.is_dir():
+                require_size(file, largest=HARMLESS_SIZE if file.suffix in (".json", ".txt") else LARGEST_UNPACKED)
         try:
             tokenizer = tokenizer_class.from_pretrained(self.source, **careful)
             loaded = model_class.from_pretrained(self.source, **careful, use_safetensors=True, output_loading_info=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import re
+from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
@@ -141,6 +142,91 @@ def test_a_circle_would_be_noticed(tmp_path):
         (tmp_path / f"{name}.py").write_text(source)
     imports = {name: _imported_modules(tmp_path / f"{name}.py", set(sources)) for name in sources}
     assert _circles(imports) == [{"a", "b", "c"}]
+
+
+LOOKS = {"require_size", "open_regular", "opened"}
+"""Refuse what is no regular file, or too large, before a byte is read."""
+PYTHON_OPENS = {"open", "os.open", "io.open", "*.read_text", "*.read_bytes"}
+LIBRARIES_OPEN = {
+    "*.ZipFile", "*.is_zipfile", "h5py.File", "np.load", "np.memmap", "np.fromfile", "np.loadtxt", "np.genfromtxt",
+    "pq.ParquetFile", "pq.read_table", "pq.read_metadata", "pq.read_schema", "gzip.open",
+    "pyarrow.csv.read_csv", "pyarrow.csv.open_csv",
+    "pa.memory_map", "pa.OSFile", "torch.load", "*.load_file", "*.safe_open", "trimesh.load", "trimesh.load_mesh",
+    "*.from_pretrained", "sqlite3.connect", "tarfile.open", "*.get_reader",
+}  # fmt: skip
+LAST_NAMES = {pattern.rpartition(".")[2] for pattern in PYTHON_OPENS | LIBRARIES_OPEN}
+NO_FILES_OF_USERS = {
+    "prbench/files/bounded.py": "here it is that files are looked at before they are opened",
+    "prbench/api/pictures.py": "the picture that was made a moment ago",
+    "prbench/engine/node_facts.py": "prbench's own code, and a file that another node of a cluster has just written",
+    "prbench/engine/shards.py": "prbench's own code",
+    "prbench/files/storage.py": "locks, and what was written a moment ago",
+    "prbench/harness/methods/process.py": "the log that prbench writes itself",
+    "prbench/harness/methods/worker.py": "the pipes of a worker",
+    "prbench/harness/methods/installed.py": "the code of installed packages",
+    "prbench/object_stores/inputs.py": "prbench's own cache",
+    "prbench/object_stores/outputs.py": "prbench's own cache",
+    "prbench/protocol/*.py": "TOML files of installed packages",
+    "prbench/checking/hd_epic.py": "numbers of an installed package",
+    "prbench/entry_points.py": "metadata of installed packages",
+    "prbench/readers/*/synthetic.py": "synthetic files that are being written",
+    "prbench/sequences/parts.py": "parts of a table that is being written",
+    "adapters/training/store.py": "prbench's own code",
+    "benchmarks/speed/*.py": "measures raw reading, and is not installed",
+}
+"""Files that may open what they like, and why."""
+
+
+def _raw_openings(source: str) -> list[str]:
+    """Return the calls that open a file for reading which nothing in the same function has looked at."""
+    if not re.search(r"open|read_|load|ZipFile|h5py|parquet|np\.|from_pretrained|connect", source):
+        return []
+    tree = ast.parse(source)
+    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    found = []
+    for scope in functions or [tree]:
+        calls = [node for node in ast.walk(scope) if isinstance(node, ast.Call)]
+        last_names = [getattr(call.func, "attr", getattr(call.func, "id", "")) for call in calls]
+        looked_at = not LOOKS.isdisjoint(last_names)
+        for call in (call for call, name in zip(calls, last_names, strict=True) if name in LAST_NAMES):
+            called = ast.unparse(call.func)
+            is_python = any(fnmatch(called, pattern) for pattern in PYTHON_OPENS)
+            is_library = any(fnmatch(called, pattern) for pattern in LIBRARIES_OPEN)
+            if not (is_python or (is_library and not looked_at)):
+                continue
+            mode = ast.unparse(call.args[1]).strip("'\"") if len(call.args) > 1 else ""
+            harmless = re.search(r"\bfiles\(|__file__|spec\.origin|BytesIO\(|BufferReader\(", ast.unparse(call))
+            if mode[:1] not in ("w", "a", "x") and not harmless:
+                found.append(ast.unparse(call))
+    return found
+
+
+def test_files_of_users_are_looked_at_before_they_are_opened():
+    raw = {}
+    for folder in ("prbench", "adapters", "benchmarks"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            name = path.relative_to(ROOT).as_posix()
+            found = _raw_openings(path.read_text(encoding="utf-8"))
+            if found and not any(fnmatch(name, allowed) for allowed in NO_FILES_OF_USERS):
+                raw[name] = found
+    assert raw == {}, "read them through prbench.files.bounded: links to devices and endless files are told there"
+
+
+@pytest.mark.parametrize(
+    ("body", "raw"),
+    [
+        ("return open(path).read()", 1),
+        ("return path.read_bytes()", 1),
+        ("require_size(path)\n    return path.read_text()", 1),
+        ("return np.load(path)", 1),
+        ("require_size(path)\n    return np.load(path)", 0),
+        ("with bounded.open_regular(path) as file:\n        return zipfile.ZipFile(file)", 0),
+        ("open(path, 'wb').write(b'')", 0),
+        ("return read_whole(path)", 0),
+    ],
+)
+def test_a_raw_opening_would_be_noticed(body, raw):
+    assert len(_raw_openings(f"def f(path):\n    {body}\n")) == raw
 
 
 PAGE = ROOT / "docs" / "architecture.md"

@@ -23,8 +23,9 @@ from torch import Tensor
 import prbench
 from prbench.errors import InputFileError, UsageError
 from prbench.files.arrays import load_array
-from prbench.files.bounded import foreign_input, require
+from prbench.files.bounded import foreign_input, require, require_size
 from prbench.files.storage import file_digest
+from prbench.limits import LARGEST_UNPACKED
 from prbench.representation.features import N_FEATURES
 from prbench.text import CLIP
 from prbench_adapters.gmd.model import KIND, N_ROOT, ROOT_XZ, FeatureSpace, GMDConfiguration, TemporalUNet
@@ -175,6 +176,7 @@ def _mapping(path: Path, value: object) -> Mapping[str, object]:
 def _content(path: Path) -> object:
     if not path.is_file():
         raise InputFileError(path, "", expected="a checkpoint (.pt)", found="no such file")
+    require_size(path, largest=LARGEST_UNPACKED)
     if not zipfile.is_zipfile(path):
         raise _no_checkpoint(path, "another format, or a truncated file")
     try:

@@ -23,9 +23,10 @@ from jaxtyping import Float, Int
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, TableError
-from prbench.files.bounded import foreign_input, require_rows
+from prbench.files.bounded import foreign_input, require_rows, require_size
 from prbench.files.storage import atomic_path, in_turn, read_json, sole_writer, text_digest, write_json
 from prbench.geometry.skeleton import N_JOINTS, Joint, canonical_frame, invert_rigid, transform_points
+from prbench.limits import LARGEST_ARCHIVE
 from prbench.representation import N_FEATURES, Mode, check_joints, encode
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.sequences.dataset_info import CORPUS_FILE
@@ -207,6 +208,7 @@ class FeatureStore:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        require_size(path, largest=LARGEST_ARCHIVE)
         with pa.memory_map(str(path)) as source:  # the batches keep the mapping alive
             self.table = pa.ipc.open_file(source).read_all()
         # The arrays of each record batch by name: views of the mapped file.

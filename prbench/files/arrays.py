@@ -31,8 +31,12 @@ from jaxtyping import Bool, Float
 
 from prbench import limits
 from prbench.errors import InputFileError, RecordingUnusable
-from prbench.files.bounded import require, require_rows, require_size, require_unpackable
-from prbench.limits import LARGEST_ARRAYS, LONGEST_AXIS  # by name: scaffold/one_file.py copies what needs them
+from prbench.files.bounded import open_regular, require, require_rows, require_size, require_unpackable
+from prbench.limits import (  # by name: scaffold/one_file.py copies what needs them
+    LARGEST_ARCHIVE,
+    LARGEST_ARRAYS,
+    LONGEST_AXIS,
+)
 
 _PIECE = 4 * 1024**2
 _NO_OBJECTS = "Save numbers and text only: np.array(values, dtype=np.float32), or np.array(names) without dtype=object."
@@ -99,7 +103,7 @@ def map_array(path: Path, header: ArrayHeader) -> np.ndarray:
     """
     if not header.nbytes:
         return np.empty(header.shape, header.dtype)
-    size = path.stat().st_size
+    size = require_size(path, largest=LARGEST_ARCHIVE)
     end = header.offset + header.nbytes
     require(path, (size >= end, "", f"{end} bytes", size, "It is cut off; write it again."))
     order = "F" if header.fortran_order else "C"
@@ -118,8 +122,7 @@ def load_array(path: Path, *, largest: int = LARGEST_ARRAYS, remedy: str = "") -
         InputFileError: if it is missing, too large, cut off, no ``.npy``, or holds Python objects.
     """
     try:
-        require_size(path, largest=largest)
-        with open(path, "rb") as file:
+        with open_regular(path, largest=largest) as file:
             header = read_header(file, path, "", remedy=remedy)
             present = max(path.stat().st_size - header.offset, 0)
             form = f"(shape {header.shape} of {header.dtype})"
@@ -241,8 +244,7 @@ class Archive:
     def _opened(self) -> Iterator[zipfile.ZipFile]:
         """Yield the archive; what is wrong with its bytes becomes an error that names it."""
         try:
-            require_size(self.path, largest=limits.LARGEST_ARCHIVE)
-            with zipfile.ZipFile(self.path) as archive:
+            with open_regular(self.path) as file, zipfile.ZipFile(file) as archive:
                 yield archive
         except FileNotFoundError as error:
             raise InputFileError(self.path, "", expected="an .npz file", found="no file", remedy=self.remedy) from error

@@ -10,6 +10,7 @@ message that a damaged file deserves, so that no list of exceptions has to be co
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import stat
 import zipfile
@@ -18,9 +19,17 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
-from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LARGEST_FILE, LARGEST_UNPACKED, LONGEST_LINE
+from prbench.limits import (
+    HARMLESS_SIZE,
+    HIGHEST_COMPRESSION,
+    LARGEST_ARCHIVE,
+    LARGEST_FILE,
+    LARGEST_UNPACKED,
+    LONGEST_LINE,
+)
 
 _TOO_LARGE = "This is another file, or a damaged one."
+_OF_THE_KERNEL = ("/proc/", "/sys/")
 _WELL_KNOWN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
@@ -83,8 +92,8 @@ def read_whole(path: Path, *, largest: int = LARGEST_FILE) -> bytes:
         InputFileError: if it is larger, or no file but a folder, a pipe or a device, which may never end.
         OSError: if it is missing or cannot be read.
     """
-    require_size(path, largest=largest)
-    return path.read_bytes()
+    with open_regular(path, largest=largest) as file:
+        return file.read()
 
 
 def read_text(path: Path, *, encoding: str = "utf-8-sig", largest: int = LARGEST_FILE) -> str:
@@ -93,55 +102,64 @@ def read_text(path: Path, *, encoding: str = "utf-8-sig", largest: int = LARGEST
     Raises:
         UnicodeDecodeError: if it is no text.
     """
-    require_size(path, largest=largest)
-    return path.read_text(encoding=encoding)
+    with io.TextIOWrapper(open_regular(path, largest=largest), encoding=encoding) as file:
+        return file.read()
 
 
-def require_size(path: Path, *, largest: int = LARGEST_FILE) -> None:
-    """Refuse what is no regular file, or larger than any file of its kind.
+def require_size(path: Path, *, largest: int = LARGEST_FILE, opened: int | None = None) -> int:
+    """Refuse what is no regular file, or larger than any file of its kind; reading pipes and devices may never end.
 
-    Raises:
-        InputFileError: saying how large it may be.
-        OSError: if it is missing.
-    """
-    size = require_regular(path)
-    if size > largest:
-        raise InputFileError(path, "", expected=f"at most {largest:,} bytes", found=f"{size:,}", remedy=_TOO_LARGE)
-
-
-def require_regular(path: Path) -> int:
-    """Refuse a folder, a pipe or a device in place of a file: reading the latter two may never end.
+    Args:
+        path: The file, or a link to it.
+        largest: Bytes beyond which it is refused.
+        opened: Its descriptor, where it is open already.
 
     Returns:
         The size of the file, bytes.
 
     Raises:
-        InputFileError: saying what stands there.
+        InputFileError: saying what stands there, or how large it may be.
         OSError: if it is missing.
     """
-    status = path.stat()
-    if not stat.S_ISREG(status.st_mode):
-        found = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
-        raise InputFileError(path, "", expected="a file", found=found)
+    status = path.stat() if opened is None else os.fstat(opened)
+    found = "" if stat.S_ISREG(status.st_mode) else "a pipe or a device"
+    if stat.S_ISDIR(status.st_mode):
+        found = "a folder"
+    # The kernel's own files call themselves regular and empty; /proc/kmsg waits until there is news.
+    elif status.st_size == 0 and os.path.realpath(path).startswith(_OF_THE_KERNEL):
+        found = "a file of the operating system"
+    require(path, (not found, "", "a file", found, ""))
+    require(path, (status.st_size <= largest, "", f"at most {largest:,} bytes", f"{status.st_size:,}", _TOO_LARGE))
     return status.st_size
 
 
-def open_regular(path: Path) -> BinaryIO:
-    """Open a file for reading bytes; for what is read in pieces.
+def open_regular(path: Path, *, largest: int = LARGEST_ARCHIVE) -> BinaryIO:
+    """Open a file for reading bytes; every file of a user that Python itself reads is opened here.
 
     Raises:
-        InputFileError: if it is a folder, a pipe or a device.
+        InputFileError: see :func:`require_size`.
         OSError: if it is missing or cannot be read.
     """
-    require_regular(path)
-    return open(path, "rb")
+    require_size(path, largest=largest)  # looking comes first, because opening a device may do something
+    file = open(path, "rb", opener=_without_waiting)  # noqa: SIM115 - its reader closes it
+    try:
+        require_size(path, largest=largest, opened=file.fileno())
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Open what somebody may have exchanged for a pipe a moment ago: waiting for its writer may never end."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def read_end(path: Path, most: int) -> bytes:
     """Return the last bytes of a file, at most so many (see :func:`open_regular` for what it raises)."""
     with open_regular(path) as file:
         file.seek(max(os.fstat(file.fileno()).st_size - most, 0))
-        return file.read()
+        return file.read(most)
 
 
 def whole_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:

@@ -28,8 +28,8 @@ import platformdirs
 from filelock import FileLock, Timeout
 
 from prbench.errors import ErrorOfParts, InputFileError, StorageError
-from prbench.files.bounded import foreign_input, read_text, require_regular
-from prbench.limits import LARGEST_JSON, LONGEST_NAME
+from prbench.files.bounded import foreign_input, open_regular, read_text, read_whole
+from prbench.limits import LARGEST_ARCHIVE, LARGEST_JSON, LONGEST_NAME
 from prbench.shown import clean
 
 CACHE_VARIABLE = "PRBENCH_CACHE"
@@ -103,8 +103,8 @@ def _told_equal(one: Path, other: Path, told_by: str | None) -> bool:
     if told_by is None:
         return False
     try:
-        return (one / told_by).read_bytes() == (other / told_by).read_bytes()
-    except OSError:
+        return read_whole(one / told_by) == read_whole(other / told_by)
+    except (OSError, InputFileError):
         return False
 
 
@@ -239,15 +239,14 @@ def read_json(path: Path, *, as_object: Callable[[list[tuple[str, Any]]], object
         raise InputFileError(path, where, expected="valid JSON", found=str(error), remedy=remedy) from error
 
 
-def file_digest(path: Path) -> str:
+def file_digest(path: Path, *, largest: int = LARGEST_ARCHIVE) -> str:
     """SHA-256 of a file's bytes, as hexadecimal text.
 
     Raises:
-        InputFileError: if it is a folder, a pipe or a device.
+        InputFileError: if it is a folder, a pipe or a device, or larger than ``largest`` bytes.
         FileNotFoundError: if there is no such file.
     """
-    require_regular(path)
-    with open(path, "rb") as file:
+    with open_regular(path, largest=largest) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from prbench.errors import InputFileError
 from prbench.files.bounded import foreign_input, open_regular, read_end, require_size
-from prbench.limits import LARGEST_UNPACKED, LARGEST_UNPACKED_FOR_ITS_END, LONGEST_LINE
+from prbench.limits import LARGEST_ARCHIVE, LARGEST_UNPACKED, LARGEST_UNPACKED_FOR_ITS_END, LONGEST_LINE
 from prbench.readers.files import header_names, opened, source_of
 from prbench.readers.found import InputFile
 
@@ -175,8 +175,7 @@ def damage(file: InputFile) -> str:
     path = file.path
     try:
         with foreign_input(path):
-            require_size(path, largest=LARGEST_UNPACKED)
-            if path.stat().st_size == 0:
+            if require_size(path, largest=LARGEST_ARCHIVE if file.member else LARGEST_UNPACKED) == 0:
                 return "empty"
             if file.member or zipfile.is_zipfile(path) or path.suffix in (".zip", ".npz"):
                 # The table of contents stands at the end of a zip file, so a cut one has none.
@@ -190,7 +189,7 @@ def damage(file: InputFile) -> str:
             last = end.splitlines(keepends=True)[-1]
             suffix = path.suffix.lower()
             if suffix == ".csv" and not last.endswith((b"\n", b"\r")):
-                with open(path, "rb") as lines:
+                with open_regular(path) as lines:
                     columns = lines.readline(LONGEST_LINE).count(b",") + 1
                 found = last.count(b",") + 1
                 return "" if found == columns else f"cut off: its last line has {found} of {columns} values"

@@ -70,10 +70,9 @@ def archive_members(archive: Path) -> dict[str, int]:
     Raises:
         InputFileError: if it is no zip archive, or its table of contents is damaged.
     """
-    bounded.require_size(archive, largest=limits.LARGEST_ARCHIVE)
     try:
-        with zipfile.ZipFile(archive) as opened:
-            return {entry.filename: entry.file_size for entry in opened.infolist() if not entry.is_dir()}
+        with bounded.open_regular(archive) as file, zipfile.ZipFile(file) as content:
+            return {entry.filename: entry.file_size for entry in content.infolist() if not entry.is_dir()}
     except zipfile.BadZipFile as error:
         expected = "a whole zip archive"
         raise InputFileError(archive, "", expected=expected, found=str(error), remedy=_COPY_ARCHIVE_AGAIN) from error
@@ -89,17 +88,16 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
         FileNotFoundError: if a plain file is missing.
     """
     if isinstance(source, Path):
-        bounded.require_size(source, largest=limits.LARGEST_UNPACKED)
-        with open(source, "rb") as file:
-            yield file
+        with bounded.open_regular(source, largest=limits.LARGEST_UNPACKED) as file:
+            yield cast(io.BufferedIOBase, file)
         return
-    bounded.require_size(source.archive, largest=limits.LARGEST_ARCHIVE)
     damaged = partial(
         InputFileError, source.shown, "", expected="a file that can be unpacked", remedy=_COPY_ARCHIVE_AGAIN
     )
     with contextlib.ExitStack() as stack:
         try:
-            archive = stack.enter_context(zipfile.ZipFile(source.archive))
+            plain = stack.enter_context(bounded.open_regular(source.archive))
+            archive = stack.enter_context(zipfile.ZipFile(plain))
             member = archive.getinfo(source.member)
             bounded.require_unpackable(source.shown, member)
             file = cast(io.BufferedIOBase, stack.enter_context(archive.open(member)))
@@ -224,8 +222,7 @@ def read_columns(path: Source, columns: Mapping[str, Column]) -> pa.Table:
     """
     header = read_header(path)
     require_column_names(path, header, columns)
-    if isinstance(path, Path) and path.stat().st_size < _WATCHED_SIZE:
-        bounded.require_size(path, largest=limits.LARGEST_FILE)
+    if isinstance(path, Path) and bounded.require_size(path, largest=limits.LARGEST_UNPACKED) < _WATCHED_SIZE:
         with contextlib.suppress(pa.ArrowInvalid):  # reading by blocks names the row
             table = pyarrow.csv.read_csv(path, convert_options=_conversion(columns))
             require_whole_last_line(path, columns, header)

@@ -21,8 +21,8 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from prbench.errors import RecordingsWouldBeLost, TableError
-from prbench.files.storage import atomic_folder, atomic_path, file_digest, require_replaceable, write_json
+from prbench.errors import InputFileError, RecordingsWouldBeLost, TableError
+from prbench.files.storage import atomic_folder, atomic_path, file_digest, read_json, require_replaceable, write_json
 from prbench.protocol.manifests import BenchmarkProtocol
 from prbench.protocol.own_protocol import write_protocol
 from prbench.sequences import schema as table_schema
@@ -191,8 +191,8 @@ def require_no_loss(
     except TableError:
         # What cannot be listed cannot be compared. A complete build mends it, as long as that does not go wrong itself.
         before = 0
-        with contextlib.suppress(OSError, KeyError, msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError):
-            described = msgspec.json.decode((folder / marker).read_bytes(), type=dict)  # of any version
+        with contextlib.suppress(InputFileError, KeyError, msgspec.ValidationError):
+            described = msgspec.convert(read_json(folder / marker), dict)  # of any version
             before = msgspec.convert(described["counts"], dict[str, int]).get("recordings_read", 0)
         failed = any(reason.startswith("failed") for reason in reasons.values())
         if new and not failed and len(new) >= before:

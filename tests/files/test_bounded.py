@@ -14,11 +14,19 @@ import pytest
 from prbench import limits
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, PrbenchError, TableError, UnforeseenInput
+from prbench.files.arrays import Archive, open_parquet
 from prbench.files.bounded import foreign_input, open_regular, read_text, read_whole, require_unpackable, whole_lines
 from prbench.files.storage import file_digest
 from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LONGEST_LINE, LONGEST_MESSAGE
 from prbench.readers import files, reader_for
-from prbench.readers.files import ZippedFile, decode_json, read_all, read_columns, require_whole_last_line
+from prbench.readers.files import (
+    ZippedFile,
+    archive_members,
+    decode_json,
+    read_all,
+    read_columns,
+    require_whole_last_line,
+)
 from tests.bombs import MEGABYTE, declaring, encrypted, zipped
 
 
@@ -30,21 +38,45 @@ def test_a_file_larger_than_any_of_its_kind_is_refused_unread(tmp_path):
     path = tmp_path / "endless.json"
     with open(path, "wb") as file:
         file.truncate(2**42)  # takes no space
-    for read in (read_whole, read_text, read_all):
+    for read in (read_whole, read_text, read_all, file_digest, open_regular, archive_members):
         with pytest.raises(InputFileError, match=r"endless\.json: expected at most .* bytes, found 4,398,046,511,104"):
             read(path)
     with pytest.raises(InputFileError, match=r"endless\.json: expected at most"):
         decode_json(path, msgspec.json.Decoder())
 
 
+@pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="there are no such files here")
+@pytest.mark.parametrize("target", ["/dev/zero", "/dev/tty", "/proc/self/stat", "/proc/kmsg"])
+@pytest.mark.parametrize("read", [read_whole, read_text, open_regular, file_digest, Archive.load, open_parquet])
+def test_a_link_to_what_may_never_end_is_refused(target, read, tmp_path):
+    path = tmp_path / "metadata.json"
+    path.symlink_to(target)
+    with pytest.raises(InputFileError, match=r"expected a file, found a (pipe or a device|file of the operating)"):
+        Archive(path).load(["x"]) if read == Archive.load else read(path)
+
+
+def test_links_to_files_are_read_and_empty_files_too(tmp_path):
+    (tmp_path / "own").write_bytes(b"own")
+    (tmp_path / "link").symlink_to(tmp_path / "own")
+    (tmp_path / "nothing").write_bytes(b"")
+    assert [read_whole(tmp_path / name) for name in ("link", "nothing")] == [b"own", b""]
+
+
+class Exchanged(type(Path())):
+    """The path of what was a file when it was looked at."""
+
+    def stat(self, **_):
+        return Path(__file__).stat()
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
-def test_a_pipe_is_refused_instead_of_waited_for(tmp_path):
+def test_a_pipe_put_there_after_the_look_is_not_waited_for_either(tmp_path):
     os.mkfifo(tmp_path / "metadata.json")
     with pytest.raises(InputFileError, match="found a pipe"):
-        read_whole(tmp_path / "metadata.json")
+        read_whole(Exchanged(tmp_path / "metadata.json"))
 
 
-@pytest.mark.parametrize("look", [open_regular, file_digest, require_whole_last_line_of])
+@pytest.mark.parametrize("look", [read_whole, open_regular, file_digest, require_whole_last_line_of])
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
 def test_what_is_read_in_pieces_is_no_pipe_either(look, tmp_path):
     os.mkfifo(tmp_path / "0000000000.npy")

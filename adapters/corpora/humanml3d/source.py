@@ -12,6 +12,7 @@ from jaxtyping import Float
 from prbench.errors import InputFileError, UsageError
 from prbench.files.bounded import foreign_input, read_text, require
 from prbench.files.storage import file_digest, text_digest
+from prbench.limits import HARMLESS_SIZE, LARGEST_ARRAYS
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
 from prbench.sequences.corpus import Annotation, Caption, Clip
@@ -158,7 +159,7 @@ class HumanML3DSource(corpora.CorpusRecording):
     @foreign_input()
     def input_digest(self) -> str:
         """Names and contents of the files."""
-        texts = (text for path in self._used for text in (path.name, file_digest(path)))
+        texts = (text for path in self._used for text in (path.name, file_digest(path, largest=LARGEST_ARRAYS)))
         return text_digest(self.identity.recording_id, *texts)
 
     @foreign_input()
@@ -248,7 +249,7 @@ def _splits(root: Path) -> dict[str, str]:
     splits: dict[str, str] = {}
     for split, file in layout.SPLIT_FILES.items():
         path = root / file
-        for name in read_text(path).split() if path.is_file() else ():
+        for name in read_text(path, largest=HARMLESS_SIZE).split() if path.is_file() else ():
             if splits.setdefault(name, split) != split:
                 raise InputFileError(path, name, expected="motions of one split", found=f"also in {splits[name]}")
     remedy = "Copy them from the dataset's repository."

@@ -6,11 +6,13 @@ Source: docs/specification/nymeria.md#narrations.
 from __future__ import annotations
 
 import csv
+import io
 import os
 from pathlib import Path
 
 from prbench.errors import InputFileError
-from prbench.files.bounded import require, require_size
+from prbench.files.bounded import read_text, require
+from prbench.limits import HARMLESS_SIZE
 from prbench.readers import SYNTHETIC_PREFIX, RecordingFiles, require_marked, synthetic_tree_around
 from prbench.readers.files import require_column_names
 from prbench.readers.found import input_file
@@ -100,9 +102,7 @@ def read_narrations(path: Path, kind: str) -> tuple[Narration, ...]:
             times are milliseconds.
     """
     try:
-        require_size(path)
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.reader(file))
+        rows = list(csv.reader(io.StringIO(read_text(path, largest=HARMLESS_SIZE))))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputFileError(path, "", expected="comma-separated text in UTF-8", found=str(error)) from error
     rows = [(number, row) for number, row in enumerate(rows, start=1) if any(cell.strip() for cell in row)]

@@ -23,6 +23,7 @@ from prbench.checking.conformance.cases import Cases
 from prbench.checking.conformance.findings import Remedy
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.errors import PrbenchError
+from prbench.files.arrays import load_array
 from prbench.harness.conditions import ConditionSource, run_salt
 from prbench.harness.methods.loading import LoadedMethod, MethodSpec, fit_to_training_rows, fitted_to
 from prbench.harness.methods.motions import Declared, generate_checked, native_frames
@@ -368,7 +369,7 @@ class MethodSubject(ABC):
     def first_motions(self) -> Float[np.ndarray, "batch *frames joints 3"] | None:
         """Return the answer to the very first batch in the first process, or None if there is none."""
         kept = self.folder / _FIRST
-        return np.load(kept) if kept.is_file() else None
+        return load_array(kept) if kept.is_file() else None
 
     @cached_property
     def rows(self) -> tuple[int, ...]:

@@ -17,7 +17,9 @@ from pathlib import Path
 
 import prbench
 from prbench.errors import StorageError
+from prbench.files.bounded import read_whole
 from prbench.files.storage import sole_file
+from prbench.limits import HARMLESS_SIZE
 
 ONE_FILE = "prbench_converters.py"
 _PACKAGES = ("prbench",)
@@ -81,7 +83,7 @@ def write_converters(path: Path) -> None:
     Raises:
         StorageError: if something else stands there, another process is writing it, or it cannot be written.
     """
-    if path.exists() and not (path.is_file() and _MARK.encode() in path.read_bytes()[:1000]):
+    if path.exists() and not (path.is_file() and _MARK.encode() in read_whole(path, largest=HARMLESS_SIZE)[:1000]):
         raise StorageError(f"{path}: is something else than the converters; nothing was written. Name another --out.")
     text = converters_file()
     with sole_file(path) as temporary:

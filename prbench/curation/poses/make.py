@@ -21,7 +21,7 @@ import msgspec
 
 from prbench.curation.poses.states import PoseState, coverage, head_poses, prepare, source_trajectory
 from prbench.errors import InputFileError, PrbenchError, StorageError, UsageError
-from prbench.files.bounded import foreign_input, read_text, require
+from prbench.files.bounded import foreign_input, read_end, read_text, require
 from prbench.files.storage import atomic_folder, lock_file, sole_writer
 from prbench.limits import HARMLESS_SIZE
 from prbench.progress_bar import ProgressCallback
@@ -194,10 +194,7 @@ def _run_program(command: Sequence[str], config: PosesConfig, log: Path) -> str:
     if not how:
         return ""
     # The last lines that can be printed, whatever else the log holds.
-    with open(log, "rb") as file:
-        file.seek(0, 2)
-        file.seek(max(file.tell() - _TAIL_BYTES, 0))
-        text = file.read().decode("utf-8", errors="replace")
+    text = read_end(log, _TAIL_BYTES).decode("utf-8", errors="replace")
     lines = [_UNPRINTABLE.sub(" ", line).strip()[-160:] for line in text.splitlines()]
     kept = [line for line in lines if line][-_TAIL_LINES:]
     said = f" ('{' / '.join(kept)}')" if kept else ""

@@ -21,7 +21,9 @@ from typing import Any
 
 from prbench.entry_points import ADAPTERS, PREDICTORS, InstalledEntry, installed_entries
 from prbench.errors import AdapterError, PrbenchError, did_you_mean
+from prbench.files.bounded import read_whole
 from prbench.files.storage import file_digest
+from prbench.limits import HARMLESS_SIZE
 from prbench.protocol.manifests import benchmark_of_group, default_benchmark
 from prbench.shown import quoted
 
@@ -218,7 +220,7 @@ def find_python_method(method: str) -> InstalledEntry:
     """
     path, name = _source(method)
     try:
-        body = ast.parse(path.read_bytes()).body
+        body = ast.parse(read_whole(path, largest=HARMLESS_SIZE)).body
     except (SyntaxError, ValueError) as error:
         raise AdapterError(f"{path}: expected Python, found: {error}.") from error
     names = set()

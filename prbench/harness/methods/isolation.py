@@ -15,7 +15,9 @@ from pathlib import Path
 
 import prbench
 from prbench.errors import UsageError
+from prbench.files.bounded import read_text
 from prbench.harness.methods.process import Program, users_environment
+from prbench.limits import HARMLESS_SIZE
 from prbench.text import CLIP_VARIABLE, DISTILBERT_VARIABLE
 
 BUBBLEWRAP = "bubblewrap"
@@ -248,7 +250,7 @@ def executable_folders(program: Path) -> tuple[Path, ...]:
     folders = [program.parent, actual.parent]
     # The folder of the interpreter that a virtual environment was made with.
     settings = program.parent.parent / "pyvenv.cfg"
-    for line in settings.read_text(encoding="utf-8").splitlines() if settings.is_file() else ():
+    for line in read_text(settings, largest=HARMLESS_SIZE).splitlines() if settings.is_file() else ():
         key, _, value = line.partition("=")
         if key.strip() == "home":
             folders.append(Path(value.strip()))

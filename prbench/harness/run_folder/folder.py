@@ -10,11 +10,10 @@ from typing import Literal
 
 import msgspec
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from prbench.engine import shards
 from prbench.errors import InputFileError, RunError, StorageError
-from prbench.files.arrays import read_parquet
+from prbench.files.arrays import open_parquet, read_parquet
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, inside, remove_half_written, remove_leftovers
 from prbench.harness.run_folder import record, summary
@@ -67,8 +66,8 @@ class DatasetFolder:
         if not all(path.is_file() for path in (self.cost, self.path / summary.FILE_NAME, self.scores)):
             return False
         try:
-            pq.read_metadata(self.scores)
-        except (pa.ArrowInvalid, OSError):
+            open_parquet(self.scores).close()
+        except (pa.ArrowInvalid, OSError, InputFileError):
             return False
         return True
 

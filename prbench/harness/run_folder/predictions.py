@@ -22,7 +22,7 @@ from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError, PredictionsError
 from prbench.files.arrays import open_parquet, read_parquet
-from prbench.files.bounded import foreign_input
+from prbench.files.bounded import foreign_input, open_regular
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.run_folder.npz import POSE_SIZE, ArrayMotions, as_float32, read_npz
 from prbench.harness.run_folder.scores import GAZE_COLUMNS, predictions_schema
@@ -411,7 +411,7 @@ class Predictions:
         if path.suffix.lower() == ".npz":
             return cls(**read_npz(path))
         if path.suffix.lower() != ".parquet" and path.is_file():
-            with open(path, "rb") as file:
+            with open_regular(path) as file:
                 if file.read(4) != b"PAR1":
                     raise PredictionsError(
                         f"{path}: expected Parquet, .npz, or a folder of Parquet files, found a file of another kind."

@@ -15,8 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
-from prbench.files.bounded import require
+from prbench.files.bounded import require, require_size
 from prbench.geometry.skeleton import N_JOINTS, Joint
+from prbench.limits import LARGEST_UNPACKED
 from prbench.readers.files import missing_file
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.pickles import load_tensors
@@ -86,10 +87,11 @@ def read_pose_decoder(path: Path) -> PoseDecoder:
     path = path.expanduser()
     import torch
 
+    if not path.exists():
+        raise missing_file(path)
+    require_size(path, largest=LARGEST_UNPACKED)
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
     except Exception as error:  # torch raises whatever a damaged archive makes it stumble over
         found = str(error).splitlines()[0][:200]
         remedy = f"Take snapshots/TR00_E096.pt of VPoser v1: {VPOSER_PAGE}."

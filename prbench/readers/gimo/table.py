@@ -7,6 +7,7 @@ says neither when something is picked up nor where; *Prime and Reach* annotated 
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,8 @@ from pathlib import Path
 from typing import cast
 
 from prbench.errors import InputFileError
-from prbench.files.bounded import require, require_size
+from prbench.files.bounded import read_text, require
+from prbench.limits import HARMLESS_SIZE
 from prbench.readers.files import missing_file, read_entries
 from prbench.readers.gimo import format as gimo
 from prbench.recording import UnreadableEntry
@@ -130,10 +132,8 @@ def read_segments(path: Path) -> tuple[tuple[Row, ...], list[UnreadableEntry]]:
 def _read_lines(path: Path, columns: Iterable[str], remedy: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Return the header of a CSV file, and its further lines that hold anything, with their numbers."""
     try:
-        require_size(path)
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file)
-            lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+        reader = csv.reader(io.StringIO(read_text(path, largest=HARMLESS_SIZE)))
+        lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
     except FileNotFoundError as error:
         raise missing_file(path) from error
     except (UnicodeDecodeError, csv.Error) as error:

@@ -17,7 +17,7 @@ import numpy as np
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
-from prbench.files.bounded import require, require_size
+from prbench.files.bounded import read_whole, require
 from prbench.readers import ReaderOptions, synthetic_tree_around
 from prbench.readers import files as native
 from prbench.readers.aria_mps.files import find_mps_files, read_mps, require_up
@@ -250,9 +250,8 @@ def read_glb(path: Path) -> hot3d.Mesh:
     import trimesh  # takes a third of a second, and only models need it
 
     try:
-        require_size(path)
         # Refuse arrays that declare more entries than the file has bytes, before the parser makes room for them.
-        content = path.read_bytes()
+        content = read_whole(path)
         length = int.from_bytes(content[12:16], "little")
         description = msgspec.json.decode(content[20 : 20 + length])
         largest = max((accessor["count"] for accessor in description.get("accessors", ())), default=0)
