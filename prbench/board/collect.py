@@ -28,6 +28,7 @@ from prbench.harness.run_folder.folder import (
 )
 from prbench.harness.run_folder.record import RunCost, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import read_scores
+from prbench.harness.run_folder.signature import require_signed
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
 from prbench.protocol.manifests import benchmarks, find_benchmark
 
@@ -144,10 +145,11 @@ class LeaderboardRow:
 
 @dataclass(frozen=True)
 class CollectedRuns:
-    """Rows of all finished runs, and what had to be left out."""
+    """Rows of all finished runs, what had to be left out, and the id of the key that all runs are signed by."""
 
     rows: tuple[LeaderboardRow, ...]
     left_out: tuple[str, ...]
+    signed_by: str = ""
 
 
 # Reads the summary of one dataset of a run, and says whether it could be verified.
@@ -155,16 +157,19 @@ Check = Callable[[RunFolder, TableRecord], CheckedSummary]
 
 
 @foreign_input()
-def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_benchmark: bool = False) -> CollectedRuns:
+def collect_runs(
+    paths: Iterable[Path], *, check: Check | None = None, any_benchmark: bool = False, signed_by: Path | None = None
+) -> CollectedRuns:
     """Read run folders, or all run folders below a folder.
 
     Args:
         paths: Run folders in any order; a run that is named twice counts once.
         check: Function that verifies a run; the default has no tables and leaves all runs unverified.
         any_benchmark: The caller shows runs of every benchmark; without it, those of the default one alone.
+        signed_by: File of the public key that every run must be signed by; None for runs as they are.
 
     Raises:
-        RunError: if a path holds no run, or a run is damaged, or its files do not follow from one another.
+        RunError: if a path holds no run, a run is damaged or unsigned, or its files do not follow from one another.
     """
     folders: dict[Path, None] = {}
     for path in paths:
@@ -182,8 +187,10 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_bench
     left_out: list[str] = []
     merged: list[tuple[LeaderboardRow, RunFolder]] = []
     of_folds: dict[tuple[str, str], tuple[LeaderboardRow, RunFolder]] = {}
-    for folder in sorted(folders):
-        run = RunFolder.open(folder, any_benchmark=any_benchmark)
+    opened = [RunFolder.open(folder, any_benchmark=any_benchmark) for folder in sorted(folders)]
+    signer = require_signed(opened, signed_by) if signed_by is not None else ""
+    for run in opened:
+        folder = run.path
         if run.record.benchmark not in benchmarks():
             left_out.append(f"{folder.name}: of a benchmark that this version of prbench does not have")
             continue
@@ -227,7 +234,7 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_bench
         within.update(keys)
     # The scores of a fold's run are among the merged ones; beside them it would count its sequences twice.
     rows += [row for key, (row, _) in of_folds.items() if key not in within]
-    return CollectedRuns(tuple(rows), tuple(left_out))
+    return CollectedRuns(tuple(rows), tuple(left_out), signer)
 
 
 def _why_unverified(merged: RunFolder, named: Sequence[tuple[LeaderboardRow, RunFolder] | None]) -> str:

@@ -162,6 +162,8 @@ def make_leaderboard(collected: CollectedRuns, *, separate: Separate = separate_
         groups[row.summary.dataset, *digests, row.record.split, table.selection_digest].append(row)
     tables: list[DatasetTable] = []
     notes = [f"Left out: {reason}." for reason in collected.left_out]
+    if collected.signed_by:
+        notes.insert(0, f"All runs are signed by {collected.signed_by}, who vouches for how they were made.")
     for (dataset, *key), rows in sorted(groups.items()):
         whole = [row for row in rows if not row.summary.unsupported]
         if whole:

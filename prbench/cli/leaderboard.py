@@ -38,8 +38,16 @@ leaderboard = Group(
 )
 @opt.out_file_option("Write the leaderboard to this file instead of printing it.")
 @opt.tables_option
+@opt.signed_option
 @opt.workers_option()
-def export(runs: tuple[Path, ...], format: str, out: Path | None, data: tuple[Path, ...], workers: int) -> Answer:
+def export(
+    runs: tuple[Path, ...],
+    format: str,
+    out: Path | None,
+    data: tuple[Path, ...],
+    require_signed: Path | None,
+    workers: int,
+) -> Answer:
     """Write a leaderboard of finished runs.
 
     RUN are run folders, or folders that hold some.
@@ -48,7 +56,8 @@ def export(runs: tuple[Path, ...], format: str, out: Path | None, data: tuple[Pa
     from prbench.board.export import as_board
     from prbench.files.storage import sole_writer, write_text
 
-    board = boards.make_leaderboard(opt.collected_runs(runs, data, workers, any_benchmark=True))
+    collected = opt.collected_runs(runs, data, workers, any_benchmark=True, signed_by=require_signed)
+    board = boards.make_leaderboard(collected)
     text = boards.export(board, format)
     if out is not None:
         with sole_writer(out):

@@ -117,6 +117,14 @@ tables_option = data_option(
 )
 
 
+signed_option = click.option(
+    "--require-signed",
+    type=LOCAL_PATH,
+    metavar="PUBLIC_KEY",
+    help="Refuse runs that `prbench run --sign` has not signed with this key of minisign, or that were changed then.",
+)
+
+
 def flag(*words: str) -> Callable:
     """Add an option without a value: its name, that of the command's argument where it is another, and its help."""
     *names, help = words
@@ -381,6 +389,7 @@ _REFUSED = {
     "everything": "'all': each dataset is merged by itself; name one",
     "data": "--data: windows of a built table are made in one go; leave --shard out",
     "view": "--view: the motions are whole after `prbench merge`",
+    "sign": "--sign: sign the merged run, by this command without --shard and --out of the merged folder",
     "first_run": "a run without --data: name the tables",
     "table_two": "all: name one method and one condition",
 }
@@ -427,7 +436,12 @@ def run_checker(data: Sequence[Path], workers: int) -> RunChecker:
 
 
 def collected_runs(
-    runs: Sequence[Path], data: Sequence[Path], workers: int, *, any_benchmark: bool = False
+    runs: Sequence[Path],
+    data: Sequence[Path],
+    workers: int,
+    *,
+    any_benchmark: bool = False,
+    signed_by: Path | None = None,
 ) -> CollectedRuns:
     """Collect finished runs, whose scores are held against their motions, and tell what was left out or not checked.
 
@@ -436,10 +450,12 @@ def collected_runs(
         data: Tables of the runs.
         workers: Number of processes.
         any_benchmark: The command knows runs of every benchmark.
+        signed_by: File of the public key that every run must be signed by.
     """
     from prbench.board import collect_runs
 
-    collected = collect_runs(runs, check=run_checker(data, workers).check, any_benchmark=any_benchmark)
+    check = run_checker(data, workers).check
+    collected = collect_runs(runs, check=check, any_benchmark=any_benchmark, signed_by=signed_by)
     for reason in collected.left_out:
         note(f"left out: {reason}")
     for row in collected.rows:

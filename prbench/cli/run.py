@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -29,6 +30,8 @@ from prbench.entry_points import ADAPTERS, STUDY_ITEMS, load_built_in
 from prbench.errors import AdapterError, UsageError
 
 if TYPE_CHECKING:
+    from minisign import SecretKey
+
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import Shard
@@ -41,6 +44,7 @@ ALL = "all"
 
 
 _FIRST_RUN_WORKERS = 2
+PASSWORD_VARIABLE = "PRBENCH_SIGN_PASSWORD"
 
 
 @command(
@@ -109,6 +113,17 @@ _FIRST_RUN_WORKERS = 2
     "Run the method in a process that is given neither paths, objects nor environment; with bubblewrap (Linux)"
     " the file system is withheld too.",
 )
+@opt.flag(
+    "--require-fence",
+    "--isolate, and refuse to run where neither bubblewrap nor a container withholds the file system.",
+)
+@click.option(
+    "--sign",
+    type=opt.LOCAL_PATH,
+    metavar="KEY",
+    help="Sign the finished run with this secret key of minisign (docs/firewall.md#signed-runs); its password is asked"
+    f" for, or taken from {PASSWORD_VARIABLE}.",
+)
 @click.option(
     "--timeout",
     type=opt.SECONDS,
@@ -128,6 +143,8 @@ def run(
     permission: tuple[str, ...],
     engine: EngineChoice,
     shard: str | None,
+    require_fence: bool,
+    sign: Path | None,
     **given: Any,
 ) -> Answer | int:
     """Run a method over tables and score what it generates.
@@ -149,8 +166,8 @@ def run(
         raise UsageError(f"--method all: makes the rows of the study's Table 2, and belongs to {own.name}.")
     if not about.default and not given["data"]:
         raise UsageError(f"--data DIR: {about.name} has no embedded tables; `{about.build}` makes one.")
-    part = opt.chosen_shard(shard, view=view, table_two=of_table_two)
-    alone = {"config": config, "show-config": show_config, "view": view, "permission": permission}
+    part = opt.chosen_shard(shard, view=view, table_two=of_table_two, sign=sign)
+    alone = {"config": config, "show-config": show_config, "view": view, "permission": permission, "sign": sign}
     of_all = {"with-controls": given["with_controls"]}
     for option, value in (alone if of_table_two else of_all).items():
         if value:
@@ -162,16 +179,27 @@ def run(
     if config is None and given["method"] is None:
         raise UsageError("--method NAME is needed, or --config FILE. `prbench adapters list` shows the methods.")
     repeated, experiment = read_command_line(config, given)
+    if require_fence:
+        from prbench.harness.methods import isolation
+
+        isolation.require_fence(method.name for method in experiment.methods)
+        experiment = msgspec.structs.replace(experiment, isolate=True)
     if show_config:
         print(experiment.as_toml(), end="")
         return 0
+    if sign is not None and not experiment.isolate:
+        from prbench.harness.methods.installed import METHOD_CONTROLS, short_name
+
+        own = (*METHOD_CONTROLS, *find_benchmark(experiment.benchmark).methods)
+        for name in {method.name for method in experiment.methods} - set(own):
+            raise UsageError(f"--sign: '{short_name(name)}' could take the key. Add --isolate or --require-fence.")
     if session().from_shell:
         for method in experiment.methods:
             if calls_foreign_code(method.name, isolate=experiment.isolate, entry_points=_group(experiment)):
                 from prbench.cli.main import main
 
                 return supervised(main, sys.argv[1:], method=method.name)
-    return _run_all(experiment, repeated, view=view, permission=permission, choice=engine, shard=part)
+    return _run_all(experiment, repeated, view=view, permission=permission, choice=engine, shard=part, sign=sign)
 
 
 def _run_all(
@@ -182,6 +210,7 @@ def _run_all(
     permission: tuple[str, ...],
     choice: EngineChoice,
     shard: Shard | None,
+    sign: Path | None,
 ) -> Answer:
     from prbench.harness.methods.installed import list_adapters
     from prbench.sequences.folds import ALL_FOLDS
@@ -202,10 +231,11 @@ def _run_all(
     for adapter in list_adapters(_group(experiment)):
         if adapter.problem and adapter.name in {method.name for method in experiment.methods}:
             note(f"note: {adapter.package} {adapter.version} is not used: {adapter.problem}.")
+    key = None if sign is None else _unlocked(sign)
     engine = _opened(choice, experiment)
     if first_run:
         experiment = _on_embedded_tables(experiment, engine)
-    requests = list(experiment.requests())
+    requests = [replace(request, hidden=(sign,) if sign else ()) for request in experiment.requests()]
     if view is not None and len(requests) > 1:
         raise UsageError("--view: belongs to one run; `prbench view RUN RUN … --out FILE` shows several.")
     if shard is not None:
@@ -217,7 +247,11 @@ def _run_all(
                 answer.show()
 
         return Answer(RunAnswer(shards=made), show_shards)
-    reports = [_generated(request, engine) for request in requests]
+    reports = []
+    for request in requests:
+        reports.append(_generated(request, engine))
+        if key is not None:
+            _sign(reports[-1], key)
     folder = reports[0].folder
     if repeated is not None and folder.path.resolve() != repeated.path.resolve():
         from prbench.harness.first_run import same_scores
@@ -257,6 +291,31 @@ def _run_all(
             f" {requests[0].limit} …"
         )
     return run_answer(reports, companions, single=bool(experiment.sequences), below=below)
+
+
+def _unlocked(path: Path) -> SecretKey:
+    """Read the key before the run, so that a wrong password is told at once."""
+    from prbench.harness.run_folder.signature import secret_key
+
+    def password() -> str:
+        if PASSWORD_VARIABLE in os.environ:
+            return os.environ.pop(PASSWORD_VARIABLE)  # no process that is started later finds it
+        if not sys.stdin.isatty():
+            raise UsageError(f"--sign: expected a terminal to ask for the key's password, or {PASSWORD_VARIABLE}.")
+        return click.prompt("password of the key", hide_input=True, err=True)
+
+    key = secret_key(path, password)
+    if os.name == "posix" and path.stat().st_mode & 0o077:
+        note(f"{path}: others of this machine can read the secret key; `chmod 600 {path}` ends that.")
+    return key
+
+
+def _sign(report: RunReport, key: SecretKey) -> None:
+    from prbench.harness.run_folder.signature import sign_run
+
+    planned = report.batches_made + report.batches_found
+    signer = sign_run(report.folder, key, generated=report.batches_made, planned=planned)
+    note(f"signed by {signer}: {report.folder.path}; {report.batches_made} of {planned} batches were made just now.")
 
 
 def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> opt.MadeShard:

@@ -66,6 +66,7 @@ class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
 @opt.flag("--allow-length-mismatch", "Score motions of another length than the recorded one, too.")
 @opt.protocol_option("the numbers of the metrics; the table must have been built by the same rules.")
 @opt.out_folder_option("Write scores.parquet, summary.json … into this folder.")
+@opt.signed_option
 @opt.engine_options()
 @opt.benchmark_option
 @opt.scores_options
@@ -80,6 +81,7 @@ def score(
     benchmark: str | None,
     one_design: bool,
     fold: str | None,
+    require_signed: Path | None,
     **given: Any,
 ) -> Answer:
     """Score finished motions (Parquet, .npz), or a run folder again.
@@ -89,11 +91,19 @@ def score(
     """
     from prbench.contract import Condition
     from prbench.harness.benchmark import load_benchmark
+    from prbench.harness.run_folder import RunFolder, signature
+    from prbench.harness.run_folder.folder import run_folder_of
     from prbench.harness.score_predictions import score_predictions
     from prbench.harness.score_request import ScoreRequest
     from prbench.protocol.manifests import find_benchmark
     from prbench.sequences.folds import fold_tables
 
+    folder = run_folder_of(predictions)
+    if require_signed is not None:
+        run = RunFolder.open(folder, any_benchmark=True)
+        note(f"signed by {signature.require_signed([run], require_signed)}")
+    elif (folder / signature.SIGNATURE).is_file():
+        note("the run is signed; --require-signed PUBLIC_KEY finds out by whom, and whether it was changed.")
     data = fold_tables(data, fold)
     shared: dict[str, Any] = {"conditions": conditions, "data": data, "name": given.pop("name"), "out": out}
     about = find_benchmark(benchmark or default_benchmark().name)

@@ -118,7 +118,7 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
             threads=request.threads,
             isolate=request.isolate,
             timeout=request.timeout,
-            hidden=(*request.data, request.out or DEFAULT_PARENT),
+            hidden=(*request.data, request.out or DEFAULT_PARENT, *request.hidden),
             group=benchmark.methods,
         )
         asked = request.condition

@@ -81,6 +81,7 @@ class RunRequest:
         timeout: Seconds until another process answers a batch; by default 600, or what its TOML file says.
         protocol: The user's own protocol; None for prbench's (docs/specification/protocol.md#a-protocol-of-ones-own).
         out: The run folder; by default one under ``runs`` whose name says what was run.
+        hidden: Files and folders beside tables and run that an isolated method must not see, such as a key.
 
     Raises:
         UsageError: if parts of it do not fit together.
@@ -106,6 +107,7 @@ class RunRequest:
     timeout: float | None = None
     protocol: Path | None = None
     out: Path | None = None
+    hidden: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
         turn_into_paths(self, "data", "weights", "protocol", "out")

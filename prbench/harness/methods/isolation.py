@@ -16,7 +16,9 @@ from pathlib import Path
 import prbench
 from prbench.errors import UsageError
 from prbench.files.bounded import read_text
+from prbench.harness.methods.installed import short_name
 from prbench.harness.methods.process import Program, users_environment
+from prbench.harness.methods.programs import runs_in_container
 from prbench.limits import HARMLESS_SIZE
 from prbench.text import CLIP_VARIABLE, DISTILBERT_VARIABLE
 
@@ -133,6 +135,25 @@ def available_fence() -> Fence:
         told = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
         return Fence(None, f"bubblewrap does not work here: {told[0]}")
     return Fence(program)
+
+
+def require_fence(methods: Iterable[str]) -> None:
+    """Refuse methods from which this machine cannot withhold the file system.
+
+    Args:
+        methods: Names, commands or TOML files; one that runs in a container needs no other fence.
+
+    Raises:
+        UsageError: naming the method, what was found and what to install.
+    """
+    fence = available_fence()
+    for method in methods:
+        if fence.program is None and not runs_in_container(method):
+            raise UsageError(
+                f"--require-fence: '{short_name(method)}' could read all your files: {fence.reason}. Install bubblewrap"
+                " (on Linux `apt install bubblewrap` or `dnf install bubblewrap`; it needs user namespaces), or run the"
+                " method in a container (docs/environments.md)."
+            )
 
 
 def bubblewrap_words(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shlex
 import shutil
@@ -347,14 +348,14 @@ def _container(
     if weights is not None and weights.exists():
         mounts.append((weights.absolute(), str(weights.absolute())))
     words = [program, "run", "--rm", "--init", "-i", "--network", "none", "--workdir", _METHOD_FOLDER]
-    masked: list[str] = []
+    masked: dict[str, list[str]] = {}
     for source, target in mounts:
         words += ["--volume", f"{source}:{target}:ro"]
-        for folder in hidden:
-            if folder.resolve().is_relative_to(source.resolve()):
-                masked.append((Path(target) / folder.resolve().relative_to(source.resolve())).as_posix())
-    for shown in dict.fromkeys(masked):
-        words += ["--tmpfs", shown]
+        for secret in map(Path.resolve, hidden):
+            if secret.is_relative_to(source.resolve()):
+                shown = (Path(target) / secret.relative_to(source.resolve())).as_posix()
+                masked[shown] = ["--volume", f"/dev/null:{shown}:ro"] if secret.is_file() else ["--tmpfs", shown]
+    words += itertools.chain.from_iterable(masked.values())
     # Nobody's program needs to be root; podman without root maps the user by itself.
     user = table.user
     if user is None and engine == "docker" and hasattr(os, "getuid"):
