@@ -14,7 +14,7 @@ from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.errors import UsageError
 from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.run_folder.record import CONTROL, RunRecord
-from prbench.harness.run_folder.summary import EDGE_ARRIVAL, DatasetSummary, counted_units
+from prbench.harness.run_folder.summary import DatasetSummary, counted_units
 from prbench.protocol.manifests import default_benchmark
 from prbench.tables import Block, Cell, Column, Row, Table, csv_lines, metric_cell, metric_column, note_of
 from prbench.tables import as_markdown as tables_as_markdown
@@ -73,7 +73,6 @@ def measured_cells(row: TableRow, table: DatasetTable, **about: Any) -> tuple[Ce
             "stands still" if hidden else "",
             entry.mark,
             arrival,
-            entry.summary.edge_arrivals if EDGE_ARRIVAL in metric.flags else "",
         )
         cell = metric_cell(
             metric.metric,
@@ -383,8 +382,6 @@ def table_notes(table: DatasetTable) -> Iterable[str]:
             yield f"{row.entry.method} {row.entry.mark}."
         if row.entry.summary.arrival:
             yield f"{row.entry.method} {row.entry.summary.arrival} (docs/specification/metrics.md#prime-success)."
-        if row.entry.summary.edge_arrivals:
-            yield f"{row.entry.method}: {row.entry.summary.edge_arrivals}."
         if row.entry.summary.unsupported:
             yield (
                 f"{row.entry.method}: {row.entry.summary.unsupported} sequences are longer than it can generate and"

@@ -193,9 +193,6 @@ def _print_dataset(each: TableAudit) -> None:
         rows.append((control.name, *(phi_cell(found.get(rate.metric)) for rate in rates)))
     title = "agreement with recorded people on the same sequences (phi, 95 % interval; 0 is unrelated)"
     print_table(title, header, rows, numbers=range(1, len(header)))
-    for control in each.controls:
-        if control.summary.edge_arrivals:
-            print(f"{control.name}: {control.summary.edge_arrivals}.")
 
 
 def _print_all_metrics(title: str, controls: Sequence[ControlMeans], *, only_main: bool = False) -> None:

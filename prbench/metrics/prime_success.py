@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from prbench.metrics.batch import MotionBatch, ScoringPair, ScoringTargets, ranges
 from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frames, head_track, untrusted
@@ -24,8 +24,9 @@ def prime_success(
     within ``prime_distance`` of the goal for ``prime_duration`` from t on, and the head decelerates at t:
 
     * ``equation``: the turning speed at t is below that of the frame before.
-    * ``arrival``: as ``equation``, and in one of the frames of ``prime_window`` before t, frame 0 included, the ray was
-      farther than ``prime_distance`` from the goal. A body that looks at the goal from the start arrives nowhere.
+    * ``arrival``: as ``equation``, and the ray comes from elsewhere. In the frames of ``prime_window`` before t, frame
+      0 included, it was farther than ``prime_distance`` + ``arrival_margin`` from the goal for as many frames as a stay
+      has, and had not stayed there before. A look at the goal from the start, and a nod off it and back, are none.
     * ``angle``: as ``equation``, with an angle of at most ``prime_angle_deg`` between the ray and the direction to the
       goal in place of the distance.
     * ``onset``: frame t - 1 is off target, and the mean speed of the K turns after t is below that of the K turns
@@ -42,7 +43,7 @@ def prime_success(
 
 
 def primed(
-    track: RayTrack, candidates: CandidateFrames, constants: MetricConstants, variant: Variant, *, margin: float = 0.0
+    track: RayTrack, candidates: CandidateFrames, constants: MetricConstants, variant: Variant
 ) -> Float[np.ndarray, " n"]:
     """Apply the conditions of :func:`prime_success` to the track of any ray.
 
@@ -51,7 +52,6 @@ def primed(
         candidates: Frames at which priming may begin.
         constants: Thresholds of the protocol, in metres, seconds and degrees.
         variant: Which of the readings.
-        margin: Metres beyond ``prime_distance`` from which on a ray counts as having been elsewhere (``arrival``).
     """
     on_target = track.usable & near_goal(track, constants, variant)
     sequence = np.repeat(np.arange(len(candidates.count)), candidates.count)
@@ -67,12 +67,15 @@ def primed(
     if variant == "onset":
         chosen &= (frame >= np.maximum(2, hold)) & ~on_target[row - 1]
     if variant == "arrival":
-        # Where the head has no defined direction, nobody can say that it looked elsewhere.
-        earliest = np.maximum(frame - candidates.before[sequence], 0)
-        elsewhere = track.usable & (track.distance > constants.prime_distance + constants.threshold_tolerance + margin)
-        # The last row up to each row in which the ray was elsewhere; -1 where there is none.
-        latest = np.maximum.accumulate(np.where(elsewhere, np.arange(len(elsewhere)), -1))
-        chosen &= latest[row] >= track.row_of_frame_0[sequence] + earliest
+        earliest = track.row_of_frame_0[sequence] + np.maximum(frame - candidates.before[sequence], 0)
+        away_from = constants.prime_distance + constants.arrival_margin + constants.threshold_tolerance
+        # Where the ray is not defined, nobody can say that it was elsewhere.
+        away = track.usable & (track.distance > away_from)
+        last_away = _last(away, 1, track)
+        long_away = _last(away, candidates.hold + 1, track)
+        last_stay = _last(on_target, candidates.hold + 1, track)
+        before = np.maximum(last_away[row], 0)
+        chosen &= (last_away[row] >= earliest) & (long_away[before] == before) & (last_stay[before] < earliest)
     row = row[chosen]
     hold = hold[chosen]
     sequence = sequence[chosen]
@@ -92,6 +95,24 @@ def primed(
     success = np.zeros(len(candidates.count))
     success[sequence[change < -constants.deceleration_tolerance]] = 1.0
     return success
+
+
+def _last(
+    mask: Bool[np.ndarray, " rows"], frames: int | Int[np.ndarray, " n"], track: RayTrack
+) -> Int[np.ndarray, " rows"]:
+    """Return the latest row up to each row at which the mask has held for so many frames of a sequence; -1 before.
+
+    Args:
+        mask: What is asked of each row.
+        frames: Frames that it must have held for, one number for all or one a sequence.
+        track: Says which rows belong to which sequence.
+    """
+    rows = np.arange(len(mask))
+    # The last row that does not fulfil it, or the one before the sequence.
+    unfulfilled = np.maximum.accumulate(np.where(mask, -1, rows))
+    unfulfilled = np.maximum(unfulfilled, np.searchsorted(track.sequence, track.sequence) - 1)
+    enough = np.broadcast_to(frames, len(track.row_of_frame_0))[track.sequence]
+    return np.maximum.accumulate(np.where(rows - unfulfilled >= enough, rows, -1))
 
 
 def near_goal(track: RayTrack, constants: MetricConstants, variant: Variant) -> Bool[np.ndarray, " rows"]:
@@ -118,12 +139,9 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
         "no_candidate_frames": candidates.count == 0,
         "degenerate_head_frames": untrusted(track, candidates),
     }
-    arrival = primed(track, candidates, constants, "arrival")
-    from_afar = primed(track, candidates, constants, "arrival", margin=constants.arrival_margin)
-    edge = {"arrived_from_the_edge": arrival > from_afar}
     return (
         MetricValues("prime_success", primed(track, candidates, constants, "equation"), flags),
-        MetricValues("prime_success_arrival", arrival, flags | edge),
+        MetricValues("prime_success_arrival", primed(track, candidates, constants, "arrival"), flags),
         MetricValues("prime_success_onset", primed(track, candidates, constants, "onset"), flags),
         MetricValues("prime_success_angle", primed(track, candidates, constants, "angle"), flags),
     )

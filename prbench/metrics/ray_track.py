@@ -186,7 +186,8 @@ def ray_distance(
 
 def _rows_looked_at(motion: MotionBatch, candidates: CandidateFrames) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows of the motion that some candidate depends on, the sequence of each, and where frame 0 would lie."""
-    before = np.maximum(np.maximum(candidates.hold, 2), candidates.before)  # turning speeds reach back, too
+    # Turning speeds reach back, too, and so does a stay whose end alone lies among the frames before a candidate.
+    before = np.maximum(2, candidates.before) + candidates.hold
     begin = np.maximum(candidates.first - before, 0)
     count = np.where(candidates.count > 0, candidates.last + candidates.hold + 1 - begin, 0)
     rows = ranges(motion.first + begin, count)

@@ -11,7 +11,6 @@ import pytest
 
 from prbench.board import export
 from prbench.errors import UsageError
-from prbench_benchmarks.prime_and_reach.study.methods import methods_table
 from tests.board.runs import board_of, by_method, cells, csv_rows, leaderboard, metrics, only, printed, write_run
 
 TWO = {"datasets": ("adt", "gimo")}
@@ -134,19 +133,3 @@ def test_recorded_motion_that_was_handed_in_is_marked_and_never_ranked(tmp_path)
     marks = {row["record"]["method"]["name"]: row["mark"] for row in listed}
     assert marks["copy"].startswith("††")
     assert marks["one"] == ""
-
-
-def test_arrivals_from_the_edge_are_counted_on_every_board(tmp_path):
-    arrival = next(entry for entry in metrics() if entry.metric == "prime_success")
-    arrival = msgspec.structs.replace(
-        arrival, metric="prime_success_arrival", title="Prime Success (arrival)", mean=0.5,
-        flags={"arrived_from_the_edge": 7},
-    )  # fmt: skip
-    board = board_of(tmp_path, one={"summary": {"metrics": (*metrics(), arrival)}})
-    said = "7 of 40 arrivals of Prime Success (arrival) come from just outside the target"
-    assert f"one: {said}" in export(board, "md").replace("\\", "")
-    assert {row["metric"] for row in csv_rows(board) if said in row["note"]} == {"prime_success_arrival"}
-    (row,) = json.loads(export(board, "json"))["tables"][0]["rows"]
-    assert row["summary"]["metrics"][-1]["flags"] == {"arrived_from_the_edge": 7}
-    (table,) = methods_table(board, "2", with_published=False)
-    assert any(said in note for note in table.notes)

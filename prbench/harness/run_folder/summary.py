@@ -20,8 +20,6 @@ from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION
 FILE_NAME = "summary.json"
 # Flag of a motion that is the recorded one, beside its MPJPE.
 RECORDED_MOTION = "recorded_motion"
-# Flag of a motion that came onto the target from less than ``arrival_margin`` outside it, beside its arrival.
-EDGE_ARRIVAL = "arrived_from_the_edge"
 # Share of such motions above which a method is not ranked.
 _RECORDED_SHARE = 0.01
 # Recorded motions that say nothing of a method: in a run of few sequences one is already more than that share.
@@ -166,17 +164,6 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         if shown is None or arrival is None or arrival.mean >= shown.mean:
             return ""
         return f"{SECTION} {100 * arrival.mean:.1f} % where the head ray must have been elsewhere before"
-
-    @property
-    def edge_arrivals(self) -> str:
-        """Words on arrivals from so little outside the target that a trembling ray earns them; empty if none is."""
-        metric = next((metric for metric in self.metrics if EDGE_ARRIVAL in metric.flags), None)
-        if metric is None:
-            return ""
-        return (
-            f"{metric.flags[EDGE_ARRIVAL]} of {round(metric.mean * self._motions)} arrivals of {metric.title} come from"
-            " just outside the target, as those of a ray that trembles on its border do"
-        )
 
     @property
     def _motions(self) -> int:
