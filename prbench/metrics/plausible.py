@@ -12,6 +12,8 @@ from prbench.geometry.skeleton import TOES, Joint
 from prbench.metrics.batch import MotionBatch, ScoringPair
 from prbench.metrics.bone_length_change import bone_length_change
 from prbench.metrics.foot_skating import Fps, slow_slides
+from prbench.metrics.footing import footing_numbers
+from prbench.metrics.posture import posture_numbers
 from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
 from prbench.protocol.manifests import Limit, MetricConstants
 
@@ -98,7 +100,7 @@ def _bone_change(pair: ScoringPair, _: MetricConstants) -> Float[np.ndarray, " n
     return np.where(missing, np.inf, change)
 
 
-# What decides whether a motion is plausible, by the name under which the protocol limits it.
+# Measures of the motion alone, by the name under which the protocol limits them.
 MEASURES: Mapping[str, Measure] = MappingProxyType(
     {
         "lowest_pelvis": lambda pair, _: lowest_pelvis(pair.predicted),
@@ -113,20 +115,18 @@ MEASURES: Mapping[str, Measure] = MappingProxyType(
 )
 
 
-def body_numbers(
-    pair: ScoringPair, constants: MetricConstants, limits: Mapping[str, Limit]
-) -> dict[str, Float[np.ndarray, " n"]]:
+def body_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, Float[np.ndarray, " n"]]:
     """Measure what decides whether the predicted motions are plausible (docs/specification/metrics.md#plausible).
 
     Args:
         pair: Predicted motions, canonical frame, metres, two frames or more, with their goals.
-        constants: Thresholds of the protocol: heights and speeds that count as a slide.
-        limits: The limits by the name of their measure; nothing else is measured.
+        constants: Thresholds of the protocol: heights and speeds that count as contact, a slide or a seat.
 
     Returns:
-        One number a sequence by the name of the measure, each in the unit of its limit.
+        One number a sequence by the name under which the protocol limits it.
     """
-    return {name: MEASURES[name](pair, constants) for name in limits}
+    numbers = {name: measure(pair, constants) for name, measure in MEASURES.items()}
+    return numbers | footing_numbers(pair, constants) | posture_numbers(pair)
 
 
 def broken_limits(
@@ -150,19 +150,18 @@ def broken_limits(
 
 
 def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, ...]:
-    numbers = body_numbers(pair, constants, {**constants.plausible, **constants.plausible_3})
+    numbers = body_numbers(pair, constants)
     judged = []
     for judge in ("plausible", "plausible_3"):
         broken = broken_limits(numbers, getattr(constants, judge), constants.threshold_tolerance)
         judged.append(MetricValues(judge, 1.0 - np.logical_or.reduce(list(broken.values())), broken))
-    too_fast = {name: mask for name, mask in judged[0].flags.items() if name == "too_fast"}
     return (
         *judged,
         MetricValues("floating", numbers["floating"], {}),
         MetricValues("penetration", numbers["penetration"], {}),
         MetricValues("slow_slides", numbers["slow_slides"], {}),
         MetricValues("largest_jerk", numbers["jerk"], {}),
-        MetricValues("largest_speed", numbers["speed"], too_fast),
+        MetricValues("largest_speed", numbers["speed"], {}),
     )
 
 

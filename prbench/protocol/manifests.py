@@ -197,7 +197,7 @@ class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     ``foot_tolerance`` is the same for the heights and speeds of Foot Skating and slow slides.
 
     Attributes:
-        plausible: The limit of each measure of :data:`prbench.metrics.plausible.MEASURES` that plausible motions keep.
+        plausible: The limits of plausible motions, by the name of :func:`prbench.metrics.plausible.body_numbers`.
         plausible_3: The limits of version 3 of the protocol.
     """
 
@@ -216,6 +216,11 @@ class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     prime_angle_deg: float
     arrival_margin: float
     slide_speed: float
+    contact_height: float
+    seat_height: float
+    seat_travel: float
+    drag_speed: float
+    drag_way: float
     plausible: dict[str, Limit]
     plausible_3: dict[str, Limit]
 

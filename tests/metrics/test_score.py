@@ -28,12 +28,20 @@ from prbench.metrics.registry import find_families
 from prbench.protocol.manifests import Limit
 from tests.metrics.motions import CONSTANTS, batch, random_problem, standing, targets, turned
 
-_EASED = {"floating": 0.15, "penetration": 0.15, "bone_change": 2.5, "slow_slides": 0.95, "jerk": 90.0, "speed": 1.9}
-
 
 def eased(limits: dict[str, Limit]) -> dict[str, Limit]:
     """Return limits that some random motions keep and some break."""
-    return {name: msgspec.structs.replace(limit, value=_EASED.get(name, limit.value)) for name, limit in limits.items()}
+    values = {
+        "floating": 0.15,
+        "penetration": 0.15,
+        "bone_change": 2.5,
+        "slow_slides": 0.95,
+        "jerk": 90.0,
+        "speed": 1.9,
+    }
+    values |= {"lower_toe": 0.2, "slides": 1.0, "support": 0.0, "drag": 1.0, "unsupported_speed": 1.7, "step_rate": 5.0}
+    values |= {"hip": 170.0, "spine": 170.0, "ankle": 165.0, "head_under_goal": 0.5}
+    return {name: msgspec.structs.replace(limit, value=values.get(name, limit.value)) for name, limit in limits.items()}
 
 
 EASIER = msgspec.structs.replace(

@@ -20,16 +20,19 @@ LARGEST_BONE_CHANGE = 0.02  # our limit: joints between recorded poses of 30 Hz 
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_bodies_keep_their_bones_and_the_protocol(preset: str) -> None:
-    limits = load_protocol().metrics
     # Without provocations, which are meant to be unusual; recorded people have them.
     some = [perform(preset, seed=5, index=index, n_events=EVENTS, rate=60.0, provocations={}) for index in range(2)]
-    acted = [transform_points(invert_rigid(canonical_frame(clip.joints)), clip.joints) for clip in clips_of(some)]
+    acted = []
+    for clip in clips_of(some):
+        frame = invert_rigid(canonical_frame(clip.joints))
+        acted.append((transform_points(frame, clip.joints), transform_points(frame, clip.event.goal)))
     staging = Staging(preset, 5, n_events=EVENTS)
     recordings = [staging.sense(staging.perform(index)) for index in range(2)]
     curated = [curate_recording(each, load_manifest(preset), load_protocol()) for each in recordings]
-    recorded = [np.asarray(sequence.joints) for each in curated for sequence in each.sequences]
-    for motions in (MotionBatch.from_motions(acted), MotionBatch.from_motions(recorded)):
-        found = score(motions, motions, targets(motions.n_sequences, fps=FPS), limits)
-        for judge in ("plausible", "plausible_3"):
-            assert not found[judge].flags
+    recorded = [(each.joints, each.goal_location) for one in curated for each in one.sequences]
+    for people in (acted, recorded):
+        motions = MotionBatch.from_motions([np.asarray(joints) for joints, _ in people])
+        goals = targets(len(people), goal=np.array([goal for _, goal in people]), fps=FPS)
+        found = score(motions, motions, goals, load_protocol().metrics)
+        assert (found["plausible"].flags, found["plausible_3"].flags) == ({}, {})
         assert found["bone_length_change"].value.max() <= LARGEST_BONE_CHANGE

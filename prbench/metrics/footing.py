@@ -1,0 +1,161 @@
+"""Footing: which foot stands still on the floor, and whether the body goes, leans and turns only where one does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from prbench.geometry.skeleton import TOES, Joint
+from prbench.metrics.batch import MotionBatch, ScoringPair, moving_sum, odd_window
+from prbench.protocol.manifests import MetricConstants
+
+# Ankle and toe of the left foot, then of the right one.
+_FEET = (Joint.LEFT_ANKLE, TOES[0], Joint.RIGHT_ANKLE, TOES[1])
+_HIGHEST_ANKLE = 0.10  # metres above the sole of a flat foot; measured people have at most 0.09 (Gordon et al. 2014)
+# Winter 2009, table 4.1: share of the body's mass, ends of the segment, and how far down its centre of mass lies.
+_SEGMENTS = (
+    (0.081, Joint.NECK, Joint.HEAD, 1.0),
+    (0.497, Joint.NECK, Joint.PELVIS, 0.5),
+    (0.028, Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, 0.436),
+    (0.028, Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, 0.436),
+    (0.022, Joint.LEFT_ELBOW, Joint.LEFT_WRIST, 0.682),
+    (0.022, Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST, 0.682),
+    (0.100, Joint.LEFT_HIP, Joint.LEFT_KNEE, 0.433),
+    (0.100, Joint.RIGHT_HIP, Joint.RIGHT_KNEE, 0.433),
+    (0.0465, Joint.LEFT_KNEE, Joint.LEFT_ANKLE, 0.433),
+    (0.0465, Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE, 0.433),
+    (0.0145, Joint.LEFT_ANKLE, TOES[0], 0.5),
+    (0.0145, Joint.RIGHT_ANKLE, TOES[1], 0.5),
+)
+_DIRECTIONS = 36  # in which a body may lean: each 10 degrees, so that a distance is 0.4 % too short at most
+
+
+@dataclass(frozen=True, eq=False)
+class Footing:
+    """The steps of ankles and toes from each frame to the next; a sequence's last frame has none and holds zeros.
+
+    Attributes:
+        contact: Near the floor before and after the step: left ankle, left toe, right ankle, right toe.
+        speed: Horizontal, m/s, of the same points.
+        planted: True in contact if not faster than ``foot_speed``.
+        travel: Horizontal speed of the pelvis, m/s.
+    """
+
+    contact: Bool[np.ndarray, "4 frames"]
+    speed: Float[np.ndarray, "4 frames"]
+    planted: Bool[np.ndarray, "4 frames"]
+    travel: Float[np.ndarray, " frames"]
+
+
+def footing(pair: ScoringPair, constants: MetricConstants) -> Footing:
+    """Find the contacts of the predicted motions (docs/specification/metrics.md#footing).
+
+    Args:
+        pair: Predicted motions, canonical frame, metres, two frames or more.
+        constants: Thresholds of the protocol, in metres and metres a second.
+    """
+    motion = pair.predicted
+    motion.require_frames(2)
+    rate = pair.targets.fps_of_sequence[motion.sequence_of_row]
+    height = motion.columns[list(_FEET), 1]
+    # An ankle rests above the sole: as high as the lower one gets in the motion, if a foot can be that high.
+    ankles = height[[0, 2]]
+    rest = np.minimum(np.minimum.reduceat(ankles.min(axis=0), motion.first), _HIGHEST_ANKLE)
+    ankles -= rest[motion.sequence_of_row]
+    height[[0, 2]] = ankles
+    low = height <= constants.contact_height + constants.foot_tolerance
+    contact = np.zeros_like(low)
+    contact[:, :-1] = low[:, :-1] & low[:, 1:]
+    contact[:, motion.last] = False
+    points = motion.columns[[*_FEET, Joint.PELVIS]]
+    speed = np.zeros((len(points), len(motion.values)))
+    speed[:, :-1] = np.hypot(np.diff(points[:, 0]), np.diff(points[:, 2]))
+    speed[:, motion.last] = 0.0
+    speed *= rate
+    planted = contact & (speed[:4] <= constants.foot_speed + constants.foot_tolerance)
+    return Footing(contact, speed[:4], planted, speed[4])
+
+
+def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, Float[np.ndarray, " n"]]:
+    """Measure how the feet carry each predicted motion (docs/specification/metrics.md#footing).
+
+    Returns:
+        * ``lower_toe``: greatest height of the lower toe, metres.
+        * ``slides``: share of the steps in which an ankle or toe slides over the floor.
+        * ``support``: share of the pelvis' way over the ground in steps in which a foot is planted.
+        * ``drag``: metres that the stillest foot on the floor moves along for a metre of that way; ways below
+          ``drag_way`` count as that long.
+        * ``unsupported_speed``: largest speed of the pelvis over the ground where no foot is planted, m/s.
+        * ``travel_speed``: largest speed of the pelvis over the ground, m/s.
+        * ``step_rate``: largest number of feet lifted within a second.
+        * ``imbalance``: largest distance of the centre of mass from planted feet while the body stands, metres.
+    """
+    motion = pair.predicted
+    feet = footing(pair, constants)
+
+    def largest(values: Float[np.ndarray, " frames"]) -> Float[np.ndarray, " n"]:
+        return np.maximum.reduceat(values, motion.first)
+
+    sliding = (feet.contact & (feet.speed > constants.slide_speed + constants.foot_tolerance)).any(axis=0)
+    standing = feet.planted.any(axis=0)
+    way = np.add.reduceat(feet.travel, motion.first)
+    carried = np.add.reduceat(feet.travel * standing, motion.first)
+    # Where no foot is near the floor, the pelvis drags as far as it goes; noise is slower than ``drag_speed``.
+    stillest = np.minimum(np.where(feet.contact, feet.speed, np.inf).min(axis=0), feet.travel)
+    dragged = np.add.reduceat(np.where(stillest > constants.drag_speed, stillest, 0.0), motion.first)
+    # A foot is lifted where it stood in a step and moves in the next one.
+    each = np.stack([feet.planted[:2].any(axis=0), feet.planted[2:].any(axis=0)])
+    lifted = np.zeros(each.shape)
+    lifted[:, :-1] = each[:, :-1] & ~each[:, 1:]
+    lifted[:, motion.last - 1] = 0.0  # the last step of a sequence has no next one
+    lifted[:, motion.last] = 0.0
+    rates = pair.targets.fps_of_sequence
+    steps = np.zeros(motion.n_sequences)
+    for rate in np.unique(rates):
+        counted = moving_sum(lifted, motion, odd_window(1.0, rate)).sum(axis=0)
+        steps = np.where(rates == rate, largest(counted), steps)
+    return {
+        "lower_toe": largest(motion.columns[list(TOES), 1].min(axis=0)),
+        "slides": np.add.reduceat(sliding.astype(float), motion.first) / (motion.n_frames - 1),
+        "support": np.where(way > 0, carried / np.where(way > 0, way, 1.0), 1.0),
+        "drag": dragged / np.maximum(way, constants.drag_way * pair.targets.fps_of_sequence),
+        "unsupported_speed": largest(np.where(standing, 0.0, feet.travel)),
+        "travel_speed": largest(feet.travel),
+        "step_rate": steps,
+        "imbalance": largest(_imbalance(motion, feet, constants)),
+    }
+
+
+def _imbalance(motion: MotionBatch, feet: Footing, constants: MetricConstants) -> Float[np.ndarray, " frames"]:
+    """Distance over the ground of the centre of mass from the planted feet; 0 where the body walks or sits."""
+    # Summed segment by segment: the rounding of a matrix product depends on the rest of the batch.
+    centre = np.zeros((2, len(motion.values)))
+    for mass, upper, lower, share in _SEGMENTS:
+        centre += mass * ((1 - share) * motion.columns[upper][[0, 2]] + share * motion.columns[lower][[0, 2]])
+    points = motion.columns[list(_FEET)][:, [0, 2]]
+    # The farthest that the body leans out of what its feet span, over all directions, is its distance from the span.
+    distance = np.full(len(motion.values), -np.inf)
+    for angle in np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS):
+        along = np.cos(angle) * points[:, 0] + np.sin(angle) * points[:, 1]
+        edge = np.where(feet.planted, along, -np.inf).max(axis=0)
+        distance = np.maximum(distance, np.cos(angle) * centre[0] + np.sin(angle) * centre[1] - edge)
+    stands = feet.planted.any(axis=0) & (feet.travel <= constants.slide_speed)
+    return np.where(stands & ~_sits(motion, constants), np.maximum(distance, 0.0), 0.0)
+
+
+def _sits(motion: MotionBatch, constants: MetricConstants) -> Bool[np.ndarray, " frames"]:
+    """Frames up to which a body that begins with a low pelvis keeps it there and low."""
+    pelvis = motion.columns[Joint.PELVIS]
+    of_row = motion.sequence_of_row
+    bones = motion.columns[:, :, motion.first]
+    thigh = np.linalg.norm(bones[Joint.LEFT_KNEE] - bones[Joint.LEFT_HIP], axis=0)
+    shank = np.linalg.norm(bones[Joint.LEFT_ANKLE] - bones[Joint.LEFT_KNEE], axis=0)
+    start = pelvis[:, motion.first][:, of_row]
+    moved = np.hypot(pelvis[0] - start[0], pelvis[2] - start[2])
+    high = pelvis[1] > constants.seat_height * (thigh + shank)[of_row]
+    left = np.cumsum(high | (moved > constants.seat_travel))
+    # The seat is left once: from then on the count differs from what it was before the sequence.
+    before = np.concatenate([[0], left])[motion.first]
+    return left == before[of_row]
