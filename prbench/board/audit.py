@@ -12,6 +12,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.board.cheat_search import FoundMotion, mean_of
 from prbench.contract import Condition
 from prbench.engine import Engine
 from prbench.files.storage import sole_writer
@@ -53,9 +54,11 @@ class TableAudit:
 
     Attributes:
         controls: The controls, recorded motion last.
+        found: The best motions of a search, which is made over all tables together.
     """
 
     controls: tuple[AuditedControl, ...]
+    found: tuple[FoundMotion, ...] = ()
 
     @property
     def recorded(self) -> DatasetSummary:
@@ -84,7 +87,7 @@ class ControlMeans:
 
 
 def means_of_controls(tables: Sequence[TableAudit]) -> tuple[ControlMeans, ...]:
-    """Return the means of every control over some tables, each counting alike.
+    """Return the means of every control and found motion over some tables, each counting alike.
 
     Args:
         tables: Audits of the same controls.
@@ -93,6 +96,10 @@ def means_of_controls(tables: Sequence[TableAudit]) -> tuple[ControlMeans, ...]:
     for on_each in zip(*(table.controls for table in tables), strict=True):
         means = means_over_datasets([control.summary for control in on_each])
         found.append(ControlMeans(on_each[0].name, on_each[0].is_recorded, means))
+    for on_each in zip(*(table.found for table in tables), strict=True):
+        means = mean_of([motion.means for motion in on_each])
+        entries = {name: MeanOverDatasets(mean, None, None) for name, mean in means.items()}
+        found.append(ControlMeans(on_each[0].name, is_recorded=False, means=entries))
     return tuple(found)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from prbench.cli.commands import Answer, Group, command, note, progress, session
 from prbench.cli.summaries import phi_cell
 from prbench.cli.terminal import print_table
 from prbench.datasets import ON_SYNTHETIC_DATA, SYNTHETIC_PREFIX
+from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.board.audit import ControlMeans, TableAudit
@@ -136,6 +138,9 @@ _COLUMNS = 8
 _WIDE = 120
 # Sequences of each dataset that is named with ``--data``, unless the user says how many.
 _SEQUENCES = 48
+_EVERY_COLUMN = "all"
+# Motions that a search tries for each column.
+_EVALUATIONS = 240
 
 
 @command("audit", example="prbench audit --data tables/adt --limit 100", report=["prbench.board.audit:TableAudit"])
@@ -144,21 +149,56 @@ _SEQUENCES = 48
 @opt.limit_option(f"{_SEQUENCES}; {opt.FIRST_RUN_SEQUENCES} without --data")
 @opt.out_folder_option("Keep the run folders in this one (default: they are thrown away).")
 @opt.workers_option()
-def audit(data: tuple[Path, ...], split: str, limit: int | None, out: Path | None, workers: int) -> Answer:
+@click.option(
+    "--search",
+    is_flag=False,
+    flag_value=_EVERY_COLUMN,
+    metavar="[COLUMN]",
+    help="Search for motions that earn more than people, in every column or in one, such as mpjpe.",
+)
+@opt.number_option("--evaluations", f"With --search: motions tried for each column (default {_EVALUATIONS}).")
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="With --search: its seed (default 0).")
+def audit(
+    data: tuple[Path, ...],
+    split: str,
+    limit: int | None,
+    out: Path | None,
+    workers: int,
+    search: str | None,
+    evaluations: int | None,
+    seed: int | None,
+) -> Answer:
     """Print what cheats, controls and recorded people earn under each metric.
 
     Of several tables it prints means of the main metrics; with -v of all metrics, and each table.
     Every cheat can be run by itself, too: `prbench run --method tremor`. docs/audit.md says what is to be learnt.
+    With --search it also tries cheats that nobody has thought of: on 50 sequences in about 10 minutes.
     """
+    from prbench.board import cheat_search
     from prbench.board.audit import audit as run_audit
     from prbench.board.audit import means_of_controls
     from prbench.engine import engine_for
+
+    columns = cheat_search.searched_columns(None if search == _EVERY_COLUMN else search)
+    if search is None and (evaluations, seed) != (None, None):
+        raise UsageError("--evaluations and --seed belong to --search; add it, or leave them out.")
 
     engine = engine_for(workers)
     default = _SEQUENCES if data else opt.FIRST_RUN_SEQUENCES
     tables = data or opt.embedded_tables(engine)
     with progress("running controls") as show:
         found = run_audit(tables, split=split, limit=limit or default, out=out, engine=engine, progress=show)
+    if search is not None:
+        with progress("searching for cheats") as show:
+            best = cheat_search.search(
+                cheat_search.judged_tables(tables, split=split, limit=limit or default),
+                columns,
+                evaluations=evaluations or _EVALUATIONS,
+                seed=seed or 0,
+                engine=engine,
+                progress=show,
+            )
+        found = tuple(replace(each, found=own) for each, own in zip(found, best, strict=True))
 
     def show_all() -> None:
         first = found[0].recorded
@@ -171,6 +211,8 @@ def audit(data: tuple[Path, ...], split: str, limit: int | None, out: Path | Non
         if len(found) == 1 or session().verbose:
             for each in found:
                 _print_dataset(each)
+        for motion in found[0].found:
+            print(f"{motion.name}: " + ", ".join(f"{name}={value:g}" for name, value in motion.parameters.items()))
         if any(each.recorded.synthetic for each in found):
             print(ON_SYNTHETIC_DATA)
         print("docs/audit.md says what each control does and what is to be learnt from it.")

@@ -25,7 +25,6 @@ from prbench.errors import TableError
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.conditions import ConditionSource, ConditionStream
 from prbench.harness.methods.installed import (
-    FLOAT,
     GROUND_TRUTH,
     GROUND_TRUTH_20_FPS,
     GROUND_TRUTH_30_FPS,
@@ -33,17 +32,16 @@ from prbench.harness.methods.installed import (
     NEAREST_NEIGHBOUR,
     SCRIPTED,
     SHUFFLED_GOAL,
-    STARE,
-    STARE_LATE,
-    TELEPORT,
-    TREMOR,
+    SWAY,
 )
 from prbench.harness.methods.motions import native_frames, resampled
 from prbench.harness.planning import WINDOW, Selection, select
-from prbench.harness.scripted import CHEATS, ScriptedStart, scripted_joints
+from prbench.harness.scripted import SCRIPTED_CONTROLS, SWAYING, ScriptedStart, altered_joints
+from prbench.metrics import MotionBatch
 from prbench.representation import decode, encode
 from prbench.sequences.sequence import SequenceChunk
 from prbench.sequences.table import SequenceTable
+from prbench.synthetic.people.kinematics import turn
 
 # Metres between two goals that count like one second between two lengths; our choice.
 LENGTH_WEIGHT = 0.5
@@ -114,18 +112,10 @@ def laid_on_goal(
     angle = 0.0
     if min(np.hypot(its_goal[0], its_goal[2]), np.hypot(goal[0], goal[2])) > _NO_DIRECTION:
         angle = float(np.arctan2(goal[0], goal[2]) - np.arctan2(its_goal[0], its_goal[2]))
-    moved = turned(motion, angle)
-    step = goal - turned(its_goal, angle)
+    moved = turn(angle, 0.0, motion)
+    step = goal - turn(angle, 0.0, its_goal)
     step[1] = 0.0
     return moved + step
-
-
-def turned(points: np.ndarray, angle: float) -> np.ndarray:
-    """Points (..., 3) turned about the vertical; positive angles turn +Z towards +X."""
-    cosine = np.cos(angle)
-    sine = np.sin(angle)
-    x, y, z = np.moveaxis(points, -1, 0)
-    return np.stack([x * cosine + z * sine, y, z * cosine - x * sine], axis=-1)
 
 
 # Controls that take recorded motion through another frame rate, and that rate.
@@ -133,7 +123,7 @@ ROUND_TRIP_FPS = {GROUND_TRUTH_20_FPS: 20.0, GROUND_TRUTH_30_FPS: 30.0}
 # Controls whose motion is the recorded one: it gets no goal, has gaze, and stands under the data's own terms.
 RECORDED_MOTION = frozenset({GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, *ROUND_TRIP_FPS})
 # Controls whose motions are people's, those of training sequences too: they stand under the data's own terms.
-HOLDS_RECORDINGS = RECORDED_MOTION | {NEAREST_NEIGHBOUR}
+HOLDS_RECORDINGS = RECORDED_MOTION | {NEAREST_NEIGHBOUR, SWAY}
 
 
 @dataclass(frozen=True)
@@ -157,11 +147,17 @@ CONTROLS = (
     ControlInfo(GROUND_TRUTH_20_FPS, "--method", "the recorded motion at 20 frames per second and back"),
     ControlInfo(GROUND_TRUTH_30_FPS, "--method", "the recorded motion at 30 frames per second and back"),
     ControlInfo(SCRIPTED, "--method", "constant timing: faces the goal at 2.0 s, then glides there and reaches"),
-    ControlInfo(STARE, "--method", "cheat: faces the goal from the first frame on and never moves"),
-    ControlInfo(STARE_LATE, "--method", "cheat: turns to the goal just before 2.0 s and stares, without a step"),
-    ControlInfo(TREMOR, "--method", "cheat: stare, with a head that trembles by 0.1 mm"),
-    ControlInfo(TELEPORT, "--method", "cheat: is at the goal from one frame to the next"),
-    ControlInfo(FLOAT, "--method", "cheat: scripted, 10 cm above the floor"),
+    ControlInfo("stare", "--method", "cheat: faces the goal from the first frame on and never moves"),
+    ControlInfo("stare-late", "--method", "cheat: turns to the goal just before 2.0 s and stares, without a step"),
+    ControlInfo("tremor", "--method", "cheat: stare, with a head that trembles by 0.1 mm"),
+    ControlInfo("teleport", "--method", "cheat: is at the goal from one frame to the next"),
+    ControlInfo("float", "--method", "cheat: scripted, 10 cm above the floor"),
+    ControlInfo("heel-skater", "--method", "cheat: glides and bends, with its toes higher than its ankles"),
+    ControlInfo("hover", "--method", "cheat: glides and bends, with its toes at 5 cm, where no slide is seen"),
+    ControlInfo("long-arms", "--method", "cheat: scripted, with arms of twice their length from frame 0 on"),
+    ControlInfo("doll", "--method", "cheat: scripted, at a quarter of the body's size from frame 0 on"),
+    ControlInfo("nodder", "--method", "cheat: stare, with a nod off the goal and back just before 2.0 s"),
+    ControlInfo(SWAY, "--method", "cheat: the recorded motion, swaying sideways by 3 cm"),
     ControlInfo(NEAREST_NEIGHBOUR, "--method", "the training motion of the most similar task, laid on the goal"),
     ControlInfo(SHUFFLED_GOAL, "--control", "gives a method another sequence's goal and scores it on its own"),
 )
@@ -189,6 +185,13 @@ def control_motions(
     if name in RECORDED_MOTION:
         yield from _recorded(selection, plan, through_features=name == GROUND_TRUTH_RESAMPLED)
         return
+    if name == SWAY:
+        for motions in _recorded(selection, plan, through_features=False):
+            recorded = MotionBatch.from_padded(motions.joints, motions.n_frames)
+            valid = np.arange(motions.joints.shape[1]) < motions.n_frames[:, None]
+            motions.joints[valid] = altered_joints(recorded, selection.fps, SWAYING)
+            yield motions
+        return
     if name == NEAREST_NEIGHBOUR:
         assert isinstance(source, ConditionSource), "the task of any sequence is compared"
         yield from retrieved_motions(selection, source, plan)
@@ -196,7 +199,7 @@ def control_motions(
     for rows in plan:
         own, places = source.around(rows)
         start = ScriptedStart(own.initial_joints[places], own.goal_location[places], own.head_tilt_deg[places])
-        joints = CHEATS.get(name, scripted_joints)(start, own.n_frames[places], own.fps)
+        joints = SCRIPTED_CONTROLS[name](start, own.n_frames[places], own.fps)
         yield Motions(joints.astype(np.float32), own.n_frames[places])
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from prbench.board.audit import TableAudit, audit, not_worse_than_people
@@ -10,16 +12,18 @@ from prbench.harness.controls import CONTROLS
 from prbench.harness.synthetic_table import build_synthetic_table
 from prbench.metrics import METRICS
 from prbench.sequences import SequenceTable
+from tests.shared import made_once
 
 INFO = {info.id: info for info in METRICS}
 
 
+def people_in_every_split() -> Path:
+    return made_once("audited-people", lambda path: build_synthetic_table("adt", 12, 0, path, n_events=4))
+
+
 @pytest.fixture(scope="module")
-def people(tmp_path_factory: pytest.TempPathFactory) -> SequenceTable:
-    """Synthetic people in every split."""
-    folder = tmp_path_factory.mktemp("people") / "table"
-    build_synthetic_table("adt", recordings=12, seed=0, out=folder, n_events=4)
-    return SequenceTable.open(folder)
+def people() -> SequenceTable:
+    return SequenceTable.open(people_in_every_split())
 
 
 @pytest.fixture(scope="module")

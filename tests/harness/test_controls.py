@@ -15,7 +15,7 @@ from prbench.harness.controls import control_motions
 from prbench.harness.planning import plan_batches, select
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import Predictions, read_scores
-from prbench.harness.scripted import ScriptedStart, scripted_joints
+from prbench.harness.scripted import SCRIPTED_CONTROLS, ScriptedStart
 from prbench.sequences import SequenceTable
 from tests import fakes
 from tests.fakes import STANDING, fake_dataset, smooth_motion
@@ -99,7 +99,7 @@ def goals_around(n: int = 40) -> np.ndarray:
 def scripted(goals: np.ndarray, n_frames=101, fps=20.0, start=STANDING):
     given = ScriptedStart(np.tile(start, (len(goals), 1, 1)), goals, np.full(len(goals), TILT))
     n_frames = np.full(len(goals), n_frames)
-    return Motions(scripted_joints(given, n_frames, fps).astype(np.float32), n_frames)
+    return Motions(SCRIPTED_CONTROLS["scripted"](given, n_frames, fps).astype(np.float32), n_frames)
 
 
 def ray_distance(joints: np.ndarray, goals: np.ndarray) -> np.ndarray:

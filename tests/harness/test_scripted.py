@@ -7,10 +7,10 @@ import pytest
 
 from prbench.geometry.skeleton import WRISTS, Joint, bone_lengths
 from prbench.harness.controls import CONTROLS
-from prbench.harness.methods.installed import METHOD_CONTROLS
+from prbench.harness.methods.installed import CHEATS, METHOD_CONTROLS
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import Predictions
-from prbench.harness.scripted import CHEATS, ScriptedStart
+from prbench.harness.scripted import SCRIPTED_CONTROLS, ScriptedStart
 from prbench.metrics import MotionBatch, ScoringTargets, score
 from prbench.protocol.manifests import load_protocol
 from tests.fakes import STANDING
@@ -25,7 +25,7 @@ GOALS = GOALS[np.hypot(GOALS[:, 0], GOALS[:, 2]) > 0.5]
 
 def motions(name: str, *, n_frames: int = N_FRAMES, fps: float = FPS) -> np.ndarray:
     start = ScriptedStart(np.tile(STANDING, (len(GOALS), 1, 1)), GOALS, np.full(len(GOALS), TILT))
-    return CHEATS[name](start, np.full(len(GOALS), n_frames), fps).astype(np.float32)
+    return SCRIPTED_CONTROLS[name](start, np.full(len(GOALS), n_frames), fps).astype(np.float32)
 
 
 def earned(name: str, fps: float = FPS) -> dict[str, float]:

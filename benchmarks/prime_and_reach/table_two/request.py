@@ -18,10 +18,9 @@ from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import PrbenchError, UsageError, did_you_mean
 from prbench.files.storage import text_digest
 from prbench.harness.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
-from prbench.harness.methods.installed import NEAREST_NEIGHBOUR, list_adapters
+from prbench.harness.methods.installed import CHEATS, NEAREST_NEIGHBOUR, list_adapters
 from prbench.harness.methods.loading import load_adapter
 from prbench.harness.request import DEFAULT_BATCH_SIZE, DEFAULT_PARENT, RunRequest
-from prbench.harness.scripted import CHEATS
 from prbench.protocol.manifests import read_toml
 from prbench.protocol.own_protocol import read_protocol
 from prbench.protocol.published import DATASETS

@@ -66,7 +66,7 @@ def test_cheats_stand_among_the_controls_if_asked_for_and_arrival_tells_them_apa
     asked = request(small_tables[0], out=tmp_path / "t", condition=Condition.NONE, more_controls=True)
     report = run_table(asked)
     found = rows(report)
-    assert set(found) == {"Static", "ground-truth", *MORE_CONTROLS}
+    assert {name.removesuffix(" (††)") for name in found} == {"Static", "ground-truth", *MORE_CONTROLS}
     assert cell(found["stare"], "prime_success_arrival").value == 0.0
     page = (tmp_path / "t/table_2.md").read_text()
     assert re.search(r"\| control \| stare \| [^|]+ \| 0\.00 ", page)
