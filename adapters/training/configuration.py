@@ -16,8 +16,7 @@ from typing import Any, Literal
 import msgspec
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.files.bounded import foreign_input, read_whole
-from prbench.limits import HARMLESS_SIZE
+from prbench.files.bounded import foreign_input, read_toml
 
 DEFAULT_STAGES = ("pretrain", "finetune")
 
@@ -152,11 +151,7 @@ def load_configuration(
         UsageError: for an unknown name (with those that exist) or an override that does not fit.
         InputFileError: if the file is no such configuration (naming the key).
     """
-    source, content = _find(name, package, task)
-    try:
-        tables = tomllib.loads(content.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputFileError(source, "", expected="valid TOML", found=str(error)) from error
+    source, tables = _find(name, package, task)
     return resolve(tables, source=source, stage=stage, overrides=overrides)
 
 
@@ -201,12 +196,9 @@ def as_toml(configuration: TrainingConfiguration) -> str:
     return "\n".join(lines)
 
 
-def _find(name: str, package: str, task: str) -> tuple[Path, bytes]:
+def _find(name: str, package: str, task: str) -> tuple[Path, dict[str, Any]]:
     if name.endswith(".toml"):
-        try:
-            return Path(name), read_whole(Path(name), largest=HARMLESS_SIZE)
-        except OSError as error:
-            raise InputFileError(Path(name), "", expected="a TOML file", found=error.strerror or "none") from error
+        return Path(name), read_toml(Path(name))
     known = list_configurations(package, task)
     short = name.removeprefix(f"{task}-")
     if short not in known:
@@ -216,7 +208,7 @@ def _find(name: str, package: str, task: str) -> tuple[Path, bytes]:
             " or give the path of a .toml file."
         )
     file = f"{task}-{short}.toml"
-    return Path(file), resources.files(package).joinpath(file).read_bytes()
+    return Path(file), tomllib.loads(resources.files(package).joinpath(file).read_text(encoding="utf-8"))
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

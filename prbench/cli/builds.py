@@ -5,7 +5,8 @@ Also what the commands that build other tables share with it: report, plan, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 # Exit code of a command that finished, but had to leave out something that could not be read.
 NOT_EVERYTHING = 3
-# Movements that stand for all others in a count of annotations.
+# Movements that stand for all others in a count of annotations, and kinds of remarks that are printed.
 _EXAMPLES = 5
 # Known-bad recordings that a printed plan names.
 _SKIPPED_SHOWN = 10
@@ -79,13 +80,23 @@ def print_stages(title: str, stages: Iterable[FunnelRow]) -> None:
     print_table(title, ("stage", "kept", "dropped", "why"), rows, numbers=(1, 2))
 
 
-def note_unread(records: Iterable[Recording | CorpusRecord], *, reused: int) -> None:
-    """Name the recordings that are not in the result, and why."""
+def note_unread(records: Sequence[Recording | CorpusRecord], *, reused: int) -> None:
+    """Name the recordings that are not in the result, and why; and of each remark on the others the first."""
     if reused:
         note(f"{reused} recordings were taken over from an interrupted build.")
+    remarks: dict[str, list[str]] = {}
     for record in records:
         if record.status != "read":
             note(f"{record.status}: {record.recording_id}: {record.message}")
+        elif record.message:
+            kind = re.sub(r"\d+", "#", record.message)  # remarks that differ in numbers alone are one kind
+            remarks.setdefault(kind, []).append(f"{record.recording_id}: {record.message}")
+    # What is said of few recordings comes first: the remarks that all share seldom tell of damage.
+    told = sorted(remarks.values(), key=len)
+    for each in told[:_EXAMPLES]:
+        note(f"remark: {each[0]}" + (f"; and {len(each) - 1} more, see the column `message`" if each[1:] else ""))
+    if rest := sum(map(len, told[_EXAMPLES:])):
+        note(f"remark: on {rest} more recordings, see the column `message`")
 
 
 def note_recordings(records: Iterable[Recording], *, reused: int) -> None:

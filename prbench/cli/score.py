@@ -119,6 +119,9 @@ def score(
                 engine=opt.opened(engine, reads=(predictions, *data)),
                 progress=lambda step: show(step.done, step.total, step.dataset),
             )
+        for each in scored:
+            if each.changed:
+                note(f"changed: {each.changed}")
         made = [
             ScoredMotions(origin=each.origin, motionless=each.motionless, scores=each.summary, agreement=each.agreement)
             for each in scored

@@ -35,7 +35,8 @@ _WITHIN = 1e-5
 _SAME_TIME = 1e-6  # s
 _LARGEST_SHIFT = 1.0  # seconds between two events that may be the same one
 _DIGESTED = tuple(field.name for field in SEQUENCES if is_bulky(field.type) and field.type != KEY_VALUES)
-_SETTINGS = ("dataset", "prbench_version", "protocol_digest", "manifest_digest", "input_digest")
+# Entries of the description that follow from what is compared row by row, or are compared one by one.
+_FOLLOWING = {"options", "outcomes", "counts", "quarantine", "identity_digest", "content_digest", "file_digests"}
 # Values by column; in place of per-frame values and poses their digest.
 Row = dict[str, Any]
 
@@ -132,9 +133,12 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
             kind = "vanished" if status else "appeared"
             only = "recording in one of the builds only"
             changes.append((0.0, Change(kind, name, "", status, later, only)))
+    if not tables[0].scenes().equals(tables[1].scenes()):
+        changes.append((0.0, Change("values", "", "", "", "", "boxes of the scenes")))
     order = {kind: rank for rank, kind in enumerate(KINDS)}
     changes.sort(key=lambda item: (order[item[1].kind], item[1].recording_id, item[0], item[1].event))
-    settings = [(name, str(getattr(one, name)), str(getattr(other, name))) for name in _SETTINGS]
+    names = [name for name in one.__struct_fields__ if name not in _FOLLOWING]
+    settings = [(name, str(getattr(one, name)), str(getattr(other, name))) for name in names]
     for name in sorted(one.options.keys() | other.options.keys()):
         settings.append((f"option {name}", one.options.get(name, "–"), other.options.get(name, "–")))
     return Difference(

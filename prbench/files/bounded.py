@@ -13,6 +13,7 @@ import contextlib
 import io
 import os
 import stat
+import tomllib
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -208,6 +209,26 @@ def require_unpackable(path: Path, member: zipfile.ZipInfo, *, where: str = "") 
             found=f"{member.file_size:,} declared",
             remedy="The archive is damaged, or made to fill the memory; download it again from its origin.",
         )
+
+
+def read_toml(path: Path, expected: str = "a TOML file", remedy: str = "") -> dict[str, Any]:
+    """Read a TOML file.
+
+    Args:
+        path: The file.
+        expected: Name of such files, for messages.
+        remedy: What to do if it is missing or damaged, for messages.
+
+    Raises:
+        InputFileError: if it is missing, too large, no file or no TOML (naming line and column).
+    """
+    try:
+        return tomllib.loads(read_text(path, largest=HARMLESS_SIZE))
+    except OSError as error:
+        found = "no such file" if isinstance(error, FileNotFoundError) else error.strerror or str(error)
+        raise InputFileError(path, "", expected=expected, found=found, remedy=remedy) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputFileError(path, "", expected="a TOML file", found=str(error), remedy=remedy) from error
 
 
 _COPY_AGAIN = "The file may be damaged; copy or download it again."

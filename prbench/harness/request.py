@@ -7,7 +7,6 @@ each seed is a run of its own. ``docs/experiments.md`` shows one.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,10 +15,9 @@ import msgspec
 import pyarrow as pa
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.files.bounded import foreign_input, read_whole
+from prbench.files.bounded import foreign_input, read_toml
 from prbench.files.storage import turn_into_paths
 from prbench.harness.methods.installed import METHOD_CONTROLS, SHUFFLED_GOAL, short_name
-from prbench.limits import HARMLESS_SIZE
 from prbench.object_stores.store import is_url
 from prbench.protocol.manifests import PROTOCOL_NAME, benchmarks, find_benchmark
 from prbench.sequences.folds import ALL_FOLDS, parse_fold
@@ -293,13 +291,12 @@ def read_experiment(path: Path) -> Experiment:
     Raises:
         InputFileError: if it cannot be read, or a key is unknown or of another type (naming the key).
     """
+    remedy = "`prbench run --method static --show-config` prints an example."
+    content = read_toml(path, "an experiment's TOML file", remedy)
     try:
-        experiment = msgspec.convert(tomllib.loads(read_whole(path, largest=HARMLESS_SIZE).decode("utf-8")), Experiment)
-    except OSError as error:
-        raise InputFileError(path, "", expected="an experiment's TOML file", found=error.strerror or "none") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
+        experiment = msgspec.convert(content, Experiment)
+    except msgspec.ValidationError as error:
         expected = "the keys of an experiment"
-        remedy = "`prbench run --method static --show-config` prints an example."
         raise InputFileError(path, "", expected=expected, found=str(error), remedy=remedy) from error
     known = find_benchmark(experiment.benchmark).conditions if experiment.benchmark in benchmarks() else ()
     named = [condition for method in experiment.methods for condition in method.conditions]

@@ -21,12 +21,14 @@ from prbench.harness.offline import read_conditions_file
 from prbench.harness.planning import Selection, open_tables, select, supported
 from prbench.harness.preparation import table_record
 from prbench.harness.request import ProgressCallback, reported, silent
-from prbench.harness.results import cases_of_run, summary_of
+from prbench.harness.results import cases_of_run, differences, require_scores, summary_of, tree_of
 from prbench.harness.run_folder import record as run_record
-from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.record import FILE, BatchPlanRecord, MethodRecord, RunCost, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION, CodedScores
+from prbench.harness.run_folder.summary import FILE_NAME as SUMMARY_FILE
+from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.harness.score_request import ScoreReport, ScoreRequest, require_complete, settled_by_conditions
 from prbench.harness.scoring import ScoringRules, score_selection
 from prbench.protocol.manifests import BenchmarkProtocol
@@ -121,8 +123,25 @@ def _score_run(
         scores = CodedScores.of(reported(work.scores(files, engine), table.info.dataset, len(selection), progress))
         table_entry = table_record(chosen, selection, _NO_BATCHES)
         findings = work.findings(files)
-        reports.append(_report(record, table_entry, selection, scores, findings, protocol, method.origin))
+        report = _report(record, table_entry, selection, scores, findings, protocol, method.origin)
+        reports.append(replace(report, changed=_changed(files, report)) if request.limit is None else report)
     return protocol, reports
+
+
+def _changed(files: DatasetFolder, now: ScoreReport) -> str:
+    """Say what a run's own files say otherwise: the first value and how many more; empty where nothing differs."""
+    if not files.finished:
+        return ""
+    try:
+        found = list(differences(tree_of(DatasetSummary.read(files.path)), tree_of(now.summary)))
+        if not found:
+            require_scores(files, CodedScores.read(files.scores), now.coded)
+            return ""
+    except RunError as error:
+        return str(error)
+    key, stored, scored = found[0]
+    rest = f"; and {len(found) - 1} more" if found[1:] else ""
+    return f"{files.path / SUMMARY_FILE}, {key}: {stored} there, {scored} when scored now{rest}"
 
 
 def _score_file(

@@ -87,6 +87,7 @@ class ScoreReport:
         origin: Origin of the motions, in words: ``MethodRecord.origin``.
         agreement: Agreement with recorded people, and rates by the goal's place.
         motionless: The run declares that its motions stand still, so that Foot Skating says nothing.
+        changed: The first value of the run's own summary that is another one now, and how many more there are.
     """
 
     coded: CodedScores
@@ -95,6 +96,7 @@ class ScoreReport:
     origin: str
     agreement: DatasetAgreement
     motionless: bool = False
+    changed: str = ""
 
     @property
     def scores(self) -> pa.Table:

@@ -22,9 +22,8 @@ import msgspec
 import tomli_w
 
 from prbench.errors import InputFileError, PrbenchError, TableError, UsageError, did_you_mean
-from prbench.files.bounded import foreign_input, read_whole, require
+from prbench.files.bounded import foreign_input, read_toml, require
 from prbench.files.storage import write_text
-from prbench.limits import HARMLESS_SIZE
 from prbench.protocol.manifests import PROTOCOL_NAME, BenchmarkProtocol, load_protocol
 
 # Name of the copy in the folder of a table or run.
@@ -50,14 +49,7 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
         InputFileError: if it cannot be read, a key is missing, unknown, of another type or out of range, or the name is
             prbench's; names the key.
     """
-    try:
-        text = read_whole(path, largest=HARMLESS_SIZE).decode("utf-8")
-        values = tomllib.loads(text)
-    except OSError as error:
-        found = error.strerror or "no such file"
-        raise InputFileError(path, "", expected="a protocol's TOML file", found=found, remedy=_START) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputFileError(path, "", expected="a TOML file", found=str(error), remedy=_START) from error
+    values = read_toml(path, "a protocol's TOML file", _START)
     # A default taken silently would not be one's own protocol.
     wanted = {"name", *(key for key, _ in _leaves(_default_values()))}
     given = {key for key, _ in _leaves(values)}

@@ -60,6 +60,8 @@ def test_recordings_that_gave_no_sequence_or_are_cut_short_are_named_with_the_ca
     )
     assert capsys.readouterr().err.splitlines() == [
         "failed: broken: no file",
+        "remark: fine: gaze on half of the frames",
+        f"remark: blind: {size}; and 2 more, see the column `message`",
         "cut short: cut: objects (o.csv) ends",
         "no sequence: blind: of 5 events 3 too_short, 2 not_primed; no valid gaze, so no event can be primed",
         "no sequence: idle: no candidate event; no hand of the wearer took up or put down an object",

@@ -9,11 +9,12 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from prbench.curation.differences import compare_builds
 from prbench.errors import UsageError
-from prbench.sequences import DatasetInfo
+from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.sequence import Recording, event_batch, recording_batch, sequence_batch
 from prbench.sequences.write import write_dataset
 from tests.fakes import fake_event, fake_info, fake_sequence
@@ -163,6 +164,16 @@ def test_what_was_chosen_differently_is_listed(first) -> None:
         ("protocol_digest", "p", "q"),
         ("option ray_origin", "–", "camera"),
     )
+
+
+def test_other_boxes_of_the_scene_and_another_title_are_seen(first, monkeypatch) -> None:
+    second = write(first.with_name("second"))
+    msgspec.structs.replace(DatasetInfo.read(second), title="Another").write(second)
+    scenes = [pa.table({"x": [1.0]}), pa.table({"x": [2.0]})]
+    monkeypatch.setattr(SequenceTable, "scenes", lambda _: scenes.pop())
+    difference = compare_builds(first, second)
+    assert [setting[0] for setting in difference.settings] == ["title"]
+    assert [change.decided_by for change in difference.changes] == ["boxes of the scenes"]
 
 
 def test_builds_of_different_datasets_are_not_compared(first) -> None:

@@ -16,11 +16,13 @@ import pyarrow.parquet as pq
 
 from prbench.checking.inspection import inspect_folder
 from prbench.cli import main
+from prbench.curation.corrections import read_corrections
 from prbench.curation.job import native_sources
 from prbench.curation.options import BuildOptions
 from prbench.errors import PrbenchError, UnforeseenInput
 from prbench.harness.methods.programs import read_description
 from prbench.harness.offline import ConditionsFile, read_conditions_file
+from prbench.protocol.own_protocol import read_protocol
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench_adapters.corpora.sources import CorpusOptions, corpus_for, find_groups
 from prbench_adapters.corpora.synthetic import synthesize_corpus_tree
@@ -210,6 +212,10 @@ def _predictions(write: Callable[[Path, ConditionsFile, list[np.ndarray]], objec
     return _command(f"score-{write.__name__.split('_')[-1]}", make, *words)
 
 
+def _motions(folder: Path) -> None:
+    _predictions(method.write_padded, "motions.npz").make(folder)
+
+
 def _write_flat(path: Path, conditions: ConditionsFile, motions: list[np.ndarray]) -> None:
     method.write_parquet(path, conditions, motions, flat=True)
 
@@ -261,6 +267,41 @@ def _look_at_description(folder: Path) -> Seen:
     return Seen(digest_of(repr(read_description(folder / "input" / "method.toml"))))
 
 
+def _text(name: str, content: str) -> Callable[[Path], None]:
+    """Write a file, and a table beside it."""
+
+    def make(folder: Path) -> None:
+        _table(folder, "table")
+        (folder / "input").mkdir()
+        (folder / "input" / name).write_text(content, encoding="utf-8")
+
+    return make
+
+
+_PROTOCOL = (resources.files("prbench_benchmarks.prime_and_reach") / "protocol.toml").read_text(encoding="utf-8")
+_EXPERIMENT = """\
+data = ["FOLDER/table"]
+seeds = [0]
+samples = 1
+
+[[methods]]
+name = "static"
+conditions = ["none"]
+"""
+_CORRECTIONS = """\
+event_id,change,value,reason,author
+synthetic-adt/one/cup/pick/1,drop,,the video shows no hand,me
+synthetic-adt/one/cup/pick/2,move,-0.40,late by half a second,me
+synthetic-adt/two/jug/put/3,goal,0.52 0.91 -1.30,the tracker was lost,me
+synthetic-adt/two/jug/put/4,rename,bowl,"it is one, clearly",me
+"""
+
+
+def _windows(folder: Path) -> None:
+    _table(folder, "table")
+    _ran(folder, "build-windows", "--data", "FOLDER/table", "--out", "FOLDER/input")
+
+
 def _built(layout: str) -> Door:
     door = _dataset(layout)
     words = ("build-dataset", layout, "--root", "FOLDER/input", "--out", "FOLDER/table")
@@ -277,8 +318,16 @@ READERS = (
     _conditions_door(".npz"),
     Door("weights", _weights, _look_at_weights),
     Door("configuration", _configuration, _look_at_configuration, knows_whole=False),
+    Door(
+        "corrections", _text("mine.csv", _CORRECTIONS), knows_whole=False,
+        look=lambda folder: Seen(digest_of(repr(read_corrections(folder / "input" / "mine.csv")))),
+    ),
+    Door(
+        "protocol", _text("mine.toml", f'name = "mine"\n{_PROTOCOL}'), knows_whole=False,
+        look=lambda folder: Seen(digest_of(repr(read_protocol(folder / "input" / "mine.toml")))),
+    ),
     Door("method-description", _description, _look_at_description, knows_whole=False),
-)
+)  # fmt: skip
 """Functions that read."""
 
 COMMANDS = (
@@ -294,6 +343,16 @@ COMMANDS = (
              "FOLDER/run", out="run"),
     _command("board", _run, "leaderboard", "export", "FOLDER/input", "--format", "md"),
     _command("import-release", _release, "import-release", "FOLDER/input", "--out", "FOLDER/tables", out="tables"),
+    _command("board-data", _run, "leaderboard", "export", "FOLDER/input", "--data", "FOLDER/table", "--format", "md"),
+    _command("score-run", _run, "score", "FOLDER/input", "--data", "FOLDER/table"),
+    _command("doctor", _motions, "doctor", "FOLDER/input/motions.npz", "--data", "FOLDER/table"),
+    _command("windows", _windows, "run", "--benchmark", "motion-prediction", "--method", "zero-velocity",
+             "--condition", "pose", "--data", "FOLDER/input", "--out", "FOLDER/run", out="run"),
+    dataclasses.replace(
+        _command("experiment", _text("mine.toml", _EXPERIMENT), "run", "--config", "FOLDER/input/mine.toml", "--data",
+                 "FOLDER/table", "--out", "FOLDER/run", out="run"),
+        knows_whole=False,
+    ),
     _predictions(_write_flat, "motions.parquet"),
     _predictions(method.write_padded, "motions.npz"),
     _predictions(method.write_ragged, "motions.npz"),

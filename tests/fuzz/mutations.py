@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import socket
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,8 +29,21 @@ IMPOSSIBLE = (
     b"abc",
     b"0x1F",
     b"null",
+    b"0,5",  # as half of Europe writes it
+    b"1.234,5",
+    b"1_000",
+    "\u0663".encode(),  # an Arabic three
+    b"2024-02-30",
+    b"3-Jan",
+    b"12:30:00.5",
+    b"1e5000",
+    b"--5",
+    b"0 0",
 )
-POSSIBLE = (b"0", b"-1", b"1", b"0.5", b"9223372036854775807", b"18446744073709551616", b"1" * 40, b"-0.0", b"1e-320")
+POSSIBLE = (
+    b"0", b"-1", b"1", b"0.5", b"9223372036854775807", b"18446744073709551616", b"1" * 40, b"-0.0", b"1e-320", b"-7",
+    b"+5", b"5.", b".5", b"1e-5000", b"4294967296", b"1E3",
+)  # fmt: skip
 _SHORTER_IS_ANOTHER = ("*.obj", "motion_narration.csv", "atomic_action.csv")
 """Files of which nothing says how long they should be: meshes with fewer triangles, texts of fewer minutes."""
 _WINDOW = 4096
@@ -52,19 +66,30 @@ class Mutation:
 
 
 class Undo:
-    """Keeps one file while it is damaged, and puts it back."""
+    """Keeps one file while it is damaged, and puts it and its folder back."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.content = path.read_bytes()
+        self._beside = set(path.parent.iterdir())
 
     def restore(self) -> None:
-        """Put the file back as it was."""
+        """Put the file back as it was, and remove what came beside it."""
+        aside = _aside(self.path.parent)
+        if aside.is_dir():
+            self.path.parent.unlink()
+            aside.rename(self.path.parent)
+        for path in set(self.path.parent.iterdir()) - self._beside:
+            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
         if self.path.is_dir() and not self.path.is_symlink():
             shutil.rmtree(self.path)
         else:
             self.path.unlink(missing_ok=True)
         self.path.write_bytes(self.content)
+
+
+def _aside(folder: Path) -> Path:
+    return folder.with_name(f"{folder.name}.aside")
 
 
 def files_by_kind(root: Path, *, without: str = "truth") -> list[list[Path]]:
@@ -131,6 +156,21 @@ def cut_at_a_line(path: Path, content: bytes, random: Random, _: list[list[Path]
     kept = random.randrange(len(lines) + 1)
     path.write_bytes(b"".join(lines[:kept]))
     return f"after {kept} of {len(lines)} lines"
+
+
+def cut_at_a_block(path: Path, content: bytes, random: Random, _: list[list[Path]]) -> str:
+    """Cut the file behind a block of a disk or of a network, as a download that stopped does."""
+    block = random.choice([512, 4096, 65536])
+    end = block * random.randrange(len(content) // block + 1)
+    path.write_bytes(content[:end])
+    return f"after {end} of {len(content)} bytes"
+
+
+def sparse(path: Path, content: bytes, random: Random, _: list[list[Path]]) -> str:
+    """Lengthen the file by zeros that take no space, to more than any disk or memory holds."""
+    size = random.choice([2**43, 3 * 2**30, len(content) + 2**20])
+    os.truncate(path, size)
+    return f"{size:,} bytes"
 
 
 def lost_start(path: Path, content: bytes, random: Random, _: list[list[Path]]) -> str:
@@ -201,6 +241,17 @@ def other_word(path: Path, content: bytes, random: Random, _: list[list[Path]]) 
         b"=1+1",
         b"x" * 100_000,
         b"\x00",
+        b"a/b",
+        b"a\\b",
+        b"..",
+        b"-rf",
+        b"CON",
+        b"\r\n",
+        "\u202e\u200b\u0301".encode(),  # turns, hides and crosses out letters
+        b"' OR 1=1 --",
+        b"{0.__class__}",
+        b"%s%n",
+        b"$(true)",
         b"$\\frac$",
     )
     words = list(re.finditer(rb"[A-Za-z_]{3,}", content[:200_000]))
@@ -259,18 +310,85 @@ def other_header(path: Path, content: bytes, random: Random, _: list[list[Path]]
     first, newline, rest = content.partition(b"\n")
     names = first.split(b",")
     place = random.randrange(len(names))
-    way = random.choice(["rename", "remove", "repeat", "exchange"])
+    way = random.choice(["rename", "remove", "repeat", "exchange", "upper", "space", "mark", "semicolons"])
     if way == "rename":
         names[place] = b"other"
     elif way == "remove":
         del names[place]
     elif way == "repeat":
         names[place] = random.choice(names)
+    elif way in ("upper", "space", "mark"):
+        names[place] = {"upper": names[place].swapcase(), "space": b" " + names[place], "mark": b"\xc2\xa0"}[way]
+    elif way == "semicolons":
+        names = [content.replace(b",", b";")]
+        newline = rest = b""
     else:
         other = random.randrange(len(names))
         names[place], names[other] = names[other], names[place]
     path.write_bytes(b",".join(names) + newline + rest)
     return f"{way} {place}"
+
+
+def other_column(path: Path, content: bytes, random: Random, groups: list[list[Path]]) -> str:
+    """Change a whole column of a table of text, below its header; a number where the file is none."""
+    rows = [line.split(b",") for line in content.splitlines()]
+    width = len(rows[0]) if len(rows) > 2 else 0
+    if width < 2 or any(len(row) != width for row in rows):
+        return other_number(path, content, random, groups)
+    one, other = random.sample(range(width), 2)
+    factor = random.choice([1000, 1e-3, 100, 0.01, 1e9, 0.0174532925, 3.28084, -1, 0])
+    way = random.choice(["swapped", "frozen", "scaled", "twice", "shifted", "rounded", "lost", "quoted", "blank"])
+    start = 1 if random.random() < 0.5 else random.randrange(1, len(rows))  # sometimes half of the column
+    before = [list(row) for row in rows]
+    for number, row in enumerate(rows):
+        if number < start and way not in ("twice", "lost"):
+            continue
+        if way == "swapped":
+            row[one], row[other] = row[other], row[one]
+        elif way == "frozen":
+            row[one] = before[start][one]
+        elif way == "twice":
+            row.append(row[one])
+        elif way == "shifted":
+            row[one] = before[number - 1][one]
+        elif way == "lost":
+            del row[one]
+        elif way == "quoted":
+            row[one] = b'"' + row[one] + b'"'
+        elif way == "blank":
+            row[one] = b""
+        elif way in ("scaled", "rounded") and NUMBER.fullmatch(row[one]):
+            number_there = float(row[one])
+            row[one] = repr(number_there * factor if way == "scaled" else float(round(number_there))).encode()
+    path.write_bytes(b"\n".join(map(b",".join, rows)) + b"\n")
+    return f"{way} {one} and {other} from row {start}, factor {factor:g}"
+
+
+def other_key(path: Path, content: bytes, random: Random, groups: list[list[Path]]) -> str:
+    """Rename, repeat or remove a key of JSON or TOML; change the header of another file."""
+    keys = list(re.finditer(rb'"([^"\\]{1,80})"\s*:|^([A-Za-z_-]+)\s*=', content[:200_000], re.MULTILINE))
+    if not keys:
+        return other_header(path, content, random, groups)
+    match = random.choice(keys)
+    group = 1 if match[1] else 2
+    key = match[group]
+    way = random.choice(["upper", "title", "twice", "space", "control", "underscore", "empty", "number", "prototype"])
+    new = {
+        "upper": key.upper(),
+        "title": key.title(),
+        "space": b" " + key,
+        "control": b"\x1b[2J" + key,
+        "underscore": key.replace(b"_", b"-") + b"_",
+        "empty": b"",
+        "number": b"0",
+        "prototype": b"__class__",
+    }
+    if way == "twice":
+        again = match.group() + (random.choice([b"null", b"-1", b'"x"']) + (b"," if group == 1 else b"\n"))
+        path.write_bytes(content[: match.start()] + again + content[match.start() :])
+    else:
+        path.write_bytes(content[: match.start(group)] + new[way] + content[match.end(group) :])
+    return f"{way} {key[:30]!r}"
 
 
 def garbage_behind(path: Path, content: bytes, random: Random, _: list[list[Path]]) -> str:
@@ -302,18 +420,65 @@ def folder_instead(path: Path, content: bytes, random: Random, _: list[list[Path
 
 
 def link_instead(path: Path, content: bytes, random: Random, _: list[list[Path]]) -> str:
-    """Put a link in its place: to itself, to nothing, to a folder, or to a device that never ends."""
-    target = random.choice([path.name, "nothing-here", ".", "/dev/zero", "/dev/null"])
+    """Put a link in its place: to itself, to nothing, to a folder, or to what never ends or waits for ever."""
+    endless = ["/dev/zero", "/dev/null", "/dev/tty", "/dev/stdin", "/proc/kmsg", "/proc/self/mem", "/proc/kcore"]
+    target = random.choice([path.name, "nothing-here", ".", *endless])
     path.unlink()
     path.symlink_to(target)
     return f"to {target}"
 
 
 def pipe_instead(path: Path, content: bytes, random: Random, _: list[list[Path]]) -> str:
-    """Put a named pipe in its place, which nobody ever writes to."""
+    """Put a named pipe in its place, which nobody ever writes to, or a socket that nobody listens to."""
     path.unlink()
-    os.mkfifo(path)
+    if random.random() < 0.7 or len(str(path)) > 100:
+        os.mkfifo(path)
+        return "pipe"
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(str(path))
+    return "socket"
+
+
+def file_for_folder(path: Path, content: bytes, random: Random, _: list[list[Path]]) -> str:
+    """Put the file in the place of its folder."""
+    path.parent.rename(_aside(path.parent))
+    path.parent.write_bytes(content if random.random() < 0.5 else b"")
+    return path.parent.name
+
+
+def no_permission(path: Path, content: bytes, random: Random, _: list[list[Path]]) -> str:
+    """Forbid everybody to read it; the administrator reads it all the same."""
+    path.write_bytes(content + b" ")
+    path.chmod(0)
     return ""
+
+
+def other_name(path: Path, content: bytes, random: Random, _: list[list[Path]]) -> str:
+    """Give it another name, such as a copying program or a person does."""
+    stem, suffix = path.stem, path.suffix
+    names = (
+        f"{stem}\x1b[31m{suffix}", f"{stem}\n{suffix}", path.name.swapcase(), f"{stem} (1){suffix}", f".{path.name}",
+        f"-{path.name}", f"{path.name}.part", f"{stem}{suffix}{suffix}", f"{stem}\udcff{suffix}",
+        f"{stem}\u0301{suffix}", f"{'x' * 200}{suffix}", f"{stem} {suffix}", stem or "x",
+    )  # fmt: skip
+    name = random.choice(names)
+    path.rename(path.with_name(name))
+    return f"now {name!r}"
+
+
+def twin(path: Path, content: bytes, random: Random, _: list[list[Path]]) -> str:
+    """Put a copy beside it, under a name that some systems or people take for the same."""
+    names = (
+        path.name.swapcase(),
+        f"{path.stem} (1){path.suffix}",
+        f"{path.name}~",
+        f"._{path.name}",
+        "\x1b[31m",
+        "Thumbs.db",
+    )
+    name = random.choice(names)
+    path.with_name(name).write_bytes(content if random.random() < 0.5 else content[: len(content) // 2])
+    return f"beside {name!r}"
 
 
 def other_file(path: Path, content: bytes, random: Random, groups: list[list[Path]]) -> str:
@@ -327,7 +492,7 @@ def archive_damage(path: Path, content: bytes, random: Random, _: list[list[Path
     """Damage a zip archive from inside: a member missing, repeated, renamed, encrypted or with a false size."""
     if not zipfile.is_zipfile(path):
         return flipped_bits(path, content, random, _)
-    way = random.choice(["missing", "repeated", "renamed", "encrypted", "size"])
+    way = random.choice(["missing", "repeated", "renamed", "encrypted", "size", "bomb", "absolute", "case", "packed"])
     with zipfile.ZipFile(path) as archive:
         members = [(info.filename, archive.read(info)) for info in archive.infolist()]
     if way in ("encrypted", "size"):
@@ -349,8 +514,13 @@ def archive_damage(path: Path, content: bytes, random: Random, _: list[list[Path
         "missing": others,
         "repeated": [*members, (name, held)],
         "renamed": [*others, ("../" + name, held)],
+        "absolute": [*others, ("/" + name, held)],
+        "case": [*others, (name.swapcase(), held)],
+        "bomb": [*others, (name, held[:200] + bytes(2**27))],
+        "packed": members,
     }
-    with zipfile.ZipFile(path, "w") as archive:
+    packing = {"bomb": zipfile.ZIP_DEFLATED, "packed": zipfile.ZIP_LZMA}.get(way, zipfile.ZIP_STORED)
+    with zipfile.ZipFile(path, "w", packing, compresslevel=1) as archive:
         for written_name, written in changed_members[way]:
             archive.writestr(written_name, written)
     return f"{way} {name}"
@@ -378,9 +548,11 @@ KINDS: tuple[Kind, ...] = (
     flipped_bits, random_block, zeroed_block, cut_anywhere, cut_at_a_line, lost_start, lost_lines, repeated_line,
     swapped_lines, impossible_number, other_number, other_word, deep_nesting, other_type, other_encoding, other_header,
     garbage_behind, empty, missing, folder_instead, link_instead, pipe_instead, other_file, archive_damage,
-    array_damage, other_arrays, other_arrays,
+    array_damage, other_arrays, other_arrays, cut_at_a_block, sparse, other_column, other_column, other_key, other_key,
+    file_for_folder, no_permission, other_name, twin,
 )  # fmt: skip
 _HARM: dict[Kind, Literal["shorter", "replaced"]] = {
-    **dict.fromkeys((cut_anywhere, cut_at_a_line, lost_start, empty), "shorter"),
-    **dict.fromkeys((missing, folder_instead, link_instead, pipe_instead), "replaced"),
+    **dict.fromkeys((cut_anywhere, cut_at_a_line, cut_at_a_block, lost_start, empty), "shorter"),
+    **dict.fromkeys((missing, folder_instead, link_instead, pipe_instead, sparse, file_for_folder), "replaced"),
+    other_name: "replaced",
 }

@@ -32,12 +32,15 @@ def test_every_kind_changes_a_file_and_can_be_undone(kind, root):
     for group in groups:
         path = group[0]
         content = path.read_bytes()
+        beside = set(path.parent.iterdir())
         for seed in range(8):
             undo = Undo(path)
             kind(path, content, Random(seed), groups)
-            changed |= not path.is_file() or path.is_symlink() or path.read_bytes() != content
+            changed |= path.is_symlink() or not path.is_file() or path.stat().st_size != len(content)
+            changed = changed or path.read_bytes() != content or set(path.parent.iterdir()) != beside
             undo.restore()
             assert path.read_bytes() == content
+            assert set(path.parent.iterdir()) == beside
     assert changed, f"{kind.__name__} changes nothing"
 
 

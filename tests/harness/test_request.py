@@ -99,7 +99,7 @@ options = { fast = true, steps = 3, scale = 0.5, words = "a b" }
         ("sed = 3\n[[methods]]\nname = 'x'", "sed"),
         ("[[methods]]\nconditions = ['goal']\nname = 'x'", "goal"),
         ("[[methods]]\nname = 3", "expected the keys of an experiment"),
-        ("methods", "expected the keys of an experiment"),
+        ("methods", "expected a TOML file"),
     ],
 )
 def test_a_wrong_file_is_refused_with_its_key(text, message, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -187,6 +188,15 @@ def test_a_run_scores_as_it_scored_itself(table, tmp_path, part, changes):
         assert (tmp_path / "scores/synthetic-adt" / name).is_file()
     scored, own = (DatasetSummary.read(tmp_path / run / "synthetic-adt") for run in ("scores", "run"))
     assert scored == own
+
+
+def test_what_a_run_says_otherwise_is_told(table, tmp_path):
+    run_method(request(table, tmp_path / "run", "scripted"))
+    assert score(table, tmp_path / "run").changed == ""
+    edited = msgspec.structs.replace(DatasetSummary.read(tmp_path / "run/synthetic-adt"), recordings=99, split="train")
+    edited.write(tmp_path / "run/synthetic-adt")
+    changed = score(table, tmp_path / "run").changed
+    assert "summary.json, split: train there, test when scored now; and 1 more" in changed
 
 
 def test_a_run_that_stands_still_is_remembered_as_such(table, recorded, tmp_path):

@@ -129,7 +129,7 @@ BAD_INPUT = [
         _configured,
         _configuration,
         {
-            "no TOML": (_replaced(b"[model]\nwidth = "), ["own.toml", "expected valid TOML"]),
+            "no TOML": (_replaced(b"[model]\nwidth = "), ["own.toml", "expected a TOML file"]),
             "an unknown table": (_replaced(b"[model]\n[traning]\nsteps = 3"), ["unknown field `traning`"]),
             "a missing table": (_replaced(b"[model]\n"), ["missing required field `training`"]),
             "a stage that is a value": (_replaced(b"stages = 3\n[model]\n"), ["[stages]: expected tables"]),

@@ -6,6 +6,7 @@ Source: docs/specification/humanml3d.md#text-files.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ from jaxtyping import Float
 from prbench.errors import InputFileError
 from prbench.files.arrays import load_array
 from prbench.files.bounded import read_text, require_rows
-from prbench.geometry.skeleton import N_JOINTS, Joint
-from prbench.limits import HARMLESS_SIZE
+from prbench.geometry.skeleton import N_JOINTS, Joint, bone_lengths
+from prbench.limits import FARTHEST_COORDINATE, HARMLESS_SIZE
 from prbench.sequences.corpus import Caption
 
 JOINTS_FOLDER = "new_joints"  # Joint positions, one (F, 22, 3) array a motion: metres, Y up, 20 fps.
@@ -33,6 +34,8 @@ WHOLE = "caption"  # Kind of a caption of the whole motion; its times count as 0
 PART = "sub_caption"
 TextLine = tuple[Caption, float, float]  # One caption, and the seconds from which and to which it describes the motion.
 
+_SAME = 1e-3  # metres by which what is constant in the dataset may differ
+_GROUND = 0.05  # metres; the features hold one frame less than the motion whose lowest joint was put on the ground
 _SHORTEST_TRUNK = 0.05  # metres; longer ones are in millimetres
 _LONGEST_TRUNK = 20.0
 
@@ -66,6 +69,30 @@ def read_texts(path: Path) -> tuple[TextLine, ...]:
     return tuple(lines)
 
 
+def remark_on(joints: Float[np.ndarray, "frames 22 3"], lines: Sequence[TextLine]) -> str:
+    """Say what no motion of the dataset shows; empty where nothing is wrong.
+
+    All of them have one skeleton, and begin above the origin with their lowest joint on the ground
+    (docs/specification/humanml3d.md#forward-conversion). A motion that lost a part or exchanged columns does not.
+
+    Args:
+        joints: See :func:`read_joints`.
+        lines: Texts of the motion.
+    """
+    stretch = np.ptp(bone_lengths(joints), axis=0).max()
+    start = np.abs(joints[0, Joint.PELVIS, [0, 2]]).max()
+    lowest = joints[..., 1].min()
+    end = max((end for _, _, end in lines), default=0.0)
+    duration = len(joints) / RATE
+    checks = (
+        (stretch > _SAME, f"bones change by up to {stretch:.3f} m"),
+        (start > _SAME, f"the pelvis begins {start:.3f} m from the origin"),
+        (abs(lowest) > _GROUND, f"the lowest joint is at {lowest:.3f} m"),
+        (end > duration + 1 / RATE, f"a text ends at {end:.2f} s, the motion at {duration:.2f} s"),
+    )
+    return "; ".join(said for is_wrong, said in checks if is_wrong)
+
+
 def _seconds(path: Path, number: int, cell: str) -> float:
     try:
         value = float(cell)
@@ -91,12 +118,18 @@ def read_joints(path: Path) -> Float[np.ndarray, "frames 22 3"]:
         found = f"{joints.shape} of {joints.dtype}"
         raise InputFileError(path, "", expected="numbers of the shape (2 or more, 22, 3)", found=found)
     joints = joints.astype(np.float64)
+    remedy = "Leave the motion out."
     bad = ~np.isfinite(joints).all(axis=(1, 2))
-    require_rows(path, bad, "finite positions", "NaN", place="frame", first=0, remedy="Leave the motion out.")
+    require_rows(path, bad, "finite positions", "NaN", place="frame", first=0, remedy=remedy)
     trunk = float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=-1)))
     if trunk > _LONGEST_TRUNK:
         found = f"{trunk:.0f} from pelvis to head"
         raise InputFileError(path, "", expected="metres", found=found, remedy="Divide by 1,000.")
     if trunk < _SHORTEST_TRUNK:
         raise InputFileError(path, "", expected="a body", found=f"{trunk:.4f} m from pelvis to head")
+    far = np.abs(joints).max(axis=(1, 2))
+    expected = f"positions within {FARTHEST_COORDINATE:g} m"
+    require_rows(
+        path, far > FARTHEST_COORDINATE, expected, lambda row: f"{far[row]:g} m", place="frame", first=0, remedy=remedy
+    )
     return joints

@@ -18,7 +18,7 @@ from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
 from prbench.sequences.corpus import Annotation, Caption, Clip
 from prbench_adapters.corpora import sources as corpora
 from prbench_adapters.corpora.humanml3d import files as layout
-from prbench_adapters.corpora.humanml3d.files import TextLine, read_joints, read_texts
+from prbench_adapters.corpora.humanml3d.files import TextLine, read_joints, read_texts, remark_on
 
 
 def clips_of(
@@ -183,7 +183,8 @@ class HumanML3DSource(corpora.CorpusRecording):
         joints = read_joints(self.joints)
         lines = read_texts(self.texts)
         clips, annotations = clips_of(self.identity, joints, lines, self.limits, load_manifest("humanml3d"))
-        return corpora.ReadRecording(clips, annotations, len(joints) / layout.RATE)
+        duration = len(joints) / layout.RATE
+        return corpora.ReadRecording(clips, annotations, duration, message=remark_on(joints, lines))
 
 
 class HumanML3DCorpus(corpora.Corpus):

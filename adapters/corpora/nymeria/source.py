@@ -12,6 +12,7 @@ import numpy as np
 from prbench.errors import InputFileError, UsageError
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, text_digest
+from prbench.limits import HARMLESS_SIZE, LARGEST_UNPACKED
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.randomness import hash_fraction
 from prbench.readers import ReaderOptions, RecordingFiles, require_one_origin
@@ -205,10 +206,11 @@ class NymeriaSource(corpora.CorpusRecording):
     @foreign_input()
     def input_digest(self) -> str:
         """Roles, names and contents of the files."""
-        files = self.found.files
-        return text_digest(
-            self.found.recording_id, *(text for f in files for text in (f.role, f.path.name, file_digest(f.path)))
-        )
+        parts = [self.found.recording_id]
+        for file in self.found.files:
+            largest = HARMLESS_SIZE if file.role in nymeria.NARRATION_FILES else LARGEST_UNPACKED
+            parts += (file.role, file.path.name, file_digest(file.path, largest=largest))
+        return text_digest(*parts)
 
     @foreign_input()
     def suit(self) -> CleanSuit:

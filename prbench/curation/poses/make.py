@@ -11,7 +11,6 @@ import re
 import shutil
 import signal
 import subprocess
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,9 +20,8 @@ import msgspec
 
 from prbench.curation.poses.states import PoseState, coverage, head_poses, prepare, source_trajectory
 from prbench.errors import InputFileError, PrbenchError, StorageError, UsageError
-from prbench.files.bounded import foreign_input, read_end, read_text, require
+from prbench.files.bounded import foreign_input, read_end, read_toml, require
 from prbench.files.storage import atomic_folder, lock_file, sole_writer
-from prbench.limits import HARMLESS_SIZE
 from prbench.progress_bar import ProgressCallback
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.bodies import HOW_TO_GET
@@ -109,14 +107,14 @@ def read_config(path: Path) -> PosesConfig:
         InputFileError: if it is missing, no TOML, lacks a key or holds an unknown one, or its command has an unknown
             placeholder.
     """
+    expected = "a table [egoallo] with python and folder, and optionally command, model, needs, timeout_minutes and"
+    expected += " environment"
+    remedy = "`prbench poses egoallo --root DIR` without --config prints one to start from."
+    content = read_toml(path, expected, remedy)
     try:
-        content = tomllib.loads(read_text(path, encoding="utf-8", largest=HARMLESS_SIZE))
         config = msgspec.convert(content, dict[Literal["egoallo"], PosesConfig], dec_hook=_path)["egoallo"]
-    except (FileNotFoundError, KeyError, tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
-        expected = "a table [egoallo] with python and folder, and optionally command, model, needs, timeout_minutes and"
-        found = "no such file" if isinstance(error, FileNotFoundError) else str(error)
-        remedy = "`prbench poses egoallo --root DIR` without --config prints one to start from."
-        raise InputFileError(path, "", expected=f"{expected} environment", found=found, remedy=remedy) from error
+    except (KeyError, msgspec.ValidationError) as error:
+        raise InputFileError(path, "", expected=expected, found=str(error), remedy=remedy) from error
     unknown = [name for text in config.command for name in _PLACEHOLDER.findall(text) if name not in _PLACEHOLDERS]
     expected = f"the placeholders {', '.join(f'{{{name}}}' for name in _PLACEHOLDERS)}"
     require(path, (not unknown, "egoallo.command", expected, f"{{{''.join(unknown[:1])}}}", ""))

@@ -6,7 +6,6 @@ import itertools
 import os
 import shlex
 import shutil
-import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,7 +13,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.files.bounded import foreign_input, read_text
+from prbench.files.bounded import foreign_input, read_toml
 from prbench.harness.methods.installed import (
     PREFIX,
     is_command,
@@ -24,7 +23,6 @@ from prbench.harness.methods.installed import (
     without_folders,
 )
 from prbench.harness.methods.process import Program
-from prbench.limits import HARMLESS_SIZE
 
 
 def split_command(text: str, *, where: str, windows: bool = os.name == "nt") -> tuple[str, ...]:
@@ -128,16 +126,9 @@ def read_description(path: Path) -> MethodDescription:
     Raises:
         InputFileError: naming the key that is missing, unknown, of the wrong kind, or does not fit the others.
     """
-    try:
-        content = tomllib.loads(read_text(path, encoding="utf-8", largest=HARMLESS_SIZE))
-    except FileNotFoundError as error:
-        beside = [file.name for file in path.parent.glob("*.toml")] if path.parent.is_dir() else []
-        remedy = did_you_mean(path.name, beside).strip()
-        raise InputFileError(
-            path, "", expected="a TOML file that describes a method", found="no such file", remedy=remedy
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise InputFileError(path, "", expected="a TOML file", found=str(error)) from error
+    beside = [file.name for file in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+    remedy = "" if path.exists() else did_you_mean(path.name, beside).strip()
+    content = read_toml(path, "a TOML file that describes a method", remedy)
     try:
         description = msgspec.convert(content, MethodDescription)
     except msgspec.ValidationError as error:

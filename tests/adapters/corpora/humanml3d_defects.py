@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,24 @@ def _nan_joints(root: Path, name: str) -> None:
     joints = np.load(_joints(root, name), allow_pickle=False)
     joints[5, 3, 1] = np.nan
     np.save(_joints(root, name), joints, allow_pickle=False)
+
+
+def _other_joints(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path, str], None]:
+    def apply(root: Path, name: str) -> None:
+        joints = np.load(_joints(root, name), allow_pickle=False)
+        np.save(_joints(root, name), change(joints), allow_pickle=False)
+
+    return apply
+
+
+def _thrown(joints: np.ndarray) -> np.ndarray:
+    joints[5, 3, 1] = 9e29
+    return joints
+
+
+def _frozen(joints: np.ndarray) -> np.ndarray:
+    joints[:, 20] = joints[0, 20]
+    return joints
 
 
 def _features_only(root: Path, name: str) -> None:
@@ -48,6 +67,11 @@ def _nan_times(root: Path, name: str) -> None:
 # All defects of the layout.
 DEFECTS = (
     Defect("nan-joints", "a joint of one frame is NaN", _nan_joints, "failed", "frame 5"),
+    Defect("thrown-joint", "a joint of one frame is light-years away", _other_joints(_thrown), "failed", "frame 5"),
+    Defect("frozen-joint", "a hand stays where it was", _other_joints(_frozen), "read", "bones change by up to"),
+    Defect("lost-start", "the first frames are lost", _other_joints(lambda j: j[20:]), "read", "pelvis begins"),
+    Defect("lost-end", "the last frames are lost", _other_joints(lambda j: j[:-20]), "read", "a text ends at"),
+    Defect("other-axes", "Z is up", _other_joints(lambda j: j[..., [0, 2, 1]]), "read", "the lowest joint is at"),
     Defect("features-only", "features without joints", _features_only, "failed", "263 features only"),
     Defect("missing-texts", "the text file is missing", removed(_texts), "failed", ".txt"),
     Defect("not-listed", "the motion stands in no split list", _not_listed, "skipped", "not listed"),
