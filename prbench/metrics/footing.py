@@ -29,6 +29,7 @@ _SEGMENTS = (
     (0.0145, Joint.LEFT_ANKLE, TOES[0], 0.5),
     (0.0145, Joint.RIGHT_ANKLE, TOES[1], 0.5),
 )
+_SWING = 0.10  # metres; shorter ways of a toe are shuffles
 _DIRECTIONS = 36  # in which a body may lean: each 10 degrees, so that a distance is 0.4 % too short at most
 
 
@@ -90,6 +91,8 @@ def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, 
         * ``unsupported_speed``: largest speed of the pelvis over the ground where no foot is planted, m/s.
         * ``travel_speed``: largest speed of the pelvis over the ground, m/s.
         * ``step_rate``: largest number of feet lifted within a second.
+        * ``swing_time``: shortest time in which a foot swings ``_SWING`` metres or more, seconds; infinite without one.
+        * ``pivot``: largest turn of a foot that lies on the floor, over the whole motion, degrees.
         * ``imbalance``: largest distance of the centre of mass from planted feet while the body stands, metres.
     """
     motion = pair.predicted
@@ -105,16 +108,17 @@ def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, 
     # Where no foot is near the floor, the pelvis drags as far as it goes; noise is slower than ``drag_speed``.
     stillest = np.minimum(np.where(feet.contact, feet.speed, np.inf).min(axis=0), feet.travel)
     dragged = np.add.reduceat(np.where(stillest > constants.drag_speed, stillest, 0.0), motion.first)
-    # A foot is lifted where it stood in a step and moves in the next one.
+    # A foot is lifted where it stood in a step and moves in the next one, and lands the other way round.
     each = np.stack([feet.planted[:2].any(axis=0), feet.planted[2:].any(axis=0)])
-    lifted = np.zeros(each.shape)
-    lifted[:, :-1] = each[:, :-1] & ~each[:, 1:]
-    lifted[:, motion.last - 1] = 0.0  # the last step of a sequence has no next one
-    lifted[:, motion.last] = 0.0
+    before = np.roll(each, 1, axis=1)
+    before[:, motion.first] = each[:, motion.first]  # what stands or moves at first did so before
+    before[:, motion.last] = each[:, motion.last]
+    lifted = before & ~each
+    landed = each & ~before
     rates = pair.targets.fps_of_sequence
     steps = np.zeros(motion.n_sequences)
     for rate in np.unique(rates):
-        counted = moving_sum(lifted, motion, odd_window(1.0, rate)).sum(axis=0)
+        counted = moving_sum(lifted.astype(float), motion, odd_window(1.0, rate)).sum(axis=0)
         steps = np.where(rates == rate, largest(counted), steps)
     return {
         "lower_toe": largest(motion.columns[list(TOES), 1].min(axis=0)),
@@ -124,8 +128,38 @@ def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, 
         "unsupported_speed": largest(np.where(standing, 0.0, feet.travel)),
         "travel_speed": largest(feet.travel),
         "step_rate": steps,
+        "swing_time": _shortest_swing(motion, lifted, landed) / rates,
+        "pivot": _largest_pivot(motion, feet),
         "imbalance": largest(_imbalance(motion, feet, constants)),
     }
+
+
+def _shortest_swing(
+    motion: MotionBatch, lifted: Bool[np.ndarray, "2 frames"], landed: Bool[np.ndarray, "2 frames"]
+) -> Float[np.ndarray, " n"]:
+    """Fewest frames from where a foot is lifted to where it lands, for toes that go ``_SWING`` metres meanwhile."""
+    shortest = np.full(motion.n_sequences, np.inf)
+    for side, toe in enumerate(TOES):
+        up = np.flatnonzero(lifted[side])
+        landings = np.append(np.flatnonzero(landed[side]), len(motion.values) - 1)
+        down = landings[np.searchsorted(landings, up)]
+        x, _, z = motion.columns[toe]
+        swings = (np.hypot(x[down] - x[up], z[down] - z[up]) >= _SWING) & landed[side, down]
+        swings &= motion.sequence_of_row[up] == motion.sequence_of_row[down]
+        np.minimum.at(shortest, motion.sequence_of_row[up[swings]], (down - up)[swings])
+    return shortest
+
+
+def _largest_pivot(motion: MotionBatch, feet: Footing) -> Float[np.ndarray, " n"]:
+    """Turn of each foot about the vertical, summed over the steps in which its ankle and its toe are in contact."""
+    turns = []
+    for ankle in (0, 2):
+        x, _, z = motion.columns[_FEET[ankle + 1]] - motion.columns[_FEET[ankle]]
+        turn = np.zeros(len(x))
+        turn[:-1] = np.arctan2(x[:-1] * z[1:] - z[:-1] * x[1:], x[:-1] * x[1:] + z[:-1] * z[1:])
+        flat = feet.contact[ankle] & feet.contact[ankle + 1]
+        turns.append(np.abs(np.add.reduceat(np.where(flat, turn, 0.0), motion.first)))
+    return np.rad2deg(np.max(turns, axis=0))
 
 
 def _imbalance(motion: MotionBatch, feet: Footing, constants: MetricConstants) -> Float[np.ndarray, " frames"]:

@@ -9,7 +9,7 @@ from prbench.geometry.skeleton import TOES, Joint
 from prbench.metrics.batch import ScoringPair
 from prbench.metrics.footing import footing_numbers
 from prbench.metrics.plausible import body_numbers, broken_limits
-from tests.metrics.motions import CONSTANTS, FPS, batch, standing, targets
+from tests.metrics.motions import CONSTANTS, FPS, batch, standing, targets, turned
 
 FEET = ([Joint.LEFT_ANKLE, TOES[0]], [Joint.RIGHT_ANKLE, TOES[1]])
 ANKLES = [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE]
@@ -102,6 +102,27 @@ def test_feet_that_step_in_place_or_jump_carry_nobody() -> None:
         jumping[:, foot, 2] = standing(1)[0, foot, 2] + (frame * 1.5 / FPS)[:, None]
     assert numbers(jumping)["support"] == 1
     assert flags(jumping) >= {"hurried_steps", "sliding_feet"}
+
+
+def test_a_swing_takes_its_time_and_no_landing_is_that_of_another_sequence() -> None:
+    assert numbers(walk())["swing_time"] == pytest.approx(0.5)
+    assert numbers(walk(0.08))["swing_time"] == np.inf, "8 cm are a shuffle"
+    assert numbers(walk(step=3))["swing_time"] == pytest.approx(0.15)
+    assert "hurried_steps" in flags(walk(step=3))
+    lifts = walk()[:6]
+    lands = walk()[8:]
+    together = footing_numbers(ScoringPair(batch(lifts, lands), batch(lifts, lands), targets(2)), CONSTANTS)
+    assert together["swing_time"].tolist() == [np.inf, numbers(lands)["swing_time"]]
+
+
+@pytest.mark.parametrize(("degrees", "flagged"), [(40.0, False), (50.0, True), (-170.0, True)])
+def test_a_body_turns_by_steps_and_not_on_flat_feet(degrees: float, flagged: bool) -> None:
+    motion = turned(standing(81), np.deg2rad(np.linspace(0, degrees, 81))[:, None])
+    assert numbers(motion)["pivot"] == pytest.approx(abs(degrees))
+    assert (flags(motion) == {"sliding_feet"}) == flagged
+    lifted = motion.copy()
+    lifted[:, FEET[0] + FEET[1], 1] += 0.05
+    assert numbers(lifted)["pivot"] == 0
 
 
 def shifted(by: float, n: int = 10) -> np.ndarray:
