@@ -18,6 +18,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
+from prbench.engine.unseen import hide_process, is_hidden, start_bare_tracker
 from prbench.errors import MemoryFullError, PrbenchError
 from prbench.shown import quoted
 
@@ -126,8 +127,10 @@ def call(function: Callable[[Item], Result], item: Item) -> Result | Full:
         _ctrl_c["working"] = False
 
 
-def _start_worker(threads: int) -> None:
-    """Set up a worker process, before the numerical libraries load."""
+def _start_worker(threads: int, hidden: bool) -> None:
+    """Set up a worker process, before the numerical libraries load; of a hidden process it is hidden, too."""
+    if hidden:
+        hide_process()
     signal.signal(signal.SIGINT, _on_ctrl_c)
     # Numerical libraries read these when they load, which in a spawned worker is after this.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -223,8 +226,11 @@ class ProcessPool:
 
     def _pool(self, workers: int) -> ProcessPoolExecutor:
         context = multiprocessing.get_context("spawn")
+        hidden = is_hidden()
+        if hidden:
+            start_bare_tracker()
         return ProcessPoolExecutor(
-            workers, mp_context=context, initializer=_start_worker, initargs=(self.threads_per_worker,)
+            workers, mp_context=context, initializer=_start_worker, initargs=(self.threads_per_worker, hidden)
         )
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 import prbench
 from prbench.errors import UsageError
 from prbench.files.bounded import read_text
+from prbench.harness.methods import unprivileged
 from prbench.harness.methods.installed import short_name
 from prbench.harness.methods.process import Program, users_environment
 from prbench.harness.methods.programs import runs_in_container
@@ -352,7 +353,8 @@ def fenced(program: Program, *, weights: Path | None, hidden: tuple[Path, ...]) 
 def _behind_fence(program: Program, shown: Iterable[Shown], hidden: tuple[Path, ...]) -> Program:
     fence = available_fence()
     if fence.program is None:
-        return replace(program, fence="process")
+        before = (sys.executable, "-I", "-S", unprivileged.__file__) if sys.platform == "linux" else ()
+        return replace(program, words=before + program.words, fence="process")
     before = bubblewrap_words(fence.program, shown=list(shown), hidden=hidden, directory=program.directory)
     # Add the variables behind bubblewrap: an empty home, an empty temporary folder, no network to ask for models.
     environment = {**dict(program.environment), "HOME": HOME, "TMPDIR": "/tmp", "HF_HUB_OFFLINE": "1"}

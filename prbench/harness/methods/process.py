@@ -20,6 +20,7 @@ from typing import IO, Literal
 
 import psutil
 
+from prbench.engine.unseen import hide_process
 from prbench.errors import AdapterError
 from prbench.files.storage import cache_folder
 from prbench.harness.methods.messages import HEADER_LIMIT, Header, encode_message, parse_header
@@ -160,6 +161,8 @@ class ProgramProcess:
         Raises:
             AdapterError: if the command or its folder does not exist, or cannot be run.
         """
+        if program.fence is not None:
+            hide_process()
         self._scratch = None
         if program.directory is None:
             self._scratch = tempfile.TemporaryDirectory(prefix="prbench-", ignore_cleanup_errors=True)

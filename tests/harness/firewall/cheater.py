@@ -238,30 +238,93 @@ def command_line(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | No
     return first_table([*sys.argv, *sys.orig_argv])
 
 
-def command_line_of_parents(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
-    """Of the harness that started this process; relative paths as that one sees them."""
-    return first_table(
-        (process / "cwd").readlink() / os.fsdecode(word)
-        for process in parents()
-        for word in (process / "cmdline").read_bytes().split(b"\0")
-    )
+def command_line_of_parents(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """How the harness and its workers were called."""
+    return called_with_a_table(harness_processes(self))
+
+
+def command_line_of_others(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """How a process was called that has nothing to do with the run; here one that the test has started."""
+    return called_with_a_table(harness_processes(self, others=True))
+
+
+def called_with_a_table(processes: Iterable[Path]) -> str | None:
+    """Paths on command lines; relative ones as their process sees them."""
+    lines = [(process, process_file(process, "cmdline")) for process in processes]
+    return first_table(process_link(process / "cwd") / os.fsdecode(word) for process, line in lines for word in line)
 
 
 def environment(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
     return first_table(part for value in os.environ.values() for part in value.split(os.pathsep))
 
 
-def environment_of_parents(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
-    entries = [entry for process in parents() for entry in (process / "environ").read_bytes().split(b"\0")]
+def environment_of_parents(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    entries = [entry for process in harness_processes(self) for entry in process_file(process, "environ")]
     return first_table(entry.partition(b"=")[2] for entry in entries)
 
 
-def parents() -> Iterator[Path]:
-    """The process that started this one, and the one that started that."""
-    process = Path(f"/proc/{os.getppid()}")
-    for _ in range(2):
-        yield process
-        process = Path("/proc") / (process / "stat").read_text().rpartition(")")[2].split()[1]
+def working_directory_of_parents(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    folders = [process_link(process / "cwd") for process in harness_processes(self)]
+    return first_table(found for folder in folders if folder != Path("/") for found in folder.glob("*/*/dataset.json"))
+
+
+def descriptors_of_parents(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """A table beside a file that the harness or a worker has open, such as the lock of the run."""
+    files = []
+    for process in harness_processes(self):
+        with contextlib.suppress(OSError):
+            files += [process_link(link) for link in (process / "fd").iterdir()]
+    return first_table(found for file in files for found in beside(file))
+
+
+def mapped_files_of_parents(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """A table beside a file that is mapped into the memory of the harness or a worker, packages apart."""
+    lines = [line for process in harness_processes(self) for line in process_file(process, "maps", b"\n")]
+    files = {Path(os.fsdecode(line.split()[5])) for line in lines if len(line.split()) == 6}
+    return first_table(found for file in files for found in beside(file))
+
+
+def beside(file: Path) -> Iterator[Path]:
+    """Tables near a file; the folders next to the root are everybody's."""
+    for folder in file.parents[:4]:
+        if file.is_absolute() and len(folder.parts) > 3:
+            yield from folder.glob("*/dataset.json")
+
+
+def harness_processes(self: Cheater, *, others: bool = False) -> Iterator[Path]:
+    """The harness, its workers and all that they have started, this process apart; or the ``others``."""
+    parent = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            parent[int(stat.parent.name)] = int(stat.read_text().rpartition(")")[2].split()[1])
+    outside = int(self.options["outside"])  # the test's own process
+
+    def top(process: int) -> int:
+        while parent.get(process, 0) not in (0, outside):
+            process = parent[process]
+        return process
+
+    is_harness = "prbench.harness.run" in sys.modules
+    for process in parent:
+        is_wanted = parent[process] == outside if others else process != os.getpid() or is_harness
+        if is_wanted and (top(process) != top(os.getpid())) == others:
+            yield Path(f"/proc/{process}")
+
+
+def process_file(process: Path, name: str, end: bytes = b"\0") -> list[bytes]:
+    """What one of its files says, or nothing."""
+    try:
+        return (process / name).read_bytes().split(end)
+    except OSError:
+        return []
+
+
+def process_link(link: Path) -> Path:
+    """Where it leads, or the root."""
+    try:
+        return link.readlink()
+    except OSError:
+        return Path("/")
 
 
 def working_directory(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
@@ -295,16 +358,19 @@ def weights_neighbours(self: Cheater, _batch: ConditionBatch, _seed: int) -> str
     return first_table(Path(self.options["weights"]).parent.parent.rglob("dataset.json"))
 
 
-def memory_of_the_harness(_self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
-    """The memory of the process that holds the table: this one, or the parent."""
-    mine = any(type(thing).__name__ == "SequenceTable" for thing in gc.get_objects())
-    place = Path("/proc/self" if mine else f"/proc/{os.getppid()}")
-    if not mine and b"--data" not in (place / "cmdline").read_bytes():  # a parent that is not the harness
-        return None
-    start = int((place / "maps").read_text().split("-", 1)[0], 16)
-    with (place / "mem").open("rb", buffering=0) as memory:
-        memory.seek(start)
-        return "memory" if memory.read(16) else None
+def memory_of_the_harness(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
+    """The memory of the process that holds the table: this one, or an ancestor."""
+    for place in harness_processes(self):
+        with contextlib.suppress(OSError):
+            empty = self.options["mark"].encode() in process_file(place, "cmdline")  # what ``outlive`` has left
+            if empty or (place / "comm").read_text() == "bwrap\n":
+                continue
+            start = int((place / "maps").read_text().split("-", 1)[0], 16)
+            with (place / "mem").open("rb", buffering=0) as memory:
+                memory.seek(start)
+                if memory.read(16):
+                    return "memory"
+    return None
 
 
 def network(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
@@ -438,7 +504,8 @@ GENERATING: dict[str, Callable] = {
     attempt.__name__: attempt
     for attempt in (
         descriptors, attributes, call_stack_ids, call_stack_table, closures, collector_ids, collector_table, caches,
-        memory_of_the_harness, command_line, command_line_of_parents, environment, environment_of_parents,
+        memory_of_the_harness, command_line, command_line_of_parents, command_line_of_others, environment,
+        environment_of_parents, working_directory_of_parents, descriptors_of_parents, mapped_files_of_parents,
         working_directory, home, cache_folder, weights_neighbours, network,
         opaque_ids, noise_seeds, initial_pose, goal, length, order, floor, state,
         patch_metrics, outlive, leave_thread, write_inputs,

@@ -27,6 +27,7 @@ from tests.harness.firewall.cheater import ATTEMPTS
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[3]
 COLUMNS = ("in process", "process", "bubblewrap")
+WORKERS = "process, two workers"
 BATCH_SIZE = 8
 
 
@@ -64,13 +65,22 @@ class Playground:
     def _sent_out(self, column: str) -> Outing:
         mark = uuid.uuid4().hex
         out = self.home / "work" / "runs" / column.replace(" ", "-")
-        options = {"home": os.fsencode(self.home).hex(), "port": str(self.port), "mark": mark}
+        options = {
+            "home": os.fsencode(self.home).hex(),
+            "port": str(self.port),
+            "mark": mark,
+            "outside": str(os.getpid()),
+        }
         options["weights"] = str(self.home / "work" / "weights" / "weights.bin")
         words = [sys.executable, "-m", "prbench", "run", "--method", "cheater", "--condition", "goal-loc"]
         words += ["--data", str(self.table.folder), "--out", str(out), "--batch-size", str(BATCH_SIZE)]
         words += [word for key, value in options.items() for word in ("--option", f"{key}={value}")]
-        words += ["--isolate"] * (column != "in process")
-        done = subprocess.run(words, cwd=self.home, env=self._environment(column), capture_output=True, text=True)
+        words += ["--isolate"] * (column != "in process") + ["--workers", "2"] * (column == WORKERS)
+        # Somebody else's program, which was called with the table, and has nothing to do with the run.
+        other = [sys.executable, "-S", "-c", "input()", str(self.table.folder)]
+        with subprocess.Popen(other, stdin=subprocess.PIPE) as bystander:
+            done = subprocess.run(words, cwd=self.home, env=self._environment(column), capture_output=True, text=True)
+            bystander.kill()
         survivors = _ended(mark)
         assert done.returncode == 0, done.stderr
         summary = DatasetSummary.read(out / "synthetic-adt")
@@ -80,7 +90,7 @@ class Playground:
     def _environment(self, column: str) -> dict[str, str]:
         kept = {name: value for name, value in os.environ.items() if not name.startswith(("PRBENCH", "XDG"))}
         kept |= {"HOME": str(self.home), "MY_TABLE": str(self.table.folder), "PYTHONPATH": str(self.site)}
-        if column == "process":  # as on a machine without bubblewrap
+        if column in ("process", WORKERS):  # as on a machine without bubblewrap
             kept["PATH"] = str(Path(sys.executable).parent)
         return kept
 
