@@ -29,7 +29,7 @@ _SEGMENTS = (
     (0.0145, Joint.LEFT_ANKLE, TOES[0], 0.5),
     (0.0145, Joint.RIGHT_ANKLE, TOES[1], 0.5),
 )
-_SWING = 0.10  # metres; shorter ways of a toe are shuffles
+_SWING = 0.05  # metres; shorter ways of a toe are shuffles
 _DIRECTIONS = 36  # in which a body may lean: each 10 degrees, so that a distance is 0.4 % too short at most
 
 
@@ -88,12 +88,14 @@ def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, 
         * ``support``: share of the pelvis' way over the ground in steps in which a foot is planted.
         * ``drag``: metres that the stillest foot on the floor moves along for a metre of that way; ways below
           ``drag_way`` count as that long.
+        * ``flight``: share of the steps in which no foot is planted.
         * ``unsupported_speed``: largest speed of the pelvis over the ground where no foot is planted, m/s.
         * ``travel_speed``: largest speed of the pelvis over the ground, m/s.
         * ``step_rate``: largest number of feet lifted within a second.
         * ``swing_time``: shortest time in which a foot swings ``_SWING`` metres or more, seconds; infinite without one.
         * ``pivot``: largest turn of a foot that lies on the floor, over the whole motion, degrees.
         * ``imbalance``: largest distance of the centre of mass from planted feet while the body stands, metres.
+        * ``overhang``: the same in any step.
     """
     motion = pair.predicted
     feet = footing(pair, constants)
@@ -120,17 +122,20 @@ def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, 
     for rate in np.unique(rates):
         counted = moving_sum(lifted.astype(float), motion, odd_window(1.0, rate)).sum(axis=0)
         steps = np.where(rates == rate, largest(counted), steps)
+    beyond = _beyond_feet(motion, feet, constants)
     return {
         "lower_toe": largest(motion.columns[list(TOES), 1].min(axis=0)),
         "slides": np.add.reduceat(sliding.astype(float), motion.first) / (motion.n_frames - 1),
         "support": np.where(way > 0, carried / np.where(way > 0, way, 1.0), 1.0),
         "drag": dragged / np.maximum(way, constants.drag_way * pair.targets.fps_of_sequence),
+        "flight": 1 - np.add.reduceat(standing.astype(float), motion.first) / (motion.n_frames - 1),
         "unsupported_speed": largest(np.where(standing, 0.0, feet.travel)),
         "travel_speed": largest(feet.travel),
         "step_rate": steps,
         "swing_time": _shortest_swing(motion, lifted, landed) / rates,
         "pivot": _largest_pivot(motion, feet),
-        "imbalance": largest(_imbalance(motion, feet, constants)),
+        "imbalance": largest(np.where(feet.travel <= constants.slide_speed, beyond, 0.0)),
+        "overhang": largest(beyond),
     }
 
 
@@ -162,8 +167,8 @@ def _largest_pivot(motion: MotionBatch, feet: Footing) -> Float[np.ndarray, " n"
     return np.rad2deg(np.max(turns, axis=0))
 
 
-def _imbalance(motion: MotionBatch, feet: Footing, constants: MetricConstants) -> Float[np.ndarray, " frames"]:
-    """Distance over the ground of the centre of mass from the planted feet; 0 where the body walks or sits."""
+def _beyond_feet(motion: MotionBatch, feet: Footing, constants: MetricConstants) -> Float[np.ndarray, " frames"]:
+    """Distance over the ground of the centre of mass from the planted feet; 0 where none is or the body sits."""
     # Summed segment by segment: the rounding of a matrix product depends on the rest of the batch.
     centre = np.zeros((2, len(motion.values)))
     for mass, upper, lower, share in _SEGMENTS:
@@ -175,8 +180,7 @@ def _imbalance(motion: MotionBatch, feet: Footing, constants: MetricConstants) -
         along = np.cos(angle) * points[:, 0] + np.sin(angle) * points[:, 1]
         edge = np.where(feet.planted, along, -np.inf).max(axis=0)
         distance = np.maximum(distance, np.cos(angle) * centre[0] + np.sin(angle) * centre[1] - edge)
-    stands = feet.planted.any(axis=0) & (feet.travel <= constants.slide_speed)
-    return np.where(stands & ~_sits(motion, constants), np.maximum(distance, 0.0), 0.0)
+    return np.where(feet.planted.any(axis=0) & ~_sits(motion, constants), np.maximum(distance, 0.0), 0.0)
 
 
 def _sits(motion: MotionBatch, constants: MetricConstants) -> Bool[np.ndarray, " frames"]:

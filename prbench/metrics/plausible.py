@@ -28,11 +28,12 @@ def largest_speed(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
         fps: Frames per second.
     """
     motion.require_frames(2)
-    step = np.diff(motion.columns, axis=-1)
-    way = np.zeros(len(motion.values))
-    way[:-1] = np.sqrt(step[:, 0] ** 2 + step[:, 1] ** 2 + step[:, 2] ** 2).max(axis=0)
-    way[motion.last] = 0.0  # the step from one sequence to the next is none
-    return np.maximum.reduceat(way, motion.first) * np.asarray(fps)
+    return _largest_difference(motion, 1) * np.asarray(fps)
+
+
+def largest_acceleration(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
+    """Largest norm of the second difference over frames and joints times fps², m/s²; 0 for fewer than three frames."""
+    return _largest_difference(motion, 2) * np.asarray(fps) ** 2
 
 
 def largest_jerk(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
@@ -40,13 +41,17 @@ def largest_jerk(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
 
     Source: docs/specification/metrics.md#largest-jerk.
     """
-    # The norm of the third difference that starts at each row; 0 for the last three rows of a sequence.
+    return _largest_difference(motion, 3) * np.asarray(fps) ** 3
+
+
+def _largest_difference(motion: MotionBatch, order: int) -> Float[np.ndarray, " n"]:
+    # The norm of the difference that starts at each row; 0 for the last rows of a sequence.
     norms = np.zeros((len(motion.columns), len(motion.values)))
-    third = np.diff(motion.columns, n=3, axis=-1)
-    norms[:, :-3] = np.sqrt(third[:, 0] ** 2 + third[:, 1] ** 2 + third[:, 2] ** 2)
-    for k in range(3):
+    difference = np.diff(motion.columns, n=order, axis=-1)
+    norms[:, :-order] = np.sqrt(difference[:, 0] ** 2 + difference[:, 1] ** 2 + difference[:, 2] ** 2)
+    for k in range(order):
         norms[:, motion.last - k] = 0.0
-    return np.maximum.reduceat(norms.max(axis=0), motion.first) * np.asarray(fps) ** 3
+    return np.maximum.reduceat(norms.max(axis=0), motion.first)
 
 
 def floating(motion: MotionBatch) -> Float[np.ndarray, " n"]:
@@ -110,6 +115,7 @@ MEASURES: Mapping[str, Measure] = MappingProxyType(
         "bone_change": _bone_change,
         "slow_slides": lambda pair, constants: slow_slides(pair.predicted, pair.targets.fps, constants),
         "jerk": lambda pair, _: largest_jerk(pair.predicted, pair.targets.fps),
+        "acceleration": lambda pair, _: largest_acceleration(pair.predicted, pair.targets.fps),
         "speed": lambda pair, _: largest_speed(pair.predicted, pair.targets.fps),
     }
 )

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.geometry.skeleton import TOES, WRISTS, Joint
-from prbench.metrics.batch import MotionBatch, ScoringPair
+from prbench.metrics.batch import ScoringPair
 
 # Name of each bend: pairs of bones, (from, to) each, between which it is the largest angle; 0 for straight ones.
 _Bone = tuple[Joint, Joint]
@@ -41,9 +41,12 @@ def posture_numbers(pair: ScoringPair) -> dict[str, Float[np.ndarray, " n"]]:
         pair: Predicted motions, canonical frame, metres, two frames or more, with their goals.
 
     Returns:
-        * ``knee``, ``elbow``, ``ankle``, ``hip``, ``spine``, ``neck``: largest bend, degrees; 0 is straight.
-        * ``twist``: largest turn of the shoulders against the hips about the trunk, degrees.
-        * ``turning``: largest speed at which hips or shoulders turn about the vertical, degrees a second.
+        * ``knee``, ``elbow``, ``ankle``, ``hip``, ``spine``, ``neck``: largest bend, degrees; 0 is straight, and a
+          neck at rest has 0.
+        * ``twist``: largest turn of the shoulders against the hips about the trunk, degrees; ``twisting``: its largest
+          speed, degrees a second.
+        * ``turning``, ``bowing``, ``nodding``: largest speed at which hips or shoulders turn about the vertical, and at
+          which the lines from pelvis to neck and from neck to head turn, degrees a second.
         * ``tilt_at_goal``: tilt of the trunk, degrees, in the frame in which a wrist is nearest to a goal that is
           higher than the knees; 0 for lower goals.
         * ``head_under_goal``: height of the goal above the head in that frame, metres; less than 0 for lower goals.
@@ -63,8 +66,16 @@ def posture_numbers(pair: ScoringPair) -> dict[str, Float[np.ndarray, " n"]]:
     # The parts of both lines across the trunk: what is left of their angle is the turn about it.
     squared = np.maximum((trunk * trunk).sum(axis=0), 1e-12)
     across = [line - (line * trunk).sum(axis=0) / squared * trunk for line in lines]
-    found["twist"] = largest(_angle(*across))
-    found["turning"] = np.max([_turning(line, pair) for line in lines], axis=0)
+    twist = _angle(*across)
+    found["twist"] = largest(twist)
+    found["twisting"] = _fastest(np.abs(np.diff(twist)), pair)
+    level = np.array([[1.0], [0.0], [1.0]])
+    speeds = [_fastest(_angle((line * level)[:, :-1], (line * level)[:, 1:]), pair) for line in lines]
+    found["turning"] = np.max(speeds, axis=0)
+    found["bowing"] = _fastest(_angle(trunk[:, :-1], trunk[:, 1:]), pair)
+    head = joints[Joint.HEAD] - joints[Joint.NECK]
+    found["nodding"] = _fastest(_angle(head[:, :-1], head[:, 1:]), pair)
+    found["neck"] -= pair.targets.head_tilt_deg
     # The frame in which a wrist is nearest to the goal.
     goal = pair.targets.goal_location.T[:, motion.sequence_of_row]
     distance = np.sqrt(((joints[list(WRISTS)] - goal) ** 2).sum(axis=1)).min(axis=0)
@@ -84,12 +95,9 @@ def _angle(first: Float[np.ndarray, "3 frames"], second: Float[np.ndarray, "3 fr
     return np.rad2deg(np.arctan2(np.sqrt((cross * cross).sum(axis=0)), (first * second).sum(axis=0)))
 
 
-def _turning(line: Float[np.ndarray, "3 frames"], pair: ScoringPair) -> Float[np.ndarray, " n"]:
-    """Largest speed at which a line turns about the vertical, degrees a second."""
-    motion: MotionBatch = pair.predicted
-    before = line[[0, 2], :-1]
-    after = line[[0, 2], 1:]
-    turn = np.zeros(len(motion.values))
-    turn[:-1] = np.arctan2(before[0] * after[1] - before[1] * after[0], (before * after).sum(axis=0))
+def _fastest(turns: Float[np.ndarray, " frames_but_one"], pair: ScoringPair) -> Float[np.ndarray, " n"]:
+    """Return the largest turn from a frame to the next one of the same sequence, degrees a second."""
+    motion = pair.predicted
+    turn = np.append(turns, 0.0)
     turn[motion.last] = 0.0
-    return np.rad2deg(np.maximum.reduceat(np.abs(turn), motion.first)) * pair.targets.fps_of_sequence
+    return np.maximum.reduceat(turn, motion.first) * pair.targets.fps_of_sequence

@@ -16,6 +16,7 @@ from prbench.metrics.plausible import (
     body_numbers,
     broken_limits,
     floating,
+    largest_acceleration,
     largest_jerk,
     largest_speed,
     largest_trunk_tilt,
@@ -127,6 +128,7 @@ def test_jerk_of_a_cubic_in_metres_a_second_cubed() -> None:
     cubic = standing(9) + np.arange(9)[:, None, None] ** 3 * np.array([0.001, 0, 0])
     assert largest_jerk(batch(standing(2), cubic, standing(3)), 20.0) == pytest.approx([0, 48, 0])
     assert largest_jerk(batch(cubic), 30.0) == pytest.approx([0.006 * 30**3])
+    assert largest_acceleration(batch(standing(2), cubic), 20.0) == pytest.approx([0, 6 * 7 * 0.001 * 400])
 
 
 def crouched(height: float) -> np.ndarray:

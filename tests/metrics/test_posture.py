@@ -36,7 +36,6 @@ def bent(middle: Joint, end: Joint, before: Joint, degrees: float) -> np.ndarray
         ("elbow", Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST),
         ("elbow", Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST),
         ("ankle", Joint.LEFT_KNEE, Joint.LEFT_ANKLE, Joint.LEFT_FOOT),
-        ("neck", Joint.SPINE3, Joint.NECK, Joint.HEAD),
     ],
 )
 def test_a_bend_is_the_largest_angle_between_two_bones(name: str, before: Joint, middle: Joint, end: Joint) -> None:
@@ -61,6 +60,19 @@ def test_shoulders_twist_against_hips_and_turn_in_time() -> None:
     assert numbers(twisted)["turning"] == pytest.approx(20.0 * FPS)
     across_the_border = looking([170, 180, 190])
     assert numbers(across_the_border)["turning"] == pytest.approx(10.0 * FPS)
+    assert numbers(twisted)["twisting"] == pytest.approx(20.0 * FPS)
+
+
+def test_neck_and_trunk_bend_from_rest_and_turn_in_time() -> None:
+    nods = bent(Joint.NECK, Joint.HEAD, Joint.SPINE3, 50.0)
+    motions = batch(nods)
+    rest = posture_numbers(ScoringPair(motions, motions, targets(tilt=38.3)))
+    assert rest["neck"] == pytest.approx(50.0 - 38.3)
+    assert numbers(nods)["nodding"] == pytest.approx(numbers(nods)["neck"] * FPS, rel=0.5)
+    bows = standing(4)
+    bows[:, Joint.PELVIS] = (0, 0.9, 0)
+    bows[2:, Joint.NECK] = (0.0, 0.9 + 0.6 * np.cos(0.1), 0.6 * np.sin(0.1))
+    assert numbers(bows)["bowing"] == pytest.approx(np.rad2deg(0.1) * FPS)
 
 
 def test_the_body_at_its_goal_is_that_of_the_nearest_wrist() -> None:
