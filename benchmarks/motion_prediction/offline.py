@@ -24,7 +24,7 @@ from prbench.harness.methods.installed import name_problem
 from prbench.harness.offline import ExportReport
 from prbench.harness.preparation import PreparedDataset, PreparedRun, run_record
 from prbench.harness.request import ProgressCallback, RunRequest, silent
-from prbench.harness.run import score_prepared
+from prbench.harness.run import RunPart, scored_parts
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.predictions import PredictionRows, write_part
 from prbench.harness.run_folder.record import MethodRecord
@@ -271,7 +271,8 @@ def score_futures(
             ids = dataset.ids(work.plan[index])
             path = run.dataset(dataset.name).part(index)
             write_part(path, ids, [keys] * info.samples, samples, protocol_version=rules.version)
-        summaries = score_prepared(prepared, run, engine=engine or InProcess(), progress=progress)
+        own = RunPart(prepared, dataset, run.dataset(dataset.name), engine or InProcess(), progress)
+        summaries = scored_parts([own])
     return summaries[0], record.method.origin
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from prbench.engine import Engine, is_out_of_memory
 from prbench.errors import AdapterError, PrbenchError
+from prbench.files.storage import text_digest
 from prbench.harness.benchmark import Answer, CaseWork
 from prbench.harness.methods.loading import LoadedMethod
 from prbench.harness.methods.motions import release_memory, told
@@ -38,6 +39,11 @@ class FutureQuestion:
 
     batch: ObservedBatch
     n_samples: int
+
+    @property
+    def digest(self) -> str:
+        """See :meth:`prbench.harness.benchmark.CaseWork.questions`; turned poses may differ in the last digits."""
+        return text_digest(self.batch.condition, *map(str, self.batch.key))
 
     def ask(self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...]) -> Answer:
         """See :meth:`prbench.harness.benchmark.CaseWork.questions`."""

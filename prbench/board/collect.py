@@ -10,69 +10,86 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import msgspec
+
+import prbench
 from prbench.board.merging import merge_folds
 from prbench.errors import RunError
 from prbench.files.bounded import foreign_input
 from prbench.harness.benchmark import Benchmark, load_benchmark
+from prbench.harness.claims import DECLARED
 from prbench.harness.methods.installed import METHOD_CONTROLS, name_problem
 from prbench.harness.results import CheckedSummary, RunChecker, ScoredSequences
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder.folder import (
     FOLDS_FILE,
     MERGED,
-    DatasetFolder,
     FoldRun,
     RunFolder,
     read_folds,
     run_folder_of,
 )
-from prbench.harness.run_folder.record import RunCost, RunRecord, TableRecord
+from prbench.harness.run_folder.record import RunCost, RunRecord, TableRecord, total_cost
 from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.run_folder.signature import require_signed
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
 from prbench.protocol.manifests import benchmarks, find_benchmark
+from prbench.shown import clean
+from prbench.tables import note_of
 
-# Titles of the numbers of :func:`cost_of`.
+# Titles of the numbers of :func:`cost_of`, and their columns in CSV.
 COSTS = {
-    "seconds": "s/motion",
-    "processor_seconds": "CPU s/motion",
-    "network_passes": "Passes/motion",
-    "memory_mebibytes": "Memory (MiB)",
-    "parameters": "Parameters",
+    "seconds": ("s/motion (declared)", "seconds_per_motion"),
+    "processor_seconds": ("CPU s/motion (declared)", "processor_seconds_per_motion"),
+    "network_passes": ("Passes/motion (declared)", "passes_per_motion"),
+    "memory_mebibytes": ("Memory (MiB) (declared)", "memory_mebibytes"),
+    "parameters": ("Parameters (declared)", "parameters"),
 }
 # The cost of controls, whose motions the harness makes, and of motions that came as a file.
 UNMEASURED: dict[str, float | None] = dict.fromkeys(COSTS)
 
 
-def cost_of(files: DatasetFolder) -> dict[str, float | None]:
+def cost_of(run: RunFolder, table: TableRecord, folds: Sequence[RunFolder] = ()) -> tuple[dict[str, float | None], str]:
     """Read the cost of one dataset of a finished run.
+
+    Args:
+        run: The run.
+        table: Its entry for the dataset.
+        folds: The runs that it was merged from.
 
     Returns:
         Seconds and processor seconds a motion, batched as the run was, without warm-up; network passes a motion, as
         the method declares;
         largest memory of the device, else of the process, MiB; parameters of the networks. None where nothing was
-        measured or declared.
-
-    Raises:
-        RunError: if the file is missing or damaged.
+        measured or declared. And the reason why ``cost.json`` is not believed, which leaves None of all.
     """
-    cost = RunCost.read(files.cost)
+    try:
+        cost = RunCost.read(run.dataset(table.dataset).cost)
+        problem = cost.problem(run.record, table)
+        parts = [RunCost.read(fold.dataset(table.dataset).cost) for fold in folds]
+        if parts and total_cost(parts) != msgspec.structs.replace(cost, checksum=""):
+            problem = problem or "it is not the sum of the costs of its folds"
+    except RunError as error:
+        problem = str(error)
+    if problem:
+        return UNMEASURED, problem
     motions = cost.motions + cost.warm_up_motions
     if not motions or not cost.seconds + cost.warm_up_seconds:
-        return UNMEASURED
+        return UNMEASURED, ""
     # A run of a single batch has a warm-up alone: slower than later batches, but the only measurement.
     alone = not cost.motions
     seconds = cost.warm_up_seconds if alone else cost.seconds
     computed = cost.warm_up_processor_seconds if alone else cost.processor_seconds
     timed = cost.warm_up_motions if alone else cost.motions
     memory = cost.peak_device_bytes if cost.peak_device_bytes is not None else cost.peak_process_bytes
-    return {
+    found = {
         "seconds": seconds / timed,
         "processor_seconds": None if computed is None else computed / timed,
         "network_passes": cost.network_passes_declared / motions if cost.network_passes_declared else None,
         "memory_mebibytes": memory / 2**20 if memory else None,
         "parameters": cost.parameters,
     }
+    return found, ""
 
 
 @dataclass(frozen=True)
@@ -87,6 +104,8 @@ class LeaderboardRow:
         scores: Its ``scores.parquet``.
         only: Ids of the sequences that its summary is of, and that it is compared on; None for all that were scored.
         cost: Cost of a motion; see :func:`cost_of`.
+        unverified_cost: The reason why ``cost.json`` is not believed; empty where nothing contradicts it.
+        declared: What the run says and nothing at hand can show.
     """
 
     run: str
@@ -99,6 +118,8 @@ class LeaderboardRow:
     scores: Path | None = None
     only: frozenset[str] | None = None
     cost: Mapping[str, float | None] = field(default_factory=lambda: UNMEASURED)
+    unverified_cost: str = ""
+    declared: tuple[str, ...] = DECLARED
 
     @property
     def method(self) -> str:
@@ -116,17 +137,15 @@ class LeaderboardRow:
         method = self.record.method
         # run.json is a user's file: a method may claim to be built in without being so.
         ours = {run_record.BUILT_IN: self.benchmark.about.methods, run_record.CONTROL: METHOD_CONTROLS}.get(method.kind)
-        return "unknown kind" if ours is not None and method.name not in ours else method.origin
+        if ours is None or method.name in ours:
+            other = ours is not None and method.version != prbench.__version__
+            return f"{method.origin}, prbench {clean(method.version)}" if other else method.origin
+        return "unknown kind"
 
     @property
     def is_control(self) -> bool:
         """Made by the harness, or with another sequence's goals: shown, never ranked."""
         return self.record.method.kind == run_record.CONTROL or self.record.control is not None
-
-    @property
-    def mark(self) -> str:
-        """A remark about the motions that readers must know, or an empty text."""
-        return self.summary.mark
 
     @property
     def variant(self) -> str:
@@ -137,6 +156,11 @@ class LeaderboardRow:
             parts.append(f"weights {method.weights}")
         parts += [f"{key}={value}" for key, value in sorted(method.options.items())]
         return "; ".join(parts)
+
+    @property
+    def remarks(self) -> str:
+        """Words on what is not verified, for the cell beside the method; empty where all is."""
+        return note_of("unverified" if self.unverified else "", "unverified (cost)" if self.unverified_cost else "")
 
     def metric(self, name: str) -> MetricSummary | None:
         """Return one metric, or None if the run lacks it."""
@@ -207,7 +231,7 @@ def collect_runs(
             continue
         for table in run.record.tables:
             checked = (check or RunChecker().check)(run, table)
-            files = run.dataset(table.dataset)
+            cost, unverified_cost = cost_of(run, table)
             # Name and version of the user's own protocol that a run follows; empty for prbench's.
             protocol = run.protocol
             row = LeaderboardRow(
@@ -218,8 +242,10 @@ def collect_runs(
                 checked.unverified,
                 sequences=checked.scored,
                 protocol=(protocol.label if protocol is not None and protocol.is_own else ""),
-                scores=files.scores,
-                cost=cost_of(files),
+                scores=run.dataset(table.dataset).scores,
+                cost=cost,
+                unverified_cost=unverified_cost,
+                declared=checked.declared,
             )
             if (run.path / FOLDS_FILE).is_file():
                 merged.append((row, run))
@@ -230,7 +256,12 @@ def collect_runs(
     within: set[tuple[str, str]] = set()
     for row, run in merged:
         keys = [fold.key for fold in read_folds(run.path)]
-        rows.append(replace(row, unverified=_why_unverified(run, [of_folds.get(key) for key in keys])))
+        named = [of_folds.get(key) for key in keys]
+        folds = [pair[1] for pair in named if pair is not None]
+        cost, unverified_cost = cost_of(run, row.table, folds)
+        unverified_cost = unverified_cost or next((pair[0].unverified_cost for pair in named if pair), "")
+        why = _why_unverified(run, named)
+        rows.append(replace(row, unverified=why, cost=cost, unverified_cost=unverified_cost))
         within.update(keys)
     # The scores of a fold's run are among the merged ones; beside them it would count its sequences twice.
     rows += [row for key, (row, _) in of_folds.items() if key not in within]

@@ -17,6 +17,7 @@ import numpy as np
 from prbench.board.collect import LeaderboardRow
 from prbench.errors import RunError
 from prbench.harness.benchmark import Benchmark, load_benchmark
+from prbench.harness.claims import DECLARED
 from prbench.harness.clusters import FEWEST_FOR_BOARD
 from prbench.harness.intervals import ClusteredValues, Comparison, clustered, compare
 from prbench.harness.results import RunChecker
@@ -71,6 +72,7 @@ class RunComparison:
         metrics: One entry for each metric and dataset.
         left_out: A line for each dataset of which only the sequences that both methods generated are compared.
         unverified: A line for each run and dataset whose scores could not be held against the motions, with the reason.
+        declared: What the runs say and scores do not show, method and origin among it.
     """
 
     first: ComparedRun
@@ -78,6 +80,7 @@ class RunComparison:
     metrics: tuple[ComparedMetric, ...]
     left_out: tuple[str, ...]
     unverified: tuple[str, ...]
+    declared: tuple[str, ...] = DECLARED
 
 
 def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker | None = None) -> RunComparison:

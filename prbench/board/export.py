@@ -13,6 +13,7 @@ from prbench.board.tables import FEWEST_RANKED, DatasetTable, Leaderboard, Macro
 from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.errors import UsageError
 from prbench.harness.benchmark import Benchmark, load_benchmark
+from prbench.harness.claims import METHOD
 from prbench.harness.run_folder.record import CONTROL, RunRecord
 from prbench.harness.run_folder.summary import DatasetSummary, counted_units
 from prbench.protocol.manifests import default_benchmark
@@ -22,7 +23,8 @@ from prbench.tables import as_markdown as tables_as_markdown
 _CSV_COLUMNS = (
     *("table", "dataset", "condition", "method", "variant", "metric", "value", "unit", "higher_is_better"),
     *("low", "high", "sequences", "recordings", "detectable", "rank", "verified", "note", "kind"),
-    *("seconds_per_motion", "processor_seconds_per_motion", "passes_per_motion", "memory_mebibytes", "parameters"),
+    *(column for _, column in COSTS.values()),
+    "declared",
 )
 _FEW = "†"
 FORMATS = ("md", "csv", "json")
@@ -71,7 +73,7 @@ def measured_cells(row: TableRow, table: DatasetTable, **about: Any) -> tuple[Ce
             f"own protocol {table.protocol}" if table.protocol else "",
             "" if table.earlier_version is None else f"protocol version {table.earlier_version}",
             "stands still" if hidden else "",
-            entry.mark,
+            entry.summary.mark,
             arrival,
         )
         cell = metric_cell(
@@ -97,17 +99,10 @@ def measured_cells(row: TableRow, table: DatasetTable, **about: Any) -> tuple[Ce
 def _csv_rows(leaderboard: Leaderboard) -> Iterator[dict[str, Any]]:
     for number, table in enumerate(leaderboard.tables, start=1):
         for row in table.rows:
-            cost = row.entry.cost
-            about = {
-                "table": str(number),
-                "verified": "unverified" if row.entry.unverified else "verified",
-                "kind": row.entry.origin,
-                "seconds_per_motion": cost["seconds"],
-                "processor_seconds_per_motion": cost["processor_seconds"],
-                "passes_per_motion": cost["network_passes"],
-                "memory_mebibytes": cost["memory_mebibytes"],
-                "parameters": cost["parameters"],
-            }
+            entry = row.entry
+            about = {"verified": entry.remarks or "verified", "kind": entry.origin}
+            about |= {column: entry.cost[key] for key, (_, column) in COSTS.items()}
+            about |= {"table": str(number), "declared": note_of(*entry.declared)}
             yield from (_csv_row(cell, table.benchmark) | about for cell in measured_cells(row, table))
     for number, macro in enumerate(leaderboard.macro, start=1):
         benchmark = load_benchmark(macro.benchmark)
@@ -127,6 +122,7 @@ def _csv_rows(leaderboard: Leaderboard) -> Iterator[dict[str, Any]]:
                 "verified": "unverified" if row.unverified else "verified",
                 "note": note_of(*notes, row.mark),
                 "kind": row.origin,
+                "declared": note_of(*row.declared),
             }
             yield from (_csv_row(cell, benchmark) | about for cell in cells if cell.metric in row.means)
 
@@ -148,6 +144,8 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True):
         origin: Whose method it is, in words; a record that claims a method for prbench without right is not believed.
         mark: A remark about its motions that readers must know; empty if there is none.
         unverified: Why the scores were not held against the motions; empty if they were.
+        unverified_cost: Why ``cost.json`` is not believed; empty where nothing contradicts it.
+        declared: What the run's own files say, and nothing at hand can show: ``method``, ``cost`` and the like.
         variant: Control, weights, options and the like, by which rows of one method differ.
         ranks: Maps ids of metrics to ranks: one more than the number of methods that are better by a supported
             difference.
@@ -162,6 +160,8 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True):
     origin: str
     mark: str
     unverified: str
+    unverified_cost: str
+    declared: tuple[str, ...]
     variant: str
     ranks: dict[str, int]
     leads: list[str]
@@ -216,7 +216,7 @@ class Board(msgspec.Struct, frozen=True, kw_only=True):
         notes: What was left out, and which tables must not be compared.
     """
 
-    schema_version: int = 2
+    schema_version: int = 3
     tables: list[BoardTable]
     macro_means: tuple[MacroTable, ...]
     notes: tuple[str, ...]
@@ -227,10 +227,11 @@ def as_board(leaderboard: Leaderboard) -> Board:
     tables = []
     for table in leaderboard.tables:
         protocol, identity, content, split, selection = table.key
+        of_entry = ("run", "record", "summary", "cost", "origin", "unverified", "unverified_cost", "declared")
         rows = [
             BoardRow(
-                **{name: getattr(row.entry, name) for name in ("run", "record", "summary", "cost", "origin", "mark")},
-                unverified=row.entry.unverified,
+                **{name: getattr(row.entry, name) for name in of_entry},
+                mark=row.entry.summary.mark,
                 variant=row.variant,
                 ranks=row.ranks,
                 leads=sorted(row.leads),
@@ -276,7 +277,7 @@ def _as_markdown(leaderboard: Leaderboard) -> str:
                 text={
                     "condition": "control" if row.entry.record.method.kind == CONTROL else row.entry.record.condition,
                     "method": _words(row.entry.method, row.entry.summary.symbols),
-                    "variant": note_of(row.variant, "unverified" if row.entry.unverified else ""),
+                    "variant": note_of(row.variant, row.entry.remarks),
                     "kind": row.entry.origin,
                 },
                 cells=(
@@ -286,7 +287,7 @@ def _as_markdown(leaderboard: Leaderboard) -> str:
             )
             for row in table.rows
         ]
-        costs = [Column(key=name, title=COSTS[name], digits=3 if name.endswith("seconds") else 0) for name in COSTS]
+        costs = [Column(key=name, title=COSTS[name][0], digits=3 if name.endswith("seconds") else 0) for name in COSTS]
         blocks = (Block(rows=tuple(rows)),)
         columns = _columns(table.benchmark, *costs)
         tables.append(Table(title=", ".join(about), columns=columns, blocks=blocks, notes=tuple(_legend(table))))
@@ -310,11 +311,15 @@ def _words(*parts: str) -> str:
 
 def _columns(benchmark: Benchmark, *further: Column) -> tuple[Column, ...]:
     """Return the columns of a board; a metric that a run lacks leaves its cell empty."""
+    *texts, kind = (
+        Column(key=title.lower(), title=f"{title} (declared)", text=True)
+        for title in ("Condition", "Method", "Variant", "Kind")
+    )
     return (
-        *(Column(key=title.lower(), title=title, text=True) for title in ("Condition", "Method", "Variant")),
+        *texts,
         *(metric_column(info, missing="") for info in benchmark.main_metrics),
         *further,
-        Column(key="kind", title="Kind", text=True),
+        kind,
     )
 
 
@@ -357,6 +362,10 @@ def _legend(table: DatasetTable) -> Iterable[str]:
 def table_notes(table: DatasetTable) -> Iterable[str]:
     """Yield what a reader of measured rows has to know, whatever stands beside them."""
     yield "Rates in %, lengths in m; 95 % intervals over recordings (of folds: over participants) in brackets."
+    yield "Declared: said by the run's own files, contradicted by none, and shown by nothing but running the method."
+    shown = dict.fromkeys(row.entry.method for row in table.rows if METHOD not in row.entry.declared)
+    if shown:
+        yield f"Made again from the table, and equal: the motions of {', '.join(shown)}."
     if table.synthetic:
         yield ON_SYNTHETIC_DATA
     if any("few_recordings" in metric.marks for row in table.rows for metric in row.entry.summary.metrics):
@@ -378,8 +387,8 @@ def table_notes(table: DatasetTable) -> Iterable[str]:
     yield from undecided_lines(table)
     for row in table.rows:
         # Remarks stand under the table, because a cell has no room for a sentence.
-        if row.entry.mark:
-            yield f"{row.entry.method} {row.entry.mark}."
+        if row.entry.summary.mark:
+            yield f"{row.entry.method} {row.entry.summary.mark}."
         if row.entry.summary.arrival:
             yield f"{row.entry.method} {row.entry.summary.arrival} (docs/specification/metrics.md#prime-success)."
         if row.entry.summary.unsupported:
@@ -389,6 +398,8 @@ def table_notes(table: DatasetTable) -> Iterable[str]:
             )
     for reason in dict.fromkeys(row.entry.unverified for row in table.rows if row.entry.unverified):
         yield f"Unverified: scores that were not held against the motions, because {reason}."
+    for entry in (row.entry for row in table.rows if row.entry.unverified_cost):
+        yield f"Unverified (cost): {entry.method}, {entry.run}, cost.json: {entry.unverified_cost}."
 
 
 def _macro_table(macro: MacroTable, *, with_benchmark: bool) -> Table:

@@ -105,6 +105,7 @@ class MacroRow:
         ranks: Maps ids of metrics to ranks, from 1; empty where nothing is ranked.
         missing: Datasets that the method lacks.
         unverified: Scores on one of the datasets or more were not held against the motions.
+        declared: What its runs say and nothing at hand can show.
     """
 
     method: str
@@ -118,6 +119,7 @@ class MacroRow:
     ranks: dict[str, int]
     missing: tuple[str, ...]
     unverified: bool
+    declared: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -354,11 +356,11 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
     for key in sorted(found, key=lambda key: min(_place(entry) for entry in found[key].values())):
         condition, method, variant, origin = key
         entries = found[key].values()
-        marked = [entry for entry in entries if entry.mark]
+        marked = [entry for entry in entries if entry.summary.mark]
         yield MacroRow(
             method=method,
             origin=origin,
-            mark=marked[0].mark if marked else "",
+            mark=marked[0].summary.mark if marked else "",
             symbols=marked[0].summary.symbols if marked else "",
             is_control=any(entry.record.method.kind == CONTROL for entry in entries),
             condition=condition,
@@ -367,6 +369,7 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
             ranks=ranks[key],
             missing=tuple(name for name in names if name not in found[key]),
             unverified=any(entry.unverified for entry in entries),
+            declared=max((entry.declared for entry in entries), key=len),
         )
 
 

@@ -99,7 +99,7 @@ def _print_comparison(compared: RunComparison) -> None:
         needed = compared.metrics[0].comparison.needed
         print(f"cannot be tested: {needed} recordings (of folds: participants) or more are needed for so many metrics.")
     for run in (compared.first, compared.second):
-        print(f"{run.path.name}: {run.method}, {run.origin}")
+        print(f"{run.path.name}: {run.method}, {run.origin} (declared)")
         for dataset, mark in run.marks.items():
             print(f"{run.path.name}, {dataset}: {mark}.")
     for reason in compared.unverified:

@@ -461,6 +461,8 @@ def collected_runs(
     for row in collected.rows:
         if row.unverified:
             note(f"unverified: {row.run}: {row.unverified}")
+        if row.unverified_cost:
+            note(f"unverified (cost): {row.run}, {row.table.dataset}, cost.json: {row.unverified_cost}")
     return collected
 
 

@@ -81,7 +81,7 @@ class CaseWork(ABC):
         A question holds the cases of one batch as a method may see them, and nothing else, since it goes to a worker as
         it is. ``ask(method, *, seed, sequence_ids)`` asks the method (None for a control, whose answer the question
         holds), checks what it answers, and returns an :class:`Answer`. ``seed`` is that of the run, and the ids are for
-        messages alone.
+        messages alone. ``digest`` is over what the method is given, and stands beside the answer.
         """
 
     @abstractmethod

@@ -14,10 +14,10 @@ import pyarrow as pa
 from jaxtyping import Float, Int
 
 from prbench.checking.doctor.motion_set import Diagnosis
-from prbench.contract import Condition, ConditionBatch, Motions
+from prbench.contract import GIVEN, Condition, ConditionBatch, Motions
 from prbench.engine import Engine
 from prbench.errors import AdapterError
-from prbench.files.storage import in_turn
+from prbench.files.storage import in_turn, text_digest
 from prbench.harness import controls
 from prbench.harness.agreement import agreement_with_people, require_agreement
 from prbench.harness.benchmark import Answer, Benchmark, CaseWork
@@ -39,6 +39,7 @@ from prbench.protocol.own_protocol import protocol_for
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.folds import fold_tables
+from prbench.sequences.schema import ROUNDING
 from prbench.sequences.sequence import recording_key
 
 
@@ -53,6 +54,14 @@ class MotionQuestion:
 
     conditions: tuple[ConditionBatch, ...]
     given: Motions | None
+
+    @property
+    def digest(self) -> str:
+        """See :meth:`prbench.harness.benchmark.CaseWork.questions`; a table of equal content gives equal digests."""
+        batch = self.conditions[0]
+        arrays = [getattr(batch, name) for name in sorted(GIVEN[batch.condition] - {"text"})]
+        rounded = [np.rint(values * np.float64(1 / ROUNDING)).astype(np.int64).tobytes().hex() for values in arrays]
+        return text_digest(batch.condition, *batch.opaque_id, *(batch.text or ()), *rounded)
 
     def ask(self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...]) -> Answer:
         """See :class:`prbench.harness.benchmark.Question`."""

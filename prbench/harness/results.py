@@ -23,6 +23,7 @@ from msgspec.structs import asdict
 from prbench.checking.doctor.motion_set import Diagnosis
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError
+from prbench.harness import claims
 from prbench.harness.benchmark import CaseTable, CaseWork, load_benchmark
 from prbench.harness.intervals import CONFIDENCE, clustered, metric_interval
 from prbench.harness.request import RunRequest
@@ -94,8 +95,8 @@ def cases_of_run(run: RunFolder, table: CaseTable, *, limit: int | None = None) 
     return request, chosen, benchmark.answerable(request, chosen, record.method)
 
 
-def work_of_run(run: RunFolder, request: RunRequest, cases: Any, table: CaseTable) -> CaseWork:
-    """Return the work on the cases of a run: its answers are scored by it, and lie in its folder."""
+def work_of_run(run: RunFolder, request: RunRequest, cases: Any, rules: Any) -> CaseWork:
+    """Return the work on the cases of a run: its answers are scored by it under some rules, and lie in its folder."""
     benchmark = load_benchmark(run.record.benchmark)
     # Motions that came as a file may have an unstated condition; no score depends on it.
     known = {condition.value: condition for condition in benchmark.conditions}
@@ -104,7 +105,7 @@ def work_of_run(run: RunFolder, request: RunRequest, cases: Any, table: CaseTabl
         cases,
         method=run.record.method,
         condition=known.get(run.record.condition, next(iter(known.values()))),
-        rules=benchmark.rules(request, [table]),
+        rules=rules,
     )
 
 
@@ -272,10 +273,7 @@ def summary_of(
 
 def _ranks(names: Sequence[str]) -> Int[np.ndarray, " names"]:
     """Return the place of each name among the different names, sorted."""
-    if all(first < second for first, second in itertools.pairwise(names)):
-        return np.arange(len(names))
-    place = {name: number for number, name in enumerate(sorted(set(names)))}
-    return np.array([place[name] for name in names], dtype=np.int64)
+    return np.unique(np.array(names, dtype=object), return_inverse=True)[1]
 
 
 _OTHER_PROTOCOL = (
@@ -291,11 +289,13 @@ class CheckedSummary:
     Attributes:
         unverified: Reason why the scores could not be held against the motions; empty where they were.
         scored: What a summary of some of the sequences is made from; None where a test gives a summary alone.
+        declared: What the run says and nothing here can show.
     """
 
     summary: DatasetSummary
     unverified: str
     scored: ScoredSequences | None = None
+    declared: tuple[str, ...] = claims.DECLARED
 
 
 @dataclass(frozen=True)
@@ -341,9 +341,10 @@ class RunChecker:
         """Check one dataset of a finished run.
 
         Raises:
-            RunError: if the summary does not follow from the scores, or the scores from motions and table; names the
-                file and the first value that differs.
+            RunError: if the summary does not follow from the scores, the scores from motions and table, or what the
+                run says of its method and table is contradicted; names the file and the first value that differs.
         """
+        claims.require_own_method(run)
         files = run.dataset(record.dataset)
         scores = CodedScores.read(files.scores)
         table = self.find_table(record)
@@ -359,25 +360,30 @@ class RunChecker:
         if not grouped:
             made = stored
         scored = ScoredSequences(run, record, recording_of)
+        claims.require_still(run, scores, benchmark)
         has_motions = any(files.predictions.glob("part-*.parquet"))
+        rules = benchmark.rules_of(run)
+        declared = claims.DECLARED
         unverified = ""
         if not has_motions:
             unverified = "its folder holds no motions"
-        elif benchmark.rules_of(run) is None:
+        elif rules is None:
             unverified = _OTHER_PROTOCOL
         elif table is None:
             unverified = f"its table of {record.dataset} is not at hand: name it with --data DIR"
-        if table is not None and benchmark.rules_of(run) is not None:
-            request, _, cases = cases_of_run(run, table)
+        if table is not None and rules is not None:
+            request, chosen, cases = cases_of_run(run, table)
             unknown = sorted(set(names) - set(cases.sequence_ids))
             if unknown:
                 raise RunError(
                     f"{files.scores}: expected sequences that the run was made on, found {quoted(unknown[0])}."
                 )
+            work = work_of_run(run, request, cases, rules)
             if has_motions:
-                work = work_of_run(run, request, cases, table)
                 require_scores(files, scores, CodedScores.of(work.scores(files, self.engine)))
                 made = msgspec.structs.replace(made, findings=work.findings(files))
+                declared = claims.require_questions(run, files, cases, work)
+            claims.require_table(run, record, chosen, cases, work, rules)
             cases = cases.chosen(np.isin(cases.sequence_ids, names))
-            work_of_run(run, request, cases, table).require_beside(files, scores)
-        return CheckedSummary(made, unverified, scored)
+            work_of_run(run, request, cases, rules).require_beside(files, scores)
+        return CheckedSummary(made, unverified, scored, declared)

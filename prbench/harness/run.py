@@ -105,7 +105,8 @@ def run_batch(task: BatchTask) -> int:
         )
         method.warmed_up = True
     cost.write(task.cost)  # first, so that a part on disk is never without its measurement
-    write_part(task.part, task.sequence_ids, answer.seeds, answer.samples, protocol_version=task.protocol_version)
+    about = {"protocol_version": task.protocol_version, "question": task.question.digest}
+    write_part(task.part, task.sequence_ids, answer.seeds, answer.samples, **about)
     return task.index
 
 
@@ -193,21 +194,6 @@ def tidied(request: RunRequest) -> Iterator[None]:
         raise
     finally:
         forget_loaded_methods()
-
-
-def score_prepared(
-    prepared: PreparedRun, folder: RunFolder, *, engine: Engine, progress: ProgressCallback = silent
-) -> tuple[DatasetSummary, ...]:
-    """Score what stands in a run folder, whoever has put it there.
-
-    Args:
-        prepared: The run.
-        folder: Run folder that holds its predictions.
-        engine: Processes or cluster that does the work; changes no value.
-        progress: Called with what is done.
-    """
-    parts = [RunPart(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
-    return scored_parts(parts)
 
 
 def scored_parts(parts: Sequence[RunPart]) -> tuple[DatasetSummary, ...]:

@@ -14,14 +14,20 @@ from prbench.engine.pool import give_back
 from prbench.errors import RunError, StorageError, UsageError
 from prbench.files.storage import file_digest, remove_half_written, sole_writer, text_digest
 from prbench.harness.agreement import agreement_with_people
-from prbench.harness.benchmark import load_benchmark
 from prbench.harness.faults import certain_faults
 from prbench.harness.methods.installed import name_problem
 from prbench.harness.offline import read_conditions_file
 from prbench.harness.planning import Selection, open_tables, select, supported
 from prbench.harness.preparation import table_record
 from prbench.harness.request import ProgressCallback, reported, silent
-from prbench.harness.results import cases_of_run, differences, require_scores, summary_of, tree_of
+from prbench.harness.results import (
+    cases_of_run,
+    differences,
+    require_scores,
+    summary_of,
+    tree_of,
+    work_of_run,
+)
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.predictions import Predictions
@@ -113,13 +119,7 @@ def _score_run(
         files = run.dataset(table.info.dataset)
         predictions = Predictions.open(files.predictions)
         require_complete(predictions, request, [selection], seed=record.seed, samples=record.samples)
-        work = load_benchmark(record.benchmark).work(
-            asked,
-            selection,
-            method=method,
-            condition=load_benchmark(record.benchmark).condition(record.condition),
-            rules=protocol,
-        )
+        work = work_of_run(run, asked, selection, protocol)
         scores = CodedScores.of(reported(work.scores(files, engine), table.info.dataset, len(selection), progress))
         table_entry = table_record(chosen, selection, _NO_BATCHES)
         findings = work.findings(files)

@@ -125,7 +125,7 @@ def check_columns(schema: pa.Schema, expected: Iterable[pa.Field], *, source: st
             raise TableError(f"{source}: column '{field.name}': expected {field.type}, found {found}.")
 
 
-_ROUNDING = 1e-5  # metres, seconds and unit vectors alike: 10 micrometres
+ROUNDING = 1e-5  # metres, seconds and unit vectors alike: 10 micrometres
 
 
 def identity_of_rows(rows: pa.Table, *, protocol_version: int) -> str:
@@ -190,7 +190,7 @@ def _rounded(leaf: pa.Array) -> np.ndarray:
         return numbers.astype(np.int64)
     integer = np.int32 if leaf.type == pa.float32() else np.int64
     # A product, not a quotient, and in float64: other processors then round to the same integers.
-    return np.rint(numbers * np.float64(1 / _ROUNDING)).astype(integer)
+    return np.rint(numbers * np.float64(1 / ROUNDING)).astype(integer)
 
 
 def digests_of_files(folder: Path, tables: Iterable[str]) -> dict[str, str]:

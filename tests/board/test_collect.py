@@ -10,8 +10,10 @@ import pytest
 import torch
 
 from prbench.board import collect_runs, export
+from prbench.board.collect import cost_of
 from prbench.errors import RunError
 from prbench.harness.methods.loading import count_parameters
+from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import FILE, RunCost, total_cost
 from tests.board.runs import by_method, cells, csv_rows, leaderboard, write_run
 
@@ -40,13 +42,14 @@ def batch(*, warm_up: bool = False, parameters: int | None = 1_250_000) -> RunCo
 
 
 def test_seconds_without_warm_up_passes_a_motion_memory_and_parameters(tmp_path):
-    run = write_run(tmp_path / "a")
+    run = write_run(tmp_path / "a", sequences=24)
     total_cost([batch(warm_up=True), batch(), batch()]).write(run / "synthetic-adt/cost.json")
     board = leaderboard(tmp_path)
     header, _, row = cells(export(board, "md"))
     shown = dict(zip(header, row, strict=True))
     wanted = {"s/motion": "0.250", "CPU s/motion": "0.500", "Passes/motion": "100", "Memory (MiB)": "512"}
     wanted["Parameters"] = "1250000"
+    wanted = {f"{name} (declared)": value for name, value in wanted.items()}
     assert {name: shown[name] for name in wanted} == wanted
     first = csv_rows(board)[0]
     assert (first["seconds_per_motion"], first["parameters"]) == ("0.25", "1250000")
@@ -57,7 +60,7 @@ def test_seconds_without_warm_up_passes_a_motion_memory_and_parameters(tmp_path)
 
 
 def test_a_single_batch_is_better_than_nothing(tmp_path):
-    run = write_run(tmp_path / "a")
+    run = write_run(tmp_path / "a", sequences=8)
     total_cost([batch(warm_up=True, parameters=None)]).write(run / "synthetic-adt/cost.json")
     entry = by_method(leaderboard(tmp_path))["pr"].entry
     assert [entry.cost[name] for name in ("seconds", "processor_seconds", "parameters")] == [1.0, None, None]
@@ -71,10 +74,16 @@ def test_files_and_controls_without_measurements_have_dashes(tmp_path):
     assert [row[11:16] for row in rows] == [["–"] * 5] * 2
 
 
-def test_a_damaged_cost_is_told(tmp_path):
-    (write_run(tmp_path / "a") / "synthetic-adt/cost.json").write_text("{")
-    with pytest.raises(RunError, match=r"cost\.json: not a valid cost\.json.* Delete it"):
-        leaderboard(tmp_path)
+def test_a_merged_cost_is_the_sum_of_its_folds(tmp_path):
+    runs = [RunFolder.open(write_run(tmp_path / name, sequences=24)) for name in ("merged", "one", "two")]
+    files = [run.dataset("synthetic-adt").cost for run in runs]
+    parts = [total_cost([batch(warm_up=True), batch()]), batch()]
+    for path, cost in zip(files, (total_cost(parts), *parts), strict=True):
+        cost.write(path)
+    table = runs[0].record.tables[0]
+    assert cost_of(runs[0], table, runs[1:])[1] == ""
+    batch(parameters=2_500_000).write(files[2])
+    assert cost_of(runs[0], table, runs[1:])[1] == "it is not the sum of the costs of its folds"
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")

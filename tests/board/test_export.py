@@ -21,8 +21,9 @@ def test_the_printed_table_holds_the_main_metrics_in_percent_and_metres(tmp_path
     header, _, row = cells(export(board, "md"))
     assert header[3:] == [
         "Prime Success ↑ (%)", "Reach Success ↑ (%)", "Goal MPJPE ↓ (m)", "Location Error ↓ (%)", "MPJPE ↓ (m)",
-        "Foot Skating ↓", "Plausible ↑ (%)", "Plausible (version 3) ↑ (%)", "s/motion", "CPU s/motion", "Passes/motion",
-        "Memory (MiB)", "Parameters", "Kind",
+        "Foot Skating ↓", "Plausible ↑ (%)", "Plausible (version 3) ↑ (%)",
+        "s/motion (declared)", "CPU s/motion (declared)", "Passes/motion (declared)", "Memory (MiB) (declared)",
+        "Parameters (declared)", "Kind (declared)",
     ]  # fmt: skip
     assert [row[i] for i in (3, 5, 8)] == ["35.42 [31.88, 38.96]", "0.02 [0.02, 0.03]", "0.11 [0.10, 0.12]"]
 

@@ -277,7 +277,7 @@ def test_a_single_motion_that_equals_the_recorded_one_is_shown_and_may_be_an_acc
     )
     board = board_of(tmp_path, one={"sequences": 200}, two={"sequences": 200, "summary": {"metrics": one}})
     row = by_method(board)["two"]
-    assert row.entry.mark == "†† equals the recorded motion in 1 of 200 motions"
+    assert row.entry.summary.mark == "†† equals the recorded motion in 1 of 200 motions"
     assert row.ranks["prime_success"] == 1
 
 
@@ -336,10 +336,10 @@ def test_every_export_says_whose_a_method_is(tmp_path):
     )
     kinds = {method: row[-1] for method, row in printed(board).items()}
     assert kinds == {
-        "pr": "built in",
+        "pr": "built in, prbench 1",
         "glide": "package glider 1, isolated: bubblewrap",
         "forged": "unknown kind",
-        "ground-truth": "control",
+        "ground-truth": "control, prbench 1",
     }
     assert {row["method"]: row["kind"] for row in csv_rows(board)} == kinds
     rows = only(msgspec.json.decode(export(board, "json"))["tables"])["rows"]

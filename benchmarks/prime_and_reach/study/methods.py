@@ -412,8 +412,8 @@ def _remarks(entry: LeaderboardRow, number: PublishedNumber, said: str) -> Itera
         yield f"{unsupported} sequences are left out, as longer than the method can generate"
     if entry.record.samples > 1:
         yield f"{entry.record.samples} samples a sequence"
-    if entry.mark:
-        yield entry.mark
+    if entry.summary.mark:
+        yield entry.summary.mark
     if entry.unverified:
         yield f"unverified: {entry.unverified}"
     if number.note.startswith("inconsistent"):

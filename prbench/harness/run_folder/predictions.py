@@ -28,6 +28,9 @@ from prbench.harness.run_folder.npz import POSE_SIZE, ArrayMotions, as_float32, 
 from prbench.harness.run_folder.scores import GAZE_COLUMNS, predictions_schema
 from prbench.sequences.write import write_table
 
+# Metadata of a part: digest of what the method was asked (:attr:`prbench.harness.benchmark.CaseWork.questions`).
+QUESTION = "prbench_question"
+
 
 @dataclass(frozen=True)
 class PredictionRows:
@@ -64,6 +67,7 @@ def write_part(
     samples: Sequence[PredictionRows],
     *,
     protocol_version: int,
+    question: str = "",
 ) -> None:
     """Write the motions of one batch, whole or not at all, sample by sample.
 
@@ -73,6 +77,7 @@ def write_part(
         seeds: Noise seed of each row, one list a sample.
         samples: Motions of the batch, one entry a sample.
         protocol_version: Stands in the file's metadata.
+        question: Digest of what the method was asked, which stands there, too.
 
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
@@ -95,7 +100,8 @@ def write_part(
             frames = pa.FixedSizeListArray.from_arrays(numbers, math.prod(values.shape[1:]))
             columns.append(pa.ListArray.from_arrays(offsets, frames).cast(column.type))
         batches.append(pa.RecordBatch.from_arrays(columns, schema=schema))
-    write_table(path, batches, batches[0].schema, protocol_version=protocol_version)
+    schema = batches[0].schema.with_metadata({QUESTION: question})
+    write_table(path, batches, schema, protocol_version=protocol_version)
 
 
 def read_part(

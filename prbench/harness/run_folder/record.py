@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -303,6 +304,14 @@ def _shown(value: object) -> str:
     return f"{text[:12]}…" if len(text) == 64 else text
 
 
+# What no machine undercuts: memory of a Python process with NumPy; the harness's own work on a frame, of which one core
+# of 2026 needs 500 ns; and what none exceeds: its processors, and the ticks of their clocks in a batch.
+_LEAST_MEMORY = 16 * 2**20
+_SECONDS_A_FRAME = 20e-9
+_PROCESSORS = 1024
+_CLOCK_TICKS = 0.1
+
+
 class RunCost(msgspec.Struct, frozen=True, kw_only=True):
     """``cost.json``, of a run or of one of its batches. Not reproducible, unlike the other files of a run.
 
@@ -314,6 +323,7 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
         processor_seconds: Processor time of the same in this process and all that it has started, of all threads; None
             where it cannot be measured (a container), and in runs of earlier versions.
         parameters: Parameters of the method's networks; None for a program, and in runs of earlier versions.
+        checksum: Digest of the other values, by which an edited or damaged number is noticed; empty until written.
     """
 
     motions: int = 0
@@ -329,10 +339,51 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
     peak_device_bytes: int | None = None
     network_passes_declared: int | None = None
     parameters: int | None = None
+    checksum: str = ""
 
     def write(self, path: Path) -> None:
-        """Write as JSON."""
-        write_json(path, msgspec.to_builtins(self))
+        """Write as JSON, with a checksum."""
+        write_json(path, msgspec.to_builtins(msgspec.structs.replace(self, checksum=self._sum)))
+
+    @property
+    def _sum(self) -> str:
+        """Checksum that the numbers should have."""
+        return text_digest(repr(msgspec.structs.replace(self, checksum="")))
+
+    def problem(self, record: RunRecord, table: TableRecord) -> str:
+        """Say why these numbers cannot be what the harness measured; empty where nothing contradicts them.
+
+        Args:
+            record: The run.
+            table: The table that the cost is of.
+        """
+        numbers = [value for value in msgspec.to_builtins(self).values() if isinstance(value, int | float)]
+        if not any(numbers):
+            return ""  # nothing was measured, such as of motions that came as a file
+        if self.checksum != self._sum:
+            return "its checksum is not that of its numbers" if self.checksum else "it has no checksum (up to 0.10)"
+        motions = self.motions + self.warm_up_motions
+        frames = self.frames + self.warm_up_frames
+        scored = (table.sequences - table.unsupported) * record.samples
+        seconds = self.seconds + self.warm_up_seconds
+        processors = (self.processor_seconds or 0) + (self.warm_up_processor_seconds or 0)
+        memory = self.peak_process_bytes + (self.peak_device_bytes or 0)
+        one = self.seconds / self.motions if self.motions else 0.0
+        passes = table.batch_plan.batches * record.samples
+        timed = record.method.kind != CONTROL  # the harness makes their motions itself
+        idle = seconds < frames * _SECONDS_A_FRAME
+        crowded = processors > _PROCESSORS * seconds + _CLOCK_TICKS * table.batch_plan.batches
+        checks = (
+            (any(not 0 <= value < inf for value in numbers), "expected numbers from 0 on, found others"),
+            (motions != scored, f"expected {scored} motions, as were scored, found {motions}"),
+            (frames < motions, f"expected a frame a motion or more, found {frames} in {motions}"),
+            (abs((self.seconds_per_motion or 0.0) - one) > 1e-6 * one, f"its sums say {one:.6g} s a motion, not it"),
+            (memory < max(_LEAST_MEMORY, self.parameters or 0), f"{memory} bytes hold no Python with its parameters"),
+            ((self.network_passes_declared or passes) < passes, f"{passes} batches need a network pass each"),
+            (timed and idle, f"{seconds:.3g} s are less than checking {frames} frames takes on any machine"),
+            (crowded, f"{processors:.3g} s in {seconds:.3g} s are more than {_PROCESSORS} processors give"),
+        )
+        return next((words for wrong, words in checks if wrong), "")
 
     @classmethod
     @foreign_input()

@@ -1,0 +1,176 @@
+"""What a run says about itself, held against its table, its stored questions and the installed methods.
+
+A run folder is a user's: whoever edits ``run.json`` can put any method's name there. What table, motions and installed
+methods contradict is refused. What they cannot show is called *declared* wherever runs are shown.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+import prbench
+from prbench.errors import AdapterError, PrbenchError, RunError
+from prbench.files.arrays import open_parquet
+from prbench.harness.benchmark import Benchmark, Cases, CaseWork, load_benchmark
+from prbench.harness.methods.installed import METHOD_CONTROLS
+from prbench.harness.methods.loading import load_adapter, weights_digest
+from prbench.harness.methods.motions import Declared
+from prbench.harness.planning import plan_digest
+from prbench.harness.preparation import table_record
+from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
+from prbench.harness.run_folder.predictions import QUESTION, Predictions
+from prbench.harness.run_folder.record import BUILT_IN, CONTROL, FILE, FILE_NAME, BatchPlanRecord, TableRecord
+from prbench.harness.run_folder.scores import GAZE_COLUMNS, CodedScores
+from prbench.shown import quoted
+
+# What neither table, motions nor installed methods can show; of a control its motions show all but the effort.
+METHOD = "method"
+_EFFORT = ("device", "packages", "cost")
+DECLARED = (METHOD, "kind", "weights", "training", "options", "isolation", "condition", "control", "seed", *_EFFORT)
+_MOVED = 1e-4  # metres by which other processors may make a control's motion otherwise
+
+
+def require_own_method(run: RunFolder) -> None:
+    """Hold a run that calls its method one of prbench's own against the installed method and its bundled weights.
+
+    Another version's methods are not here: boards name that version.
+
+    Raises:
+        RunError: naming the key that differs.
+    """
+    record = run.record
+    method = record.method
+    benchmark = load_benchmark(record.benchmark)
+    names = METHOD_CONTROLS if method.kind == CONTROL else benchmark.about.methods
+    if method.kind not in (BUILT_IN, CONTROL) or method.version != prbench.__version__:
+        return
+    _require(run, "method.name", method.name in names, f"one of prbench's own, {', '.join(names)}", method.name)
+    if method.kind == CONTROL:
+        return
+    # The options of a user's file may name other files, so they are not handed on.
+    load = partial(load_adapter, method.name, options={}, device="cpu", group=benchmark.methods)
+    try:
+        adapter = load(None)
+    except AdapterError:
+        return  # not installed with all that it needs
+    taken = sorted(condition.value for condition in adapter.conditions)
+    _require(run, "condition", record.condition in taken, f"one that {method.name} takes, {taken}", record.condition)
+    condition = benchmark.condition(record.condition)
+    default = adapter.weights_for(condition) if hasattr(adapter, "weights_for") else None
+    keys = ["motionless", "gaze", "one_design"]
+    if default is not None:
+        _require(run, "method.weights", bool(method.weights and method.weights_digest), default.name, method.weights)
+        # A name that differs in case or suffix alone reads as the bundled one.
+        named = Path(method.weights or "").stem.casefold()
+        for path in (path for path in default.parent.glob("*.safetensors") if path.stem.casefold() == named):
+            digest = weights_digest(path)
+            found = method.weights_digest
+            _require(run, "method.weights_digest", found == digest, f"{digest}, as the bundled {path.name}", found)
+            keys += ["max_frames", "native_fps"]
+            try:
+                adapter = adapter if path == default else load(path)
+                adapter.weights_for(condition)
+            except PrbenchError as error:
+                expected = f"weights for '{record.condition}', such as {default.name}"
+                _require(run, "method.weights", False, expected, f"{path.name} ({error})")
+    declared = Declared.by(adapter, origin=method.name, conditions=benchmark.methods.conditions)
+    for key in keys:
+        expected = getattr(declared, key)
+        found = getattr(method, key)
+        _require(run, f"method.{key}", found == expected, f"{expected}, as {method.name} has it", found)
+
+
+def require_table(run: RunFolder, stated: TableRecord, chosen: Cases, cases: Cases, work: CaseWork, rules: Any) -> None:
+    """Hold what a run says of its table against the table.
+
+    Args:
+        run: The run.
+        stated: What it says.
+        chosen: The cases of split and limit, chosen anew.
+        cases: Those of them that the method can answer.
+        work: The work on them.
+        rules: The protocol that it follows.
+
+    Raises:
+        RunError: naming the key that differs.
+    """
+    version = run.record.protocol_version
+    _require(run, "protocol_version", version == rules.version, rules.version, version)
+    plan = stated.batch_plan
+    if run.record.method.kind != FILE:
+        digest = plan_digest(cases.sequence_ids, work.plan)
+        plan = BatchPlanRecord(batch_size=plan.batch_size, batches=len(work.plan), digest=digest)
+    made = msgspec.to_builtins(table_record(chosen, cases, plan))
+    found = msgspec.to_builtins(stated)
+    for key in sorted((made | found).keys() - {"fold"}):  # folds of two counts may test on the same people
+        same = made.get(key) == found.get(key)
+        _require(run, f"tables.{stated.dataset}.{key}", same, f"{made.get(key)}, as the table says", found.get(key))
+
+
+def require_questions(run: RunFolder, files: DatasetFolder, cases: Cases, work: CaseWork) -> tuple[str, ...]:
+    """Hold condition, control and seed against the questions whose digests stand beside the motions.
+
+    A control's motions are made again.
+
+    Args:
+        run: The run.
+        files: The files of one dataset, with motions.
+        cases: The cases that were answered.
+        work: The work on them.
+
+    Returns:
+        What remains declared.
+
+    Raises:
+        RunError: naming the key that differs.
+    """
+    record = run.record
+    method = record.method
+    is_control = method.kind == CONTROL
+    files.require_no_other_parts(len(work.plan))
+    for index, question in work.questions(frozenset(range(len(work.plan)))):
+        part = files.part(index)
+        schema = open_parquet(part).schema_arrow
+        gaze = GAZE_COLUMNS[0] in schema.names
+        _require(run, "method.gaze", method.gaze == gaze, f"{gaze}, as the motions say", method.gaze)
+        stored = (schema.metadata or {}).get(QUESTION.encode(), b"").decode()
+        if not stored:
+            return DECLARED  # of an earlier version
+        expected = f"those of the question that {part.name} in {files.predictions} answers"
+        found = f"{record.condition}, {record.control}, {record.seed}"
+        _require(run, "condition, control, seed", stored == question.digest, expected, found)
+        if not is_control:
+            continue
+        ids = tuple(cases.sequence_ids[row] for row in work.plan[index])
+        predictions = Predictions.open(part)
+        for sample, made in enumerate(question.ask(None, seed=record.seed, sequence_ids=ids).samples):
+            moved = float(np.abs(predictions.motions(ids, sample).values - made.values).max())
+            expected = f"the motions that {method.name} makes of the table"
+            _require(run, "method.name", moved < _MOVED, expected, f"others, by up to {moved:.3g} m")
+    return _EFFORT if is_control else DECLARED
+
+
+def require_still(run: RunFolder, scores: CodedScores, benchmark: Benchmark) -> None:
+    """Refuse motions that move but are said to stand still, so that their Foot Skating would not be shown.
+
+    Raises:
+        RunError: naming the key.
+    """
+    for info in benchmark.metrics if run.record.method.motionless else ():
+        if info.irrelevant_if_motionless and info.id in scores.metrics:
+            largest = float(np.abs(scores.value[scores.rows_of(info.id)]).max(initial=0.0))
+            _require(run, "method.motionless", largest < _MOVED, f"false for a {info.title} of {largest:.3g}", True)
+
+
+_EDITED = "The run's files were edited, or put together from several runs: run the method again into another folder."
+
+
+def _require(run: RunFolder, key: str, holds: bool, expected: object, found: object) -> None:
+    """Refuse a record of which one key is contradicted."""
+    if not holds:
+        raise RunError(f"{run.path / FILE_NAME}, {key}: expected {quoted(expected)}, found {quoted(found)}. {_EDITED}")
