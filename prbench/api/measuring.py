@@ -47,7 +47,7 @@ _NEEDS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("goal_mpjpe", "mpjpe", "first_frame_error"), ("recorded",)),
     **dict.fromkeys(("location_error", "location_error_horizontal"), ("recorded",)),
     **dict.fromkeys(("foot_skating", "slow_slides", "largest_jerk", "largest_speed", "plausible_3"), ("fps",)),
-    "plausible": (_GOAL, "fps"),
+    "plausible": (_GOAL, "head_tilt_deg", "fps"),
     **dict.fromkeys(("contact_share", "bone_length_change", "first_step", "floating", "penetration"), ()),
 }
 _SIDES = {"left": 0, "right": 1, None: UNKNOWN_HAND}

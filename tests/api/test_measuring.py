@@ -142,7 +142,7 @@ def test_what_is_not_given_is_left_out_by_name(table, names, computed):
         ("slow_slides", ("fps",)),
         ("largest_jerk", ("fps",)),
         ("largest_speed", ("fps",)),
-        ("plausible", ("goal_location", "fps")),
+        ("plausible", ("goal_location", "head_tilt_deg", "fps")),
         ("plausible_3", ("fps",)),
     ],
 )

@@ -25,14 +25,15 @@ def test_bodies_keep_their_bones_and_the_protocol(preset: str) -> None:
     acted = []
     for clip in clips_of(some):
         frame = invert_rigid(canonical_frame(clip.joints))
-        acted.append((transform_points(frame, clip.joints), transform_points(frame, clip.event.goal)))
+        joints, goal = (transform_points(frame, points) for points in (clip.joints, clip.event.goal))
+        acted.append((joints, goal, clip.neck_tilt_deg))
     staging = Staging(preset, 5, n_events=EVENTS)
     recordings = [staging.sense(staging.perform(index)) for index in range(2)]
     curated = [curate_recording(each, load_manifest(preset), load_protocol()) for each in recordings]
-    recorded = [(each.joints, each.goal_location) for one in curated for each in one.sequences]
+    recorded = [(each.joints, each.goal_location, each.head_tilt_deg) for one in curated for each in one.sequences]
     for people in (acted, recorded):
-        motions = MotionBatch.from_motions([np.asarray(joints) for joints, _ in people])
-        goals = targets(len(people), goal=np.array([goal for _, goal in people]), fps=FPS)
-        found = score(motions, motions, goals, load_protocol().metrics)
+        joints, goals, tilts = zip(*people, strict=True)
+        motions = MotionBatch.from_motions([np.asarray(motion) for motion in joints])
+        found = score(motions, motions, targets(len(people), goal=goals, tilt=tilts, fps=FPS), load_protocol().metrics)
         assert (found["plausible"].flags, found["plausible_3"].flags) == ({}, {})
         assert found["bone_length_change"].value.max() <= LARGEST_BONE_CHANGE
