@@ -148,9 +148,7 @@ def _ran(folder: Path, *words: str, out: str = "") -> Seen:
         raise CommandFailed(said.getvalue() or printed.getvalue()[-1000:])
     if not out:
         return Seen(digest_of(printed.getvalue()), tuple(said.getvalue().splitlines()))
-    written = sorted(
-        path for path in (folder / out).rglob("*.parquet") if path.stem in ("sequences", "events", "scores")
-    )
+    written = sorted(path for path in (folder / out).rglob("*.parquet") if path.stem in _RESULTS)
     return Seen(digest_of([path.read_bytes() for path in written]), (*text.splitlines(), *_remarks(folder / out)))
 
 
