@@ -162,7 +162,6 @@ NO_FILES_OF_USERS = {
     "prbench/engine/shards.py": "prbench's own code",
     "prbench/engine/unseen.py": "what the system says of this process, and its working directory",
     "prbench/files/storage.py": "locks, and what was written a moment ago",
-    "prbench/harness/methods/process.py": "the log that prbench writes itself",
     "prbench/harness/methods/worker.py": "the pipes of a worker",
     "prbench/harness/methods/installed.py": "the code of installed packages",
     "prbench/object_stores/inputs.py": "prbench's own cache",

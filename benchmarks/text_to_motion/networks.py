@@ -119,18 +119,8 @@ class GloveCaptions:
 
 
 def _lines(path: Path) -> list[str]:
-    try:
-        return read_text(path, encoding="utf-8").rstrip("\n").split("\n")
-    except FileNotFoundError as error:
-        raise InputFileError(
-            path,
-            "",
-            expected="a text file with one word a line",
-            found="no such file",
-            remedy="Convert the public vocabulary once, where you trust its pickles.",
-        ) from error
-    except UnicodeDecodeError as error:
-        raise InputFileError(path, "", expected="UTF-8 text", found=str(error)) from error
+    remedy = "Convert the public vocabulary once, where you trust its pickles."
+    return read_text(path, expected="a text file with one word a line", remedy=remedy).rstrip("\n").split("\n")
 
 
 def _vectors(path: Path, words: int) -> Float[np.ndarray, "words 300"]:

@@ -29,6 +29,7 @@ from prbench.limits import (
     LONGEST_LINE,
 )
 
+_COPY_AGAIN = "The file may be damaged; copy or download it again."
 _TOO_LARGE = "This is another file, or a damaged one."
 _OF_THE_KERNEL = ("/proc/", "/sys/")
 _WELL_KNOWN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -97,14 +98,30 @@ def read_whole(path: Path, *, largest: int = LARGEST_FILE) -> bytes:
         return file.read()
 
 
-def read_text(path: Path, *, encoding: str = "utf-8-sig", largest: int = LARGEST_FILE) -> str:
-    """Return the text of a file, line breaks as Python has them (see :func:`read_whole` for what it raises).
+def read_text(path: Path, *, expected: str = "", remedy: str = "", largest: int = LARGEST_FILE) -> str:
+    """Return the text of a file, line breaks as Python has them.
+
+    Args:
+        path: The file.
+        expected: Name of such files, for messages; without it a missing one is left to the caller.
+        remedy: What to do if it is missing or no text, for messages.
+        largest: Bytes beyond which it is refused unread.
 
     Raises:
-        UnicodeDecodeError: if it is no text.
+        InputFileError: see :func:`read_whole`; also if it is no text in UTF-8.
+        OSError: see :func:`read_whole`.
     """
-    with io.TextIOWrapper(open_regular(path, largest=largest), encoding=encoding) as file:
-        return file.read()
+    try:
+        with io.TextIOWrapper(open_regular(path, largest=largest), encoding="utf-8-sig") as file:
+            return file.read()
+    except FileNotFoundError as error:
+        if not expected:
+            raise
+        raise InputFileError(path, "", expected=expected, found="no such file", remedy=remedy) from error
+    except UnicodeDecodeError as error:
+        raise InputFileError(
+            path, "", expected="text in UTF-8", found=f"other bytes ({error})", remedy=remedy or _COPY_AGAIN
+        ) from error
 
 
 def require_size(path: Path, *, largest: int = LARGEST_FILE, opened: int | None = None) -> int:
@@ -223,15 +240,11 @@ def read_toml(path: Path, expected: str = "a TOML file", remedy: str = "") -> di
         InputFileError: if it is missing, too large, no file or no TOML (naming line and column).
     """
     try:
-        return tomllib.loads(read_text(path, largest=HARMLESS_SIZE))
-    except OSError as error:
-        found = "no such file" if isinstance(error, FileNotFoundError) else error.strerror or str(error)
-        raise InputFileError(path, "", expected=expected, found=found, remedy=remedy) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        return tomllib.loads(read_text(path, expected=expected, remedy=remedy, largest=HARMLESS_SIZE))
+    except tomllib.TOMLDecodeError as error:
         raise InputFileError(path, "", expected="a TOML file", found=str(error), remedy=remedy) from error
 
 
-_COPY_AGAIN = "The file may be damaged; copy or download it again."
 # Attributes by which the objects that readers pass around name the file or folder that they stand for.
 _PLACES = ("shown", "path", "folder", "root")
 

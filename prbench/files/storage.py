@@ -228,13 +228,10 @@ def read_json(path: Path, *, as_object: Callable[[list[tuple[str, Any]]], object
         InputFileError: if the file is missing, or is not JSON (naming line and column).
     """
     try:
-        return json.loads(read_text(path, largest=LARGEST_JSON), object_pairs_hook=as_object)
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise InputFileError(path, "", expected="a JSON file", found="no file") from error
-    except RecursionError as error:
-        raise InputFileError(path, "", expected="a JSON file", found="thousands of nested lists") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        where = f"line {error.lineno} column {error.colno}" if isinstance(error, json.JSONDecodeError) else ""
+        text = read_text(path, expected="a JSON file", largest=LARGEST_JSON)
+        return json.loads(text, object_pairs_hook=as_object)
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno} column {error.colno}"
         remedy = "The file may be truncated; copy or download it again."
         raise InputFileError(path, where, expected="valid JSON", found=str(error), remedy=remedy) from error
 

@@ -46,14 +46,7 @@ def read_texts(path: Path) -> tuple[TextLine, ...]:
     Raises:
         InputFileError: if the file is missing, a line lacks a part, or a time is no number.
     """
-    try:
-        content = read_text(path, largest=HARMLESS_SIZE)
-    except FileNotFoundError as error:
-        raise InputFileError(
-            path, "", expected="this file", found="no such file", remedy="Unpack texts.zip."
-        ) from error
-    except UnicodeDecodeError as error:
-        raise InputFileError(path, "", expected="text in UTF-8", found="other bytes") from error
+    content = read_text(path, expected="this file", remedy="Unpack texts.zip.", largest=HARMLESS_SIZE)
     lines = []
     for number, line in enumerate(content.splitlines(), start=1):
         if not line.strip():

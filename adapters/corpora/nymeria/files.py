@@ -103,7 +103,7 @@ def read_narrations(path: Path, kind: str) -> tuple[Narration, ...]:
     """
     try:
         rows = list(csv.reader(io.StringIO(read_text(path, largest=HARMLESS_SIZE))))
-    except (UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise InputFileError(path, "", expected="comma-separated text in UTF-8", found=str(error)) from error
     rows = [(number, row) for number, row in enumerate(rows, start=1) if any(cell.strip() for cell in row)]
     if not rows:

@@ -22,6 +22,7 @@ import psutil
 
 from prbench.engine.unseen import hide_process
 from prbench.errors import AdapterError
+from prbench.files.bounded import read_end
 from prbench.files.storage import cache_folder
 from prbench.harness.methods.messages import HEADER_LIMIT, Header, encode_message, parse_header
 
@@ -209,9 +210,7 @@ class ProgramProcess:
         """Return the last lines of stderr, overlong ones cut, without what would move the cursor of a terminal."""
         if not self.log_path.is_file():
             return []
-        with open(self.log_path, "rb") as file:
-            file.seek(max(0, self.log_path.stat().st_size - _TAIL_BYTES))
-            text = file.read().decode(errors="replace")
+        text = read_end(self.log_path, _TAIL_BYTES).decode(errors="replace")
         shown = []
         for line in text.splitlines():
             plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", line.expandtabs(4))

@@ -59,11 +59,8 @@ def read_bvh(path: Path) -> BvhMotion:
         InputFileError: if the file is missing, its hierarchy is broken, a channel is unknown, or the numbers of the
             motion do not fill the frames that it announces.
     """
-    try:
-        with must_exist(path):
-            text = read_text(path)
-    except UnicodeDecodeError as error:
-        raise InputFileError(path, "", expected="a BVH text file", found="other bytes") from error
+    with must_exist(path):
+        text = read_text(path)
     hierarchy, has_motion, motion = text.partition("MOTION")
     lacking = "MOTION" if "HIERARCHY" in hierarchy else "HIERARCHY"
     is_bvh = bool(has_motion) and "HIERARCHY" in hierarchy

@@ -136,7 +136,7 @@ def _read_lines(path: Path, columns: Iterable[str], remedy: str) -> tuple[list[s
         lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
     except FileNotFoundError as error:
         raise missing_file(path) from error
-    except (UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise InputFileError(path, "", expected="text with comma-separated values", found=str(error)) from error
     lines = [(number, cells) for number, cells in lines if any(cells)]
     header = lines[0][1] if lines else []
