@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -42,14 +42,7 @@ leaderboard = Group(
 @opt.tables_option
 @opt.signed_option
 @opt.workers_option()
-def export(
-    runs: tuple[Path, ...],
-    format: str,
-    out: Path | None,
-    data: tuple[Path, ...],
-    require_signed: Path | None,
-    workers: int,
-) -> Answer:
+def export(runs: tuple[Path, ...], format: str, out: Path | None, **given: Any) -> Answer:
     """Write a leaderboard of finished runs.
 
     RUN are run folders, or folders that hold some.
@@ -58,8 +51,7 @@ def export(
     from prbench.board.export import as_board
     from prbench.files.storage import sole_writer, write_text
 
-    collected = opt.collected_runs(runs, data, workers, any_benchmark=True, signed_by=require_signed)
-    board = boards.make_leaderboard(collected)
+    board = boards.make_leaderboard(opt.collected_runs(runs, **given, any_benchmark=True))
     text = boards.export(board, format)
     if out is not None:
         with sole_writer(out):

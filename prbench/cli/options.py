@@ -441,7 +441,7 @@ def collected_runs(
     workers: int,
     *,
     any_benchmark: bool = False,
-    signed_by: Path | None = None,
+    require_signed: Path | None = None,
 ) -> CollectedRuns:
     """Collect finished runs, whose scores are held against their motions, and tell what was left out or not checked.
 
@@ -450,12 +450,12 @@ def collected_runs(
         data: Tables of the runs.
         workers: Number of processes.
         any_benchmark: The command knows runs of every benchmark.
-        signed_by: File of the public key that every run must be signed by.
+        require_signed: File of the public key that every run must be signed by.
     """
     from prbench.board import collect_runs
 
     check = run_checker(data, workers).check
-    collected = collect_runs(runs, check=check, any_benchmark=any_benchmark, signed_by=signed_by)
+    collected = collect_runs(runs, check=check, any_benchmark=any_benchmark, signed_by=require_signed)
     for reason in collected.left_out:
         note(f"left out: {reason}")
     for row in collected.rows:

@@ -247,11 +247,7 @@ def _run_all(
                 answer.show()
 
         return Answer(RunAnswer(shards=made), show_shards)
-    reports = []
-    for request in requests:
-        reports.append(_generated(request, engine))
-        if key is not None:
-            _sign(reports[-1], key)
+    reports = [_generated(request, engine, key) for request in requests]
     folder = reports[0].folder
     if repeated is not None and folder.path.resolve() != repeated.path.resolve():
         from prbench.harness.first_run import same_scores
@@ -310,14 +306,6 @@ def _unlocked(path: Path) -> SecretKey:
     return key
 
 
-def _sign(report: RunReport, key: SecretKey) -> None:
-    from prbench.harness.run_folder.signature import sign_run
-
-    planned = report.batches_made + report.batches_found
-    signer = sign_run(report.folder, key, generated=report.batches_made, planned=planned)
-    note(f"signed by {signer}: {report.folder.path}; {report.batches_made} of {planned} batches were made just now.")
-
-
 def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> opt.MadeShard:
     from prbench.harness.sharded import run_shard
 
@@ -331,15 +319,20 @@ def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> opt.M
     )
 
 
-def _generated(request: RunRequest, engine: Engine) -> RunReport:
+def _generated(request: RunRequest, engine: Engine, key: SecretKey | None = None) -> RunReport:
     from prbench.board.merging import SAME_WEIGHTS, run_folds
     from prbench.harness.run import run_method
+    from prbench.harness.run_folder.signature import sign_run
     from prbench.sequences.folds import ALL_FOLDS
 
     make = run_folds if request.fold == ALL_FOLDS else run_method
     with _told(request, f"running {request.method_label}") as tell:
         report = make(request, engine=engine, progress=tell)
     _note_found(report.batches_found)
+    if key is not None:
+        made, found = report.batches_made, report.batches_found
+        signer = sign_run(report.folder, key, made=made, found=found)
+        note(f"signed by {signer}: {report.folder.path}; {made} of {made + found} batches were made just now.")
     if SAME_WEIGHTS in (report.folder.record.method.weights or ""):
         note(
             "every fold ran the same weights, which may have learnt from the people tested on. `prbench train --fold`"

@@ -21,25 +21,22 @@ if os.geteuid() == 0:  # root reads everything
     ctypes.CDLL(None).prctl(4, 1, 0, 0, 0)  # a change of user hides a process, too
 """
 HELD = AS_NOBODY + "if sys.argv[1] == 'hidden': hide_process()\nprint(is_hidden(), flush=True)\nsys.stdin.read()"
-LOOK = (
-    AS_NOBODY
-    + """
+LOOK = """
 place = Path("/proc", sys.argv[1])
-for name, look in {
+looks = {
     "cmdline": lambda: b"secret" in (place / "cmdline").read_bytes(),
     "environ": lambda: b"secret" in (place / "environ").read_bytes(),
-    "cwd": lambda: bool((place / "cwd").readlink()),
-    "fd": lambda: bool((place / "fd" / "0").readlink()),
-    "maps": lambda: bool((place / "maps").read_bytes()),
-    "mem": lambda: bool((place / "mem").open("rb")),
-}.items():
+    "cwd": (place / "cwd").readlink,
+    "fd": (place / "fd" / "0").readlink,
+    "maps": (place / "maps").read_bytes,
+    "mem": lambda: (place / "mem").open("rb"),
+}
+for name, look in looks.items():
     try:
-        if look():
-            print(name)
+        print(name if look() else "")
     except OSError:
         pass
 """
-)
 
 
 def seen_of(*words: str) -> set[str]:
@@ -49,7 +46,7 @@ def seen_of(*words: str) -> set[str]:
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, text=True) as held:
         assert held.stdout is not None
         assert held.stdout.readline().strip() == str(words[0] == "hidden")
-        look = [sys.executable, "-c", LOOK, str(held.pid)]
+        look = [sys.executable, "-c", AS_NOBODY + LOOK, str(held.pid)]
         found = subprocess.run(look, capture_output=True, text=True, check=True).stdout
         shown = subprocess.run(["ps", "-ww", "-o", "args=", "-p", str(held.pid)], capture_output=True, text=True).stdout
         assert ("secret" in shown) == ("cmdline" in found)

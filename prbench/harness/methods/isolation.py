@@ -14,6 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import prbench
+from prbench.engine.unseen import hide_process
 from prbench.errors import UsageError
 from prbench.files.bounded import read_text
 from prbench.harness.methods import unprivileged
@@ -351,6 +352,7 @@ def fenced(program: Program, *, weights: Path | None, hidden: tuple[Path, ...]) 
 
 
 def _behind_fence(program: Program, shown: Iterable[Shown], hidden: tuple[Path, ...]) -> Program:
+    hide_process()
     fence = available_fence()
     if fence.program is None:
         before = (sys.executable, "-I", "-S", unprivileged.__file__) if sys.platform == "linux" else ()

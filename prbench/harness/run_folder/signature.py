@@ -47,14 +47,14 @@ def secret_key(path: Path, password: Callable[[], str]) -> SecretKey:
     return key
 
 
-def sign_run(run: RunFolder, key: SecretKey, *, generated: int, planned: int) -> str:
+def sign_run(run: RunFolder, key: SecretKey, *, made: int, found: int) -> str:
     """Sign a finished run, and with a merged one the runs on folds beside it.
 
     Args:
         run: The run.
         key: Key of the signer.
-        generated: Batches that the signer has seen the method make; the others lay in the folder before.
-        planned: All batches.
+        made: Number of batches that the signer has seen the method make.
+        found: Number of batches that lay in the folder before.
 
     Returns:
         Id of the key, as minisign prints it.
@@ -66,7 +66,7 @@ def sign_run(run: RunFolder, key: SecretKey, *, generated: int, planned: int) ->
     for folder in (run.path, *(run.path.parent / fold.run for fold in folds)):
         signed = RunFolder.open(folder, any_benchmark=True)
         isolation = signed.record.method.isolation or "none"
-        comment = f"prbench run, isolation {isolation}, {generated} of {planned} batches made by the signing command"
+        comment = f"prbench run, isolation {isolation}, {made} of {made + found} batches made by the signing command"
         text = _sums(signed).encode()
         write_bytes(folder / SUMS, text)
         write_bytes(folder / SIGNATURE, bytes(key.sign(text, trusted_comment=comment)) + b"\n")
@@ -134,9 +134,8 @@ def _read_key(path: Path, kind: str) -> Any:
     try:
         return getattr(library, kind).from_bytes(read_whole(path, largest=HARMLESS_SIZE))
     except (OSError, library.Error) as error:
-        expected = "a public key" if kind == "PublicKey" else "a secret key"
-        remedy = "`minisign -G` makes a pair of keys."
-        raise InputFileError(path, "", expected=f"{expected} of minisign", found=str(error), remedy=remedy) from error
+        expected = f"a {kind.removesuffix('Key').lower()} key of minisign, of which `minisign -G` makes a pair"
+        raise InputFileError(path, "", expected=expected, found=str(error)) from error
 
 
 def _key_id(encoded: bytes) -> str:

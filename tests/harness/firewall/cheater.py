@@ -277,13 +277,6 @@ def descriptors_of_parents(self: Cheater, _batch: ConditionBatch, _seed: int) ->
     return first_table(found for file in files for found in beside(file))
 
 
-def mapped_files_of_parents(self: Cheater, _batch: ConditionBatch, _seed: int) -> str | None:
-    """A table beside a file that is mapped into the memory of the harness or a worker, packages apart."""
-    lines = [line for process in harness_processes(self) for line in process_file(process, "maps", b"\n")]
-    files = {Path(os.fsdecode(line.split()[5])) for line in lines if len(line.split()) == 6}
-    return first_table(found for file in files for found in beside(file))
-
-
 def beside(file: Path) -> Iterator[Path]:
     """Tables near a file; the folders next to the root are everybody's."""
     for folder in file.parents[:4]:
@@ -311,10 +304,10 @@ def harness_processes(self: Cheater, *, others: bool = False) -> Iterator[Path]:
             yield Path(f"/proc/{process}")
 
 
-def process_file(process: Path, name: str, end: bytes = b"\0") -> list[bytes]:
+def process_file(process: Path, name: str) -> list[bytes]:
     """What one of its files says, or nothing."""
     try:
-        return (process / name).read_bytes().split(end)
+        return (process / name).read_bytes().split(b"\0")
     except OSError:
         return []
 
@@ -505,7 +498,7 @@ GENERATING: dict[str, Callable] = {
     for attempt in (
         descriptors, attributes, call_stack_ids, call_stack_table, closures, collector_ids, collector_table, caches,
         memory_of_the_harness, command_line, command_line_of_parents, command_line_of_others, environment,
-        environment_of_parents, working_directory_of_parents, descriptors_of_parents, mapped_files_of_parents,
+        environment_of_parents, working_directory_of_parents, descriptors_of_parents,
         working_directory, home, cache_folder, weights_neighbours, network,
         opaque_ids, noise_seeds, initial_pose, goal, length, order, floor, state,
         patch_metrics, outlive, leave_thread, write_inputs,

@@ -309,10 +309,12 @@ def test_podman_takes_gpus_by_their_device_and_a_user_if_one_is_named(folder):
 
 def test_a_container_that_must_not_see_a_table_gets_an_empty_folder_in_its_place(folder):
     (folder / "m/data/table").mkdir(parents=True)
-    hidden = (folder / "m/data/table", folder / "elsewhere")
+    (folder / "m/a.key").touch()
+    hidden = (folder / "m/data/table", folder / "elsewhere", folder / "m/a.key")
     words = started(folder, 'container = "i"\nvolumes = ["data:/d"]', hidden=hidden).words
     masked = [words[place + 1] for place, word in enumerate(words) if word == "--tmpfs"]
     assert masked == ["/method/data/table", "/d/table"]
+    assert "/dev/null:/method/a.key:ro" in words
 
 
 def test_the_other_engine_is_taken_where_one_is_missing_and_none_is_named(folder):
