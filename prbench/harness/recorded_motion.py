@@ -1,14 +1,20 @@
 """Notice motions that are the recorded ones, handed in as a method's own.
 
-A path of poses is compared with the recorded path as a curve in the space of all joints, so that neither another frame
-rate nor a shift in time hides it; and after the first frames, or all frames, were laid over one another, so that an
-offset, a turn or a scale does not. What a method may know of a sequence (its first pose, its last one) makes the
-straight way between the two at most. A motion is called recorded only where it follows the recording several times
-closer than that straight way does, and only if it leaves its own straight way as far. So a body that stands still never
-is, and nothing is said of recordings in which hardly anything happens.
+A motion is stripped of all that a disguise may change for free: the place of the body and where it faces, frame by
+frame, the lengths of its bones, and which side is left. What is left is a row of postures, of which two questions are
+asked.
+
+* Do all joints make the same small movements at the same time? Both rows are freed of what changes over more than a
+  second; a slow sway goes with it. Movements of other people for the same goal may look alike, but not to this degree.
+* Do the postures follow the recorded ones, at whatever times? Each row is compared with the other as a curve in the
+  space of all postures, so that no change of speed, pause or reversal hides it. A body that hardly leaves the straight
+  way from its first to its last posture follows many curves, so it is told of those alone that leave it far.
+
+Noise in each frame is measured by how little consecutive frames agree. Both rows are averaged over time accordingly,
+and what the average leaves of the noise is taken out of the differences.
 
 The same is asked of the lower and of the upper body alone, so that recorded motion with other arms, or on other legs,
-is noticed, too. There the limit is half as large: legs take the few steps to a goal in few ways.
+is noticed, too, with narrower limits: legs take the few steps to a goal in few ways.
 
 Motions of another length than the recorded ones are told with the cause that the numbers suggest.
 """
@@ -20,9 +26,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import uniform_filter1d
 
-from prbench.geometry.skeleton import Joint
+from prbench.geometry.skeleton import BONES, N_JOINTS, Joint
 from prbench.metrics import MotionBatch
+from prbench.representation.encoding import MIRRORED_JOINTS
 
 _USUAL_RATES = (10.0, 12.5, 15.0, 20.0, 24.0, 25.0, 30.0, 50.0, 60.0, 90.0, 100.0, 120.0)
 
@@ -75,64 +83,44 @@ def likely_cause(expected: Int[np.ndarray, " n"], found: Int[np.ndarray, " n"], 
     return ""
 
 
-# A copy is off by less than this share of what the straight way from first to last pose is off by.
-_SHARE = 0.2
-# Metres; where the recording departs less from that straight way, nothing can be told.
-_LEAST_TOLERANCE = 1e-3
-
-
 @dataclass(frozen=True)
 class _Part:
     """A part of the body that may be a copy by itself.
 
     Attributes:
-        pairs: Joints whose smallest and largest distances a copy shares.
-        reach: Metres by which these extremes may differ at most, once both bodies are of one size.
-        farthest: Metres that a copy may be off at most, over joints and frames. A copy with noise of 1 cm in every
-            coordinate is 1.7 cm off. Motions of a trained model came as near as 3.1 cm with the whole body, 2.2 cm with
-            the lower and 2.8 cm with the upper (1,157 validation sequences of synthetic people).
+        joints: Its joints.
+        across: Joints left and right of the middle that say where it faces.
+        alike: Correlation of the quick movements from which on they are the recorded ones.
+        farthest: Metres that a copy's postures may be off at most, over joints and frames.
     """
 
     joints: tuple[int, ...]
-    pairs: tuple[tuple[int, int], ...]
-    reach: float
+    across: tuple[tuple[int, int], ...]
+    alike: float
     farthest: float
 
 
-_WHOLE = _Part(
-    tuple(Joint),
-    (
-        (Joint.PELVIS, Joint.LEFT_WRIST),
-        (Joint.PELVIS, Joint.RIGHT_WRIST),
-        (Joint.LEFT_WRIST, Joint.RIGHT_WRIST),
-        (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE),
-        (Joint.HEAD, Joint.LEFT_ANKLE),
-    ),
-    0.08,
-    0.02,
+_HIPS = (Joint.LEFT_HIP, Joint.RIGHT_HIP)
+_SHOULDERS = (Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER)
+_LEGS = (Joint.PELVIS, *(joint for joint in Joint if joint.name.endswith(("_HIP", "_KNEE", "_ANKLE", "_FOOT"))))
+_PARTS = (
+    _Part(tuple(Joint), (_HIPS, _SHOULDERS), 0.97, 0.01),
+    _Part(_LEGS, (_HIPS,), 0.99, 0.005),
+    _Part(tuple(joint for joint in Joint if joint not in _LEGS), (_SHOULDERS,), 0.98, 0.005),
 )
-_LOWER = _Part(
-    (Joint.PELVIS, *(joint for joint in Joint if joint.name.endswith(("_HIP", "_KNEE", "_ANKLE", "_FOOT")))),
-    (
-        (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE),
-        (Joint.LEFT_KNEE, Joint.RIGHT_KNEE),
-        (Joint.PELVIS, Joint.LEFT_ANKLE),
-        (Joint.PELVIS, Joint.RIGHT_ANKLE),
-    ),
-    0.04,  # fewer joints look alike more easily
-    0.01,
-)
-_UPPER = _Part(
-    tuple(joint for joint in Joint if joint not in _LOWER.joints),
-    (
-        (Joint.LEFT_WRIST, Joint.RIGHT_WRIST),
-        (Joint.SPINE3, Joint.LEFT_WRIST),
-        (Joint.SPINE3, Joint.RIGHT_WRIST),
-        (Joint.HEAD, Joint.RIGHT_WRIST),
-    ),
-    0.04,
-    0.01,
-)
+# A copy is off by less than this share of what the straight way from first to last posture is off by.
+_SHARE = 0.2
+# Metres; where the recording departs less from that straight way, nothing can be told.
+_LEAST_TOLERANCE = 1e-3
+# Metres of noise in a coordinate from which on rows are averaged over more frames.
+_NOISY = 0.01
+# Frames: what changes over more of them is slow. A row of fewer tells nothing.
+_QUICK = 15
+# The bones between the pelvis and each joint.
+_ANCESTRY = np.zeros((N_JOINTS, len(BONES)))
+for _number, (_parent, _child) in enumerate(BONES):
+    _ANCESTRY[_child] = _ANCESTRY[_parent]
+    _ANCESTRY[_child, _number] = 1.0
 
 
 def is_recorded_motion(predicted: MotionBatch, recorded: MotionBatch) -> Bool[np.ndarray, " sequences"]:
@@ -143,56 +131,86 @@ def is_recorded_motion(predicted: MotionBatch, recorded: MotionBatch) -> Bool[np
         recorded: The recorded motions of the same sequences.
     """
     found = np.zeros(recorded.n_sequences, dtype=bool)
-    for part in (_WHOLE, _LOWER, _UPPER):
-        # A quick look at where a copy is possible at all spares nearly all motions the close one.
-        reach = _extremes(predicted, part)
-        expected = _extremes(recorded, part)
-        # A body of another size is a copy, too.
-        scale = expected.sum(axis=0) / np.maximum(reach.sum(axis=0), 1e-9)
-        off = np.minimum(np.abs(scale * reach - expected).max(axis=0), np.abs(reach - expected).max(axis=0))
-        for row in np.flatnonzero(~found & (off < part.reach)):
-            frames = slice(predicted.offsets[row], predicted.offsets[row + 1])
-            motion = predicted.values[frames, part.joints].astype(np.float64)
-            frames = slice(recorded.offsets[row], recorded.offsets[row + 1])
-            original = recorded.values[frames, part.joints].astype(np.float64)
-            # A person who settles in the first frames, stands, and leaves in the last ones is far off that straight
-            # way and yet near to any body that stands there all the time. Such a body does not leave its own straight
-            # way; a copy does.
-            departure = min(_distance(original, original[[0, -1]]), _distance(motion, motion[[0, -1]]))
-            tolerance = min(part.farthest, _SHARE * departure)
-            # A recording in which nothing happens is followed by any motion that stands still.
-            if tolerance < _LEAST_TOLERANCE:
-                continue
-            # As it is, moved so that the first frames agree, and so that all frames do as well as they can.
-            laid_over = [motion, _moved(motion, motion[:1], original[:1], scaled=False)]
-            if len(motion) == len(original):
-                laid_over.append(_moved(motion, motion, original, scaled=True))
-            away = [max(_distance(laid, original), _distance(original, laid)) for laid in laid_over]
-            found[row] = min(away) <= tolerance
+    for row in range(recorded.n_sequences):
+        motion = predicted.values[predicted.offsets[row] : predicted.offsets[row + 1]].astype(np.float64)
+        original = recorded.values[recorded.offsets[row] : recorded.offsets[row + 1]].astype(np.float64)
+        # White noise of variance v makes second differences of variance 6 v; the median of their squares is 45 % of it.
+        noise = 0.0
+        if len(motion) > 2:
+            noise = float(np.median(np.diff(motion, n=2, axis=0) ** 2)) / (6 * 0.455)
+        window = 3 if noise < _NOISY**2 else 9
+        motion = uniform_filter1d(motion, window, axis=0, mode="nearest")
+        original = uniform_filter1d(original, window, axis=0, mode="nearest")
+        motion = _with_bones_of(original, motion, noise / window)
+        mirrored = motion[:, list(MIRRORED_JOINTS)] * np.array([-1.0, 1.0, 1.0])
+        for part in _PARTS:
+            expected = _postures(original, part)
+            for disguised in (motion, mirrored):
+                found[row] |= _is_copy(_postures(disguised, part), expected, part, noise, window)
     return found
 
 
-def _extremes(motions: MotionBatch, part: _Part) -> Float[np.ndarray, "pairs_and_ends sequences"]:
-    """Smallest and largest distance of each pair of joints in each motion: the same wherever and whenever it moves."""
-    apart = [np.linalg.norm(motions.values[:, one] - motions.values[:, other], axis=1) for one, other in part.pairs]
-    ends = [end.reduceat(distances, motions.first) for distances in apart for end in (np.minimum, np.maximum)]
-    return np.stack(ends)
+def _with_bones_of(original: np.ndarray, motion: np.ndarray, noise: float) -> Float[np.ndarray, "frames 22 3"]:
+    """Return the motion, pelvis at the origin, with bones of the mean lengths that they have in the recorded one.
+
+    Args:
+        original: The recorded motion, metres.
+        motion: The motion, metres.
+        noise: Variance of a coordinate of the motion that is noise, which makes bones longer than they are.
+    """
+    parents, children = np.transpose(BONES)
+    bones = motion[:, children] - motion[:, parents]
+    squared = (bones**2).sum(axis=-1).mean(axis=0)
+    wanted = ((original[:, children] - original[:, parents]) ** 2).sum(axis=-1).mean(axis=0)
+    squared = np.maximum(np.maximum(squared - 6 * noise, squared / 2), 1e-12)
+    return _ANCESTRY @ (bones * np.sqrt(wanted / squared)[:, None])
 
 
-def _moved(motion: np.ndarray, points: np.ndarray, targets: np.ndarray, *, scaled: bool) -> np.ndarray:
-    """Return the motion under the similarity transform that brings points nearest to their targets (Umeyama)."""
-    source = points.reshape(-1, 3)
-    target = targets.reshape(-1, 3)
-    source_middle = source.mean(axis=0)
-    target_middle = target.mean(axis=0)
-    left, singular, right = np.linalg.svd((target - target_middle).T @ (source - source_middle))
-    # Without the sign the best fit may be a reflection (Umeyama 1991, equation 43).
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation = (left * signs) @ right
-    scale = 1.0
-    if scaled:
-        scale = float((singular * signs).sum() / max(((source - source_middle) ** 2).sum(), 1e-12))
-    return scale * (motion - source_middle) @ rotation.T + target_middle
+def _postures(motion: np.ndarray, part: _Part) -> Float[np.ndarray, "frames joints 3"]:
+    """Return a part of the body around its own middle, facing one way in all frames."""
+    across = sum(motion[:, left] - motion[:, right] for left, right in part.across)
+    joints = motion[:, part.joints]
+    joints = joints - joints.mean(axis=1, keepdims=True)
+    x, z = across[:, 0], across[:, 2]
+    length = np.maximum(np.hypot(x, z), 1e-9)
+    cosine, sine = (x / length)[:, None], (z / length)[:, None]
+    turned_x = cosine * joints[..., 0] + sine * joints[..., 2]
+    turned_z = cosine * joints[..., 2] - sine * joints[..., 0]
+    return np.stack([turned_x, joints[..., 1], turned_z], axis=-1)
+
+
+def _is_copy(motion: np.ndarray, original: np.ndarray, part: _Part, noise: float, window: int) -> bool:
+    """Answer the two questions of the module's docstring on one part of the body.
+
+    Args:
+        motion: Postures of the motion, metres.
+        original: Those of the recorded motion.
+        part: The part of the body.
+        noise: Variance of a coordinate of the motion that is noise, before the average.
+        window: Frames over which both were averaged.
+    """
+    left = noise * 3 * (1 - 1 / len(part.joints))  # noise of a joint around the middle
+    if len(motion) == len(original) >= 2 * _QUICK:
+        slow = _QUICK * max(1, window // 4)
+        own, theirs = (row - uniform_filter1d(row, slow, axis=0, mode="nearest") for row in (motion, original))
+        energy = float((own**2).sum())
+        real = energy - left * (1 / window - 1 / slow) * own.shape[0] * own.shape[1]
+        # Where more than half is noise, nothing can be told.
+        alike = float((own * theirs).sum()) / np.sqrt(max(real, energy / 2) * (theirs**2).sum() + 1e-12)
+        if real > energy / 2 and alike >= part.alike:
+            return True
+    floor = left / window
+    # A quick look at a few postures spares nearly all motions the close one.
+    some = motion[:: max(1, len(motion) // 8)]
+    if _distance(some, original) ** 2 > (2 * part.farthest) ** 2 + floor:
+        return False
+    own_way = max(_distance(motion, motion[[0, -1]]) ** 2 - floor, 0.0)
+    departure = min(_distance(original, original[[0, -1]]), np.sqrt(own_way))
+    tolerance = min(part.farthest, _SHARE * departure)
+    away = max(_distance(motion, original), _distance(original, motion))
+    # What noise leaves is known to a few percent: where it is several times the tolerance, nothing can be told.
+    told = tolerance >= _LEAST_TOLERANCE and floor <= 4 * tolerance**2
+    return told and away**2 <= tolerance**2 + floor
 
 
 def _distance(poses: np.ndarray, path: np.ndarray) -> float:
