@@ -24,7 +24,7 @@ _CSV_COLUMNS = (
     *("table", "dataset", "condition", "method", "variant", "metric", "value", "unit", "higher_is_better"),
     *("low", "high", "sequences", "recordings", "detectable", "rank", "verified", "note", "kind"),
     *(column for _, column in COSTS.values()),
-    "declared",
+    *("declared", "signed_by"),
 )
 _FEW = "†"
 FORMATS = ("md", "csv", "json")
@@ -45,7 +45,8 @@ def export(leaderboard: Leaderboard, format: str) -> str:
     if format == "md":
         return _as_markdown(leaderboard)
     if format == "csv":
-        return csv_lines(_CSV_COLUMNS, _csv_rows(leaderboard))
+        signed = {"signed_by": leaderboard.signed_by}
+        return csv_lines(_CSV_COLUMNS, (row | signed for row in _csv_rows(leaderboard)))
     value = msgspec.to_builtins(as_board(leaderboard))
     return json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
 
@@ -214,12 +215,14 @@ class Board(msgspec.Struct, frozen=True, kw_only=True):
         tables: One table for each dataset and way of scoring it.
         macro_means: Means over datasets, for each protocol with two datasets or more.
         notes: What was left out, and which tables must not be compared.
+        signed_by: Id of the key that all runs are signed by, as ``--require-signed`` asked for; else empty.
     """
 
     schema_version: int = 3
     tables: list[BoardTable]
     macro_means: tuple[MacroTable, ...]
     notes: tuple[str, ...]
+    signed_by: str
 
 
 def as_board(leaderboard: Leaderboard) -> Board:
@@ -252,7 +255,8 @@ def as_board(leaderboard: Leaderboard) -> Board:
             rows=rows,
         )
         tables.append(shown)
-    return Board(tables=tables, macro_means=leaderboard.macro, notes=leaderboard.notes)
+    same = {name: getattr(leaderboard, name) for name in ("notes", "signed_by")}
+    return Board(tables=tables, macro_means=leaderboard.macro, **same)
 
 
 def _as_markdown(leaderboard: Leaderboard) -> str:

@@ -143,11 +143,12 @@ class MacroTable:
 
 @dataclass(frozen=True)
 class Leaderboard:
-    """Everything that an export shows."""
+    """Everything that an export shows; ``signed_by`` is the id of the key that all runs are signed by, or empty."""
 
     tables: tuple[DatasetTable, ...]
     macro: tuple[MacroTable, ...]
     notes: tuple[str, ...]
+    signed_by: str = ""
 
 
 def make_leaderboard(collected: CollectedRuns, *, separate: Separate = separate_by_comparison) -> Leaderboard:
@@ -165,7 +166,7 @@ def make_leaderboard(collected: CollectedRuns, *, separate: Separate = separate_
     tables: list[DatasetTable] = []
     notes = [f"Left out: {reason}." for reason in collected.left_out]
     if collected.signed_by:
-        notes.insert(0, f"All runs are signed by {collected.signed_by}, who vouches for how they were made.")
+        notes.insert(0, f"All runs are signed by {collected.signed_by}, who vouches for what is declared.")
     for (dataset, *key), rows in sorted(groups.items()):
         whole = [row for row in rows if not row.summary.unsupported]
         if whole:
@@ -197,7 +198,7 @@ def make_leaderboard(collected: CollectedRuns, *, separate: Separate = separate_
         if different:
             unlike = ", ".join(different)
             notes.append(f"{dataset} has {len(keys)} tables that must not be compared: they differ in {unlike}.")
-    return Leaderboard(tuple(tables), tuple(_macro_tables(counted)), tuple(notes))
+    return Leaderboard(tuple(tables), tuple(_macro_tables(counted)), tuple(notes), collected.signed_by)
 
 
 def _dataset_table(key: tuple[str, ...], entries: list[LeaderboardRow], separate: Separate) -> DatasetTable:

@@ -55,14 +55,17 @@ def signed(keys, data, tmp_path, monkeypatch) -> Path:
     return Path(shutil.copytree(made_once("signed-run", make), tmp_path / "runs" / "mine"))
 
 
-def exported(*runs: Path, by: Path) -> int:
-    return main(["leaderboard", "export", *map(str, runs), "--require-signed", str(by)])
+def exported(*words: Path | str, by: Path) -> int:
+    return main(["leaderboard", "export", *map(str, words), "--require-signed", str(by)])
 
 
 def test_a_board_of_signed_runs_names_the_key_and_score_does_too(signed, keys, data, capsys):
     assert exported(signed, by=keys / "organiser.pub") == 0
     signer = f"{int.from_bytes(minisign.PublicKey.from_file(keys / 'organiser.pub')._keynum_pk.key_id, 'little'):016X}"
     assert f"All runs are signed by {signer}" in capsys.readouterr().out
+    for format, shown in (("csv", f",{signer}"), ("json", f'"signed_by": "{signer}"')):
+        assert exported(signed, "--format", format, by=keys / "organiser.pub") == 0
+        assert shown in capsys.readouterr().out
     assert main(["score", str(signed), "--data", str(data), "--require-signed", str(keys / "organiser.pub")]) == 0
     assert f"signed by {signer}" in capsys.readouterr().err
     assert main(["score", str(signed), "--data", str(data)]) == 0
