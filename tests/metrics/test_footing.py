@@ -80,7 +80,7 @@ def test_contact_is_by_ankle_or_toe_with_one_limit() -> None:
     heels[:, ANKLES, 1] = 0.045
     assert numbers(heels)["slides"] == 1, "the ankles touch"
     assert flags(heels) >= {"floating", "sliding_feet", "unsupported"}
-    for height, floats in ((0.04, False), (0.0401, True), (0.05, True)):
+    for height, floats in ((0.03, False), (0.0301, True), (0.05, True)):
         hover = glide(1.0)
         hover[1:, :, 1] += height - 0.02
         assert ("floating" in flags(hover)) == floats
@@ -115,7 +115,7 @@ def test_a_swing_takes_its_time_and_no_landing_is_that_of_another_sequence() -> 
     assert together["swing_time"].tolist() == [np.inf, numbers(lands)["swing_time"]]
 
 
-@pytest.mark.parametrize(("degrees", "flagged"), [(40.0, False), (50.0, True), (-170.0, True)])
+@pytest.mark.parametrize(("degrees", "flagged"), [(25.0, False), (35.0, True), (-170.0, True)])
 def test_a_body_turns_by_steps_and_not_on_flat_feet(degrees: float, flagged: bool) -> None:
     motion = turned(standing(81), np.deg2rad(np.linspace(0, degrees, 81))[:, None])
     assert numbers(motion)["pivot"] == pytest.approx(abs(degrees))
