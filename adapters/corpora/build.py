@@ -244,9 +244,9 @@ def merge_corpus_shards(
         RecordingsWouldBeLost: see :func:`build_corpus`.
     """
     folder, record = shards[0]
-    corpus = corpora.corpus_for(record.settings["corpus"])
-    dataset = record.settings["dataset"]
-    options = dataclasses.replace(msgspec.convert(record.settings["options"], corpora.CorpusOptions), replace=replace)
+    corpus = corpora.corpus_for(record.setting(folder, str, "corpus"))
+    dataset = record.setting(folder, str, "dataset")
+    options = dataclasses.replace(record.setting(folder, corpora.CorpusOptions, "options"), replace=replace)
     require_settings(folder, record, _shard_settings(corpus, dataset, options))
     out = out.expanduser().absolute()
     require_replaceable(out, CORPUS_FILE, kind="corpus")

@@ -488,7 +488,8 @@ def merge_windows_shards(
         TableError: see :func:`build_windows`.
     """
     folder, record = shards[0]
-    now = _settings(*(record.settings[name] for name in ("dataset", "joint_set", "options")))
+    kinds = {"dataset": str, "joint_set": str, "options": dict[str, str]}
+    now = _settings(*(record.setting(folder, kind, name) for name, kind in kinds.items()))
     require_settings(folder, record, now)
     out = out.expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="table of windows")

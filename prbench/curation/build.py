@@ -156,8 +156,8 @@ def merge_dataset_shards(
         RecordingsWouldBeLost: see :func:`build_dataset`.
     """
     folder, record = shards[0]
-    dataset = record.settings["dataset"]
-    options = dataclasses.replace(msgspec.convert(record.settings["options"], BuildOptions), replace=replace)
+    dataset = record.setting(folder, str, "dataset")
+    options = dataclasses.replace(record.setting(folder, BuildOptions, "options"), replace=replace)
     require_settings(folder, record, _settings(dataset, options))
     out = out.expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="dataset")

@@ -30,7 +30,7 @@ from prbench.errors import InputFileError, PrbenchError, RecordingUnusable, Usag
 from prbench.files.arrays import first_repeated
 from prbench.files.bounded import foreign_input, require
 from prbench.files.storage import file_digest, text_digest
-from prbench.limits import LARGEST_ARCHIVE, LARGEST_JSON, LARGEST_PICKLE, LARGEST_UNPACKED
+from prbench.limits import HARMLESS_SIZE, LARGEST_ARCHIVE, LARGEST_JSON, LARGEST_PICKLE, LARGEST_UNPACKED
 from prbench.progress_bar import ProgressCallback
 from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, load_manifest
 from prbench.protocol.own_protocol import OPTION
@@ -105,7 +105,7 @@ class NativeSource:
         """See :class:`RecordingSource`: roles, names and contents of the files, a split of their own, and options."""
         files = sorted(self.found.files, key=lambda file: file.role)
         # No reader takes larger ones, and a digest of what is no file of the dataset would take minutes.
-        largest = {".json": LARGEST_JSON, ".pkl": LARGEST_PICKLE, ".zip": LARGEST_ARCHIVE}
+        largest = {".json": LARGEST_JSON, ".pkl": LARGEST_PICKLE, ".txt": HARMLESS_SIZE, ".zip": LARGEST_ARCHIVE}
         paths = {file.path: largest.get(file.path.suffix.lower(), LARGEST_UNPACKED) for file in files}
         digests = {path: file_digest(path, largest=most) for path, most in paths.items()}  # many lie in one archive
         parts = [text for file in files for text in (file.role, file.path.name, file.member, digests[file.path])]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import msgspec
 
@@ -24,6 +24,7 @@ from prbench.shown import clean, quoted
 
 FILE_NAME = "shard.json"
 Kind = Literal["dataset", "corpus", "windows", "run"]
+_Setting = TypeVar("_Setting")
 _SCHEMA_VERSION = 1
 # Missing shards that a message names.
 _SHOWN = 8
@@ -129,6 +130,25 @@ class ShardRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         if not 1 <= record.number <= record.count:
             raise ShardError(f"{path}: expected a shard K/N with K from 1 to N, found {record.shard}.")
         return record
+
+    def setting(self, folder: Path, kind: type[_Setting], name: str = "") -> _Setting:
+        """Return one of the settings, or all, as what it should be.
+
+        Args:
+            folder: Folder of the shard, for messages.
+            kind: Type of the value.
+            name: Key of the setting; empty for all.
+
+        Raises:
+            ShardError: if it is missing or something else.
+        """
+        try:
+            return msgspec.convert(self.settings[name] if name else self.settings, kind)
+        except (KeyError, msgspec.ValidationError) as error:
+            where = f"{folder / FILE_NAME}, settings{name and f'.{name}'}"
+            raise ShardError(
+                f"{where}: expected those of a {self.kind}, found: {error}. Make the shard again."
+            ) from error
 
     def difference(self, other: ShardRecord) -> str | None:
         """Name the first thing in which another shard is of something else; None where both are of the same."""

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
-
 from prbench.engine import Engine, InProcess
 from prbench.engine.shards import FILE_NAME, Shard, ShardRecord, begin_shard, require_settings
 from prbench.errors import ShardError
@@ -142,7 +140,7 @@ def merge_run_shards(
         TableError: if a table is missing or changed.
     """
     folder, shard = shards[0]
-    record = msgspec.convert(shard.settings, RunRecord)
+    record = shard.setting(folder, RunRecord)
     data = tuple(data) or tuple(fetched(at) if is_url(at) else Path(at) for at in shard.places.get("data", ()))
     request = request_of(record, data, folder=folder, fold=shard.places.get("fold"), out=out)
     prepared = prepare_run(request, earlier=record)

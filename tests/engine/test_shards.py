@@ -8,6 +8,7 @@ import pytest
 from prbench.engine import shards
 from prbench.engine.shards import FILE_NAME, Shard, ShardRecord, begin_shard, require_whole
 from prbench.errors import ShardError, UsageError
+from prbench.harness.run_folder import RunRecord
 
 
 def made(folder: Path, number: int = 1, count: int = 3, **changes) -> Path:
@@ -99,6 +100,13 @@ def test_a_folder_that_is_no_shard_is_named(tmp_path, content, message):
         path.unlink()
     with pytest.raises(ShardError, match=message):
         require_whole([tmp_path / "a"])
+
+
+@pytest.mark.parametrize(("kind", "name"), [(int, "dataset"), (str, "corpus"), (RunRecord, "")])
+def test_settings_that_are_none_of_a_shard_are_named(tmp_path, kind, name):
+    record = ShardRecord.read(made(tmp_path / "a"))
+    with pytest.raises(ShardError, match=rf"shard\.json, settings{name and '.' + name}: expected those of a dataset"):
+        record.setting(tmp_path / "a", kind, name)
 
 
 def test_a_folder_goes_on_with_its_own_shard_alone(tmp_path):
