@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from prbench.limits import LONGEST_MESSAGE, LONGEST_PATH
-from prbench.shown import clean, quoted
+from prbench.shown import clean, condensed, quoted
 
 
 class PrbenchError(Exception):
@@ -26,6 +26,7 @@ class PrbenchError(Exception):
     exit_code = 1
 
     def __init__(self, message: str = "") -> None:
+        message = condensed(message)
         if len(message) > LONGEST_MESSAGE:
             message = f"{message[:LONGEST_MESSAGE]} … ({len(message) - LONGEST_MESSAGE} more characters)"
         super().__init__(clean(message, keep="\n\t"))
@@ -136,8 +137,8 @@ class MemoryFullError(ErrorOfParts):
     def __init__(self, item: str, reason: str) -> None:
         self.item, self.reason = item, reason
         super().__init__(
-            f"{clean(item)}: {clean(reason)}, also when nothing else was done beside it. What is finished is kept: end"
-            " other programs and run the same command again with fewer --workers, or on a machine with more memory."
+            f"{clean(item)}: {clean(reason)}. Nothing half-written was kept, and what is finished stays: end other"
+            " programs, do less at once (--batch-size, --limit, --workers), or use a machine with more memory."
         )
 
 

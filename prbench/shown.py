@@ -9,9 +9,15 @@ from __future__ import annotations
 import re
 import unicodedata
 from html import escape
+from itertools import groupby
 
 # Characters that a message quotes of something that was found in a file.
 LONGEST_QUOTE = 200
+
+# Times that a message says the same word in a row before it counts them.
+_MOST_IN_A_ROW = 4
+# Characters of a word that stays whole; paths are as long.
+_LONGEST_WORD = 1000
 
 # Unicode categories that are not drawn but steer: control and format characters, lone surrogates, line separators.
 _UNSEEN = {"Cc", "Cf", "Co", "Cs", "Zl", "Zp"}
@@ -51,6 +57,21 @@ def quoted(text: object, *, longest: int = LONGEST_QUOTE) -> str:
     if len(text) <= longest:
         return clean(text)
     return f"{clean(text[:longest])} … ({len(text) - longest} more characters)"
+
+
+def condensed(text: str) -> str:
+    """Return a message in which a word repeated in a row stands once with its count, and no word is endless.
+
+    >>> condensed("found " + "a, " * 999 + "a.")
+    'found a, (1000 times)'
+    """
+    shown: list[str] = []
+    for word, group in groupby(text.split(" "), key=lambda each: each.rstrip(",.")):
+        words = list(group)
+        if word and len(words) > _MOST_IN_A_ROW:
+            words = [words[0], f"({len(words)} times)"]
+        shown += [quoted(each) if len(each) > _LONGEST_WORD else each for each in words]
+    return " ".join(shown)
 
 
 def markdown(text: object) -> str:

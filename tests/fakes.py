@@ -123,11 +123,11 @@ def fake_sequence(
     )
 
 
-def fake_info(dataset: str = "synthetic-adt") -> DatasetInfo:
-    """Provenance of a made-up dataset."""
+def fake_info(dataset: str = "synthetic-adt", sequences: int = 1) -> DatasetInfo:
+    """Provenance of a made-up dataset of so many sequences."""
     counts = FunnelCounts(
         recordings_found=1, recordings_read=1, recordings_failed=0, recordings_skipped=0, events=1,
-        located=1, primed=1, long_enough=1, moved_enough=1, sequences=1,
+        located=1, primed=1, long_enough=1, moved_enough=1, sequences=sequences,
     )  # fmt: skip
     return DatasetInfo(
         schema_version=1, protocol_version=1, protocol_digest="p", dataset=dataset, title="Made up", synthetic=True,
@@ -162,7 +162,7 @@ def write_rows(folder: Path, rows: Iterable[Sequence]) -> SequenceTable:
     """Write a dataset of some sequences, without events and recordings, and open it."""
     rows = sorted(rows, key=lambda row: row.sequence_id)
     tables = {"events": [event_batch([])], "recordings": [recording_batch([])]}
-    write_dataset(folder, fake_info(rows[0].dataset), sequences=[sequence_batch(rows)], **tables)
+    write_dataset(folder, fake_info(rows[0].dataset, len(rows)), sequences=[sequence_batch(rows)], **tables)
     return SequenceTable.open(folder)
 
 
@@ -218,7 +218,7 @@ def fake_dataset(
     ]  # fmt: skip
     write_dataset(
         folder,
-        fake_info(dataset),
+        fake_info(dataset, len(rows)),
         sequences=[sequence_batch(rows)] if rows else [],
         events=[event_batch(fake_event(row) for row in rows)],
         recordings=[recording_batch(records)],

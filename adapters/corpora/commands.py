@@ -37,7 +37,7 @@ _SYNTHETIC = "synthetic"  # Corpus that is generated on the spot.
 @opt.recordings_options
 @opt.count_option("Number of synthetic recordings to make (only for synthetic; default 40).")
 @opt.seed_option("of a synthetic corpus")
-@click.option("--fps", type=float, metavar="N", help="Frames a second of the clips (default 20).")
+@click.option("--fps", type=opt.RATE, metavar="N", help="Frames a second of the clips (default 20).")
 @opt.number_option("--max-frames", "Cut clips that have more frames (default: 12 s).")
 @opt.flag("--dry-run", "Say what would be read, and write nothing.")
 @opt.on_error_option()

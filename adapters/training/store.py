@@ -30,7 +30,6 @@ from prbench.limits import LARGEST_ARCHIVE
 from prbench.representation import N_FEATURES, Mode, check_joints, encode
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.sequences.dataset_info import CORPUS_FILE
-from prbench.sequences.schema import table_parts
 from prbench.sequences.sequence import column
 from prbench_adapters.training.configuration import DataConfiguration
 
@@ -271,13 +270,8 @@ class LeftOut(msgspec.Struct, frozen=True):
 
 
 class _Notes(msgspec.Struct, frozen=True):
-    """Notes on a store, kept beside its rows.
+    """Notes on a store, kept beside its rows."""
 
-    Attributes:
-        files: Size and time of change of the table's files when the store was made.
-    """
-
-    files: list[tuple[int, int]]
     left_out: tuple[LeftOut, ...]
 
 
@@ -297,30 +291,24 @@ def table_store(
         The opened store, and the rows that are not in it.
 
     Raises:
-        TableError: if the rows are not those that the table's own description promises, or none of them can be used.
+        TableError: if none of the rows can be used.
         StorageError: if the store cannot be written.
     """
     # Whatever decides the features is part of the name, so that a stale store is never opened.
     decisive = (split, encoding.mode, encoding.max_frames, encoding.crop)
     digest = text_digest(_VERSION, _representation_digest(), table.info.content_digest, *map(str, decisive))
     path = cache / f"{table.info.dataset}-{split}-{digest[:24]}.arrow"
-    part = "clips" if isinstance(table, CorpusTable) else "sequences"
-    stats = [file.stat() for file in table_parts(table.folder, part)]
-    files = [(stat.st_size, stat.st_mtime_ns) for stat in stats]
     found = _opened(path)
     if found is None:
         # Make the store and its notes, unless another process has made them while this one waited for it.
         with in_turn(path), sole_writer(path.with_suffix(".json")):
             found = _opened(path)
             if found is None:
-                _ = table.content  # refuses a table whose rows are not those of its own description
                 left_out = _make(table, split, encoding, path, engine)
-                write_json(path.with_suffix(".json"), msgspec.to_builtins(_Notes(files, left_out)))
+                write_json(path.with_suffix(".json"), msgspec.to_builtins(_Notes(left_out)))
                 found = _opened(path)
         assert found is not None, "what was just made can be opened"
     notes, store = found
-    if notes.files != files:
-        _ = table.content  # another copy of the same table is welcome
     return store, notes.left_out
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -22,7 +22,7 @@ from prbench.errors import TableError, UsageError
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import atomic_folder, require_replaceable
 from prbench.recording.streams import ESTIMATED
-from prbench.sequences.dataset_info import Provenance
+from prbench.sequences.dataset_info import Count, Provenance
 from prbench.sequences.schema import (
     naming,
     open_parquet,
@@ -32,6 +32,7 @@ from prbench.sequences.schema import (
     table_parts,
 )
 from prbench.sequences.sequence import column_field, row_batch
+from prbench.sequences.table import require_described
 from prbench.sequences.write import write_tables
 from prbench_benchmarks.motion_prediction.batch import Condition, ObservedBatch, window_key
 from prbench_benchmarks.motion_prediction.joint_sets import (
@@ -41,7 +42,7 @@ from prbench_benchmarks.motion_prediction.joint_sets import (
     rotations_alone,
     transform_each,
 )
-from prbench_benchmarks.motion_prediction.protocol import FrameName
+from prbench_benchmarks.motion_prediction.protocol import FrameName, load_prediction_protocol
 
 SCHEMA_VERSION = 1
 FILE_NAME = "windows.json"
@@ -142,6 +143,10 @@ class Window:
         return cls(**values | {"goal": None if row["goal"] is None else np.array(row["goal"])})
 
 
+# Frames that a window observes, or predicts: at the highest rate 5 s.
+_Frames = Annotated[int, msgspec.Meta(ge=1, le=5000)]
+
+
 class WindowsInfo(Provenance, frozen=True, kw_only=True):
     """Provenance of one table of windows; its outcomes count windows by exclusion (``window`` for the others).
 
@@ -164,17 +169,17 @@ class WindowsInfo(Provenance, frozen=True, kw_only=True):
     described = "table of windows"
     build_command = "build-windows"
 
-    fps: float
-    observed_frames: int
-    future_frames: int
-    fewest_gaze_frames: int
+    fps: Annotated[float, msgspec.Meta(gt=0, le=1000)]
+    observed_frames: _Frames
+    future_frames: _Frames
+    fewest_gaze_frames: Count
     joint_set: str
     has_gaze: bool = False
     estimated_bodies: bool = False
-    participants: int = 0
-    recordings: int = 0
-    runs: int = 0
-    frames: int = 0
+    participants: Count = 0
+    recordings: Count = 0
+    runs: Count = 0
+    frames: Count = 0
 
 
 def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[Run]) -> WindowsInfo:
@@ -306,15 +311,53 @@ class WindowsTable:
         )
         table = cls(folder, info, windows, runs)
 
-        def refuse() -> None:
-            raise TableError(f"{folder}: streams.parquet was changed after the build. Build the windows again.")
-
-        own = folder / FILE_NAME
-        require_unchanged(
-            folder, own, info.file_digests, main="streams", others=["windows"], require_same_values=refuse
-        )
+        require_described(info, table_parts(folder, "streams"), schema.names, _IDENTITY, rows=RUNS_AT_ONCE)
+        require_unchanged(folder, folder / FILE_NAME, info.file_digests, ["windows"])
         require_distinct(windows["window_id"].to_pylist(), f"{folder}, windows")
+        table._require_fitting()
         return table
+
+    def _require_fitting(self) -> None:
+        """Refuse numbers that do not fit the frames that there are, before memory is taken for what they announce."""
+        info = self.info
+        lengths = self.runs["n_frames"].to_numpy().astype(np.int64)
+        told: dict[str, tuple[object, object]] = {
+            "runs": (len(lengths), info.runs),
+            "frames": (int(lengths.sum()), info.frames),
+            "recordings": (len(set(self.runs["recording_id"].to_pylist())), info.recordings),
+            "participants": (len(set(self.runs["participant_id"].to_pylist())), info.participants),
+            "fps": (set(self.runs["fps"].to_pylist()), {info.fps}),
+        }
+        protocol = load_prediction_protocol()
+        if info.protocol_digest == protocol.digest:
+            rules = protocol.windows.at(info.fps)
+            for name in ("observed_frames", "future_frames", "fewest_gaze_frames"):
+                told[name] = (getattr(rules, name), getattr(info, name))
+        for name, (expected, found) in told.items():
+            if found != expected:
+                raise TableError(
+                    f"{self.folder / FILE_NAME}, {name}: expected {expected}, as the table has it, found {found}."
+                    " The file was changed after the build; build the windows again."
+                )
+        number = {
+            name: self.windows[name].to_numpy().astype(np.int64)
+            for name in ("row", "start", "n_scored", "n_gaze_valid")
+        }
+        outside = (number["row"] < 0) | (number["row"] >= len(lengths))
+        frames = lengths[np.where(outside, 0, number["row"])]
+        ends = number["start"] + info.observed_frames + number["n_scored"]
+        for name, wrong, expected in (
+            ("row", outside, f"a row of streams, from 0 to {len(lengths) - 1}"),
+            ("n_scored", (number["n_scored"] < 1) | (number["n_scored"] > info.future_frames), "1 to future_frames"),
+            ("n_gaze_valid", number["n_gaze_valid"] > info.observed_frames, "at most observed_frames"),
+            ("start", (number["start"] < 0) | (ends > frames), "a window within the frames of its run"),
+        ):
+            if wrong.any():
+                row = int(wrong.argmax())
+                raise TableError(
+                    f"{self.folder}, windows, row {row}, column '{name}': expected {expected}, found"
+                    f" {number[name][row]}. Build the windows again."
+                )
 
     @property
     def identity(self) -> str:

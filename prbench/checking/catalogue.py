@@ -16,8 +16,8 @@ from prbench.errors import UsageError, did_you_mean
 from prbench.protocol.manifests import dataset_names, load_citations, load_manifest
 from prbench.readers import reader_for
 from prbench.readers.discover import Discovery, usable_readers
-from prbench.sequences import CorpusTable, DatasetInfo, SequenceTable
-from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
+from prbench.sequences import CorpusTable, SequenceTable
+from prbench.sequences.dataset_info import CORPUS_FILE
 from prbench.shown import clean
 
 _TERMS = {
@@ -146,13 +146,8 @@ def citation_text(folders: Sequence[Path]) -> str:
     terms = []
     entries = []
     for folder in folders:
-        if (folder / CORPUS_FILE).is_file():
-            table = CorpusTable(folder, CorpusInfo.read(folder))
-        else:
-            table = SequenceTable(folder, DatasetInfo.read(folder))
-        # An edited dataset.json could name other terms than the table's own.
-        table.require_unchanged()
-        info = table.info
+        is_corpus = (folder / CORPUS_FILE).is_file()
+        info = (CorpusTable if is_corpus else SequenceTable).open(folder).info
         terms.append(f"% {clean(info.dataset)}: {clean(info.title)}")
         terms.append(f"%   licence: {clean(info.licence)}")
         terms.append(f"%   it {clean(_TERMS.get(info.redistribution, info.redistribution))}.")

@@ -21,6 +21,7 @@ from prbench.harness.conditions import opaque_ids, run_salt
 from prbench.harness.offline import read_conditions_file
 from prbench.representation import N_FEATURES
 from prbench.sequences import SequenceTable
+from prbench.shown import quoted
 
 _LIMIT = 200  # motions that are looked at, so that a large run takes seconds
 _DEFAULT_FPS = 20.0  # the protocol's rate, for files that nothing else is known of
@@ -93,7 +94,7 @@ def examine_file(request: DoctorRequest) -> DoctorReport:
     expected = [known.get(name, NOTHING_KNOWN) for name in names]
     compared = sum(each is not NOTHING_KNOWN for each in expected)
     if not compared and (request.data or request.conditions):
-        shown = ", ".join(map(repr, names[:2]))
+        shown = ", ".join(f"'{quoted(name)}'" for name in names[:2])
         places_given = ", ".join(map(str, (*request.data, *filter(None, [request.conditions]))))
         raise UsageError(
             f"none of the {len(names)} motions is of {places_given}: they are named {shown} … Give them a column"
@@ -190,7 +191,7 @@ def _unbatched(name: str, values: np.ndarray) -> Iterator[_Named]:
         yield name, values
         return
     for row, motion in enumerate(values):
-        written = np.flatnonzero(np.any(np.nan_to_num(motion.reshape(len(motion), -1)) != 0, axis=1))
+        written = np.flatnonzero(np.any(np.nan_to_num(motion) != 0, axis=tuple(range(1, motion.ndim))))
         yield f"{name}[{row}]", (motion[: written[-1] + 1] if written.size else motion)
 
 
@@ -209,12 +210,17 @@ def _npz(archive: Archive) -> Iterator[_Named]:
             yield from _unbatched(name, archive.read(name, largest=_LARGEST))
         return
     joints = _numbers(archive.read("joints", largest=_LARGEST), archive.path, "'joints'")
+    require(archive.path, (joints.ndim > 0, "'joints'", "frames of joints", "one number", ""))
     id_name = next((name for name in _IDS if name in headers), None)
     ids = None if id_name is None else [str(name) for name in np.atleast_1d(archive.read(id_name, largest=_LARGEST))]
     if "n_frames" not in headers:
         yield from zip(ids, joints, strict=True) if ids and len(ids) == len(joints) else _unbatched("joints", joints)
         return
-    lengths = np.atleast_1d(archive.read("n_frames", largest=_LARGEST)).astype(np.int64).clip(0)
+    lengths = np.atleast_1d(archive.read("n_frames", largest=_LARGEST))
+    found = f"{lengths.dtype} of shape {lengths.shape}"
+    is_list = lengths.ndim == 1 and lengths.dtype.kind in "iu"
+    require(archive.path, (is_list, "'n_frames'", "a whole number for each motion", found, ""))
+    lengths = lengths.astype(np.int64).clip(0)
     if len(joints) == len(lengths):
         rows = [motion[:length] for motion, length in zip(joints, lengths, strict=True)]
     else:

@@ -230,14 +230,12 @@ def print_report(report: Report) -> None:
 
 @command("doctor", example="prbench doctor motions.npy", report="prbench.checking.examine_file:DoctorReport")
 @click.argument("motions", type=opt.PATH, metavar="FILE")
-@opt.data_option(
-    required=False, help="Built dataset folder(s): compare with their initial poses, lengths and recordings."
-)
+@opt.data_option(required=False, help="Built dataset folder(s): compare with their initial poses and lengths.")
 @click.option(
     "--conditions", type=opt.PATH, metavar="FILE", help="Compare with this file of `prbench export-conditions`."
 )
 @opt.seed_option("behind the opaque ids, with --data")
-@click.option("--fps", type=float, metavar="F", help="Rate of the motions (default: that asked for, else 20).")
+@click.option("--fps", type=opt.RATE, metavar="F", help="Rate of the motions (default: that asked for, else 20).")
 def doctor(*, motions: Path, **given: Any) -> Answer:
     """Say what is wrong with motions (unit, axes, order of joints, place, clock …), from the numbers.
 

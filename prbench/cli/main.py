@@ -21,7 +21,8 @@ from prbench.cli.commands import Answer, Group, Session, session
 from prbench.cli.places import Remote
 from prbench.cli.terminal import clean_output
 from prbench.entry_points import COMMANDS
-from prbench.errors import PrbenchError, UsageError
+from prbench.errors import MemoryFullError, PrbenchError, UsageError
+from prbench.shown import quoted
 
 _EXAMPLE = """\
 # score a method on embedded synthetic data
@@ -136,7 +137,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except BrokenPipeError:
             sys.stderr.close()  # the reader of our output went away, as `| head` does
             return 0
+        except Exception as error:
+            refusal = _of_the_machine(error, now)
+            if refusal is None:
+                raise
+            code = _refuse(refusal, now, words)
         return code
+
+
+def _of_the_machine(error: Exception, now: Session) -> PrbenchError | None:
+    """Return the error for a full memory or disk, with the file that was worked on; None for any other."""
+    from prbench.engine.pool import is_out_of_memory
+    from prbench.files.bounded import file_of
+    from prbench.files.storage import storage_error
+
+    place = str(file_of(error) or f"prbench {now.command}")
+    if is_out_of_memory(error):
+        return MemoryFullError(place, f"the memory of this machine does not suffice ({quoted(error)})")
+    return storage_error(error, place) if isinstance(error, OSError) else None
 
 
 def _present(answer: Any, now: Session) -> int:

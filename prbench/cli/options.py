@@ -43,8 +43,21 @@ OUT_FILE = PlaceType("file")
 _OUT_FOLDER = PlaceType("folder")
 _TABLE_FILE = "dataset.json"  # prbench.sequences.dataset_info.FILE_NAME, whose module is not needed for help
 POSITIVE = click.IntRange(min=1)
-# A time limit.
-SECONDS = click.FloatRange(min=0, min_open=True)
+
+
+class NumberRange(click.FloatRange):
+    """A range of numbers; NaN, which click finds in every range, lies in none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse a number."""
+        number = super().convert(value, param, ctx)
+        if number != number:
+            self.fail("expected a number, found nan.", param, ctx)
+        return number
+
+
+SECONDS = NumberRange(min=0, min_open=True)  # a time limit
+RATE = NumberRange(min=0, min_open=True, max=1000)  # frames a second
 
 
 class KeyValue(click.ParamType):
@@ -164,7 +177,7 @@ _RAY_OPTIONS = (
     ),
     click.option(
         "--gpus-per-worker",
-        type=click.FloatRange(min=0),
+        type=NumberRange(min=0),
         default=0.0,
         metavar="N",
         help="With ray: GPUs that a worker occupies, for example 0.5 (default 0).",

@@ -22,7 +22,7 @@ from prbench.cli.terminal import print_table, print_tables
 @click.argument("root", type=opt.PATH)
 @opt.out_folder_option("Gets a table folder for each dataset; with --dataset it is the table.", required=True)
 @click.option("--dataset", metavar="NAME", help="Only this dataset, for example hd-epic.")
-@click.option("--fps", type=float, metavar="N", help="Frames a second, where the files do not tell.")
+@click.option("--fps", type=opt.RATE, metavar="N", help="Frames a second, where the files do not tell.")
 @click.option(
     "--field-map",
     type=opt.KeyValue(),

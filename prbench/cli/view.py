@@ -137,7 +137,7 @@ def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ..
 @click.option("--object", "objects", default="", metavar="TEXT", help="Only objects with this in their name or id.")
 @click.option(
     "--max-confidence",
-    type=click.FloatRange(0, 1),
+    type=opt.NumberRange(0, 1),
     metavar="X",
     help="Only events that are at most so sure, from 0 to 1.",
 )

@@ -26,6 +26,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 # Gives the result of an item for which the memory does not suffice.
 IfFull = Callable[[Item, PrbenchError], Result] | None
+# What torch, threads and the loader of libraries say where memory is short.
+_LACKS_MEMORY = ("can't allocate memory", "can't start new thread", "failed to map segment")
 KILLED = "a worker process ended without an answer: it was killed, or ran out of memory"
 
 
@@ -52,7 +54,7 @@ def is_out_of_memory(error: BaseException | None) -> bool:
         return True
     if isinstance(error, PrbenchError):
         return is_out_of_memory(error.__cause__)
-    return isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
+    return isinstance(error, RuntimeError | ImportError) and any(words in str(error) for words in _LACKS_MEMORY)
 
 
 def answer(function: Callable[[Item], Result], item: Item) -> Result | Full:

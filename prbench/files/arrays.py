@@ -279,6 +279,9 @@ def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:
         pre_buffer=False,
     )
     metadata = file.metadata
+    twice = first_repeated(file.schema_arrow.names)
+    if twice is not None:
+        raise pa.ArrowInvalid(f"the column '{twice}' is there twice; which one is meant nobody can tell")
     if metadata.num_rows > limits.MOST_ROWS:
         raise pa.ArrowInvalid(f"{metadata.num_rows:,} rows declared, expected at most {limits.MOST_ROWS:,}")
     for number in range(metadata.num_row_groups):

@@ -270,7 +270,7 @@ def foreign_input(place: Path | str = "input") -> Iterator[None]:
         raise
     except RecursionError as error:
         raise InputFileError(
-            _file_of(error) or place,
+            file_of(error) or place,
             "",
             expected="values nested at most some hundred levels deep",
             found="more",
@@ -278,10 +278,10 @@ def foreign_input(place: Path | str = "input") -> Iterator[None]:
         ) from error
     except UnicodeDecodeError as error:
         raise InputFileError(
-            _file_of(error) or place, "", expected="text in UTF-8", found=f"other bytes ({error})", remedy=_COPY_AGAIN
+            file_of(error) or place, "", expected="text in UTF-8", found=f"other bytes ({error})", remedy=_COPY_AGAIN
         ) from error
     except Exception as error:
-        file = _file_of(error) or place
+        file = file_of(error) or place
         refusal = error.strerror if isinstance(error, OSError) else None
         if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # of Path.resolve
             refusal = "a link that leads to itself"
@@ -298,8 +298,8 @@ def foreign_input(place: Path | str = "input") -> Iterator[None]:
         ) from error
 
 
-def _file_of(error: Exception) -> Path | None:
-    """Return the file that was being read when an error arose."""
+def file_of(error: Exception) -> Path | None:
+    """Return the file that was being worked on when an error arose; None where nothing tells."""
     named = error.filename if isinstance(error, OSError) else None
     if isinstance(named, str | bytes):
         return Path(os.fsdecode(named))

@@ -33,7 +33,15 @@ from prbench.limits import LARGEST_ARCHIVE, LARGEST_JSON, LONGEST_NAME
 from prbench.shown import clean
 
 CACHE_VARIABLE = "PRBENCH_CACHE"
-_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
+# Why nothing more can be written, and what to do about it
+_FULL = {
+    getattr(errno, "EDQUOT", errno.ENOSPC): ("the disk quota is used up", "free some space"),
+    errno.ENOSPC: ("no space left on the device", "free some space"),
+    errno.EFBIG: (
+        "larger than a file may be here (`ulimit -f`, or the file system)",
+        "raise that limit, ask for less (--limit), or choose another folder,",
+    ),
+}
 _FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EISDIR, errno.EEXIST}
 
 
@@ -162,14 +170,31 @@ def _storage_errors(path: Path, *, every_kind: bool = False) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno in _FULL:
-            raise StorageError(
-                f"{path}: no space left on the device. Nothing half-written was kept;"
-                " free some space and run the same command again."
-            ) from error
-        if every_kind or error.errno in _FORBIDDEN:
-            raise StorageError(f"{path}: cannot be written ({error.strerror}). Choose another folder.") from error
-        raise
+        refused = storage_error(error, path)
+        if refused is None and every_kind:
+            refused = StorageError(f"{path}: cannot be written ({error.strerror}). Choose another folder.")
+        if refused is None:
+            raise
+        raise refused from error
+
+
+def storage_error(error: OSError, path: Path | str) -> StorageError | None:
+    """Return the error that says why something cannot be written; None for what writing alone does not cause.
+
+    Args:
+        error: An error of the operating system.
+        path: The file or folder that was being written.
+    """
+    full = _FULL.get(error.errno or 0)
+    if error.errno is None and str(error).endswith("written"):  # how NumPy says that it could write a part alone
+        full = ("no more could be written", "free some space")
+    if full is not None:
+        return StorageError(
+            f"{path}: {full[0]}. Nothing half-written was kept; {full[1]} and run the same command again."
+        )
+    if error.errno in _FORBIDDEN:
+        return StorageError(f"{path}: cannot be written ({error.strerror}). Choose another folder.")
+    return None
 
 
 def require_replaceable(folder: Path, marker: str, *, kind: str) -> None:

@@ -25,6 +25,7 @@ from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.run_folder.summary import DatasetAgreement, DatasetSummary
 from prbench.sequences import SequenceTable
+from prbench.shown import quoted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,4 +239,4 @@ def listed(names: list[str]) -> str:
     """Return how many names there are, and the first three."""
     if not names:
         return "0"
-    return f"{len(names)} ({', '.join(names[:_NAMED])}{', …' if len(names) > _NAMED else ''})"
+    return f"{len(names)} ({', '.join(map(quoted, names[:_NAMED]))}{', …' if len(names) > _NAMED else ''})"

@@ -8,15 +8,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import pyarrow as pa
 
 from prbench.errors import TableError
-from prbench.files.bounded import foreign_input
 from prbench.files.storage import atomic_folder, require_replaceable
 from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
-from prbench.sequences.schema import SEQUENCES, check_columns, open_parquet
+from prbench.sequences.schema import SEQUENCES, check_columns
 from prbench.sequences.sequence import FrameSource, Pose, Poses, Texts, Transform, row_batch, schema_of
 from prbench.sequences.table import BuiltTable
 from prbench.sequences.write import require_no_loss, write_tables
@@ -191,32 +190,25 @@ def corpus_batch(table: str, rows: Iterable[Clip | Annotation | CorpusRecord]) -
 class CorpusTable(BuiltTable[CorpusInfo]):
     """A built corpus: its folder, its provenance, and its clips on demand."""
 
+    description = CorpusInfo
     main = "clips"
     schemas = CORPUS_TABLES
     identity_columns = ("sequence_id", "split", "kind", "n_frames")
     check = staticmethod(check_corpus_schema)
 
     @classmethod
-    @foreign_input()
-    def open(cls, folder: Path | str) -> CorpusTable:
-        """Open a corpus folder and check version, columns, that it holds clips, and that no file was edited.
+    def open(cls, folder: Path | str) -> Self:
+        """Open a corpus folder as any table is opened, and check that it holds clips.
 
         Raises:
             TableError: naming the file, what was expected and what was found.
         """
-        folder = Path(folder)
-        table = cls(folder, CorpusInfo.read(folder))
-        rows = 0
-        for path in table.part_paths("clips"):
-            file = open_parquet(path)
-            check_corpus_schema(file.schema_arrow, CLIPS, source=str(path))
-            rows += file.metadata.num_rows
-        if rows == 0:
+        table = super().open(folder)
+        if table.n_rows == 0:
             raise TableError(
-                f"{folder}: the corpus has no clips. `{folder / CORPUS_FILE}` holds the counts that say why;"
+                f"{folder}: the corpus has no clips. `{table.folder / CORPUS_FILE}` holds the counts that say why;"
                 " the table 'annotations' tells it of every text."
             )
-        table.require_unchanged()
         return table
 
     def _is_short(self, field: pa.Field) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import ClassVar, Protocol, Self, runtime_checkable
+from typing import Annotated, ClassVar, Protocol, Self, runtime_checkable
 
 import msgspec
 
@@ -26,6 +26,10 @@ _KINDS = {
     "windows.json": "a table of windows, which `prbench run --benchmark motion-prediction` takes",
     "shard.json": "a shard, which `prbench merge` puts together with the others",
 }
+
+
+# A number of things, or of a version; no table has more.
+Count = Annotated[int, msgspec.Meta(ge=0, le=10**12)]
 
 
 class QuarantinedRecording(msgspec.Struct, frozen=True, kw_only=True):
@@ -71,8 +75,8 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
         citation: BibTeX of what is to be cited.
     """
 
-    schema_version: int
-    protocol_version: int
+    schema_version: Count
+    protocol_version: Count
     protocol_digest: str
     dataset: str
     title: str
@@ -81,7 +85,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     manifest_digest: str
     input_digest: str
     options: dict[str, str]
-    outcomes: dict[str, int]
+    outcomes: dict[str, Count]
     quarantine: tuple[QuarantinedRecording, ...]
     identity_digest: str
     content_digest: str
@@ -161,17 +165,17 @@ class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):
         sequences: Events that became a sequence.
     """
 
-    recordings_found: int
-    recordings_read: int
-    recordings_failed: int
-    recordings_skipped: int
-    recordings_cut_short: int = 0
-    events: int
-    located: int
-    primed: int
-    long_enough: int
-    moved_enough: int
-    sequences: int
+    recordings_found: Count
+    recordings_read: Count
+    recordings_failed: Count
+    recordings_skipped: Count
+    recordings_cut_short: Count = 0
+    events: Count
+    located: Count
+    primed: Count
+    long_enough: Count
+    moved_enough: Count
+    sequences: Count
 
 
 class DatasetInfo(Provenance, frozen=True, kw_only=True):
@@ -205,15 +209,15 @@ class CorpusCounts(msgspec.Struct, frozen=True, kw_only=True):
     placed by aligning starts alone.
     """
 
-    recordings_found: int
-    recordings_read: int
-    recordings_failed: int
-    recordings_skipped: int
-    annotations: int
-    clips: int
-    captions: int
-    approximate_clips: int
-    frames: int
+    recordings_found: Count
+    recordings_read: Count
+    recordings_failed: Count
+    recordings_skipped: Count
+    annotations: Count
+    clips: Count
+    captions: Count
+    approximate_clips: Count
+    frames: Count
 
 
 class CorpusInfo(Provenance, frozen=True, kw_only=True):

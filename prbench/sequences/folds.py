@@ -163,7 +163,6 @@ def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> Dat
     parse_fold(f"{fold}/{folds}")
     if OPTION in table.info.options:
         raise UsageError(f"{table.folder}: is fold {table.info.options[OPTION]} already; name the whole table.")
-    table.require_unchanged()
     fold_of = participant_folds(table, folds)
 
     def split(batch: pa.RecordBatch) -> pa.RecordBatch:

@@ -4,9 +4,10 @@ The columns themselves are the fields of the records in :mod:`prbench.sequences.
 Source: docs/specification/sequence-table.md#schema-version.
 
 The identity digest says which sequences a table holds, the content digest says which values. ``dataset.json`` and
-``corpus.json`` also hold the SHA-256 of every Parquet file beside them. Hashing costs 0.25 s for 10,000 sequences, so
-it is done whenever a table is opened, and nothing is remembered that an edit could get past. A main table whose bytes
-differ is compared value by value before it is refused: written anew with equal values it is still the same table.
+``corpus.json`` also hold the SHA-256 of every Parquet file beside them. Whenever a table is opened, the values of its
+main table are compared with the content digest, and the bytes of the others with theirs: a digest of bytes is remade
+together with an edit, and nothing is remembered that an edit could get past. Written anew with equal values, a main
+table is still the same. It takes 2 s for 10,000 sequences.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
 from itertools import pairwise
 from pathlib import Path
@@ -149,6 +150,9 @@ def identity_of_rows(rows: pa.Table, *, protocol_version: int) -> str:
     return digest.hexdigest()
 
 
+_AT_ONCE = 2**14  # numbers rounded together: with those of a whole batch it takes ten times as long
+
+
 class ContentDigest:
     """Digest of the values, rounded to 10 µm, in the order of the rows; not of the file's bytes."""
 
@@ -188,9 +192,12 @@ def _rounded(leaf: pa.Array) -> np.ndarray:
     numbers = np.asarray(leaf.fill_null(0) if leaf.null_count else leaf)
     if not pa.types.is_floating(leaf.type):
         return numbers.astype(np.int64)
-    integer = np.int32 if leaf.type == pa.float32() else np.int64
-    # A product, not a quotient, and in float64: other processors then round to the same integers.
-    return np.rint(numbers * np.float64(1 / ROUNDING)).astype(integer)
+    rounded = np.empty(numbers.shape, np.int32 if leaf.type == pa.float32() else np.int64)
+    for first in range(0, len(numbers), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        # A product, not a quotient, and in float64: other processors then round to the same integers.
+        rounded[part] = np.rint(numbers[part] * np.float64(1 / ROUNDING))
+    return rounded
 
 
 def digests_of_files(folder: Path, tables: Iterable[str]) -> dict[str, str]:
@@ -199,31 +206,19 @@ def digests_of_files(folder: Path, tables: Iterable[str]) -> dict[str, str]:
     return {path.relative_to(folder).as_posix(): file_digest(path) for path in paths}
 
 
-def require_unchanged(
-    folder: Path,
-    described_in: Path,
-    expected: Mapping[str, str],
-    *,
-    main: str,
-    others: Iterable[str],
-    require_same_values: Callable[[], object],
-) -> None:
-    """Refuse a table of which a file was edited.
+def require_unchanged(folder: Path, described_in: Path, expected: Mapping[str, str], tables: Iterable[str]) -> None:
+    """Refuse tables of which a file was edited; the values of the main table are compared elsewhere.
 
     Args:
         folder: Holds the Parquet files.
         described_in: ``dataset.json`` or ``corpus.json``.
         expected: The digests that stand in there, by relative path.
-        main: Name of the table whose values the content digest is of.
-        others: Names of the further tables; where one is absent, whoever wants to read it says so.
-        require_same_values: Compares the values of the main table with the content digest and raises the error.
+        tables: Names of the tables beside the main one; where one is absent, whoever wants to read it says so.
 
     Raises:
         TableError: naming the first file that was edited.
     """
-    if digests_of_files(folder, [main]) != {path: each for path, each in expected.items() if table_of(path) == main}:
-        require_same_values()
-    for path, found in digests_of_files(folder, others).items():
+    for path, found in digests_of_files(folder, tables).items():
         if found != expected.get(path):
             described = f"SHA-256 {expected[path][:12]}…" if path in expected else "no such file"
             raise TableError(

@@ -13,9 +13,8 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -30,6 +29,7 @@ from prbench.protocol.published import QUANTITIES, Spread
 from prbench.sequences import schema as table_schema
 from prbench.sequences.dataset_info import DatasetInfo, Provenance
 from prbench.sequences.sequence import SequenceChunk
+from prbench.shown import quoted
 
 SPLITS = ("train", "validation", "test")
 _SHOWN = 8  # ids that an error message lists
@@ -38,38 +38,101 @@ _SHOWN = 8  # ids that an error message lists
 Info = TypeVar("Info", bound=Provenance)
 
 
+def require_described(
+    info: Provenance, paths: SequenceOf[Path], columns: SequenceOf[str], identity: SequenceOf[str], *, rows: int = 256
+) -> None:
+    """Hold a main table against the content and identity digests of its description; every table is opened with this.
+
+    Args:
+        info: The description.
+        paths: Parquet files of the main table.
+        columns: Its columns.
+        identity: Those that make its identity.
+        rows: Rows that are read at once.
+
+    Raises:
+        TableError: if the rows are no longer those that the table was built with.
+    """
+    digest = table_schema.ContentDigest(columns)
+    for path in paths:
+        with table_schema.naming(path):
+            for batch in table_schema.open_parquet(path).iter_batches(batch_size=rows, columns=list(columns)):
+                digest.update(batch)
+    names = pa.concat_tables(table_schema.read_parquet(path, list(identity)) for path in paths)
+    ids = table_schema.identity_of_rows(names, protocol_version=info.protocol_version)
+    for kind, found, expected in (
+        ("content", digest.hexdigest(), info.content_digest),
+        ("identity", ids, info.identity_digest),
+    ):
+        if found != expected:
+            raise TableError(
+                f"{paths[0]}: the values are not the ones that {info.file_name} describes ({kind} digest"
+                f" {found[:12]}…, expected {quoted(expected[:12])}…). A file was changed after the build; build the"
+                f" {info.described} again."
+            )
+
+
 @dataclass(frozen=True)
 class BuiltTable(Generic[Info]):
     """The common part of the tables of a dataset and of a corpus: a folder, its provenance, and rows on demand.
 
-    A subclass names the table that holds the motions (``main``), the columns of every table of the folder, the main one
-    first (``schemas``), those of tables that not every folder has (``optional``), the columns of the main table that
-    make its identity (:func:`prbench.sequences.schema.identity_of_rows`), and what refuses a file with other columns,
-    or of an unknown version (``check``).
+    A subclass names the class of its provenance (``description``), the table that holds the motions (``main``), the
+    columns of every table of the folder, the main one first (``schemas``), those of tables that not every folder has
+    (``optional``), the columns of the main table that make its identity
+    (:func:`prbench.sequences.schema.identity_of_rows`), and what refuses a file with other columns, or of an unknown
+    version (``check``).
     """
 
     folder: Path
     info: Info
+    description: ClassVar[type[Any]]
     main: ClassVar[str]
     schemas: ClassVar[Mapping[str, pa.Schema]]
     optional: ClassVar[Mapping[str, pa.Schema]] = {}
     identity_columns: ClassVar[tuple[str, ...]]
     check: ClassVar[Callable[..., None]]
 
-    def require_unchanged(self) -> None:
-        """Hold the files against the description beside them.
+    @classmethod
+    @foreign_input()
+    def open(cls, folder: Path | str) -> Self:
+        """Open a built folder and check versions, columns, ids, numbers of rows, and that no file was edited.
+
+        A dataset may hold events alone: HD-EPIC before EgoAllo has estimated bodies is one.
 
         Raises:
-            TableError: if one was edited; names it.
+            TableError: naming the file, what was expected and what was found.
         """
-        table_schema.require_unchanged(
-            self.folder,
-            self.folder / self.info.file_name,
-            self.info.file_digests,
-            main=self.main,
-            others=[name for name in (*self.schemas, *self.optional) if name != self.main],
-            require_same_values=lambda: self.content,
-        )
+        table = cls(Path(folder), cls.description.read(folder))
+        paths = table.part_paths(cls.main)
+        for path in paths:
+            cls.check(table_schema.open_parquet(path).schema_arrow, cls.schemas[cls.main], source=str(path))
+        # Before ids are read: a damaged file is reported as such, not as a wrong id.
+        table.require_unchanged()
+        table_schema.require_distinct_rows(paths, "sequence_id", f"{folder}, {cls.main}")
+        told = getattr(table.info.counts, cls.main)
+        if told != table.n_rows:
+            raise TableError(
+                f"{table.folder / table.info.file_name}, counts.{cls.main}: expected {table.n_rows}, as many as the"
+                f" table has, found {told}. The file was changed after the build; build the {table.info.described}"
+                " again."
+            )
+        return table
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows of the main table, as the footers of the files tell it."""
+        return sum(table_schema.open_parquet(path).metadata.num_rows for path in self.part_paths(self.main))
+
+    def require_unchanged(self) -> None:
+        """Hold the values of the main table, and the bytes of the others, against the description beside them.
+
+        Raises:
+            TableError: if a file was edited; names it.
+        """
+        others = [name for name in (*self.schemas, *self.optional) if name != self.main]
+        table_schema.require_unchanged(self.folder, self.folder / self.info.file_name, self.info.file_digests, others)
+        columns = self.schemas[self.main].names
+        require_described(self.info, self.part_paths(self.main), columns, self.identity_columns)
 
     @property
     def described_protocol(self) -> DescribedTable:
@@ -118,30 +181,15 @@ class BuiltTable(Generic[Info]):
     def _is_short(self, field: pa.Field) -> bool:
         return not table_schema.is_bulky(field.type)
 
-    @cached_property
+    @property
     def identity(self) -> str:
-        """Identity digest, computed from the rows."""
-        rows = self.scalars(columns=self.identity_columns).select(self.identity_columns)
-        return table_schema.identity_of_rows(rows, protocol_version=self.info.protocol_version)
+        """Identity digest; :meth:`require_unchanged` has compared it with the rows."""
+        return self.info.identity_digest
 
-    @cached_property
+    @property
     def content(self) -> str:
-        """Content digest, computed from the rows.
-
-        Raises:
-            TableError: if the rows are no longer those that the table was built with.
-        """
-        digest = table_schema.ContentDigest(self.schemas[self.main].names)
-        for chunk in self.chunks():
-            digest.update(chunk.batch)
-        found = digest.hexdigest()
-        if found != self.info.content_digest:
-            raise TableError(
-                f"{self.part_paths(self.main)[0]}: the {self.main} are not the ones that {self.info.file_name}"
-                f" describes (content digest {found[:12]}…, expected {self.info.content_digest[:12]}…)."
-                f" A file was changed after the build; build the {self.info.described} again."
-            )
-        return found
+        """Content digest; :meth:`require_unchanged` has compared it with the rows."""
+        return self.info.content_digest
 
     @foreign_input()
     def _read(self, name: str) -> pa.Table:
@@ -158,36 +206,17 @@ class BuiltTable(Generic[Info]):
 class SequenceTable(BuiltTable[DatasetInfo]):
     """A built dataset: its folder, its provenance, and its rows on demand."""
 
+    description = DatasetInfo
     main = "sequences"
     schemas = table_schema.DATASET_TABLES
     optional = table_schema.OPTIONAL_TABLES
     identity_columns = ("sequence_id", "split", "action", "n_frames")
     check = staticmethod(table_schema.check_schema)
 
-    @classmethod
-    @foreign_input()
-    def open(cls, folder: Path | str) -> SequenceTable:
-        """Open a dataset folder and check versions, columns, ids, and that no file was edited.
-
-        A dataset may hold events alone: HD-EPIC before EgoAllo has estimated bodies is one.
-
-        Raises:
-            TableError: naming the file, what was expected and what was found.
-        """
-        table = cls(Path(folder), DatasetInfo.read(folder))
-        for path in table.part_paths("sequences"):
-            table_schema.check_schema(
-                table_schema.open_parquet(path).schema_arrow, table_schema.SEQUENCES, source=str(path)
-            )
-        # Before ids are read: a damaged file is reported as such, not as a wrong id.
-        table.require_unchanged()
-        table_schema.require_distinct_rows(table.part_paths("sequences"), "sequence_id", f"{folder}, sequences")
-        return table
-
     @property
     def n_sequences(self) -> int:
         """Number of sequences, as the footers of the files tell it."""
-        return sum(table_schema.open_parquet(path).metadata.num_rows for path in self.part_paths("sequences"))
+        return self.n_rows
 
     def sequence_ids(self) -> list[str]:
         """Return the ids of all sequences in table order."""
@@ -312,11 +341,12 @@ def find_sequence_id(wanted: str, known: SequenceOf[str], *, among: str, what: s
         shown = "\n".join(f"  {name}" for name in fitting[:_SHOWN])
         more = f"\n  … and {len(fitting) - _SHOWN} more" if len(fitting) > _SHOWN else ""
         raise UsageError(
-            f"'{wanted}' fits {len(fitting)} {what}s of {among}; give a longer part of one:\n{shown}{more}"
+            f"'{quoted(wanted)}' fits {len(fitting)} {what}s of {among}; give a longer part of one:\n{shown}{more}"
         )
     near = difflib.get_close_matches(wanted, known, n=3, cutoff=0.0)
     hint = "".join(f"\n  {name}" for name in near)
-    raise UsageError(f"no {what} '{wanted}' among the {len(known)} of {among}.{' Near it:' + hint if hint else ''}")
+    hint = f" Near it:{hint}" if hint else ""
+    raise UsageError(f"no {what} '{quoted(wanted)}' among the {len(known)} of {among}.{hint}")
 
 
 # Seconds before and after the prime time over which the gaze shift is averaged.

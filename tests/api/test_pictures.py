@@ -86,8 +86,8 @@ def test_recorded_motion_is_kept_where_the_licence_keeps_it(tmp_path, monkeypatc
 
     from tests import fakes
 
-    private = msgspec.structs.replace(fake_info(), redistribution="none")
-    monkeypatch.setattr(fakes, "fake_info", lambda dataset: private)
+    private = msgspec.structs.replace(fake_info(sequences=2), redistribution="none")
+    monkeypatch.setattr(fakes, "fake_info", lambda *_: private)
     fakes.fake_dataset(tmp_path / "table", 2)
     sequence = prbench.open_table(tmp_path / "table")[0]
     for show in (sequence.plot, sequence.replay):

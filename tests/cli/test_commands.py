@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import json
 import os
@@ -21,6 +22,7 @@ from prbench.cli.main import _RENAMED, program
 from prbench.cli.options import FIRST_RUN_SEQUENCES
 from prbench.cli.summaries import RunAnswer
 from prbench.harness import first_run
+from prbench.sequences import SequenceTable
 from tests.cli.reports import documented
 from tests.fakes import fake_dataset
 from tests.parsing import all_commands, parsed
@@ -34,6 +36,37 @@ DIFFER = {"--out", "--condition", "--split"}
 @pytest.fixture
 def data(tmp_path):
     return fake_dataset(tmp_path / "table", 24).folder
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (MemoryError("no"), 12, "table: the memory of this machine does not suffice (no)"),
+        (RuntimeError("can't start new thread"), 12, "the memory of this machine does not suffice"),
+        (OSError(errno.EFBIG, "File too large", "big.json"), 8, "big.json: larger than a file may be here"),
+        (OSError(errno.ENOSPC, "No space left on device"), 8, "no space left on the device"),
+    ],
+)
+def test_a_full_memory_or_disk_is_one_message_wherever_it_arises(error, code, said, data, capsys, monkeypatch):
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(SequenceTable, "chunks", fail)
+    assert main(["export-conditions", "--data", str(data), "--condition", "none", "--out", str(data / "c.npz")]) == code
+    told = capsys.readouterr().err
+    assert said in told
+    assert "Traceback" not in told
+
+
+def test_what_is_repeated_a_thousand_times_is_counted(data, capsys):
+    for words, said in (
+        (["run", "--method", "static", "--data", str(data), "--sequence", "abc" * 1000], "… (2800 more characters)"),
+        (["leaderboard", "compare", *["runs/a"] * 1000], "runs/a (996 times)"),
+    ):
+        assert main(words) == 2
+        told = capsys.readouterr().err
+        assert said in told
+        assert len(told) < 800
 
 
 @pytest.mark.parametrize("name", [*all_commands(), "leaderboard", "adapters"])

@@ -148,7 +148,7 @@ def test_one_for_which_it_does_not_suffice_alone_either_is_told_and_the_build_go
     assert [record.status for record in report.records] == ["read", "failed"]
     message = report.info.quarantine[0].message
     assert message.startswith("room_1: the memory of this machine does not suffice (malloc of size 4398046511104")
-    assert "fewer --workers" in message
+    assert "do less at once (--batch-size, --limit, --workers)" in message
     options = BuildOptions(on_error="fail")
     with pytest.raises(MemoryFullError, match="room_1"):
         build_from_sources(short_of_memory(tmp_path / "again", 2), tmp_path / "other", options=options)

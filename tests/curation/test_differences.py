@@ -35,10 +35,11 @@ def write(
         for name in names
     ]  # fmt: skip
     records[0] = dataclasses.replace(records[0], **recording)
+    rows = list(rows)
     write_dataset(
         folder,
-        fake_info(),
-        sequences=[sequence_batch(list(rows))],
+        fake_info(sequences=len(rows)),
+        sequences=[sequence_batch(rows)],
         events=[event_batch(events)],
         recordings=[recording_batch(records)],
     )

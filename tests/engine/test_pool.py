@@ -57,7 +57,7 @@ def test_one_that_does_not_fit_alone_either_is_named_and_the_others_go_on(engine
     assert [next(found) for _ in range(3)] == [0, 1, 2]
     message = next(found)
     assert message.startswith("3: one item of the work: the memory of this machine does not suffice (malloc of size")
-    assert "run the same command again with fewer --workers" in message
+    assert "do less at once (--batch-size, --limit, --workers)" in message
     assert list(found) == [4, 5]
     assert len(list(tmp_path.iterdir())) == 2
 

@@ -127,6 +127,12 @@ def test_long_lists_are_held_against_the_bytes_that_are_stored(tmp_path, monkeyp
         arrays.read_parquet(tmp_path / "bomb.parquet")
 
 
+def test_a_column_that_is_there_twice_is_named(tmp_path):
+    pq.write_table(pa.table([[1], [2], [3]], names=["a", "b", "b"]), tmp_path / "a.parquet")
+    with pytest.raises(pa.ArrowInvalid, match="the column 'b' is there twice"):
+        arrays.read_parquet(tmp_path / "a.parquet", ["a"])
+
+
 def test_a_column_that_is_not_there_is_named(tmp_path):
     pq.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
     with pytest.raises(pa.ArrowInvalid, match="no column 'b'"):

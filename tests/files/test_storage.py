@@ -88,6 +88,21 @@ def test_a_full_disk_is_one_clear_error(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OSError(errno.EFBIG, "File too large"), "larger than a file may be here"),
+        (OSError(errno.EDQUOT, "Disk quota exceeded"), "the disk quota is used up"),
+        (OSError(errno.EROFS, "Read-only file system"), "cannot be written"),
+        (OSError("7854 requested and 2016 written"), "no more could be written"),
+    ],
+)
+def test_a_file_that_may_not_grow_is_one_clear_error(error, said, tmp_path):
+    with pytest.raises(StorageError, match=rf"a\.parquet: {said}"), atomic_path(tmp_path / "a.parquet"):
+        raise error
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_unwritable_place_is_one_clear_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match="Choose another folder"), atomic_path(tmp_path / "file" / "x.json"):

@@ -73,7 +73,7 @@ def looking_table(folder: Path, n: int = 24, *, dataset: str = "synthetic-adt") 
         for name, split in sorted({row.recording_id: row.split for row in rows}.items())
     ]  # fmt: skip
     # An import is a table of the present protocol, so only one of the same protocol can come back as it was.
-    info = msgspec.structs.replace(fake_info(dataset), protocol_version=load_protocol().version)
+    info = msgspec.structs.replace(fake_info(dataset, len(rows)), protocol_version=load_protocol().version)
     write_dataset(
         folder,
         info,

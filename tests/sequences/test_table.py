@@ -191,27 +191,81 @@ def test_an_id_that_fits_none_or_several_is_answered_with_the_nearest(wanted, kn
         find_sequence_id(wanted, known, among="adt")
 
 
-def test_every_command_that_opens_a_table_refuses_an_edited_one(tmp_path: Path, capsys) -> None:
-    table = fake_dataset(tmp_path / "d", 6)
-    edit(table.folder / "events.parquet", "event_time")
-    data = str(table.folder)
+# Every command that opens a table. DATA, EVENT, P (a file of motions) and OUT (a new folder or file) are filled in.
+OPEN_A_TABLE = (
+    "inspect DATA",
+    "explain EVENT --data DATA",
+    "diff DATA DATA",
+    "review DATA --root DATA --out OUT.html",
+    "view --data DATA --out OUT.png",
+    "run --method static --condition none --data DATA --out OUT",
+    "run --method static --condition none --data DATA --fold 1/2 --out OUT",
+    "run --method static --condition none --data DATA --folds participant --out OUT",
+    "export-conditions --condition none --data DATA --out OUT.npz",
+    "score P --data DATA",
+    "doctor P --data DATA",
+    "train --method mdm --config smoke --data DATA --out OUT",
+    "export-release DATA --out OUT",
+    "datasets --cite DATA",
+    "adapters check static --data DATA",
+    "audit --data DATA --out OUT",
+    "build-windows --data DATA --out OUT",
+    "study table-1 DATA",
+    "study table-s2 DATA",
+    "validate hd-epic --data DATA",
+)
+
+
+@pytest.fixture(scope="module")
+def edited(tmp_path_factory) -> dict[str, Path]:
+    """Two tables: one with an edited file, and one whose description was remade after a value was edited."""
+    made = {name: fake_dataset(tmp_path_factory.mktemp(name) / "d", 6) for name in ("events", "sequences")}
+    for name, column in (("events", "event_time"), ("sequences", "goal_location")):
+        folder = made[name].folder
+        path = folder / f"{name}.parquet"
+        if column == "event_time":
+            edit(path, column)
+            continue
+        rows = pq.read_table(path)
+        place = rows.schema.get_field_index(column)
+        moved = np.array(rows[column].to_pylist())
+        moved[0, 0] += 0.01
+        kind = rows.schema.field(place)
+        pq.write_table(rows.set_column(place, kind, pa.array(moved.tolist(), kind.type)), path)
+        digests = digests_of_files(folder, DATASET_TABLES)
+        msgspec.structs.replace(made[name].info, file_digests=digests).write(folder)
+    return {name: table.folder for name, table in made.items()}
+
+
+@pytest.mark.parametrize("command", OPEN_A_TABLE)
+def test_every_command_that_opens_a_table_refuses_an_edited_one(command, edited, tmp_path, capsys) -> None:
     np.savez(tmp_path / "p.npz", joints=np.zeros((1, 40, 22, 3), dtype=np.float32))
-    event = table.scalars()["sequence_id"][0].as_py()
-    for command in (
-        ["inspect", data],
-        ["explain", event, "--data", data],
-        ["diff", data, data],
-        ["view", "--data", data, "--out", str(tmp_path / "x.png")],
-        ["run", "--method", "static", "--condition", "none", "--data", data, "--out", str(tmp_path / "run")],
-        ["export-conditions", "--condition", "none", "--data", data, "--out", str(tmp_path / "c.npz")],
-        ["score", str(tmp_path / "p.npz"), "--data", data],
-        ["doctor", str(tmp_path / "p.npz"), "--data", data],
-        ["train", "--method", "mdm", "--config", "smoke", "--data", data, "--out", str(tmp_path / "trained")],
-        ["export-release", data, "--out", str(tmp_path / "released")],
-        ["datasets", "--cite", data],
+    for name, said in (
+        ("events", "events.parquet: expected the file that dataset.json describes"),
+        ("sequences", "sequences.parquet: the values are not the ones that dataset.json describes"),
     ):
-        assert main(command) == TableError.exit_code, command
-        assert "events.parquet: expected the file that dataset.json describes" in capsys.readouterr().err, command
+        words = {"DATA": str(edited[name]), "EVENT": fake_sequence(0).sequence_id, "P": str(tmp_path / "p.npz")}
+        out = {f"OUT{end}": str(tmp_path / f"out{end}") for end in ("", ".html", ".png", ".npz")}
+        before = sorted(tmp_path.iterdir())
+        assert main([(words | out).get(word, word) for word in command.split()]) == TableError.exit_code
+        assert said in capsys.readouterr().err
+        assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"sequences": 7}, "counts.sequences: expected 6, as many as the table has, found 7"),
+        ({"sequences": -1}, "Expected `int` >= 0 - at `$.counts.sequences`"),
+        ({"events": 10**15}, "Expected `int` <= 1000000000000 - at `$.counts.events`"),
+    ],
+)
+def test_numbers_of_a_description_fit_the_table(change, said, tmp_path) -> None:
+    path = fake_dataset(tmp_path / "d", 6).folder / "dataset.json"
+    told = json.loads(path.read_text())
+    path.write_text(json.dumps(told | {"counts": told["counts"] | change}))
+    with pytest.raises(TableError, match=re.escape(said)):
+        SequenceTable.open(tmp_path / "d")
 
 
 def test_a_main_table_written_anew_with_equal_values_is_the_same(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ _SMALLEST = 0.65  # metres between the two joints of a human pose that lie farth
 _TYPICAL = 1.5
 _LARGEST = 2.35
 _NO_BODY = 1e-9
+LARGEST_NUMBER = 1e12  # of a motion, in any unit; what is larger counts as infinity
 _UNITS = (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254), ("decimetres", 0.1), ("feet", 0.3048))
 # Body parameters that have so many numbers a frame
 BODY_PARAMETERS = {
@@ -72,7 +73,7 @@ def examine_shape(motion_set: MotionSet) -> Finding | None:
         # A motion of one frame keeps its first axis.
         if motion.shape[-2:] == (N_JOINTS, 3):
             return motion.reshape(-1, N_JOINTS, 3) if motion.ndim <= 3 or 1 in motion.shape[:-2] else motion
-        return motion if motion.ndim == 2 else np.squeeze(motion)
+        return motion if motion.ndim <= 2 else np.squeeze(motion)
 
     squeezed = motion_set.changed(without_single_axes)
     if all(motion.ndim == 2 and N_FEATURES in motion.shape for motion in squeezed.motions):
@@ -120,13 +121,15 @@ def _features(motion_set: MotionSet, evidence: str) -> Finding:
 
 def _reading(motion_set: MotionSet) -> tuple[str, Callable[[np.ndarray], np.ndarray], str] | None:
     """Return form, conversion and remedy of the interpretation in which joints are most like a body, if one is."""
-    shapes = {motion.ndim: motion.shape for motion in motion_set.motions}
-    if len(shapes) != 1:
+    shapes = {motion.shape for motion in motion_set.motions}
+    if len({len(shape) for shape in shapes}) != 1:
         return None
-    ((n_axes, shape),) = shapes.items()
+    shape = next(iter(shapes))
+    n_axes = len(shape)
     if n_axes == 3:
         for axes, form, remedy in _PLANES:
-            if shape[axes[1]] in _KNOWN_JOINTS and shape[axes[2]] == 3:
+            alike = {(each[axes[1]], each[axes[2]]) for each in shapes} == {(shape[axes[1]], 3)}
+            if alike and shape[axes[1]] in _KNOWN_JOINTS:
                 return form, lambda motion, axes=axes: motion.transpose(axes), remedy
         return None
     joints = shape[-1] // 3
@@ -170,7 +173,7 @@ def examine_finite(motion_set: MotionSet) -> Finding | None:
     diagnoses = []
     for bad, kind, what, cause, remedy in (
         (
-            broken, "not-finite", "hold NaN or infinity",
+            broken, "not-finite", f"hold NaN, infinity or numbers beyond {LARGEST_NUMBER:g}",
             "a division by zero, a square root of a negative number, or padding",
             "Leave the padding out; look for the first operation that gives NaN.",
         ),

@@ -65,13 +65,17 @@ def diagnose(
     if not motions:
         return ()
     known = tuple(expected) if expected is not None else (NOTHING_KNOWN,) * len(motions)
-    motion_set = MotionSet(tuple(np.asarray(motion, dtype=np.float64) for motion in motions), known, fps)
+    arrays = [np.atleast_1d(np.asarray(motion, dtype=np.float64)) for motion in motions]
+    # The square of a larger number overflows, and no measure of bodies would mean anything.
+    arrays = [np.where(np.abs(motion) > body.LARGEST_NUMBER, np.inf, motion) for motion in arrays]
+    motion_set = MotionSet(tuple(arrays), known, fps)
     diagnoses: list[Diagnosis] = []
     # Each examination gets the motions with the earlier faults undone, or it would report them again.
     for examine in examinations:
         if any(each.kind == "clock" and each.certain for each in diagnoses):
             break  # uneven time also changes speeds, by which the rest would judge
-        finding = examine(motion_set)
+        with np.errstate(all="ignore"):  # bodies that are one point have no directions; such NaN decides nothing
+            finding = examine(motion_set)
         if finding is not None:
             diagnoses += finding.diagnoses
             if finding.unreadable:

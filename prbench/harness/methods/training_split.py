@@ -61,16 +61,6 @@ class TrainingSplit(SequenceTable):
         """Return the training recordings."""
         return super().recordings().filter(pc.field("split") == _SPLIT)
 
-    @property
-    def identity(self) -> str:  # type: ignore[override]
-        """Identity of the whole table, by which a method names its fit."""
-        return self.info.identity_digest
-
-    @property
-    def content(self) -> str:  # type: ignore[override]
-        """Content digest of the whole table."""
-        return self.info.content_digest
-
 
 def temporary_training_copy(table: SequenceTable) -> tempfile.TemporaryDirectory[str]:
     """Make a training copy in a folder that vanishes with this process, or at the latest when the next one is made.

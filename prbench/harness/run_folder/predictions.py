@@ -27,6 +27,7 @@ from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.run_folder.npz import POSE_SIZE, ArrayMotions, as_float32, read_npz
 from prbench.harness.run_folder.scores import GAZE_COLUMNS, predictions_schema
 from prbench.sequences.write import write_table
+from prbench.shown import quoted
 
 # Metadata of a part: digest of what the method was asked (:attr:`prbench.harness.benchmark.CaseWork.questions`).
 QUESTION = "prbench_question"
@@ -433,7 +434,7 @@ class Predictions:
             samples: Their samples; every id has each of them.
         """
         keys = [(name, sample) for sample in samples for name in ids]
-        places = np.array([self._place_of[key] for key in keys], dtype=np.int64)
+        places = np.array([self._place(*key) for key in keys], dtype=np.int64)
         rows = places if self.rows is None else self.rows[places]
         in_memory = isinstance(self.store, ArrayMotions)
         return replace(
@@ -449,9 +450,20 @@ class Predictions:
         """Maps id and sample to the place; of repeated ones to the last."""
         return {key: place for place, key in enumerate(zip(self.ids, self.samples))}
 
+    def _place(self, name: str, sample: int) -> int:
+        """Return the place of a motion among all; refuse one that is not there."""
+        place = self._place_of.get((name, sample))
+        if place is None:
+            where = self.paths[0] if len(self.paths) == 1 else self.paths[0].parent
+            raise PredictionsError(
+                f"{where}: expected a motion of {quoted(name)} (sample {sample}), found none: the row was lost after"
+                " the motions were written. Write them again; of a run, delete the file and run the command again."
+            )
+        return place
+
     def _row(self, name: str, sample: int) -> int:
         """Return the row of a motion in the store."""
-        place = self._place_of[name, sample]
+        place = self._place(name, sample)
         return place if self.rows is None else int(self.rows[place])
 
     def __contains__(self, key: tuple[str, int]) -> bool:

@@ -24,6 +24,59 @@ def changed(fault: Fault, motions: Sequence[np.ndarray]) -> list[np.ndarray]:
     return [np.asarray(fault.change(motion), dtype=np.float64) for motion in motions]
 
 
+def _still(motion: np.ndarray) -> np.ndarray:
+    return np.repeat(motion[:1], len(motion), axis=0)
+
+
+def _one_moves(motion: np.ndarray) -> np.ndarray:
+    still = _still(motion)
+    still[:, 20] = motion[:, 20]
+    return still
+
+
+ODD = {
+    "one that stands still": _still,
+    "one joint that moves": _one_moves,
+    "the last frame that moves": lambda motion: np.concatenate([_still(motion)[1:], motion[-1:]]),
+    "zeros": np.zeros_like,
+    "a constant": lambda motion: np.full_like(motion, 3.0),
+    "NaN": lambda motion: np.full_like(motion, np.nan),
+    "one frame": lambda motion: motion[:1],
+    "two frames": lambda motion: motion[:2],
+    "no frames": lambda motion: motion[:0],
+    "two still frames": lambda motion: _still(motion)[:2],
+    "millimetres that stand still": lambda motion: _still(motion) * 1000,
+    "the largest numbers": lambda motion: np.full_like(motion, 1.7e308),
+    "numbers whose squares overflow": lambda motion: motion * 1e160,
+    "numbers whose squares vanish": lambda motion: motion * 1e-200,
+    "one number": lambda motion: motion[0, 0, 0],
+    "a row": lambda motion: motion[:, 0, 0],
+    "features of zeros": lambda motion: np.zeros((len(motion), 263)),
+    "exchanged axes": lambda motion: motion.transpose(0, 2, 1),
+    "23 joints": lambda motion: np.concatenate([motion, motion[:, :1]], axis=1),
+    "whole numbers": lambda motion: motion.astype(int),
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("odd", ODD.values(), ids=list(ODD))
+def test_no_array_ends_in_a_traceback_or_a_warning(odd, everybody: list[np.ndarray]) -> None:
+    motions = everybody[:3]
+    given = [known(motion) for motion in motions]
+    standing = [Expected(motion[0], motion[0], len(motion), 20.0) for motion in motions]
+    changed = [np.array(odd(motion.copy())) for motion in motions]
+    mixed = [changed[0], motions[1], changed[2]]
+    for expected in (None, given, standing):
+        for rows in (changed, mixed, changed[:1]):
+            diagnose(rows, None if expected is None else expected[: len(rows)], fps=20.0)
+
+
+def test_numbers_that_no_measure_holds_are_told() -> None:
+    (found,) = diagnose([np.full((9, 22, 3), 1e300)], None, fps=20.0)
+    assert found.certain
+    assert "9 frames of the motion hold NaN, infinity or numbers beyond 1e+12" in found.evidence
+
+
 # correct motions
 
 

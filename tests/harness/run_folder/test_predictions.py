@@ -52,6 +52,15 @@ def test_some_motions_are_those_of_the_whole_and_name_no_other(folder):
         assert set(some.ids) == {"b", "c"}
 
 
+def test_a_row_that_was_lost_is_named_with_its_file(folder):
+    rows = pq.read_table(folder.part(1))
+    pq.write_table(rows.slice(1), folder.part(1))
+    opened = Predictions.open(folder.predictions)
+    for ask in (lambda: opened.motions(["a", "c"], 0), lambda: opened.only(["c"], [0]), lambda: opened.where("c", 0)):
+        with pytest.raises(PredictionsError, match=r"predictions: expected a motion of c \(sample 0\), found none"):
+            ask()
+
+
 def test_a_small_cache_changes_nothing(folder, monkeypatch):
     whole = Predictions.open(folder.predictions).motions(["a", "c", "b"], 0).values
     monkeypatch.setattr(predictions_module, "_CACHED_BYTES", 1)
