@@ -41,7 +41,7 @@ def agreement_tables(runs: Sequence[Path], checker: RunChecker) -> list[Table]:
         for record in run.record.tables:
             unverified = checker.check(run, record).unverified
             found = DatasetAgreement.read(run.dataset(record.dataset).path)
-            title = f"{path.name}: {run.record.method.name} on {record.dataset}"
+            title = f"{path.name}: {run.record.method.name} (declared) on {record.dataset}"
             notes = []
             if unverified:
                 notes.append(f"unverified: {unverified}")

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import msgspec
 
-import prbench
 from prbench.board.merging import merge_folds
 from prbench.errors import RunError
 from prbench.files.bounded import foreign_input
 from prbench.harness.benchmark import Benchmark, load_benchmark
-from prbench.harness.claims import DECLARED
-from prbench.harness.methods.installed import METHOD_CONTROLS, name_problem
+from prbench.harness.claims import DECLARED, origin_of
+from prbench.harness.methods.installed import name_problem
 from prbench.harness.results import CheckedSummary, RunChecker, ScoredSequences
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder.folder import (
@@ -32,9 +31,8 @@ from prbench.harness.run_folder.folder import (
 from prbench.harness.run_folder.record import RunCost, RunRecord, TableRecord, total_cost
 from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.run_folder.signature import require_signed
-from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
+from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.protocol.manifests import benchmarks, find_benchmark
-from prbench.shown import clean
 from prbench.tables import note_of
 
 # Titles of the numbers of :func:`cost_of`, and their columns in CSV.
@@ -70,26 +68,23 @@ def cost_of(run: RunFolder, table: TableRecord, folds: Sequence[RunFolder] = ())
         if parts and total_cost(parts) != msgspec.structs.replace(cost, checksum=""):
             problem = problem or "it is not the sum of the costs of its folds"
     except RunError as error:
-        problem = str(error)
-    if problem:
-        return UNMEASURED, problem
+        return UNMEASURED, str(error)
     motions = cost.motions + cost.warm_up_motions
-    if not motions or not cost.seconds + cost.warm_up_seconds:
-        return UNMEASURED, ""
+    if problem or not motions or not cost.seconds + cost.warm_up_seconds:
+        return UNMEASURED, problem
     # A run of a single batch has a warm-up alone: slower than later batches, but the only measurement.
     alone = not cost.motions
     seconds = cost.warm_up_seconds if alone else cost.seconds
     computed = cost.warm_up_processor_seconds if alone else cost.processor_seconds
     timed = cost.warm_up_motions if alone else cost.motions
     memory = cost.peak_device_bytes if cost.peak_device_bytes is not None else cost.peak_process_bytes
-    found = {
+    return {
         "seconds": seconds / timed,
         "processor_seconds": None if computed is None else computed / timed,
         "network_passes": cost.network_passes_declared / motions if cost.network_passes_declared else None,
         "memory_mebibytes": memory / 2**20 if memory else None,
         "parameters": cost.parameters,
-    }
-    return found, ""
+    }, ""
 
 
 @dataclass(frozen=True)
@@ -134,13 +129,7 @@ class LeaderboardRow:
     @property
     def origin(self) -> str:
         """Origin of the method, in words; a record that claims a method for prbench without right is not believed."""
-        method = self.record.method
-        # run.json is a user's file: a method may claim to be built in without being so.
-        ours = {run_record.BUILT_IN: self.benchmark.about.methods, run_record.CONTROL: METHOD_CONTROLS}.get(method.kind)
-        if ours is None or method.name in ours:
-            other = ours is not None and method.version != prbench.__version__
-            return f"{method.origin}, prbench {clean(method.version)}" if other else method.origin
-        return "unknown kind"
+        return origin_of(self.record)
 
     @property
     def is_control(self) -> bool:
@@ -161,10 +150,6 @@ class LeaderboardRow:
     def remarks(self) -> str:
         """Words on what is not verified, for the cell beside the method; empty where all is."""
         return note_of("unverified" if self.unverified else "", "unverified (cost)" if self.unverified_cost else "")
-
-    def metric(self, name: str) -> MetricSummary | None:
-        """Return one metric, or None if the run lacks it."""
-        return self.summary.metric(name)
 
 
 @dataclass(frozen=True)
@@ -259,9 +244,7 @@ def collect_runs(
         named = [of_folds.get(key) for key in keys]
         folds = [pair[1] for pair in named if pair is not None]
         cost, unverified_cost = cost_of(run, row.table, folds)
-        unverified_cost = unverified_cost or next((pair[0].unverified_cost for pair in named if pair), "")
-        why = _why_unverified(run, named)
-        rows.append(replace(row, unverified=why, cost=cost, unverified_cost=unverified_cost))
+        rows.append(replace(row, unverified=_why_unverified(run, named), cost=cost, unverified_cost=unverified_cost))
         within.update(keys)
     # The scores of a fold's run are among the merged ones; beside them it would count its sequences twice.
     rows += [row for key, (row, _) in of_folds.items() if key not in within]

@@ -17,7 +17,7 @@ import numpy as np
 from prbench.board.collect import LeaderboardRow
 from prbench.errors import RunError
 from prbench.harness.benchmark import Benchmark, load_benchmark
-from prbench.harness.claims import DECLARED
+from prbench.harness.claims import DECLARED, origin_of
 from prbench.harness.clusters import FEWEST_FOR_BOARD
 from prbench.harness.intervals import ClusteredValues, Comparison, clustered, compare
 from prbench.harness.results import RunChecker
@@ -148,9 +148,9 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
     metrics = [ComparedMetric(*key, found, found.conclusion) for key, found in compare(scores).items()]
     compared = []
     for run in runs:
-        marks = {name: DatasetSummary.read(run.dataset(name).path).mark for name in shared}
-        shown = {name: mark for name, mark in marks.items() if mark}
-        compared.append(ComparedRun(run.path, run.record.method.name, run.record.method.origin, shown))
+        marks = ((name, DatasetSummary.read(run.dataset(name).path).mark) for name in shared)
+        shown = {name: mark for name, mark in marks if mark}
+        compared.append(ComparedRun(run.path, run.record.method.name, origin_of(run.record), shown))
     unverified = tuple(f"{run.path}: {why}" for run, why in checked if why)
     return RunComparison(compared[0], compared[1], tuple(metrics), tuple(left_out), unverified)
 

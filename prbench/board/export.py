@@ -101,9 +101,9 @@ def _csv_rows(leaderboard: Leaderboard) -> Iterator[dict[str, Any]]:
     for number, table in enumerate(leaderboard.tables, start=1):
         for row in table.rows:
             entry = row.entry
-            about = {"verified": entry.remarks or "verified", "kind": entry.origin}
-            about |= {column: entry.cost[key] for key, (_, column) in COSTS.items()}
-            about |= {"table": str(number), "declared": note_of(*entry.declared)}
+            about: dict[str, Any] = {column: entry.cost[key] for key, (_, column) in COSTS.items()}
+            about |= {"table": str(number), "verified": entry.remarks or "verified"}
+            about |= {"kind": entry.origin, "declared": note_of(*entry.declared)}
             yield from (_csv_row(cell, table.benchmark) | about for cell in measured_cells(row, table))
     for number, macro in enumerate(leaderboard.macro, start=1):
         benchmark = load_benchmark(macro.benchmark)
@@ -315,15 +315,14 @@ def _words(*parts: str) -> str:
 
 def _columns(benchmark: Benchmark, *further: Column) -> tuple[Column, ...]:
     """Return the columns of a board; a metric that a run lacks leaves its cell empty."""
-    *texts, kind = (
-        Column(key=title.lower(), title=f"{title} (declared)", text=True)
-        for title in ("Condition", "Method", "Variant", "Kind")
-    )
     return (
-        *texts,
+        *(
+            Column(key=each.lower(), title=f"{each} (declared)", text=True)
+            for each in ("Condition", "Method", "Variant")
+        ),
         *(metric_column(info, missing="") for info in benchmark.main_metrics),
         *further,
-        kind,
+        Column(key="kind", title="Kind (declared)", text=True),
     )
 
 

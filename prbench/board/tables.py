@@ -216,7 +216,7 @@ def _dataset_table(key: tuple[str, ...], entries: list[LeaderboardRow], separate
             shown = {
                 place
                 for place, i in enumerate(ranked)
-                if ordered[i].metric(info.id) is not None and not hides(ordered[i], info)
+                if ordered[i].summary.metric(info.id) is not None and not hides(ordered[i], info)
             }
             # Being first of one is no distinction.
             if len(shown) < 2 or info.higher_is_better is None:
@@ -337,7 +337,7 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
     for key, entries in found.items():
         # A mean over the easier datasets alone would look like a better method.
         for info in benchmark.main_metrics if len(entries) == len(names) else ():
-            shown = [None if hides(entries[name], info) else entries[name].metric(info.id) for name in names]
+            shown = [None if hides(entries[name], info) else entries[name].summary.metric(info.id) for name in names]
             mean = mean_over_datasets(shown)
             if mean is not None:
                 means[key][info.id] = mean

@@ -20,19 +20,30 @@ from prbench.harness.benchmark import Benchmark, Cases, CaseWork, load_benchmark
 from prbench.harness.methods.installed import METHOD_CONTROLS
 from prbench.harness.methods.loading import load_adapter, weights_digest
 from prbench.harness.methods.motions import Declared
-from prbench.harness.planning import plan_digest
 from prbench.harness.preparation import table_record
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.predictions import QUESTION, Predictions
-from prbench.harness.run_folder.record import BUILT_IN, CONTROL, FILE, FILE_NAME, BatchPlanRecord, TableRecord
+from prbench.harness.run_folder.record import BUILT_IN, CONTROL, FILE_NAME, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import GAZE_COLUMNS, CodedScores
-from prbench.shown import quoted
+from prbench.shown import clean, quoted
 
 # What neither table, motions nor installed methods can show; of a control its motions show all but the effort.
 METHOD = "method"
 _EFFORT = ("device", "packages", "cost")
 DECLARED = (METHOD, "kind", "weights", "training", "options", "isolation", "condition", "control", "seed", *_EFFORT)
 _MOVED = 1e-4  # metres by which other processors may make a control's motion otherwise
+
+
+def origin_of(record: RunRecord) -> str:
+    """Return the origin of a run's method in words; a record that claims one for prbench without right is not believed.
+
+    The version of prbench is named where it is another one, whose methods are not here to be compared.
+    """
+    method = record.method
+    ours = {BUILT_IN: load_benchmark(record.benchmark).about.methods, CONTROL: METHOD_CONTROLS}.get(method.kind)
+    if ours is None or (method.name in ours and method.version == prbench.__version__):
+        return method.origin
+    return f"{method.origin}, prbench {clean(method.version)}" if method.name in ours else "unknown kind"
 
 
 def require_own_method(run: RunFolder) -> None:
@@ -46,8 +57,8 @@ def require_own_method(run: RunFolder) -> None:
     record = run.record
     method = record.method
     benchmark = load_benchmark(record.benchmark)
-    names = METHOD_CONTROLS if method.kind == CONTROL else benchmark.about.methods
-    if method.kind not in (BUILT_IN, CONTROL) or method.version != prbench.__version__:
+    names = {BUILT_IN: benchmark.about.methods, CONTROL: METHOD_CONTROLS}.get(method.kind)
+    if names is None or method.version != prbench.__version__:
         return
     _require(run, "method.name", method.name in names, f"one of prbench's own, {', '.join(names)}", method.name)
     if method.kind == CONTROL:
@@ -102,10 +113,7 @@ def require_table(run: RunFolder, stated: TableRecord, chosen: Cases, cases: Cas
     version = run.record.protocol_version
     _require(run, "protocol_version", version == rules.version, rules.version, version)
     plan = stated.batch_plan
-    if run.record.method.kind != FILE:
-        digest = plan_digest(cases.sequence_ids, work.plan)
-        plan = BatchPlanRecord(batch_size=plan.batch_size, batches=len(work.plan), digest=digest)
-    made = msgspec.to_builtins(table_record(chosen, cases, plan))
+    made = msgspec.to_builtins(table_record(chosen, cases, work.plan if plan.batches else (), plan.batch_size))
     found = msgspec.to_builtins(stated)
     for key in sorted((made | found).keys() - {"fold"}):  # folds of two counts may test on the same people
         same = made.get(key) == found.get(key)
@@ -131,7 +139,6 @@ def require_questions(run: RunFolder, files: DatasetFolder, cases: Cases, work: 
     """
     record = run.record
     method = record.method
-    is_control = method.kind == CONTROL
     files.require_no_other_parts(len(work.plan))
     for index, question in work.questions(frozenset(range(len(work.plan)))):
         part = files.part(index)
@@ -144,15 +151,14 @@ def require_questions(run: RunFolder, files: DatasetFolder, cases: Cases, work: 
         expected = f"those of the question that {part.name} in {files.predictions} answers"
         found = f"{record.condition}, {record.control}, {record.seed}"
         _require(run, "condition, control, seed", stored == question.digest, expected, found)
-        if not is_control:
+        if method.kind != CONTROL:
             continue
         ids = tuple(cases.sequence_ids[row] for row in work.plan[index])
         predictions = Predictions.open(part)
         for sample, made in enumerate(question.ask(None, seed=record.seed, sequence_ids=ids).samples):
             moved = float(np.abs(predictions.motions(ids, sample).values - made.values).max())
-            expected = f"the motions that {method.name} makes of the table"
-            _require(run, "method.name", moved < _MOVED, expected, f"others, by up to {moved:.3g} m")
-    return _EFFORT if is_control else DECLARED
+            _require(run, "method.name", moved < _MOVED, f"{method.name}'s motions", f"others, {moved:.3g} m off")
+    return _EFFORT if method.kind == CONTROL else DECLARED
 
 
 def require_still(run: RunFolder, scores: CodedScores, benchmark: Benchmark) -> None:

@@ -225,7 +225,7 @@ def plan_batches(n_frames: Int[np.ndarray, " n"], batch_size: int) -> list[Int[n
     return batches
 
 
-def plan_digest(sequence_ids: tuple[str, ...], batches: list[Int[np.ndarray, "_"]]) -> str:
+def plan_digest(sequence_ids: tuple[str, ...], batches: SequenceOf[Int[np.ndarray, "_"]]) -> str:
     """Over the ids of every batch, in order."""
     return text_digest(*(text_digest(*(sequence_ids[row] for row in batch)) for batch in batches))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, version
@@ -195,6 +195,7 @@ def run_record(
         rules: The benchmark's rules.
     """
     same = ("benchmark", "control", "split", "limit", "seed", "samples", "device", "threads")
+    chosen = (name for one in datasets for name in one.chosen.sequence_ids)
     return RunRecord(
         schema_version=RUN_SCHEMA_VERSION,
         prbench_version=prbench.__version__,
@@ -203,34 +204,25 @@ def run_record(
         method=method,
         condition=condition.value,
         **{name: getattr(request, name) for name in same},
-        sequences=tuple(sorted(name for one in datasets for name in one.chosen.sequence_ids))
-        if request.sequences
-        else (),
+        sequences=tuple(sorted(chosen)) if request.sequences else (),
         packages=package_versions(_RECORDED_PACKAGES),
-        tables=tuple(
-            table_record(
-                one.chosen,
-                one.cases,
-                BatchPlanRecord(
-                    batch_size=request.batch_size,
-                    batches=len(one.work.plan),
-                    digest=plan_digest(one.cases.sequence_ids, one.work.plan),
-                ),
-            )
-            for one in datasets
-        ),
+        tables=tuple(table_record(one.chosen, one.cases, one.work.plan, request.batch_size) for one in datasets),
     )
 
 
-def table_record(chosen: Cases, cases: Cases, plan: BatchPlanRecord) -> TableRecord:
+def table_record(
+    chosen: Cases, cases: Cases, plan: Sequence[Int[np.ndarray, "_"]] = (), batch_size: int = 0
+) -> TableRecord:
     """Return what a run's record says about a table.
 
     Args:
         chosen: The cases of split and limit.
         cases: Those of them that the method can answer.
-        plan: Its batches.
+        plan: Places of the cases of each batch; none for motions that came as a file.
+        batch_size: Cases of a batch at most.
     """
     info = cases.table.info
+    digest = plan_digest(cases.sequence_ids, plan) if plan else ""
     return TableRecord(
         **{name: getattr(info, name) for name in ("dataset", "title", "synthetic", "redistribution")},
         identity_digest=cases.table.identity,
@@ -238,7 +230,7 @@ def table_record(chosen: Cases, cases: Cases, plan: BatchPlanRecord) -> TableRec
         sequences=len(chosen),
         unsupported=len(chosen) - len(cases),
         selection_digest=chosen.digest,
-        batch_plan=plan,
+        batch_plan=BatchPlanRecord(batch_size=batch_size, batches=len(plan), digest=digest),
         fold=info.options.get(OPTION),
         whole_table=info.options.get(WHOLE_TABLE),
         units=tested_units(cases.table) if OPTION in info.options else {},

@@ -359,7 +359,6 @@ class RunChecker:
         require_summary(files, made, grouped=grouped)
         if not grouped:
             made = stored
-        scored = ScoredSequences(run, record, recording_of)
         claims.require_still(run, scores, benchmark)
         has_motions = any(files.predictions.glob("part-*.parquet"))
         rules = benchmark.rules_of(run)
@@ -386,4 +385,4 @@ class RunChecker:
             claims.require_table(run, record, chosen, cases, work, rules)
             cases = cases.chosen(np.isin(cases.sequence_ids, names))
             work_of_run(run, request, cases, rules).require_beside(files, scores)
-        return CheckedSummary(made, unverified, scored, declared)
+        return CheckedSummary(made, unverified, ScoredSequences(run, record, recording_of), declared)

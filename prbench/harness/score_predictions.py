@@ -20,18 +20,11 @@ from prbench.harness.offline import read_conditions_file
 from prbench.harness.planning import Selection, open_tables, select, supported
 from prbench.harness.preparation import table_record
 from prbench.harness.request import ProgressCallback, reported, silent
-from prbench.harness.results import (
-    cases_of_run,
-    differences,
-    require_scores,
-    summary_of,
-    tree_of,
-    work_of_run,
-)
+from prbench.harness.results import cases_of_run, differences, require_scores, summary_of, tree_of, work_of_run
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.predictions import Predictions
-from prbench.harness.run_folder.record import FILE, BatchPlanRecord, MethodRecord, RunCost, RunRecord, TableRecord
+from prbench.harness.run_folder.record import FILE, MethodRecord, RunCost, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION, CodedScores
 from prbench.harness.run_folder.summary import FILE_NAME as SUMMARY_FILE
 from prbench.harness.run_folder.summary import DatasetSummary
@@ -44,7 +37,6 @@ from prbench.shown import clean
 
 # Condition of motions of which nobody said what they were made from; never ranked.
 UNSTATED = "unstated"
-_NO_BATCHES = BatchPlanRecord(batch_size=0, batches=0, digest="")
 _STATED_BY_THE_RUN = ("conditions", "condition", "control", "seed", "split", "max_frames", "native_fps", "name")
 
 
@@ -121,7 +113,7 @@ def _score_run(
         require_complete(predictions, request, [selection], seed=record.seed, samples=record.samples)
         work = work_of_run(run, asked, selection, protocol)
         scores = CodedScores.of(reported(work.scores(files, engine), table.info.dataset, len(selection), progress))
-        table_entry = table_record(chosen, selection, _NO_BATCHES)
+        table_entry = table_record(chosen, selection)
         findings = work.findings(files)
         report = _report(record, table_entry, selection, scores, findings, protocol, method.origin)
         reports.append(replace(report, changed=_changed(files, report)) if request.limit is None else report)
@@ -207,7 +199,7 @@ def _score_file(
         device="offline",
         threads=0,
         packages={},
-        tables=tuple(table_record(each, own, _NO_BATCHES) for each, own in zip(chosen, selections, strict=True)),
+        tables=tuple(table_record(each, own) for each, own in zip(chosen, selections, strict=True)),
     )
     rules = ScoringRules(
         protocol.metrics,

@@ -85,8 +85,8 @@ def by_means(rows, metrics):
     for i, row in enumerate(rows):
         for info in metrics:
             sign = 1 if info.higher_is_better else -1
-            own = row.metric(info.id)
-            others = {j: other.metric(info.id) for j, other in enumerate(rows)}
+            own = row.summary.metric(info.id)
+            others = {j: other.summary.metric(info.id) for j, other in enumerate(rows)}
             if own is None:
                 continue
             beaten[i, info.id] = frozenset(

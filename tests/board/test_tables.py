@@ -144,8 +144,8 @@ def test_all_methods_are_scored_on_the_sequences_that_every_one_generated(tmp_pa
     for row in common.rows:
         scores = read_scores(tmp_path / "runs" / row.entry.run / "synthetic-adt/scores.parquet").to_pylist()
         values = [one["value"] for one in scores if one["metric"] == "mpjpe" and one["sequence_id"] in short]
-        assert row.entry.metric("mpjpe").mean == pytest.approx(sum(values) / len(values))
-        assert row.entry.metric("mpjpe").sequences == len(short)
+        assert row.entry.summary.metric("mpjpe").mean == pytest.approx(sum(values) / len(values))
+        assert row.entry.summary.metric("mpjpe").sequences == len(short)
     text = export(board, "md")
     assert f"{len(short)} sequences, " in text
     assert f"of {len(lengths)} that every method here generated" in text

@@ -268,11 +268,12 @@ def _published_label(number: PublishedNumber) -> str:
 
 def measured_title(table: DatasetTable) -> str:
     """Return the title of a block of measured rows."""
+    said = "condition, method and weights as declared"
     if table.synthetic:
-        return "Measured on synthetic data: not comparable with published numbers"
+        return f"Measured on synthetic data: not comparable with published numbers; {said}"
     if table.protocol:
-        return f"Measured under the own protocol {table.protocol}: not comparable with published numbers"
-    return "Measured"
+        return f"Measured under the own protocol {table.protocol}: not comparable with published numbers; {said}"
+    return f"Measured; {said}"
 
 
 def _published_title(number: str, dataset: str, table: DatasetTable) -> str:
@@ -367,7 +368,7 @@ def differences(rows: Iterable[TableRow], table: str = "2") -> list[tuple[Cell, 
 
 def _difference(row: TableRow, number: PublishedNumber, remarks: tuple[str, ...]) -> Cell | None:
     info = _INFOS[number.metric]
-    metric = row.entry.metric(number.metric)
+    metric = row.entry.summary.metric(number.metric)
     if metric is None or number.value is None or hides(row.entry, info):
         return None
     published = number.value

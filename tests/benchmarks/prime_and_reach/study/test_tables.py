@@ -89,7 +89,7 @@ def test_runs_stand_in_the_study_s_places_and_others_beside(tmp_path):
         table={"synthetic": False}, summary={"synthetic": False, "title": "Aria Digital Twin"},
     )  # fmt: skip
     (table,) = methods_table(board_of(tmp_path), "2", with_published=True)
-    assert [row[1] for row in block(table, "Measured")] == ["DNO †", "P&R"]
+    assert [row[1] for row in block(table, "Measured; condition, method and weights as declared")] == ["DNO †", "P&R"]
     assert [row[0] for row in block(table, "Beside")] == ["control"]
     assert len(block(table, "Published")) == 18
     assert block(table, "Published")[-1][:3] == ["+ Initial State & Object Loc.", "P&R", "52.08"]
