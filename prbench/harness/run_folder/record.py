@@ -410,7 +410,7 @@ def total_cost(costs: Sequence[RunCost]) -> RunCost:
         parts = [getattr(cost, name) for cost in costs if getattr(cost, motions)]
         return sum(parts) if parts and None not in parts else None
 
-    sums = {
+    sums: dict[str, Any] = {
         name: sum(getattr(cost, name) for cost in costs)
         for name in ("motions", "frames", "seconds", "warm_up_motions", "warm_up_frames", "warm_up_seconds")
     }
