@@ -5,7 +5,6 @@ A new corpus is a new module with a ``CORPUS`` and one line here. All options ar
 
 from __future__ import annotations
 
-import fnmatch
 import importlib
 import os
 from collections.abc import Sequence
@@ -16,7 +15,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from jaxtyping import Float
 
-from prbench.errors import InputFileError, PrbenchError, UsageError
+from prbench.curation.job import chosen_ids
+from prbench.errors import PrbenchError, UsageError
 from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.protocol.manifests import Manifest, load_manifest, load_protocol
 from prbench.readers import ReaderOptions, described_options, parse_options
@@ -255,17 +255,7 @@ def chosen_recordings(
         InputFileError: if there is none; ``where`` they were looked for begins the message.
     """
     by_name = {each.identity.recording_id: each for each in found}
-    chosen = sorted(name for name in by_name if fnmatch.fnmatchcase(name, options.recordings))
-    if not chosen:
-        shown = ", ".join(sorted(by_name)[:5]) + (" …" if len(by_name) > 5 else "")
-        raise InputFileError(
-            where,
-            "",
-            expected=f"recordings whose name matches '{options.recordings}'",
-            found=f"{len(by_name)} others: {shown}",
-            remedy="Change the glob of --recordings.",
-        )
-    return [by_name[name] for name in chosen[: options.limit]]
+    return [by_name[name] for name in chosen_ids(sorted(by_name), options.recordings, options.limit, where=where)]
 
 
 # One corpus in a folder: the name under which it is built, the folder, and its recordings.

@@ -41,7 +41,7 @@ from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, Quarantine
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.sequence import OUTCOMES, SCENES, event_batch, recording_batch, row_batch, sequence_batch
 from prbench.sequences.sequence import Recording as RecordingRow
-from prbench.shown import quoted
+from prbench.shown import clean, quoted
 
 _EVENTS_ONLY = "events_only"  # the reader's option
 
@@ -160,24 +160,29 @@ def native_sources(dataset: str, root: Path | str, options: BuildOptions) -> tup
             found[name].skip_reason if events_only else manifest.why_bad(name) or found[name].skip_reason,
             options.reader,
         )
-        for name in chosen_ids(list(found), options, where=root)
+        # Sequence ids, which go on with a slash, then come out sorted.
+        for name in chosen_ids(
+            sorted(found, key=lambda name: f"{name}/"), options.recordings, options.limit, where=root
+        )
     )
 
 
-def chosen_ids(recording_ids: SequenceOf[str], options: BuildOptions, *, where: Path | str) -> list[str]:
-    """Ids that match the glob, in table order, at most ``options.limit`` of them.
-
-    Table order is that of ``recording_id + "/"``: sequence ids, which go on with a slash, then come out sorted.
+def chosen_ids(recording_ids: SequenceOf[str], glob: str, limit: int | None, *, where: Path | str) -> list[str]:
+    """Ids that match the glob, at most ``limit`` of them.
 
     Raises:
-        InputFileError: if none matches.
+        InputFileError: if none matches, or a recording has a name that no table and no terminal can hold.
     """
-    chosen = [name for name in recording_ids if fnmatch.fnmatchcase(name, options.recordings)]
-    shown = ", ".join(sorted(recording_ids)[:5]) + (" …" if len(recording_ids) > 5 else "")
-    expected = f"recordings whose name matches '{options.recordings}'"
-    remedy = "Change the glob of --recordings."
-    require(where, (chosen != [], "", expected, f"{len(recording_ids)} others: {shown}", remedy))
-    return sorted(chosen, key=lambda name: f"{name}/")[: options.limit]
+    strange = [clean(name) for name in recording_ids if clean(name) != name]
+    chosen = [name for name in recording_ids if fnmatch.fnmatchcase(name, glob)]
+    shown = ", ".join(recording_ids[:5]) + (" …" if len(recording_ids) > 5 else "")
+    others = f"{len(recording_ids)} others: {shown}"
+    require(
+        where,
+        (not strange, "", "recordings whose names can be shown", f"'{''.join(strange[:1])}'", "Rename its files."),
+        (chosen != [], "", f"recordings whose name matches '{glob}'", others, "Change the glob of --recordings."),
+    )
+    return chosen[:limit]
 
 
 @dataclass(frozen=True)

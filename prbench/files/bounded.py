@@ -151,7 +151,7 @@ def require_size(path: Path, *, largest: int = LARGEST_FILE, opened: int | None 
     return status.st_size
 
 
-def open_regular(path: Path, *, largest: int = LARGEST_ARCHIVE) -> BinaryIO:
+def open_regular(path: Path, *, largest: int = LARGEST_ARCHIVE) -> io.BufferedReader:
     """Open a file for reading bytes; every file of a user that Python itself reads is opened here.
 
     Raises:

@@ -89,7 +89,7 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
     """
     if isinstance(source, Path):
         with bounded.open_regular(source, largest=limits.LARGEST_UNPACKED) as file:
-            yield cast(io.BufferedIOBase, file)
+            yield file
         return
     damaged = partial(
         InputFileError, source.shown, "", expected="a file that can be unpacked", remedy=_COPY_ARCHIVE_AGAIN

@@ -116,10 +116,15 @@ def test_a_folder_that_is_no_dataset_is_refused_before_any_work(tmp_path: Path) 
 
 def test_recordings_are_chosen_by_glob_and_limit() -> None:
     names = ["b_2", "a_1", "a_2", "a_3"]
-    assert chosen_ids(names, BuildOptions(recordings="a_*", limit=2), where="here") == ["a_1", "a_2"]
-    assert chosen_ids(["a", "a-b"], BuildOptions(limit=1), where="here") == ["a-b"], "the order of sequence ids"
+    assert chosen_ids(names, "a_*", 2, where="here") == ["a_1", "a_2"]
     with pytest.raises(InputFileError, match="matches 'c\\*', found 4 others"):
-        chosen_ids(names, BuildOptions(recordings="c*"), where="here")
+        chosen_ids(names, "c*", None, where="here")
+
+
+@pytest.mark.parametrize("name", ["a\x1b[2J", "a\udcff", "a\nb"])
+def test_a_recording_whose_name_no_table_can_hold_is_named(name):
+    with pytest.raises(InputFileError, match=r"here: expected recordings whose names can be shown, found 'a\\"):
+        chosen_ids(["b", name], "*", None, where="here")
 
 
 def test_two_recordings_of_one_name_are_refused(tmp_path: Path) -> None:
