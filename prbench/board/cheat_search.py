@@ -9,7 +9,7 @@ of those only the sequences count that are not marked as recorded motion.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -38,6 +38,7 @@ from prbench.protocol.manifests import MetricConstants, load_protocol
 
 PLAUSIBLE = "plausible"
 REACH = "reach_success"
+EVERY_COLUMN = "all"
 # The smaller of the leads over people in arrival and in Reach Success.
 BOTH = "arrival_and_reach"
 _SCORED = {info.id: info for info in METRICS if info.main or info.id == ARRIVAL}
@@ -46,6 +47,7 @@ SEARCHED = (BOTH, *(name for name, info in _SCORED.items() if info.ranked))
 _LEAST_PLAUSIBLE = 0.5
 _POPULATION = 24
 _SPREAD = 0.15  # of a parameter's range; how far the first motions lie around the known cheats
+_CHANGED = 0.4  # of the parameters
 _KNOWN: Mapping[type, Sequence[Body | Altered]] = {Body: tuple(BODIES.values()), Altered: (Altered(), SWAYING)}
 
 
@@ -104,67 +106,31 @@ class FoundMotion:
     """The best motion that was found for one column, and what it earns on one table.
 
     Attributes:
-        column: Metric id, or ``arrival_and_reach``.
-        family: ``body``, made from first pose and goal, or ``altered``, a recording that was changed.
+        name: Name in printed tables: what it was found for.
         parameters: Maps each parameter of :class:`~prbench.harness.scripted.Body` or ``Altered`` to its value.
         means: Maps metric ids to means; the one of Plausible takes motions marked as recorded for implausible.
     """
 
-    column: str
-    family: str
+    name: str
     parameters: Mapping[str, float]
     means: Mapping[str, float]
 
-    @property
-    def name(self) -> str:
-        """Name in printed tables."""
-        return f"found for {self.column}" + (", altered" if self.family == "altered" else "")
 
-
-def searched_columns(column: str | None) -> tuple[str, ...]:
-    """Return the columns of a search; all of them for None.
+def searched_columns(column: str) -> tuple[str, ...]:
+    """Return the columns of a search: all of them for ``all``.
 
     Raises:
         UsageError: for an unknown one.
     """
-    if column is None:
-        return SEARCHED
-    if column not in SEARCHED:
+    if column not in (EVERY_COLUMN, *SEARCHED):
         known = ", ".join(SEARCHED)
         raise UsageError(f"--search: expected a column ({known}), found '{column}'.{did_you_mean(column, SEARCHED)}")
-    return (column,)
+    return SEARCHED if column == EVERY_COLUMN else (column,)
 
 
 def mean_of(means: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Return the mean of each number over tables."""
     return {name: float(np.mean([own[name] for own in means])) for name in means[0]}
-
-
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """What differential evolution minimises; picklable, for workers."""
-
-    judged: Sequence[Judged]
-    people: Mapping[str, float]
-    family: type[Body | Altered]
-    column: str
-
-    def motion(self, values: np.ndarray) -> Body | Altered:
-        """Return the motion of a vector; rounded, so that printed parameters are the ones that were tried."""
-        named = zip(ranges_of(self.family), values.tolist(), strict=True)
-        return self.family(**{name: round(value, 4) for name, value in named})
-
-    def __call__(self, values: np.ndarray) -> float:
-        motion = self.motion(values)
-        means = mean_of([each.means(motion) for each in self.judged])
-        if means[PLAUSIBLE] <= _LEAST_PLAUSIBLE:
-            return 100.0 - means[PLAUSIBLE]
-        if self.column == BOTH:
-            loss = -min(means[name] - self.people[name] for name in (ARRIVAL, REACH))
-        else:
-            loss = -means[self.column] if _SCORED[self.column].higher_is_better else means[self.column]
-        # Of motions that earn the same, the more plausible one.
-        return loss - 0.01 * means[PLAUSIBLE]
 
 
 def search(
@@ -190,29 +156,28 @@ def search(
         For each table the best body of each column, and the best changed recording for MPJPE.
     """
     people = mean_of([each.means(None) for each in judged])
-    families = [(column, Body) for column in columns] + [(column, Altered) for column in columns if column == "mpjpe"]
+    wanted = [(column, Body) for column in columns] + [(column, Altered) for column in columns if column == "mpjpe"]
     generations = -(-evaluations // _POPULATION)
-    by_table: list[list[FoundMotion]] = [[] for _ in judged]
-    for place, (column, family) in enumerate(families):
-        trial = _Trial(judged, people, family, column)
-        ranges = list(ranges_of(family).values())
-        low, high = np.transpose(ranges)
+    done = itertools.count(1)
+
+    def tried(function: Callable, motions: Iterable) -> list[float]:
+        losses = list(engine.map(function, list(motions)))
+        progress(next(done), len(wanted) * generations, column)
+        return losses
+
+    by_column = []
+    for column, family in wanted:
         # The first generation: the known cheats, and motions that differ from them in some parameters.
         generator = np.random.default_rng(seed)
         known = np.array([list(asdict(each).values()) for each in _KNOWN[family]])
-        first = known[np.arange(_POPULATION) % len(known)]
-        changed = (generator.random(first.shape) < 0.4) * (np.arange(_POPULATION) >= len(known))[:, None]
-        first = np.clip(first, low, high) + changed * generator.normal(0.0, _SPREAD, first.shape) * (high - low)
-        shown = itertools.count(place * generations + 1)
-
-        def tried(function: Callable, motions: Iterable, column: str = column, shown: Iterator[int] = shown) -> list:
-            losses = list(engine.map(function, list(motions)))
-            progress(next(shown), len(families) * generations, column)
-            return losses
-
+        low, high = np.transpose(list(ranges_of(family).values()))
+        first = np.clip(np.resize(known, (_POPULATION, len(low))), low, high)
+        spread = generator.normal(0.0, _SPREAD, first.shape) * (generator.random(first.shape) < _CHANGED)
+        first[len(known) :] += spread[len(known) :] * (high - low)
         best = differential_evolution(
-            trial,
-            ranges,
+            _loss,
+            list(zip(low, high, strict=True)),
+            args=(judged, people, family, column),
             init=np.clip(first, low, high),
             maxiter=generations - 1,
             mutation=(0.4, 0.9),
@@ -223,7 +188,31 @@ def search(
             updating="deferred",
             workers=tried,
         )
-        motion = trial.motion(best.x)
-        for own, found in zip(judged, by_table, strict=True):
-            found.append(FoundMotion(column, family.__name__.lower(), asdict(motion), own.means(motion)))
-    return [tuple(found) for found in by_table]
+        motion = _motion(family, best.x)
+        name = f"found for {column}" + (", altered recording" if family is Altered else "")
+        by_column.append([FoundMotion(name, asdict(motion), own.means(motion)) for own in judged])
+    return list(zip(*by_column, strict=True))
+
+
+def _motion(family: type[Body | Altered], values: np.ndarray) -> Body | Altered:
+    """Return the motion of a vector; rounded, so that printed parameters are the ones that were tried."""
+    return family(**dict(zip(ranges_of(family), np.round(values, 4).tolist(), strict=True)))
+
+
+def _loss(
+    values: np.ndarray,
+    judged: Sequence[Judged],
+    people: Mapping[str, float],
+    family: type[Body | Altered],
+    column: str,
+) -> float:
+    motion = _motion(family, values)
+    means = mean_of([each.means(motion) for each in judged])
+    if means[PLAUSIBLE] <= _LEAST_PLAUSIBLE:
+        return 100.0 - means[PLAUSIBLE]
+    if column == BOTH:
+        loss = -min(means[name] - people[name] for name in (ARRIVAL, REACH))
+    else:
+        loss = -means[column] if _SCORED[column].higher_is_better else means[column]
+    # Of motions that earn the same, the more plausible one.
+    return loss - 0.01 * means[PLAUSIBLE]

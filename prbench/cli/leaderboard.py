@@ -130,7 +130,6 @@ _COLUMNS = 8
 _WIDE = 120
 # Sequences of each dataset that is named with ``--data``, unless the user says how many.
 _SEQUENCES = 48
-_EVERY_COLUMN = "all"
 # Motions that a search tries for each column.
 _EVALUATIONS = 240
 
@@ -144,7 +143,7 @@ _EVALUATIONS = 240
 @click.option(
     "--search",
     is_flag=False,
-    flag_value=_EVERY_COLUMN,
+    flag_value="all",
     metavar="[COLUMN]",
     help="Search for motions that earn more than people, in every column or in one, such as mpjpe.",
 )
@@ -171,7 +170,7 @@ def audit(
     from prbench.board.audit import means_of_controls
     from prbench.engine import engine_for
 
-    columns = cheat_search.searched_columns(None if search == _EVERY_COLUMN else search)
+    columns = cheat_search.searched_columns(search or cheat_search.EVERY_COLUMN)
     if search is None and (evaluations, seed) != (None, None):
         raise UsageError("--evaluations and --seed belong to --search; add it, or leave them out.")
 

@@ -28,7 +28,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.geometry.skeleton import WRISTS, Joint, head_forward
+from prbench.geometry.skeleton import CHAINS, Joint, head_forward
 from prbench.metrics import MotionBatch
 from prbench.synthetic.people.kinematics import bump, turn
 
@@ -42,11 +42,9 @@ _SHORTEST_STEP = 0.1  # m
 _DEEPEST = 0.45  # of the pelvis's height
 _LEAN_PER_METRE = 1.8  # radians; about what lowers the shoulders by a metre
 _FARTHEST_LEAN = 1.6  # radians
-_ARMS = ((Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, WRISTS[0]), (Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, WRISTS[1]))
-_LEGS = (
-    (Joint.LEFT_HIP, Joint.LEFT_KNEE, Joint.LEFT_ANKLE, Joint.LEFT_FOOT),
-    (Joint.RIGHT_HIP, Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE, Joint.RIGHT_FOOT),
-)
+# Left and right: shoulder, elbow and wrist; hip, knee, ankle and toe.
+_ARMS = (CHAINS[4][2:], CHAINS[3][2:])
+_LEGS = (CHAINS[1][1:], CHAINS[0][1:])
 _FEET = [leg[2:] for leg in _LEGS]
 _UPPER = [joint for joint in Joint if joint not in {Joint.PELVIS, *_LEGS[0], *_LEGS[1]}]
 
@@ -129,14 +127,10 @@ class Altered:
     Attributes:
         sway: Metres by which the whole body sways sideways.
         period: Seconds of that sway.
-        noise: Standard deviation of each coordinate after frame 0, metres.
-        retime: Share of the duration by which the middle comes early or late.
     """
 
     sway: float = _usually(0.0, 0.0, 0.10)
     period: float = _usually(2.0, 0.3, 8.0)
-    noise: float = _usually(0.0, 0.0, 0.05)
-    retime: float = _usually(0.0, -0.3, 0.3)
 
 
 def ranges_of(family: type[Body | Altered]) -> dict[str, tuple[float, float]]:
@@ -275,10 +269,9 @@ def _sized(initial: np.ndarray, body: Body) -> np.ndarray:
         return initial
     floor = initial[:, :1] * [1.0, 0.0, 1.0]
     sized = (initial - floor) * body.size + floor
-    for shoulder, elbow, wrist in _ARMS:
-        lower = sized[:, wrist] - sized[:, elbow]
-        sized[:, elbow] += (body.arm - 1.0) * (sized[:, elbow] - sized[:, shoulder])
-        sized[:, wrist] = sized[:, elbow] + body.arm * lower
+    for arm in _ARMS:
+        shoulder = sized[:, arm[:1]]
+        sized[:, arm] = shoulder + body.arm * (sized[:, arm] - shoulder)
     return sized
 
 
@@ -334,16 +327,21 @@ def _stand(joints: _Joints, feet: np.ndarray, initial: np.ndarray, risen: np.nda
     wanted = np.array([body.ankle, body.toe])
     higher = np.where(wanted > 0.0, wanted - initial[:, _FEET, 1], 0.0)[:, None] * risen[..., None]
     joints[..., 1] += higher[..., 0].max(axis=-1, keepdims=True)
-    # Knees bend forwards; an ankle out of reach stays behind, and a toe is as far from its ankle as it was.
+    # The body sinks until both ankles are in reach. Knees bend forwards, and a toe is as far from its ankle as it was.
+    feet[..., 1] += higher
+    hips = joints[:, :, [leg[0] for leg in _LEGS]]
+    bones = [initial[:, leg[1:]] - initial[:, leg[:-1]] for leg in _LEGS]
+    lengths = np.linalg.norm(bones, axis=-1)[:, :, None]  # leg, sequence, 1, bone
+    away = hips - feet[:, :, :, 0]
+    legs = np.moveaxis(lengths[..., :2].sum(axis=-1), 0, -1)
+    reach = np.sqrt(np.maximum(legs**2 - away[..., 0] ** 2 - away[..., 2] ** 2, 0.0))
+    joints[..., 1] -= np.maximum(away[..., 1] - reach, 0.0).max(axis=-1, keepdims=True)
     forward = np.cross([0.0, 1.0, 0.0], joints[:, :, Joint.RIGHT_HIP] - joints[:, :, Joint.LEFT_HIP])
     for side, (hip, knee, ankle, toe) in enumerate(_LEGS):
-        bone = feet[:, :, side, 1] - feet[:, :, side, 0]
-        squared = (bone**2).sum(axis=-1)
-        bone[..., 1] += higher[:, :, side, 1] - higher[:, :, side, 0]
-        level = np.maximum(np.hypot(bone[..., 0], bone[..., 2]), 1e-9)
-        bone[..., ::2] *= (np.sqrt(np.maximum(squared - bone[..., 1] ** 2, 0.0)) / level)[..., None]
         foot = feet[:, :, side, 0]
-        foot[..., 1] += higher[:, :, side, 0]
+        bone = feet[:, :, side, 1] - foot
+        level = np.maximum(np.hypot(bone[..., 0], bone[..., 2]), 1e-9)
+        bone[..., ::2] *= (np.sqrt(np.maximum(lengths[side, ..., 2] ** 2 - bone[..., 1] ** 2, 0.0)) / level)[..., None]
         leg = (joints[:, :, hip], joints[:, :, knee], joints[:, :, ankle])
         joints[:, :, knee], joints[:, :, ankle] = limb(*leg, foot, bias=forward, stretch=body.stretch)
         joints[:, :, toe] = joints[:, :, ankle] + bone
@@ -410,15 +408,9 @@ def _teleport(start: ScriptedStart, n_frames: np.ndarray, fps: float) -> _Joints
 def altered_joints(recorded: MotionBatch, fps: float, altered: Altered) -> Float[np.ndarray, "frames 22 3"]:
     """Return recordings, one after the other, with something done to them; canonical frame, metres."""
     row = np.arange(len(recorded.values)) - recorded.first[recorded.sequence_of_row]
-    last = (recorded.n_frames - 1)[recorded.sequence_of_row]
-    place = row + altered.retime * last / np.pi * np.sin(np.pi * row / last)
-    left = np.clip(np.floor(place), 0, last - 1).astype(np.int64)
-    share = (place - left)[:, None, None]
-    left += recorded.first[recorded.sequence_of_row]
-    joints = recorded.values[left] * (1.0 - share) + recorded.values[left + 1] * share
+    joints = recorded.values.astype(np.float64)
     joints[:, :, 0] += altered.sway * np.sin(2 * np.pi * row / fps / altered.period)[:, None]
-    shaken = np.random.default_rng(0).standard_normal(joints.shape)
-    return joints + altered.noise * (row > 0)[:, None, None] * shaken
+    return joints
 
 
 # The bodies of docs/audit.md by the names of their controls.
