@@ -95,7 +95,7 @@ class Body:
         arm: Factor of both arms from frame 0 on.
     """
 
-    turn_end: float = _usually(_ARRIVAL, 0.3, 2.9)
+    turn_end: float = _usually(_ARRIVAL, -1.0, 2.9)
     turn_time: float = _usually(1.0, 0.05, 2.0)
     nod: float = _usually(0.0, -60.0, 60.0)
     nod_end: float = _usually(_ARRIVAL, 0.3, 2.9)
@@ -104,7 +104,7 @@ class Body:
     twist: float = _usually(0.0, 0.0, 1.0)
     go: float = _usually(_ARRIVAL, 0.0, 2.5)
     settle: float = _usually(0.0, 0.0, 0.6)
-    stop: float = _usually(_STAND_OFF, 0.15, 0.9)
+    stop: float = _usually(_STAND_OFF, 0.15, 3.0)
     reach: float = _usually(1.0, 0.0, 1.0)
     stretch: float = _usually(np.inf, 0.0, 1.0)
     rise: float = _usually(0.0, -0.05, 0.12)
