@@ -94,6 +94,8 @@ def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, 
         * ``step_rate``: largest number of feet lifted within a second.
         * ``swing_time``: shortest time in which a foot swings ``_SWING`` metres or more, seconds; infinite without one.
         * ``pivot``: largest turn of a foot that lies on the floor, over the whole motion, degrees.
+        * ``foot_roll``: largest change of a foot's pitch over the motion, degrees; infinite where the pelvis goes less
+          than ``drag_way`` from its first place.
         * ``imbalance``: largest distance of the centre of mass from planted feet while the body stands, metres.
         * ``overhang``: the same in any step.
     """
@@ -134,6 +136,7 @@ def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, 
         "step_rate": steps,
         "swing_time": _shortest_swing(motion, lifted, landed) / rates,
         "pivot": _largest_pivot(motion, feet),
+        "foot_roll": _foot_roll(motion, constants),
         "imbalance": largest(np.where(feet.travel <= constants.slide_speed, beyond, 0.0)),
         "overhang": largest(beyond),
     }
@@ -165,6 +168,19 @@ def _largest_pivot(motion: MotionBatch, feet: Footing) -> Float[np.ndarray, " n"
         flat = feet.contact[ankle] & feet.contact[ankle + 1]
         turns.append(np.abs(np.add.reduceat(np.where(flat, turn, 0.0), motion.first)))
     return np.rad2deg(np.max(turns, axis=0))
+
+
+def _foot_roll(motion: MotionBatch, constants: MetricConstants) -> Float[np.ndarray, " n"]:
+    """Range of the angle between foot and floor, of the foot with the larger one; infinite for short ways."""
+    pelvis = motion.columns[Joint.PELVIS]
+    start = pelvis[:, motion.first][:, motion.sequence_of_row]
+    way = np.maximum.reduceat(np.hypot(pelvis[0] - start[0], pelvis[2] - start[2]), motion.first)
+    ranges = []
+    for ankle in (0, 2):
+        x, y, z = motion.columns[_FEET[ankle + 1]] - motion.columns[_FEET[ankle]]
+        pitch = np.arctan2(y, np.hypot(x, z))
+        ranges.append(np.maximum.reduceat(pitch, motion.first) - np.minimum.reduceat(pitch, motion.first))
+    return np.where(way >= constants.drag_way, np.rad2deg(np.max(ranges, axis=0)), np.inf)
 
 
 def _beyond_feet(motion: MotionBatch, feet: Footing, constants: MetricConstants) -> Float[np.ndarray, " frames"]:

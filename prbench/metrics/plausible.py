@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -44,10 +44,12 @@ def largest_jerk(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
     return _largest_difference(motion, 3) * np.asarray(fps) ** 3
 
 
-def _largest_difference(motion: MotionBatch, order: int) -> Float[np.ndarray, " n"]:
+def _largest_difference(
+    motion: MotionBatch, order: int, joints: Sequence[Joint] = tuple(Joint)
+) -> Float[np.ndarray, " n"]:
     # The norm of the difference that starts at each row; 0 for the last rows of a sequence.
-    norms = np.zeros((len(motion.columns), len(motion.values)))
-    difference = np.diff(motion.columns, n=order, axis=-1)
+    norms = np.zeros((len(joints), len(motion.values)))
+    difference = np.diff(motion.columns[list(joints)], n=order, axis=-1)
     norms[:, :-order] = np.sqrt(difference[:, 0] ** 2 + difference[:, 1] ** 2 + difference[:, 2] ** 2)
     for k in range(order):
         norms[:, motion.last - k] = 0.0
@@ -105,6 +107,11 @@ def _bone_change(pair: ScoringPair, _: MetricConstants) -> Float[np.ndarray, " n
     return np.where(missing, np.inf, change)
 
 
+def _trunk_acceleration(pair: ScoringPair, _: MetricConstants) -> Float[np.ndarray, " n"]:
+    difference = _largest_difference(pair.predicted, 2, (Joint.PELVIS, Joint.SPINE3))
+    return difference * pair.targets.fps_of_sequence**2
+
+
 # Measures of the motion alone, by the name under which the protocol limits them.
 MEASURES: Mapping[str, Measure] = MappingProxyType(
     {
@@ -116,6 +123,7 @@ MEASURES: Mapping[str, Measure] = MappingProxyType(
         "slow_slides": lambda pair, constants: slow_slides(pair.predicted, pair.targets.fps, constants),
         "jerk": lambda pair, _: largest_jerk(pair.predicted, pair.targets.fps),
         "acceleration": lambda pair, _: largest_acceleration(pair.predicted, pair.targets.fps),
+        "trunk_acceleration": _trunk_acceleration,
         "speed": lambda pair, _: largest_speed(pair.predicted, pair.targets.fps),
     }
 )

@@ -45,7 +45,7 @@ def walk(speed: float = 1.0, n: int = 61, step: int = 7, lift: float = 0.1) -> n
         phase = np.where(swings, since % step / step, 0.0)
         landed = (since // step + 1) // 2
         motion[:, foot, 2] = standing(1)[0, foot, 2] + ((landed + phase) * 2 * step * speed / FPS)[:, None]
-        motion[:, foot, 1] += (lift * np.sin(np.pi * phase))[:, None]
+        motion[:, foot, 1] += (lift * np.sin(np.pi * phase))[:, None] * [1.0, 0.6]  # the heel leaves first
     return motion
 
 
@@ -123,6 +123,19 @@ def test_a_body_turns_by_steps_and_not_on_flat_feet(degrees: float, flagged: boo
     lifted = motion.copy()
     lifted[:, FEET[0] + FEET[1], 1] += 0.05
     assert numbers(lifted)["pivot"] == 0
+
+
+def test_a_foot_rolls_over_the_floor_where_a_body_walks() -> None:
+    rolls = numbers(walk())["foot_roll"]
+    low = np.arctan2(0.08 - 0.02, 0.12)  # of the first pose
+    high = np.arctan2(0.08 - 0.02 + 0.04 * np.sin(3 / 7 * np.pi), 0.12)
+    assert rolls == pytest.approx(np.rad2deg(high - low))
+    assert numbers(walk(n=10))["foot_roll"] == np.inf, "the pelvis goes 45 cm"
+    flat = walk()
+    flat[:, TOES[0], 1] = flat[:, Joint.LEFT_ANKLE, 1] - 0.06
+    flat[:, TOES[1], 1] = flat[:, Joint.RIGHT_ANKLE, 1] - 0.06
+    assert numbers(flat)["foot_roll"] == pytest.approx(0.0)
+    assert "rigid_feet" in flags(flat) - flags(walk())
 
 
 def shifted(by: float, n: int = 10) -> np.ndarray:

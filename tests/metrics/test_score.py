@@ -40,8 +40,16 @@ def eased(limits: dict[str, Limit]) -> dict[str, Limit]:
         "speed": 1.9,
     }
     values |= {"lower_toe": 0.2, "slides": 1.0, "support": 0.0, "drag": 1.0, "unsupported_speed": 1.7, "step_rate": 5.0}
-    values |= {"flight": 0.8, "swing_time": 0.0, "neck": 160.0, "twisting": 900.0, "nodding": 900.0, "overhang": 1.0}
-    values |= {"hip": 170.0, "spine": 170.0, "ankle": 165.0, "head_under_goal": 0.5}
+    values |= {
+        "flight": 0.8,
+        "swing_time": 0.0,
+        "foot_roll": 0.0,
+        "neck": 160.0,
+        "twisting": 900.0,
+        "nodding": 900.0,
+        "overhang": 1.0,
+    }
+    values |= {"overhang": 1.0, "hip": 170.0, "spine": 170.0, "ankle": 165.0, "head_under_goal": 0.5}
     return {name: msgspec.structs.replace(limit, value=values.get(name, limit.value)) for name, limit in limits.items()}
 
 
