@@ -152,7 +152,8 @@ LIBRARIES_OPEN = {
     "pq.ParquetFile", "pq.read_table", "pq.read_metadata", "pq.read_schema", "gzip.open",
     "pyarrow.csv.read_csv", "pyarrow.csv.open_csv",
     "pa.memory_map", "pa.OSFile", "torch.load", "*.load_file", "*.safe_open", "trimesh.load", "trimesh.load_mesh",
-    "*.from_pretrained", "sqlite3.connect", "tarfile.open", "*.get_reader",
+    "*.from_pretrained", "sqlite3.connect", "shutil.copyfile", "shutil.copy", "shutil.copytree", "tarfile.open",
+    "*.get_reader",
 }  # fmt: skip
 LAST_NAMES = {pattern.rpartition(".")[2] for pattern in PYTHON_OPENS | LIBRARIES_OPEN}
 NO_FILES_OF_USERS = {

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import shutil
 import stat
 import tomllib
 import zipfile
@@ -296,6 +297,13 @@ def foreign_input(place: Path | str = "input") -> Iterator[None]:
             found=f"what ends in {type(error).__name__}: {error}",
             remedy=_COPY_AGAIN,
         ) from error
+
+
+@foreign_input()
+def copy_file(path: Path, target: Path) -> None:
+    """Copy a file's bytes over another file (see :func:`open_regular` for what it raises)."""
+    with open_regular(path) as source, open(target, "wb") as copy:
+        shutil.copyfileobj(source, copy)
 
 
 def file_of(error: Exception) -> Path | None:

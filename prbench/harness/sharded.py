@@ -6,7 +6,6 @@ What comes out has the bytes of one run in one folder, but for ``cost.json``. So
 from __future__ import annotations
 
 import contextlib
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from pathlib import Path
 from prbench.engine import Engine, InProcess
 from prbench.engine.shards import FILE_NAME, Shard, ShardRecord, begin_shard, require_settings
 from prbench.errors import ShardError
+from prbench.files.bounded import copy_file
 from prbench.files.storage import atomic_path, remove_half_written, remove_leftovers, require_replaceable, sole_writer
 from prbench.harness.preparation import PreparedRun, prepare_run
 from prbench.harness.request import ProgressCallback, RunRequest, silent
@@ -180,7 +180,7 @@ def merge_run_shards(
             for place in (DatasetFolder.batch_cost, DatasetFolder.part):
                 if place(files, index).is_file():
                     with atomic_path(place(part.files, index)) as temporary:
-                        shutil.copyfile(place(files, index), temporary)
+                        copy_file(place(files, index), temporary)
         summaries = scored_parts(parts)
     return RunReport(merged, summaries, batches_made=len(missing), batches_found=len(found) - len(missing))
 

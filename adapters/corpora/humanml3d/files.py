@@ -17,6 +17,7 @@ from prbench.files.arrays import load_array
 from prbench.files.bounded import read_text, require_rows
 from prbench.geometry.skeleton import N_JOINTS, Joint, bone_lengths
 from prbench.limits import FARTHEST_COORDINATE, HARMLESS_SIZE
+from prbench.representation import REST_OFFSETS
 from prbench.sequences.corpus import Caption
 
 JOINTS_FOLDER = "new_joints"  # Joint positions, one (F, 22, 3) array a motion: metres, Y up, 20 fps.
@@ -35,6 +36,7 @@ PART = "sub_caption"
 TextLine = tuple[Caption, float, float]  # One caption, and the seconds from which and to which it describes the motion.
 
 _SAME = 1e-3  # metres by which what is constant in the dataset may differ
+_UNLIKE = 0.1  # metres; the dataset's motions differ by 0.2 mm, those of other people in its form by some centimetres
 _GROUND = 0.05  # metres; the features hold one frame less than the motion whose lowest joint was put on the ground
 _SHORTEST_TRUNK = 0.05  # metres; longer ones are in millimetres
 _LONGEST_TRUNK = 20.0
@@ -72,13 +74,18 @@ def remark_on(joints: Float[np.ndarray, "frames 22 3"], lines: Sequence[TextLine
         joints: See :func:`read_joints`.
         lines: Texts of the motion.
     """
-    stretch = np.ptp(bone_lengths(joints), axis=0).max()
+    bones = bone_lengths(joints)
+    stretch = np.ptp(bones, axis=0).max()
+    unlike = np.abs(np.median(bones, axis=0) - np.linalg.norm(REST_OFFSETS[1:], axis=1)).max()
+    still = int((np.diff(joints, axis=0) == 0).all(axis=(1, 2)).sum())
     start = np.abs(joints[0, Joint.PELVIS, [0, 2]]).max()
     lowest = joints[..., 1].min()
     end = max((end for _, _, end in lines), default=0.0)
     duration = len(joints) / RATE
     checks = (
         (stretch > _SAME, f"bones change by up to {stretch:.3f} m"),
+        (unlike > _UNLIKE, f"a bone is {unlike:.3f} m longer or shorter than the dataset's"),
+        (still > 0, f"{still} frames repeat the one before"),
         (start > _SAME, f"the pelvis begins {start:.3f} m from the origin"),
         (abs(lowest) > _GROUND, f"the lowest joint is at {lowest:.3f} m"),
         (end > duration + 1 / RATE, f"a text ends at {end:.2f} s, the motion at {duration:.2f} s"),

@@ -20,7 +20,7 @@ import msgspec
 
 from prbench.curation.poses.states import PoseState, coverage, head_poses, prepare, source_trajectory
 from prbench.errors import InputFileError, PrbenchError, StorageError, UsageError
-from prbench.files.bounded import foreign_input, read_end, read_toml, require
+from prbench.files.bounded import copy_file, foreign_input, read_end, read_toml, require
 from prbench.files.storage import atomic_folder, lock_file, sole_writer
 from prbench.progress_bar import ProgressCallback
 from prbench.readers.egoallo import format as ego
@@ -326,7 +326,7 @@ def _run(
     with atomic_folder(target) as folder:
         for path in sorted(produced.iterdir()):
             if path.suffix in (".npz", ".yaml") and path.is_file():
-                shutil.copyfile(path, folder / path.name)
+                copy_file(path, folder / path.name)
         if target.exists():
             replaced = target.with_name(f"{target.name}{_REPLACED}")
             _clear(replaced)

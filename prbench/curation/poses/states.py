@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.csv
 
 from prbench.errors import InputFileError, PrbenchError, UsageError
-from prbench.files.bounded import require
+from prbench.files.bounded import copy_file, require
 from prbench.files.storage import atomic_path
 from prbench.geometry.timelines import nearest_index
 from prbench.limits import LARGEST_FILE
@@ -136,7 +136,7 @@ def _bring(source: Source, place: Path) -> None:
         except OSError:
             continue
         return
-    shutil.copyfile(source, place)
+    copy_file(source, place)
 
 
 def _write_turned_points(source: Source | None, place: Path) -> None:
