@@ -57,7 +57,7 @@ def main() -> None:
     count = parser.parse_args().recordings
     staging = Staging(PRESET, SEED)
     sources = [synthetic_source(staging, index) for index in range(count)]
-    # Map the id of each sequence of version 3 to the time at which its person means to look at the goal.
+    # Map the id of each sequence of the protocol to the time at which its person means to look at the goal.
     planned = {}
     for index in range(count):
         performance = staging.perform(index)
@@ -71,7 +71,7 @@ def main() -> None:
     print(_line(*["---"] * (1 + len(ABOUT) + len(SHOWN))))
     # The readings of the study by name.
     variants = {
-        "version 3": BuildOptions(),
+        "version 4": BuildOptions(),
         "rays from the camera": BuildOptions(curation=CurationOptions(ray_origin="camera")),
         "wrist in hand": BuildOptions(curation=CurationOptions(in_hand="wrist")),
         "30 frames a second": _protocol(fps=30.0),
@@ -159,7 +159,7 @@ def _means(run: Path, only: Collection[str] | None = None) -> list[str]:
 
 
 def _about(table: SequenceTable, planned: Mapping[str, float], first: Mapping[str, float]) -> list[str]:
-    """Count a table's sequences, what it shares with version 3, and the primes that come before the intended look."""
+    """Count a table's sequences, what it shares with the first one, and the primes before the intended look."""
     rows = table.scalars(split="test")
     gaps = np.asarray(rows["prime_gap"])
     too_long = int((np.asarray(rows["n_frames"]) > STUDY_LENGTH).sum())
