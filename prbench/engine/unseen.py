@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from multiprocessing import resource_tracker
+from multiprocessing import resource_tracker, util
 from pathlib import Path
 
 _PR_GET_DUMPABLE = 3
@@ -38,14 +38,16 @@ def is_hidden() -> bool:
 
 def start_bare_tracker() -> None:
     """Start the helper process of ``multiprocessing``, which cannot be hidden, without variables and in the root."""
-    variables = dict(os.environ)
-    here = os.open(".", os.O_RDONLY)
+
+    def spawn(path: bytes | str, words: list[bytes | str], descriptors: tuple[int, ...]) -> int:
+        kept = {name: os.environ[name] for name in _NEEDED if name in os.environ}
+        command = ["sh", "-c", 'cd / && exec "$@"', "sh", path, *words[1:]]
+        inherited = [(os.POSIX_SPAWN_DUP2, number, number) for number in descriptors]
+        return os.posix_spawn("/bin/sh", command, kept, file_actions=inherited)
+
+    usual = util.spawnv_passfds
+    util.spawnv_passfds = spawn
     try:
-        os.environ.clear()
-        os.environ.update({name: variables[name] for name in _NEEDED if name in variables})
-        os.chdir("/")
         resource_tracker.ensure_running()
     finally:
-        os.environ.update(variables)
-        os.fchdir(here)
-        os.close(here)
+        util.spawnv_passfds = usual

@@ -30,6 +30,7 @@ from prbench.contract import Condition, ConditionBatch, Motions, TrainingRun
 from prbench.errors import PrbenchError
 
 Claims = list[str | None]
+METHOD = b"prbench.harness.methods.worker"  # on the command line of an isolated one
 N_LEAST = 50  # frames of the shortest motion, each of which can carry one attempt
 
 
@@ -285,7 +286,7 @@ def beside(file: Path) -> Iterator[Path]:
 
 
 def harness_processes(self: Cheater, *, others: bool = False) -> Iterator[Path]:
-    """The harness, its workers and all that they have started, this process apart; or the ``others``."""
+    """The harness, its workers and all that they have started, methods apart; or the ``others``."""
     parent = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
@@ -297,11 +298,12 @@ def harness_processes(self: Cheater, *, others: bool = False) -> Iterator[Path]:
             process = parent[process]
         return process
 
-    is_harness = "prbench.harness.run" in sys.modules
-    for process in parent:
-        is_wanted = parent[process] == outside if others else process != os.getpid() or is_harness
+    for process, started_by in parent.items():
+        place = Path(f"/proc/{process}")
+        # Another method, which has the table open because it has found it in the home folder, says nothing.
+        is_wanted = started_by == outside if others else METHOD not in process_file(place, "cmdline")
         if is_wanted and (top(process) != top(os.getpid())) == others:
-            yield Path(f"/proc/{process}")
+            yield place
 
 
 def process_file(process: Path, name: str) -> list[bytes]:
