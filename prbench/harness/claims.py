@@ -123,7 +123,7 @@ def require_table(run: RunFolder, stated: TableRecord, chosen: Cases, cases: Cas
 def require_questions(run: RunFolder, files: DatasetFolder, cases: Cases, work: CaseWork) -> tuple[str, ...]:
     """Hold condition, control and seed against the questions whose digests stand beside the motions.
 
-    A control's motions are made again.
+    Motions of this version's controls are made again.
 
     Args:
         run: The run.
@@ -137,8 +137,8 @@ def require_questions(run: RunFolder, files: DatasetFolder, cases: Cases, work: 
     Raises:
         RunError: naming the key that differs.
     """
-    record = run.record
-    method = record.method
+    method = run.record.method
+    made_again = method.kind == CONTROL and method.version == prbench.__version__
     files.require_no_other_parts(len(work.plan))
     for index, question in work.questions(frozenset(range(len(work.plan)))):
         part = files.part(index)
@@ -149,16 +149,16 @@ def require_questions(run: RunFolder, files: DatasetFolder, cases: Cases, work: 
         if not stored:
             return DECLARED  # of an earlier version
         expected = f"those of the question that {part.name} in {files.predictions} answers"
-        found = f"{record.condition}, {record.control}, {record.seed}"
+        found = f"{run.record.condition}, {run.record.control}, {run.record.seed}"
         _require(run, "condition, control, seed", stored == question.digest, expected, found)
-        if method.kind != CONTROL:
+        if not made_again:
             continue
         ids = tuple(cases.sequence_ids[row] for row in work.plan[index])
         predictions = Predictions.open(part)
-        for sample, made in enumerate(question.ask(None, seed=record.seed, sequence_ids=ids).samples):
+        for sample, made in enumerate(question.ask(None, seed=run.record.seed, sequence_ids=ids).samples):
             moved = float(np.abs(predictions.motions(ids, sample).values - made.values).max())
             _require(run, "method.name", moved < _MOVED, f"{method.name}'s motions", f"others, {moved:.3g} m off")
-    return _EFFORT if method.kind == CONTROL else DECLARED
+    return _EFFORT if made_again else DECLARED
 
 
 def require_still(run: RunFolder, scores: CodedScores, benchmark: Benchmark) -> None:

@@ -101,7 +101,7 @@ def poses_table(
             numbers = [each for each in load_published("S1") if each.variant.endswith(f"tested on {tested}")]
             published = published_rows(numbers, lambda each: each.variant.partition(";")[0])
             blocks.append(Block(title=_published_title("S1", "adt", table), rows=published))
-        said = "What a model was trained on follows from the name of its weights: it ends in -egoallo or -mocap."
+        said = "What a model was trained on is declared by the name of its weights: it ends in -egoallo or -mocap."
         parts.append(
             Table(
                 number="S1",
