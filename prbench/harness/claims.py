@@ -16,7 +16,7 @@ import numpy as np
 import prbench
 from prbench.errors import AdapterError, PrbenchError, RunError
 from prbench.files.arrays import open_parquet
-from prbench.harness.benchmark import Benchmark, Cases, CaseWork, load_benchmark
+from prbench.harness.benchmark import Benchmark, Cases, CaseTable, CaseWork, load_benchmark
 from prbench.harness.methods.installed import METHOD_CONTROLS
 from prbench.harness.methods.loading import load_adapter, weights_digest
 from prbench.harness.methods.motions import Declared
@@ -46,10 +46,14 @@ def origin_of(record: RunRecord) -> str:
     return f"{method.origin}, prbench {clean(method.version)}" if method.name in ours else "unknown kind"
 
 
-def require_own_method(run: RunFolder) -> None:
+def require_own_method(run: RunFolder, table: CaseTable | None) -> None:
     """Hold a run that calls its method one of prbench's own against the installed method and its bundled weights.
 
     Another version's methods are not here: boards name that version.
+
+    Args:
+        run: The run.
+        table: Its table, which has to be one of its benchmark; None where it is not at hand.
 
     Raises:
         RunError: naming the key that differs.
@@ -57,6 +61,8 @@ def require_own_method(run: RunFolder) -> None:
     record = run.record
     method = record.method
     benchmark = load_benchmark(record.benchmark)
+    fits = table is None or (table.folder / benchmark.table_file).is_file()
+    _require(run, "benchmark", fits, "the benchmark of its table", record.benchmark)
     names = {BUILT_IN: benchmark.about.methods, CONTROL: METHOD_CONTROLS}.get(method.kind)
     if names is None or method.version != prbench.__version__:
         return
@@ -112,10 +118,14 @@ def require_table(run: RunFolder, stated: TableRecord, chosen: Cases, cases: Cas
     """
     version = run.record.protocol_version
     _require(run, "protocol_version", version == rules.version, rules.version, version)
+    wanted = run.record.sequences
+    _require(run, "sequences", not wanted or set(chosen.sequence_ids) <= set(wanted), "those that were run", wanted)
     plan = stated.batch_plan
     made = msgspec.to_builtins(table_record(chosen, cases, work.plan if plan.batches else (), plan.batch_size))
     found = msgspec.to_builtins(stated)
-    for key in sorted((made | found).keys() - {"fold"}):  # folds of two counts may test on the same people
+    # Folds of two counts may test on the same people, and are one table then.
+    made |= {key: found[key] for key in made.keys() & found.keys() & {"fold"}}
+    for key in made | found:
         same = made.get(key) == found.get(key)
         _require(run, f"tables.{stated.dataset}.{key}", same, f"{made.get(key)}, as the table says", found.get(key))
 

@@ -344,10 +344,10 @@ class RunChecker:
             RunError: if the summary does not follow from the scores, the scores from motions and table, or what the
                 run says of its method and table is contradicted; names the file and the first value that differs.
         """
-        claims.require_own_method(run)
+        table = self.find_table(record)
+        claims.require_own_method(run, table)
         files = run.dataset(record.dataset)
         scores = CodedScores.read(files.scores)
-        table = self.find_table(record)
         benchmark = load_benchmark(run.record.benchmark)
         # Without the table, ids tell which recording a sequence is of, and so which intervals follow.
         names = sorted(scores.sequence_ids)

@@ -78,7 +78,7 @@ def forged(made: Path, tmp_path: Path) -> Callable[..., Path]:
 
 
 def refit(folder: Path) -> None:
-    run = RunFolder.open(folder)
+    run = RunFolder.open(folder, any_benchmark=True)
     files = run.dataset("synthetic-adt")
     scores = read_scores(files.scores)
     recording_of = {name: recording_key(name) for name in scores["sequence_id"].to_pylist()}
@@ -88,7 +88,7 @@ def refit(folder: Path) -> None:
 def boards(made: Path, folder: Path) -> dict[str, Any]:
     """The run on a board, checked on its table, in each format."""
     table = SequenceTable.open(made / "table")
-    board = make_leaderboard(collect_runs([folder], check=RunChecker(lambda _: table).check))
+    board = make_leaderboard(collect_runs([folder], check=RunChecker(lambda _: table).check, any_benchmark=True))
     (row,) = json.loads(export(board, "json"))["tables"][0]["rows"]
     return {"md": export(board, "md"), "csv": next(csv.DictReader(io.StringIO(export(board, "csv")))), "json": row}
 
@@ -119,6 +119,9 @@ def boards(made: Path, folder: Path) -> dict[str, Any]:
         ("mine", {"tables__table__redistribution": "none"}, r"redistribution: expected yes"),
         ("mine", {"tables__table__title": "Real people"}, r"title: expected .*found Real people"),
         ("mine", {"protocol_version": 2}, r"protocol_version: expected \d, found 2"),
+        ("mine", {"sequences": ["x"]}, r"sequences: expected those that were run, found \('x',\)"),
+        ("mine", {"benchmark": "motion-prediction"}, "benchmark: expected the benchmark of its table"),
+        ("mine", {"tables__table__fold": "1/3"}, r"fold: expected None, as the table says, found 1/3"),
         ("static", {"method__name": "pr"}, "condition: expected one that pr takes"),
         ("scripted", {"method__name": "stare"}, r"method\.name: expected stare's motions, found others, .* m off"),
         ("scripted", {"method__name": "waving"}, r"method\.name: expected one of prbench's own, .*found waving"),
@@ -175,6 +178,14 @@ def test_motions_whose_question_was_taken_away_are_those_of_an_earlier_version(m
             boards(made, folder)
     else:
         assert "condition" in boards(made, folder)["json"]["declared"]
+
+
+@pytest.mark.parametrize("changes", [{"tables": []}, {"seed": -1}, {"samples": 0}, {"limit": 0}, {"schema_version": 2}])
+def test_values_that_no_run_has_are_told_with_file_and_key(forged, changes) -> None:
+    with pytest.raises(
+        RunError, match=rf"run\.json: not a valid run\.json: Expected .* at `\$\.{next(iter(changes))}`"
+    ):
+        forged("mine", **changes)
 
 
 def scaled(cost: dict[str, Any], factor: float, *names: str) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 
@@ -16,12 +16,14 @@ from prbench.engine.shards import flat_leaves
 from prbench.errors import RunError
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import text_digest, write_json
+from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION
 from prbench.limits import LARGEST_JSON
 from prbench.protocol.manifests import default_benchmark
 from prbench.shown import clean
 
 FILE_NAME = "run.json"
 Record = TypeVar("Record")
+SchemaVersion = Annotated[int, msgspec.Meta(ge=RUN_SCHEMA_VERSION, le=RUN_SCHEMA_VERSION)]
 
 BUILT_IN = "built-in"
 CONTROL = "control"
@@ -184,7 +186,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         benchmark: Name of the benchmark; not written for the default one, whose runs are older than the key.
     """
 
-    schema_version: int
+    schema_version: SchemaVersion
     prbench_version: str
     protocol_version: int
     protocol_digest: str
@@ -192,16 +194,16 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     condition: str
     control: str | None
     split: str
-    limit: int | None
+    limit: Annotated[int, msgspec.Meta(ge=1)] | None
     sequences: tuple[str, ...] = ()
-    seed: int
-    samples: int
+    seed: Annotated[int, msgspec.Meta(ge=0)]
+    samples: Annotated[int, msgspec.Meta(ge=1)]
     best_of: int = 1
     carry_on: bool = False
     device: str
     threads: int
     packages: dict[str, str]
-    tables: tuple[TableRecord, ...]
+    tables: Annotated[tuple[TableRecord, ...], msgspec.Meta(min_length=1)]
     benchmark: str = msgspec.field(default_factory=lambda: default_benchmark().name)
 
     @property

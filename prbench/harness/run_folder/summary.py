@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.checking.doctor.motion_set import Diagnosis
-from prbench.errors import RunError
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import write_json
-from prbench.harness.run_folder.record import TableRecord, read_record
+from prbench.harness.run_folder.record import SchemaVersion, TableRecord, read_record
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION
 
 FILE_NAME = "summary.json"
@@ -96,7 +95,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         findings: What is certainly wrong with the motions (docs/doctor.md); empty for sound ones.
     """
 
-    schema_version: int = RUN_SCHEMA_VERSION
+    schema_version: SchemaVersion = RUN_SCHEMA_VERSION
     dataset: str
     title: str
     synthetic: bool
@@ -181,18 +180,12 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: if it is missing, damaged or of another version.
         """
-        path = folder / FILE_NAME
-        summary = read_record(
-            path,
+        return read_record(
+            folder / FILE_NAME,
             cls,
             missing=f"{folder}: expected {FILE_NAME}, found none: the run is not finished. Run it again: it resumes.",
             remedy="Delete it and run the method again.",
         )
-        if summary.schema_version != RUN_SCHEMA_VERSION:
-            raise RunError(
-                f"{path}: expected schema version {RUN_SCHEMA_VERSION}, found {summary.schema_version}. Update prbench."
-            )
-        return summary
 
 
 def counted_units(number: int, split: str) -> str:

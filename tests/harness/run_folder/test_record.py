@@ -107,7 +107,7 @@ def test_missing_files_and_newer_versions_are_refused(tmp_path):
         DatasetSummary.read(tmp_path)
     values = msgspec.to_builtins(SUMMARY) | {"schema_version": 7}
     (tmp_path / "summary.json").write_text(json.dumps(values))
-    with pytest.raises(RunError, match=r"expected schema version 1, found 7"):
+    with pytest.raises(RunError, match=r"not a valid summary.json: Expected `int` <= 1 - at `\$.schema_version`"):
         DatasetSummary.read(tmp_path)
 
 
