@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from jaxtyping import Bool, Float, Int
 
 from prbench.errors import TableError, UsageError
@@ -32,7 +33,7 @@ from prbench.sequences.schema import (
     table_parts,
 )
 from prbench.sequences.sequence import column_field, row_batch
-from prbench.sequences.table import require_described
+from prbench.sequences.table import require_described, require_told
 from prbench.sequences.write import write_tables
 from prbench_benchmarks.motion_prediction.batch import Condition, ObservedBatch, window_key
 from prbench_benchmarks.motion_prediction.joint_sets import (
@@ -321,42 +322,35 @@ class WindowsTable:
         """Refuse numbers that do not fit the frames that there are, before memory is taken for what they announce."""
         info = self.info
         lengths = self.runs["n_frames"].to_numpy().astype(np.int64)
-        told: dict[str, tuple[object, object]] = {
-            "runs": (len(lengths), info.runs),
-            "frames": (int(lengths.sum()), info.frames),
-            "recordings": (len(set(self.runs["recording_id"].to_pylist())), info.recordings),
-            "participants": (len(set(self.runs["participant_id"].to_pylist())), info.participants),
-            "fps": (set(self.runs["fps"].to_pylist()), {info.fps}),
+        told: dict[str, object] = {
+            "fps": next((fps for fps in self.runs["fps"].to_pylist() if fps != info.fps), info.fps),
+            "runs": len(lengths),
+            "frames": int(lengths.sum()),
+            "recordings": pc.count_distinct(self.runs["recording_id"]).as_py(),
+            "participants": pc.count_distinct(self.runs["participant_id"]).as_py(),
         }
         protocol = load_prediction_protocol()
         if info.protocol_digest == protocol.digest:
             rules = protocol.windows.at(info.fps)
-            for name in ("observed_frames", "future_frames", "fewest_gaze_frames"):
-                told[name] = (getattr(rules, name), getattr(info, name))
-        for name, (expected, found) in told.items():
-            if found != expected:
-                raise TableError(
-                    f"{self.folder / FILE_NAME}, {name}: expected {expected}, as the table has it, found {found}."
-                    " The file was changed after the build; build the windows again."
-                )
-        number = {
-            name: self.windows[name].to_numpy().astype(np.int64)
-            for name in ("row", "start", "n_scored", "n_gaze_valid")
-        }
-        outside = (number["row"] < 0) | (number["row"] >= len(lengths))
-        frames = lengths[np.where(outside, 0, number["row"])]
-        ends = number["start"] + info.observed_frames + number["n_scored"]
-        for name, wrong, expected in (
-            ("row", outside, f"a row of streams, from 0 to {len(lengths) - 1}"),
-            ("n_scored", (number["n_scored"] < 1) | (number["n_scored"] > info.future_frames), "1 to future_frames"),
-            ("n_gaze_valid", number["n_gaze_valid"] > info.observed_frames, "at most observed_frames"),
-            ("start", (number["start"] < 0) | (ends > frames), "a window within the frames of its run"),
+            told |= {name: getattr(rules, name) for name in ("observed_frames", "future_frames", "fewest_gaze_frames")}
+        for name, expected in told.items():
+            require_told(info, self.folder, name, getattr(info, name), expected)
+        row = self.windows["row"].to_numpy().astype(np.int64)
+        frames = lengths[row.clip(0, len(lengths) - 1)]
+        n_scored = self.windows["n_scored"].to_numpy().astype(np.int64)
+        for name, least, most in (
+            ("row", 0, len(lengths) - 1),
+            ("n_scored", 1, info.future_frames),
+            ("n_gaze_valid", 0, info.observed_frames),
+            ("start", 0, frames - info.observed_frames - n_scored),
         ):
-            if wrong.any():
-                row = int(wrong.argmax())
+            found = self.windows[name].to_numpy()
+            wrong = np.flatnonzero((found < least) | (found > most))
+            if wrong.size:
+                at = wrong[0]
                 raise TableError(
-                    f"{self.folder}, windows, row {row}, column '{name}': expected {expected}, found"
-                    f" {number[name][row]}. Build the windows again."
+                    f"{self.folder}, windows, row {at}, column '{name}': expected {least} to"
+                    f" {np.broadcast_to(most, found.shape)[at]}, found {found[at]}. Build the windows again."
                 )
 
     @property

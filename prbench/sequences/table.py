@@ -72,6 +72,26 @@ def require_described(
             )
 
 
+def require_told(info: Provenance, folder: Path, key: str, found: object, expected: object) -> None:
+    """Refuse a description of which a number is not that of the table beside it.
+
+    Args:
+        info: The description.
+        folder: Folder that it stands in.
+        key: Where the number stands.
+        found: The number.
+        expected: The one that the table has.
+
+    Raises:
+        TableError: if they differ.
+    """
+    if found != expected:
+        raise TableError(
+            f"{folder / info.file_name}, {key}: expected {expected}, as the table has it, found {found}. The file was"
+            f" changed after the build; build the {info.described} again."
+        )
+
+
 @dataclass(frozen=True)
 class BuiltTable(Generic[Info]):
     """The common part of the tables of a dataset and of a corpus: a folder, its provenance, and rows on demand.
@@ -109,13 +129,7 @@ class BuiltTable(Generic[Info]):
         # Before ids are read: a damaged file is reported as such, not as a wrong id.
         table.require_unchanged()
         table_schema.require_distinct_rows(paths, "sequence_id", f"{folder}, {cls.main}")
-        told = getattr(table.info.counts, cls.main)
-        if told != table.n_rows:
-            raise TableError(
-                f"{table.folder / table.info.file_name}, counts.{cls.main}: expected {table.n_rows}, as many as the"
-                f" table has, found {told}. The file was changed after the build; build the {table.info.described}"
-                " again."
-            )
+        require_told(table.info, table.folder, f"counts.{cls.main}", getattr(table.info.counts, cls.main), table.n_rows)
         return table
 
     @property

@@ -255,7 +255,7 @@ def test_every_command_that_opens_a_table_refuses_an_edited_one(command, edited,
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"sequences": 7}, "counts.sequences: expected 6, as many as the table has, found 7"),
+        ({"sequences": 7}, "counts.sequences: expected 6, as the table has it, found 7"),
         ({"sequences": -1}, "Expected `int` >= 0 - at `$.counts.sequences`"),
         ({"events": 10**15}, "Expected `int` <= 1000000000000 - at `$.counts.events`"),
     ],

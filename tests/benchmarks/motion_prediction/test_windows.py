@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
+import msgspec
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from prbench.errors import InputFileError, PrbenchError, TableError
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze.synthetic import write
 from prbench.recording.streams import BodyStream, GazeStream, PoseStream, PublishedTrack, Recording
+from prbench.sequences.schema import digests_of_files
 from prbench_benchmarks.motion_prediction.batch import Condition
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
-from prbench_benchmarks.motion_prediction.table import WindowsTable
+from prbench_benchmarks.motion_prediction.table import WindowsInfo, WindowsTable
 from prbench_benchmarks.motion_prediction.windows import (
     build_windows,
     latest_gaze,
@@ -228,3 +235,58 @@ def test_segments_shorter_than_a_window_make_no_table(tmp_path):
     with pytest.raises(TableError, match="0 windows"):
         build_windows(plan_windows("mogaze", tmp_path / "mogaze"), tmp_path / "windows")
     assert not (tmp_path / "windows").exists()
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("small") / "windows"
+    build_windows(plan_windows("mogaze", mogaze()), folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "found", "said"),
+    [
+        ("future_frames", -40, "Expected `int` >= 1 - at `$.future_frames`"),
+        ("future_frames", 60_000, "Expected `int` <= 5000 - at `$.future_frames`"),
+        ("future_frames", 61, "windows.json, future_frames: expected 60, as the table has it, found 61"),
+        ("observed_frames", 14, "windows.json, observed_frames: expected 15, as the table has it, found 14"),
+        ("fewest_gaze_frames", 0, "windows.json, fewest_gaze_frames: expected 12"),
+        ("fps", 0, "Expected `float` > 0.0 - at `$.fps`"),
+        ("frames", 1, "windows.json, frames: expected "),
+        ("runs", -1, "Expected `int` >= 0 - at `$.runs`"),
+        ("participants", 99, "windows.json, participants: expected "),
+        ("content_digest", "0" * 64, "the values are not the ones that windows.json describes (content digest"),
+        ("identity_digest", "0" * 64, "the values are not the ones that windows.json describes (identity digest"),
+    ],
+)
+def test_numbers_of_the_description_are_held_against_the_table(name, found, said, small, tmp_path):
+    folder = shutil.copytree(small, tmp_path / "windows")
+    told = json.loads((folder / "windows.json").read_text())
+    (folder / "windows.json").write_text(json.dumps(told | {name: found}))
+    with pytest.raises(TableError, match=re.escape(said)):
+        WindowsTable.open(folder)
+
+
+@pytest.mark.parametrize(
+    ("column", "found", "said"),
+    [
+        ("row", 99, "column 'row': expected 0 to "),
+        ("start", -1, "column 'start': expected 0 to "),
+        ("start", 10**6, "column 'start': expected 0 to "),
+        ("n_scored", 61, "column 'n_scored': expected 1 to 60, found 61"),
+        ("n_gaze_valid", 16, "column 'n_gaze_valid': expected 0 to 15, found 16"),
+    ],
+)
+def test_windows_lie_in_their_runs(column, found, said, small, tmp_path):
+    folder = shutil.copytree(small, tmp_path / "windows")
+    rows = pq.read_table(folder / "windows.parquet")
+    values = rows[column].to_pylist()
+    values[2] = found
+    place = rows.schema.get_field_index(column)
+    changed = rows.set_column(place, rows.schema.field(place), pa.array(values, pa.int32()))
+    pq.write_table(changed, folder / "windows.parquet")
+    info = WindowsInfo.read(folder)
+    msgspec.structs.replace(info, file_digests=digests_of_files(folder, ["streams", "windows"])).write(folder)
+    with pytest.raises(TableError, match=f"windows, row 2, {said}"):
+        WindowsTable.open(folder)
