@@ -29,11 +29,10 @@ from prbench.sequences.schema import (
     open_parquet,
     read_parquet,
     require_distinct,
-    require_unchanged,
     table_parts,
 )
 from prbench.sequences.sequence import column_field, row_batch
-from prbench.sequences.table import require_described, require_told
+from prbench.sequences.table import require_told, require_unchanged
 from prbench.sequences.write import write_tables
 from prbench_benchmarks.motion_prediction.batch import Condition, ObservedBatch, window_key
 from prbench_benchmarks.motion_prediction.joint_sets import (
@@ -312,8 +311,7 @@ class WindowsTable:
         )
         table = cls(folder, info, windows, runs)
 
-        require_described(info, table_parts(folder, "streams"), schema.names, _IDENTITY, rows=RUNS_AT_ONCE)
-        require_unchanged(folder, folder / FILE_NAME, info.file_digests, ["windows"])
+        require_unchanged(info, folder, schema.names, _IDENTITY, main="streams", others=["windows"], rows=RUNS_AT_ONCE)
         require_distinct(windows["window_id"].to_pylist(), f"{folder}, windows")
         table._require_fitting()
         return table

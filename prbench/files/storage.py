@@ -33,14 +33,11 @@ from prbench.limits import LARGEST_ARCHIVE, LARGEST_JSON, LONGEST_NAME
 from prbench.shown import clean
 
 CACHE_VARIABLE = "PRBENCH_CACHE"
-# Why nothing more can be written, and what to do about it
+# Why nothing more can be written
 _FULL = {
-    getattr(errno, "EDQUOT", errno.ENOSPC): ("the disk quota is used up", "free some space"),
-    errno.ENOSPC: ("no space left on the device", "free some space"),
-    errno.EFBIG: (
-        "larger than a file may be here (`ulimit -f`, or the file system)",
-        "raise that limit, ask for less (--limit), or choose another folder,",
-    ),
+    getattr(errno, "EDQUOT", errno.ENOSPC): "the disk quota is used up",
+    errno.ENOSPC: "no space left on the device",
+    errno.EFBIG: "larger than a file may be here (`ulimit -f`, or the file system)",
 }
 _FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EISDIR, errno.EEXIST}
 
@@ -170,29 +167,29 @@ def _storage_errors(path: Path, *, every_kind: bool = False) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        refused = storage_error(error, path)
-        if refused is None and every_kind:
-            refused = StorageError(f"{path}: cannot be written ({error.strerror}). Choose another folder.")
+        refused = storage_error(error, path, every_kind=every_kind)
         if refused is None:
             raise
         raise refused from error
 
 
-def storage_error(error: OSError, path: Path | str) -> StorageError | None:
+def storage_error(error: OSError, path: Path | str, *, every_kind: bool = False) -> StorageError | None:
     """Return the error that says why something cannot be written; None for what writing alone does not cause.
 
     Args:
         error: An error of the operating system.
         path: The file or folder that was being written.
+        every_kind: Return one for any error.
     """
     full = _FULL.get(error.errno or 0)
     if error.errno is None and str(error).endswith("written"):  # how NumPy says that it could write a part alone
-        full = ("no more could be written", "free some space")
+        full = "no more could be written"
     if full is not None:
         return StorageError(
-            f"{path}: {full[0]}. Nothing half-written was kept; {full[1]} and run the same command again."
+            f"{path}: {full}. Nothing half-written was kept; free some space, raise the limit or ask for less"
+            " (--limit), and run the same command again."
         )
-    if error.errno in _FORBIDDEN:
+    if every_kind or error.errno in _FORBIDDEN:
         return StorageError(f"{path}: cannot be written ({error.strerror}). Choose another folder.")
     return None
 

@@ -206,28 +206,6 @@ def digests_of_files(folder: Path, tables: Iterable[str]) -> dict[str, str]:
     return {path.relative_to(folder).as_posix(): file_digest(path) for path in paths}
 
 
-def require_unchanged(folder: Path, described_in: Path, expected: Mapping[str, str], tables: Iterable[str]) -> None:
-    """Refuse tables of which a file was edited; the values of the main table are compared elsewhere.
-
-    Args:
-        folder: Holds the Parquet files.
-        described_in: ``dataset.json`` or ``corpus.json``.
-        expected: The digests that stand in there, by relative path.
-        tables: Names of the tables beside the main one; where one is absent, whoever wants to read it says so.
-
-    Raises:
-        TableError: naming the first file that was edited.
-    """
-    for path, found in digests_of_files(folder, tables).items():
-        if found != expected.get(path):
-            described = f"SHA-256 {expected[path][:12]}…" if path in expected else "no such file"
-            raise TableError(
-                f"{folder / path}: expected the file that {described_in.name} describes ({described}), found"
-                f" another one ({found[:12]}…). It was changed after the build: copy the folder again, or build"
-                " it again."
-            )
-
-
 def files_of_table(folder: Path, table: str) -> list[Path]:
     """Return the Parquet file of a table, or the parts of a folder in order; none where it is absent."""
     single = folder / f"{table}.parquet"

@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,21 +38,40 @@ _SHOWN = 8  # ids that an error message lists
 Info = TypeVar("Info", bound=Provenance)
 
 
-def require_described(
-    info: Provenance, paths: SequenceOf[Path], columns: SequenceOf[str], identity: SequenceOf[str], *, rows: int = 256
+def require_unchanged(
+    info: Provenance,
+    folder: Path,
+    columns: SequenceOf[str],
+    identity: SequenceOf[str],
+    *,
+    main: str,
+    others: Iterable[str],
+    rows: int = 256,
 ) -> None:
-    """Hold a main table against the content and identity digests of its description; every table is opened with this.
+    """Hold all tables of a folder against the digests of its description; every folder is opened with this.
 
     Args:
         info: The description.
-        paths: Parquet files of the main table.
-        columns: Its columns.
+        folder: Folder that it stands in.
+        columns: Columns of the main table.
         identity: Those that make its identity.
-        rows: Rows that are read at once.
+        main: Name of the table whose values the content digest is of.
+        others: Names of the further tables; where one is absent, whoever wants to read it says so.
+        rows: Rows of the main table that are read at once.
 
     Raises:
-        TableError: if the rows are no longer those that the table was built with.
+        TableError: naming the first file that was edited.
     """
+    for path, found in table_schema.digests_of_files(folder, others).items():
+        if found != info.file_digests.get(path):
+            known = info.file_digests.get(path)
+            described = "no such file" if known is None else f"SHA-256 {quoted(known[:12])}…"
+            raise TableError(
+                f"{folder / path}: expected the file that {info.file_name} describes ({described}), found"
+                f" another one ({found[:12]}…). It was changed after the build: copy the folder again, or build"
+                " it again."
+            )
+    paths = table_schema.table_parts(folder, main)
     digest = table_schema.ContentDigest(columns)
     for path in paths:
         with table_schema.naming(path):
@@ -60,10 +79,8 @@ def require_described(
                 digest.update(batch)
     names = pa.concat_tables(table_schema.read_parquet(path, list(identity)) for path in paths)
     ids = table_schema.identity_of_rows(names, protocol_version=info.protocol_version)
-    for kind, found, expected in (
-        ("content", digest.hexdigest(), info.content_digest),
-        ("identity", ids, info.identity_digest),
-    ):
+    told = (("content", digest.hexdigest(), info.content_digest), ("identity", ids, info.identity_digest))
+    for kind, found, expected in told:
         if found != expected:
             raise TableError(
                 f"{paths[0]}: the values are not the ones that {info.file_name} describes ({kind} digest"
@@ -127,7 +144,9 @@ class BuiltTable(Generic[Info]):
         for path in paths:
             cls.check(table_schema.open_parquet(path).schema_arrow, cls.schemas[cls.main], source=str(path))
         # Before ids are read: a damaged file is reported as such, not as a wrong id.
-        table.require_unchanged()
+        others = [name for name in (*cls.schemas, *cls.optional) if name != cls.main]
+        columns = cls.schemas[cls.main].names
+        require_unchanged(table.info, table.folder, columns, cls.identity_columns, main=cls.main, others=others)
         table_schema.require_distinct_rows(paths, "sequence_id", f"{folder}, {cls.main}")
         require_told(table.info, table.folder, f"counts.{cls.main}", getattr(table.info.counts, cls.main), table.n_rows)
         return table
@@ -136,17 +155,6 @@ class BuiltTable(Generic[Info]):
     def n_rows(self) -> int:
         """Number of rows of the main table, as the footers of the files tell it."""
         return sum(table_schema.open_parquet(path).metadata.num_rows for path in self.part_paths(self.main))
-
-    def require_unchanged(self) -> None:
-        """Hold the values of the main table, and the bytes of the others, against the description beside them.
-
-        Raises:
-            TableError: if a file was edited; names it.
-        """
-        others = [name for name in (*self.schemas, *self.optional) if name != self.main]
-        table_schema.require_unchanged(self.folder, self.folder / self.info.file_name, self.info.file_digests, others)
-        columns = self.schemas[self.main].names
-        require_described(self.info, self.part_paths(self.main), columns, self.identity_columns)
 
     @property
     def described_protocol(self) -> DescribedTable:
@@ -197,12 +205,12 @@ class BuiltTable(Generic[Info]):
 
     @property
     def identity(self) -> str:
-        """Identity digest; :meth:`require_unchanged` has compared it with the rows."""
+        """Identity digest; opening has compared it with the rows."""
         return self.info.identity_digest
 
     @property
     def content(self) -> str:
-        """Content digest; :meth:`require_unchanged` has compared it with the rows."""
+        """Content digest; opening has compared it with the rows."""
         return self.info.content_digest
 
     @foreign_input()
