@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from prbench.geometry.skeleton import TOES, WRISTS, Joint
+from prbench.geometry.skeleton import WRISTS, Joint
 from prbench.metrics.batch import ScoringPair
 
 # Name of each bend: pairs of bones, (from, to) each, between which it is the largest angle; 0 for straight ones.
@@ -18,12 +18,12 @@ _BENDS: dict[str, tuple[tuple[_Bone, _Bone], ...]] = {
         ((Joint.RIGHT_HIP, Joint.RIGHT_KNEE), (Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE)),
     ),
     "elbow": (
-        ((Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW), (Joint.LEFT_ELBOW, WRISTS[0])),
-        ((Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW), (Joint.RIGHT_ELBOW, WRISTS[1])),
+        ((Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW), (Joint.LEFT_ELBOW, Joint.LEFT_WRIST)),
+        ((Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW), (Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST)),
     ),
     "ankle": (
-        ((Joint.LEFT_KNEE, Joint.LEFT_ANKLE), (Joint.LEFT_ANKLE, TOES[0])),
-        ((Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE), (Joint.RIGHT_ANKLE, TOES[1])),
+        ((Joint.LEFT_KNEE, Joint.LEFT_ANKLE), (Joint.LEFT_ANKLE, Joint.LEFT_FOOT)),
+        ((Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE), (Joint.RIGHT_ANKLE, Joint.RIGHT_FOOT)),
     ),
     "hip": (
         ((Joint.SPINE1, Joint.PELVIS), (Joint.LEFT_HIP, Joint.LEFT_KNEE)),

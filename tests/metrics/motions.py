@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from prbench.geometry.skeleton import Joint
 from prbench.metrics import MotionBatch, ScoringTargets
@@ -33,7 +34,7 @@ def batch(*motions: np.ndarray) -> MotionBatch:
 
 
 def targets(
-    n: int = 1, *, goal=(0.0, 1.6, 2.0), prime_time=0.2, hand=-1, tilt=0.0, fps=FPS, gaze=None
+    n: int = 1, *, goal=(0.0, 1.6, 2.0), prime_time=0.2, hand=-1, tilt: ArrayLike = 0.0, fps=FPS, gaze=None
 ) -> ScoringTargets:
     return ScoringTargets(
         np.broadcast_to(np.asarray(goal, dtype=float), (n, 3)).copy(),
