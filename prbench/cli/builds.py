@@ -86,11 +86,14 @@ def note_unread(records: Sequence[Recording | CorpusRecord], *, reused: int) -> 
         note(f"{reused} recordings were taken over from an interrupted build.")
     remarks: dict[str, list[str]] = {}
     for record in records:
+        remark = record.message
+        for told_elsewhere in (*getattr(record, "shortfalls", ()), *getattr(record, "findings", ())):
+            remark = remark.replace(told_elsewhere, "").strip("; ")
         if record.status != "read":
             note(f"{record.status}: {record.recording_id}: {record.message}")
-        elif record.message:
-            kind = re.sub(r"\d+", "#", record.message)  # remarks that differ in numbers alone are one kind
-            remarks.setdefault(kind, []).append(f"{record.recording_id}: {record.message}")
+        elif remark:
+            kind = re.sub(r"\d+", "#", remark)  # remarks that differ in numbers alone are one kind
+            remarks.setdefault(kind, []).append(f"{record.recording_id}: {remark}")
     # What is said of few recordings comes first: the remarks that all share seldom tell of damage.
     told = sorted(remarks.values(), key=len)
     for each in told[:_EXAMPLES]:

@@ -160,18 +160,15 @@ def open_regular(path: Path, *, largest: int = LARGEST_ARCHIVE) -> io.BufferedRe
         OSError: if it is missing or cannot be read.
     """
     require_size(path, largest=largest)  # looking comes first, because opening a device may do something
-    file = open(path, "rb", opener=_without_waiting)  # noqa: SIM115 - its reader closes it
+    # Waiting for the writer of a pipe that somebody put there a moment ago may never end.
+    flag = getattr(os, "O_NONBLOCK", 0)
+    file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | flag))  # noqa: SIM115 - its reader closes it
     try:
         require_size(path, largest=largest, opened=file.fileno())
     except BaseException:
         file.close()
         raise
     return file
-
-
-def _without_waiting(path: str, flags: int) -> int:
-    """Open what somebody may have exchanged for a pipe a moment ago: waiting for its writer may never end."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def read_end(path: Path, most: int) -> bytes:

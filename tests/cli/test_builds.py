@@ -54,13 +54,14 @@ def test_recordings_that_gave_no_sequence_or_are_cut_short_are_named_with_the_ca
             record("quiet", "read", {"minimum_movement": 1}, size),
             record("fine", "read", {"sequence": 1, "not_primed": 4}, "gaze on half of the frames"),
             record("broken", "failed", {}, "no file"),
-            record("cut", "read", {"sequence": 1}, shortfalls=("objects (o.csv) ends",)),
+            record("cut", "read", {"sequence": 1}, "objects (o.csv) ends; dim", shortfalls=("objects (o.csv) ends",)),
         ],
         reused=0,
     )
     assert capsys.readouterr().err.splitlines() == [
         "failed: broken: no file",
         "remark: fine: gaze on half of the frames",
+        "remark: cut: dim",
         f"remark: blind: {size}; and 2 more, see the column `message`",
         "cut short: cut: objects (o.csv) ends",
         "no sequence: blind: of 5 events 3 too_short, 2 not_primed; no valid gaze, so no event can be primed",

@@ -118,18 +118,15 @@ def read_joints(path: Path) -> Float[np.ndarray, "frames 22 3"]:
         found = f"{joints.shape} of {joints.dtype}"
         raise InputFileError(path, "", expected="numbers of the shape (2 or more, 22, 3)", found=found)
     joints = joints.astype(np.float64)
-    remedy = "Leave the motion out."
-    bad = ~np.isfinite(joints).all(axis=(1, 2))
-    require_rows(path, bad, "finite positions", "NaN", place="frame", first=0, remedy=remedy)
     trunk = float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=-1)))
     if trunk > _LONGEST_TRUNK:
         found = f"{trunk:.0f} from pelvis to head"
         raise InputFileError(path, "", expected="metres", found=found, remedy="Divide by 1,000.")
     if trunk < _SHORTEST_TRUNK:
         raise InputFileError(path, "", expected="a body", found=f"{trunk:.4f} m from pelvis to head")
-    far = np.abs(joints).max(axis=(1, 2))
-    expected = f"positions within {FARTHEST_COORDINATE:g} m"
-    require_rows(
-        path, far > FARTHEST_COORDINATE, expected, lambda row: f"{far[row]:g} m", place="frame", first=0, remedy=remedy
-    )
+    farthest = np.abs(joints).max(axis=(1, 2))  # NaN where a joint is
+    bad = ~(farthest <= FARTHEST_COORDINATE)
+    expected = f"finite positions within {FARTHEST_COORDINATE:g} m"
+    remedy = "Leave the motion out."
+    require_rows(path, bad, expected, lambda row: f"{farthest[row]:g}", place="frame", first=0, remedy=remedy)
     return joints
