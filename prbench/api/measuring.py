@@ -246,6 +246,7 @@ def measure(
             hand=np.array([_SIDES[word] for word in words]),
             head_tilt_deg=np.zeros(size) if tilts is None else tilts,
             fps=np.ones(size) if rates is None else rates,
+            pose_given=recorded is not None,
         )
         constants = load_protocol().metrics
         values = score_metrics(batch, reference, targets, constants, metrics=possible) if possible else {}

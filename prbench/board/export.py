@@ -394,6 +394,8 @@ def table_notes(table: DatasetTable) -> Iterable[str]:
             yield f"{row.entry.method} {row.entry.summary.mark}."
         if row.entry.summary.arrival:
             yield f"{row.entry.method} {row.entry.summary.arrival} (docs/specification/metrics.md#prime-success)."
+        if row.entry.summary.own_first_frame:
+            yield f"{row.entry.method} {row.entry.summary.own_first_frame} (docs/specification/metrics.md#plausible)."
         if row.entry.summary.unsupported:
             yield (
                 f"{row.entry.method}: {row.entry.summary.unsupported} sequences are longer than it can generate and"

@@ -145,6 +145,8 @@ def print_datasets(
     for each in summaries:
         if each.arrival:
             print(f"{_short(each)} {each.arrival}.")
+        if each.own_first_frame:
+            print(f"{_short(each)} {each.own_first_frame}.")
     print("Intervals of 95 %: with --json; metrics beside the main ones: with --all.")
     if not one_mean:
         print("No mean: bodies of some datasets were estimated from the motion of the head, others were captured.")

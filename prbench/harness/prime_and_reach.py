@@ -23,6 +23,7 @@ from prbench.harness.agreement import agreement_with_people, require_agreement
 from prbench.harness.benchmark import Answer, Benchmark, CaseWork
 from prbench.harness.conditions import ConditionSource, ConditionStream, derangement, run_salt
 from prbench.harness.faults import certain_faults
+from prbench.harness.methods.installed import NEAREST_NEIGHBOUR
 from prbench.harness.methods.loading import LoadedMethod, MethodSpec, fitted_to
 from prbench.harness.methods.motions import generate_checked
 from prbench.harness.methods.remote import MOTIONS
@@ -154,6 +155,9 @@ class MotionWork(CaseWork):
             self._protocol.metrics,
             recorded_motion=self._request.method in controls.RECORDED_MOTION,
             other_goals=self._scored_goals,
+            # Controls know the first pose under any condition; the nearest motion begins with a pose of its own.
+            pose_given="initial_joints" in GIVEN[Condition(self._condition)]
+            or (self._method.kind == CONTROL and self._method.name != NEAREST_NEIGHBOUR),
             run_of=self._method.name,
         )
         samples = range(self._request.samples)

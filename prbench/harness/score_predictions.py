@@ -9,6 +9,7 @@ from pathlib import Path
 
 import prbench
 from prbench.checking.doctor.motion_set import Diagnosis
+from prbench.contract import GIVEN
 from prbench.engine import Engine, InProcess
 from prbench.engine.pool import give_back
 from prbench.errors import RunError, StorageError, UsageError
@@ -203,6 +204,7 @@ def _score_file(
     )
     rules = ScoringRules(
         protocol.metrics,
+        pose_given=request.condition is not None and "initial_joints" in GIVEN[request.condition],
         allow_length_mismatch=request.allow_length_mismatch,
         id_seed=seed,
         native_fps=request.native_fps,

@@ -59,6 +59,7 @@ class ScoringRules:
         recorded_motion: The predictions are the recorded motion itself: recorded gaze is scored too.
         other_goals: Score against these goals, one a chosen sequence, instead of each sequence's own; metrics that
             compare the recorded motion with itself are left out then.
+        pose_given: The method was given the first pose: Plausible compares its bones and first frame with it.
         run_of: The method whose run has kept the predictions; None where somebody handed them in as a file.
         farthest: Metres from the origin beyond which a coordinate is refused.
         id_seed: Seed behind the opaque ids, where the predictions have those.
@@ -68,6 +69,7 @@ class ScoringRules:
     constants: MetricConstants
     recorded_motion: bool = False
     other_goals: Float[np.ndarray, "n 3"] | None = None
+    pose_given: bool = True
     run_of: str | None = None
     farthest: float = FARTHEST_COORDINATE
     allow_length_mismatch: bool = False
@@ -197,7 +199,7 @@ def _score_together(part: _Part) -> pa.Table:
     chunk = SequenceChunk(part.recorded)
     recorded = MotionBatch(chunk.joints, chunk.offsets)
     gaze = recorded_gaze(chunk) if rules.recorded_motion else None
-    targets = targets_of(chunk, part.goals, gaze, part.scene)
+    targets = replace(targets_of(chunk, part.goals, gaze, part.scene), pose_given=rules.pose_given)
     metrics = None
     if rules.recorded_motion and rules.other_goals is not None:
         metrics = frozenset(

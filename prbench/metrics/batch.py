@@ -209,6 +209,7 @@ class ScoringTargets:
         fps: Frames per second, one for all or one a sequence.
         gaze: Gaze of the predicted motions: recorded gaze for recorded motion, generated gaze for methods that have it.
         scene: What stands around each sequence and is solid, canonical frames; None where nobody knows.
+        pose_given: The method was given the first pose, which is the recorded one.
 
     Raises:
         ValueError: if goal, prime time, head tilt or frame rate is not finite, or a hand is none of 0, 1 and -1.
@@ -221,6 +222,7 @@ class ScoringTargets:
     fps: float | Float[np.ndarray, " n"]
     gaze: GazeRays | None = None
     scene: Boxes | None = None
+    pose_given: bool = True
 
     def __post_init__(self) -> None:
         columns = {"goal location": self.goal_location, "prime time": self.prime_time, "head tilt": self.head_tilt_deg}
@@ -250,6 +252,12 @@ class ScoringPair:
     recorded: MotionBatch
     targets: ScoringTargets
 
+    @property
+    def first_poses(self) -> Float[np.ndarray, "n 22 3"]:
+        """The pose that each motion was given to begin with; its own first one where it was given none."""
+        motion = self.recorded if self.targets.pose_given else self.predicted
+        return motion.values[motion.first].astype(np.float64)
+
     def part(self, start: int, stop: int) -> ScoringPair:
         """Sequences ``start`` to ``stop - 1``, without copying."""
         targets = self.targets
@@ -264,6 +272,7 @@ class ScoringPair:
             targets.fps_of_sequence[start:stop],
             gaze,
             None if targets.scene is None else targets.scene.part(start, stop),
+            targets.pose_given,
         )
         return ScoringPair(self.predicted.part(start, stop), self.recorded.part(start, stop), part)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.geometry.skeleton import BONES
+from prbench.geometry.skeleton import BONES, Joint
 from prbench.metrics.batch import MotionBatch, ScoringPair
 from prbench.metrics.registry import MetricFamily, MetricValues, detail
 from prbench.protocol.manifests import MetricConstants
@@ -13,28 +13,45 @@ from prbench.protocol.manifests import MetricConstants
 _NO_LENGTH = 1e-6  # metres; what float32 resolves a few metres from the origin
 
 
-def bone_length_change(motion: MotionBatch) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Largest relative change of a bone against frame 0: max over bones and frames of ``|length / length_0 - 1|``.
+_LEGS = (
+    (Joint.LEFT_HIP, Joint.LEFT_KNEE, Joint.LEFT_ANKLE),
+    (Joint.RIGHT_HIP, Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE),
+)
+_ARMS = (
+    (Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST),
+    (Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST),
+)
+_TRUNK = (Joint.PELVIS, Joint.SPINE1, Joint.SPINE2, Joint.SPINE3, Joint.NECK, Joint.HEAD)
+
+
+def bone_length_change(
+    motion: MotionBatch, poses: Float[np.ndarray, "n 22 3"] | None = None
+) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Largest relative change of a bone against a pose: max over bones and frames of ``|length / length_0 - 1|``.
 
     Args:
         motion: Metres, any frame.
+        poses: Pose that each sequence is compared with, metres; its own frame 0 by default.
 
     Returns:
         The change (docs/specification/metrics.md#bone-length-change), and which sequences have a bone of zero length in
-        frame 0. Such a bone has no relative change and is left out.
+        that pose. Such a bone has no relative change and is left out.
     """
-    change, missing = change_of_each_bone(motion)
+    change, missing = change_of_each_bone(motion, poses)
     return change.max(axis=0), np.asarray(missing.any(axis=0))
 
 
-def change_of_each_bone(motion: MotionBatch) -> tuple[Float[np.ndarray, "21 n"], Bool[np.ndarray, "21 n"]]:
-    """Largest relative change of each bone against frame 0, in the order of :data:`~prbench.geometry.skeleton.BONES`.
+def change_of_each_bone(
+    motion: MotionBatch, poses: Float[np.ndarray, "n 22 3"] | None = None
+) -> tuple[Float[np.ndarray, "21 n"], Bool[np.ndarray, "21 n"]]:
+    """Largest relative change of each bone against a pose, in the order of :data:`~prbench.geometry.skeleton.BONES`.
 
     Args:
         motion: Metres, any frame.
+        poses: See :func:`bone_length_change`.
 
     Returns:
-        The change, 0 for a bone of zero length in frame 0, and which bones have no length there.
+        The change, 0 for a bone of zero length in that pose, and which bones have no length there.
     """
     parents, children = np.transpose(BONES)
     squared = motion.columns[children]
@@ -42,11 +59,38 @@ def change_of_each_bone(motion: MotionBatch) -> tuple[Float[np.ndarray, "21 n"],
     squared *= squared
     squared = squared[:, 0] + squared[:, 1] + squared[:, 2]  # (bones, frames)
     initial = np.sqrt(squared[:, motion.first])
+    if poses is not None:
+        initial = np.linalg.norm(poses[:, children] - poses[:, parents], axis=-1).T
     longest = np.sqrt(np.maximum.reduceat(squared, motion.first, axis=1))
     shortest = np.sqrt(np.minimum.reduceat(squared, motion.first, axis=1))
     missing = initial < _NO_LENGTH
     deviation = np.maximum(longest - initial, initial - shortest)
     return np.where(missing, 0.0, deviation / np.where(missing, 1.0, initial)), missing
+
+
+def body_length(motion: MotionBatch) -> Float[np.ndarray, " n"]:
+    """Length of a leg from hip to ankle (mean of both) and of the trunk from pelvis to head, bone by bone, in frame 0.
+
+    It hardly depends on the pose (docs/specification/metrics.md#bone-length-change).
+
+    Args:
+        motion: Metres, any frame.
+    """
+    return _limbs(motion, _LEGS).mean(axis=0) + _limbs(motion, (_TRUNK,))[0]
+
+
+def arm_shares(motion: MotionBatch) -> Float[np.ndarray, "2 n"]:
+    """Length of the left and of the right arm from shoulder to wrist in frame 0, as shares of :func:`body_length`.
+
+    Args:
+        motion: Metres, any frame.
+    """
+    return _limbs(motion, _ARMS) / np.maximum(body_length(motion), _NO_LENGTH)
+
+
+def _limbs(motion: MotionBatch, chains: tuple[tuple[Joint, ...], ...]) -> Float[np.ndarray, "chains n"]:
+    poses = motion.values[motion.first].astype(np.float64)
+    return np.stack([np.linalg.norm(np.diff(poses[:, chain], axis=1), axis=-1).sum(axis=1) for chain in chains])
 
 
 def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:

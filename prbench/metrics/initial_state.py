@@ -23,6 +23,18 @@ def first_frame_error(predicted: MotionBatch, recorded: MotionBatch) -> Float[np
     return np.linalg.norm(difference, axis=-1).mean(axis=-1)
 
 
+def start_offset(pair: ScoringPair) -> Float[np.ndarray, " n"]:
+    """Largest distance of a joint in frame 0 from the pose that the motion was given; 0 where it was given none.
+
+    Source: docs/specification/metrics.md#first-frame-error-and-first-step.
+
+    Args:
+        pair: Canonical frame, metres.
+    """
+    predicted = pair.predicted
+    return np.linalg.norm(predicted.values[predicted.first] - pair.first_poses, axis=-1).max(axis=-1)
+
+
 def first_step(motion: MotionBatch) -> Float[np.ndarray, " n"]:
     """Largest way of a joint from frame 0 to frame 1, metres.
 

@@ -10,9 +10,10 @@ from jaxtyping import Bool, Float
 
 from prbench.geometry.skeleton import TOES, Joint
 from prbench.metrics.batch import MotionBatch, ScoringPair
-from prbench.metrics.bone_length_change import bone_length_change
+from prbench.metrics.bone_length_change import arm_shares, body_length, bone_length_change
 from prbench.metrics.foot_skating import Fps, slow_slides
 from prbench.metrics.footing import footing_numbers
+from prbench.metrics.initial_state import start_offset
 from prbench.metrics.posture import posture_numbers
 from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
 from prbench.protocol.manifests import Limit, MetricConstants
@@ -102,8 +103,8 @@ def largest_trunk_tilt(motion: MotionBatch) -> Float[np.ndarray, " n"]:
 Measure = Callable[[ScoringPair, MetricConstants], Float[np.ndarray, " n"]]
 
 
-def _bone_change(pair: ScoringPair, _: MetricConstants) -> Float[np.ndarray, " n"]:
-    change, missing = bone_length_change(pair.predicted)
+def _bone_change(pair: ScoringPair, poses: Float[np.ndarray, "n 22 3"] | None = None) -> Float[np.ndarray, " n"]:
+    change, missing = bone_length_change(pair.predicted, poses)
     return np.where(missing, np.inf, change)
 
 
@@ -112,6 +113,8 @@ def _trunk_acceleration(pair: ScoringPair, _: MetricConstants) -> Float[np.ndarr
     return difference * pair.targets.fps_of_sequence**2
 
 
+# Flag of a motion that was given no pose: its bones are compared with those of its own first frame.
+OWN_FIRST_FRAME = "own_first_frame"
 # Measures of the motion alone, by the name under which the protocol limits them.
 MEASURES: Mapping[str, Measure] = MappingProxyType(
     {
@@ -119,7 +122,13 @@ MEASURES: Mapping[str, Measure] = MappingProxyType(
         "trunk_tilt": lambda pair, _: largest_trunk_tilt(pair.predicted),
         "floating": lambda pair, _: floating(pair.predicted),
         "penetration": lambda pair, _: penetration(pair.predicted),
-        "bone_change": _bone_change,
+        "bone_change": lambda pair, _: _bone_change(pair),
+        "given_bones": lambda pair, _: _bone_change(pair, pair.first_poses),
+        "given_start": lambda pair, _: start_offset(pair),
+        "smallest_body": lambda pair, _: body_length(pair.predicted),
+        "largest_body": lambda pair, _: body_length(pair.predicted),
+        "shortest_arm": lambda pair, _: arm_shares(pair.predicted).min(axis=0),
+        "longest_arm": lambda pair, _: arm_shares(pair.predicted).max(axis=0),
         "slow_slides": lambda pair, constants: slow_slides(pair.predicted, pair.targets.fps, constants),
         "jerk": lambda pair, _: largest_jerk(pair.predicted, pair.targets.fps),
         "acceleration": lambda pair, _: largest_acceleration(pair.predicted, pair.targets.fps),
@@ -168,7 +177,10 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
     judged = []
     for judge in ("plausible", "plausible_3"):
         broken = broken_limits(numbers, getattr(constants, judge), constants.threshold_tolerance)
-        judged.append(MetricValues(judge, 1.0 - np.logical_or.reduce(list(broken.values())), broken))
+        kept = 1.0 - np.logical_or.reduce(list(broken.values()))
+        if judge == "plausible" and not pair.targets.pose_given:
+            broken[OWN_FIRST_FRAME] = np.ones(len(kept), dtype=bool)
+        judged.append(MetricValues(judge, kept, broken))
     return (
         *judged,
         MetricValues("floating", numbers["floating"], {}),

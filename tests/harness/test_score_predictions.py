@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from prbench.cli.main import main
 from prbench.errors import PredictionsError, RunError, StorageError
 from prbench.harness.conditions import opaque_ids, run_salt
 from prbench.harness.run import run_method
@@ -56,6 +57,26 @@ def test_recorded_motion_handed_in_as_a_file_has_no_error(table, recorded, tmp_p
     assert mean(report, "mpjpe") == mean(report, "goal_mpjpe") == mean(report, "location_error") == 0.0
     assert mean(report, "reach_wrist") == 1.0
     assert (report.summary.method, report.summary.sequences, report.folder) == ("mine", 15, None)
+
+
+@pytest.mark.parametrize(
+    ("condition", "given"), [("goal-loc", True), ("goal-pose", True), ("text", False), ("none", False), (None, False)]
+)
+def test_a_body_is_compared_with_the_pose_that_the_declared_condition_shows(
+    table, recorded, tmp_path, capsys, condition, given
+):
+    path = write(tmp_path / "giants.parquet", {name: 1.2 * motion for name, motion in recorded.items()})
+    declared = ["--condition", condition] if condition else []
+    out = tmp_path / "scored"
+    assert main(["score", str(path), "--data", str(table.folder), *declared, "--out", str(out)]) == 0
+    judged = DatasetSummary.read(out / "synthetic-adt").metric("plausible")
+    assert (judged.flags.get("changing_bones"), judged.flags.get("own_first_frame")) == (
+        (15, None) if given else (None, 15)
+    )
+    assert ("15 × own first frame" in " ".join(capsys.readouterr().out.split())) is not given
+    assert main(["leaderboard", "export", str(out), "--format", "md"]) == 0
+    line = "was given no pose: Plausible compares its bones with its own first frame"
+    assert (line in " ".join(capsys.readouterr().out.split())) is not given
 
 
 @pytest.mark.parametrize(

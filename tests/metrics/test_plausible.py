@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
@@ -213,6 +214,45 @@ def test_a_bone_that_begins_without_length_is_implausible() -> None:
 )
 def test_bodies_that_no_person_has(motion: np.ndarray, flags: set[str]) -> None:
     assert broken(motion) - {"changing_bones"} == flags
+
+
+def with_arms_of(times: float) -> np.ndarray:
+    motion = standing(6)
+    for shoulder, elbow, wrist in ((16, 18, 20), (17, 19, 21)):
+        motion[:, elbow] = motion[:, shoulder] + times * (STANDING[elbow] - STANDING[shoulder])
+        motion[:, wrist] = motion[:, elbow] + times * (STANDING[wrist] - STANDING[elbow])
+    return motion
+
+
+@pytest.mark.parametrize(
+    ("motion", "given", "own"),
+    [
+        pytest.param(standing(6), set(), set(), id="the given body"),
+        pytest.param(1.09 * standing(6), {"other_start"}, set(), id="a tall one"),
+        pytest.param(1.12 * standing(6), {"changing_bones", "other_start"}, set(), id="a giant"),
+        pytest.param(1.6 * standing(6), {"changing_bones", "other_start", "no_adult"}, {"no_adult"}, id="a tree"),
+        pytest.param(0.26 * standing(6), {"changing_bones", "other_start", "no_adult"}, {"no_adult"}, id="a doll"),
+        pytest.param(with_arms_of(2), {"changing_bones", "other_start", "no_adult"}, {"no_adult"}, id="long arms"),
+        pytest.param(with_arms_of(0.5), {"changing_bones", "other_start", "no_adult"}, {"no_adult"}, id="short arms"),
+        pytest.param(np.add(standing(6), (0.049, 0, 0)), set(), set(), id="4.9 cm beside"),
+        pytest.param(np.add(standing(6), (0.051, 0, 0)), {"other_start"}, set(), id="5.1 cm beside"),
+    ],
+)
+def test_a_body_is_the_given_one_from_the_first_frame_on_and_an_adult_where_none_is_given(motion, given, own) -> None:
+    checked = {"changing_bones", "other_start", "no_adult", "own_first_frame"}
+    for pose_given, expected in ((True, given), (False, own | {"own_first_frame"})):
+        where = dataclasses.replace(targets(), pose_given=pose_given)
+        found = score(batch(motion), batch(standing(6)), where, CONSTANTS, metrics=["plausible", "plausible_3"])
+        assert set((found["plausible"].flag[0] or "").split(";")) & checked == expected
+        assert found["plausible_3"].flag == [None] or not set(found["plausible_3"].flag[0].split(";")) & checked
+
+
+def test_what_a_body_was_not_given_is_no_fault_of_it() -> None:
+    where = dataclasses.replace(targets(), pose_given=False)
+    still = batch(standing(6))
+    own = score(still, still, where, CONSTANTS, metrics=["plausible"])["plausible"]
+    assert own.value == score(still, still, targets(), CONSTANTS, metrics=["plausible"])["plausible"].value
+    assert own.flag[0].split(";")[-1] == "own_first_frame"
 
 
 def test_a_teleport_is_too_fast_is_jerky_and_is_counted() -> None:

@@ -15,6 +15,7 @@ from prbench.files.bounded import foreign_input
 from prbench.files.storage import write_json
 from prbench.harness.run_folder.record import SchemaVersion, TableRecord, read_record
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION
+from prbench.metrics.plausible import OWN_FIRST_FRAME
 
 FILE_NAME = "summary.json"
 # Flag of a motion that is the recorded one, beside its MPJPE.
@@ -163,6 +164,14 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         if shown is None or arrival is None or arrival.mean >= shown.mean:
             return ""
         return f"{SECTION} {100 * arrival.mean:.1f} % where the head ray must have been elsewhere before"
+
+    @property
+    def own_first_frame(self) -> str:
+        """Words on bodies that were compared with themselves, because nobody gave them a pose; empty for others."""
+        judged = self.metric("plausible")
+        if judged is None or OWN_FIRST_FRAME not in judged.flags:
+            return ""
+        return "was given no pose: Plausible compares its bones with its own first frame"
 
     @property
     def _motions(self) -> int:
