@@ -76,6 +76,7 @@ def measured_cells(row: TableRow, table: DatasetTable, **about: Any) -> tuple[Ce
             "stands still" if hidden else "",
             entry.summary.mark,
             arrival,
+            entry.summary.own_first_frame if metric.metric == "plausible" else "",
         )
         cell = metric_cell(
             metric.metric,

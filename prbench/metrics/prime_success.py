@@ -71,11 +71,9 @@ def primed(
         away_from = constants.prime_distance + constants.arrival_margin + constants.threshold_tolerance
         # Where the ray is not defined, nobody can say that it was elsewhere.
         away = track.usable & (track.distance > away_from)
-        last_away = _last(away, 1, track)
-        long_away = _last(away, candidates.hold + 1, track)
-        last_stay = _last(on_target, candidates.hold + 1, track)
-        before = np.maximum(last_away[row], 0)
-        chosen &= (last_away[row] >= earliest) & (long_away[before] == before) & (last_stay[before] < earliest)
+        left = _last(away, candidates.hold + 1, track)
+        stayed = _last(on_target, candidates.hold + 1, track)
+        chosen &= (left[row] >= earliest) & (stayed[np.maximum(left[row], 0)] < earliest)
     row = row[chosen]
     hold = hold[chosen]
     sequence = sequence[chosen]
@@ -97,22 +95,19 @@ def primed(
     return success
 
 
-def _last(
-    mask: Bool[np.ndarray, " rows"], frames: int | Int[np.ndarray, " n"], track: RayTrack
-) -> Int[np.ndarray, " rows"]:
+def _last(mask: Bool[np.ndarray, " rows"], frames: Int[np.ndarray, " n"], track: RayTrack) -> Int[np.ndarray, " rows"]:
     """Return the latest row up to each row at which the mask has held for so many frames of a sequence; -1 before.
 
     Args:
         mask: What is asked of each row.
-        frames: Frames that it must have held for, one number for all or one a sequence.
+        frames: Frames that it must have held for, one number a sequence.
         track: Says which rows belong to which sequence.
     """
     rows = np.arange(len(mask))
     # The last row that does not fulfil it, or the one before the sequence.
     unfulfilled = np.maximum.accumulate(np.where(mask, -1, rows))
     unfulfilled = np.maximum(unfulfilled, np.searchsorted(track.sequence, track.sequence) - 1)
-    enough = np.broadcast_to(frames, len(track.row_of_frame_0))[track.sequence]
-    return np.maximum.accumulate(np.where(rows - unfulfilled >= enough, rows, -1))
+    return np.maximum.accumulate(np.where(rows - unfulfilled >= frames[track.sequence], rows, -1))
 
 
 def near_goal(track: RayTrack, constants: MetricConstants, variant: Variant) -> Bool[np.ndarray, " rows"]:

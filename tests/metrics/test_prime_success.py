@@ -165,10 +165,9 @@ def slow_prime_success(joints, goal, tilt, prime_time, fps, constants, variant) 
         before = [s for s in range(t) if (t - s) / fps <= constants.prime_window + 1e-9]
         away = [np.linalg.norm(d) > constants.prime_distance + constants.arrival_margin for d in near]
         away = [a and not b for a, b in zip(away, bad, strict=True)]
-        left = max((s for s in range(t) if away[s]), default=-1)
+        left = max((s for s in before if s >= hold and all(away[s - hold : s + 1])), default=-1)
         stayed = any(all(on[s - hold : s + 1]) for s in before if hold <= s < left)
-        gone = left in before and left >= hold and all(away[left - hold : left + 1])
-        if variant == "arrival" and slower and gone and not stayed:
+        if variant == "arrival" and slower and left >= 0 and not stayed:
             return 1.0
         if variant == "onset" and t >= hold and not on[t - 1]:
             change = np.mean(speed[t + 1 : t + hold + 1]) - np.mean(speed[t - hold + 1 : t + 1])
