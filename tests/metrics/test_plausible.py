@@ -228,7 +228,7 @@ def with_arms_of(times: float) -> np.ndarray:
     ("motion", "given", "own"),
     [
         pytest.param(standing(6), set(), set(), id="the given body"),
-        pytest.param(1.09 * standing(6), {"other_start"}, set(), id="a tall one"),
+        pytest.param(1.07 * standing(6), {"other_start"}, set(), id="a tall one"),
         pytest.param(1.12 * standing(6), {"changing_bones", "other_start"}, set(), id="a giant"),
         pytest.param(1.6 * standing(6), {"changing_bones", "other_start", "no_adult"}, {"no_adult"}, id="a tree"),
         pytest.param(0.26 * standing(6), {"changing_bones", "other_start", "no_adult"}, {"no_adult"}, id="a doll"),
