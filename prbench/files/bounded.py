@@ -211,19 +211,15 @@ def require_unpackable(path: Path, member: zipfile.ZipInfo, *, where: str = "") 
         InputFileError: if it declares too many bytes, altogether or for those that are stored; or if it is packed in
             another way than those two whose unpacking can be stopped at any byte.
     """
-    if member.compress_type not in _WELL_KNOWN:
-        raise InputFileError(
-            path, where, expected="a member stored or deflated", found=f"compression number {member.compress_type}"
-        )
-    plausible = max(HARMLESS_SIZE, HIGHEST_COMPRESSION * member.compress_size)
-    if member.file_size > min(plausible, LARGEST_UNPACKED):
-        raise InputFileError(
-            path,
-            where,
-            expected=f"at most {min(plausible, LARGEST_UNPACKED):,} bytes in {member.compress_size:,} packed ones",
-            found=f"{member.file_size:,} declared",
-            remedy="The archive is damaged, or made to fill the memory; download it again from its origin.",
-        )
+    most = min(max(HARMLESS_SIZE, HIGHEST_COMPRESSION * member.compress_size), LARGEST_UNPACKED)
+    packing = f"compression number {member.compress_type}"
+    expected = f"at most {most:,} bytes in {member.compress_size:,} packed ones"
+    remedy = "The archive is damaged, or made to fill the memory; download it again from its origin."
+    require(
+        path,
+        (member.compress_type in _WELL_KNOWN, where, "a member stored or deflated", packing, ""),
+        (member.file_size <= most, where, expected, f"{member.file_size:,} declared", remedy),
+    )
 
 
 def read_toml(path: Path, expected: str = "a TOML file", remedy: str = "") -> dict[str, Any]:
@@ -266,37 +262,26 @@ def foreign_input(place: Path | str = "input") -> Iterator[None]:
         yield
     except (PrbenchError, MemoryError):
         raise
-    except RecursionError as error:
-        raise InputFileError(
-            file_of(error) or place,
-            "",
-            expected="values nested at most some hundred levels deep",
-            found="more",
-            remedy=_COPY_AGAIN,
-        ) from error
-    except UnicodeDecodeError as error:
-        raise InputFileError(
-            file_of(error) or place, "", expected="text in UTF-8", found=f"other bytes ({error})", remedy=_COPY_AGAIN
-        ) from error
     except Exception as error:
-        file = file_of(error) or place
-        refusal = error.strerror if isinstance(error, OSError) else None
-        if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # of Path.resolve
-            refusal = "a link that leads to itself"
-        if refusal:
-            raise InputFileError(
-                file, "", expected="a file that can be read", found=refusal, remedy=_COPY_AGAIN
-            ) from error
-        raise UnforeseenInput(
-            file,
-            "",
-            expected="content that prbench can read",
-            found=f"what ends in {type(error).__name__}: {error}",
-            remedy=_COPY_AGAIN,
-        ) from error
+        kind = InputFileError
+        expected = "a file that can be read"
+        if isinstance(error, RecursionError):
+            expected = "values nested at most some hundred levels deep"
+            found = "more"
+        elif isinstance(error, UnicodeDecodeError):
+            expected = "text in UTF-8"
+            found = f"other bytes ({error})"
+        elif isinstance(error, OSError) and error.strerror:
+            found = error.strerror
+        elif isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # of Path.resolve
+            found = "a link that leads to itself"
+        else:
+            kind = UnforeseenInput
+            expected = "content that prbench can read"
+            found = f"what ends in {type(error).__name__}: {error}"
+        raise kind(file_of(error) or place, "", expected=expected, found=found, remedy=_COPY_AGAIN) from error
 
 
-@foreign_input()
 def copy_file(path: Path, target: Path) -> None:
     """Copy a file's bytes over another file (see :func:`open_regular` for what it raises)."""
     with open_regular(path) as source, open(target, "wb") as copy:
