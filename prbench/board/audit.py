@@ -7,12 +7,12 @@ list of them and the comparison with recorded people.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.board.cheat_search import FoundMotion, mean_of
+from prbench.board.cheat_search import FoundMotion, Progress, mean_of
 from prbench.contract import Condition
 from prbench.engine import Engine
 from prbench.files.storage import sole_writer
@@ -24,9 +24,6 @@ from prbench.harness.run_folder.summary import DatasetAgreement, DatasetSummary,
 from prbench.metrics import MetricInfo
 
 _ONLY_METHOD = "--method"
-
-# Called with finished runs, all of them, and the one that was finished last.
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

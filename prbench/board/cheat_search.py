@@ -18,24 +18,18 @@ from scipy.optimize import differential_evolution
 
 from prbench.engine import Engine
 from prbench.errors import UsageError, did_you_mean
+from prbench.harness import scripted
 from prbench.harness.conditions import ConditionSource
 from prbench.harness.planning import open_tables, select
 from prbench.harness.recorded_motion import is_recorded_motion
 from prbench.harness.run_folder.summary import ARRIVAL
 from prbench.harness.scoring import COLUMNS, targets_of
-from prbench.harness.scripted import (
-    BODIES,
-    SWAYING,
-    Altered,
-    Body,
-    ScriptedStart,
-    altered_joints,
-    body_joints,
-    ranges_of,
-)
+from prbench.harness.scripted import Altered, Body
 from prbench.metrics import METRICS, MotionBatch, ScoringTargets, score
-from prbench.protocol.manifests import MetricConstants, load_protocol
+from prbench.protocol.manifests import load_protocol
 
+# Called with what is done, all of it, and the name of what was done last.
+Progress = Callable[[int, int, str], None]
 PLAUSIBLE = "plausible"
 REACH = "reach_success"
 EVERY_COLUMN = "all"
@@ -48,7 +42,7 @@ _LEAST_PLAUSIBLE = 0.5
 _POPULATION = 24
 _SPREAD = 0.15  # of a parameter's range; how far the first motions lie around the known cheats
 _CHANGED = 0.4  # of the parameters
-_KNOWN: Mapping[type, Sequence[Body | Altered]] = {Body: tuple(BODIES.values()), Altered: (Altered(), SWAYING)}
+_KNOWN = {Body: tuple(scripted.BODIES.values()), Altered: (Altered(), scripted.SWAYING)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +55,10 @@ class Judged:
         recorded: The recorded motions.
     """
 
-    start: ScriptedStart
+    start: scripted.ScriptedStart
     fps: float
     recorded: MotionBatch
     targets: ScoringTargets
-    constants: MetricConstants
 
     def means(self, motion: Body | Altered | None) -> dict[str, float]:
         """Score a motion made for each sequence, or the recorded one.
@@ -75,11 +68,11 @@ class Judged:
         """
         made = self.recorded
         if isinstance(motion, Body):
-            joints = body_joints(self.start, made.n_frames, self.fps, motion).astype(np.float32)
+            joints = scripted.body_joints(self.start, made.n_frames, self.fps, motion).astype(np.float32)
             made = MotionBatch.from_padded(joints, made.n_frames)
         elif isinstance(motion, Altered):
-            made = MotionBatch(altered_joints(made, self.fps, motion).astype(np.float32), made.offsets)
-        values = score(made, self.recorded, self.targets, self.constants, metrics=_SCORED)
+            made = MotionBatch(scripted.altered_joints(made, self.fps, motion).astype(np.float32), made.offsets)
+        values = score(made, self.recorded, self.targets, load_protocol().metrics, metrics=_SCORED)
         means = {name: float(column.value.mean()) for name, column in values.items()}
         if isinstance(motion, Altered):
             marked = is_recorded_motion(made, self.recorded)
@@ -93,11 +86,11 @@ def judged_tables(folders: Sequence[Path], *, split: str, limit: int | None) -> 
     for table in open_tables(folders):
         selection = select(table, split=split, limit=limit)
         source = ConditionSource.read(selection)
-        start = ScriptedStart(source.initial_joints, source.goal_location, source.head_tilt_deg)
+        start = scripted.ScriptedStart(source.initial_joints, source.goal_location, source.head_tilt_deg)
         ((_, chunk),) = selection.windows(COLUMNS, rows=len(selection))
         recorded = MotionBatch(chunk.joints, chunk.offsets)
         targets = targets_of(chunk, source.goal_location, None)
-        found.append(Judged(start, source.fps, recorded, targets, load_protocol().metrics))
+        found.append(Judged(start, source.fps, recorded, targets))
     return found
 
 
@@ -134,13 +127,7 @@ def mean_of(means: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def search(
-    judged: Sequence[Judged],
-    columns: Sequence[str],
-    *,
-    evaluations: int,
-    seed: int,
-    engine: Engine,
-    progress: Callable[[int, int, str], None],
+    judged: Sequence[Judged], columns: Sequence[str], *, evaluations: int, seed: int, engine: Engine, progress: Progress
 ) -> list[tuple[FoundMotion, ...]]:
     """Look for the motions that earn most on all of some tables, each of which counts alike.
 
@@ -170,7 +157,7 @@ def search(
         # The first generation: the known cheats, and motions that differ from them in some parameters.
         generator = np.random.default_rng(seed)
         known = np.array([list(asdict(each).values()) for each in _KNOWN[family]])
-        low, high = np.transpose(list(ranges_of(family).values()))
+        low, high = np.transpose(list(scripted.ranges_of(family).values()))
         first = np.clip(np.resize(known, (_POPULATION, len(low))), low, high)
         spread = generator.normal(0.0, _SPREAD, first.shape) * (generator.random(first.shape) < _CHANGED)
         first[len(known) :] += spread[len(known) :] * (high - low)
@@ -180,8 +167,6 @@ def search(
             args=(judged, people, family, column),
             init=np.clip(first, low, high),
             maxiter=generations - 1,
-            mutation=(0.4, 0.9),
-            recombination=0.6,
             seed=generator,
             tol=0,
             polish=False,
@@ -196,15 +181,11 @@ def search(
 
 def _motion(family: type[Body | Altered], values: np.ndarray) -> Body | Altered:
     """Return the motion of a vector; rounded, so that printed parameters are the ones that were tried."""
-    return family(**dict(zip(ranges_of(family), np.round(values, 4).tolist(), strict=True)))
+    return family(**dict(zip(scripted.ranges_of(family), np.round(values, 4).tolist(), strict=True)))
 
 
 def _loss(
-    values: np.ndarray,
-    judged: Sequence[Judged],
-    people: Mapping[str, float],
-    family: type[Body | Altered],
-    column: str,
+    values: np.ndarray, judged: Sequence[Judged], people: Mapping[str, float], family: type, column: str
 ) -> float:
     motion = _motion(family, values)
     means = mean_of([each.means(motion) for each in judged])
