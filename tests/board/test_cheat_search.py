@@ -56,7 +56,7 @@ def test_the_known_cheats_are_tried_first_and_another_seed_tries_others_around_t
     known = len(cheat_search.BODIES)
     assert np.array_equal(first[0][:known], first[1][:known])
     assert not np.array_equal(first[0][known:], first[1][known:])
-    assert {each.means["prime_success"] for each in best} == {1.0}  # stare-late has it
+    assert all(each.means["plausible"] > 0.5 for each in best)
 
 
 def test_recordings_that_were_changed_count_only_where_they_are_not_marked_as_copies(judged):
