@@ -157,6 +157,7 @@ CONTROLS = (
     ControlInfo("long-arms", "--method", "cheat: scripted, with arms of twice their length from frame 0 on"),
     ControlInfo("doll", "--method", "cheat: scripted, at a quarter of the body's size from frame 0 on"),
     ControlInfo("nodder", "--method", "cheat: stare, with a nod off the goal and back just before 2.0 s"),
+    ControlInfo("stepper", "--method", "cheat: turns with steps, bends and reaches for what is near"),
     ControlInfo(SWAY, "--method", "cheat: the recorded motion, swaying sideways by 3 cm"),
     ControlInfo(NEAREST_NEIGHBOUR, "--method", "the training motion of the most similar task, laid on the goal"),
     ControlInfo(SHUFFLED_GOAL, "--control", "gives a method another sequence's goal and scores it on its own"),

@@ -53,7 +53,7 @@ def test_the_known_cheats_are_tried_first_and_another_seed_tries_others_around_t
     tried = {seed: Tried() for seed in (1, 2)}
     best = [found(judged, "prime_success", engine, seed, tries=24) for seed, engine in tried.items()]
     first = [np.array(engine.motions) for engine in tried.values()]
-    known = len(cheat_search.BODIES)
+    known = len(cheat_search.scripted.BODIES)
     assert np.array_equal(first[0][:known], first[1][:known])
     assert not np.array_equal(first[0][known:], first[1][known:])
     assert all(each.means["plausible"] > 0.5 for each in best)

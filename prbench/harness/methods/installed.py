@@ -39,7 +39,7 @@ SHUFFLED_GOAL = "shuffled-goal"
 # Motions that earn scores without doing what these are meant to reward (docs/audit.md)
 CHEATS = (
     *("stare", "stare-late", "tremor", "teleport", "float"),
-    *("heel-skater", "hover", "long-arms", "doll", "nodder", SWAY),
+    *("heel-skater", "hover", "long-arms", "doll", "nodder", "stepper", SWAY),
 )
 # Controls that ``--method`` takes
 METHOD_CONTROLS = (
