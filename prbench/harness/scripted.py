@@ -427,9 +427,7 @@ BODIES: Mapping[str, Body] = {
     "long-arms": Body(arm=2.0, twist=0.6, stretch=0.0),
     "doll": Body(size=0.26, twist=1.0, stretch=0.0),
     "nodder": Body(turn_end=-1.0, nod=40.0, stop=np.inf, reach=0.0),
-    "stepper": Body(
-        turn_time=1.8, twist=0.3, go=1.6, stop=1.9, stretch=0, step=0.65, lift=0.15, crouch=0.4, lean=0.8
-    ),
+    "stepper": Body(turn_time=1.8, twist=0.3, go=1.6, stop=1.9, stretch=0, step=0.65, lift=0.15, crouch=0.4, lean=0.8),
 }
 SWAYING = Altered(sway=0.03)
 # Maps the name of each control to what makes its motions.
