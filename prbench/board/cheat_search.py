@@ -167,7 +167,7 @@ def search(
             args=(judged, people, family, column),
             init=np.clip(first, low, high),
             maxiter=generations - 1,
-            seed=generator,
+            seed=generator,  # type: ignore[call-arg] - its name before SciPy 1.15 and after
             tol=0,
             polish=False,
             updating="deferred",

@@ -178,7 +178,7 @@ def test_nothing_is_ranked_below_fifty_sequences_and_controls_never(large_table,
     assert ranked == {"Reacher †", "Reacher"}
     page = (tmp_path / "enough/table_2.md").read_text()
     (header,) = {row for row in page.splitlines() if row.startswith("| Condition")}
-    assert header.count("|") - 1 == 2 + 7
+    assert header.count("|") - 1 == 2 + 8
     # The best mean is not bold where the data support no difference.
     assert not re.search(r"\*\*\d", page)
 
