@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.geometry.skeleton import TOES, Joint
+from prbench.geometry.skeleton import TOES, WRISTS, Joint
 from prbench.metrics.batch import MotionBatch, ScoringPair
 from prbench.metrics.bone_length_change import arm_shares, body_length, bone_length_change
 from prbench.metrics.foot_skating import Fps, slow_slides
@@ -18,6 +18,7 @@ from prbench.metrics.posture import posture_numbers
 from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
 from prbench.protocol.manifests import Limit, MetricConstants
 
+_TRUNK = (Joint.PELVIS, Joint.SPINE3)
 _FEET = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, *TOES)
 
 
@@ -32,9 +33,11 @@ def largest_speed(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
     return _largest_difference(motion, 1) * np.asarray(fps)
 
 
-def largest_acceleration(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
+def largest_acceleration(
+    motion: MotionBatch, fps: Fps, joints: Sequence[int] = tuple(Joint)
+) -> Float[np.ndarray, " n"]:
     """Largest norm of the second difference over frames and joints times fps², m/s²; 0 for fewer than three frames."""
-    return _largest_difference(motion, 2) * np.asarray(fps) ** 2
+    return _largest_difference(motion, 2, joints) * np.asarray(fps) ** 2
 
 
 def largest_jerk(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
@@ -46,7 +49,7 @@ def largest_jerk(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
 
 
 def _largest_difference(
-    motion: MotionBatch, order: int, joints: Sequence[Joint] = tuple(Joint)
+    motion: MotionBatch, order: int, joints: Sequence[int] = tuple(Joint)
 ) -> Float[np.ndarray, " n"]:
     # The norm of the difference that starts at each row; 0 for the last rows of a sequence.
     norms = np.zeros((len(joints), len(motion.values)))
@@ -108,11 +111,6 @@ def _bone_change(pair: ScoringPair, poses: Float[np.ndarray, "n 22 3"] | None = 
     return np.where(missing, np.inf, change)
 
 
-def _trunk_acceleration(pair: ScoringPair, _: MetricConstants) -> Float[np.ndarray, " n"]:
-    difference = _largest_difference(pair.predicted, 2, (Joint.PELVIS, Joint.SPINE3))
-    return difference * pair.targets.fps_of_sequence**2
-
-
 # Flag of a motion that was given no pose: its bones are compared with those of its own first frame.
 OWN_FIRST_FRAME = "own_first_frame"
 # Measures of the motion alone, by the name under which the protocol limits them.
@@ -132,7 +130,8 @@ MEASURES: Mapping[str, Measure] = MappingProxyType(
         "slow_slides": lambda pair, constants: slow_slides(pair.predicted, pair.targets.fps, constants),
         "jerk": lambda pair, _: largest_jerk(pair.predicted, pair.targets.fps),
         "acceleration": lambda pair, _: largest_acceleration(pair.predicted, pair.targets.fps),
-        "trunk_acceleration": _trunk_acceleration,
+        "trunk_acceleration": lambda pair, _: largest_acceleration(pair.predicted, pair.targets.fps, _TRUNK),
+        "wrist_acceleration": lambda pair, _: largest_acceleration(pair.predicted, pair.targets.fps, WRISTS),
         "speed": lambda pair, _: largest_speed(pair.predicted, pair.targets.fps),
     }
 )

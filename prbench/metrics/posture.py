@@ -12,6 +12,7 @@ from prbench.metrics.batch import ScoringPair
 _Bone = tuple[Joint, Joint]
 _HIPS = (Joint.RIGHT_HIP, Joint.LEFT_HIP)
 _SHOULDERS = (Joint.RIGHT_SHOULDER, Joint.LEFT_SHOULDER)
+_FEET = ((Joint.LEFT_ANKLE, Joint.LEFT_FOOT), (Joint.RIGHT_ANKLE, Joint.RIGHT_FOOT))
 _BENDS: dict[str, tuple[tuple[_Bone, _Bone], ...]] = {
     "knee": (
         ((Joint.LEFT_HIP, Joint.LEFT_KNEE), (Joint.LEFT_KNEE, Joint.LEFT_ANKLE)),
@@ -43,6 +44,7 @@ def posture_numbers(pair: ScoringPair) -> dict[str, Float[np.ndarray, " n"]]:
     Returns:
         * ``knee``, ``elbow``, ``ankle``, ``hip``, ``spine``, ``neck``: largest bend, degrees; 0 is straight, and a
           neck at rest has 0.
+        * ``toe_out``: largest turn of a foot against the hips about the vertical, degrees.
         * ``twist``: largest turn of the shoulders against the hips about the trunk, degrees; ``twisting``: its largest
           speed, degrees a second.
         * ``turning``, ``bowing``, ``nodding``: largest speed at which hips or shoulders turn about the vertical, and at
@@ -62,6 +64,11 @@ def posture_numbers(pair: ScoringPair) -> dict[str, Float[np.ndarray, " n"]]:
         bends = [_angle(joints[b] - joints[a], joints[d] - joints[c]) for (a, b), (c, d) in bones]
         found[name] = largest(np.max(bends, axis=0))
     lines = [joints[left] - joints[right] for right, left in (_HIPS, _SHOULDERS)]
+    left_x, _, left_z = lines[0]
+    ahead = np.stack([-left_z, np.zeros_like(left_x), left_x])
+    feet = [joints[toe] - joints[ankle] for ankle, toe in _FEET]
+    level = np.array([[1.0], [0.0], [1.0]])
+    found["toe_out"] = largest(np.max([_angle(ahead, foot * level) for foot in feet], axis=0))
     trunk = joints[Joint.NECK] - joints[Joint.PELVIS]
     # The parts of both lines across the trunk: what is left of their angle is the turn about it.
     squared = np.maximum((trunk * trunk).sum(axis=0), 1e-12)
@@ -69,7 +76,6 @@ def posture_numbers(pair: ScoringPair) -> dict[str, Float[np.ndarray, " n"]]:
     twist = _angle(*across)
     found["twist"] = largest(twist)
     found["twisting"] = _fastest(np.abs(np.diff(twist)), pair)
-    level = np.array([[1.0], [0.0], [1.0]])
     speeds = [_fastest(_angle((line * level)[:, :-1], (line * level)[:, 1:]), pair) for line in lines]
     found["turning"] = np.max(speeds, axis=0)
     found["bowing"] = _fastest(_angle(trunk[:, :-1], trunk[:, 1:]), pair)

@@ -130,6 +130,9 @@ def test_jerk_of_a_cubic_in_metres_a_second_cubed() -> None:
     assert largest_jerk(batch(standing(2), cubic, standing(3)), 20.0) == pytest.approx([0, 48, 0])
     assert largest_jerk(batch(cubic), 30.0) == pytest.approx([0.006 * 30**3])
     assert largest_acceleration(batch(standing(2), cubic), 20.0) == pytest.approx([0, 6 * 7 * 0.001 * 400])
+    reach = standing(5)
+    reach[-1, Joint.LEFT_WRIST, 2] += 0.1
+    assert measured(batch(reach))["wrist_acceleration"] == pytest.approx([40.0]), "a hand that leaps in the last frame"
     nod = standing(5)
     nod[2, Joint.HEAD] += 0.1
     assert measured(batch(nod, cubic))["trunk_acceleration"] == pytest.approx([0, 6 * 7 * 0.001 * 400])

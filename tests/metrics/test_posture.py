@@ -63,6 +63,16 @@ def test_shoulders_twist_against_hips_and_turn_in_time() -> None:
     assert numbers(twisted)["twisting"] == pytest.approx(20.0 * FPS)
 
 
+def test_hips_turn_no_farther_than_the_feet_let_them() -> None:
+    motion = standing(4)
+    assert numbers(motion)["toe_out"] == pytest.approx(0.0)
+    for degrees in (60.0, 170.0, -120.0):
+        angle = np.deg2rad(degrees)
+        motion[2, Joint.LEFT_HIP] = (0.1 * np.cos(angle), 0.85, -0.1 * np.sin(angle))
+        motion[2, Joint.RIGHT_HIP] = (-0.1 * np.cos(angle), 0.85, 0.1 * np.sin(angle))
+        assert numbers(motion)["toe_out"] == pytest.approx(abs(degrees))
+
+
 def test_neck_and_trunk_bend_from_rest_and_turn_in_time() -> None:
     nods = bent(Joint.NECK, Joint.HEAD, Joint.SPINE3, 50.0)
     motions = batch(nods)

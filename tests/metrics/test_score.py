@@ -49,7 +49,14 @@ def eased(limits: dict[str, Limit]) -> dict[str, Limit]:
         "nodding": 900.0,
         "overhang": 1.0,
     }
-    values |= {"hip": 170.0, "spine": 170.0, "ankle": 165.0, "head_under_goal": 0.5, "given_bones": 2.5}
+    values |= {
+        "hip": 170.0,
+        "toe_out": 170.0,
+        "spine": 170.0,
+        "ankle": 165.0,
+        "head_under_goal": 0.5,
+        "given_bones": 2.5,
+    }
     values |= {"given_start": 9.0, "smallest_body": 0.5, "largest_body": 4.0, "shortest_arm": 0.1, "longest_arm": 1.0}
     return {name: msgspec.structs.replace(limit, value=values.get(name, limit.value)) for name, limit in limits.items()}
 
