@@ -28,6 +28,11 @@ from prbench_adapters.kinematics import fitted_rotations, matrices_of, rows_of, 
 from prbench_adapters.training.configuration import require_counts
 from prbench_adapters.training.weights import Weights, read_weights
 
+Latents = Float[Tensor, "batch 1 latent"]
+Joints = Float[Tensor, "batch frames *joints 3"]  # metres
+History = Float[Tensor, "batch history 276"]
+Embedded = Float[Tensor, "batch dimension"]
+
 N_FEATURES = 276
 # Numbers of each field of :class:`Frames`, in their order.
 _SIZES = (3, 6, 6 * (N_JOINTS - 1), 3, 6, 3 * N_JOINTS, 3 * N_JOINTS)
@@ -40,7 +45,7 @@ class Placement:
     rotation: Float[Tensor, "batch 3 3"]
     origin: Float[Tensor, "batch 3"]
 
-    def points(self, points: Float[Tensor, "batch frames *joints 3"]) -> Float[Tensor, "batch frames *joints 3"]:
+    def points(self, points: Joints) -> Joints:
         """Points given here, there."""
         return _turned(self.rotation, points) + _broadcast(self.origin, points)
 
@@ -158,9 +163,7 @@ def canonical_placement(joints: Float[Tensor, "batch 22 3"]) -> Placement:
     return Placement(torch.stack((right, front, up), dim=-1), joints[:, Joint.PELVIS])
 
 
-def _turned(
-    rotation: Float[Tensor, "batch 3 3"], vectors: Float[Tensor, "batch frames *joints 3"]
-) -> Float[Tensor, "batch frames *joints 3"]:
+def _turned(rotation: Float[Tensor, "batch 3 3"], vectors: Joints) -> Joints:
     return (vectors.flatten(1, -2) @ rotation.mT).reshape(vectors.shape)
 
 
@@ -343,9 +346,7 @@ class PrimitiveVAE(nn.Module):
         self.decoder = _SkipTransformer(*sizes, configuration.dropout)
         self.decoder_head = nn.Linear(width, N_FEATURES)
 
-    def encode(
-        self, history: Float[Tensor, "batch history 276"], future: Float[Tensor, "batch future 276"]
-    ) -> tuple[Float[Tensor, "batch 1 latent"], Float[Tensor, "batch 1 latent"]]:
+    def encode(self, history: History, future: Float[Tensor, "batch future 276"]) -> tuple[Latents, Latents]:
         """Mean and logarithm of the variance of the latent; features are standardised."""
         frames = self.frame_embedding(torch.cat((history, future), dim=1))
         tokens = torch.cat((self.distribution_tokens.expand(len(frames), -1, -1), frames), dim=1)
@@ -353,9 +354,7 @@ class PrimitiveVAE(nn.Module):
         found = self.encoder_head(self.encoder(tokens + self.encoder_positions)[:, :2])
         return found[:, :1], found[:, 1:].clamp(-_LARGEST_LOG_VARIANCE, _LARGEST_LOG_VARIANCE)
 
-    def decode(
-        self, latent: Float[Tensor, "batch 1 latent"], history: Float[Tensor, "batch history 276"]
-    ) -> Float[Tensor, "batch future 276"]:
+    def decode(self, latent: Latents, history: History) -> Float[Tensor, "batch future 276"]:
         """Standardised features of the future frames; the latent as :meth:`encode` gives it, not divided by its std."""
         embedded = (self.latent_embedding(latent), self.frame_embedding(history))
         # Frames to come have no content of their own: their position says which one each query asks for.
@@ -387,13 +386,7 @@ class LatentDenoiser(nn.Module):
         rows = max(configuration.diffusion_steps, 3 + HISTORY_FRAMES)
         self.register_buffer("sinusoid", sinusoid_table(rows, width), persistent=False)
 
-    def forward(
-        self,
-        noisy: Float[Tensor, "batch 1 latent"],
-        step: Int[Tensor, " batch"],
-        text: Float[Tensor, "batch dimension"],
-        history: Float[Tensor, "batch history 276"],
-    ) -> Float[Tensor, "batch 1 latent"]:
+    def forward(self, noisy: Latents, step: Int[Tensor, " batch"], text: Embedded, history: History) -> Latents:
         """Return the clean latent, divided by its std as the noisy one is.
 
         Args:
@@ -509,12 +502,12 @@ class DartModel:
             texts=TextVectors(text_encoder(configuration.text_encoder, text_path)),
         )
 
-    def text_vectors(self, texts: tuple[str, ...]) -> Float[Tensor, "batch dimension"]:
+    def text_vectors(self, texts: tuple[str, ...]) -> Embedded:
         """One vector a text, on the model's device."""
         return pooled_texts(self.texts, texts).to(self.device)
 
 
-def pooled_texts(vectors: TextVectors, texts: tuple[str, ...]) -> Float[Tensor, "batch dimension"]:
+def pooled_texts(vectors: TextVectors, texts: tuple[str, ...]) -> Embedded:
     """Return the mean of each text's token vectors; zeros for an empty text, which networks take for none."""
     # Text encoders give vectors for an empty text, too, and the networks know none by zeros.
     said = torch.tensor([bool(text.strip()) for text in texts])

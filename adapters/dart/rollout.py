@@ -20,8 +20,13 @@ from prbench_adapters.diffusion.generation import Guidance
 from prbench_adapters.diffusion.noise_optimisation import Targets, chosen_wrist, last_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim, sample_ddpm
 
+History = Float[Tensor, "batch history 276"]
+Latents = Float[Tensor, "batch 1 latent"]
+Poses = Float[Tensor, "batch 22 3"]  # metres
+Counts = Int[Tensor, " batch"]
+
 # Maps number and standardised history of a primitive to its clean latent, divided by the latents' std.
-SampleLatent = Callable[[int, Float[Tensor, "batch history 276"]], Float[Tensor, "batch 1 latent"]]
+SampleLatent = Callable[[int, History], Latents]
 
 
 @dataclass(frozen=True)
@@ -36,16 +41,14 @@ class Primitive:
         joints: Joints of the future frames, in the world, metres.
     """
 
-    history: Float[Tensor, "batch history 276"]
-    latent: Float[Tensor, "batch 1 latent"]
+    history: History
+    latent: Latents
     features: Float[Tensor, "batch future 276"]
     placement: dart.Placement
     joints: Float[Tensor, "batch future 22 3"]
 
 
-def first_history(
-    previous: Float[Tensor, "batch 22 3"], initial: Float[Tensor, "batch 22 3"]
-) -> tuple[dart.Frames, dart.Placement]:
+def first_history(previous: Poses, initial: Poses) -> tuple[dart.Frames, dart.Placement]:
     """Return the history that a motion starts from: the frame before it and its first, in the world with Z up, metres.
 
     What leads on from the first frame is not known; the body is taken to go on as it came.
@@ -60,7 +63,7 @@ def first_history(
 
 def roll_out(
     model: dart.DartModel,
-    history: Float[Tensor, "batch history 276"],
+    history: History,
     placement: dart.Placement,
     sample: SampleLatent,
     primitives: int,
@@ -120,12 +123,7 @@ class PreparedDenoiser:
         history: Standardised features.
     """
 
-    def __init__(
-        self,
-        denoiser: dart.LatentDenoiser,
-        text: Float[Tensor, "batch dimension"],
-        history: Float[Tensor, "batch history 276"],
-    ) -> None:
+    def __init__(self, denoiser: dart.LatentDenoiser, text: Float[Tensor, "batch dimension"], history: History) -> None:
         self.denoiser, self.places = denoiser, denoiser.sinusoid
         self.layers = cast(list[TransformerLayer], list(denoiser.layers))
         self.project = self.layers[0].self_attention.query_key_value
@@ -135,7 +133,7 @@ class PreparedDenoiser:
         self.times = denoiser.time_embedding(times) + self.places[0]
         self.projected_context, self.projected_times = self.project(self.context), self.project(self.times)
 
-    def __call__(self, noisy: Float[Tensor, "batch 1 latent"], step: int) -> Float[Tensor, "batch 1 latent"]:
+    def __call__(self, noisy: Latents, step: int) -> Latents:
         """Return the clean latent from a noisy one at a diffusion step."""
         rows = len(noisy)
         latent = self.denoiser.latent_embedding(noisy[:, 0]) + self.places[_LATENT]
@@ -178,7 +176,7 @@ class GuidedDenoiser(Guidance):
         super().__init__(scale)
         self.denoiser, self.text = denoiser, text
 
-    def under(self, history: Float[Tensor, "batch history 276"]) -> Callable[[Tensor, int], Tensor]:
+    def under(self, history: History) -> Callable[[Tensor, int], Tensor]:
         """Return the guided estimate of clean latents as the samplers take it: of noisy latents and diffusion step.
 
         Where there are fewer histories than texts, they are those of the first motions.
@@ -191,11 +189,7 @@ class GuidedDenoiser(Guidance):
 
 
 def by_ddim(
-    denoiser: GuidedDenoiser,
-    schedule: CosineSchedule,
-    noise: Float[Tensor, "primitives batch 1 latent"],
-    *,
-    steps: int | None = None,
+    denoiser: GuidedDenoiser, schedule: CosineSchedule, noise: Noise, *, steps: int | None = None
 ) -> SampleLatent:
     """Return a fixed, differentiable map from each primitive's noise to its latent: η = 0, all steps unless given."""
 
@@ -205,9 +199,7 @@ def by_ddim(
     return sample
 
 
-def by_ddpm(
-    denoiser: GuidedDenoiser, schedule: CosineSchedule, draw: Callable[[], Float[Tensor, "batch 1 latent"]]
-) -> SampleLatent:
+def by_ddpm(denoiser: GuidedDenoiser, schedule: CosineSchedule, draw: Callable[[], Latents]) -> SampleLatent:
     """Ancestral sampling with all steps; ``draw`` is called for the start and once a step but the last."""
 
     def sample(number: int, history: Tensor) -> Tensor:  # noqa: ARG001 - every primitive draws
@@ -224,11 +216,7 @@ _SHORTEST_GRADIENT = 1e-6
 
 
 def optimise(
-    motion: Callable[[Noise], Joints],
-    start: Noise,
-    targets: Targets,
-    n_frames: Int[Tensor, " batch"],
-    settings: dart.DartSettings,
+    motion: Callable[[Noise], Joints], start: Noise, targets: Targets, n_frames: Counts, settings: dart.DartSettings
 ) -> tuple[Noise, Joints]:
     """Lower the loss of every sequence by Adam on its noise.
 
@@ -264,7 +252,7 @@ def optimise(
 
 
 def goal_loss(
-    joints: Joints, n_frames: Int[Tensor, " batch"], targets: Targets, settings: dart.DartSettings
+    joints: Joints, n_frames: Counts, targets: Targets, settings: dart.DartSettings
 ) -> Float[Tensor, " batch"]:
     """Huber loss (δ = 1 m) of the last frame, averaged over the coordinates that are asked for.
 

@@ -24,6 +24,15 @@ from torch.nn import functional
 from prbench.representation.features import N_FEATURES
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration, EncodedCondition
 
+Frames = Float[Tensor, "batch length width"]  # embedded frames
+Tokens = Float[Tensor, "batch tokens width"]  # embedded conditions
+Features = Float[Tensor, "batch frames 263"]
+Counts = Int[Tensor, " batch"]  # one whole number a motion
+Valid = Bool[Tensor, "batch frames"]  # frames that are no padding
+Inputs = Float[Tensor, "batch frames features"]
+Attended = Bool[Tensor, "batch 1 1 tokens"]
+Given = Bool[Tensor, "batch tokens"]
+
 # Keys and values of one layer's cross-attention, each (batch, heads, tokens, width / heads).
 KeysValues = tuple[Tensor, Tensor]
 
@@ -38,9 +47,7 @@ class _SelfAttention(nn.Module):
         self.output = nn.Linear(width, width)
         _reset(self.query_key_value, self.output)
 
-    def forward(
-        self, stream: Float[Tensor, "batch length width"], visible: Bool[Tensor, "batch 1 1 length"] | None
-    ) -> Float[Tensor, "batch length width"]:
+    def forward(self, stream: Frames, visible: Bool[Tensor, "batch 1 1 length"] | None) -> Frames:
         """Attend; ``visible`` says which positions of the stream are keys."""
         query, key, value = _split_heads(self.query_key_value(stream), 3, self.heads)
         return self.output(_attend(query, key, value, visible, self.dropout if self.training else 0.0))
@@ -57,7 +64,7 @@ class CrossAttention(nn.Module):
         self.output = nn.Linear(width, width)
         _reset(self.query, self.key_value, self.output)
 
-    def keys_values(self, memory: Float[Tensor, "batch tokens width"]) -> KeysValues:
+    def keys_values(self, memory: Tokens) -> KeysValues:
         """Compute the contribution of the memory tokens, whatever the stream."""
         key, value = _split_heads(self.key_value(memory), 2, self.heads)
         return key, value
@@ -69,12 +76,7 @@ class CrossAttention(nn.Module):
         value = functional.linear(memory, self.key_value.weight[width:], self.key_value.bias[width:])
         return self.output(value)
 
-    def forward(
-        self,
-        stream: Float[Tensor, "batch length width"],
-        keys_values: KeysValues,
-        visible: Bool[Tensor, "batch 1 1 tokens"] | None,
-    ) -> Float[Tensor, "batch length width"]:
+    def forward(self, stream: Frames, keys_values: KeysValues, visible: Attended | None) -> Frames:
         """Attend to what :meth:`keys_values` has made of the memory."""
         (query,) = _split_heads(self.query(stream), 1, self.heads)
         return self.output(_attend(query, *keys_values, visible, self.dropout if self.training else 0.0))
@@ -89,7 +91,7 @@ class _FeedForward(nn.Module):
         self.contract = nn.Linear(hidden, width)
         self.dropout = nn.Dropout(dropout)
 
-    def forward(self, stream: Float[Tensor, "batch length width"]) -> Float[Tensor, "batch length width"]:
+    def forward(self, stream: Frames) -> Frames:
         """Apply to every position by itself."""
         return self.contract(self.dropout(functional.gelu(self.expand(stream))))
 
@@ -110,11 +112,11 @@ class TransformerLayer(nn.Module):
 
     def forward(
         self,
-        stream: Float[Tensor, "batch length width"],
+        stream: Frames,
         visible: Bool[Tensor, "batch 1 1 length"] | None,
         memory: KeysValues | Tensor | None,
-        memory_visible: Bool[Tensor, "batch 1 1 tokens"] | None,
-    ) -> Float[Tensor, "batch length width"]:
+        memory_visible: Attended | None,
+    ) -> Frames:
         """One layer.
 
         Args:
@@ -179,9 +181,7 @@ class _Addition(nn.Module):
         nn.init.zeros_(self.projection.weight)
         nn.init.zeros_(self.projection.bias)
 
-    def forward(
-        self, tokens: Float[Tensor, "batch tokens width"], vector: Float[Tensor, "batch size"]
-    ) -> Float[Tensor, "batch tokens width"]:
+    def forward(self, tokens: Tokens, vector: Float[Tensor, "batch size"]) -> Tokens:
         """Add the projected vector to every token."""
         return tokens + self.projection(vector)[:, None]
 
@@ -205,9 +205,7 @@ class _CrossAttentionInjection(nn.Module):
         self.value = nn.Linear(width, width, bias=False)
         nn.init.zeros_(self.value.weight)
 
-    def forward(
-        self, tokens: Float[Tensor, "batch tokens width"], vector: Float[Tensor, "batch size"]
-    ) -> Float[Tensor, "batch tokens width"]:
+    def forward(self, tokens: Tokens, vector: Float[Tensor, "batch size"]) -> Tokens:
         """Let every token look at the three parts of the vector."""
         parts = stack(
             [layer(vector[:, part]) for layer, part in zip(self.embeddings.values(), self.parts, strict=True)], dim=1
@@ -229,7 +227,7 @@ class PreparedCondition:
 
     front: Float[Tensor, "batch 1 width"] | None
     layers: tuple[KeysValues | Tensor | None, ...]
-    visible: Bool[Tensor, "batch 1 1 tokens"] | None
+    visible: Attended | None
 
 
 class Denoiser(nn.Module):
@@ -265,13 +263,7 @@ class Denoiser(nn.Module):
         self.register_buffer("sinusoid", sinusoid_table(rows, width), persistent=False)
         self.sinusoid: Tensor
 
-    def forward(
-        self,
-        noisy: Float[Tensor, "batch frames 263"],
-        step: Int[Tensor, " batch"],
-        condition: EncodedCondition,
-        n_frames: Int[Tensor, " batch"],
-    ) -> Float[Tensor, "batch frames 263"]:
+    def forward(self, noisy: Features, step: Counts, condition: EncodedCondition, n_frames: Counts) -> Features:
         """Estimate the clean features.
 
         Args:
@@ -282,12 +274,7 @@ class Denoiser(nn.Module):
         """
         return self.denoise(noisy, self.prepare(condition, step), frame_mask(n_frames, noisy.shape[1], noisy.device))
 
-    def denoise(
-        self,
-        noisy: Float[Tensor, "batch frames 263"],
-        prepared: PreparedCondition,
-        visible: Bool[Tensor, "batch frames"] | None,
-    ) -> Float[Tensor, "batch frames 263"]:
+    def denoise(self, noisy: Features, prepared: PreparedCondition, visible: Valid | None) -> Features:
         """Return part of :meth:`forward` that depends on the noisy features; ``visible`` is :func:`frame_mask`'s."""
         frames = noisy.shape[1]
         noisy, visible = self._tokens(noisy, visible)
@@ -304,8 +291,8 @@ class Denoiser(nn.Module):
         return self.head(stream[:, in_front:]).unflatten(-1, (-1, N_FEATURES)).flatten(1, 2)[:, :frames]
 
     def _tokens(
-        self, noisy: Float[Tensor, "batch frames 263"], visible: Bool[Tensor, "batch frames"] | None
-    ) -> tuple[Float[Tensor, "batch tokens size"], Bool[Tensor, "batch tokens"] | None]:
+        self, noisy: Features, visible: Valid | None
+    ) -> tuple[Float[Tensor, "batch tokens size"], Given | None]:
         """Join the frames of each token; a token with a valid frame is visible, and its padded frames are zeros."""
         together = self.configuration.frames_per_token
         if together == 1:
@@ -337,7 +324,7 @@ class Denoiser(nn.Module):
             visible = visible[:, None, None]
         return PreparedCondition(front, tuple(attention.keys_values(memory) for attention in attentions), visible)
 
-    def memory(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> Float[Tensor, "batch tokens width"]:
+    def memory(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> Tokens:
         """Condition tokens: Linear(text) + time + the injected condition vector.
 
         Raises:
@@ -356,9 +343,7 @@ class Denoiser(nn.Module):
         return self.time_embedding(self.sinusoid[step])[:, None]
 
 
-def frame_mask(
-    n_frames: Int[Tensor, " batch"], frames: int, device: torch.device
-) -> Bool[Tensor, "batch frames"] | None:
+def frame_mask(n_frames: Counts, frames: int, device: torch.device) -> Valid | None:
     """Return True for valid frames; None if all are.
 
     That is looked at only if ``n_frames`` lies on the CPU: elsewhere the host would have to wait for the device.
@@ -368,9 +353,7 @@ def frame_mask(
     return torch.arange(frames, device=device) < n_frames.to(device, non_blocking=True)[:, None]
 
 
-def pooled(
-    text: Float[Tensor, "batch tokens dimension"], padding: Bool[Tensor, "batch tokens"]
-) -> Float[Tensor, "batch 1 dimension"]:
+def pooled(text: Float[Tensor, "batch tokens dimension"], padding: Given) -> Float[Tensor, "batch 1 dimension"]:
     """Mean over the word pieces of each row."""
     # At least 1 below, so that a text without word pieces gives zeros and no NaN.
     weight = (~padding).to(text.dtype)[..., None]
@@ -400,12 +383,7 @@ class _Layer(nn.Module):
         self.contract = nn.Linear(hidden, width)
         self.dropout = nn.Dropout(dropout)
 
-    def forward(
-        self,
-        stream: Float[Tensor, "batch tokens width"],
-        condition: Float[Tensor, "batch width"],
-        visible: Bool[Tensor, "batch tokens"],
-    ) -> Float[Tensor, "batch tokens width"]:
+    def forward(self, stream: Tokens, condition: Float[Tensor, "batch width"], visible: Given) -> Tokens:
         stream = stream + self.condition(condition)[:, None]
         parts = self.query_key_value(self.attention_norm(stream)).chunk(3, dim=-1)
         query, key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in parts)
@@ -454,13 +432,7 @@ class FrameDenoiser(nn.Module):
         self.register_buffer("sinusoid", sinusoid_table(configuration.max_frames + 1, width), persistent=False)
         self.sinusoid: Tensor
 
-    def forward(
-        self,
-        noisy: Float[Tensor, "batch frames features"],
-        step: Int[Tensor, " batch"],
-        condition: EncodedCondition,
-        n_frames: Int[Tensor, " batch"],
-    ) -> Float[Tensor, "batch frames features"]:
+    def forward(self, noisy: Inputs, step: Counts, condition: EncodedCondition, n_frames: Counts) -> Inputs:
         """Estimate the clean features; the arguments are those of :class:`~.denoiser.Denoiser`."""
         visible = frame_mask(n_frames, noisy.shape[1], noisy.device)
         return self.denoise(noisy, self.prepare(condition, step), visible)
@@ -477,12 +449,7 @@ class FrameDenoiser(nn.Module):
         told = self.condition_embedding(torch.cat((condition.vector, text), dim=1))
         return functional.silu(told + self.step_embedding(step))
 
-    def denoise(
-        self,
-        noisy: Float[Tensor, "batch frames features"],
-        prepared: Float[Tensor, "batch width"],
-        visible: Bool[Tensor, "batch frames"] | None,
-    ) -> Float[Tensor, "batch frames features"]:
+    def denoise(self, noisy: Inputs, prepared: Float[Tensor, "batch width"], visible: Valid | None) -> Inputs:
         """Return part of :meth:`forward` that depends on the noisy features; ``visible`` is :func:`frame_mask`'s."""
         frames = noisy.shape[1]
         if visible is None:
@@ -498,7 +465,7 @@ class FrameDenoiser(nn.Module):
         clean = self.head(self.head_norm(stream))
         return clean.unflatten(-1, (self.configuration.frames_per_token, -1)).flatten(1, 2)[:, :frames]
 
-    def _tokens(self, values: Tensor, visible: Bool[Tensor, "batch frames"]) -> Tensor:
+    def _tokens(self, values: Tensor, visible: Valid) -> Tensor:
         """Join the frames of each token; padded frames are zeros."""
         together = self.configuration.frames_per_token
         values = values.masked_fill(~visible[..., None], 0)

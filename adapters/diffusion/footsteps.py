@@ -12,6 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+Feet = Float[np.ndarray, "frames 2 3"]  # left and right, metres
+Heights = Float[np.ndarray, "frames 2 2"]
+Points = Float[np.ndarray, "frames 3"]  # metres
+
 # Seconds of a swing: 40 % of a gait cycle of 1.1 seconds (Perry and Burnfield 2010, Gait Analysis).
 SWING = 0.45
 # Metres to which a toe joint rises in the middle of its swing; choice: recorded toes are at 6.8 cm on the average while
@@ -45,9 +49,7 @@ class _Swing:
     behind: float = 0.0
 
 
-def stepped(
-    wanted: Float[np.ndarray, "frames 2 3"], stands: Bool[np.ndarray, "frames 2"], fps: float, *, keeps_last: bool
-) -> Float[np.ndarray, "frames 2 3"]:
+def stepped(wanted: Feet, stands: Bool[np.ndarray, "frames 2"], fps: float, *, keeps_last: bool) -> Feet:
     """Toes that stand still on the floor or swing above it, close to where they are wanted.
 
     Args:
@@ -70,9 +72,7 @@ def stepped(
     return np.stack(feet, axis=1)
 
 
-def _swings(
-    wanted: Float[np.ndarray, "frames 2 2"], stands: np.ndarray, behind: list[float], fps: float
-) -> list[list[_Swing]]:
+def _swings(wanted: Heights, stands: np.ndarray, behind: list[float], fps: float) -> list[list[_Swing]]:
     """Plan the swings of both feet, from the first frame on; one foot at a time leaves the floor.
 
     Args:
@@ -121,9 +121,7 @@ def _landing(wanted: Float[np.ndarray, "frames 2"], stop: int, length: int) -> F
     return wanted[first : first + length].mean(axis=0)
 
 
-def _ending_as_wanted(
-    swings: list[list[_Swing]], wanted: Float[np.ndarray, "frames 2 2"], fps: float
-) -> list[list[_Swing]]:
+def _ending_as_wanted(swings: list[list[_Swing]], wanted: Heights, fps: float) -> list[list[_Swing]]:
     """Swings of which the last one of each foot lands where the toe is wanted in the last frame.
 
     A foot that has stood all the time and ends no farther away than it may lag gets none: it turns on the floor.
@@ -148,9 +146,7 @@ def _ending_as_wanted(
     return ending
 
 
-def _way(
-    wanted: Float[np.ndarray, "frames 3"], swings: list[_Swing], fps: float, *, keeps_last: bool
-) -> Float[np.ndarray, "frames 3"]:
+def _way(wanted: Points, swings: list[_Swing], fps: float, *, keeps_last: bool) -> Points:
     """Return the toe's way: the lowest wanted heights above the floor while it stands, and between them the swings."""
     n = len(wanted)
     frames = np.arange(n)

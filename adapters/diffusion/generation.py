@@ -34,12 +34,16 @@ from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser, frame_m
 from prbench_adapters.diffusion.model import Feet, MotionModel, Reach
 from prbench_adapters.diffusion.sampling import sample_ddim, sample_ddpm
 
+Lengths = Int[np.ndarray, " batch"]  # frames
+Joints = Float[torch.Tensor, "batch frames 22 3"]  # metres
+Features = Float[Tensor, "batch frames features"]
+
 _MOST_PADDING = 0.25  # of the shortest sequence of a part
 _PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
 _SHORTEST = 1e-6  # metres; keeps the direction of a vanished bone, and its gradient, finite
 
 
-def parts_of_similar_length(n_frames: Int[np.ndarray, " batch"], largest: int) -> list[Int[np.ndarray, " _"]]:
+def parts_of_similar_length(n_frames: Lengths, largest: int) -> list[Int[np.ndarray, " _"]]:
     """Row numbers in parts of at most ``largest``, shortest sequences first.
 
     A part ends early where the next sequence would make the shortest one carry a quarter of its length as padding.
@@ -64,9 +68,7 @@ class SequenceNoise:
         device: Device that the noise is put on.
     """
 
-    def __init__(
-        self, noise_seed: Sequence[int], n_frames: Int[np.ndarray, " batch"], device: torch.device | str = "cpu"
-    ) -> None:
+    def __init__(self, noise_seed: Sequence[int], n_frames: Lengths, device: torch.device | str = "cpu") -> None:
         # One stream a sequence, drawn with NumPy: neither batch nor device changes a number.
         self._generators = [sequence_generator(seed) for seed in noise_seed]
         self._n_frames, self._device = n_frames, device
@@ -80,11 +82,7 @@ class SequenceNoise:
 
 
 def start_noise(
-    noise_seed: Sequence[int],
-    n_frames: Int[np.ndarray, " batch"],
-    device: torch.device | str = "cpu",
-    *,
-    columns: int = N_FEATURES,
+    noise_seed: Sequence[int], n_frames: Lengths, device: torch.device | str = "cpu", *, columns: int = N_FEATURES
 ) -> Float[torch.Tensor, "batch frames columns"]:
     """Return noise that sampling starts from, and noise optimisation too: the first draw of each sequence."""
     return SequenceNoise(noise_seed, n_frames, device).draw(columns)
@@ -134,9 +132,7 @@ def bone_lengths(pose: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tensor
     return (pose[..., _CHILDREN, :] - pose[..., _PARENTS, :]).norm(dim=-1)
 
 
-def with_bone_lengths(
-    joints: Float[torch.Tensor, "batch frames 22 3"], lengths: Float[torch.Tensor, "batch 21"]
-) -> Float[torch.Tensor, "batch frames 22 3"]:
+def with_bone_lengths(joints: Joints, lengths: Float[torch.Tensor, "batch 21"]) -> Joints:
     """Keep the directions of all bones, with other lengths; differentiable.
 
     The pelvis keeps its place over the floor, and the lowest joint its height: longer legs would sink into the floor.
@@ -234,9 +230,7 @@ class Guided(Guidance):
         self._prepared: dict[int, Any] | None = {} if reuse else None
         self._masks: dict[int, Tensor | None] = {}
 
-    def __call__(
-        self, noisy: Float[Tensor, "batch frames features"], step: int
-    ) -> Float[Tensor, "batch frames features"]:
+    def __call__(self, noisy: Features, step: int) -> Features:
         """Return the guided estimate of the clean features at ``step`` of the training schedule."""
 
         def predict(rows: Tensor) -> Tensor:

@@ -29,6 +29,10 @@ from torch.nn import functional
 from prbench.geometry.skeleton import BONES, N_JOINTS, PARENTS, TOES, WRISTS, Joint
 from prbench_adapters.diffusion.footsteps import stepped
 
+Joints = Float[Tensor, "batch frames 22 3"]  # metres
+Flat = Float[Tensor, "batch frames 66"]  # joints in one row
+Counts = Int[Tensor, " batch"]
+
 # Seconds over which corrections of the first and last frame fade out; choice: about a step.
 FADE = 0.5
 # Metres a second over the floor below which a toe counts as planted: the protocol's ``slide_speed``. Noise of body
@@ -112,12 +116,12 @@ class GoalFrame:
         last = None if pose is None else frame._pose_features(pose[:, None])[:, 0]
         return replace(frame, first=first, rates=(soon - first) / _SOON, last=last)
 
-    def encode(self, joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Float[Tensor, "batch frames 68"]:
+    def encode(self, joints: Joints, fps: float) -> Float[Tensor, "batch frames 68"]:
         """Features of canonical joints; lengths of bones are lost."""
         pose = self._pose_features(joints)
         return torch.cat((pose, planted(joints, fps).to(pose.dtype)), dim=2)
 
-    def _pose_features(self, joints: Tensor) -> Float[Tensor, "batch frames 66"]:
+    def _pose_features(self, joints: Tensor) -> Flat:
         directions = _unit(_bones(joints))[:, :, [joint - 1 for joint in _DIRECTED]]
         places = joints[:, :, (Joint.PELVIS, *_ENDS)] - self.origin[:, None, None]
         pelvis, ends = self._turned(places).split((1, len(_ENDS)), dim=2)
@@ -126,12 +130,12 @@ class GoalFrame:
     def decode(
         self,
         features: Float[Tensor, "batch frames 68"],
-        n_frames: Int[Tensor, " batch"],
+        n_frames: Counts,
         fps: float,
         *,
         steps: bool = False,
         reach: bool = False,
-    ) -> Float[Tensor, "batch frames 22 3"]:
+    ) -> Joints:
         """Canonical joints, metres, with the bones, the first frame and the goal pose that are given.
 
         Args:
@@ -155,9 +159,7 @@ class GoalFrame:
             pose = self._reaching(pose, n_frames, fps)
         return self._turned(self._joints(pose), back=True) + self.origin[:, None, None]
 
-    def led_to_goal(
-        self, joints: Float[Tensor, "batch frames 22 3"], n_frames: Int[Tensor, " batch"], fps: float
-    ) -> Float[Tensor, "batch frames 22 3"]:
+    def led_to_goal(self, joints: Joints, n_frames: Counts, fps: float) -> Joints:
         """Finished canonical joints on the bones of the initial pose, with the nearer wrist led up to the goal.
 
         Args:
@@ -168,14 +170,14 @@ class GoalFrame:
         pose = self._reaching(self._pose_features(joints), n_frames, fps)
         return self._turned(self._joints(pose), back=True) + self.origin[:, None, None]
 
-    def _pose(self, features: Tensor, n_frames: Tensor, fps: float) -> Float[Tensor, "batch frames 66"]:
+    def _pose(self, features: Tensor, n_frames: Tensor, fps: float) -> Flat:
         """Smooth features of unit directions, with the frames that are given."""
         features = smoothed(features[..., :N_POSE_FEATURES], n_frames)
         before, directions, after = features.tensor_split((_DIRECTIONS.start, _DIRECTIONS.stop), dim=-1)
         directions = _unit(directions.unflatten(-1, (-1, 3))).flatten(-2)
         return self._kept(torch.cat((before, directions, after), dim=-1), n_frames, fps)
 
-    def _joints(self, features: Float[Tensor, "batch frames 66"]) -> Float[Tensor, "batch frames 22 3"]:
+    def _joints(self, features: Flat) -> Joints:
         """Chain the bones of the trunk from the pelvis, and let arms and legs reach from there to their ends."""
         pelvis = features[:, :, None, :3]
         directions = _unit(features[..., _DIRECTIONS].unflatten(2, (-1, 3)))
@@ -205,9 +207,7 @@ class GoalFrame:
         together = torch.cat((pelvis, trunk, middles, ends, toes), dim=2)
         return together[:, :, [order.index(joint) for joint in range(N_JOINTS)]]
 
-    def _reaching(
-        self, pose: Float[Tensor, "batch frames 66"], n_frames: Tensor, fps: float
-    ) -> Float[Tensor, "batch frames 66"]:
+    def _reaching(self, pose: Flat, n_frames: Tensor, fps: float) -> Flat:
         """Lead the wrist that ends nearer to the goal up to it, within the last :data:`FADE` seconds.
 
         It stops :data:`_TOUCH` before the goal. Where the arm is too short, the pelvis makes up for the rest.
@@ -219,9 +219,7 @@ class GoalFrame:
         rest = self._missing(pose, last).sum(dim=1)
         return pose + functional.pad(fade * rest[:, None], (0, N_POSE_FEATURES - 3))
 
-    def _moved(
-        self, pose: Float[Tensor, "batch frames 66"], moves: Float[Tensor, "batch frames 2 3"], *, first: int
-    ) -> Float[Tensor, "batch frames 66"]:
+    def _moved(self, pose: Flat, moves: Float[Tensor, "batch frames 2 3"], *, first: int) -> Flat:
         """Move two neighbouring ankles or wrists, and turn the way in which their limbs bend with them.
 
         Args:
@@ -240,7 +238,7 @@ class GoalFrame:
         parts = (pose[..., : pole.start], turned, pose[..., pole.stop : end.start])
         return torch.cat((*parts, pose[..., end] + moves.flatten(2), pose[..., end.stop :]), dim=2)
 
-    def _missing(self, pose: Tensor, last: Int[Tensor, " batch"]) -> Float[Tensor, "batch 2 3"]:
+    def _missing(self, pose: Tensor, last: Counts) -> Float[Tensor, "batch 2 3"]:
         """Return what each wrist lacks to touch the goal in the last frame; zeros for the one that is farther away."""
         wrists = self._joints(pose)[torch.arange(len(pose), device=pose.device), last][:, WRISTS]
         missing = functional.pad(self.height[:, None, None], (1, 1)) - wrists
@@ -279,7 +277,7 @@ class GoalFrame:
             sin = -sin
         return torch.stack((cos * x - sin * z, y, sin * x + cos * z), dim=-1)
 
-    def seen(self, joints: Float[Tensor, "batch frames 22 3"]) -> Float[Tensor, "batch frames 22 3"]:
+    def seen(self, joints: Joints) -> Joints:
         """Canonical joints as they are seen from the goal."""
         return self._turned(joints - self.origin[:, None, None])
 
@@ -310,9 +308,7 @@ def seen_size(goal: str) -> int:
     return 2 * _POSE + (N_JOINTS - 1) + 1 + N_SIGHT + (_POSE if goal == "pose" else 0)
 
 
-def sight(
-    joints: Float[Tensor, "batch frames 22 3"], height: Float[Tensor, " batch"]
-) -> Float[Tensor, "batch frames sight"]:
+def sight(joints: Joints, height: Float[Tensor, " batch"]) -> Float[Tensor, "batch frames sight"]:
     """Measure where the goal is, seen from head, wrists and feet.
 
     Args:
@@ -356,7 +352,7 @@ def _unit(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
     return vectors / vectors.norm(dim=-1, keepdim=True).clamp_min(_SHORTEST)
 
 
-def smoothed(features: Tensor, n_frames: Int[Tensor, " batch"]) -> Tensor:
+def smoothed(features: Tensor, n_frames: Counts) -> Tensor:
     """Average neighbouring frames with weights 1, 2, 1; the first and the last frame stay."""
     bend = functional.pad(features.diff(n=2, dim=1), (0, 0, 1, 1))
     frame = torch.arange(features.shape[1], device=features.device)
@@ -377,13 +373,13 @@ def _fade(seconds: Tensor) -> Tensor:
     return 0.5 + 0.5 * torch.cos(torch.pi * (seconds / FADE).clamp(max=1.0))
 
 
-def planted(joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Bool[Tensor, "batch frames 2"]:
+def planted(joints: Joints, fps: float) -> Bool[Tensor, "batch frames 2"]:
     """Return True where a toe is low and still, coming into a frame or going out of it."""
     steps = still_steps(joints, fps)
     return functional.pad(steps, (0, 0, 1, 0)) | functional.pad(steps, (0, 0, 0, 1))
 
 
-def still_steps(joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Bool[Tensor, "batch steps 2"]:
+def still_steps(joints: Joints, fps: float) -> Bool[Tensor, "batch steps 2"]:
     """Return True where a toe stays low and in its place from one frame to the next."""
     toes = joints[:, :, TOES]
     low = toes[..., 1] < LOW

@@ -26,6 +26,11 @@ from prbench_adapters.diffusion.generation import choice, number, whole_number
 from prbench_adapters.diffusion.model import Reach
 from prbench_adapters.diffusion.sampling import Spacing
 
+Counts = Int[torch.Tensor, " batch"]
+Poses = Float[torch.Tensor, "batch 22 3"]  # metres
+Values = Float[torch.Tensor, " batch"]  # one number a motion
+Latent = Float[torch.Tensor, "batch frames features"]
+
 Hand = Literal["right", "left", "nearest"]
 Bones = Literal["predicted", "initial"]
 
@@ -182,7 +187,7 @@ def optimisation_settings(
 
 
 Joints = Float[torch.Tensor, "batch frames 22 3"]
-_PerSequence = Float[torch.Tensor, " batch"]
+_PerSequence = Values
 
 _SOFTNESS = 0.01  # m² of the soft minimum over wrists: 10 cm apart counts as a decision
 
@@ -206,9 +211,9 @@ class Losses:
 class Targets:
     """Initial states and goals of B motions, canonical frame, metres; exactly one of the two goals is given."""
 
-    initial_joints: Float[torch.Tensor, "batch 22 3"]
-    previous_joints: Float[torch.Tensor, "batch 22 3"]
-    goal_joints: Float[torch.Tensor, "batch 22 3"] | None = None
+    initial_joints: Poses
+    previous_joints: Poses
+    goal_joints: Poses | None = None
     goal_location: Float[torch.Tensor, "batch 3"] | None = None
 
     def __post_init__(self) -> None:
@@ -222,12 +227,10 @@ class Targets:
 
 
 # Losses of motions against targets of the same batch.
-Objective = Callable[[Joints, Int[torch.Tensor, " batch"], Targets, OptimisationSettings], Losses]
+Objective = Callable[[Joints, Counts, Targets, OptimisationSettings], Losses]
 
 
-def prime_and_reach(
-    joints: Joints, n_frames: Int[torch.Tensor, " batch"], targets: Targets, settings: OptimisationSettings
-) -> Losses:
+def prime_and_reach(joints: Joints, n_frames: Counts, targets: Targets, settings: OptimisationSettings) -> Losses:
     """L_init + L_goal + alpha L_jerk; squared distances are averaged over joints, so that 1 weighs as much as 22.
 
     Source: *Prime and Reach*, section 4.2; docs/specification/pr-model.md#latent-noise-optimisation.
@@ -243,9 +246,7 @@ def prime_and_reach(
     return Losses(minimised, initial, goal)
 
 
-def keyframes(
-    joints: Joints, n_frames: Int[torch.Tensor, " batch"], targets: Targets, settings: OptimisationSettings
-) -> Losses:
+def keyframes(joints: Joints, n_frames: Counts, targets: Targets, settings: OptimisationSettings) -> Losses:
     """DNO's criterion: mean absolute error over the coordinates that are asked for, metres.
 
     Source: docs/specification/dno.md#the-optimiser. Asked for are the first frame, and in the last frame all joints or
@@ -265,9 +266,7 @@ def keyframes(
     )
 
 
-def _goal_losses(
-    joints: Joints, n_frames: Int[torch.Tensor, " batch"], targets: Targets, hand: Hand
-) -> tuple[_PerSequence, _PerSequence]:
+def _goal_losses(joints: Joints, n_frames: Counts, targets: Targets, hand: Hand) -> tuple[_PerSequence, _PerSequence]:
     """Return the goal loss as reported and as minimised, m²; they differ for ``hand="nearest"`` only.
 
     Reported is then the nearer wrist's squared distance, minimised a soft minimum that is never above it, whose
@@ -286,9 +285,7 @@ def _goal_losses(
     return squared.amin(dim=1), -_SOFTNESS * torch.logsumexp(-squared / _SOFTNESS, dim=1)
 
 
-def chosen_wrist(
-    pose: Float[torch.Tensor, "batch 22 3"], location: Float[torch.Tensor, "batch 3"], hand: Hand
-) -> Float[torch.Tensor, "batch 3"]:
+def chosen_wrist(pose: Poses, location: Float[torch.Tensor, "batch 3"], hand: Hand) -> Float[torch.Tensor, "batch 3"]:
     """Position of the wrist named by ``hand``, or of the one nearer to ``location``."""
     left = pose[:, Joint.LEFT_WRIST]
     right = pose[:, Joint.RIGHT_WRIST]
@@ -298,19 +295,17 @@ def chosen_wrist(
     return torch.where(left_nearer[:, None], left, right)
 
 
-def _squared_distance(
-    predicted: Float[torch.Tensor, "batch 22 3"], wanted: Float[torch.Tensor, "batch 22 3"]
-) -> _PerSequence:
+def _squared_distance(predicted: Poses, wanted: Poses) -> _PerSequence:
     """Mean over joints of the squared distance, m²."""
     return (predicted - wanted).square().sum(-1).mean(-1)
 
 
-def last_frame(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, "batch 22 3"]:
+def last_frame(joints: Joints, n_frames: Counts) -> Poses:
     """Return the last pose of each sequence's own frames."""
     return joints[torch.arange(len(joints), device=joints.device), n_frames - 1]
 
 
-def _jerk_lengths(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, "batch windows 22"]:
+def _jerk_lengths(joints: Joints, n_frames: Counts) -> Float[torch.Tensor, "batch windows 22"]:
     """Lengths of x(n+3) - 3 x(n+2) + 3 x(n+1) - x(n), metres per frame³; 0 where a window leaves the sequence.
 
     The gradient of a length 0 is 0, not NaN.
@@ -323,7 +318,7 @@ def _jerk_lengths(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Floa
     return torch.where(moving, torch.where(moving, squared, 1.0).sqrt(), 0.0)
 
 
-def largest_jerk(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> _PerSequence:
+def largest_jerk(joints: Joints, n_frames: Counts) -> _PerSequence:
     """Return the largest of :func:`_jerk_lengths`, 0 for fewer than four frames.
 
     Source: docs/specification/pr-model.md#latent-noise-optimisation.
@@ -332,7 +327,7 @@ def largest_jerk(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> _PerS
     return lengths.amax(dim=1) if lengths.shape[1] else joints.new_zeros(len(joints))
 
 
-def jerk_norm(joints: Joints, n_frames: Int[torch.Tensor, " batch"], power: float) -> _PerSequence:
+def jerk_norm(joints: Joints, n_frames: Counts, power: float) -> _PerSequence:
     """(sum of jerk^power)^(1/power) over frames and joints: never below the largest jerk, near it for a high power.
 
     Its gradient reaches every place that is about as jerky as the worst one, where the maximum reaches one place only.
@@ -353,7 +348,7 @@ _BETAS = (0.9, 0.999)
 _EPSILON = 1e-8
 _SHORTEST_GRADIENT = 1e-12
 
-Noise = Float[torch.Tensor, "batch frames features"]
+Noise = Latent
 
 
 def learning_rate_factor(step: int, *, warmup: int, iterations: int) -> float:
@@ -371,7 +366,7 @@ def learning_rate_factor(step: int, *, warmup: int, iterations: int) -> float:
     return ramp * (math.cos(math.pi * step / iterations) + 1.0) / 2.0
 
 
-def decorrelation(noise: Float[torch.Tensor, "batch frames features"]) -> Float[torch.Tensor, " batch"]:
+def decorrelation(noise: Latent) -> Values:
     """Squared correlation of neighbouring frames, summed over a pyramid of averaged frames.
 
     At each size from ``frames`` down to 2: the mean over frames and features of z_t z_(t-1), cyclic in time, squared;
@@ -388,11 +383,7 @@ def decorrelation(noise: Float[torch.Tensor, "batch frames features"]) -> Float[
     return total
 
 
-def padded_decorrelation(
-    noise: Float[torch.Tensor, "batch frames features"],
-    n_frames: Int[torch.Tensor, " batch"],
-    generators: Sequence[np.random.Generator],
-) -> Float[torch.Tensor, " batch"]:
+def padded_decorrelation(noise: Latent, n_frames: Counts, generators: Sequence[np.random.Generator]) -> Values:
     """Decorrelation loss of each sequence's own frames; what lies behind them leaves no trace.
 
     Noise of any length is filled up to the next power of two with fresh normal numbers. Each sequence draws from a
@@ -428,10 +419,10 @@ class OptimisedMotions:
     """
 
     joints: Float[torch.Tensor, "batch frames 22 3"]
-    noise: Float[torch.Tensor, "batch frames features"]
-    initial: Float[torch.Tensor, " batch"]
-    goal: Float[torch.Tensor, " batch"]
-    network_passes: Int[torch.Tensor, " batch"]
+    noise: Latent
+    initial: Values
+    goal: Values
+    network_passes: Counts
 
 
 # Is told the noise, the losses and other numbers of each iteration before its step.
@@ -443,7 +434,7 @@ def optimise(
     objective: Objective,
     targets: Targets,
     noise: Noise,
-    n_frames: Int[torch.Tensor, " batch"],
+    n_frames: Counts,
     seeds: Sequence[int],
     settings: OptimisationSettings,
     *,

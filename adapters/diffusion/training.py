@@ -27,6 +27,10 @@ from prbench_adapters.training.dataset import Goal
 from prbench_adapters.training.task import TrainingModule
 from prbench_adapters.training.weights import representation_entry, weights_header
 
+Features = Float[torch.Tensor, "batch frames features"]
+Kept = Bool[Tensor, "batch frames"]
+Positions = Float[torch.Tensor, "batch frames 22 3"]  # metres
+
 Joints = Float[Tensor, "batch frames 22 3"]
 
 _NEAREST = 0.3
@@ -40,11 +44,7 @@ _ENDING = 0.3
 
 
 def ray_loss(
-    predicted: Joints,
-    recorded: Joints,
-    goal: Float[Tensor, "batch 3"],
-    valid: Bool[Tensor, "batch frames"],
-    prime: Float[Tensor, " frames"],
+    predicted: Joints, recorded: Joints, goal: Float[Tensor, "batch 3"], valid: Kept, prime: Float[Tensor, " frames"]
 ) -> Float[Tensor, ""]:
     """How far the head's axes miss the recorded ones at the distance of the goal.
 
@@ -62,9 +62,7 @@ def ray_loss(
     return (missed * weight).sum() / weight.sum()
 
 
-def foot_loss(
-    predicted: Joints, recorded: Joints, valid: Bool[Tensor, "batch frames"], fps: float
-) -> Float[Tensor, ""]:
+def foot_loss(predicted: Joints, recorded: Joints, valid: Kept, fps: float) -> Float[Tensor, ""]:
     """Squared steps of the toes between frames in which the recorded ones are planted."""
     stays = still_steps(recorded, fps) & valid[:, 1:, None]
     slid = predicted[:, :, TOES].diff(dim=1).square().sum(dim=-1)
@@ -72,11 +70,7 @@ def foot_loss(
 
 
 def wrist_loss(
-    predicted: Joints,
-    recorded: Joints,
-    valid: Bool[Tensor, "batch frames"],
-    n_frames: Int[Tensor, " batch"],
-    fps: float,
+    predicted: Joints, recorded: Joints, valid: Kept, n_frames: Int[Tensor, " batch"], fps: float
 ) -> Float[Tensor, ""]:
     """Squared distance of the wrists from the recorded ones at the end of the reach."""
     frame = torch.arange(predicted.shape[1], device=predicted.device)
@@ -119,10 +113,10 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 def losses(
     objective: Objective,
-    predicted: Float[torch.Tensor, "batch frames features"],
-    clean: Float[torch.Tensor, "batch frames features"],
-    predicted_joints: Float[torch.Tensor, "batch frames 22 3"],
-    joints: Float[torch.Tensor, "batch frames 22 3"],
+    predicted: Features,
+    clean: Features,
+    predicted_joints: Positions,
+    joints: Positions,
     padding: Bool[torch.Tensor, "batch frames"],
 ) -> dict[str, torch.Tensor]:
     """Return weighted sum ``loss`` and its parts ``features``, ``joints``, ``velocities`` and ``bones``, unweighted.
@@ -166,9 +160,7 @@ def _squared(
     return torch.where(valid, per_frame, 0.0).sum(dim=1)
 
 
-def scored_losses(
-    objective: Objective, predicted: Float[torch.Tensor, "batch frames 22 3"], batch: MotionBatch
-) -> dict[str, torch.Tensor]:
+def scored_losses(objective: Objective, predicted: Positions, batch: MotionBatch) -> dict[str, torch.Tensor]:
     """Return the weighted sum ``loss`` of those of :mod:`.scored_losses` that have a weight, and these, unweighted.
 
     Args:
@@ -283,9 +275,7 @@ class DiffusionTraining(TrainingModule):
             scored = scored_losses(self.objective, joints, batch)
             return {**found, **scored, "loss": found["loss"] + scored["loss"]}
 
-    def standardised(
-        self, batch: MotionBatch, condition: EncodedCondition
-    ) -> Float[torch.Tensor, "batch frames features"]:
+    def standardised(self, batch: MotionBatch, condition: EncodedCondition) -> Features:
         """Return the features of the recorded motions as the network sees them; zeros in padding."""
         if self.denoiser.configuration.features == "humanml3d":
             features = batch.features
@@ -293,9 +283,7 @@ class DiffusionTraining(TrainingModule):
             features = goal_frame(condition, batch.joints).encode(batch.joints, batch.fps)
         return ((features - self.mean) / self.std).masked_fill(batch.padding[..., None], 0.0)
 
-    def noisy(
-        self, clean: Float[torch.Tensor, "batch frames features"], draw: Draw
-    ) -> Float[torch.Tensor, "batch frames features"]:
+    def noisy(self, clean: Features, draw: Draw) -> Features:
         """Standardised features with noise of the strength of each sequence's step."""
         signal = self.signal[draw.step][:, None, None]
         noise = self.noise[draw.step][:, None, None]

@@ -28,6 +28,11 @@ from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.training.configuration import require_counts
 from prbench_adapters.training.weights import Weights, read_weights
 
+Matrix = Float[Tensor, "263 263"]
+Channels = Float[Tensor, "batch channels frames"]
+Hidden = Float[Tensor, "batch width frames"]
+Counts = Int[Tensor, " batch"]
+
 # Half the turn of the heading since the first frame, radians.
 HEADING = slice(0, 1)
 # Pelvis on the ground, canonical frame, metres.
@@ -102,13 +107,11 @@ class FeatureSpace:
 
     mean: Float[Tensor, " 263"]
     std: Float[Tensor, " 263"]
-    projection: Float[Tensor, "263 263"]
-    inverse: Float[Tensor, "263 263"]
+    projection: Matrix
+    inverse: Matrix
 
     @classmethod
-    def of(
-        cls, mean: Float[Tensor, " 263"], std: Float[Tensor, " 263"], projection: Float[Tensor, "263 263"]
-    ) -> FeatureSpace:
+    def of(cls, mean: Float[Tensor, " 263"], std: Float[Tensor, " 263"], projection: Matrix) -> FeatureSpace:
         """Compute the inverse in float64, because A is badly conditioned."""
         inverse = torch.linalg.inv(projection.double().cpu()).to(projection)
         return cls(mean.to(projection), std.to(projection), projection, inverse)
@@ -136,7 +139,7 @@ class FeatureSpace:
         return projected @ self.inverse
 
 
-def emphasis_projection(emphasis: float) -> Float[Tensor, "263 263"]:
+def emphasis_projection(emphasis: float) -> Matrix:
     """Return the fixed random matrix A: standard normal entries, rows 0 to 2 times c, all over √(263 - 3 + 3 c²).
 
     The numbers are rounded to half precision, in which weights may be stored.
@@ -250,9 +253,9 @@ class TemporalUNet(nn.Module):
     def forward(
         self,
         noisy: Float[Tensor, "batch frames channels"],
-        step: Int[Tensor, " batch"],
+        step: Counts,
         text: Float[Tensor, "batch dimension"],
-        n_frames: Int[Tensor, " batch"],
+        n_frames: Counts,
         *,
         window: int,
     ) -> Float[Tensor, "batch frames channels"]:
@@ -294,8 +297,8 @@ class _Level(nn.Module):
         self.resample = resample
 
     def forward(
-        self, stream: Float[Tensor, "batch channels frames"], condition: Float[Tensor, "batch size"]
-    ) -> tuple[Float[Tensor, "batch width frames"], Float[Tensor, "batch width others"]]:
+        self, stream: Channels, condition: Float[Tensor, "batch size"]
+    ) -> tuple[Hidden, Float[Tensor, "batch width others"]]:
         """Return the stream before and after the change of resolution."""
         for block in self.blocks:
             stream = block(stream, condition)
@@ -316,9 +319,7 @@ class _ResidualBlock(nn.Module):
         self.second = _ConvBlock(width, width, starts_at_zero=True)
         self.skip = nn.Conv1d(channels, width, 1) if channels != width else nn.Identity()
 
-    def forward(
-        self, stream: Float[Tensor, "batch channels frames"], condition: Float[Tensor, "batch size"]
-    ) -> Float[Tensor, "batch width frames"]:
+    def forward(self, stream: Channels, condition: Float[Tensor, "batch size"]) -> Hidden:
         """Apply the block; ``condition`` is the vector of step and text."""
         scale, shift = self.condition(nn.functional.mish(condition)).chunk(2, dim=1)
         return self.second(self.first(stream, (scale, shift))) + self.skip(stream)
@@ -334,9 +335,7 @@ class _ConvBlock(nn.Module):
         if starts_at_zero:
             _set_to_zero(self.convolution)
 
-    def forward(
-        self, stream: Float[Tensor, "batch channels frames"], scale_shift: tuple[Tensor, Tensor] | None = None
-    ) -> Float[Tensor, "batch width frames"]:
+    def forward(self, stream: Channels, scale_shift: tuple[Tensor, Tensor] | None = None) -> Hidden:
         """Apply the block; ``scale_shift`` are (batch, width) each."""
         stream = self.norm(self.convolution(stream))
         if scale_shift is not None:

@@ -16,6 +16,9 @@ from prbench_adapters.diffusion.generation import Guidance, SequenceNoise
 from prbench_adapters.diffusion.sampling import Chain, CosineSchedule, Denoise
 from prbench_adapters.gmd.model import N_POSE, N_ROOT, ROOT_XZ, FeatureSpace, TemporalUNet, half_turn_of, pose_columns
 
+Columns = Float[Tensor, "batch frames columns"]
+Features = Float[Tensor, "batch frames 263"]
+
 # Maps the clean estimate (batch, frames, columns) to a loss a row (batch,).
 RowLoss = Callable[[Tensor], Tensor]
 # Limit at which the original cuts the clean estimate of the trajectory, in standard deviations.
@@ -56,12 +59,10 @@ class RootGoal:
 
 
 # Standardised values, and the columns that sampling overwrites by them.
-Imputed = tuple[Float[Tensor, "batch frames columns"], Bool[Tensor, "batch frames columns"]]
+Imputed = tuple[Columns, Bool[Tensor, "batch frames columns"]]
 
 
-def clean_of_noise(
-    chain: Chain, i: int, state: Float[Tensor, "batch frames columns"], noise: Float[Tensor, "batch frames columns"]
-) -> Float[Tensor, "batch frames columns"]:
+def clean_of_noise(chain: Chain, i: int, state: Columns, noise: Columns) -> Columns:
     """Return the clean estimate that belongs to an estimate of the noise, cut at six standard deviations."""
     level = float(chain.alphas_cumprod[i])
     clean = (state - math.sqrt(1 - level) * noise) / math.sqrt(level)
@@ -69,13 +70,8 @@ def clean_of_noise(
 
 
 def guided_mean(
-    clean_estimate: Denoise,
-    chain: Chain,
-    i: int,
-    state: Float[Tensor, "batch frames columns"],
-    loss: RowLoss | None,
-    scale: float,
-) -> Float[Tensor, "batch frames columns"]:
+    clean_estimate: Denoise, chain: Chain, i: int, state: Columns, loss: RowLoss | None, scale: float
+) -> Columns:
     """Return the posterior mean, moved by scale · β̃ · ∂loss/∂x_t; without a loss no gradient is taken.
 
     Args:
@@ -106,9 +102,7 @@ def noised(chain: Chain, i: int, mean: Tensor, noise: Tensor) -> Tensor:
     return mean + math.sqrt(chain.posterior_variance[i]) * noise if i else mean
 
 
-def imputed_by_noising(
-    chain: Chain, i: int, state: Float[Tensor, "batch frames columns"], imputed: Imputed, noise: Tensor
-) -> Float[Tensor, "batch frames columns"]:
+def imputed_by_noising(chain: Chain, i: int, state: Columns, imputed: Imputed, noise: Tensor) -> Columns:
     """Overwrite x_{t-1} by the values, noised to its level: for a network that estimates the noise."""
     level = float(chain.alphas_cumprod_previous[i])
     # Values are clean, the state is noisy: they are noised to the state's level before they enter it.
@@ -117,13 +111,8 @@ def imputed_by_noising(
 
 
 def imputed_in_mean(
-    space: FeatureSpace,
-    chain: Chain,
-    i: int,
-    state: Float[Tensor, "batch frames 263"],
-    mean: Float[Tensor, "batch frames 263"],
-    imputed: Imputed,
-) -> Float[Tensor, "batch frames 263"]:
+    space: FeatureSpace, chain: Chain, i: int, state: Features, mean: Features, imputed: Imputed
+) -> Features:
     """Overwrite columns of the mean by those of the posterior whose clean estimate holds the values.
 
     State and mean are projected; which columns are taken from which mean is decided in plain features. The posterior
@@ -232,9 +221,7 @@ class GuidedNetwork(Guidance):
         self.text = self.both(text, torch.zeros_like(text))
         self.n_frames = self.both(n_frames, n_frames)
 
-    def __call__(
-        self, noisy: Float[Tensor, "batch frames columns"], step: int
-    ) -> Float[Tensor, "batch frames columns"]:
+    def __call__(self, noisy: Columns, step: int) -> Columns:
         """Return the guided prediction at ``step`` of the training schedule."""
 
         def predict(rows: Tensor) -> Tensor:
@@ -285,7 +272,7 @@ def sample_motion(
     ends: Ends,
     noise: SequenceNoise,
     settings: GMDSettings,
-) -> Float[Tensor, "batch frames 263"]:
+) -> Features:
     """Stage 2: raw features of motions whose pelvis follows the trajectory of stage 1."""
     chain = schedule.chain(settings.steps or len(schedule))
     goal = RootGoal(trajectory[..., ROOT_XZ], ends.valid())

@@ -8,13 +8,7 @@ import msgspec
 import torch
 from torch import nn
 
-from prbench_adapters.prediction.belfusion import (
-    BehaviourAutoencoder,
-    BehaviourConfiguration,
-    BeLFusion,
-    PastAutoencoder,
-    UNetConfiguration,
-)
+from prbench_adapters.prediction import belfusion
 from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion
 from prbench_adapters.prediction.configuration import DiffusionConfiguration
 from prbench_adapters.prediction.recurrent import CVAE, CVAEConfiguration, DLow, DLowConfiguration
@@ -22,17 +16,17 @@ from prbench_adapters.training.batches import SeenWindows
 from prbench_adapters.training.weights import Weights, weights_header
 
 Sizes = TypeVar("Sizes", bound=msgspec.Struct)
-PredictorNetwork = CoefficientDiffusion | CVAE | DLow | BeLFusion
+PredictorNetwork = CoefficientDiffusion | CVAE | DLow | belfusion.BeLFusion
 
 
 class Autoencoders(nn.Module):
     """Both autoencoders of BeLFusion side by side; neither sees the other."""
 
-    def __init__(self, configuration: BehaviourConfiguration) -> None:
+    def __init__(self, configuration: belfusion.BehaviourConfiguration) -> None:
         super().__init__()
         self.configuration = configuration
-        self.past = PastAutoencoder(configuration)
-        self.behaviour = BehaviourAutoencoder(configuration)
+        self.past = belfusion.PastAutoencoder(configuration)
+        self.behaviour = belfusion.BehaviourAutoencoder(configuration)
 
 
 class NetworkRecord(msgspec.Struct, Generic[Sizes], frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -62,23 +56,23 @@ class BeLFusionRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     """BeLFusion whole."""
 
     windows: SeenWindows
-    network: UNetConfiguration
-    behaviour: BehaviourConfiguration
+    network: belfusion.UNetConfiguration
+    behaviour: belfusion.BehaviourConfiguration
     decoded_weight: float = 5.0
 
-    def build(self) -> BeLFusion:
+    def build(self) -> belfusion.BeLFusion:
         """Make the networks."""
-        return BeLFusion(self.behaviour, self.network, decoded_weight=self.decoded_weight)
+        return belfusion.BeLFusion(self.behaviour, self.network, decoded_weight=self.decoded_weight)
 
 
 Record = NetworkRecord | DLowRecord | BeLFusionRecord
 DiffusionRecord = NetworkRecord[DiffusionConfiguration]
 CVAERecord = NetworkRecord[CVAEConfiguration]
-AutoencodersRecord = NetworkRecord[BehaviourConfiguration]
+AutoencodersRecord = NetworkRecord[belfusion.BehaviourConfiguration]
 _NETWORKS: dict[type, type[nn.Module]] = {
     DiffusionConfiguration: CoefficientDiffusion,
     CVAEConfiguration: CVAE,
-    BehaviourConfiguration: Autoencoders,
+    belfusion.BehaviourConfiguration: Autoencoders,
 }
 AUTOENCODERS = "belfusion-autoencoders"
 # Maps each method, which is the kind of its weights, to what their header holds.

@@ -20,20 +20,8 @@ from prbench.randomness import named_generator
 from prbench.representation import Mode, Statistics, StatisticsAccumulator
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.sequences.table import SPLITS
+from prbench_adapters.training import store as stores
 from prbench_adapters.training.configuration import DataConfiguration, TrainingConfiguration
-from prbench_adapters.training.store import (
-    REFIT,
-    Crop,
-    FeatureStore,
-    LeftOut,
-    Table,
-    cut,
-    encoded,
-    frame_rate,
-    open_table,
-    parts_of,
-    table_store,
-)
 
 Goal = Literal["pose", "location"]
 # Metres, or metres a second: entries that hardly vary are not blown up.
@@ -195,18 +183,18 @@ class SequenceDataset(Dataset[MotionItem]):
 
     def __init__(
         self,
-        tables: Table | Path | str | Iterable[Table | Path | str],
+        tables: stores.Table | Path | str | Iterable[stores.Table | Path | str],
         *,
         split: str = "train",
         max_frames: int = 241,
-        crop: Crop = "end",
+        crop: stores.Crop = "end",
         mode: Mode = "continuous",
         seed: int = 0,
         cache: Path | None = None,
         engine: Engine = _IN_PROCESS,
     ) -> None:
         for what, value, known in (
-            ("split", split, (*SPLITS, REFIT)),
+            ("split", split, (*SPLITS, stores.REFIT)),
             ("crop", crop, ("end", "random")),
             ("mode", mode, ("continuous", "reference")),
         ):
@@ -215,26 +203,28 @@ class SequenceDataset(Dataset[MotionItem]):
         if max_frames < 2:
             raise UsageError(f"max_frames is {max_frames}; an item needs at least 2 frames.")
         given = [tables] if isinstance(tables, SequenceTable | CorpusTable | Path | str) else list(tables)
-        opened = [open_table(table) for table in given]
+        opened = [stores.open_table(table) for table in given]
         self.fps = _common_frame_rate(opened, split)
-        self.tables: tuple[Table, ...] = tuple(opened)
+        self.tables: tuple[stores.Table, ...] = tuple(opened)
         self.split, self.max_frames, self.seed = split, max_frames, seed
         self.mode: Mode = mode
-        self._stores: list[FeatureStore] = []
-        left_out: list[LeftOut] = []
+        self._stores: list[stores.FeatureStore] = []
+        left_out: list[stores.LeftOut] = []
         wanted = DataConfiguration(max_frames=max_frames, crop=crop, mode=mode)
         for table in opened:
-            parts = parts_of(split)
+            parts = stores.parts_of(split)
             if len(parts) > 1:
                 # Of several splits an empty one is left out (a small table has no validation sequences).
                 present = set(table.scalars(columns=["split"])["split"].to_pylist())
                 parts = [part for part in parts if part in present]
             for part in parts:
-                store, unusable = table_store(table, part, wanted, cache or cache_folder() / "training", engine=engine)
+                store, unusable = stores.table_store(
+                    table, part, wanted, cache or cache_folder() / "training", engine=engine
+                )
                 self._stores.append(store)
                 left_out += unusable
         # Rows that cannot be encoded, with the reason of each.
-        self.left_out: tuple[LeftOut, ...] = tuple(left_out)
+        self.left_out: tuple[stores.LeftOut, ...] = tuple(left_out)
         self._starts = np.cumsum([0, *(len(store) for store in self._stores)])
 
     def __len__(self) -> int:
@@ -257,8 +247,8 @@ class SequenceDataset(Dataset[MotionItem]):
             text = (text, *others)[int(generator.integers(1 + len(others)))]
             if features is None:
                 start = int(generator.integers(motion.n_frames - self.max_frames + 1))
-                motion = cut(motion, start, self.max_frames, name=name)
-                features = encoded(motion, self.mode, name=name)
+                motion = stores.cut(motion, start, self.max_frames, name=name)
+                features = stores.encoded(motion, self.mode, name=name)
         return MotionItem(
             features, motion.joints, text, motion.previous_joints, motion.goal_location, self.fps, sequence_id=name
         )
@@ -315,7 +305,11 @@ class SequenceDataset(Dataset[MotionItem]):
 
 
 def configured_dataset(
-    tables: Iterable[Table | Path], configuration: TrainingConfiguration, *, split: str, engine: Engine = _IN_PROCESS
+    tables: Iterable[stores.Table | Path],
+    configuration: TrainingConfiguration,
+    *,
+    split: str,
+    engine: Engine = _IN_PROCESS,
 ) -> SequenceDataset:
     """Return the sequences of a split, as a configuration wants them."""
     wanted = configuration.data
@@ -330,7 +324,7 @@ def configured_dataset(
     )
 
 
-def _common_frame_rate(tables: list[Table], split: str) -> float:
+def _common_frame_rate(tables: list[stores.Table], split: str) -> float:
     """Return the frame rate of all tables, which have to be different ones."""
     if not tables:
         raise UsageError("no table was given; name at least one built dataset or corpus.")
@@ -338,7 +332,7 @@ def _common_frame_rate(tables: list[Table], split: str) -> float:
     if len(set(digests)) < len(digests):
         twice = next(table for table in tables if digests.count(table.info.content_digest) > 1)
         raise UsageError(f"{twice.folder}: this table was given twice.")
-    rates = {table.folder: frame_rate(table, split) for table in tables}
+    rates = {table.folder: stores.frame_rate(table, split) for table in tables}
     if len(set(rates.values())) > 1:
         found = ", ".join(f"{folder}: {rate:g}" for folder, rate in rates.items())
         raise TableError(

@@ -18,6 +18,7 @@ from prbench.harness.methods.installed import load_task
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.folds import fold_tables, parse_fold
 from prbench_adapters.trained_network import TrainedNetwork
+from prbench_adapters.training import report as reports
 from prbench_adapters.training.batches import LengthBatches, WindowsDataset, load_batches
 from prbench_adapters.training.configuration import (
     DEFAULT_STAGES,
@@ -27,14 +28,6 @@ from prbench_adapters.training.configuration import (
 )
 from prbench_adapters.training.dataset import SequenceDataset, configured_dataset
 from prbench_adapters.training.loop import Progress, fit, make_fabric, silent
-from prbench_adapters.training.report import (
-    RECORD,
-    WEIGHTS,
-    TrainingRecord,
-    require_same_training,
-    table_record,
-    training_card,
-)
 from prbench_adapters.training.state import Row
 from prbench_adapters.training.store import REFIT, parts_of
 from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask
@@ -170,13 +163,15 @@ def run(
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
         data = _data(request, task, configuration, engine)
         if isinstance(data, WindowsDataset):
-            records = [table_record(table, count) for table, count in zip(data.tables, data.counts, strict=True)]
+            records = [
+                reports.table_record(table, count) for table, count in zip(data.tables, data.counts, strict=True)
+            ]
         else:
             rows = [table.scalars(columns=["split"])["split"].to_pylist() for table in data.tables]
             parts = parts_of(data.split)
             counts = [sum(split in parts for split in splits) for splits in rows]
-            records = [table_record(table, count) for table, count in zip(data.tables, counts, strict=True)]
-        record = TrainingRecord(
+            records = [reports.table_record(table, count) for table, count in zip(data.tables, counts, strict=True)]
+        record = reports.TrainingRecord(
             method=request.method,
             stage=stage,
             configuration=configuration,
@@ -185,7 +180,7 @@ def run(
             devices=request.devices,
             refit=request.refit,
         )
-        require_same_training(request.out, record)
+        reports.require_same_training(request.out, record)
         given = data
         if isinstance(data, SequenceDataset):
             shape = configuration.data
@@ -202,7 +197,7 @@ def run(
     close_engine(engine)  # its workers have nothing more to do
     fabric.barrier()  # nobody may find the folder half made
     if fabric.is_global_zero:
-        write_json(request.out / RECORD, msgspec.to_builtins(record))  # now that everything fits together
+        write_json(request.out / reports.RECORD, msgspec.to_builtins(record))  # now that everything fits together
 
     def batches(start: int) -> Iterable[Any]:
         rank, world_size = fabric.global_rank, fabric.world_size
@@ -221,7 +216,7 @@ def run(
             configuration,
             request.out,
             fabric=fabric,
-            describe=lambda state: training_card(record, state, fabric.device, request.threads),
+            describe=lambda state: reports.training_card(record, state, fabric.device, request.threads),
             validate=validate,
             report=report,
         )
@@ -231,7 +226,7 @@ def run(
         raise SystemExit(0) from stopped
     if not fabric.is_global_zero:
         return None
-    return TrainedNetwork(weights=request.out / WEIGHTS, steps=state.step)
+    return TrainedNetwork(weights=request.out / reports.WEIGHTS, steps=state.step)
 
 
 def _data(

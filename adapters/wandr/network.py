@@ -18,6 +18,11 @@ from prbench_adapters.kinematics import fitted_rotations, forward_kinematics, ma
 from prbench_adapters.training.configuration import require_counts
 from prbench_adapters.training.weights import Weights, weights_header
 
+Latents = Float[torch.Tensor, "*batch latent"]
+Poses = Float[torch.Tensor, "*batch 277"]
+Changes = Float[torch.Tensor, "*batch 133"]
+Intentions = Float[torch.Tensor, "*batch 9"]
+
 # Numbers of a change: step of the pelvis, turn of the root, turns of the 21 other joints.
 DELTA_SIZE = 3 + 6 * N_JOINTS
 # Numbers of a state without its yaw and its place on the floor.
@@ -63,7 +68,7 @@ class BodyState:
         """Yaw of the root (:func:`yaw_rotation`)."""
         return yaw_rotation(self.rotations[..., 0, :, :])
 
-    def seen(self) -> Float[torch.Tensor, "*batch 133"]:
+    def seen(self) -> Changes:
         """Height, orientation without yaw, joint rotations: x(s)."""
         root = self.yaw.mT @ self.rotations[..., 0, :, :]
         return torch.cat((self.pelvis[..., 2:], rows_of(root), rows_of(self.rotations[..., 1:, :, :]).flatten(-2)), -1)
@@ -119,7 +124,7 @@ def intentions(
     fps: float,
     goal_heading: Float[torch.Tensor, "*batch 3"] | None = None,
     most_speed: float = math.inf,
-) -> Float[torch.Tensor, "*batch 9"]:
+) -> Intentions:
     """Intentions of wrist, pelvis and heading, all seen from the body's yaw; they are never standardised.
 
     Args:
@@ -228,34 +233,20 @@ class WandrNetwork(nn.Module):
         self.decoder = _stack(configuration.latent + CONDITION_SIZE, DELTA_SIZE, configuration)
         self.seen, self.delta = Standardisation(SEEN_SIZE), Standardisation(DELTA_SIZE)
 
-    def condition(
-        self,
-        seen: Float[torch.Tensor, "*batch 133"],
-        delta: Float[torch.Tensor, "*batch 135"],
-        intention: Float[torch.Tensor, "*batch 9"],
-    ) -> Float[torch.Tensor, "*batch 277"]:
+    def condition(self, seen: Changes, delta: Float[torch.Tensor, "*batch 135"], intention: Intentions) -> Poses:
         """Return condition of a step, from a state without yaw, the change that led to it, and intentions; all raw."""
         return torch.cat((self.seen(seen), self.delta(delta), intention), -1)
 
-    def encode(
-        self, delta: Float[torch.Tensor, "*batch 135"], condition: Float[torch.Tensor, "*batch 277"]
-    ) -> tuple[Float[torch.Tensor, "*batch latent"], Float[torch.Tensor, "*batch latent"]]:
+    def encode(self, delta: Float[torch.Tensor, "*batch 135"], condition: Poses) -> tuple[Latents, Latents]:
         """Mean and log-variance of the latent of a standardised change."""
         mean, log_variance = self.encoder(torch.cat((delta, condition), -1)).chunk(2, -1)
         return mean, log_variance
 
-    def draw(
-        self,
-        mean: Float[torch.Tensor, "*batch latent"],
-        log_variance: Float[torch.Tensor, "*batch latent"],
-        noise: Float[torch.Tensor, "*batch latent"],
-    ) -> Float[torch.Tensor, "*batch latent"]:
+    def draw(self, mean: Latents, log_variance: Latents, noise: Latents) -> Latents:
         """Return a latent of the distribution, from standard normal noise."""
         return mean + noise * (log_variance * (1.0 if self.configuration.original_deviation else 0.5)).exp()
 
-    def decode(
-        self, latent: Float[torch.Tensor, "*batch latent"], condition: Float[torch.Tensor, "*batch 277"]
-    ) -> Float[torch.Tensor, "*batch 135"]:
+    def decode(self, latent: Latents, condition: Poses) -> Float[torch.Tensor, "*batch 135"]:
         """Return the next change, standardised."""
         return self.decoder(torch.cat((latent, condition), -1))
 

@@ -23,6 +23,9 @@ from prbench_adapters.training.task import TrainingData, TrainingModule, split_m
 from prbench_adapters.training.weights import origin_of, read_weights
 from prbench_adapters.wandr import network as wandr
 
+Rows = Int[torch.Tensor, " places"]  # of the feature store
+Loss = Float[torch.Tensor, ""]
+
 _FAR = 1.5  # metres that the pelvis has to walk to a pseudo goal
 _ROUNDING = 1e-4  # frames
 
@@ -124,7 +127,7 @@ def starts(recordings: Recordings, length: int) -> Places:
 
 def goal_frames(
     recordings: Recordings, places: Places, generator: torch.Generator, *, pseudo_share: float = 0.0
-) -> Int[torch.Tensor, " places"]:
+) -> Rows:
     """Choose the frame whose wrist position is the goal: the last one, or that of a pseudo goal.
 
     A pseudo goal is any later frame, all alike, in which the pelvis is 1.5 m or more away. Where there is none it is
@@ -196,24 +199,20 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             raise ValueError(f"'pseudo_goals' must be between 0 and 1, found {self.pseudo_goals}")
 
 
-def delta_loss(
-    decoded: Float[torch.Tensor, "places 135"], wanted: Float[torch.Tensor, "places 135"]
-) -> Float[torch.Tensor, ""]:
+def delta_loss(decoded: Float[torch.Tensor, "places 135"], wanted: Float[torch.Tensor, "places 135"]) -> Loss:
     """Mean squared errors of standardised changes: translation, root and joints each for themselves, summed."""
     error = (decoded - wanted).square()
     return sum((error[:, part].mean() for part in (wandr.TRANSLATION, wandr.ROOT, wandr.JOINTS)), error.new_zeros(()))
 
 
-def joint_loss(
-    predicted: Float[torch.Tensor, "places 22 3"], recorded: Float[torch.Tensor, "places 22 3"]
-) -> Float[torch.Tensor, ""]:
+def joint_loss(predicted: Float[torch.Tensor, "places 22 3"], recorded: Float[torch.Tensor, "places 22 3"]) -> Loss:
     """Mean squared error of coordinates, square centimetres."""
     return ((predicted - recorded) * _CENTIMETRES).square().mean()
 
 
 def divergence(
     mean: Float[torch.Tensor, "places latent"], log_variance: Float[torch.Tensor, "places latent"], free_bits: float
-) -> Float[torch.Tensor, ""]:
+) -> Loss:
     """Mean over dimensions of the divergence from a standard normal distribution, each at least ``free_bits``."""
     each = 0.5 * (mean.square() + log_variance.exp() - log_variance - 1)
     return each.clamp_min(free_bits).mean()
@@ -317,16 +316,14 @@ class WandrTraining(TrainingModule):
             positions.append(joint_loss(joints, target))
         return {"own_changes": torch.stack(changes).mean(), "own_positions": torch.stack(positions).mean()}
 
-    def _goal_frames(
-        self, recordings: Recordings, places: Places, generator: torch.Generator
-    ) -> Int[torch.Tensor, " places"]:
+    def _goal_frames(self, recordings: Recordings, places: Places, generator: torch.Generator) -> Rows:
         return goal_frames(recordings, places, generator, pseudo_share=self.objective.pseudo_goals)
 
     def _condition(
         self,
         recordings: Recordings,
         places: Places,
-        goals: Int[torch.Tensor, " places"],
+        goals: Rows,
         state: wandr.BodyState,
         *,
         delta: Float[torch.Tensor, "places 135"],

@@ -14,20 +14,20 @@ from scipy.spatial.distance import cdist, pdist
 
 from prbench.errors import UsageError
 
+Scores = Float[np.ndarray, " batch"]
+Futures = Float[np.ndarray, "batch samples frames joints 3"]  # metres
+Recorded = Float[np.ndarray, "batch frames joints 3"]  # metres
+
 _MOST_VALUES = 8_000_000  # Float64 values of one block of distances between samples and futures: 64 MB.
 _DEGENERATE_BONE = 1e-6  # metres; shorter bones have no relative error
 
 
-def frame_errors(
-    predicted: Float[np.ndarray, "batch samples frames joints 3"], truth: Float[np.ndarray, "batch frames joints 3"]
-) -> Float[np.ndarray, "batch samples frames"]:
+def frame_errors(predicted: Futures, truth: Recorded) -> Float[np.ndarray, "batch samples frames"]:
     """Distance of the flattened pose in every frame, metres."""
     return np.sqrt(_squared_errors(predicted, truth).sum(axis=-1))
 
 
-def joint_errors(
-    predicted: Float[np.ndarray, "batch samples frames joints 3"], truth: Float[np.ndarray, "batch frames joints 3"]
-) -> Float[np.ndarray, "batch samples frames joints"]:
+def joint_errors(predicted: Futures, truth: Recorded) -> Float[np.ndarray, "batch samples frames joints"]:
     """Distance of every joint in every frame, metres."""
     return np.sqrt(_squared_errors(predicted, truth))
 
@@ -37,7 +37,7 @@ def _squared_errors(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.einsum("...c,...c->...", apart, apart)
 
 
-def displacements(errors: Float[np.ndarray, "batch samples frames"]) -> dict[str, Float[np.ndarray, " batch"]]:
+def displacements(errors: Float[np.ndarray, "batch samples frames"]) -> dict[str, Scores]:
     """ADE and FDE from :func:`frame_errors`, metres; any distance a frame will do.
 
     Returns:
@@ -59,7 +59,7 @@ def displacements(errors: Float[np.ndarray, "batch samples frames"]) -> dict[str
     }
 
 
-def diversity(predicted: Float[np.ndarray, "batch samples frames joints 3"]) -> Float[np.ndarray, " batch"]:
+def diversity(predicted: Futures) -> Scores:
     """APD: mean distance of two samples over the flattened motion, metres; 0 for one sample."""
     batch, samples = predicted.shape[:2]
     if samples < 2:
@@ -113,19 +113,15 @@ def multimodal_displacements(
     return float(np.concatenate(ade).mean()), float(np.concatenate(fde).mean())
 
 
-def first_frame_jump(
-    predicted: Float[np.ndarray, "batch samples frames joints 3"], last_observed: Float[np.ndarray, "batch joints 3"]
-) -> Float[np.ndarray, " batch"]:
+def first_frame_jump(predicted: Futures, last_observed: Float[np.ndarray, "batch joints 3"]) -> Scores:
     """Mean distance of the joints between the last observed and the first predicted frame, over all samples, metres."""
     apart = predicted[:, :, 0].astype(np.float64) - last_observed[:, None]
     return np.linalg.norm(apart, axis=-1).mean(axis=(1, 2))
 
 
 def bone_error(
-    predicted: Float[np.ndarray, "batch samples frames joints 3"],
-    last_observed: Float[np.ndarray, "batch joints 3"],
-    bones: Sequence[tuple[int, int]],
-) -> Float[np.ndarray, " batch"]:
+    predicted: Futures, last_observed: Float[np.ndarray, "batch joints 3"], bones: Sequence[tuple[int, int]]
+) -> Scores:
     """Mean deviation of the bones' lengths from those of the last observed pose, percent.
 
     Args:
@@ -144,7 +140,7 @@ def bone_error(
 
 def goal_distances(
     predicted_wrists: Float[np.ndarray, "batch samples 2 3"], goal: Float[np.ndarray, "batch 3"]
-) -> tuple[Float[np.ndarray, " batch"], Float[np.ndarray, " batch"]]:
+) -> tuple[Scores, Scores]:
     """Distance of the nearer wrist to the goal at the event: of the best sample, and mean over the samples, metres."""
     distance = np.linalg.norm(predicted_wrists.astype(np.float64) - goal[:, None, None], axis=-1).min(axis=2)
     return distance.min(axis=1), distance.mean(axis=1)

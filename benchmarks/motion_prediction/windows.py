@@ -35,19 +35,9 @@ from prbench.sequences import parts as in_parts
 from prbench.sequences.dataset_info import QuarantinedRecording
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.sequence import row_batch
+from prbench_benchmarks.motion_prediction import table
 from prbench_benchmarks.motion_prediction.joint_sets import SMPL22, joint_set
 from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol, WindowRules, load_prediction_protocol
-from prbench_benchmarks.motion_prediction.table import (
-    FILE_NAME,
-    SCHEMA_VERSION,
-    WINDOWS,
-    Run,
-    Window,
-    WindowsInfo,
-    run_of,
-    streams_schema,
-    write_windows,
-)
 
 # ``native``: joints that a study scored, where the reader gives them; ``smpl22``: the 22 joints of every dataset.
 JointChoice = Literal["native", "smpl22"]
@@ -60,7 +50,7 @@ _ROUNDING = 1e-6  # seconds
 _RATE_TOLERANCE = 0.005
 
 
-def runs_of_recording(recording: Recording, rules: WindowRules, *, split: str) -> Iterator[Run]:
+def runs_of_recording(recording: Recording, rules: WindowRules, *, split: str) -> Iterator[table.Run]:
     """Return runs of the 22 joints, cut where the body is missing for longer than the largest gap.
 
     Args:
@@ -99,7 +89,7 @@ def runs_of_recording(recording: Recording, rules: WindowRules, *, split: str) -
 
 def runs_of_tracks(
     recording: Recording, tracks: tuple[PublishedTrack, ...], rules: WindowRules, *, split: str, published_split: str
-) -> Iterator[Run]:
+) -> Iterator[table.Run]:
     """One run for each published segment, whole, with every window that the study counts.
 
     Args:
@@ -129,8 +119,10 @@ def runs_of_tracks(
         yield replace(run, windows=sliding_windows(run, track.filled, rules))
 
 
-def _run(recording: Recording, segment: str, rules: WindowRules, *, published_split: str = "", **frames: Any) -> Run:
-    return Run(
+def _run(
+    recording: Recording, segment: str, rules: WindowRules, *, published_split: str = "", **frames: Any
+) -> table.Run:
+    return table.Run(
         run_id=f"{recording.recording_id}/{segment}",
         recording_id=recording.recording_id,
         participant_id=recording.participant_id,
@@ -147,7 +139,7 @@ def window_starts(n_frames: int, rules: WindowRules) -> Int[np.ndarray, " n"]:
     return np.arange(0, max(n_frames - rules.length, 0), rules.stride)
 
 
-def sliding_windows(run: Run, filled: Bool[np.ndarray, " n"], rules: WindowRules) -> tuple[Window, ...]:
+def sliding_windows(run: table.Run, filled: Bool[np.ndarray, " n"], rules: WindowRules) -> tuple[table.Window, ...]:
     """Every window of a run; those that must not be scored say why.
 
     Args:
@@ -164,7 +156,7 @@ def sliding_windows(run: Run, filled: Bool[np.ndarray, " n"], rules: WindowRules
         elif filled[border - 1]:
             exclusion = "gap_at_border"
         looking = int(run.gaze_valid[start:border].sum())
-        windows.append(Window(start, looking, rules.future_frames, exclusion))
+        windows.append(table.Window(start, looking, rules.future_frames, exclusion))
     return tuple(windows)
 
 
@@ -266,7 +258,7 @@ class NativeWindows:
         """Return a message without the folders of this machine."""
         return self.source.without_places(message)
 
-    def cut(self, protocol: PredictionProtocol) -> tuple[RecordingRow, Iterator[Run]]:
+    def cut(self, protocol: PredictionProtocol) -> tuple[RecordingRow, Iterator[table.Run]]:
         """Read it, and cut it; what decides its split stands in the row.
 
         Raises:
@@ -307,15 +299,15 @@ def row_of(recording: Recording, split: str, split_group: str) -> RecordingRow:
     return RecordingRow(name, recording.participant_id, split, split_group or name, duration, {}, "read", "")
 
 
-def read_cut_runs(folder: Path) -> Iterator[Run]:
+def read_cut_runs(folder: Path) -> Iterator[table.Run]:
     """Read the runs of one part in their order."""
-    windows: dict[int, list[Window]] = {}
+    windows: dict[int, list[table.Window]] = {}
     for batch in parts.read_batches([folder], "windows"):
         for row in batch.to_pylist():
-            windows.setdefault(row["row"], []).append(Window.of(row))
+            windows.setdefault(row["row"], []).append(table.Window.of(row))
     rows = (batch.slice(row, 1) for batch in parts.read_batches([folder], "streams") for row in range(batch.num_rows))
     for number, row in enumerate(rows):
-        yield replace(run_of(row), windows=tuple(windows.get(number, ())))
+        yield replace(table.run_of(row), windows=tuple(windows.get(number, ())))
 
 
 @dataclass(frozen=True)
@@ -338,11 +330,11 @@ class WindowsJob(RecordingJob):
         return _tables(source, ())
 
 
-def _tables(source: Any, runs: tuple[Run, ...]) -> dict[str, pa.RecordBatch]:
+def _tables(source: Any, runs: tuple[table.Run, ...]) -> dict[str, pa.RecordBatch]:
     windows = [window.row(run, row) for row, run in enumerate(runs) for window in run.windows]
     return {
-        "streams": row_batch(runs, streams_schema(joint_set(source.joint_set))),
-        "windows": pa.RecordBatch.from_pylist(windows, schema=WINDOWS),
+        "streams": row_batch(runs, table.streams_schema(joint_set(source.joint_set))),
+        "windows": pa.RecordBatch.from_pylist(windows, schema=table.WINDOWS),
     }
 
 
@@ -418,7 +410,7 @@ def build_windows(
     on_error: OnError = "skip",
     engine: Engine = _IN_PROCESS,
     progress: Progress = None,
-) -> in_parts.BuildReport[WindowsInfo, RecordingRow]:
+) -> in_parts.BuildReport[table.WindowsInfo, RecordingRow]:
     """Build a table of windows.
 
     Args:
@@ -433,7 +425,7 @@ def build_windows(
         StorageError: if ``out`` cannot be written or holds something else.
     """
     out = Path(out).expanduser().absolute()
-    require_replaceable(out, FILE_NAME, kind="table of windows")
+    require_replaceable(out, table.FILE_NAME, kind="table of windows")
     with sole_writer(out), in_parts.working_in_parts(out):
         job = WindowsJob(on_error == "fail", in_parts.work_folder(out), load_prediction_protocol())
         finished = job.make_all(plan.sources, engine, progress)
@@ -475,7 +467,7 @@ def build_windows_shard(
 
 def merge_windows_shards(
     shards: Sequence[tuple[Path, ShardRecord]], out: Path
-) -> in_parts.BuildReport[WindowsInfo, RecordingRow]:
+) -> in_parts.BuildReport[table.WindowsInfo, RecordingRow]:
     """Write the table of an unsharded build from all of its shards, with the same bytes.
 
     Args:
@@ -492,7 +484,7 @@ def merge_windows_shards(
     now = _settings(*(record.setting(folder, kind, name) for name, kind in kinds.items()))
     require_settings(folder, record, now)
     out = out.expanduser().absolute()
-    require_replaceable(out, FILE_NAME, kind="table of windows")
+    require_replaceable(out, table.FILE_NAME, kind="table of windows")
     with sole_writer(out):
         finished = [part_receipt(part, entries, reused=False) for part, entries in in_parts.shard_parts(shards)]
         return _write_table(now, finished, out)
@@ -500,7 +492,7 @@ def merge_windows_shards(
 
 def _write_table(
     settings: dict[str, Any], finished: list[PartReceipt], out: Path
-) -> in_parts.BuildReport[WindowsInfo, RecordingRow]:
+) -> in_parts.BuildReport[table.WindowsInfo, RecordingRow]:
     """Write the table of all parts of a build."""
     dataset = settings["dataset"]
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
@@ -511,9 +503,9 @@ def _write_table(
         terms["citation"] = manifest.citation  # not stripped: earlier tables keep their bytes
     records = [each.record for each in finished]
     read = [each for each in finished if each.record.status == "read"]
-    info = WindowsInfo(
+    info = table.WindowsInfo(
         **terms,
-        schema_version=SCHEMA_VERSION,
+        schema_version=table.SCHEMA_VERSION,
         protocol_version=protocol.version,
         protocol_digest=protocol.digest,
         dataset=dataset,
@@ -538,5 +530,5 @@ def _write_table(
     # Last of all: until here an earlier table stands as it was.
     splits = draw_splits(records, manifest, load_protocol().splits)
     runs = (run for each in finished for run in read_cut_runs(each.folder))
-    info = write_windows(out, info, (replace(run, split=splits[run.recording_id]) for run in runs))
+    info = table.write_windows(out, info, (replace(run, split=splits[run.recording_id]) for run in runs))
     return in_parts.BuildReport(out, info, tuple(records), sum(each.reused for each in finished))

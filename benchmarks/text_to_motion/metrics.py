@@ -10,6 +10,9 @@ import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 
+Embeddings = Float[np.ndarray, "pairs dimension"]
+Pairs = Int[np.ndarray, "2 pairs"]
+
 FEWEST = 1000  # FID of fewer samples is biased upwards; whoever reports it says so.
 DIVERSITY_PAIRS = 300
 MULTIMODALITY_PROMPTS = 100
@@ -54,14 +57,12 @@ def fid(real: Float[np.ndarray, "real dimension"], generated: Float[np.ndarray, 
     return float(means + np.trace(first) + np.trace(second) - 2.0 * trace)
 
 
-def multimodal_distance(
-    text: Float[np.ndarray, "pairs dimension"], motion: Float[np.ndarray, "pairs dimension"]
-) -> float:
+def multimodal_distance(text: Embeddings, motion: Embeddings) -> float:
     """Mean distance between each text and its own motion, also called the matching score; lower is better."""
     return _mean_distance(text, motion)
 
 
-def diversity(motion: Float[np.ndarray, "motions dimension"], pairs: Int[np.ndarray, "2 pairs"]) -> float:
+def diversity(motion: Float[np.ndarray, "motions dimension"], pairs: Pairs) -> float:
     """Mean distance of random pairs of motions; best near that of recorded motions.
 
     Args:
@@ -71,9 +72,7 @@ def diversity(motion: Float[np.ndarray, "motions dimension"], pairs: Int[np.ndar
     return _mean_distance(motion[pairs[0]], motion[pairs[1]])
 
 
-def draw_diversity_pairs(
-    n_motions: int, generator: np.random.Generator, *, n_pairs: int = DIVERSITY_PAIRS
-) -> Int[np.ndarray, "2 pairs"]:
+def draw_diversity_pairs(n_motions: int, generator: np.random.Generator, *, n_pairs: int = DIVERSITY_PAIRS) -> Pairs:
     """Two sets of motions, each without repetition. They may overlap, and a motion may meet itself.
 
     Raises:
@@ -84,7 +83,7 @@ def draw_diversity_pairs(
     return np.stack([generator.choice(n_motions, n_pairs, replace=False) for _ in range(2)])
 
 
-def multimodality(motion: Float[np.ndarray, "prompts samples dimension"], pairs: Int[np.ndarray, "2 pairs"]) -> float:
+def multimodality(motion: Float[np.ndarray, "prompts samples dimension"], pairs: Pairs) -> float:
     """Mean distance of random pairs among the motions of one prompt, over all prompts.
 
     Args:
@@ -96,7 +95,7 @@ def multimodality(motion: Float[np.ndarray, "prompts samples dimension"], pairs:
 
 def draw_multimodality_pairs(
     n_samples: int, generator: np.random.Generator, *, n_pairs: int = _MULTIMODALITY_PAIRS
-) -> Int[np.ndarray, "2 pairs"]:
+) -> Pairs:
     """Two sets of samples, each without repetition.
 
     Raises:
@@ -124,11 +123,7 @@ class RPrecision:
     n_duplicates: int
 
 
-def r_precision(
-    text: Float[np.ndarray, "pairs dimension"],
-    motion: Float[np.ndarray, "pairs dimension"],
-    captions: Sequence[str] | None = None,
-) -> RPrecision:
+def r_precision(text: Embeddings, motion: Embeddings, captions: Sequence[str] | None = None) -> RPrecision:
     """Rank the motions of each batch of 32 pairs for each of its texts.
 
     A motion exactly as near as the text's own counts as nearer, so that equal embeddings earn nothing.
@@ -174,8 +169,8 @@ class EmbeddedPairs:
     """Texts with their motions in the evaluator's space."""
 
     captions: tuple[str, ...]
-    text: Float[np.ndarray, "pairs dimension"]
-    motion: Float[np.ndarray, "pairs dimension"]
+    text: Embeddings
+    motion: Embeddings
 
     def shuffled(self, generator: np.random.Generator) -> EmbeddedPairs:
         """Return the same pairs in another order: it decides which 32 are ranked together."""

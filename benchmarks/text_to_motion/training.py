@@ -21,17 +21,8 @@ from prbench.text import TextEncoder as TokenVectors
 from prbench_adapters.training import MotionBatch
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import Weights, read_weights, representation_entry
+from prbench_benchmarks.text_to_motion import networks as nets
 from prbench_benchmarks.text_to_motion.clips import Extractor, cut_tokens, token_vectors
-from prbench_benchmarks.text_to_motion.networks import (
-    GLOVE,
-    MOVEMENT_FEATURES,
-    SNIPPET,
-    EvaluatorConfiguration,
-    MovementDecoder,
-    MovementEncoder,
-    TextEncoder,
-    motion_encoder,
-)
 
 Stage = Literal["full", "autoencoder", "contrastive"]
 STAGES: tuple[Stage, ...] = ("full", "autoencoder", "contrastive")
@@ -155,7 +146,7 @@ class EvaluatorTraining(TrainingModule):
 
     def __init__(
         self,
-        configuration: EvaluatorConfiguration,
+        configuration: nets.EvaluatorConfiguration,
         objective: EvaluatorObjective,
         *,
         stage: Stage,
@@ -167,10 +158,10 @@ class EvaluatorTraining(TrainingModule):
         super().__init__()
         self.configuration, self.objective, self.stage = configuration, objective, stage
         self.tokens, self.words_digest, self.origin = tokens, words_digest, origin
-        self.movement = MovementEncoder(configuration.movement_width)
-        self.decoder = MovementDecoder(configuration.movement_width)
-        self.motion = motion_encoder(configuration)
-        self.text = TextEncoder(configuration, tokens.dimension)
+        self.movement = nets.MovementEncoder(configuration.movement_width)
+        self.decoder = nets.MovementDecoder(configuration.movement_width)
+        self.motion = nets.motion_encoder(configuration)
+        self.text = nets.TextEncoder(configuration, tokens.dimension)
         self.mean: torch.Tensor
         self.std: torch.Tensor
         self.register_buffer("mean", torch.from_numpy(statistics.mean.copy()), persistent=False)
@@ -207,7 +198,7 @@ class EvaluatorTraining(TrainingModule):
         """Short clips of every motion through the autoencoder."""
         self.movement.train(self.training)
         features = self._standardised(batch.features)
-        lengths = (batch.n_frames.clamp_max(self.objective.window) // SNIPPET * SNIPPET).to(features.device)
+        lengths = (batch.n_frames.clamp_max(self.objective.window) // nets.SNIPPET * nets.SNIPPET).to(features.device)
         _require_snippets(lengths, batch)
         chances = torch.rand(len(features), self.objective.windows, generator=self.generator(step))
         # Motions that are shorter than a window start at 0; their padding is masked by the lengths.
@@ -229,14 +220,14 @@ class EvaluatorTraining(TrainingModule):
         shorter = torch.rand(len(batch), generator=generator) < _SHORTER
         # Never 0, which would make a text's own motion its negative.
         shift = int(torch.randint(1, max(len(batch), 2), (1,), generator=generator))
-        counts = batch.n_frames // SNIPPET
+        counts = batch.n_frames // nets.SNIPPET
         _require_snippets(counts, batch)
         counts = torch.where(shorter.to(counts.device) & (counts > 1), counts - 1, counts)
         # Frozen in this phase, and without dropout, as it will be at evaluation.
         self.movement.eval()
-        features = self._standardised(batch.features)[:, : int(counts.max()) * SNIPPET]
+        features = self._standardised(batch.features)[:, : int(counts.max()) * nets.SNIPPET]
         with torch.no_grad():
-            snippets = self.movement(features, counts * SNIPPET)
+            snippets = self.movement(features, counts * nets.SNIPPET)
         tokens, lengths = cut_tokens(self.tokens.encode(batch.text), self.configuration)
         text = self.text(tokens.to(features.device), lengths)
         motion = self.motion(snippets, counts)
@@ -276,14 +267,14 @@ class EvaluatorTraining(TrainingModule):
     def _standardised(
         self, features: Float[torch.Tensor, "batch frames 263"]
     ) -> Float[torch.Tensor, "batch frames 259"]:
-        return ((features - self.mean) / self.std)[..., :MOVEMENT_FEATURES]
+        return ((features - self.mean) / self.std)[..., : nets.MOVEMENT_FEATURES]
 
 
 def _require_snippets(counts: Int[torch.Tensor, " batch"], batch: MotionBatch) -> None:
     if int(counts.min()) < 1:
         row = int(counts.argmin())
         raise TableError(
-            f"{batch.sequence_id[row]}: an evaluator needs motions of {SNIPPET} frames or more,"
+            f"{batch.sequence_id[row]}: an evaluator needs motions of {nets.SNIPPET} frames or more,"
             f" found {int(batch.n_frames[row])}."
         )
 
@@ -320,7 +311,7 @@ class EvaluatorTask:
             UsageError: if the table does not describe an evaluator, or stage and initial weights do not fit together.
             InputFileError: if the initial weights or the word vectors do not fit it.
         """
-        configuration, objective = split_model_table(model, EvaluatorConfiguration, EvaluatorObjective)
+        configuration, objective = split_model_table(model, nets.EvaluatorConfiguration, EvaluatorObjective)
         data.require_fit("the evaluator", configuration)
         alone = not torch.distributed.is_initialized() or torch.distributed.get_world_size() == 1
         if stage == "contrastive" and initial is None:
@@ -339,7 +330,7 @@ class EvaluatorTask:
             configuration.text, data.train.tables, words=objective.words, path=objective.text_path
         )
         lines = [f"text vectors {configuration.text} (frozen)"]
-        if configuration.text == GLOVE:
+        if configuration.text == nets.GLOVE:
             lines = [f"word vectors and lists, sha256 {words_digest} (frozen)"]
         if start is not None:
             lines.append(f"movement encoder {start.path.name}, sha256 {start.digest} (frozen)")
@@ -355,7 +346,7 @@ class EvaluatorTask:
         if start is not None:
             # Take over the trained movement encoder.
             # Only the movement encoder is taken over, so only its fields have to agree.
-            irrelevant = frozenset(EvaluatorConfiguration.__struct_fields__) - _MOVEMENT_ENCODER
+            irrelevant = frozenset(nets.EvaluatorConfiguration.__struct_fields__) - _MOVEMENT_ENCODER
             start.require_same(module.configuration, apart_from=irrelevant)
             start.load_into(module.movement, "movement")
         return module
@@ -389,7 +380,7 @@ def load_evaluator(
         UsageError: if a path is missing or superfluous.
     """
     weights = read_weights(path, kind=EVALUATOR_KIND)
-    configuration = weights.configuration(EvaluatorConfiguration)
+    configuration = weights.configuration(nets.EvaluatorConfiguration)
     weights.require_representation(configuration.representation)
     tokens, words_digest = token_vectors(configuration.text, tables, words=str(words or ""), path=text_path or "")
     # Other word vectors would load without an error and give numbers that mean nothing.
@@ -397,9 +388,9 @@ def load_evaluator(
     expected = f"the word vectors and lists that it was trained with (sha256 {trained_with[:12]}…)"
     found = f"others (sha256 {words_digest[:12]}…)"
     require(weights.path, (trained_with == words_digest, "header entry 'words'", expected, found, ""))
-    movement = MovementEncoder(configuration.movement_width)
-    motion = motion_encoder(configuration)
-    text = TextEncoder(configuration, tokens.dimension)
+    movement = nets.MovementEncoder(configuration.movement_width)
+    motion = nets.motion_encoder(configuration)
+    text = nets.TextEncoder(configuration, tokens.dimension)
     for name, network in (("movement", movement), ("motion", motion), ("text", text)):
         weights.load_into(network, name)
     return Extractor(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from prbench import metrics as scoring
 from prbench.api.pictures import frozen
 from prbench.checking.doctor.body import wrong_unit
 from prbench.checking.doctor.motion_set import spread_poses
@@ -19,15 +20,6 @@ from prbench.errors import UsageError, did_you_mean
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.methods.motions import coordinate_problem
-from prbench.metrics import (
-    METRICS_OF_MOTIONS,
-    STUDY_METRICS,
-    UNKNOWN_HAND,
-    MetricInfo,
-    MotionBatch,
-    ScoringTargets,
-    printed_unit,
-)
 from prbench.metrics import score as score_metrics
 from prbench.protocol.manifests import load_protocol
 from prbench.shown import html
@@ -50,7 +42,7 @@ _NEEDS: dict[str, tuple[str, ...]] = {
     "plausible": (_GOAL, "head_tilt_deg", "fps"),
     **dict.fromkeys(("contact_share", "bone_length_change", "first_step", "floating", "penetration"), ()),
 }
-_SIDES = {"left": 0, "right": 1, None: UNKNOWN_HAND}
+_SIDES = {"left": 0, "right": 1, None: scoring.UNKNOWN_HAND}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,7 +60,7 @@ class Measures(Mapping[str, Any]):
     left_out: dict[str, str]
     flags: dict[str, list[str | None]] = field(default_factory=dict)
     _one: bool = False
-    _infos: tuple[MetricInfo, ...] = METRICS_OF_MOTIONS  # what text shows of them
+    _infos: tuple[scoring.MetricInfo, ...] = scoring.METRICS_OF_MOTIONS  # what text shows of them
 
     def __getitem__(self, metric: str) -> Any:
         if metric in self.left_out:
@@ -102,7 +94,9 @@ class Measures(Mapping[str, Any]):
         over = "" if self._one else "mean "
         means = self.mean()
         shown = [info for info in self._infos if info.id in means]
-        lines = [f"{info.title}: {over}{means[info.id] * info.scale:.4g}{printed_unit(info.unit)}" for info in shown]
+        lines = [
+            f"{info.title}: {over}{means[info.id] * info.scale:.4g}{scoring.printed_unit(info.unit)}" for info in shown
+        ]
         left_out = [info for info in self._infos if info.id in self.left_out]
         return lines + [f"{info.title} left out: {self.left_out[info.id]}" for info in left_out]
 
@@ -181,7 +175,7 @@ def measure(
     """
     motions, one = _motions("predicted", predicted, n_frames)
     size = len(motions)
-    batch = MotionBatch.from_motions(motions)
+    batch = scoring.MotionBatch.from_motions(motions)
     reference = batch
     if recorded is not None:
         others, _ = _motions("recorded", recorded, n_frames)
@@ -194,7 +188,7 @@ def measure(
                     f"motion {row}: expected as many predicted as recorded frames, found {len(motion)} and"
                     f" {len(other)}. Give every motion the length of the recorded one."
                 )
-        reference = MotionBatch.from_motions(others)
+        reference = scoring.MotionBatch.from_motions(others)
     if goal_location is not None and goal_box is not None:
         raise UsageError("goal_location and goal_box: give one of them; of a box the centre counts.")
     goal = _one_each("goal_location", goal_location, size, (3,))
@@ -217,8 +211,8 @@ def measure(
                 f" {primes[row]:g}. Of a recording's clock, subtract the first frame's time (sequence.prime_after)."
             )
     # Metric ids in printed order: the six, or those that were asked for.
-    known = [info.id for info in METRICS_OF_MOTIONS]
-    wanted = [info.id for info in STUDY_METRICS]
+    known = [info.id for info in scoring.METRICS_OF_MOTIONS]
+    wanted = [info.id for info in scoring.STUDY_METRICS]
     if metrics is not None:
         asked = [metrics] if isinstance(metrics, str) else list(metrics)
         for name in asked:
@@ -240,7 +234,7 @@ def measure(
     possible = [metric for metric in wanted if metric not in left_out]
     try:
         # What is not given is filled with numbers that no possible metric reads.
-        targets = ScoringTargets(
+        targets = scoring.ScoringTargets(
             goal_location=np.zeros((size, 3)) if goal is None else goal,
             prime_time=np.zeros(size) if primes is None else primes,
             hand=np.array([_SIDES[word] for word in words]),

@@ -19,16 +19,8 @@ from typing import Any
 import msgspec
 
 from prbench.errors import InputFileError, MissingExtraError, PrbenchError, StorageError, UsageError
+from prbench.files import storage
 from prbench.files.bounded import foreign_input
-from prbench.files.storage import (
-    atomic_path,
-    bytes_digest,
-    cache_folder,
-    file_digest,
-    is_path_part,
-    text_digest,
-    write_bytes,
-)
 from prbench.limits import LARGEST_JSON
 from prbench.shown import clean, quoted
 
@@ -104,7 +96,7 @@ class StoreUrl:
     def name(self) -> str:
         """Last part of the path, as the name of a local folder or file."""
         name = self.text.rpartition("/")[2]
-        return name if is_path_part(name) else "copy"
+        return name if storage.is_path_part(name) else "copy"
 
     @property
     def parent(self) -> StoreUrl:
@@ -114,7 +106,7 @@ class StoreUrl:
     @property
     def cache(self) -> Path:
         """Folder of the local copies of what lies there."""
-        return cache_folder() / "object-stores" / text_digest(self.text)[:32]
+        return storage.cache_folder() / "object-stores" / storage.text_digest(self.text)[:32]
 
 
 # Environment variable that tells the processes that a command starts: JSON, from URLs to local copies. They write there
@@ -281,7 +273,11 @@ class Store:
         shown = self.url.text if not name else f"{self.url}/{name}"
         digest = hashlib.sha256()
         try:
-            with atomic_path(target) as temporary, open(temporary, "wb") as written, self._errors(f"read {name}"):
+            with (
+                storage.atomic_path(target) as temporary,
+                open(temporary, "wb") as written,
+                self._errors(f"read {name}"),
+            ):
                 with self._system.open(self._path(name), "rb", block_size=_BLOCK) as file:
                     there = getattr(file, "size", None)
                     if there is not None and there != size:
@@ -431,7 +427,7 @@ class FolderManifest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     @property
     def digest(self) -> str:
         """SHA-256 of the manifest."""
-        return bytes_digest(self.encoded())
+        return storage.bytes_digest(self.encoded())
 
     def object_of(self, name: str) -> str:
         """Name of the object that holds a file."""
@@ -498,9 +494,9 @@ def describe(folder: Path) -> FolderManifest:
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if path.is_file() and name != FINISHED and not any(part.startswith(".") for part in name.split("/")):
-            files[name] = StoredFile(size=path.stat().st_size, sha256=file_digest(path))
+            files[name] = StoredFile(size=path.stat().st_size, sha256=storage.file_digest(path))
     manifest = FolderManifest.of(files)
-    write_bytes(folder / FINISHED, manifest.encoded())
+    storage.write_bytes(folder / FINISHED, manifest.encoded())
     return manifest
 
 

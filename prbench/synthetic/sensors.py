@@ -18,6 +18,8 @@ from prbench.readers.aria_mps.format import gaze_angles
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.performance import ObjectMotion, Performance
 
+Points = Float[np.ndarray, "n 3"]  # metres, or unit directions
+
 _DEVICE_START = (100.0, 60_000.0)  # s, device time of the first frame
 _BLINKS_A_MINUTE = 15.0
 _BLINK = 0.15  # s
@@ -121,11 +123,11 @@ class Sensing:
         turned = slerp(self.performance.times, self.performance.head_rotation, times)
         return Rotation.from_quat(turned, scalar_first=True)
 
-    def eye(self, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    def eye(self, times: Float[np.ndarray, " n"]) -> Points:
         """Return the true eye positions, metres."""
         return interpolate(self.performance.times, self.performance.eye, times)
 
-    def gaze(self, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    def gaze(self, times: Float[np.ndarray, " n"]) -> Points:
         """Return the true gaze directions; between frames a little shorter than 1."""
         return interpolate(self.performance.times, self.performance.gaze, times)
 
@@ -160,7 +162,7 @@ def gaze_bias_of(sensing: Sensing, size: float) -> tuple[float, float]:
 
 
 def measured_gaze(
-    sensing: Sensing, head: Rotation, gaze: Float[np.ndarray, "n 3"], *, bias: float, jitter: float
+    sensing: Sensing, head: Rotation, gaze: Points, *, bias: float, jitter: float
 ) -> Float[np.ndarray, "n 2"]:
     """Return yaw and pitch of the gaze in the head, radians, with constant error and jitter.
 
@@ -197,14 +199,8 @@ def fixation_depth(sensing: Sensing, times: Float[np.ndarray, " n"], otherwise: 
 
 
 def tracked(
-    sensing: Sensing,
-    name: str,
-    position: Float[np.ndarray, "n 3"],
-    rotation: Rotation,
-    *,
-    size: tuple[float, float],
-    scale: float,
-) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
+    sensing: Sensing, name: str, position: Points, rotation: Rotation, *, size: tuple[float, float], scale: float
+) -> tuple[Points, Rotation]:
     """Return the poses of an object with the white noise of its tracking.
 
     Args:

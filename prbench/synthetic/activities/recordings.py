@@ -10,34 +10,10 @@ from jaxtyping import Float
 
 from prbench.randomness import named_generator
 from prbench.synthetic import GENERATOR_VERSION
+from prbench.synthetic.activities import script as scripts
 from prbench.synthetic.activities.narrate import NarratedMotion, narrate, narrate_events
-from prbench.synthetic.activities.script import (
-    ARC_START,
-    ARC_STOP,
-    PAUSE,
-    SHORT,
-    SITTING,
-    SITTING_TIME,
-    STANDING,
-    Arc,
-    Hand,
-    Loop,
-    Script,
-    ScriptWriter,
-    stand,
-)
 from prbench.synthetic.people import PRESETS, perform
-from prbench.synthetic.people.body import (
-    Bending,
-    Head,
-    Sway,
-    draw_sway,
-    elbow_poles,
-    move_head,
-    move_trunk,
-    move_wrists,
-    pose_arms,
-)
+from prbench.synthetic.people import body as bodies
 from prbench.synthetic.people.gaze_plan import GazePlan, Look
 from prbench.synthetic.people.kinematics import add_bump, blend, bump, direction, eased_trapezoid, minimum_jerk, turn
 from prbench.synthetic.people.perform import Motion, assemble
@@ -54,7 +30,7 @@ _SITTING_LEAN = np.deg2rad(35.0)
 _NOWHERE = Room("", (0.0, 0.0), (), ())
 
 
-def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generator) -> Motion:
+def act_out(preset: Preset, script: scripts.Script, rate: float, rng: np.random.Generator) -> Motion:
     """Return the whole body at every frame.
 
     Args:
@@ -73,10 +49,12 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
     heading = path.heading.copy()
     for move in script.moves:
         first = int(np.searchsorted(times, move.begin))
-        if isinstance(move, Arc):
+        if isinstance(move, scripts.Arc):
             duration = move.end - move.begin
             elapsed = (times[first:] - move.begin) / duration
-            progress = eased_trapezoid(elapsed, min(ARC_START / duration, 0.45), min(ARC_STOP / duration, 0.5))
+            progress = eased_trapezoid(
+                elapsed, min(scripts.ARC_START / duration, 0.45), min(scripts.ARC_STOP / duration, 0.5)
+            )
             x[first:], z[first:], heading[first:] = move.at(progress)
         else:
             part = sample_base(move.start, (move,), times)
@@ -86,13 +64,13 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
     # 0 where the person stands to 1 where they sit.
     seated = np.zeros(times.size)
     for begin, down in script.sits:
-        blend(seated, times, begin, SITTING_TIME, float(down))
+        blend(seated, times, begin, scripts.SITTING_TIME, float(down))
     # The pelvis moves back onto the seat; the feet stay.
     back = _SEAT_BACK * person.body.stature * seated
     base = replace(feet_base, x=x - back * np.sin(heading), z=z - back * np.cos(heading))
     steps = plan_steps(person, script.segments)
     feet = place_feet(person, feet_base, steps, times, seated=False)
-    sway = draw_sway(plan, feet_base, steps, times, rng)
+    sway = bodies.draw_sway(plan, feet_base, steps, times, rng)
     # Lean and crouch of the bends, and what sitting adds.
     channels = np.zeros((times.size, 3))
     for begin, duration, taken_up in sorted(script.bends, key=lambda bend: bend[0]):
@@ -100,10 +78,10 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
     lean = channels[:, 0]
     crouch = channels[:, 1]
     for begin, _ in script.sits:
-        lean += _SITTING_LEAN * bump((times - begin) / SITTING_TIME)
+        lean += _SITTING_LEAN * bump((times - begin) / scripts.SITTING_TIME)
     body = person.body
     drop = (standing_pelvis_height(body) - seated_pelvis_height(body)) / body.leg
-    bending = Bending(lean, crouch + drop * seated, channels[:, 2])
+    bending = bodies.Bending(lean, crouch + drop * seated, channels[:, 2])
     # The looks of the activities, and looks ahead in between.
     looks: list[Look] = []
     now = 0.0
@@ -124,21 +102,27 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
             looks.append(planned)
             now = planned.end
     gaze = GazePlan(tuple(looks), (), ())
-    rough = move_trunk(plan, base, bending, sway, feet, steps, times, None)
+    rough = bodies.move_trunk(plan, base, bending, sway, feet, steps, times, None)
     eye = rough.neck + np.array([0.0, 0.06, 0.0]) * person.body.stature
-    head = move_head(preset, person.habits, gaze, base.heading, eye, times, rng)
-    trunk = move_trunk(plan, base, bending, sway, feet, steps, times, head)
+    head = bodies.move_head(preset, person.habits, gaze, base.heading, eye, times, rng)
+    trunk = bodies.move_trunk(plan, base, bending, sway, feet, steps, times, head)
     legs = pose_legs(person.body, np.stack(trunk.hips, axis=1), trunk.yaws[0], feet)
     wrists, poles = _move_hands(plan, script, trunk, legs, sway, head, times)
-    arms = pose_arms(person.body, person.habits.elbow_flare, trunk, wrists, poles)
+    arms = bodies.pose_arms(person.body, person.habits.elbow_flare, trunk, wrists, poles)
     return assemble(plan, base, feet, trunk, head, arms, times, gaze, ())
 
 
 def _move_hands(
-    plan: Plan, script: Script, trunk: Trunk, legs: Legs, sway: Sway, head: Head, times: Float[np.ndarray, " n"]
+    plan: Plan,
+    script: scripts.Script,
+    trunk: Trunk,
+    legs: Legs,
+    sway: bodies.Sway,
+    head: bodies.Head,
+    times: Float[np.ndarray, " n"],
 ) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 3"]]:
     """Return wanted wrists, and directions of the elbows in the chest's frame. Commands act in time order."""
-    rest = move_wrists(plan, trunk, sway, times)
+    rest = bodies.move_wrists(plan, trunk, sway, times)
     wrists = rest.copy()
     commands = sorted(script.hands, key=lambda command: command.begin)
     for command in commands:
@@ -148,7 +132,7 @@ def _move_hands(
             forward = turn(trunk.yaws[3], 0.0, np.array([0.0, 0.0, command.bulge]))
             first, last = np.searchsorted(times, [command.begin, command.begin + command.duration])
             add_bump(wrists[:, command.hand], times, command.begin, command.duration, forward[first:last])
-    usual = elbow_poles(plan.person.habits.elbow_flare, trunk, wrists)
+    usual = bodies.elbow_poles(plan.person.habits.elbow_flare, trunk, wrists)
     poles = usual.copy()
     for command in commands:
         pole = usual[:, command.hand]
@@ -160,7 +144,7 @@ def _move_hands(
 
 
 def _target(
-    plan: Plan, command: Hand, trunk: Trunk, legs: Legs, rest: np.ndarray, head: Head, times: np.ndarray
+    plan: Plan, command: scripts.Hand, trunk: Trunk, legs: Legs, rest: np.ndarray, head: bodies.Head, times: np.ndarray
 ) -> np.ndarray:
     hand = command.hand
     side = 1.0 if command.hand == 0 else -1.0
@@ -183,7 +167,7 @@ def _target(
     return shoulder + turn(trunk.yaws[3], 0.0, offset) + _loop(command.loop, trunk, times)
 
 
-def _loop(loop: Loop | None, trunk: Trunk, times: np.ndarray) -> np.ndarray:
+def _loop(loop: scripts.Loop | None, trunk: Trunk, times: np.ndarray) -> np.ndarray:
     """Return the ellipse in the chest's frame, growing at its beginning and shrinking at its end."""
     if loop is None:
         return np.zeros(3)
@@ -260,14 +244,14 @@ def narrated_recording(seed: int, index: int) -> NarratedMotion:
     person = draw_person(preset, identity.participant_id, source.generator("person", identity.person, "body"))
     # Draw one activity after the other; people stand up before they walk on.
     rng = source.generator("recording", index, "plan")
-    writer = ScriptWriter(person, rng)
+    writer = scripts.ScriptWriter(person, rng)
     writer.now = writer.draw(*_FIRST_TEXT)
-    stand(writer)
+    scripts.stand(writer)
     for _ in range(_N_ACTIVITIES):
         last = writer.script.acts[-1]
-        waits = last.name in SHORT and writer.rng.random() < _WAITS
-        writer.now = max(writer.now + writer.draw(*PAUSE), last.begin + _SHORTEST_ALONE if waits else 0.0)
-        choices = SITTING if writer.is_seated else STANDING
+        waits = last.name in scripts.SHORT and writer.rng.random() < _WAITS
+        writer.now = max(writer.now + writer.draw(*scripts.PAUSE), last.begin + _SHORTEST_ALONE if waits else 0.0)
+        choices = scripts.SITTING if writer.is_seated else scripts.STANDING
         weights = np.array(list(choices.values()))
         list(choices)[int(rng.choice(len(weights), p=weights / weights.sum()))](writer)
     writer.script.end = writer.now + _CLOSING

@@ -30,6 +30,10 @@ from prbench.synthetic.people.plan import DOOR, Plan, Reach
 from prbench.synthetic.people.reaching import Posture, pelvis_setback
 from prbench.synthetic.people.walking import BasePath, Feet, Step, lowered_pelvis
 
+Signal = Float[np.ndarray, " n"]  # one number a time
+Points = Float[np.ndarray, "n 3"]  # metres
+Sides = Float[np.ndarray, "n 2 3"]  # left and right, metres
+
 _HEAD_YAW = np.deg2rad(100.0)
 _HEAD_UP = np.deg2rad(-34.0)
 _HEAD_DOWN = np.deg2rad(66.0)
@@ -47,17 +51,17 @@ _SHORT_GOAL_LOOK = 0.5
 class Head:
     """True head orientation, radians: yaw in the world (not wrapped) and pitch (> 0 down)."""
 
-    yaw: Float[np.ndarray, " n"]
-    pitch: Float[np.ndarray, " n"]
+    yaw: Signal
+    pitch: Signal
 
 
 def move_head(
     preset: Preset,
     habits: Habits,
     gaze: GazePlan,
-    heading: Float[np.ndarray, " n"],
-    eye: Float[np.ndarray, "n 3"],
-    times: Float[np.ndarray, " n"],
+    heading: Signal,
+    eye: Points,
+    times: Signal,
     rng: np.random.Generator,
 ) -> Head:
     """Return the head's orientation over time.
@@ -141,13 +145,7 @@ def move_head(
     return Head(heading + steady[:, 0], steady[:, 1])
 
 
-def move_eyes(
-    looks: tuple[Look, ...],
-    head: Head,
-    eye: Float[np.ndarray, "n 3"],
-    times: Float[np.ndarray, " n"],
-    rng: np.random.Generator,
-) -> Float[np.ndarray, "n 3"]:
+def move_eyes(looks: tuple[Look, ...], head: Head, eye: Points, times: Signal, rng: np.random.Generator) -> Points:
     """Return the unit gaze directions: saccades, fixation of points in the world, limits of the eye in the head.
 
     Args:
@@ -197,11 +195,11 @@ class Sway:
         hands: Tremor of the resting hands, metres.
     """
 
-    lateral: Float[np.ndarray, " n"]
-    forward: Float[np.ndarray, " n"]
-    lean: Float[np.ndarray, " n"]
-    arm_swing: Float[np.ndarray, " n"]
-    hands: Float[np.ndarray, "n 2 3"]
+    lateral: Signal
+    forward: Signal
+    lean: Signal
+    arm_swing: Signal
+    hands: Sides
 
 
 def draw_sway(plan: Plan, base: BasePath, steps: tuple[Step, ...], times: np.ndarray, rng: np.random.Generator) -> Sway:
@@ -236,9 +234,9 @@ def draw_sway(plan: Plan, base: BasePath, steps: tuple[Step, ...], times: np.nda
 class Bending:
     """Bending of the trunk that the reaches ask for, at every frame."""
 
-    lean: Float[np.ndarray, " n"]
-    crouch: Float[np.ndarray, " n"]
-    chest_turn: Float[np.ndarray, " n"]
+    lean: Signal
+    crouch: Signal
+    chest_turn: Signal
 
 
 def bend(plan: Plan, postures: list[Posture], times: np.ndarray) -> Bending:
@@ -261,7 +259,7 @@ def move_trunk(
     sway: Sway,
     feet: Feet,
     steps: tuple[Step, ...],
-    times: Float[np.ndarray, " n"],
+    times: Signal,
     head: Head | None,
 ) -> Trunk:
     """Return the pelvis, spine and shoulders at every frame.
@@ -343,12 +341,12 @@ class Arms:
         hinge: Unit normal of the arm plane: the elbow's axis, pointing left at neutral.
     """
 
-    elbow: Float[np.ndarray, "n 2 3"]
-    wrist: Float[np.ndarray, "n 2 3"]
-    hinge: Float[np.ndarray, "n 2 3"]
+    elbow: Sides
+    wrist: Sides
+    hinge: Sides
 
 
-def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Float[np.ndarray, "n 2 3"]:
+def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Sides:
     """Return where the wrists are meant to be: waiting, reaching, carrying. Commands are applied in time order."""
     rest = [_resting_wrist(plan, trunk, sway, hand) for hand in (0, 1)]
     carry = [_offset_from_shoulder(plan, trunk, hand, plan.preset.carry_pose) for hand in (0, 1)]
@@ -394,9 +392,7 @@ def _reach(wrist: np.ndarray, reach: Reach, beside: np.ndarray, times: np.ndarra
     add_bump(wrist, times, reach.reach_start, duration, _HUMP_UP * UP + _HUMP_FORWARD * reach.base.forward)
 
 
-def moved_along(
-    reach: Reach, point: Float[np.ndarray, "3"], times: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "n 3"]:
+def moved_along(reach: Reach, point: Float[np.ndarray, "3"], times: Signal) -> Points:
     """Return where a point fixed to a nudged or hinged object is after the event."""
     if reach.slide is not None:
         return point + minimum_jerk((times - reach.event) / _SLIDE_TIME)[:, None] * reach.slide
@@ -404,7 +400,7 @@ def moved_along(
     return axis + turn(opened(reach, times), 0.0, point - axis)
 
 
-def opened(reach: Reach, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def opened(reach: Reach, times: Signal) -> Signal:
     """Return the angle of a door that is pulled towards the person, radians."""
     return -reach.opening * minimum_jerk((times - reach.event) / _OPENING_TIME)
 
@@ -428,7 +424,7 @@ def _offset_from_shoulder(plan: Plan, trunk: Trunk, hand: int, offset: tuple[flo
     return trunk.shoulders[hand] + turn(trunk.yaws[3], 0.0, scaled)
 
 
-def elbow_poles(flare: float, trunk: Trunk, wrists: Float[np.ndarray, "n 2 3"]) -> Float[np.ndarray, "n 2 3"]:
+def elbow_poles(flare: float, trunk: Trunk, wrists: Sides) -> Sides:
     """Return where the elbows point, in the chest's frame; follows the direction of the arm.
 
     A fixed pole would be antiparallel to an arm that reaches up and forward, and the elbow would flip. Upward is the
@@ -445,13 +441,7 @@ def elbow_poles(flare: float, trunk: Trunk, wrists: Float[np.ndarray, "n 2 3"]) 
     return np.stack(poles, axis=1)
 
 
-def pose_arms(
-    body: Body,
-    flare: float,
-    trunk: Trunk,
-    wrists: Float[np.ndarray, "n 2 3"],
-    poles: Float[np.ndarray, "n 2 3"] | None = None,
-) -> Arms:
+def pose_arms(body: Body, flare: float, trunk: Trunk, wrists: Sides, poles: Sides | None = None) -> Arms:
     """Find the elbows by two-bone kinematics.
 
     Args:

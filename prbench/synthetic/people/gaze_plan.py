@@ -15,6 +15,9 @@ from prbench.synthetic.people.person import Preset
 from prbench.synthetic.people.plan import Plan, Reach
 from prbench.synthetic.people.walking import BasePath
 
+Signal = Float[np.ndarray, " n"]  # one number a time
+Points = Float[np.ndarray, "n 3"]  # metres, or unit directions
+
 _LONGEST_FILL = 1.6  # s
 _SHORTEST_FILL = 0.15
 _WALKING = 0.3  # metres per second
@@ -57,9 +60,7 @@ class GazePlan:
     kinds: tuple[str, ...]
 
 
-def plan_gaze(
-    plan: Plan, base: BasePath, eye: Float[np.ndarray, "n 3"], times: Float[np.ndarray, " n"], rng: np.random.Generator
-) -> GazePlan:
+def plan_gaze(plan: Plan, base: BasePath, eye: Points, times: Signal, rng: np.random.Generator) -> GazePlan:
     """Schedule all looks of a recording.
 
     Args:
@@ -303,12 +304,7 @@ _SHIFT = (np.deg2rad(11.0), np.deg2rad(29.0))
 
 
 def repaired(
-    plan: Plan,
-    gaze_plan: GazePlan,
-    eye: Float[np.ndarray, "n 3"],
-    gaze: Float[np.ndarray, "n 3"],
-    times: Float[np.ndarray, " n"],
-    rng: np.random.Generator,
+    plan: Plan, gaze_plan: GazePlan, eye: Points, gaze: Points, times: Signal, rng: np.random.Generator
 ) -> GazePlan:
     """Apply one round of repair; return the plan itself when nothing offends.
 

@@ -10,6 +10,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
 
+Signal = Float[np.ndarray, " n"]  # one number a time
+Channel = Float[np.ndarray, "n *dims"]  # one number or vector a time
+Points = Float[np.ndarray, "n 3"]  # metres
+
 UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -40,13 +44,7 @@ def eased_trapezoid(x: np.ndarray, up: float, down: float) -> np.ndarray:
 
 
 def blend(
-    channel: Float[np.ndarray, "n *dims"],
-    times: Float[np.ndarray, " n"],
-    start: float,
-    duration: float,
-    target: np.ndarray | float,
-    *,
-    skew: float = 0.0,
+    channel: Channel, times: Signal, start: float, duration: float, target: np.ndarray | float, *, skew: float = 0.0
 ) -> None:
     """Make a channel take up a target from ``start`` on, within ``duration``, in place.
 
@@ -68,22 +66,14 @@ def blend(
     channel[last:] = target[last:] if moving else target
 
 
-def add_bump(
-    channel: Float[np.ndarray, "n *dims"],
-    times: Float[np.ndarray, " n"],
-    start: float,
-    duration: float,
-    height: np.ndarray | float,
-) -> None:
+def add_bump(channel: Channel, times: Signal, start: float, duration: float, height: np.ndarray | float) -> None:
     """Add a smooth hump that is zero at ``start`` and at ``start + duration``, in place."""
     first, last = np.searchsorted(times, [start, start + duration])
     shape = bump((times[first:last] - start) / duration).reshape(-1, *([1] * (channel.ndim - 1)))
     channel[first:last] += shape * np.asarray(height)
 
 
-def wobble(
-    times: Float[np.ndarray, " n"], rms: float, low: float, high: float, rng: np.random.Generator
-) -> Float[np.ndarray, " n"]:
+def wobble(times: Signal, rms: float, low: float, high: float, rng: np.random.Generator) -> Signal:
     """Return a sum of five sines of random phase, with frequencies from ``low`` to ``high`` Hz and the given r.m.s."""
     frequencies = rng.uniform(low, high, 5)
     phases = rng.uniform(0.0, 2.0 * np.pi, 5)
@@ -92,12 +82,12 @@ def wobble(
     return rms * np.sqrt(2.0 / 5.0) * waves.sum(axis=0)
 
 
-def smooth(values: Float[np.ndarray, "n *dims"], seconds: float, rate: float) -> np.ndarray:
+def smooth(values: Channel, seconds: float, rate: float) -> np.ndarray:
     """Apply a Gaussian filter over frames whose standard deviation is ``seconds``."""
     return gaussian_filter1d(values, seconds * rate, axis=0, mode="nearest", truncate=3.0)
 
 
-def two_pole_low_pass(values: Float[np.ndarray, " n"], time_constant: float, rate: float) -> np.ndarray:
+def two_pole_low_pass(values: Signal, time_constant: float, rate: float) -> np.ndarray:
     """Apply two equal exponential filters in series, at rest on the first value."""
     decay = float(np.exp(-1.0 / (time_constant * rate)))
     for _ in range(2):
@@ -179,11 +169,7 @@ def soft_limit(ratio: np.ndarray, begin: float, end: float) -> np.ndarray:
 
 
 def two_bone(
-    root: Float[np.ndarray, "n 3"],
-    target: Float[np.ndarray, "n 3"],
-    lengths: tuple[float, float],
-    pole: Float[np.ndarray, "n 3"],
-    limit: tuple[float, float],
+    root: Points, target: Points, lengths: tuple[float, float], pole: Points, limit: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return middle and end joint of a limb that reaches from ``root`` towards ``target`` and bends towards ``pole``.
 

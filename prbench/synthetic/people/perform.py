@@ -15,18 +15,7 @@ from jaxtyping import Bool, Float
 
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import N_JOINTS, Joint
-from prbench.synthetic.people.body import (
-    Arms,
-    Head,
-    bend,
-    draw_sway,
-    move_eyes,
-    move_head,
-    move_trunk,
-    move_wrists,
-    pose_arms,
-    turn_hands,
-)
+from prbench.synthetic.people import body as bodies
 from prbench.synthetic.people.gaze_plan import GazePlan, plan_gaze, repaired
 from prbench.synthetic.people.kinematics import frame_of_bone, quaternion, rotation_quaternion, turn
 from prbench.synthetic.people.person import PRESETS, Person, Preset, Trunk, draw_person
@@ -55,7 +44,7 @@ class Motion:
 
     joints: Float[np.ndarray, "n 22 3"]
     rotations: Float[np.ndarray, "n 22 4"]
-    head: Head
+    head: bodies.Head
     head_rotation: Float[np.ndarray, "n 4"]
     eye: Float[np.ndarray, "n 3"]
     hands: Float[np.ndarray, "n 2 3 3"]
@@ -79,23 +68,23 @@ def synthesise(plan: Plan, times: Float[np.ndarray, " n"], generators: Generator
     base = sample_base(plan.start, plan.segments, times)
     steps = plan_steps(person, plan.segments)
     feet = place_feet(person, base, steps, times, seated=plan.is_seated)
-    sway = draw_sway(plan, base, steps, times, for_sway)
+    sway = bodies.draw_sway(plan, base, steps, times, for_sway)
     postures = [reach.posture for reach in plan.reaches]
 
-    rough = move_trunk(plan, base, bend(plan, postures, times), sway, feet, steps, times, None)
+    rough = bodies.move_trunk(plan, base, bodies.bend(plan, postures, times), sway, feet, steps, times, None)
     # The eye positions of a head that looks along the chest.
     body = person.body
     up = body.neck_length * np.cos(body.neck_tilt) + body.eye[1]
     ahead = body.neck_length * np.sin(body.neck_tilt) + body.eye[2]
     rough_eye = rough.neck + turn(rough.yaws[3], 0.0, np.array([0.0, up, ahead]))
     gaze_plan = plan_gaze(plan, base, rough_eye, times, for_gaze)
-    head = move_head(plan.preset, person.habits, gaze_plan, base.heading, rough_eye, times, for_head)
+    head = bodies.move_head(plan.preset, person.habits, gaze_plan, base.heading, rough_eye, times, for_head)
 
     frames = np.searchsorted(times, [reach.event for reach in plan.reaches])
     left = _CORRECTIONS
     while True:
-        trunk = move_trunk(plan, base, bend(plan, postures, times), sway, feet, steps, times, head)
-        arms = pose_arms(body, person.habits.elbow_flare, trunk, move_wrists(plan, trunk, sway, times))
+        trunk = bodies.move_trunk(plan, base, bodies.bend(plan, postures, times), sway, feet, steps, times, head)
+        arms = bodies.pose_arms(body, person.habits.elbow_flare, trunk, bodies.move_wrists(plan, trunk, sway, times))
         misses = tuple(
             float(np.linalg.norm(arms.wrist[frame, reach.hand] - reach.grasp.wrist))
             for frame, reach in zip(frames, plan.reaches, strict=True)
@@ -119,8 +108,8 @@ def assemble(
     base: BasePath,
     feet: Feet,
     trunk: Trunk,
-    head: Head,
-    arms: Arms,
+    head: bodies.Head,
+    arms: bodies.Arms,
     times: np.ndarray,
     gaze_plan: GazePlan,
     misses: tuple[float, ...],
@@ -134,7 +123,7 @@ def assemble(
     along_neck = body.neck_length * np.array([0.0, np.cos(body.neck_tilt), np.sin(body.neck_tilt)])
     head_joint = trunk.neck + turn(neck_yaw, neck_pitch, along_neck)
     eye = head_joint + turn(head.yaw, head.pitch, np.array(body.eye))
-    hands = turn_hands(plan, arms, times)
+    hands = bodies.turn_hands(plan, arms, times)
     head_rotation = rotation_quaternion(head.yaw, head.pitch)
     neck = rotation_quaternion(neck_yaw, neck_pitch)
     hips = np.stack(trunk.hips, axis=1)
@@ -176,7 +165,7 @@ def _segment_rotations(
     head: Float[np.ndarray, "n 4"],
     legs: Legs,
     feet: Feet,
-    arms: Arms,
+    arms: bodies.Arms,
     hands: Float[np.ndarray, "n 2 3 3"],
 ) -> Float[np.ndarray, "n 22 4"]:
     """Return world from segment at each joint: trunk and feet y up, limbs y along the bone, x the hinge."""
@@ -313,7 +302,9 @@ def _look(
     shifts = source.generator("recording", index, "repair")
     gaze = np.empty((0, 3))
     for left in reversed(range(_REPAIRS + 1)):
-        gaze = move_eyes(gaze_plan.looks, motion.head, motion.eye, times, source.generator("recording", index, "eye"))
+        gaze = bodies.move_eyes(
+            gaze_plan.looks, motion.head, motion.eye, times, source.generator("recording", index, "eye")
+        )
         better = repaired(plan, gaze_plan, motion.eye, gaze, times, shifts) if left else gaze_plan
         if better is gaze_plan:
             break

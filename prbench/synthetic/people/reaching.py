@@ -22,6 +22,8 @@ from prbench.synthetic.people.person import (
 from prbench.synthetic.people.walking import BasePose, Segment, plan_segment
 from prbench.synthetic.people.world import Room, Surface
 
+Vector = Float[np.ndarray, "3"]  # metres
+
 _LEANS = np.deg2rad(np.linspace(0.0, 70.0, 15))
 _CROUCHES = np.linspace(0.0, 0.5, 14)
 _HAND_SLOPE = np.deg2rad(40.0)
@@ -36,7 +38,7 @@ class Grasp:
         hand: World from hand; y from wrist to finger base.
     """
 
-    wrist: Float[np.ndarray, "3"]
+    wrist: Vector
     hand: Float[np.ndarray, "3 3"]
 
 
@@ -57,13 +59,7 @@ class Posture:
 
 
 def take_hold(
-    preset: Preset,
-    body: Body,
-    shoulder: Float[np.ndarray, "3"],
-    centre: Float[np.ndarray, "3"],
-    half_extents: Float[np.ndarray, "3"],
-    yaw: float,
-    number: float,
+    preset: Preset, body: Body, shoulder: Vector, centre: Vector, half_extents: Vector, yaw: float, number: float
 ) -> Grasp:
     """Return the grasp of a box by the hand of a given shoulder."""
     towards = unit(shoulder - centre)
@@ -85,12 +81,7 @@ def take_hold(
 
 
 def kept_away(
-    grasp: Grasp,
-    hand_length: float,
-    centre: Float[np.ndarray, "3"],
-    half_extents: Float[np.ndarray, "3"],
-    yaw: float,
-    clearance: float,
+    grasp: Grasp, hand_length: float, centre: Vector, half_extents: Vector, yaw: float, clearance: float
 ) -> Grasp:
     """Draw the hand back along itself until its finger base is ``clearance`` metres from the box."""
     backwards = -grasp.hand[:, 1]
@@ -102,7 +93,7 @@ def kept_away(
 
 def shoulder_in_posture(
     person: Person, base: BasePose, hand: int, posture: Posture, pelvis_height: float | None = None
-) -> Float[np.ndarray, "3"]:
+) -> Vector:
     """Return where the reaching shoulder is in a posture at a standing place."""
     lean = np.array([posture.lean])
     crouch = np.array([posture.crouch])
@@ -113,7 +104,7 @@ def solve_posture(
     person: Person,
     base: BasePose,
     hand: int,
-    wrist: Float[np.ndarray, "3"],
+    wrist: Vector,
     pelvis_height: float | None = None,
     offset: np.ndarray | None = None,
 ) -> Posture:
@@ -189,11 +180,11 @@ class Goal:
     """
 
     surface: int
-    centre: Float[np.ndarray, "3"]
-    half_extents: Float[np.ndarray, "3"]
+    centre: Vector
+    half_extents: Vector
     yaw: float
-    handle: Float[np.ndarray, "3"] | None = None
-    handle_half: Float[np.ndarray, "3"] | None = None
+    handle: Vector | None = None
+    handle_half: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -215,7 +206,7 @@ class Stand:
 class Held:
     """The way in which something in the hand was picked."""
 
-    centre: Float[np.ndarray, "3"]
+    centre: Vector
     yaw: float
     heading: float
     grasp: Grasp

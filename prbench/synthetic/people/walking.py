@@ -24,6 +24,10 @@ from prbench.synthetic.people.kinematics import (
 )
 from prbench.synthetic.people.person import BALL_HEIGHT, Body, Habits, Person
 
+Signal = Float[np.ndarray, " n"]  # one number a time
+Sides = Float[np.ndarray, "n 2 3"]  # left and right, metres
+Vector = Float[np.ndarray, "3"]  # metres
+
 _WALK_FROM = 0.7  # metres; shorter ways are shuffled
 _STAY_WITHIN = 0.04  # metres; nearer, and turned by less than 12 degrees, the feet stay
 _STAY_TURN = np.deg2rad(12.0)
@@ -44,17 +48,17 @@ class BasePose:
     heading: float
 
     @property
-    def point(self) -> Float[np.ndarray, "3"]:
+    def point(self) -> Vector:
         """Return the position on the floor: x, 0, z in metres, world frame."""
         return np.array([self.x, 0.0, self.z])
 
     @property
-    def left(self) -> Float[np.ndarray, "3"]:
+    def left(self) -> Vector:
         """Unit vector to the left."""
         return np.array([np.cos(self.heading), 0.0, -np.sin(self.heading)])
 
     @property
-    def forward(self) -> Float[np.ndarray, "3"]:
+    def forward(self) -> Vector:
         """Unit vector ahead."""
         return np.array([np.sin(self.heading), 0.0, np.cos(self.heading)])
 
@@ -153,10 +157,10 @@ class BasePath:
         speed: Metres per second.
     """
 
-    x: Float[np.ndarray, " n"]
-    z: Float[np.ndarray, " n"]
-    heading: Float[np.ndarray, " n"]
-    speed: Float[np.ndarray, " n"]
+    x: Signal
+    z: Signal
+    heading: Signal
+    speed: Signal
 
     @cached_property
     def points(self) -> Float[np.ndarray, "n 3"]:
@@ -168,7 +172,7 @@ class BasePath:
         return BasePose(float(self.x[index]), float(self.z[index]), float(self.heading[index]))
 
 
-def sample_base(start: BasePose, segments: tuple[Segment, ...], times: Float[np.ndarray, " n"]) -> BasePath:
+def sample_base(start: BasePose, segments: tuple[Segment, ...], times: Signal) -> BasePath:
     """Return the base pose at every frame of a recording that begins standing at ``start``."""
     position = np.tile([start.x, start.z], (times.size, 1))
     heading = np.full(times.size, start.heading)
@@ -234,7 +238,7 @@ class Feet:
         pitch: > 0: heel up.
     """
 
-    ball: Float[np.ndarray, "n 2 3"]
+    ball: Sides
     yaw: Float[np.ndarray, "n 2"]
     pitch: Float[np.ndarray, "n 2"]
     planted: Bool[np.ndarray, "n 2"]
@@ -265,9 +269,7 @@ def plan_steps(person: Person, segments: tuple[Segment, ...]) -> tuple[Step, ...
     return tuple(steps)
 
 
-def place_feet(
-    person: Person, base: BasePath, steps: tuple[Step, ...], times: Float[np.ndarray, " n"], *, seated: bool
-) -> Feet:
+def place_feet(person: Person, base: BasePath, steps: tuple[Step, ...], times: Signal, *, seated: bool) -> Feet:
     """Return the balls of both feet over time.
 
     Args:
@@ -308,9 +310,7 @@ def place_feet(
     return Feet(ball, yaw, pitch, planted)
 
 
-def _plant(
-    person: Person, pose: BasePose, foot: int, speed: float, ahead: float | None
-) -> tuple[Float[np.ndarray, "3"], float]:
+def _plant(person: Person, pose: BasePose, foot: int, speed: float, ahead: float | None) -> tuple[Vector, float]:
     """Return where the ball of a foot rests when the base is at ``pose``, and its yaw."""
     side = 1.0 if foot == 0 else -1.0
     forward = person.body.foot_length * (0.62 - 0.30 * min(1.0, speed)) if ahead is None else ahead
@@ -340,25 +340,19 @@ _POLE_DOWN = np.arctan(0.35)  # stays regular when the foot trails behind a crou
 class Legs:
     """Joints of both legs; index 1 is the side."""
 
-    knee: Float[np.ndarray, "n 2 3"]
-    ankle: Float[np.ndarray, "n 2 3"]
-    ball: Float[np.ndarray, "n 2 3"]
+    knee: Sides
+    ankle: Sides
+    ball: Sides
 
 
-def ankles(body: Body, feet: Feet) -> Float[np.ndarray, "n 2 3"]:
+def ankles(body: Body, feet: Feet) -> Sides:
     """Return the ankles of feet that turn and roll about their balls."""
     return feet.ball - turn(feet.yaw, feet.pitch, np.array([0.0, -body.ankle_height, body.foot_length]))
 
 
 def lowered_pelvis(
-    body: Body,
-    height: Float[np.ndarray, " n"],
-    hips: Float[np.ndarray, "n 2 3"],
-    feet: Feet,
-    steps: tuple[Step, ...],
-    times: Float[np.ndarray, " n"],
-    rate: float,
-) -> Float[np.ndarray, " n"]:
+    body: Body, height: Signal, hips: Sides, feet: Feet, steps: tuple[Step, ...], times: Signal, rate: float
+) -> Signal:
     """Lower the pelvis where the planted feet ask for it, and nowhere because of the swinging one.
 
     Args:
@@ -399,7 +393,7 @@ def lowered_pelvis(
     return smooth(np.minimum(lowered, allowed), 0.025, rate)
 
 
-def pose_legs(body: Body, hips: Float[np.ndarray, "n 2 3"], pelvis_yaw: Float[np.ndarray, " n"], feet: Feet) -> Legs:
+def pose_legs(body: Body, hips: Sides, pelvis_yaw: Signal, feet: Feet) -> Legs:
     """Find the knees by two-bone kinematics; a swinging foot follows the ankle where the leg is too short for it."""
     wanted = ankles(body, feet)
     knees = []
