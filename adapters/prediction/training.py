@@ -16,21 +16,10 @@ from torch import Tensor, nn
 
 from prbench.errors import UsageError
 from prbench.randomness import named_generator
+from prbench_adapters.prediction import records
 from prbench_adapters.prediction.belfusion import BehaviourConfiguration, UNetConfiguration
 from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion, held
 from prbench_adapters.prediction.configuration import PRESETS, DiffusionConfiguration, preset
-from prbench_adapters.prediction.records import (
-    AUTOENCODERS,
-    AutoencodersRecord,
-    BeLFusionRecord,
-    CVAERecord,
-    DiffusionRecord,
-    DLowRecord,
-    PredictorNetwork,
-    Record,
-    SeenWindows,
-    contents,
-)
 from prbench_adapters.prediction.recurrent import CVAEConfiguration, DLow, DLowConfiguration, Losses
 from prbench_adapters.training.batches import WindowBatch, WindowChoice, WindowsDataset
 from prbench_adapters.training.task import TrainingModule, split_model_table
@@ -131,7 +120,7 @@ class PredictorTraining(TrainingModule):
     def __init__(
         self,
         kind: str,
-        record: Record,
+        record: records.Record,
         network: nn.Module,
         losses: Callable[[PredictorTraining, Motion, torch.Generator, int], Losses],
         course: RateCourse,
@@ -170,7 +159,7 @@ class PredictorTraining(TrainingModule):
     def _errors(self, motion: Motion, step: int) -> Losses:
         """Errors of drawn futures of the joints."""
         network = self.network
-        if not isinstance(network, PredictorNetwork):
+        if not isinstance(network, records.PredictorNetwork):
             return {}
         seen = self.record.windows
         samples = network.configuration.n_samples if isinstance(network, DLow) else _VALIDATION_SAMPLES
@@ -196,7 +185,7 @@ class PredictorTraining(TrainingModule):
 
     def weights(self) -> tuple[dict[str, Tensor], dict[str, str]]:
         """Return the network, frozen parts with it, and the header of its file."""
-        return contents(self.kind, self.record, self.network)
+        return records.contents(self.kind, self.record, self.network)
 
     def learning_rate_factor(self, step: int) -> float:
         """Follow the course."""
@@ -338,18 +327,18 @@ class PredictorTask:
         if self.name == "belfusion" and stage == STAGES_OF_BELFUSION[0]:
             own = {"n_joints": seen.nodes, "observed": seen.observed, "predicted": seen.predicted}
             network, phases = split_model_table({**sizes, **own}, BehaviourConfiguration, Phases)
-            record = AutoencodersRecord(windows=seen, network=network)
+            record = records.AutoencodersRecord(windows=seen, network=network)
             losses = partial(autoencoder_losses, frozen_from=phases.frozen_from)
-            return PredictorTraining(AUTOENCODERS, record, record.build(), losses, course)
+            return PredictorTraining(records.AUTOENCODERS, record, record.build(), losses, course)
         if self.name == "belfusion":
             return _belfusion(sizes, seen, course, initial, data)
         losses = diffusion_losses
         if self.name == "cvae":  # a direction counts as one more joint
             own = {"n_joints": seen.nodes, "predicted": seen.predicted}
-            record = CVAERecord(windows=seen, network=_converted({**sizes, **own}, CVAEConfiguration, "model"))
+            record = records.CVAERecord(windows=seen, network=_converted({**sizes, **own}, CVAEConfiguration, "model"))
             losses = latent_losses
         else:
-            record = DiffusionRecord(windows=seen, network=_diffusion(self.name, sizes, seen))
+            record = records.DiffusionRecord(windows=seen, network=_diffusion(self.name, sizes, seen))
         network = record.build()
         origin: tuple[str, ...] = ()
         if initial is not None:
@@ -363,7 +352,7 @@ class PredictorTask:
         return module
 
 
-def _diffusion(name: str, model: dict[str, Any], seen: SeenWindows) -> DiffusionConfiguration:
+def _diffusion(name: str, model: dict[str, Any], seen: records.SeenWindows) -> DiffusionConfiguration:
     """GazeMoDiff and HumanMAC: ``preset`` is one of the published configurations, other keys differ from it."""
     chosen = model.pop("preset", name)
     own = [each for each in PRESETS if each.startswith("humanmac") is (name == "humanmac")]
@@ -380,27 +369,31 @@ def _diffusion(name: str, model: dict[str, Any], seen: SeenWindows) -> Diffusion
     return _converted({**msgspec.to_builtins(base), **model, **size}, DiffusionConfiguration, "model")
 
 
-def _dlow(model: dict[str, Any], seen: SeenWindows, course: RateCourse, initial: Path | None) -> PredictorTraining:
+def _dlow(
+    model: dict[str, Any], seen: records.SeenWindows, course: RateCourse, initial: Path | None
+) -> PredictorTraining:
     """DLow's sampler for a trained CVAE, which ``--init`` names."""
     command = "prbench train --method cvae --data WINDOWS… --out DIR"
-    start, old = _started("dlow", initial, seen, "cvae", CVAERecord, "a trained CVAE", command)
+    start, old = _started("dlow", initial, seen, "cvae", records.CVAERecord, "a trained CVAE", command)
     network = _converted(model, DLowConfiguration, "model")
-    record = DLowRecord(windows=seen, network=network, cvae=old.network)
+    record = records.DLowRecord(windows=seen, network=network, cvae=old.network)
     sampler = record.build()
     start.load_into(sampler.cvae, "network")
     return PredictorTraining("dlow", record, sampler, latent_losses, course, origin_of(start))
 
 
 def _belfusion(
-    model: dict[str, Any], seen: SeenWindows, course: RateCourse, initial: Path | None, data: WindowsDataset
+    model: dict[str, Any], seen: records.SeenWindows, course: RateCourse, initial: Path | None, data: WindowsDataset
 ) -> PredictorTraining:
     """BeLFusion's diffusion of behaviours of trained autoencoders, which ``--init`` names."""
     command = "prbench train --method belfusion --stage autoencoders --data WINDOWS… --out DIR"
     what = "BeLFusion's trained autoencoders"
-    start, old = _started("belfusion", initial, seen, AUTOENCODERS, AutoencodersRecord, what, command)
+    start, old = _started("belfusion", initial, seen, records.AUTOENCODERS, records.AutoencodersRecord, what, command)
     table = {**model, "condition": old.network.past}
     unet, objective = split_model_table(table, UNetConfiguration, BestOfNoises)
-    record = BeLFusionRecord(windows=seen, network=unet, behaviour=old.network, decoded_weight=objective.decoded_weight)
+    record = records.BeLFusionRecord(
+        windows=seen, network=unet, behaviour=old.network, decoded_weight=objective.decoded_weight
+    )
     try:
         network = record.build()
     except ValueError as error:
@@ -425,14 +418,20 @@ def _belfusion(
 
 
 def _started(
-    name: str, initial: Path | None, seen: SeenWindows, kind: str, record: type[_Struct], what: str, command: str
+    name: str,
+    initial: Path | None,
+    seen: records.SeenWindows,
+    kind: str,
+    record: type[_Struct],
+    what: str,
+    command: str,
 ) -> tuple[Weights, _Struct]:
     """Read what a method builds upon, and refuse what was trained on other windows."""
     if initial is None:
         raise UsageError(f"--init: {name} builds upon {what}. Train one first (`{command}`) and name its file.")
     start = read_weights(initial, kind=kind)
     old = start.configuration(record)
-    for field in SeenWindows.__struct_fields__:
+    for field in records.SeenWindows.__struct_fields__:
         now = getattr(seen, field)
         then = getattr(old.windows, field)  # type: ignore[attr-defined]  # every record has windows
         if now != then:

@@ -17,18 +17,6 @@ _HOMES = {
     "task": ("TrainingData", "TrainingModule", "TrainingTask"),
 }
 
-__all__ = [
-    "LengthBatches",
-    "MotionBatch",
-    "MotionItem",
-    "SequenceDataset",
-    "TrainingData",
-    "TrainingModule",
-    "TrainingTask",
-    "collate",
-    "fit",
-]
-
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that the command line can list tasks without torch."""

@@ -19,6 +19,10 @@ from prbench.protocol.manifests import InHandRule
 from prbench.recording import HandStream, ObjectTrack, Recording
 from prbench.recording.streams import Side
 
+Frames = Bool[np.ndarray, " n"]  # a value a frame
+Numbers = Float[np.ndarray, " n"]
+Points = Float[np.ndarray, "n 3"]
+
 _LONGEST_REST = 1.0  # seconds of rest that are averaged: enough to suppress sensor noise, short enough to be local
 
 
@@ -65,15 +69,15 @@ class Departure:
 class Track:
     """The valid samples of one object: times, centre of the box, pose, and the window of its speed in seconds."""
 
-    times: Float[np.ndarray, " n"]
-    centre: Float[np.ndarray, "n 3"]
-    position: Float[np.ndarray, "n 3"]
+    times: Numbers
+    centre: Points
+    position: Points
     rotation: Float[np.ndarray, "n 4"]
     window: float
 
 
 def find_departure(
-    track: Track, still: Bool[np.ndarray, " n"], start: int, stop: int, *, floor: int, tolerance: float
+    track: Track, still: Frames, start: int, stop: int, *, floor: int, tolerance: float
 ) -> Departure | None:
     """Return the last rest before a holding, and the instant at which the object leaves it.
 
@@ -184,19 +188,14 @@ _STAYS_WITHIN = 1.5
 _VERTICES_AT_ONCE = 200_000
 
 
-def runs(mask: Bool[np.ndarray, " n"]) -> Int[np.ndarray, "k 2"]:
+def runs(mask: Frames) -> Int[np.ndarray, "k 2"]:
     """First index and end (exclusive) of every run of True, in order."""
     edges = np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))
     return np.column_stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)])
 
 
 def held_segments(
-    held: Bool[np.ndarray, " n"],
-    staying: Bool[np.ndarray, " n"],
-    times: Float[np.ndarray, " n"],
-    *,
-    minimum_duration: float,
-    join_gap: float,
+    held: Frames, staying: Frames, times: Numbers, *, minimum_duration: float, join_gap: float
 ) -> Int[np.ndarray, "k 2"]:
     """Return holdings from raw per-sample evidence (docs/specification/curation.md#in-hand-segmentation).
 
@@ -246,10 +245,10 @@ def contact_distance(
     hand: HandStream,
     track: ObjectTrack,
     rule: InHandRule,
-    times: Float[np.ndarray, " n"],
-    position: Float[np.ndarray, "n 3"],
+    times: Numbers,
+    position: Points,
     rotation: Float[np.ndarray, "n 4"],
-) -> Float[np.ndarray, " n"]:
+) -> Numbers:
     """Distance of the hand's nearest contact point to the object at given poses, metres; inf where unmeasured.
 
     An object without surface stands in with its box where the rule asks for surfaces.
@@ -293,9 +292,7 @@ def contact_distance(
     return np.where(measured, nearest, np.inf)
 
 
-def close_to(
-    distance: Float[np.ndarray, " n"], times: Float[np.ndarray, " n"], resting: Bool[np.ndarray, " n"], limit: float
-) -> Bool[np.ndarray, " n"]:
+def close_to(distance: Numbers, times: Numbers, resting: Frames, limit: float) -> Frames:
     """Return samples at which one hand is close: nearer than the limit, or surely so though unseen.
 
     A hand that leaves the sight while it is close goes on holding the object until that rests, and one that comes into
@@ -322,9 +319,7 @@ def close_to(
     return close
 
 
-def rests(
-    times: Float[np.ndarray, " n"], centre: Float[np.ndarray, "n 3"], still: Bool[np.ndarray, " n"], tolerance: float
-) -> Bool[np.ndarray, " n"]:
+def rests(times: Numbers, centre: Points, still: Frames, tolerance: float) -> Frames:
     """Return samples at which an object rests on something: it keeps its place, which no hand that holds it does.
 
     Args:

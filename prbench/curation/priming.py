@@ -15,6 +15,10 @@ from prbench.geometry.timelines import interpolate
 from prbench.protocol.manifests import CurationConstants
 from prbench.recording import Recording
 
+Times = Float[np.ndarray, " n"]
+Vectors = Float[np.ndarray, "n 3"]
+Seen = Bool[np.ndarray, " n"]
+
 RAY_ORIGINS = ("eye", "camera")
 PUBLISHED_STAGE = "published priming"
 _SLACK = 1e-9  # seconds
@@ -58,12 +62,7 @@ def gaze_rays(recording: Recording, origin: str) -> tuple[np.ndarray, np.ndarray
 
 
 def find_prime(
-    times: Float[np.ndarray, " n"],
-    origins: Float[np.ndarray, "n 3"],
-    directions: Float[np.ndarray, "n 3"],
-    place: Place,
-    event_time: float,
-    constants: CurationConstants,
+    times: Times, origins: Vectors, directions: Vectors, place: Place, event_time: float, constants: CurationConstants
 ) -> Prime | Decision:
     """Return the first gaze sample in ``[event_time - priming_window, event_time]`` that hits or nearly misses the box.
 
@@ -125,9 +124,7 @@ def find_prime(
     )
 
 
-def in_lasting_look(
-    times: Float[np.ndarray, " n"], seen: Bool[np.ndarray, " n"], *, shortest: float, longest_gap: float
-) -> Bool[np.ndarray, " n"]:
+def in_lasting_look(times: Times, seen: Seen, *, shortest: float, longest_gap: float) -> Seen:
     """Keep the samples of looks that last (docs/specification/curation.md#prime-time).
 
     A look is a run of gaze samples that all meet the place. It ends at a sample that does not, and where valid samples

@@ -27,6 +27,9 @@ from prbench.recording import Recording
 from prbench.recording.streams import SIDES, Side
 from prbench.shown import csv_text
 
+Times = Float[np.ndarray, " n"]
+Joints = Float[np.ndarray, "n 22 3"]
+
 _ARMS = (
     (Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST),
     (Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST),
@@ -99,9 +102,7 @@ def propose_pick(recording: Recording, *, hint: float | None = None) -> Candidat
     return Candidate(best.time, best.hand, round(confidence, 2), reason)
 
 
-def _relative_speed(
-    times: Float[np.ndarray, " n"], joints: Float[np.ndarray, "n 22 3"], wrist: int
-) -> Float[np.ndarray, " n"]:
+def _relative_speed(times: Times, joints: Joints, wrist: int) -> Times:
     """Speed of a wrist seen from the pelvis, m/s, smoothed."""
     relative = joints[:, wrist] - joints[:, Joint.PELVIS]
     speed = np.linalg.norm(np.gradient(relative, times, axis=0), axis=1)
@@ -111,14 +112,7 @@ def _relative_speed(
     return np.convolve(padded, np.full(width, 1 / width), mode="valid")
 
 
-def _judged(
-    recording: Recording,
-    times: Float[np.ndarray, " n"],
-    joints: Float[np.ndarray, "n 22 3"],
-    side: int,
-    row: int,
-    moved_more: bool,
-) -> Candidate:
+def _judged(recording: Recording, times: Times, joints: Joints, side: int, row: int, moved_more: bool) -> Candidate:
     """Judge how much one stop looks like reaching."""
     shoulder, elbow, wrist = (joints[row, joint] for joint in _ARMS[side])
     speed = _relative_speed(times, joints, _ARMS[side][2])

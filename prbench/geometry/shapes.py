@@ -26,6 +26,9 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.errors import MissingExtraError, UnloadableExtraError
 
+Points = Float[np.ndarray, "n 3"]
+Corners = Float[np.ndarray, "m 3"]
+
 
 @dataclass(frozen=True)
 class SlabHits:
@@ -42,12 +45,7 @@ class SlabHits:
     hit: Bool[np.ndarray, "n m"]
 
 
-def slab_test(
-    origins: Float[np.ndarray, "n 3"],
-    directions: Float[np.ndarray, "n 3"],
-    box_min: Float[np.ndarray, "m 3"],
-    box_max: Float[np.ndarray, "m 3"],
-) -> SlabHits:
+def slab_test(origins: Points, directions: Points, box_min: Corners, box_max: Corners) -> SlabHits:
     """Intersect n rays with m axis-aligned boxes (equation 4).
 
     Args:
@@ -102,12 +100,7 @@ class NearMisses:
         return (self.distance <= tolerance) & (self.along >= 0)
 
 
-def near_miss(
-    origins: Float[np.ndarray, "n 3"],
-    directions: Float[np.ndarray, "n 3"],
-    box_min: Float[np.ndarray, "m 3"],
-    box_max: Float[np.ndarray, "m 3"],
-) -> NearMisses:
+def near_miss(origins: Points, directions: Points, box_min: Corners, box_max: Corners) -> NearMisses:
     """Compute how closely n rays pass m boxes (equations 5 to 7).
 
     The closest point is the one nearest to the box *centre*; from it a second ray runs to the centre, and the distance
@@ -287,7 +280,7 @@ class TriangleMesh:
         self._scene = open3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(self._single(vertices), self._tensor(faces.astype(np.uint32)))
 
-    def distance(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    def distance(self, points: Points) -> Float[np.ndarray, " n"]:
         """Distance of each point to the closest point of the surface, metres; points inside a body are not negative."""
         found = self._scene.compute_closest_points(self._single(points))
         corners = self._corners[found["primitive_ids"].numpy()]
@@ -295,6 +288,6 @@ class TriangleMesh:
         closest = corners[:, 0] * (1 - first - second) + corners[:, 1] * first + corners[:, 2] * second
         return np.linalg.norm(points - closest, axis=1)
 
-    def _single(self, points: Float[np.ndarray, "n 3"]) -> Any:
+    def _single(self, points: Points) -> Any:
         """Points around the mesh's centre as a float32 tensor."""
         return self._tensor((points - self._centre).astype(np.float32))

@@ -10,10 +10,13 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.errors import StreamsDoNotOverlap
 
+Times = Float[np.ndarray, " n"]
+Query = Float[np.ndarray, " m"]  # the moments asked for
+
 _ROUNDING = 1e-6  # seconds
 
 
-def nearest_index(times: Float[np.ndarray, " n"], query: Float[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
+def nearest_index(times: Times, query: Query) -> Int[np.ndarray, " m"]:
     """Index of the sample nearest to each query time; of two equally near ones the earlier.
 
     Args:
@@ -28,12 +31,7 @@ def nearest_index(times: Float[np.ndarray, " n"], query: Float[np.ndarray, " m"]
 
 
 def covered(
-    times: Float[np.ndarray, " n"],
-    valid: Bool[np.ndarray, " n"],
-    query: Float[np.ndarray, " m"],
-    *,
-    max_gap: float,
-    tolerance: float = _ROUNDING,
+    times: Times, valid: Bool[np.ndarray, " n"], query: Query, *, max_gap: float, tolerance: float = _ROUNDING
 ) -> Bool[np.ndarray, " m"]:
     """Return True for each time that can be interpolated from *valid* neighbours at most ``max_gap`` apart.
 
@@ -56,9 +54,7 @@ def covered(
     return on_sample | (between & (step <= max_gap + _ROUNDING))
 
 
-def interpolate(
-    times: Float[np.ndarray, " n"], values: Float[np.ndarray, "n *shape"], query: Float[np.ndarray, " m"]
-) -> Float[np.ndarray, "m *shape"]:
+def interpolate(times: Times, values: Float[np.ndarray, "n *shape"], query: Query) -> Float[np.ndarray, "m *shape"]:
     """Linear interpolation along the first axis; outside the range the end values are held.
 
     Combine with :func:`covered`, which says where the result means something.
@@ -77,9 +73,7 @@ def interpolate(
     return values[left] * (1 - weight) + values[right] * weight
 
 
-def slerp(
-    times: Float[np.ndarray, " n"], quaternions: Float[np.ndarray, "n 4"], query: Float[np.ndarray, " m"]
-) -> Float[np.ndarray, "m 4"]:
+def slerp(times: Times, quaternions: Float[np.ndarray, "n 4"], query: Query) -> Float[np.ndarray, "m 4"]:
     """Spherical interpolation of rotations (w x y z) on the shorter arc; outside the range the end values are held."""
     if len(times) == 1:
         return np.broadcast_to(quaternions, (len(query), 4)).copy()

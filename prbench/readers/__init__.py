@@ -21,21 +21,12 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import typing
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    Literal,
-    Protocol,
-    TypeVar,
-    get_args,
-    get_origin,
-    get_type_hints,
-    runtime_checkable,
-)
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, runtime_checkable
 
 import msgspec
 
@@ -52,29 +43,6 @@ from prbench.shown import quoted
 
 if TYPE_CHECKING:
     from prbench.readers.egoallo.files import EgoalloInputs
-
-__all__ = [
-    "SYNTHETIC_PREFIX",
-    "AnnotatedByHand",
-    "AnnotationCounts",
-    "AnnotationLine",
-    "AriaGlasses",
-    "CountsAnnotations",
-    "InputFile",
-    "KnowsEnds",
-    "NamesFurtherFiles",
-    "PublishedForPrediction",
-    "Reader",
-    "ReaderOptions",
-    "RecordingFiles",
-    "SyntheticTree",
-    "cut_short",
-    "described_options",
-    "read_synthetic_tree",
-    "reader_for",
-    "require_one_origin",
-    "synthetic_tree_around",
-]
 
 
 class ReaderOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -110,8 +78,9 @@ def parse_options(form: type[Options], given: Mapping[str, str], *, dataset: str
         # Name the values that the blamed option may have, where they are a list.
         blamed = re.search(r"`\$\.(\w+)`", str(error))
         key = blamed[1] if blamed else ""
-        kind = get_type_hints(form).get(key)
-        known = f" {key} is one of: {', '.join(map(str, get_args(kind)))}." if get_origin(kind) is Literal else ""
+        kind = typing.get_type_hints(form).get(key)
+        choices = typing.get_args(kind) if typing.get_origin(kind) is Literal else ()
+        known = f" {key} is one of: {', '.join(map(str, choices))}." if choices else ""
         raise UsageError(f"an option of the reader of {dataset} has a wrong value: {error}.{known}") from error
 
 

@@ -29,6 +29,9 @@ from prbench.files import bounded
 from prbench.readers.found import InputFile
 from prbench.recording import UnreadableEntry
 
+Points = Float[np.ndarray, "n 3"]
+Rotations = Float[np.ndarray, "n 4"]
+
 _PIECE = 2**20
 _COPY_ARCHIVE_AGAIN = "The archive may be truncated; copy or download it again."
 
@@ -329,12 +332,7 @@ def require_increasing(
 
 
 def require_poses(
-    path: Source,
-    position: Float[np.ndarray, "n 3"],
-    rotation: Float[np.ndarray, "n 4"],
-    *,
-    used: Bool[np.ndarray, " n"] | None = None,
-    first: int = 2,
+    path: Source, position: Points, rotation: Rotations, *, used: Bool[np.ndarray, " n"] | None = None, first: int = 2
 ) -> None:
     """Refuse poses that are no numbers or no rotations.
 
@@ -480,7 +478,7 @@ def header_names(line: bytes) -> list[str]:
 
 
 # Times, positions and rotations of one body.
-Poses = tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]]
+Poses = tuple[Int[np.ndarray, " n"], Points, Rotations]
 
 
 def read_poses_by_body(

@@ -18,21 +18,3 @@ from prbench.representation.encoding import (
     root_scale,
 )
 from prbench.representation.features import BLOCKS, N_FEATURES, REST_OFFSETS, Mode, Statistics, StatisticsAccumulator
-
-__all__ = [
-    "BLOCKS",
-    "N_FEATURES",
-    "REST_OFFSETS",
-    "Mode",
-    "Statistics",
-    "StatisticsAccumulator",
-    "UniformSkeleton",
-    "canonicalise",
-    "check_joints",
-    "decode",
-    "encode",
-    "mirror",
-    "rest_offsets",
-    "retarget",
-    "root_scale",
-]

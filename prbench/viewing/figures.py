@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Vector = Float[np.ndarray, "3"]
+Flat = Float[np.ndarray, "n 2"]
+
 # Corners of a box that an edge joins, where a corner's number has a bit for each axis.
 BOX_EDGES: tuple[tuple[int, int], ...] = (
     (0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7), (6, 7),
@@ -103,7 +106,7 @@ def legend_below(figure: Figure, axes: Axes, note: str, *, columns: int) -> None
     figure.legend(handles, labels, ncols=min(len(labels), columns), title=figure_text(note), **style)
 
 
-def horizontal_direction(offset: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+def horizontal_direction(offset: Vector) -> Vector:
     """Return the unit vector of the horizontal part of an offset; +z where there is hardly any, so that it is unit."""
     flat = offset * [1.0, 0.0, 1.0]
     length = float(np.linalg.norm(flat))
@@ -111,9 +114,7 @@ def horizontal_direction(offset: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3
     return flat / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
 
 
-def draw_chains(
-    axes: Axes, flat: Float[np.ndarray, "n 2"], chains: Sequence[Sequence[int]], colour: Any, **style: Any
-) -> None:
+def draw_chains(axes: Axes, flat: Flat, chains: Sequence[Sequence[int]], colour: Any, **style: Any) -> None:
     """Draw one pose that is already flat as a line a chain of joints, in one colour.
 
     Args:
@@ -145,9 +146,7 @@ def shades(colour: str, n: int) -> list[tuple[float, float, float]]:
     return [tuple(base + (1 - base) * share) for share in np.linspace(0.0, 0.62, n)]
 
 
-def square_limits(
-    points: Float[np.ndarray, "n 2"], *, margin: float
-) -> tuple[tuple[float, float], tuple[float, float]]:
+def square_limits(points: Flat, *, margin: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of a square panel around points, so that panels with the same ones compare; metres."""
     low = points.min(axis=0)
     high = points.max(axis=0)
@@ -164,8 +163,6 @@ def without_frame(axes: Axes) -> None:
         axes.spines[side].set_visible(False)
 
 
-def flattened(
-    points: Float[np.ndarray, "n 3"], pelvis: Float[np.ndarray, "3"], sideways: Float[np.ndarray, "3"], at: float
-) -> Float[np.ndarray, "n 2"]:
+def flattened(points: Float[np.ndarray, "n 3"], pelvis: Vector, sideways: Vector, at: float) -> Flat:
     """Return picture coordinates of points around a pelvis that stands at ``at``, metres."""
     return np.stack([(points - pelvis) @ sideways + at, points[:, 1]], axis=-1)

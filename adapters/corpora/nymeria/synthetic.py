@@ -11,15 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.files.storage import atomic_path, write_bytes, write_json
-from prbench.geometry.skeleton import (
-    PARENTS,
-    XSENS_SEGMENTS,
-    Y_UP_FROM_Z_UP,
-    Joint,
-    bone_lengths,
-    rotation_matrices,
-    z_up,
-)
+from prbench.geometry import skeleton
 from prbench.protocol.manifests import load_manifest
 from prbench.randomness import named_generator
 from prbench.readers.aria_mps import format as mps
@@ -36,13 +28,13 @@ _OFFSET = (0.1, 0.3)  # s, suit clock minus glasses' clock
 _DEVICE_START = (100.0, 60_000.0)  # s
 _ROUNDED = 1e5  # 10 micrometres
 
-_Z_UP_FROM_Y_UP = Y_UP_FROM_Z_UP[:3, :3].T
+_Z_UP_FROM_Y_UP = skeleton.Y_UP_FROM_Z_UP[:3, :3].T
 # Segments: x forward, y left, z up; ours: x left, y up, z forward.
 _OURS_FROM_SEGMENT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 # Whose position and rotation a segment takes; the Pelvis segment lies between the hips.
 _JOINT_OF_SEGMENT = {
-    "Pelvis": Joint.PELVIS,
-    **dict(zip(load_manifest("nymeria").body.joint_mapping, Joint, strict=True)),
+    "Pelvis": skeleton.Joint.PELVIS,
+    **dict(zip(load_manifest("nymeria").body.joint_mapping, skeleton.Joint, strict=True)),
 }
 
 
@@ -79,15 +71,15 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
     ticks = np.rint(np.arange(len(motion.joints)) * 1e6 / SUIT_RATE).astype(np.int64)
     rng = generator("drift")
     joints = motion.joints
-    points = np.stack([joints[:, _JOINT_OF_SEGMENT[name]] for name in XSENS_SEGMENTS], axis=1)
-    points[:, 0] = 0.5 * (joints[:, Joint.LEFT_HIP] + joints[:, Joint.RIGHT_HIP])
+    points = np.stack([joints[:, _JOINT_OF_SEGMENT[name]] for name in skeleton.XSENS_SEGMENTS], axis=1)
+    points[:, 0] = 0.5 * (joints[:, skeleton.Joint.LEFT_HIP] + joints[:, skeleton.Joint.RIGHT_HIP])
     drift = np.stack([wobble(motion.times, noise * _DRIFT[0], *_DRIFT[1:], rng) for _ in range(2)], axis=-1)
     points[..., [0, 2]] += drift[:, None]
-    joints = [int(_JOINT_OF_SEGMENT[name]) for name in XSENS_SEGMENTS]
-    turned = rotation_matrices(motion.rotations[:, joints])
+    joints = [int(_JOINT_OF_SEGMENT[name]) for name in skeleton.XSENS_SEGMENTS]
+    turned = skeleton.rotation_matrices(motion.rotations[:, joints])
     suit = Suit(
         time_us=device_start_us + offset_us + ticks,
-        position=(np.rint(z_up(points) * _ROUNDED) / _ROUNDED).astype(np.float32),
+        position=(np.rint(skeleton.z_up(points) * _ROUNDED) / _ROUNDED).astype(np.float32),
         rotation=quaternion(_Z_UP_FROM_Y_UP @ turned @ _OURS_FROM_SEGMENT).astype(np.float32),
         tpose=_calibration_pose(motion),
     )
@@ -109,11 +101,11 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
     # The eyes and head of the wearer; the frame of the glasses on the head is of no consequence here.
     rng = generator("slip")
     slip = [wobble(motion.times, noise * _SLIP[0], *_SLIP[1:], rng) for _ in range(2)]
-    on_head = rotation_matrices(rotation_quaternion(slip[0], slip[1]))
-    rotation = quaternion(_Z_UP_FROM_Y_UP @ rotation_matrices(motion.head_rotation) @ on_head)
+    on_head = skeleton.rotation_matrices(rotation_quaternion(slip[0], slip[1]))
+    rotation = quaternion(_Z_UP_FROM_Y_UP @ skeleton.rotation_matrices(motion.head_rotation) @ on_head)
     glasses = mps.AriaTrajectory(
         device_start_us + ticks,
-        np.rint(z_up(motion.eye) * _ROUNDED) / _ROUNDED,
+        np.rint(skeleton.z_up(motion.eye) * _ROUNDED) / _ROUNDED,
         np.round(rotation, 8),
         np.ones(len(ticks)),
     )
@@ -122,28 +114,32 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
 
 def _calibration_pose(motion: NarratedMotion) -> Float[np.ndarray, "23 3"]:
     """Return the wearer in a T-pose: upright, arms out to the sides; Z up, metres."""
-    lengths = dict(zip(range(1, len(PARENTS)), bone_lengths(motion.joints[0]), strict=True))
+    lengths = dict(zip(range(1, len(skeleton.PARENTS)), skeleton.bone_lengths(motion.joints[0]), strict=True))
     tilt = np.deg2rad(motion.neck_tilt_deg)
     directions = {
-        Joint.LEFT_HIP: (0.6, -0.8, 0.0),
-        Joint.HEAD: (0.0, np.cos(tilt), np.sin(tilt)),
-        Joint.LEFT_COLLAR: (0.7, 0.7141428, 0.0),
-        Joint.LEFT_KNEE: (0.0, -1.0, 0.0),
-        Joint.LEFT_ANKLE: (0.0, -1.0, 0.0),
-        Joint.LEFT_FOOT: (0.0, -0.4, 0.9165151),
-        **dict.fromkeys((Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST), (1.0, 0.0, 0.0)),
-        **dict.fromkeys((Joint.SPINE1, Joint.SPINE2, Joint.SPINE3, Joint.NECK), (0.0, 1.0, 0.0)),
+        skeleton.Joint.LEFT_HIP: (0.6, -0.8, 0.0),
+        skeleton.Joint.HEAD: (0.0, np.cos(tilt), np.sin(tilt)),
+        skeleton.Joint.LEFT_COLLAR: (0.7, 0.7141428, 0.0),
+        skeleton.Joint.LEFT_KNEE: (0.0, -1.0, 0.0),
+        skeleton.Joint.LEFT_ANKLE: (0.0, -1.0, 0.0),
+        skeleton.Joint.LEFT_FOOT: (0.0, -0.4, 0.9165151),
+        **dict.fromkeys(
+            (skeleton.Joint.LEFT_SHOULDER, skeleton.Joint.LEFT_ELBOW, skeleton.Joint.LEFT_WRIST), (1.0, 0.0, 0.0)
+        ),
+        **dict.fromkeys(
+            (skeleton.Joint.SPINE1, skeleton.Joint.SPINE2, skeleton.Joint.SPINE3, skeleton.Joint.NECK), (0.0, 1.0, 0.0)
+        ),
     }
     for joint, direction in tuple(directions.items()):
         if joint.name.startswith("LEFT"):
-            directions[Joint[joint.name.replace("LEFT", "RIGHT")]] = (-direction[0], *direction[1:])
-    joints = np.zeros((len(PARENTS), 3))
+            directions[skeleton.Joint[joint.name.replace("LEFT", "RIGHT")]] = (-direction[0], *direction[1:])
+    joints = np.zeros((len(skeleton.PARENTS), 3))
     joints[0, 1] = 1.0
-    for child in range(1, len(PARENTS)):
-        joints[child] = joints[PARENTS[child]] + lengths[child] * np.array(directions[Joint(child)])
-    points = np.stack([joints[_JOINT_OF_SEGMENT[name]] for name in XSENS_SEGMENTS])
-    points[0] = 0.5 * (joints[Joint.LEFT_HIP] + joints[Joint.RIGHT_HIP])
-    return z_up(points)
+    for child in range(1, len(skeleton.PARENTS)):
+        joints[child] = joints[skeleton.PARENTS[child]] + lengths[child] * np.array(directions[skeleton.Joint(child)])
+    points = np.stack([joints[_JOINT_OF_SEGMENT[name]] for name in skeleton.XSENS_SEGMENTS])
+    points[0] = 0.5 * (joints[skeleton.Joint.LEFT_HIP] + joints[skeleton.Joint.RIGHT_HIP])
+    return skeleton.z_up(points)
 
 
 _NO_GRAPH = "00000000-0000-0000-0000-000000000000"

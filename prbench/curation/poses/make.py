@@ -13,6 +13,7 @@ import signal
 import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -36,39 +37,6 @@ _DEFAULT_COMMAND = (
     "{python}", "3_aria_inference.py", "--traj-root", "{mps}", "--traj-length", "{frames}",
     "--guidance-mode", "{guidance}", "--smplh-npz-path", "{model}",
 )  # fmt: skip
-_INSTALL = """\
-EgoAllo estimates bodies from the glasses' path; prbench reads its outputs and can run it, but does not contain it.
-It needs Python 3.12 or newer and an NVIDIA GPU (repository brentyi/egoallo, MIT; commands of commit 0c20ae8):
-
-  git clone https://github.com/brentyi/egoallo.git
-  cd egoallo
-  python3.12 -m venv .venv && . .venv/bin/activate
-  pip install -e .
-  pip install "jax[cuda12]==0.6.1" git+https://github.com/brentyi/jaxls.git
-  bash download_checkpoint_and_data.sh        # 0.6 GB checkpoint, then 8 GB of examples that are not needed
-
-"""
-_CONFIG = """\
-Then write a file, say egoallo.toml (paths are relative to it):
-
-  [egoallo]
-  python = "egoallo/.venv/bin/python"
-  folder = "egoallo"
-  model = "{model}"
-  # command = ["{{python}}", "3_aria_inference.py", "--traj-root", "{{mps}}", "--traj-length", "{{frames}}",
-  #            "--guidance-mode", "{{guidance}}", "--smplh-npz-path", "{{model}}"]      # this is the default
-  # needs = ["vrs", "points"]                   # what of a recording the command cannot do without
-  # timeout_minutes = 120                       # of one recording
-  # environment = {{ CUDA_VISIBLE_DEVICES = "0" }}
-
-and run:
-
-  prbench poses egoallo --root {root} --config egoallo.toml
-
-It prepares each recording (unpacks archives, turns ADT to Z up), runs the command, checks what comes out and moves it
-to {target}. The same command resumes.
-
-"""
 
 
 class PosesConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -135,7 +103,8 @@ def _path(kind: type, value: object) -> object:
 def instructions(root: Path, lacking: Sequence[PoseState]) -> str:
     """Commands that lead to the bodies which are lacking."""
     example = lacking[0].target if lacking else root / ego.POSES_FOLDER / "RECORDING" / ego.OUTPUT_FOLDER
-    return f"{_INSTALL}{HOW_TO_GET}\n\n{_CONFIG.format(root=root, target=example, model=ego.MODEL_FILE)}"
+    template = files("prbench.curation.poses").joinpath("instructions.template").read_text(encoding="utf-8")
+    return template.format(how_to_get=HOW_TO_GET, root=root, target=example, model=ego.MODEL_FILE)
 
 
 _GRACE = 5.0  # seconds between asking a program to end and ending it

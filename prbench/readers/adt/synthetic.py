@@ -30,6 +30,10 @@ from prbench.synthetic.people.kinematics import UP, unit, wobble
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import Sensing, Switches, device_start_us, fixation_depth, tracked, untracked
 
+Joints = Float[np.ndarray, "n 22 3"]
+SuitJoints = Float[np.ndarray, "n 51 3"]
+FingerBases = Float[np.ndarray, "n 2 3"]
+
 _DIRECT = {
     "Skeleton": Joint.PELVIS, "Ab": Joint.SPINE1, "Chest": Joint.SPINE3, "Neck": Joint.NECK, "Head": Joint.HEAD,
     "LShoulder": Joint.LEFT_COLLAR, "LUArm": Joint.LEFT_SHOULDER, "LFArm": Joint.LEFT_ELBOW, "LHand": Joint.LEFT_WRIST,
@@ -200,11 +204,7 @@ def native_object_id(object_id: str) -> int:
 
 
 def _sense_suit(
-    sensing: Sensing,
-    joints: Float[np.ndarray, "n 22 3"],
-    finger_bases: Float[np.ndarray, "n 2 3"],
-    participant_id: str,
-    number: int,
+    sensing: Sensing, joints: Joints, finger_bases: FingerBases, participant_id: str, number: int
 ) -> adt.AdtSkeleton:
     performance = sensing.performance
     times = sensing.times(_BODY_RATE)
@@ -242,9 +242,7 @@ def _sense_suit(
     )
 
 
-def suit_joints(
-    joints: Float[np.ndarray, "n 22 3"], finger_bases: Float[np.ndarray, "n 2 3"]
-) -> Float[np.ndarray, "n 51 3"]:
+def suit_joints(joints: Joints, finger_bases: FingerBases) -> SuitJoints:
     """Return the 51 native joints: 21 of the body as they are, and straight fingers.
 
     Args:
@@ -277,9 +275,7 @@ def suit_segments() -> Int[np.ndarray, "51"]:
     return np.unique(owner, return_inverse=True)[1]
 
 
-def with_rigid_bones(
-    joints: Float[np.ndarray, "n 51 3"], shifts: Float[np.ndarray, "n segments 3"]
-) -> Float[np.ndarray, "n 51 3"]:
+def with_rigid_bones(joints: SuitJoints, shifts: Float[np.ndarray, "n segments 3"]) -> SuitJoints:
     """Move the segments of a suit without changing the length of a bone, as its solver does.
 
     The bones of the release's own sample keep their lengths to a millionth (docs/specification/adt.md#joints).

@@ -29,6 +29,11 @@ from prbench.synthetic.people.kinematics import wobble
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import Sensing, Switches, closed_eyes, gaze_bias_of, measured_gaze
 
+Numbers = Float[np.ndarray, " n"]
+Microseconds = Int[np.ndarray, " n"]
+Points = Float[np.ndarray, "n 3"]
+EyePoints = Float[np.ndarray, "n 2 3"]
+
 POSE_RATE = 1000
 # Rows a second.
 # Rows a second.
@@ -151,16 +156,14 @@ def device_from_rgb() -> Float[np.ndarray, "4 4"]:
     return transform
 
 
-def _native_poses(sensing: Sensing, times: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
+def _native_poses(sensing: Sensing, times: Numbers) -> tuple[Points, Rotation]:
     """Return noise-free positions and rotations of the device in the native world; ``times`` in performance seconds."""
     position, rotation = device_poses(sensing, times, GLASSES_SIZE)
     native_from_world = Y_UP_FROM_Z_UP[:3, :3].T
     return position @ native_from_world.T, Rotation.from_matrix(native_from_world) * rotation
 
 
-def device_poses(
-    sensing: Sensing, times: Float[np.ndarray, " n"], size: mps.GlassesSize
-) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
+def device_poses(sensing: Sensing, times: Numbers, size: mps.GlassesSize) -> tuple[Points, Rotation]:
     """Return noise-free positions (metres) and rotations of the glasses' device frame in the performance's world."""
     cpf = sensing.head(times)
     cpf_from_device = invert_rigid(mps.device_from_cpf(size))
@@ -179,11 +182,7 @@ def uid_of(identity: str) -> str:
 
 
 def gaze_rows(
-    sensing: Sensing,
-    times: Float[np.ndarray, " n"],
-    time_us: Int[np.ndarray, " n"],
-    depth: Float[np.ndarray, " n"],
-    gaze_kind: mps.GazeKind = "personalized",
+    sensing: Sensing, times: Numbers, time_us: Microseconds, depth: Numbers, gaze_kind: mps.GazeKind = "personalized"
 ) -> mps.GazeAngles:
     """Return the gaze rows that the files have: some are lost, those of blinks hold NaN, stamps are a little off.
 
@@ -248,16 +247,14 @@ def _sense_hands(sensing: Sensing, start_us: int) -> mps.WristPositions:
     )
 
 
-def _in_device(
-    sensing: Sensing, times: Float[np.ndarray, " n"], points: Float[np.ndarray, "n 2 3"]
-) -> Float[np.ndarray, "n 2 3"]:
+def _in_device(sensing: Sensing, times: Numbers, points: EyePoints) -> EyePoints:
     """Return points of the performance's world in the true device frame."""
     position, rotation = _native_poses(sensing, times)
     native = points @ Y_UP_FROM_Z_UP[:3, :3] - position[:, None]
     return np.einsum("nji,nhj->nhi", rotation.as_matrix(), native)
 
 
-def _steps(performance: Performance, first_us: int, rate: int) -> Int[np.ndarray, " n"]:
+def _steps(performance: Performance, first_us: int, rate: int) -> Microseconds:
     """Return the microseconds since the first instant, at a steady rate, until the performance ends."""
     return np.arange(first_us, int(performance.duration * 1e6) - 50, 1_000_000 // rate)
 

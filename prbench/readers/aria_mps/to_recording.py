@@ -18,6 +18,8 @@ from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, WIDEST_GAZE_ANGLE, gaze_directions_cpf
 from prbench.recording.streams import SIDES, GazeStream, HandStream, PoseStream
 
+Numbers = Float[np.ndarray, " n"]
+
 ASSUMED_SIZE: mps.GlassesSize = "DVT-S"  # Size of glasses where no file tells it.
 SAME_INSTANT = 1e-3  # Seconds; the step of the poses.
 
@@ -127,14 +129,7 @@ def part_poses(device: PoseStream, device_from_part: Float[np.ndarray, "4 4"]) -
     )
 
 
-def gaze_in_world(
-    cpf: PoseStream,
-    times: Float[np.ndarray, " n"],
-    yaw: Float[np.ndarray, " n"],
-    pitch: Float[np.ndarray, " n"],
-    *,
-    same_instant: float,
-) -> GazeStream:
+def gaze_in_world(cpf: PoseStream, times: Numbers, yaw: Numbers, pitch: Numbers, *, same_instant: float) -> GazeStream:
     """Return the gaze rays in the world: origin = CPF origin, direction = rotated ``normalise(tan yaw, tan pitch, 1)``.
 
     A ray is invalid when an angle is not finite or beyond 60 degrees, or when no valid pose lies within

@@ -37,6 +37,10 @@ from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import Sensing, Switches, gaze_bias_of, measured_gaze, sensor_generator
 
+Vectors = Float[np.ndarray, "n 3"]
+Numbers = Float[np.ndarray, " n"]
+Transform = Float[np.ndarray, "4 4"]
+
 _SKELETON_RATE = 60.0  # Frames of the suit a second.
 _TRANSFORMATION = "transform_info_0.json"
 _ACTIVITY = "take object"
@@ -153,9 +157,7 @@ def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> 
     return gaze_bias_of(Sensing(performance, noise, switches), _GAZE_BIAS)
 
 
-def looked_at(
-    performance: Performance, origin: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 3"]:
+def looked_at(performance: Performance, origin: Vectors, direction: Vectors) -> Vectors:
     """Return where rays meet the scanned room: its walls, furniture and objects as they stood in the beginning.
 
     Args:
@@ -178,9 +180,7 @@ def looked_at(
     return origin + distance[:, None] * direction
 
 
-def _crossings(
-    origin: np.ndarray, direction: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+def _crossings(origin: np.ndarray, direction: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[Numbers, Numbers]:
     """Return the distances at which rays cross the last plane of a box before it and the first one behind it."""
     with np.errstate(divide="ignore"):  # a ray along a plane crosses it infinitely far away
         inverse = 1.0 / direction
@@ -189,9 +189,7 @@ def _crossings(
     return np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
 
 
-def _sense_poses(
-    sensing: Sensing, frames: np.ndarray, times: np.ndarray, body_from_room: Float[np.ndarray, "4 4"]
-) -> gimo.SmplxPoses:
+def _sense_poses(sensing: Sensing, frames: np.ndarray, times: np.ndarray, body_from_room: Transform) -> gimo.SmplxPoses:
     performance = sensing.performance
     pelvis = transform_points(
         body_from_room, interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
@@ -208,7 +206,7 @@ def _sense_poses(
     )
 
 
-def _sense_skeleton(sensing: Sensing, body_from_room: Float[np.ndarray, "4 4"]) -> BvhMotion:
+def _sense_skeleton(sensing: Sensing, body_from_room: Transform) -> BvhMotion:
     """Return the suit's own file: centimetres, starting earlier than the segment with the first pose held."""
     performance = sensing.performance
     lead = int(sensor_generator(performance, "suit-clock").integers(*_SKELETON_LEAD))

@@ -37,6 +37,9 @@ from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import Sensing, Switches, device_start_us, sensor_generator, tracked, untracked, within
 
+Nanoseconds = Int[np.ndarray, " n"]
+Times = Float[np.ndarray, " n"]
+
 _BASES = ((0.20, -0.10, 0.18), (1.00, 0.00, 0.28), (1.00, 0.02, 0.00), (0.95, 0.00, -0.25), (0.86, -0.04, -0.48))
 # From each joint of a finger to the next; the first two joints of a finger but the thumb share a place.
 _STEPS = (
@@ -123,7 +126,7 @@ def wrist_rotation(segment: Rotation, side: int) -> Rotation:
     return segment * Rotation.from_matrix(columns)
 
 
-def finger_angles(closed: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 22"]:
+def finger_angles(closed: Times) -> Float[np.ndarray, "n 22"]:
     """Return the joint angles of a hand between open (0) and closed around something (1), radians."""
     angles = np.zeros((len(closed), umetrack.N_JOINTS))
     bend = _OPEN + closed * (_CLOSED - _OPEN)
@@ -216,7 +219,7 @@ def clock_drift(sensing: Sensing) -> float:
     return float(drift * sensing.strength("clock_drift"))
 
 
-def frame_times(performance: Performance) -> Float[np.ndarray, " n"]:
+def frame_times(performance: Performance) -> Times:
     """Return the seconds from the performance's first instant: every RGB frame and the SLAM frame after it."""
     rgb = np.arange(int((performance.duration - SLAM_DELAY + 1e-9) * RATE) + 1) / RATE
     return np.column_stack([rgb, rgb + SLAM_DELAY]).ravel()
@@ -232,9 +235,7 @@ def _has_wrong_start(sensing: Sensing) -> bool:
     return sensing.strength("hand_start") > 0 and sensing.performance.index % _WRONG_EVERY == _WRONG_FIRST
 
 
-def _sense_objects(
-    sensing: Sensing, times: Float[np.ndarray, " n"], time_ns: Int[np.ndarray, " n"]
-) -> tuple[hot3d.Hot3dObject, ...]:
+def _sense_objects(sensing: Sensing, times: Times, time_ns: Nanoseconds) -> tuple[hot3d.Hot3dObject, ...]:
     performance = sensing.performance
     scale = sensing.strength("object_noise")
     objects = []
@@ -270,9 +271,7 @@ def box_mesh(half_extents: Float[np.ndarray, "3"]) -> hot3d.Mesh:
     return np.round(corners * half_extents + _ORIGIN, _METRES), faces
 
 
-def _sense_hand(
-    sensing: Sensing, side: int, times: Float[np.ndarray, " n"], time_ns: Int[np.ndarray, " n"]
-) -> hot3d.HandRows:
+def _sense_hand(sensing: Sensing, side: int, times: Times, time_ns: Nanoseconds) -> hot3d.HandRows:
     performance = sensing.performance
     joint = Joint.LEFT_WRIST + side
     wrist = interpolate(performance.times, performance.joints[:, joint], times)
@@ -296,7 +295,7 @@ def _sense_hand(
 
 
 def _native_rows(
-    time_ns: Int[np.ndarray, " n"], position: Float[np.ndarray, "n 3"], rotation: Rotation, seen: Bool[np.ndarray, " n"]
+    time_ns: Nanoseconds, position: Float[np.ndarray, "n 3"], rotation: Rotation, seen: Bool[np.ndarray, " n"]
 ) -> hot3d.PoseRows:
     """Return those poses that were seen, in the native world, rounded."""
     turned = Rotation.from_matrix(egoallo.NATIVE_FROM_WORLD[:3, :3]) * rotation

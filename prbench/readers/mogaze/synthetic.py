@@ -34,6 +34,9 @@ from prbench.synthetic import sensors
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
 
+Times = Float[np.ndarray, " n"]
+Size = Float[np.ndarray, "3"]
+
 _TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
 # Columns: the link's axes (left, back, up) in the frame of a trunk segment (left, up, forward).
 _SEGMENT_AXES = _TO_WORLD
@@ -228,22 +231,18 @@ def body_names(performance: Performance) -> dict[str, str]:
     return names
 
 
-def _turned(
-    performance: Performance, rotation: Float[np.ndarray, "m 4"], times: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "n 4"]:
+def _turned(performance: Performance, rotation: Float[np.ndarray, "m 4"], times: Times) -> Float[np.ndarray, "n 4"]:
     """Interpolate rotations at the sensors' times; at the performance's own, the usual case, take them as they are."""
     if len(rotation) == len(times) and np.array_equal(performance.times, times):
         return rotation
     return slerp(performance.times[: len(rotation)], rotation, times)
 
 
-def _head(performance: Performance, times: Float[np.ndarray, " n"]) -> Rotation:
+def _head(performance: Performance, times: Times) -> Rotation:
     return Rotation.from_quat(_turned(performance, performance.head_rotation, times), scalar_first=True)
 
 
-def _sense_object(
-    sensing: sensors.Sensing, motion: ObjectMotion, name: str, times: Float[np.ndarray, " n"]
-) -> mogaze.MogazeBody:
+def _sense_object(sensing: sensors.Sensing, motion: ObjectMotion, name: str, times: Times) -> mogaze.MogazeBody:
     performance = sensing.performance
     low, high, upright_from_body = _shape(motion, name)
     track = performance.times[: len(motion.position)]
@@ -265,7 +264,7 @@ def _sense_object(
     return mogaze.MogazeBody(int(motion.object_id), name, position, quaternion, low, high)
 
 
-def _shape(motion: ObjectMotion, name: str) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], Rotation]:
+def _shape(motion: ObjectMotion, name: str) -> tuple[Size, Size, Rotation]:
     """Return the box in the body's own frame, and that frame's axes in the performance's."""
     kind = mogaze.kind_of_body(name)
     upright = Rotation.identity()
@@ -342,7 +341,7 @@ def write(readings: mogaze.MogazeReadings, root: Path) -> None:
         entry.attrs[mogaze.LABELS_ATTRIBUTE] = np.array(list(labels), dtype="S")
 
 
-def box_mesh(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> str:
+def box_mesh(low: Size, high: Size) -> str:
     """Return a box of twelve triangles as Wavefront OBJ; its numbers survive the text bit for bit."""
     corners = np.where(_CORNERS, high, low).tolist()
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners]

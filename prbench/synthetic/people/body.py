@@ -8,23 +8,8 @@ from typing import cast
 import numpy as np
 from jaxtyping import Float
 
+from prbench.synthetic.people import kinematics
 from prbench.synthetic.people.gaze_plan import GazePlan, Look
-from prbench.synthetic.people.kinematics import (
-    UP,
-    add_bump,
-    blend,
-    direction,
-    frame_of_bone,
-    minimum_jerk,
-    smooth,
-    turn,
-    two_bone,
-    two_pole_low_pass,
-    unit,
-    wobble,
-    wrap,
-    yaw_and_pitch,
-)
 from prbench.synthetic.people.person import Body, Habits, Preset, Trunk, pose_trunk, standing_pelvis_height
 from prbench.synthetic.people.plan import DOOR, Plan, Reach
 from prbench.synthetic.people.reaching import Posture, pelvis_setback
@@ -87,7 +72,7 @@ def move_head(
         until = min(max(last, first + len(target)), times.size)
         place = np.minimum(np.arange(until - first), len(target) - 1)
         wanted = target[place]
-        progress = minimum_jerk((times[first:until] - start) / duration)[:, None]
+        progress = kinematics.minimum_jerk((times[first:until] - start) / duration)[:, None]
         moved = channel[first:until] * (1.0 - progress) + progress * wanted
         channel[first:until] = np.where(progress < 1.0, moved, wanted)
         channel[until:] = target[-1]
@@ -105,9 +90,9 @@ def move_head(
         present = channel[first]
         # The direction against the heading; wrapped once, at the first frame, then continuous: the bearing of a point
         # right below the eyes swings around with every step, and the head does not.
-        yaw, pitch = yaw_and_pitch(look.point - eye[first:frozen])
+        yaw, pitch = kinematics.yaw_and_pitch(look.point - eye[first:frozen])
         relative = np.unwrap(yaw) - heading[first:frozen]
-        relative += wrap(relative[0] - 0.3 * present[0]) + 0.3 * present[0] - relative[0]
+        relative += kinematics.wrap(relative[0] - 0.3 * present[0]) + 0.3 * present[0] - relative[0]
         step = _FASTEST_PURSUIT * frame_time
         relative[1:] = relative[0] + np.cumsum(np.clip(np.diff(relative), -step, step))
         wanted = np.stack([np.clip(relative, -_HEAD_YAW, _HEAD_YAW), np.clip(pitch, _HEAD_UP, _HEAD_DOWN)], axis=-1)
@@ -140,8 +125,8 @@ def move_head(
         channel = np.zeros((times.size, 2))
         for command in commands:
             obey(channel, *command)
-    tremor = np.stack([wobble(times, np.deg2rad(0.5), 0.2, 1.5, rng) for _ in range(2)], axis=-1)
-    steady = smooth(channel, 0.030, rate) + tremor
+    tremor = np.stack([kinematics.wobble(times, np.deg2rad(0.5), 0.2, 1.5, rng) for _ in range(2)], axis=-1)
+    steady = kinematics.smooth(channel, 0.030, rate) + tremor
     return Head(heading + steady[:, 0], steady[:, 1])
 
 
@@ -155,7 +140,7 @@ def move_eyes(looks: tuple[Look, ...], head: Head, eye: Points, times: Signal, r
         times: Frame times, seconds.
         rng: Generator of the drift during fixation.
     """
-    drift = np.stack([wobble(times, np.deg2rad(0.3), 0.3, 3.0, rng) for _ in range(2)], axis=-1)
+    drift = np.stack([kinematics.wobble(times, np.deg2rad(0.3), 0.3, 3.0, rng) for _ in range(2)], axis=-1)
     gaze = np.stack([head.yaw, head.pitch], axis=-1)
     low = np.stack([head.yaw - _EYE_YAW, head.pitch + _EYE_UP], axis=-1)
     high = np.stack([head.yaw + _EYE_YAW, head.pitch + _EYE_DOWN], axis=-1)
@@ -163,17 +148,17 @@ def move_eyes(looks: tuple[Look, ...], head: Head, eye: Points, times: Signal, r
         first, last = np.searchsorted(times, [look.start, look.end + _LONGEST_SACCADE])
         if first >= times.size:
             break
-        yaw, pitch = yaw_and_pitch(look.point - eye[first:last])
+        yaw, pitch = kinematics.yaw_and_pitch(look.point - eye[first:last])
         yaw = np.unwrap(yaw)
-        yaw += wrap(yaw[0] - head.yaw[first]) + head.yaw[first] - yaw[0]
+        yaw += kinematics.wrap(yaw[0] - head.yaw[first]) + head.yaw[first] - yaw[0]
         target = np.stack([yaw, pitch], axis=-1) + drift[first:last]
         amplitude = float(np.rad2deg(np.hypot(*(target[0] - gaze[first]))))
         # 21 ms and 2.2 ms a degree: the duration of saccades grows linearly with their amplitude.
         saccade = 0.021 + 0.0022 * amplitude
-        progress = minimum_jerk((times[first:last] - look.start) / saccade)[:, None]
+        progress = kinematics.minimum_jerk((times[first:last] - look.start) / saccade)[:, None]
         blended = np.where(progress < 1.0, gaze[first:last] + progress * (target - gaze[first:last]), target)
         gaze[first:last] = np.clip(blended, low[first:last], high[first:last])
-    return direction(gaze[:, 0], gaze[:, 1])
+    return kinematics.direction(gaze[:, 0], gaze[:, 1])
 
 
 _CHEST_LIMIT = np.deg2rad(49.0)
@@ -219,13 +204,14 @@ def draw_sway(plan: Plan, base: BasePath, steps: tuple[Step, ...], times: np.nda
     size, low, high = 0.03, 0.2, 1.0
     if plan.preset.work_pose is None:
         size, low, high = float(rng.uniform(0.006, 0.010)), 0.05, 0.5
-    waves = [wobble(times, size / np.sqrt(3.0), low, high, rng) for _ in range(6)]
+    waves = [kinematics.wobble(times, size / np.sqrt(3.0), low, high, rng) for _ in range(6)]
     hand_wobble = np.stack(waves, axis=-1).reshape(times.size, 2, 3)
     return Sway(
-        lateral=smooth(lateral, 0.060, rate) + wobble(times, 0.006, 0.05, 0.4, rng),
-        forward=wobble(times, 0.005, 0.05, 0.5, rng),
-        lean=_LEAN_PER_SPEED * smooth(base.speed, 0.10, rate) + wobble(times, np.deg2rad(0.6), 0.05, 0.4, rng),
-        arm_swing=smooth(swing, 0.060, rate),
+        lateral=kinematics.smooth(lateral, 0.060, rate) + kinematics.wobble(times, 0.006, 0.05, 0.4, rng),
+        forward=kinematics.wobble(times, 0.005, 0.05, 0.5, rng),
+        lean=_LEAN_PER_SPEED * kinematics.smooth(base.speed, 0.10, rate)
+        + kinematics.wobble(times, np.deg2rad(0.6), 0.05, 0.4, rng),
+        arm_swing=kinematics.smooth(swing, 0.060, rate),
         hands=hand_wobble,
     )
 
@@ -245,10 +231,12 @@ def bend(plan: Plan, postures: list[Posture], times: np.ndarray) -> Bending:
     for reach, posture in zip(plan.reaches, postures, strict=True):
         begin = reach.reach_start - 0.1
         end = reach.event - 0.05
-        blend(channels, times, begin, end - begin, np.array([posture.lean, posture.crouch, posture.chest_turn]))
+        kinematics.blend(
+            channels, times, begin, end - begin, np.array([posture.lean, posture.crouch, posture.chest_turn])
+        )
         if np.isfinite(reach.dwell):
             release = reach.event + 0.12 + max(reach.dwell - 0.18, 0.0) * (not reach.carries)
-            blend(channels, times, release, 0.8 + 1.25 * posture.crouch, np.zeros(3))
+            kinematics.blend(channels, times, release, 0.8 + 1.25 * posture.crouch, np.zeros(3))
     return Bending(channels[:, 0], channels[:, 1], channels[:, 2])
 
 
@@ -283,10 +271,12 @@ def move_trunk(
         # Chest and pelvis turn by low-passed shares of the head's turn.
         turned = head.yaw - base.heading
         extra = plan.preset.chest_gain
-        chest = two_pole_low_pass((habits.chest_share + extra) * turned, habits.trunk_time, rate)
+        chest = kinematics.two_pole_low_pass((habits.chest_share + extra) * turned, habits.trunk_time, rate)
         share = habits.pelvis_share + 0.3 * max(0.0, extra)
         chest_follow = _soft_clip(chest, _CHEST_LIMIT)
-        pelvis_follow = _soft_clip(two_pole_low_pass(share * turned, 1.4 * habits.trunk_time, rate), _PELVIS_LIMIT)
+        pelvis_follow = _soft_clip(
+            kinematics.two_pole_low_pass(share * turned, 1.4 * habits.trunk_time, rate), _PELVIS_LIMIT
+        )
     pelvis_yaw = base.heading + pelvis_follow + 0.3 * bending.chest_turn + _PELVIS_SWING * sway.arm_swing
     chest_yaw = base.heading + chest_follow + 0.5 * bending.chest_turn - _CHEST_SWING * sway.arm_swing
     lean = bending.lean + sway.lean
@@ -359,50 +349,58 @@ def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Side
             stature = plan.person.body.stature
             for side in (0, 1):
                 offset = np.array([0.08 if side == 0 else -0.08, -0.18 * stature, 0.21 * stature])
-                blend(wrists[side], times, reach.handed_over, MEETING_TIME, middle + turn(trunk.yaws[3], 0.0, offset))
+                kinematics.blend(
+                    wrists[side],
+                    times,
+                    reach.handed_over,
+                    MEETING_TIME,
+                    middle + kinematics.turn(trunk.yaws[3], 0.0, offset),
+                )
             handed = reach.handed_over + MEETING_TIME + HANDING_TIME
-            blend(wrists[other], times, handed, _BACK_WITHIN, rest[other])
-            blend(wrists[hand], times, handed, 0.5, carry[hand])
+            kinematics.blend(wrists[other], times, handed, _BACK_WITHIN, rest[other])
+            kinematics.blend(wrists[hand], times, handed, 0.5, carry[hand])
         _reach(wrists[hand], reach, np.zeros(3), times)
         if reach.carries:
-            blend(wrists[hand], times, reach.event, _CARRY_AFTER, carry[hand])
+            kinematics.blend(wrists[hand], times, reach.event, _CARRY_AFTER, carry[hand])
         else:
             # Stay a little, with what slides or turns, and go back.
             if reach.slide is not None or reach.opening:
                 first = int(np.searchsorted(times, reach.event))
                 wrists[hand][first:] = moved_along(reach, reach.grasp.wrist, times[first:])
             if np.isfinite(reach.dwell):
-                blend(wrists[hand], times, reach.event + reach.dwell, _BACK_WITHIN, rest[hand])
+                kinematics.blend(wrists[hand], times, reach.event + reach.dwell, _BACK_WITHIN, rest[hand])
         if reach.second_hand:
             # The other hand joins after the lift, some way beside the first, and helps to put down.
             beside = np.array([(1.0 if hand == 1 else -1.0) * reach.second_hand, 0.0, 0.0])
             if reach.action == "pick":
-                joined = carry[hand] + turn(trunk.yaws[3], 0.0, beside)
-                blend(wrists[other], times, reach.event + 0.2, _CARRY_AFTER - 0.2, joined)
+                joined = carry[hand] + kinematics.turn(trunk.yaws[3], 0.0, beside)
+                kinematics.blend(wrists[other], times, reach.event + 0.2, _CARRY_AFTER - 0.2, joined)
             else:
-                _reach(wrists[other], reach, turn(reach.base.heading, 0.0, beside), times)
-                blend(wrists[other], times, reach.event + reach.dwell, _BACK_WITHIN, rest[other])
+                _reach(wrists[other], reach, kinematics.turn(reach.base.heading, 0.0, beside), times)
+                kinematics.blend(wrists[other], times, reach.event + reach.dwell, _BACK_WITHIN, rest[other])
     return np.stack(wrists, axis=1)
 
 
 def _reach(wrist: np.ndarray, reach: Reach, beside: np.ndarray, times: np.ndarray) -> None:
     """Move a wrist to the grasp, on a path that bulges up and forward: past the table's edge and the own shoulder."""
     duration = reach.contact - reach.reach_start
-    blend(wrist, times, reach.reach_start, duration, reach.grasp.wrist + beside, skew=_REACH_SKEW)
-    add_bump(wrist, times, reach.reach_start, duration, _HUMP_UP * UP + _HUMP_FORWARD * reach.base.forward)
+    kinematics.blend(wrist, times, reach.reach_start, duration, reach.grasp.wrist + beside, skew=_REACH_SKEW)
+    kinematics.add_bump(
+        wrist, times, reach.reach_start, duration, _HUMP_UP * kinematics.UP + _HUMP_FORWARD * reach.base.forward
+    )
 
 
 def moved_along(reach: Reach, point: Float[np.ndarray, "3"], times: Signal) -> Points:
     """Return where a point fixed to a nudged or hinged object is after the event."""
     if reach.slide is not None:
-        return point + minimum_jerk((times - reach.event) / _SLIDE_TIME)[:, None] * reach.slide
-    axis = reach.centre + turn(reach.yaw, 0.0, np.array([_DOOR_WIDTH_HALF, 0.0, 0.0]))
-    return axis + turn(opened(reach, times), 0.0, point - axis)
+        return point + kinematics.minimum_jerk((times - reach.event) / _SLIDE_TIME)[:, None] * reach.slide
+    axis = reach.centre + kinematics.turn(reach.yaw, 0.0, np.array([_DOOR_WIDTH_HALF, 0.0, 0.0]))
+    return axis + kinematics.turn(opened(reach, times), 0.0, point - axis)
 
 
 def opened(reach: Reach, times: Signal) -> Signal:
     """Return the angle of a door that is pulled towards the person, radians."""
-    return -reach.opening * minimum_jerk((times - reach.event) / _OPENING_TIME)
+    return -reach.opening * kinematics.minimum_jerk((times - reach.event) / _OPENING_TIME)
 
 
 def _resting_wrist(plan: Plan, trunk: Trunk, sway: Sway, hand: int) -> np.ndarray:
@@ -414,14 +412,14 @@ def _resting_wrist(plan: Plan, trunk: Trunk, sway: Sway, hand: int) -> np.ndarra
     length = np.sqrt((_HANGING * body.arm) ** 2 - outside**2)
     angle = side * plan.person.habits.arm_swing * sway.arm_swing
     hanging = np.stack([np.full(angle.size, side * outside), -length * np.cos(angle), length * np.sin(angle)], axis=-1)
-    return trunk.shoulders[hand] + turn(trunk.yaws[3], 0.0, hanging) + sway.hands[:, hand]
+    return trunk.shoulders[hand] + kinematics.turn(trunk.yaws[3], 0.0, hanging) + sway.hands[:, hand]
 
 
 def _offset_from_shoulder(plan: Plan, trunk: Trunk, hand: int, offset: tuple[float, float, float]) -> np.ndarray:
     """Return a place relative to the shoulder: outwards, up, forward; fractions of the stature."""
     side = 1.0 if hand == 0 else -1.0
     scaled = plan.person.body.stature * np.array([side * offset[0], offset[1], offset[2]])
-    return trunk.shoulders[hand] + turn(trunk.yaws[3], 0.0, scaled)
+    return trunk.shoulders[hand] + kinematics.turn(trunk.yaws[3], 0.0, scaled)
 
 
 def elbow_poles(flare: float, trunk: Trunk, wrists: Sides) -> Sides:
@@ -430,12 +428,12 @@ def elbow_poles(flare: float, trunk: Trunk, wrists: Sides) -> Sides:
     A fixed pole would be antiparallel to an arm that reaches up and forward, and the elbow would flip. Upward is the
     chest's: in a deep bend, the world's would leave the pole antiparallel to an arm that hangs in front of the face.
     """
-    chest_up = turn(trunk.yaws[3], trunk.pitches[3], np.array([0.0, 1.0, 0.0]))
+    chest_up = kinematics.turn(trunk.yaws[3], trunk.pitches[3], np.array([0.0, 1.0, 0.0]))
     poles = []
     for hand in (0, 1):
         side = 1.0 if hand == 0 else -1.0
-        upward = np.sum(unit(wrists[:, hand] - trunk.shoulders[hand]) * chest_up, axis=-1)
-        raised = minimum_jerk((upward + 0.3) / 0.8)
+        upward = np.sum(kinematics.unit(wrists[:, hand] - trunk.shoulders[hand]) * chest_up, axis=-1)
+        raised = kinematics.minimum_jerk((upward + 0.3) / 0.8)
         outward = side * (flare + 0.6 * raised)
         poles.append(np.stack([outward, np.full(upward.size, -0.85), -0.65 * (1.0 - raised)], axis=-1))
     return np.stack(poles, axis=1)
@@ -457,11 +455,11 @@ def pose_arms(body: Body, flare: float, trunk: Trunk, wrists: Sides, poles: Side
     poles = elbow_poles(flare, trunk, wrists) if poles is None else poles
     for hand in (0, 1):
         shoulder = trunk.shoulders[hand]
-        pole = turn(trunk.yaws[3], trunk.pitches[3], poles[:, hand])
-        elbow, wrist = two_bone(shoulder, wrists[:, hand], (body.upper_arm, body.forearm), pole, _ARM_LIMIT)
+        pole = kinematics.turn(trunk.yaws[3], trunk.pitches[3], poles[:, hand])
+        elbow, wrist = kinematics.two_bone(shoulder, wrists[:, hand], (body.upper_arm, body.forearm), pole, _ARM_LIMIT)
         elbows.append(elbow)
         reached.append(wrist)
-        hinges.append(unit(np.cross(wrist - elbow, elbow - shoulder)))
+        hinges.append(kinematics.unit(np.cross(wrist - elbow, elbow - shoulder)))
     return Arms(np.stack(elbows, axis=1), np.stack(reached, axis=1), np.stack(hinges, axis=1))
 
 
@@ -469,16 +467,16 @@ def turn_hands(plan: Plan, arms: Arms, times: np.ndarray) -> Float[np.ndarray, "
     """Return world from hand: y from wrist to finger base along the forearm, turned into the grasp around an event."""
     frames = []
     for hand in (0, 1):
-        forearm = unit(arms.wrist[:, hand] - arms.elbow[:, hand])
+        forearm = kinematics.unit(arms.wrist[:, hand] - arms.elbow[:, hand])
         neutral = np.stack([arms.hinge[:, hand], forearm], axis=1)
         axes = neutral.copy()
         for reach in plan.reaches:
             if reach.hand != hand:
                 continue
             begin = reach.reach_start
-            blend(axes, times, begin, reach.contact - begin, reach.grasp.hand.T[:2])
+            kinematics.blend(axes, times, begin, reach.contact - begin, reach.grasp.hand.T[:2])
             leave = reach.event + (0.0 if reach.carries else reach.dwell)
             if np.isfinite(leave):
-                blend(axes, times, leave, _BACK_WITHIN, neutral)
-        frames.append(frame_of_bone(axes[:, 1], axes[:, 0]))
+                kinematics.blend(axes, times, leave, _BACK_WITHIN, neutral)
+        frames.append(kinematics.frame_of_bone(axes[:, 1], axes[:, 0]))
     return np.stack(frames, axis=1)

@@ -21,13 +21,15 @@ from prbench.viewing.replay import scene as replay
 if TYPE_CHECKING:
     from viser import ViserServer
 
+Vector = Float[np.ndarray, "3"]
+
 _HEAD_RADIUS = 0.07
 _LONGEST_RAY = 6.0
 _BETWEEN = 0.8  # metres between lanes
 _LEAST_LANE = 1.0
 
 
-def camera_of(scene: replay.Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def camera_of(scene: replay.Scene) -> tuple[Vector, Vector]:
     """Place a camera ahead of the bodies and to their side, far enough to see all lanes.
 
     Returns:
@@ -84,12 +86,7 @@ class _Body:
     """One motion in its lane, with its rays and its own copy of the goal."""
 
     def __init__(
-        self,
-        server: ViserServer,
-        name: str,
-        scene: replay.Scene,
-        motion: replay.ShownMotion,
-        offset: Float[np.ndarray, "3"],
+        self, server: ViserServer, name: str, scene: replay.Scene, motion: replay.ShownMotion, offset: Vector
     ) -> None:
         joints = motion.joints + offset
         goal = None if scene.goal is None else scene.goal.location + offset

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
 
+Vector = Float[np.ndarray, "3"]
+Vectors = Float[np.ndarray, "n 3"]
+Arrows = Float[np.ndarray, "n 2 3"]
+
 # Label of the recorded motion.
 RECORDED = "ground truth"
 
@@ -54,7 +58,7 @@ class Goal:
         box_corners: Corners in the order that :data:`prbench.viewing.figures.BOX_EDGES` expects.
     """
 
-    location: Float[np.ndarray, "3"]
+    location: Vector
     box_corners: Float[np.ndarray, "8 3"]
 
 
@@ -102,7 +106,7 @@ class Scene:
         return (self.n_frames - 1) / self.fps
 
     @property
-    def goal_location(self) -> Float[np.ndarray, "3"] | None:
+    def goal_location(self) -> Vector | None:
         """Location of the goal, canonical frame, metres; None without a goal."""
         return None if self.goal is None else self.goal.location
 
@@ -113,7 +117,7 @@ class Scene:
         return int(np.clip(round(self.prime_time * self.fps), 0, self.n_frames - 1))
 
     @property
-    def picture_axis(self) -> Float[np.ndarray, "3"]:
+    def picture_axis(self) -> Vector:
         """Horizontal unit vector that points to the right in side views, so that the reach is seen from the side.
 
         It points from the first motion's pelvis to the goal at the event; without a goal, from where that pelvis began
@@ -186,7 +190,7 @@ def gaze_angle(gaze: GazeRays, goal: Goal) -> Float[np.ndarray, " n"]:
     return np.where(gaze.valid, _angle_deg(gaze.direction, goal.location - gaze.origin), np.nan)
 
 
-def _angle_deg(one: Float[np.ndarray, "n 3"], other: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+def _angle_deg(one: Vectors, other: Vectors) -> Float[np.ndarray, " n"]:
     # The arc tangent stays exact for small angles, where an arc cosine loses half of its digits.
     sine = np.linalg.norm(np.cross(one, other), axis=1)
     return np.rad2deg(np.arctan2(sine, (one * other).sum(axis=1)))
@@ -299,7 +303,7 @@ def draw_bodies(
 
 
 def side_view(
-    points: Float[np.ndarray, "*n 3"], axis: Float[np.ndarray, "3"], around: Float[np.ndarray, "*m 3"] | None = None
+    points: Float[np.ndarray, "*n 3"], axis: Vector, around: Float[np.ndarray, "*m 3"] | None = None
 ) -> Float[np.ndarray, "*n 2"]:
     """Project points onto a horizontal axis, counted from ``around``, and onto the vertical; metres."""
     across = points @ axis
@@ -313,9 +317,7 @@ def top_view(points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
     return points[..., [0, 2]]
 
 
-def head_rays(
-    joints: Float[np.ndarray, "n 22 3"], head_tilt_deg: float, goal: Float[np.ndarray, "3"] | None, longest: float
-) -> Float[np.ndarray, "n 2 3"]:
+def head_rays(joints: Float[np.ndarray, "n 22 3"], head_tilt_deg: float, goal: Vector | None, longest: float) -> Arrows:
     """Return head-forward rays from the head joint (docs/specification/humanml3d.md#head-forward-vector).
 
     Args:
@@ -328,12 +330,7 @@ def head_rays(
     return rays(joints[:, Joint.HEAD], forward, goal, longest)
 
 
-def rays(
-    origin: Float[np.ndarray, "n 3"],
-    direction: Float[np.ndarray, "n 3"],
-    goal: Float[np.ndarray, "3"] | None,
-    longest: float,
-) -> Float[np.ndarray, "n 2 3"]:
+def rays(origin: Vectors, direction: Vectors, goal: Vector | None, longest: float) -> Arrows:
     """Return segments from ``origin`` along the unit ``direction``, metres.
 
     A segment is as long as the distance to the goal, so that a ray that meets the goal ends there; ``longest`` where

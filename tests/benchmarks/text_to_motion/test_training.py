@@ -18,8 +18,8 @@ from prbench_adapters.training.configuration import (
 from prbench_adapters.training.loop import fit
 from prbench_adapters.training.task import TrainingTask, split_model_table
 from prbench_adapters.training.weights import read_weights
+from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration
 from prbench_benchmarks.text_to_motion.training import (
-    EvaluatorConfiguration,
     EvaluatorObjective,
     contrastive_losses,
     different_texts,
