@@ -46,11 +46,10 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option("--stage", metavar="STAGE", help="pretrain or finetune; some methods have others (default: the first).")
 @opt.data_option(required=False, help="Built dataset or corpus folder(s), whose split 'train' is learnt from.")
 @opt.out_folder_option("Training folder: checkpoints, logs, weights; an interrupted training goes on in it.")
-@click.option(
+@opt.path_option(
     "--config",
-    type=opt.PATH,
+    "A configuration of the method, or a .toml file (default: the stage's own, else small).",
     metavar="NAME|FILE",
-    help="A configuration of the method, or a .toml file (default: the stage's own, else small).",
 )
 @click.option(
     "--set",

@@ -44,9 +44,7 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
 )
 @click.argument("dataset", required=False)
 @opt.root_option(required=False)
-@click.option(
-    "--data", type=opt.PATH, metavar="DIR", help="In place of a dataset, a built table: windows at its events."
-)
+@opt.path_option("--data", "In place of a dataset, a built table: windows at its events.", metavar="DIR")
 @opt.out_folder_option("Folder of the windows; earlier ones are replaced once the new ones are ready.", required=True)
 @click.option(
     "--anchor",

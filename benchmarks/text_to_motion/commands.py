@@ -38,9 +38,7 @@ _TITLES = {
 @click.option("--corpus", type=opt.PATH, required=True, metavar="DIR", help="A built corpus or dataset.")
 @opt.out_file_option("Where the numbers are written.", required=True, metavar="FILE.json")
 @opt.split_option()
-@click.option(
-    "--kind", "kinds", multiple=True, metavar="KIND", help="Only captions of this kind; repeatable (default: all)."
-)
+@opt.option("--kind", "kinds", "Only captions of this kind; repeatable (default: all).", multiple=True, metavar="KIND")
 @click.option("--method", metavar="NAME", help="An installed method that takes texts (default: recorded motion alone).")
 @opt.weights_option
 @opt.option_option("method")
@@ -50,9 +48,7 @@ _TITLES = {
     metavar="N",
     help="Repetitions of the measurement (default 20, with --multimodality 5).",
 )
-@click.option(
-    "--prompts", type=opt.POSITIVE, default=1000, metavar="N", help="Texts of each repetition (default 1000)."
-)
+@opt.option("--prompts", "Texts of each repetition (default 1000).", type=opt.POSITIVE, default=1000, metavar="N")
 @click.option("--multimodality", is_flag=True, help="Generate 30 motions for each of 100 texts as well.")
 @click.option(
     "--diversity-pairs",
@@ -64,12 +60,8 @@ _TITLES = {
 @click.option("--words", type=opt.PATH, metavar="DIR", help="Word vectors and lists of a GloVe evaluator.")
 @click.option("--text-path", metavar="DIR|ID", help="DistilBERT's files, if the evaluator reads with it.")
 @opt.seed_option("of crops, captions, pairs and noise")
-@click.option(
-    "--batch-size",
-    type=opt.POSITIVE,
-    default=64,
-    metavar="N",
-    help="Motions that the method makes at once (default 64).",
+@opt.option(
+    "--batch-size", "Motions that the method makes at once (default 64).", type=opt.POSITIVE, default=64, metavar="N"
 )
 @opt.device_option
 @opt.threads_option

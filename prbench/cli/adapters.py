@@ -171,9 +171,7 @@ def _limit_option(name: str, default: int, of: str) -> Callable:
 @command("check", example="prbench adapters check static", report="prbench.checking.conformance.findings:Report")
 @click.argument("method")
 @opt.benchmark_option
-@click.option(
-    "--data", type=opt.PATH, metavar="DIR", help="Ask about 12 test cases of this table (default: synthetic people)."
-)
+@opt.path_option("--data", "Ask about 12 test cases of this table (default: synthetic people).", metavar="DIR")
 @opt.method_settings
 @_limit_option("--timeout", 600, "each call of the method")
 @_limit_option("--start-timeout", 120, "importing an installed method, and of loading it")
@@ -231,9 +229,7 @@ def print_report(report: Report) -> None:
 @command("doctor", example="prbench doctor motions.npy", report="prbench.checking.examine_file:DoctorReport")
 @click.argument("motions", type=opt.PATH, metavar="FILE")
 @opt.data_option(required=False, help="Built dataset folder(s): compare with their initial poses and lengths.")
-@click.option(
-    "--conditions", type=opt.PATH, metavar="FILE", help="Compare with this file of `prbench export-conditions`."
-)
+@opt.path_option("--conditions", "Compare with this file of `prbench export-conditions`.")
 @opt.seed_option("behind the opaque ids, with --data")
 @click.option("--fps", type=opt.RATE, metavar="F", help="Rate of the motions (default: that asked for, else 20).")
 def doctor(*, motions: Path, **given: Any) -> Answer:

@@ -164,11 +164,8 @@ def note_recordings(records: Iterable[Recording], *, reused: int) -> None:
     metavar="X",
     help="Keep sequences of events with at least this event_confidence, from 0 to 1 (docs/specification/curation.md).",
 )
-@click.option(
-    "--corrections",
-    type=opt.PATH,
-    metavar="FILE",
-    help="Events that a person drops, moves, renames or gives another hand or goal (docs/review.md).",
+@opt.path_option(
+    "--corrections", "Events that a person drops, moves, renames or gives another hand or goal (docs/review.md)."
 )
 @opt.stream_options
 @opt.protocol_option("every number of the curation, stamped into the table (docs/protocol-choices.md).")

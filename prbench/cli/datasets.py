@@ -31,13 +31,12 @@ if TYPE_CHECKING:
 @command("datasets", example="prbench datasets --root /data", report="prbench.checking.catalogue:Catalogue")
 @click.argument("name", required=False)
 @opt.root_option("Look here for copies, and one folder below.", required=False)
-@click.option(
+@opt.path_option(
     "--cite",
-    cls=SeveralValues,
-    type=opt.PATH,
-    metavar="DIR...",
-    help="Print BibTeX and licence terms of everything that these tables contain, such as --cite tables/adt, and"
+    "Print BibTeX and licence terms of everything that these tables contain, such as --cite tables/adt, and"
     " nothing else.",
+    cls=SeveralValues,
+    metavar="DIR...",
 )
 def datasets(*, name: str | None, root: Path | None, cite: tuple[Path, ...]) -> Answer:
     """List the datasets with licence and terms, how to obtain them, and what of them is below a folder.
@@ -284,9 +283,7 @@ def _print_priming(priming: dict[str, dict[str, int]], shares: dict[str, tuple[f
 @click.option("--dataset", metavar="NAME", help="Name of the dataset, such as adt (default: what the folder holds).")
 @click.option("--config", type=opt.PATH, metavar="FILE", help="How to run EgoAllo; without it, says what to do.")
 @opt.recordings_options
-@click.option(
-    "--poses-root", type=opt.LOCAL_PATH, metavar="DIR", help="Folder of EgoAllo's outputs (default: ROOT/egoallo)."
-)
+@opt.option("--poses-root", "Folder of EgoAllo's outputs (default: ROOT/egoallo).", type=opt.LOCAL_PATH, metavar="DIR")
 @opt.flag("--dry-run", "Say which recordings lack a body, and run nothing.")
 def poses(
     *,

@@ -35,9 +35,7 @@ leaderboard = Group(
 
 @command("export", example=EXAMPLE, report="prbench.board.export:Board")
 @click.argument("runs", type=opt.PATH, nargs=-1, required=True, metavar="RUN...")
-@click.option(
-    "--format", type=click.Choice(["md", "csv", "json"]), default="md", help="Markdown (default), CSV or JSON."
-)
+@opt.choice_option("--format", ["md", "csv", "json"], "Markdown (default), CSV or JSON.", default="md")
 @opt.out_file_option("Write the leaderboard to this file instead of printing it.")
 @opt.tables_option
 @opt.signed_option

@@ -87,10 +87,34 @@ def conditions_by_benchmark() -> str:
     return "; ".join(f"{', '.join(about.conditions)} with {about.name}" for about in benchmarks().values())
 
 
-benchmark_option = click.option(
-    "--benchmark",
-    type=click.Choice(list(benchmarks())),
-    help=f"What is asked of the method (default {default_benchmark().name}).",
+def option(*words: str, **settings: Any) -> Callable:
+    """Add an option: its name, that of the command's argument where it is another, and its help."""
+    *names, help = words
+    return click.option(*names, help=help, **settings)
+
+
+def flag(*words: str) -> Callable:
+    """Add an option without a value; see :func:`option`."""
+    return option(*words, is_flag=True)
+
+
+def number_option(*words: str) -> Callable:
+    """Add an option whose value is a whole number of 1 or more; see :func:`option`."""
+    return option(*words, type=POSITIVE, metavar="N")
+
+
+def path_option(*words: str, metavar: str = "FILE", **settings: Any) -> Callable:
+    """Add an option whose value is a file or folder that is read; see :func:`option`."""
+    return option(*words, type=PATH, metavar=metavar, **settings)
+
+
+def choice_option(name: str, choices: Sequence[str], help: str, **settings: Any) -> Callable:
+    """Add an option whose value is one of some words."""
+    return option(name, help, type=click.Choice(choices), **settings)
+
+
+benchmark_option = choice_option(
+    "--benchmark", list(benchmarks()), f"What is asked of the method (default {default_benchmark().name})."
 )
 weights_option = click.option(
     "--weights", type=PATH, metavar="NAME|FILE", help="The method's weights: bundled ones by name, a file or a folder."
@@ -118,9 +142,7 @@ def data_option(*, required: bool, help: str = "Built dataset folder(s), or a fo
             found += inner or [folder]
         return tuple(found)
 
-    return click.option(
-        "--data", cls=SeveralValues, type=PATH, metavar="DIR...", required=required, help=help, callback=each_table
-    )
+    return path_option("--data", help, cls=SeveralValues, metavar="DIR...", required=required, callback=each_table)
 
 
 tables_option = data_option(
@@ -130,24 +152,12 @@ tables_option = data_option(
 )
 
 
-signed_option = click.option(
+signed_option = option(
     "--require-signed",
+    "Refuse runs that `prbench run --sign` has not signed with this key of minisign, or that were changed then.",
     type=LOCAL_PATH,
     metavar="PUBLIC_KEY",
-    help="Refuse runs that `prbench run --sign` has not signed with this key of minisign, or that were changed then.",
 )
-
-
-def flag(*words: str) -> Callable:
-    """Add an option without a value: its name, that of the command's argument where it is another, and its help."""
-    *names, help = words
-    return click.option(*names, is_flag=True, help=help)
-
-
-def number_option(*words: str) -> Callable:
-    """Add an option whose value is a whole number of 1 or more; see :func:`flag`."""
-    *names, help = words
-    return click.option(*names, type=POSITIVE, metavar="N", help=help)
 
 
 def out_folder_option(help: str, *, required: bool = False) -> Callable:

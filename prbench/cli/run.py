@@ -72,11 +72,9 @@ PASSWORD_VARIABLE = "PRBENCH_SIGN_PASSWORD"
     help=f"What the method is given (default: the only condition that it takes): {opt.conditions_by_benchmark()}; all:"
     " every row that Table 2 has of it.",
 )
-@click.option(
+@opt.path_option(
     "--config",
-    type=opt.PATH,
-    metavar="FILE",
-    help="An experiment's TOML file (docs/experiments.md); --data, --out and the like replace what it says. Or a run"
+    "An experiment's TOML file (docs/experiments.md); --data, --out and the like replace what it says. Or a run"
     " folder: the run is repeated.",
 )
 @opt.flag("--show-config", "Print the experiment that the command line means, and stop.")

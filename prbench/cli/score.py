@@ -45,11 +45,9 @@ class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
 )
 @click.argument("predictions", type=opt.PATH)
 @opt.data_option(required=True)
-@click.option(
+@opt.path_option(
     "--conditions",
-    type=opt.PATH,
-    metavar="FILE",
-    help="The file of `prbench export-conditions` that the motions were made from; says seed, split, limit, samples and"
+    "The file of `prbench export-conditions` that the motions were made from; says seed, split, limit, samples and"
     " condition, and is checked.",
 )
 @click.option("--name", help="Name of the method, for summaries and leaderboards (default: that of the file).")
@@ -60,9 +58,7 @@ class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
 @click.option("--condition", type=click.Choice(opt.CONDITIONS), help="What the method was given; leaderboards need it.")
 @opt.control_option("The method was given other sequences' goals.")
 @opt.number_option("--max-frames", "Longer sequences count as unsupported.")
-@click.option(
-    "--native-fps", type=float, metavar="F", help="Rate of the motions in frames per second, if not the table's."
-)
+@opt.option("--native-fps", "Rate of the motions in frames per second, if not the table's.", type=float, metavar="F")
 @opt.flag("--allow-length-mismatch", "Score motions of another length than the recorded one, too.")
 @opt.protocol_option("the numbers of the metrics; the table must have been built by the same rules.")
 @opt.out_folder_option("Write scores.parquet, summary.json … into this folder.")

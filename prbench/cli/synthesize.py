@@ -51,9 +51,7 @@ class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
 @opt.replace_option()
 @opt.count_option("Number of recordings to make (default: the size's number).")
 @opt.seed_option("of everything")
-@click.option(
-    "--size", type=click.Choice(["tiny", "default", "large"]), default="tiny", help="How much (default tiny)."
-)
+@opt.choice_option("--size", ["tiny", "default", "large"], "How much (default tiny).", default="tiny")
 @opt.number_option("--events", "Picks and puts of each recording.")
 @click.option("--bystander-objects", type=int, metavar="N", help="Objects that never move.")
 @opt.flag("--egoallo", "Also write bodies as EgoAllo would estimate them (adt; hd-epic and hot3d have no others).")

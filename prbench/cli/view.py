@@ -135,11 +135,8 @@ def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ..
 @click.option("--outcome", "outcomes", multiple=True, metavar="NAME", help="Only events with this outcome; repeatable.")
 @click.option("--recording", "recordings", default="*", metavar="GLOB", help="Only recordings whose name matches.")
 @click.option("--object", "objects", default="", metavar="TEXT", help="Only objects with this in their name or id.")
-@click.option(
-    "--max-confidence",
-    type=opt.NumberRange(0, 1),
-    metavar="X",
-    help="Only events that are at most so sure, from 0 to 1.",
+@opt.option(
+    "--max-confidence", "Only events that are at most so sure, from 0 to 1.", type=opt.NumberRange(0, 1), metavar="X"
 )
 @opt.number_option("--limit", "Only the N most doubtful events (default: all).")
 @opt.reader_options(remark="of the table's own options only those that name files or folders have to be said again")

@@ -10,14 +10,15 @@ from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any, Literal
 
+import msgspec
 import numpy as np
 
+from prbench.protocol.manifests import read_toml
 from prbench.synthetic.people.kinematics import turn
 from prbench.synthetic.performance import PersonStyle, Side
 
 
-@dataclass(frozen=True)
-class SurfaceKind:
+class SurfaceKind(msgspec.Struct, frozen=True, array_like=True):
     """A kind of furniture on which objects stand.
 
     Attributes:
@@ -30,8 +31,7 @@ class SurfaceKind:
     weight: float
 
 
-@dataclass(frozen=True)
-class ObjectKind:
+class ObjectKind(msgspec.Struct, frozen=True, array_like=True):
     """A kind of object; without extents a box is drawn."""
 
     name: str
@@ -39,7 +39,7 @@ class ObjectKind:
     half_extents: tuple[float, float, float] | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Preset:
     """Every constant in which one dataset's world and people differ from the others'. Metres, seconds, degrees.
 
@@ -78,7 +78,7 @@ class Preset:
     neck_length: float
     neck_tilt_deg: float
     grasp: Literal["fingertips", "wrapped", "wrist"]
-    work_pose: tuple[float, float, float] | None
+    work_pose: tuple[float, float, float] | None = None
     carry_pose: tuple[float, float, float]
     work_looks: float
     spot_spacing: float
@@ -87,108 +87,16 @@ class Preset:
     seated_share: float
 
 
-_SMPL_SPINE = (0.0756, 0.0823, 0.033)
-_SMPL_NECK = (0.0, 0.126, -0.012)
-_OPTICAL_NECK = (0.0, 0.100, -0.004)
-_CARRY = (-0.05, -0.17, 0.19)
-
-_KITCHEN = tuple(
-    ObjectKind(name, name)
-    for name in (
-        "mug", "plate", "bowl", "pan", "pot", "knife block", "salt", "pepper mill", "oil bottle", "milk carton",
-        "jar", "tin", "kettle", "glass", "cutting board", "sponge", "towel", "spatula", "flour bag", "egg box",
-    )
-)  # fmt: skip
-
-_MOGAZE = (
-    *(ObjectKind(f"cup_{c}", "cup", (0.041, 0.035, 0.040)) for c in ("red", "green", "blue", "pink")),
-    *(ObjectKind(f"plate_{c}", "plate", (0.092, 0.0035, 0.092)) for c in ("red", "green", "blue", "pink")),
-    ObjectKind("jug", "jug", (0.062, 0.145, 0.076)),
-    ObjectKind("bowl", "bowl", (0.142, 0.053, 0.190)),
-)
-
-_HOT3D = tuple(
-    ObjectKind(name, name)
-    for name in (
-        "mug_white", "bowl", "bottle_mustard", "bottle_ranch", "can_soup", "can_parmesan", "carton_milk",
-        "carton_oj", "cellphone", "dino_toy", "dvd_remote", "flask", "food_vegetables", "holder_black",
-        "keyboard", "mouse", "plate_bamboo", "potato_masher", "puzzle_toy", "vase",
-    )
-)  # fmt: skip
-
-_ADT = tuple(
-    ObjectKind(name, category)
-    for name, category in (
-        ("BlackCeramicMug", "cup"), ("WhiteMug", "cup"), ("GlassCup", "cup"), ("WoodenBowl", "bowl"),
-        ("BlackCeramicBowl", "bowl"), ("WhiteBowl", "bowl"), ("DinoToy", "toy"), ("BirdHouseToy", "toy"),
-        ("CoffeeCan", "can"), ("TomatoSoupCan", "can"), ("CrackerBox", "box"), ("CocoaBox", "box"),
-        ("GreenDecorationTall", "decoration"), ("Vase", "vase"), ("Candle", "candle"), ("BookDeepLearning", "book"),
-        ("Clock", "clock"), ("PictureFrame", "picture frame"), ("Jar", "jar"), ("WaterBottle", "bottle"),
-        ("SaltShaker", "shaker"), ("FlowerPot", "flower pot"), ("TissueBox", "box"), ("Mortar", "mortar"),
-    )
-)  # fmt: skip
-
-_GIMO = tuple(ObjectKind(name, name, (0.05, 0.05, 0.05)) for name in ("cup", "book", "laptop", "pillow", "bottle"))
-
-# Name, height, depth and weight of each kind of furniture (:class:`SurfaceKind`).
-_SURFACES = {
-    "hd-epic": (("counter", 0.91, 0.6, 0.75), ("cupboard", 1.40, 0.3, 0.15), ("drawer", 0.68, 0.4, 0.10)),
-    # The high shelf is drawn more often than wanted: shorter people cannot reach it and draw again.
-    "mogaze": (
-        ("table", 0.72, 0.6, 0.23), ("shelf", 1.20, 0.24, 0.23),
-        ("low shelf", 0.42, 0.24, 0.14), ("high shelf", 1.55, 0.24, 0.40),
-    ),
-    "hot3d": (("table", 0.92, 0.70, 1.0),),
-    "adt": (
-        ("counter", 0.90, 0.6, 0.35), ("table", 0.74, 0.70, 0.35),
-        ("shelf", 1.35, 0.3, 0.15), ("low table", 0.45, 0.5, 0.15),
-    ),
-    "gimo": (("table", 0.74, 0.7, 0.50), ("shelf", 1.20, 0.3, 0.25), ("counter", 0.90, 0.6, 0.25)),
-}  # fmt: skip
-
-# The five presets side by side: a row for each field of :class:`Preset` but the furniture.
-_TABLE: dict[str, tuple[Any, ...]] = {
-    "name": ("hd-epic", "mogaze", "hot3d", "adt", "gimo"),
-    "room": ((2.6, 2.2), (2.15, 1.95), (2.4, 2.4), (4.2, 3.2), (4.7, 4.1)),
-    "n_surfaces": (5, 4, 1, 8, 8),
-    "same_surface": (0.80, 0.10, 1.0, 0.74, 0.0),
-    "near": (0.45, 0.10, 0.6, 0.45, 0.10),
-    "spread": (0.35, 0.35, 0.4, 0.35, 0.35),
-    "edge": ((0.20, 0.30), (0.34, 0.47), (0.14, 0.22), (0.20, 0.30), (0.26, 0.38)),
-    "objects": (_KITCHEN, _MOGAZE, _HOT3D, _ADT, _GIMO),
-    "gap": (
-        ((0.60, 2.2, 0.70), (0.40, 7.0, 0.25)), ((1.0, 1.54, 0.42),), ((1.0, 1.45, 0.50),),
-        ((0.36, 3.2, 0.50), (0.64, 8.0, 0.22)), (),
-    ),
-    "idle": ((2.2, 0.8), (0.7, 0.6), (1.4, 0.7), (2.8, 0.7), (2.5, 0.6)),
-    "speed": (0.85, 1.0, 0.80, 0.90, 0.66),
-    "unprimed": (0.12, 0.05, 0.08, 0.15, 0.10),
-    "near_miss": (0.08, 0.06, 0.08, 0.08, 0.06),
-    "head_gain": (1.0, 0.93, 0.90, 1.0, 1.06),
-    "chest_gain": (0.0, -0.10, -0.05, 0.18, 0.16),
-    "prime_look": (0.62, 0.62, 0.62, 0.80, 1.0),
-    "spine_up": (_SMPL_SPINE, (0.0706, 0.0859, 0.0344), _SMPL_SPINE, (0.0756, 0.0577, 0.0577), _SMPL_SPINE),
-    "neck_offset": (_SMPL_NECK, _OPTICAL_NECK, _SMPL_NECK, _OPTICAL_NECK, _SMPL_NECK),
-    "neck_length": (0.0593, 0.080, 0.0593, 0.080, 0.080),
-    "neck_tilt_deg": (38.3, 7.4, 38.3, 7.4, 7.4),
-    "grasp": ("wrapped", "wrapped", "wrapped", "fingertips", "wrist"),
-    "work_pose": ((-0.03, -0.20, 0.20), None, (-0.03, -0.24, 0.11), None, None),
-    "carry_pose": (_CARRY, (0.02, -0.275, 0.10), _CARRY, _CARRY, _CARRY),
-    "work_looks": (0.35, 0.0, 0.35, 0.0, 0.0),
-    "spot_spacing": (0.16, 0.16, 0.13, 0.16, 0.16),
-    "puts": (True, True, True, True, False),
-    "table_only": (False, False, True, False, False),
-    "seated_share": (0.0, 0.0, 0.3, 0.0, 0.0),
-}  # fmt: skip
+# A row for each field of :class:`Preset`: its values by the presets' names.
+_ROWS = read_toml("prbench.synthetic.people", "presets.toml", dict[str, dict[str, Any]])
 
 
-def _preset(column: int) -> Preset:
-    values = {field: row[column] for field, row in _TABLE.items()}
-    return Preset(**values, surfaces=tuple(SurfaceKind(*kind) for kind in _SURFACES[values["name"]]))
+def _preset(name: str) -> Preset:
+    return msgspec.convert({field: row[name] for field, row in _ROWS.items() if name in row} | {"name": name}, Preset)
 
 
 # The five presets by name.
-PRESETS: Mapping[str, Preset] = MappingProxyType({name: _preset(column) for column, name in enumerate(_TABLE["name"])})
+PRESETS: Mapping[str, Preset] = MappingProxyType({name: _preset(name) for name in _ROWS["room"]})
 
 
 SIDES: tuple[Side, Side] = ("left", "right")
