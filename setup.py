@@ -18,6 +18,7 @@ DATA = [
     "*.safetensors",
     "*.template",
     "*.html",
+    "*.css",
     "*.pyi",
     "py.typed",
     "splits/*.csv",

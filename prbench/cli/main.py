@@ -8,8 +8,10 @@ from __future__ import annotations
 import io
 import os
 import sys
+import tomllib
 import traceback
 from collections.abc import Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -24,76 +26,11 @@ from prbench.entry_points import COMMANDS
 from prbench.errors import MemoryFullError, PrbenchError, UsageError
 from prbench.shown import quoted
 
-_EXAMPLE = """\
-# score a method on embedded synthetic data
-prbench run --method static --condition none
-# turn licensed recordings into a table, and use it
-prbench build-dataset adt --root ADT --out tables/adt
-prbench run --method static --data tables/adt --out runs/static
-prbench leaderboard export runs/* --format md"""
-_COMMANDS = {
-    "data: from recordings to tables": {
-        "datasets": "prbench.cli.datasets:datasets",
-        "inspect": "prbench.cli.datasets:inspect",
-        "poses": "prbench.cli.datasets:poses",
-        "build-dataset": "prbench.cli.builds:build_dataset",
-        "validate": "prbench.cli.datasets:validate",
-        "import-release": "prbench.cli.release:import_release",
-        "export-release": "prbench.cli.release:export_release",
-        "synthesize": "prbench.cli.synthesize:synthesize",
-    },
-    "run: methods over tables": {
-        "run": "prbench.cli.run:run",
-        "export-conditions": "prbench.cli.score:export_conditions",
-        "score": "prbench.cli.score:score",
-        "merge": "prbench.cli.score:merge",
-    },
-    "train: networks": {},
-    "board: runs side by side": {
-        "leaderboard": "prbench.cli.leaderboard:leaderboard",
-        "audit": "prbench.cli.leaderboard:audit",
-    },
-    "look: at tables, events and motions": {
-        "explain": "prbench.cli.view:explain",
-        "diff": "prbench.cli.view:diff",
-        "review": "prbench.cli.view:review",
-        "view": "prbench.cli.view:view",
-    },
-    "develop: methods of your own": {
-        "adapters": "prbench.cli.adapters:adapters",
-        "doctor": "prbench.cli.adapters:doctor",
-    },
-}
-# Commands of earlier versions, and how to write them now.
-_RENAMED = {
-    "ablation": "study table-3 --train",
-    "adapters converters": "adapters list --converters",
-    "agreement": "analyse agreement RUN",
-    "candidates": "build-dataset gimo --propose-events FILE",
-    "cite": "datasets --cite DIR",
-    "completion": "--help, which names the page on completion",
-    "diversity": "analyse diversity RUN",
-    "help": "COMMAND --help",
-    "help completion": "--help, which names the page on completion",
-    "help exit-codes": "--help, which names the page on exit codes",
-    "leaderboard merge": "merge RUN... --out DIR",
-    "prediction tables": "study prediction WINDOWS",
-    "prediction view": "view RUN --data WINDOWS",
-    "split-dataset": "run --folds participant",
-    "stats": "inspect TABLE",
-}
-
-
 program = Group(
     "prbench",
-    sections=_COMMANDS,
-    renamed=_RENAMED,
     plugins=COMMANDS,
-    example=_EXAMPLE,
-    closing="`prbench COMMAND --help` explains a command, docs/exit-codes.md the exit codes, docs/command-line.md the"
-    " completion of commands and options in a shell.",
-    help="Prime-and-reach motion benchmark: curate sequences, run motion generators, score them.",
     context_settings={"max_content_width": 100},
+    **tomllib.loads(files("prbench.cli").joinpath("commands.toml").read_text(encoding="utf-8")),
 )
 click.version_option(prbench.__version__, message="prbench %(version)s")(program)
 

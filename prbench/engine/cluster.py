@@ -116,6 +116,7 @@ class _Worker:
     work: _Work | None = None
 
 
+@dataclass(eq=False, repr=False)
 class Staff:
     """The workers of a cluster, which are kept from one piece of work to the next.
 
@@ -126,17 +127,16 @@ class Staff:
         clock: Seconds that only grow.
     """
 
-    def __init__(
-        self, cluster: Any, rules: Rules, tell: Callable[[str], None], clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self.cluster = cluster
-        self.rules = rules
-        self.tell = tell
-        self.clock = clock
+    cluster: Any
+    rules: Rules
+    tell: Callable[[str], None]
+    clock: Callable[[], float] = time.monotonic
+
+    def __post_init__(self) -> None:
         self.workers: list[_Worker] = []
         self._nodes: dict[str, Node] = {}
         self._looked = -_NODES_EVERY_S
-        self._last_seen = clock()
+        self._last_seen = self.clock()
         self._strikes: dict[str, int] = {}
         self._ending: set[Hashable] = set()
         self._why = ""

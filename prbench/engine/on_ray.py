@@ -13,6 +13,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
@@ -71,6 +72,7 @@ _ASKED_IN_VAIN = 3
 _RESULT_WITHIN_S = 120.0
 
 
+@dataclass(eq=False, repr=False)
 class RayEngine:
     """Workers on the nodes of a Ray cluster, or of a Ray that is started on this machine.
 
@@ -87,26 +89,16 @@ class RayEngine:
         tell: Told, in a line, what the user should know: nodes that are gone, items that are tried again.
     """
 
-    def __init__(
-        self,
-        address: str | None = None,
-        *,
-        workers: int | None = None,
-        cpus_per_worker: int = 1,
-        gpus_per_worker: float = 0.0,
-        needs: Needs | None = None,
-        rules: Rules | None = None,
-        tell: Callable[[str], None] = lambda _: None,
-    ) -> None:
-        rules = rules or Rules()
-        self.workers = workers
-        self._address = address
-        self._needs = needs or Needs()
-        self._rules = Rules(**{**vars(rules), "most_workers": workers})
-        self._resources = (cpus_per_worker, gpus_per_worker)
-        self._tell = tell
-        self._staff: Staff | None = None
-        self._undo = contextlib.ExitStack()
+    address: str | None = None
+    _: KW_ONLY
+    workers: int | None = None
+    cpus_per_worker: int = 1
+    gpus_per_worker: float = 0.0
+    needs: Needs = field(default_factory=Needs)
+    rules: Rules = field(default_factory=Rules)
+    tell: Callable[[str], None] = lambda _: None
+    _staff: Staff | None = field(default=None, init=False)
+    _undo: contextlib.ExitStack = field(default_factory=contextlib.ExitStack, init=False)
 
     def map(
         self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: IfFull[Item, Result] = None
@@ -141,7 +133,7 @@ class RayEngine:
 
     def _hired(self) -> Staff:
         """Connect, check every node, and make ready for workers."""
-        if self._address is not None and _host_and_port(self._address)[0] in _LOOPBACK:
+        if self.address is not None and _host_and_port(self.address)[0] in _LOOPBACK:
             # Ray replaces a loopback address by the machine's own, at which a head that is bound to loopback does not
             # listen; this setting keeps it, and has to be there before Ray is imported.
             os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
@@ -152,42 +144,35 @@ class RayEngine:
         except ImportError as error:
             raise MissingExtraError("ray", "ray", "--engine ray") from error
         with _sigterm_noted():
-            _connect(ray, self._address, self._undo)  # which puts a handler there that leaves at once
+            _connect(ray, self.address, self._undo)  # which puts a handler there that leaves at once
         stop = self._undo.enter_context(_sigterm_noted())
-        cluster = RayCluster(ray, *self._resources, needs=self._needs, tell=self._tell, stop=stop)
+        cluster = RayCluster(ray, self.cpus_per_worker, self.gpus_per_worker, self.needs, self.tell, stop)
         cluster.require_fit()
-        staff = Staff(cluster, self._rules, self._tell)
+        staff = Staff(cluster, replace(self.rules, most_workers=self.workers), self.tell)
         # Last in, first out: workers end before the Ray that they belong to.
         self._undo.callback(lambda: staff.dismiss(staff.workers))
         return staff
 
 
+@dataclass(eq=False, repr=False)
 class RayCluster:
     """What the rules of spreading need, by Ray: see :class:`prbench.engine.cluster.Cluster`."""
 
-    def __init__(
-        self,
-        ray: ModuleType,
-        cpus: int,
-        gpus: float,
-        *,
-        needs: Needs,
-        tell: Callable[[str], None],
-        stop: threading.Event,
-    ) -> None:
-        self._ray = ray
-        self._cpus = cpus
-        self._gpus = gpus
-        self._needs = needs
-        self._tell = tell
-        self._stop = stop
+    ray: ModuleType
+    cpus: int
+    gpus: float
+    needs: Needs
+    tell: Callable[[str], None]
+    told_to_stop: threading.Event
+
+    def __post_init__(self) -> None:
         self._fit: dict[str, bool] = {}
         """Whether a node, by its id, may be given work."""
         self._unasked: Counter[str] = Counter()
         """How often in vain a node was asked for its facts."""
         self._environment = {name: text for name, text in os.environ.items() if name.startswith("PRBENCH_")}
         for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-            self._environment[name] = str(cpus)
+            self._environment[name] = str(self.cpus)
 
     def require_fit(self) -> None:
         """Check every node.
@@ -207,7 +192,7 @@ class RayCluster:
                 for node in alive
             ]
             raise ClusterError(
-                f"expected a node with {self._cpus} processors and {self._gpus:g} GPUs for a worker, found"
+                f"expected a node with {self.cpus} processors and {self.gpus:g} GPUs for a worker, found"
                 f" {', '.join(rooms) or 'no node'}. Ask for less (--threads, --gpus-per-worker), or add a node by"
                 " `ray start`."
             )
@@ -220,7 +205,7 @@ class RayCluster:
             unfit = self._unfit(new)
             for node in (each for each in new if each["NodeID"] in self._fit):
                 for text in unfit.get(node["NodeID"], ()):
-                    self._tell(f"node {_name(node)} has joined and is left out: {text}")
+                    self.tell(f"node {_name(node)} has joined and is left out: {text}")
         return [
             Node(node["NodeID"], _name(node), slots, node["Resources"].get("memory", 0.0))
             for node in alive
@@ -228,19 +213,19 @@ class RayCluster:
         ]
 
     def _alive(self) -> list[dict[str, Any]]:
-        found = (node for node in self._ray.nodes() if node["Alive"])
+        found = (node for node in self.ray.nodes() if node["Alive"])
         return sorted(found, key=lambda node: (node["NodeManagerAddress"], node["NodeID"]))
 
     def _slots(self, node: dict[str, Any]) -> int:
         resources = node["Resources"]
-        slots = int(resources.get("CPU", 0)) // self._cpus
-        if self._gpus:
-            slots = min(slots, int(resources.get("GPU", 0) / self._gpus + 1e-6))
+        slots = int(resources.get("CPU", 0)) // self.cpus
+        if self.gpus:
+            slots = min(slots, int(resources.get("GPU", 0) / self.gpus + 1e-6))
         return slots
 
     def _unfit(self, nodes: list[dict[str, Any]]) -> dict[str, list[str]]:
         """Ask nodes for their facts: what is wrong, by node; nothing of a node that is gone by then."""
-        with question(self._needs) as asked:
+        with question(self.needs) as asked:
             tickets = {self._ask(node, asked): node for node in nodes}
             waiting = list(tickets)
             until = time.monotonic() + _FACTS_WITHIN_S
@@ -248,20 +233,20 @@ class RayCluster:
             in_vain: set[str] = set()
             while waiting:
                 left = max(0.0, until - time.monotonic())
-                due, waiting = self._ray.wait(waiting, num_returns=1, timeout=left)
+                due, waiting = self.ray.wait(waiting, num_returns=1, timeout=left)
                 if not due:
                     break
                 name = tickets[due[0]]["NodeID"]
                 try:
-                    unfit[name] = problems(self._ray.get(due[0]), asked, time.time())
-                except self._ray.exceptions.RayError as error:
+                    unfit[name] = problems(self.ray.get(due[0]), asked, time.time())
+                except self.ray.exceptions.RayError as error:
                     self._unasked[name] += 1
                     in_vain.add(name)
                     unfit[name] = [f"it cannot be asked ({_first_line(error)}). `ray logs` on that node says more."]
             for ticket in waiting:
                 said = f"it did not answer within {_FACTS_WITHIN_S:.0f} s. Is it overloaded, or behind a firewall?"
                 unfit[tickets[ticket]["NodeID"]] = [said]
-                self._ray.cancel(ticket, force=True)
+                self.ray.cancel(ticket, force=True)
         for node in nodes:
             # A node that has just joined, or is about to go, may not take a question yet: it is asked again.
             if node["NodeID"] not in in_vain or self._unasked[node["NodeID"]] == _ASKED_IN_VAIN:
@@ -277,25 +262,25 @@ class RayCluster:
             return names["node_facts"](wanted)
 
         options = {"num_cpus": 0, "max_retries": 0, "scheduling_strategy": self._on(node["NodeID"])}
-        return self._ray.remote(tell_facts).options(**options).remote(source, asked.wanted)
+        return self.ray.remote(tell_facts).options(**options).remote(source, asked.wanted)
 
     def _on(self, node: str) -> Any:
-        return self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
+        return self.ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
 
     def packed(self, what: object) -> bytes:
         """See :meth:`Cluster.packed`."""
-        return self._ray.cloudpickle.dumps(what)
+        return self.ray.cloudpickle.dumps(what)
 
     def start(self, node: Node) -> tuple[Any, Hashable]:
         """See :meth:`Cluster.start`."""
         options: dict[str, Any] = {
-            "num_cpus": self._cpus,
-            "num_gpus": self._gpus,
+            "num_cpus": self.cpus,
+            "num_gpus": self.gpus,
             "max_restarts": 0,
             "max_task_retries": 0,
             "scheduling_strategy": self._on(node.id),
         }
-        worker = self._ray.remote(RayWorker).options(**options).remote(str(Path.cwd()), self._environment)
+        worker = self.ray.remote(RayWorker).options(**options).remote(str(Path.cwd()), self._environment)
         return worker, worker.hello.remote()
 
     def submit(self, worker: Any, function: bytes, item: bytes) -> Hashable:
@@ -311,8 +296,8 @@ class RayCluster:
 
     def stop(self, worker: Any) -> None:
         """See :meth:`Cluster.stop`."""
-        with contextlib.suppress(self._ray.exceptions.RayError, ValueError):
-            self._ray.kill(worker, no_restart=True)
+        with contextlib.suppress(self.ray.exceptions.RayError, ValueError):
+            self.ray.kill(worker, no_restart=True)
 
     def finished(self, tickets: Collection[Hashable], seconds: float) -> Collection[Hashable]:
         """See :meth:`Cluster.finished`.
@@ -320,14 +305,14 @@ class RayCluster:
         Raises:
             WorkStopped: after SIGTERM, once.
         """
-        if self._stop.is_set():
-            self._stop.clear()  # the workers still have to be ended
+        if self.told_to_stop.is_set():
+            self.told_to_stop.clear()  # the workers still have to be ended
             raise WorkStopped(
                 "asked to stop by SIGTERM; finished parts are kept, the same command goes on where it resumes."
             )
-        due, rest = self._ray.wait(list(tickets), num_returns=1, timeout=seconds)
+        due, rest = self.ray.wait(list(tickets), num_returns=1, timeout=seconds)
         if due and rest:
-            due += self._ray.wait(rest, num_returns=len(rest), timeout=0)[0]
+            due += self.ray.wait(rest, num_returns=len(rest), timeout=0)[0]
         return due
 
     def result(self, ticket: Hashable) -> Any:
@@ -338,20 +323,20 @@ class RayCluster:
             StorageError: if neither Ray's memory nor its disk has room for the result.
         """
         try:
-            found = self._ray.get(ticket, timeout=_RESULT_WITHIN_S)
+            found = self.ray.get(ticket, timeout=_RESULT_WITHIN_S)
         except self._full as error:
             raise _store_full(error) from error
-        except self._ray.exceptions.RayError as error:
+        except self.ray.exceptions.RayError as error:
             # Ray's message on any death lists a full memory among common causes, so only the exact words tell.
             name, said = type(error).__name__, str(error)
             memory = name == "OutOfMemoryError" or "running low on memory" in said
             machine = name == "NodeDiedError" or "its node has died" in said
             raise WorkerLostError(_first_line(error), memory=memory, machine=machine) from error
-        return self._ray.cloudpickle.loads(found) if isinstance(found, bytes) else found
+        return self.ray.cloudpickle.loads(found) if isinstance(found, bytes) else found
 
     @property
     def _full(self) -> tuple[type[Exception], ...]:
-        exceptions = self._ray.exceptions
+        exceptions = self.ray.exceptions
         return exceptions.OutOfDiskError, exceptions.ObjectStoreFullError
 
 

@@ -18,7 +18,7 @@ import pytest
 from prbench import errors
 from prbench.cli import main
 from prbench.cli.commands import Group
-from prbench.cli.main import _RENAMED, program
+from prbench.cli.main import program
 from prbench.cli.options import FIRST_RUN_SEQUENCES
 from prbench.cli.summaries import RunAnswer
 from prbench.harness import first_run
@@ -396,12 +396,12 @@ def test_a_package_never_takes_the_place_of_a_command_of_prbench(package):
     assert all_commands()["run"].callback.__module__.startswith("prbench")
 
 
-@pytest.mark.parametrize("former", _RENAMED)
+@pytest.mark.parametrize("former", program.renamed)
 def test_a_former_command_names_the_present_one(former, capsys):
     if former in all_commands() or isinstance(program.get_command(None, former), Group):
         pytest.skip("not moved yet")
     assert main([*former.split(), "--json"]) == 2
-    assert f"'prbench {former}' is now `prbench {_RENAMED[former]}`." in capsys.readouterr().err
+    assert f"'prbench {former}' is now `prbench {program.renamed[former]}`." in capsys.readouterr().err
 
 
 def test_a_section_without_commands_is_left_out():

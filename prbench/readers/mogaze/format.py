@@ -139,28 +139,12 @@ class MogazeReadings:
 
 # The 21 joints in the order of the files, each with the joint that it hangs on; parents come first.
 PARENT_LINKS: dict[str, str] = {
-    "base": "",
-    "pelvis": "base",
-    "torso": "pelvis",
-    "neck": "torso",
-    "head": "neck",
-    "linnerShoulder": "torso",
-    "lShoulder": "linnerShoulder",
-    "lElbow": "lShoulder",
-    "lWrist": "lElbow",
-    "rinnerShoulder": "torso",
-    "rShoulder": "rinnerShoulder",
-    "rElbow": "rShoulder",
-    "rWrist": "rElbow",
-    "lHip": "base",
-    "lKnee": "lHip",
-    "lAnkle": "lKnee",
-    "lToe": "lAnkle",
-    "rHip": "base",
-    "rKnee": "rHip",
-    "rAnkle": "rKnee",
-    "rToe": "rAnkle",
-}
+    "base": "", "pelvis": "base", "torso": "pelvis", "neck": "torso", "head": "neck",
+    "linnerShoulder": "torso", "lShoulder": "linnerShoulder", "lElbow": "lShoulder", "lWrist": "lElbow",
+    "rinnerShoulder": "torso", "rShoulder": "rinnerShoulder", "rElbow": "rShoulder", "rWrist": "rElbow",
+    "lHip": "base", "lKnee": "lHip", "lAnkle": "lKnee", "lToe": "lAnkle",
+    "rHip": "base", "rKnee": "rHip", "rAnkle": "rKnee", "rToe": "rAnkle",
+}  # fmt: skip
 LINKS: tuple[str, ...] = tuple(PARENT_LINKS)
 _N_LINKS = len(LINKS)
 

@@ -5,7 +5,7 @@ Source: docs/specification/synthetic-recordings.md#eye-head-trunk, points 5 and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -115,19 +115,17 @@ def plan_gaze(plan: Plan, base: BasePath, eye: Points, times: Signal, rng: np.ra
     return GazePlan(tuple(looks), primes, kinds)
 
 
+@dataclass(eq=False, repr=False)
 class _Scheduler:
     """Looks at goals and fills between them (docs/specification/synthetic-recordings.md#eye-head-trunk)."""
 
-    def __init__(
-        self, plan: Plan, base: BasePath, eye: np.ndarray, times: np.ndarray, rng: np.random.Generator
-    ) -> None:
-        self.plan = plan
-        self.base = base
-        self.eye = eye
-        self.times = times
-        self.rng = rng
-        self.avoid: list[tuple[np.ndarray, float, float]] = []
-        """Goals that no fill may look at, from when on, and until when."""
+    plan: Plan
+    base: BasePath
+    eye: np.ndarray
+    times: np.ndarray
+    rng: np.random.Generator
+    avoid: list[tuple[np.ndarray, float, float]] = field(default_factory=list, init=False)
+    """Goals that no fill may look at, from when on, and until when."""
 
     def kind(self, reach: Reach) -> str:
         """Draw whether the goal is looked at, looked past, or not looked at; provocations are always looked at."""

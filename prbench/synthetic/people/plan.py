@@ -211,32 +211,26 @@ def plan_recording(
     return Plan(preset, person, room, is_seated, start, items, tuple(planner.segments), tuple(planner.reaches))
 
 
+@dataclass(eq=False, repr=False)
 class _Planner:
     """The recording's fixed surroundings, the progress of its plan, and the draws that depend on both."""
 
-    def __init__(
-        self,
-        preset: Preset,
-        person: Person,
-        room: Room,
-        rng: np.random.Generator,
-        is_seated: bool,
-        shares: Mapping[str, float],
-        provoker: np.random.Generator,
-    ) -> None:
-        self.preset = preset
-        self.person = person
-        self.room = room
-        self.rng = rng
-        self.shares = shares
-        self.provoker = provoker
-        self.kinds = [preset.objects[i] for i in rng.permutation(len(preset.objects))]
-        self.reachability = Reachability(preset, person, room, rng, is_seated)
+    preset: Preset
+    person: Person
+    room: Room
+    rng: np.random.Generator
+    is_seated: bool
+    shares: Mapping[str, float]
+    provoker: np.random.Generator
+
+    def __post_init__(self) -> None:
+        self.kinds = [self.preset.objects[i] for i in self.rng.permutation(len(self.preset.objects))]
+        self.reachability = Reachability(self.preset, self.person, self.room, self.rng, self.is_seated)
         # The person begins before a surface, anywhere along it.
         self.surface = self._other_surface(None)
-        first = room.surfaces[self.surface]
-        edge = rng.uniform(*preset.edge)
-        lateral = 0.0 if is_seated else rng.uniform(-0.3, 0.3) * first.width
+        first = self.room.surfaces[self.surface]
+        edge = self.rng.uniform(*self.preset.edge)
+        lateral = 0.0 if self.is_seated else self.rng.uniform(-0.3, 0.3) * first.width
         point = first.point(float(lateral), -float(edge))
         self.base = BasePose(float(point[0]), float(point[2]), first.facing)
         self.free_from = OPENING

@@ -142,16 +142,6 @@ def lane_offsets(scene: replay.Scene) -> Float[np.ndarray, "motions 3"]:
     return places[:, None] * across
 
 
-_STYLE = """
-#prbench{position:fixed;left:10px;top:10px;width:300px;max-height:calc(100vh - 90px);overflow:auto;z-index:2000;
-background:rgba(255,255,255,.92);border:1px solid #bbb;border-radius:6px;padding:6px 10px;
-font:11px/1.4 system-ui,sans-serif;color:#222}
-#prbench summary{cursor:pointer;font-weight:600}
-#prbench h2{font-size:11px;margin:8px 0 0}
-#prbench .id{color:#666;font-family:monospace;font-size:9px;overflow-wrap:anywhere}
-#prbench .swatch{display:inline-block;width:14px;height:3px;margin-right:5px;vertical-align:middle}
-#prbench .notice{color:#a04000;font-weight:600}
-"""
 # Seconds that the last frame of a sequence stays.
 HOLD = 1.0
 
@@ -241,8 +231,9 @@ def with_overlay(page: str, scenes: Sequence[replay.Scene], *, hold: float) -> s
     notice = "".join(f'<p class="notice">{html(text)}</p>' for text in notices)
     lines = "".join(f"<div>{swatch(colour)}{html(text)}</div>" for text, colour in key)
     hint = "<div>Drag turns, wheel zooms, right drag moves; play and time line are the viewer's own.</div>"
+    style = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
     box = (
-        f"<style>{_STYLE}</style>"
+        f"<style>\n{style}</style>"
         f'<div id="prbench"><details open><summary>prbench view</summary>{notice}{lines}{hint}{"".join(parts)}'
         "</details></div>"
     )
