@@ -15,7 +15,7 @@ from prbench.curation.confidence import TRACK_PAUSE, beyond, unbroken
 from prbench.curation.corrections import DROPPED, Corrections
 from prbench.curation.events import Decision, PickPutEvent, Place, find_events
 from prbench.curation.options import DEFAULTS, CurationOptions
-from prbench.curation.priming import PUBLISHED_STAGE, Prime, find_prime, gaze_rays
+from prbench.curation.priming import PUBLISHED_STAGE, Prime, Rays, find_prime, gaze_rays
 from prbench.errors import RecordingUnusable
 from prbench.geometry.shapes import Boxes, deepest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
@@ -171,7 +171,7 @@ def _trust(event: PickPutEvent, place: Place, wrists: Mapping[str, np.ndarray]) 
 def _follow(
     recording: Recording,
     event: PickPutEvent,
-    rays: tuple[np.ndarray, np.ndarray, np.ndarray],
+    rays: Rays,
     protocol: BenchmarkProtocol,
     options: CurationOptions,
     split: str,

@@ -18,6 +18,7 @@ from prbench.recording import Recording
 Times = Float[np.ndarray, " n"]
 Vectors = Float[np.ndarray, "n 3"]
 Seen = Bool[np.ndarray, " n"]
+Rays = tuple[np.ndarray, np.ndarray, np.ndarray]  # times, origins and directions of valid gaze samples
 
 RAY_ORIGINS = ("eye", "camera")
 PUBLISHED_STAGE = "published priming"
@@ -44,7 +45,7 @@ class Prime:
     confidence: float = 1.0
 
 
-def gaze_rays(recording: Recording, origin: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def gaze_rays(recording: Recording, origin: str) -> Rays:
     """Return times (n,), origins (n, 3) and directions (n, 3) of all valid gaze samples, world frame, metres.
 
     Args:

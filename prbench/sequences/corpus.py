@@ -24,16 +24,9 @@ CORPUS_SCHEMA_VERSION = 1
 _VERSION_KEY = "prbench_corpus_schema_version"
 # Possible outcomes of one annotated span of text.
 ANNOTATION_OUTCOMES = (
-    "clip",
-    "no_text",
-    "duplicate",
-    "end_before_start",
-    "too_short",
-    "outside_motion",
-    "clock_gap",
-    "no_clock",
+    "clip", "no_text", "duplicate", "end_before_start", "too_short", "outside_motion", "clock_gap", "no_clock",
     "no_heading",
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

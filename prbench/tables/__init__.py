@@ -22,6 +22,7 @@ from prbench.metrics.registry import MetricInfo, exported_unit, printed_scale, p
 from prbench.shown import csv_text, latex, markdown
 
 DASH = "–"
+Markup = Callable[[str], str]  # of a format
 _ARROWS = {"": "", "higher": " ↑", "lower": " ↓"}
 
 
@@ -228,8 +229,8 @@ def cell_text(
     *,
     signed: bool = False,
     between: str = " ",
-    bold: Callable[[str], str] = str,
-    escape: Callable[[str], str] = str,
+    bold: Markup = str,
+    escape: Markup = str,
 ) -> str:
     """Return a number as printed, with its interval or ± and its mark.
 
@@ -254,9 +255,7 @@ def cell_text(
     return f"{text} {escape(cell.mark)}".rstrip()
 
 
-def grid(
-    table: Table, block: Block, *, escape: Callable[[str], str], bold: Callable[[str], str], between: str = " "
-) -> list[list[str]]:
+def grid(table: Table, block: Block, *, escape: Markup, bold: Markup, between: str = " ") -> list[list[str]]:
     """Return the printed cells of a block.
 
     Args:

@@ -24,7 +24,7 @@ from prbench.curation.in_hand import contact_distance
 from prbench.curation.job import NativeSource, native_sources
 from prbench.curation.mending import Numbers, mended, stream_numbers
 from prbench.curation.options import BuildOptions
-from prbench.curation.priming import gaze_rays
+from prbench.curation.priming import Rays, gaze_rays
 from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, PrbenchError, UsageError, did_you_mean
 from prbench.files.storage import sole_writer, text_digest, write_text
@@ -243,7 +243,7 @@ def _pictures(
 def picture(
     recording: Recording,
     event: Event,
-    rays: tuple[np.ndarray, np.ndarray, np.ndarray],
+    rays: Rays,
     rule: InHandRule | None,
     before: float,
 ) -> dict[str, Any]:
@@ -307,7 +307,7 @@ def picture(
 
 
 def _looks(
-    rays: tuple[np.ndarray, np.ndarray, np.ndarray], event: Event, goal: np.ndarray, times: Float[np.ndarray, " n"]
+    rays: Rays, event: Event, goal: np.ndarray, times: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """Return how far gaze passes the event's box, metres, and where each ray is as far away as the goal.
 

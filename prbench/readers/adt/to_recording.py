@@ -52,9 +52,7 @@ def recording_from_adt(
     device = glasses_stream(readings.glasses)
     span = float(device.times[0]), float(device.times[-1])
     head, camera = head_and_camera(device, readings.glasses_size or ASSUMED_SIZE, readings.device_from_rgb)
-    gaze = gaze_in_world(
-        head, readings.gaze.time_us / 1e6, readings.gaze.yaw, readings.gaze.pitch, same_instant=adt.SAME_INSTANT
-    )
+    gaze = gaze_in_world(head, readings.gaze, same_instant=adt.SAME_INSTANT)
     wearer = next((p for p in readings.skeletons if readings.serial and p.serial == readings.serial), None)
     suit, hands = (None, ()) if wearer is None else _body_and_hands(wearer, manifest, span)
     body = suit

@@ -18,8 +18,6 @@ from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, WIDEST_GAZE_ANGLE, gaze_directions_cpf
 from prbench.recording.streams import SIDES, GazeStream, HandStream, PoseStream
 
-Numbers = Float[np.ndarray, " n"]
-
 ASSUMED_SIZE: mps.GlassesSize = "DVT-S"  # Size of glasses where no file tells it.
 SAME_INSTANT = 1e-3  # Seconds; the step of the poses.
 
@@ -70,13 +68,7 @@ def mps_streams(
         trajectory.quality >= mps.LEAST_QUALITY,
     )
     head, camera = head_and_camera(device, readings.glasses_size or ASSUMED_SIZE, readings.device_from_rgb)
-    gaze = gaze_in_world(
-        head,
-        readings.gaze.time_us / 1e6 - seconds_before_device,
-        readings.gaze.yaw,
-        readings.gaze.pitch,
-        same_instant=SAME_INSTANT,
-    )
+    gaze = gaze_in_world(head, readings.gaze, same_instant=SAME_INSTANT, before=seconds_before_device)
     wrists = []
     if readings.wrists is not None:
         times = readings.wrists.time_us / 1e6 - seconds_before_device
@@ -129,7 +121,7 @@ def part_poses(device: PoseStream, device_from_part: Float[np.ndarray, "4 4"]) -
     )
 
 
-def gaze_in_world(cpf: PoseStream, times: Numbers, yaw: Numbers, pitch: Numbers, *, same_instant: float) -> GazeStream:
+def gaze_in_world(cpf: PoseStream, angles: mps.GazeAngles, *, same_instant: float, before: float = 0.0) -> GazeStream:
     """Return the gaze rays in the world: origin = CPF origin, direction = rotated ``normalise(tan yaw, tan pitch, 1)``.
 
     A ray is invalid when an angle is not finite or beyond 60 degrees, or when no valid pose lies within
@@ -137,11 +129,12 @@ def gaze_in_world(cpf: PoseStream, times: Numbers, yaw: Numbers, pitch: Numbers,
 
     Args:
         cpf: World poses of the central pupil frame.
-        times: Gaze times on the clock of the poses, seconds.
-        yaw: Radians, positive left; may hold NaN.
-        pitch: Radians, positive up; may hold NaN.
+        angles: Yaw is positive left, pitch positive up, and both may hold NaN.
         same_instant: Rows closer than this belong to one instant, seconds.
+        before: Recording time = device time - this, seconds.
     """
+    times = angles.time_us / 1e6 - before
+    yaw, pitch = angles.yaw, angles.pitch
     with np.errstate(invalid="ignore"):
         measured = (np.abs(yaw) <= WIDEST_GAZE_ANGLE) & (np.abs(pitch) <= WIDEST_GAZE_ANGLE)
     # Streams hold no NaN: an unmeasured ray looks straight ahead, and the mask says so.

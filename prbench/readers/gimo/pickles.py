@@ -34,15 +34,9 @@ _OPCODES = frozenset((
     *("GLOBAL", "STACK_GLOBAL", "REDUCE"),
 ))  # fmt: skip
 _ITEM_TYPES = {
-    b"FloatStorage": "<f4",
-    b"DoubleStorage": "<f8",
-    b"HalfStorage": "<f2",
-    b"LongStorage": "<i8",
-    b"IntStorage": "<i4",
-    b"ShortStorage": "<i2",
-    b"CharStorage": "<i1",
-    b"ByteStorage": "<u1",
-}
+    b"FloatStorage": "<f4", b"DoubleStorage": "<f8", b"HalfStorage": "<f2", b"LongStorage": "<i8",
+    b"IntStorage": "<i4", b"ShortStorage": "<i2", b"CharStorage": "<i1", b"ByteStorage": "<u1",
+}  # fmt: skip
 _MACHINE = {"protocol_version": 1001, "little_endian": True, "type_sizes": {"short": 2, "int": 4, "long": 4}}
 # All that torch writes before the numbers of one pickled storage: its stream's magic number, version and machine; the
 # storage's kind, key (a memory address), device and size; and the list of keys. Nothing of it has to be run.

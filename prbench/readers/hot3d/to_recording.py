@@ -78,25 +78,12 @@ class ClockMatch:
         )
 
 
-def match_clocks(
-    truth_ns: Int[np.ndarray, " n"],
-    position: Float[np.ndarray, "n 3"],
-    rotation: Float[np.ndarray, "n 4"],
-    device_ns: Int[np.ndarray, " m"],
-    device_position: Float[np.ndarray, "m 3"],
-    device_rotation: Float[np.ndarray, "m 4"],
-    *,
-    recording: str,
-) -> ClockMatch:
+def match_clocks(headset: hot3d.PoseRows, device: hot3d.PoseRows, *, recording: str) -> ClockMatch:
     """Find the offset of two clocks from poses that are rows of a denser trajectory.
 
     Args:
-        truth_ns: Times of the sparse rows on their clock.
-        position: Their positions, metres.
-        rotation: Their rotations, w x y z.
-        device_ns: Times of the dense rows on the other clock.
-        device_position: Their positions.
-        device_rotation: Their rotations.
+        headset: The sparse rows on the ground truth's clock.
+        device: The dense rows on the other clock, in the same world.
         recording: Name for the message.
 
     Raises:
@@ -104,12 +91,12 @@ def match_clocks(
             no offset (and drift) fits all of them, or if it stays uncertain by more than 1 ms.
     """
     # Rows that are found exactly once, where they are found, and every row's distance to the nearest one.
-    count = min(_NEAREST, len(device_position))
-    distance, index = KDTree(device_position).query(position, k=count)
-    distance = distance.reshape(len(position), count)
-    index = index.reshape(len(position), count)
-    turned = Rotation.from_quat(device_rotation[index.ravel()], scalar_first=True).inv() * Rotation.from_quat(
-        np.repeat(rotation, count, axis=0), scalar_first=True
+    count = min(_NEAREST, len(device.position))
+    distance, index = KDTree(device.position).query(headset.position, k=count)
+    distance = distance.reshape(len(headset.position), count)
+    index = index.reshape(len(headset.position), count)
+    turned = Rotation.from_quat(device.rotation[index.ravel()], scalar_first=True).inv() * Rotation.from_quat(
+        np.repeat(headset.rotation, count, axis=0), scalar_first=True
     )
     near = (distance < _SAME_POSITION) & (turned.magnitude().reshape(distance.shape) < _SAME_ROTATION)
     exact = near & (distance == 0.0)
@@ -124,12 +111,12 @@ def match_clocks(
         )
     if len(found) < _FEWEST_ROWS:
         raise RecordingUnusable(
-            f"{recording}: {len(found)} of {len(truth_ns)} headset rows are found in the MPS trajectory, at least"
-            f" {_FEWEST_ROWS} are needed to align the clocks. Download both files again."
+            f"{recording}: {len(found)} of {len(headset.time_ns)} headset rows are found in the MPS trajectory, at"
+            f" least {_FEWEST_ROWS} are needed to align the clocks. Download both files again."
         )
     # The nearest row of the trajectory was taken, so an offset may be half a step off to either side.
-    offset = device_ns[row] - truth_ns[found]
-    half_step = np.diff(device_ns) // 2
+    offset = device.time_ns[row] - headset.time_ns[found]
+    half_step = np.diff(device.time_ns) // 2
     low = offset - np.append(half_step[:1], half_step)[row]
     high = offset + np.append(half_step, half_step[-1:])[row]
     # Relative to one offset the bounds are small enough for floats to hold them exactly.
@@ -140,7 +127,7 @@ def match_clocks(
             f"{recording}: only {int(agreeing.sum())} of {len(found)} headset rows that are found in the MPS trajectory"
             " agree about the offset of the clocks within 5 ms. Download both files again."
         )
-    times = truth_ns[found][agreeing]
+    times = headset.time_ns[found][agreeing]
     low = (low[agreeing] - reference).astype(np.float64)
     high = (high[agreeing] - reference).astype(np.float64)
     # The middle of the offsets that all rows allow; with a drift if no constant fits.
@@ -162,7 +149,7 @@ def match_clocks(
         raise RecordingUnusable(
             f"{recording}: the offset of the clocks stays uncertain by {2 * half / 1e6:.2f} ms, 1 ms is needed."
         )
-    return ClockMatch(reference + middle, half, slope * 1e-9, origin, len(times), len(truth_ns))
+    return ClockMatch(reference + middle, half, slope * 1e-9, origin, len(times), len(headset.time_ns))
 
 
 def _with_drift(
@@ -201,15 +188,8 @@ def recording_from_hot3d(
     """
     headset = readings.headset
     device = readings.mps.trajectory
-    clock = match_clocks(
-        headset.time_ns,
-        headset.position,
-        headset.rotation,
-        device.time_us * 1000,
-        device.position,
-        device.rotation,
-        recording=readings.recording_id,
-    )
+    glasses = hot3d.PoseRows(device.time_us * 1000, device.position, device.rotation)
+    clock = match_clocks(headset, glasses, recording=readings.recording_id)
     # All poses were needed to align the clocks; from here on those around the gaze times suffice.
     mps = _on_truth_clock(thinned(readings.mps), clock)
     streams = mps_streams(mps, world_from_source=Y_UP_FROM_Z_UP)

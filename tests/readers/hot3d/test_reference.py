@@ -140,15 +140,8 @@ def test_the_in_hand_rule_on_the_real_hands(recording) -> None:
 def test_clock_offset(readings, reference_values) -> None:
     expect = reference_values["hot3d-clock-offset"]["expect"]
     device, headset = readings.mps.trajectory, readings.headset
-    match = match_clocks(
-        headset.time_ns,
-        headset.position,
-        headset.rotation,
-        device.time_us * 1000,
-        device.position,
-        device.rotation,
-        recording="sample",
-    )
+    glasses = hot3d.PoseRows(device.time_us * 1000, device.position, device.rotation)
+    match = match_clocks(headset, glasses, recording="sample")
     assert match.matched == 68
     assert match.offset_ns == pytest.approx(expect["middle_ns"], abs=1.0)
     assert 2 * match.half_width_ns == pytest.approx(expect["high_ns"] - expect["low_ns"], abs=2.0)

@@ -228,7 +228,7 @@ def _headset(
 
 
 def _match(headset: tuple, device: tuple) -> ClockMatch:
-    return match_clocks(*headset, *device, recording="P0003")
+    return match_clocks(hot3d.PoseRows(*headset), hot3d.PoseRows(*device), recording="P0003")
 
 
 def test_the_offset_is_known_to_a_fraction_of_a_millisecond() -> None:
