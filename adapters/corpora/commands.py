@@ -53,7 +53,7 @@ def build_corpus(
     seed: int,
     max_recordings: int | None,
     dry_run: bool,
-    options: tuple[tuple[str, str], ...],
+    options: opt.Pairs,
     engine: EngineChoice,
     shard: str | None,
     **given: Any,
@@ -66,7 +66,7 @@ def build_corpus(
     from prbench_adapters.corpora.sources import CorpusOptions
 
     part = opt.chosen_shard(shard, replace=given["replace"], dry_run=dry_run)
-    source = dict(options)
+    source = options
     if corpus == _SYNTHETIC:  # number and seed of synthetic recordings are options of their reader
         source = {"seed": str(seed), **source}
         if count is not None:

@@ -74,7 +74,7 @@ def build_windows(
     recordings: str,
     max_recordings: int | None,
     on_error: Literal["skip", "fail"],
-    options: tuple[tuple[str, str], ...],
+    options: opt.Pairs,
     engine: EngineChoice,
     shard: str | None,
 ) -> Answer:
@@ -100,7 +100,8 @@ def build_windows(
 
     # Nymeria has no reader of recordings: its windows are cut where its corpus is read.
     planner = load_built_in(CORPORA, "windows") if dataset == "nymeria" else plan_windows
-    plan = planner(dataset, root, joints=joints, recordings=recordings, limit=max_recordings, reader=options)
+    given = tuple(options.items())
+    plan = planner(dataset, root, joints=joints, recordings=recordings, limit=max_recordings, reader=given)
     where = opt.opened(engine, reads=(root,), writes=(out,))
     if part is None:
         with progress(f"cutting {dataset}") as tell:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ class TextEvaluationRequest:
     kinds: frozenset[str] = frozenset()
     method: str | None = None
     weights: Path | None = None
-    options: tuple[tuple[str, str], ...] = ()
+    options: Mapping[str, str] = field(default_factory=dict)
     batch_size: int = 64
     repetitions: int | None = None
     multimodality: bool = False
@@ -256,7 +256,7 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
         progress(repetition + 1, request.chosen_repetitions, "repetitions")
     rows = [real.result(REAL), mismatched.result(MISMATCHED)]
     if request.method is not None:
-        about = {"weights_sha256": weights_digest(request.weights), "options": dict(request.options)}
+        about = {"weights_sha256": weights_digest(request.weights), "options": request.options}
         rows.append(made.result(request.method, unsupported=len(read.clips) - len(supported), **about))
     info = read.table.info
     return TextEvaluation(
@@ -298,7 +298,7 @@ def _notes(rows: Sequence[ResultRow], request: TextEvaluationRequest) -> tuple[s
 
 
 def _loaded(method: str, request: TextEvaluationRequest) -> Adapter:
-    adapter = load_adapter(method, request.weights, dict(request.options), request.device)
+    adapter = load_adapter(method, request.weights, request.options, request.device)
     chosen_condition(method, adapter, Condition.TEXT)
     if isinstance(adapter, Trainable) and request.weights is None:
         raise UsageError(f"the method '{method}' learns from a table first; give it --weights.")

@@ -163,9 +163,9 @@ _OUTCOMES = ("passed", "skipped", "warning", "failed")
 _FAILED = 5  # as for every other breach of the adapter contract
 
 
-def _limit_option(name: str, default: int, of: str) -> Callable:
+def _limit_option(name: str, field: str, default: int, of: str) -> Callable:
     help = f"Time limit of {of} (default {default})."
-    return click.option(name, type=opt.SECONDS, default=default, metavar="SECONDS", help=help)
+    return opt.option(name, field, help, type=opt.SECONDS, default=default, metavar="SECONDS")
 
 
 @command("check", example="prbench adapters check static", report="prbench.checking.conformance.findings:Report")
@@ -173,32 +173,17 @@ def _limit_option(name: str, default: int, of: str) -> Callable:
 @opt.benchmark_option
 @opt.path_option("--data", "Ask about 12 test cases of this table (default: synthetic people).", metavar="DIR")
 @opt.method_settings
-@_limit_option("--timeout", 600, "each call of the method")
-@_limit_option("--start-timeout", 120, "importing an installed method, and of loading it")
+@_limit_option("--timeout", "time_limit", 600, "each call of the method")
+@_limit_option("--start-timeout", "start_limit", 120, "importing an installed method, and of loading it")
 @opt.flag("--isolate", "Run an installed method in a process of its own.")
-def check(
-    *,
-    method: str,
-    benchmark: str | None,
-    options: tuple[tuple[str, str], ...],
-    timeout: float,
-    start_timeout: float,
-    **given: Any,
-) -> Answer:
+def check(*, method: str, benchmark: str | None, **given: Any) -> Answer:
     """Check that a method keeps the contract, and say what to change where it does not.
 
     METHOD is an installed method, cmd:'python glide.py', or a .toml file that describes a program.
     """
     from prbench.checking import conformance
 
-    request = conformance.CheckRequest(
-        method,
-        benchmark=benchmark or default_benchmark().name,
-        options=dict(options),
-        time_limit=timeout,
-        start_limit=start_timeout,
-        **given,
-    )
+    request = conformance.CheckRequest(method, benchmark=benchmark or default_benchmark().name, **given)
     with progress(f"checking {method}") as show:
         found = conformance.check(request, lambda name, place, total: show(place, total, name))
     return Answer(found, lambda: print_report(found), _FAILED if found.failed else 0)

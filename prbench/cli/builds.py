@@ -180,7 +180,7 @@ def build_dataset(
     out: Path | None,
     dry_run: bool,
     propose_events: Path | None,
-    options: tuple[tuple[str, str], ...],
+    options: opt.Pairs,
     engine: EngineChoice,
     shard: str | None,
     **given: Any,
@@ -192,15 +192,14 @@ def build_dataset(
     from prbench.curation.options import build_options
 
     part = opt.chosen_shard(shard, replace=given["replace"], dry_run=dry_run, everything=dataset == EVERYTHING)
-    given |= {name: dict(given[name]) for name in ("shift", "scale")}
-    chosen = build_options(option=dict(options), **given)
+    chosen = build_options(option=options, **given)
     if propose_events is not None:
         from prbench.curation.propose_events import write_candidates
 
         where = opt.opened(engine, reads=(root,))
         with progress(f"looking for reaches in {dataset}") as show:
             rows, problems = write_candidates(
-                dataset, root, propose_events, options=dict(options), engine=where, progress=show
+                dataset, root, propose_events, options=options, engine=where, progress=show
             )
         for name, problem in problems.items():
             note(f"{name}: {problem}")

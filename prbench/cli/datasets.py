@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -106,8 +106,8 @@ def inspect(
     *,
     places: tuple[Path, ...],
     thorough: bool,
-    shift: tuple[tuple[str, str], ...],
-    scale: tuple[tuple[str, str], ...],
+    shift: opt.Pairs,
+    scale: opt.Pairs,
     everything: bool,
 ) -> Answer:
     """Say what folders hold, and which recordings are complete, cut short, incomplete or damaged.
@@ -120,7 +120,7 @@ def inspect(
 
     if (shift or scale) and not thorough:
         raise UsageError("--shift and --scale change what is read; give --thorough, too.")
-    mends = (stream_numbers(dict(shift), "shift"), stream_numbers(dict(scale), "scale"))
+    mends = (stream_numbers(shift, "shift"), stream_numbers(scale, "scale"))
     with progress("inspecting") as show:
         found = inspect_folders(places, thorough=thorough, mends=mends, progress=show)
 
@@ -291,10 +291,9 @@ def poses(
     root: Path,
     dataset: str | None,
     config: Path | None,
-    recordings: str,
     max_recordings: int | None,
-    poses_root: Path | None,
     dry_run: bool,
+    **given: Any,
 ) -> Answer:
     """Say which recordings lack a body pose, and have EgoAllo estimate it."""
     from prbench.curation.poses import instructions, make_poses, pose_states, read_config
@@ -302,8 +301,7 @@ def poses(
 
     assert estimator == "egoallo", "the only choice"
     settings = read_config(config) if config else None
-    chosen = {"recordings": recordings, "limit": max_recordings, "poses_root": poses_root}
-    states = tuple(pose_states(root, dataset, **chosen))
+    states = tuple(pose_states(root, dataset, limit=max_recordings, **given))
     outcomes = [Outcome(state.found.recording_id, state.state, state.message) for state in states]
     if settings is not None and not dry_run:
         with progress("running EgoAllo") as show_progress:

@@ -58,6 +58,7 @@ class NumberRange(click.FloatRange):
 
 SECONDS = NumberRange(min=0, min_open=True)  # a time limit
 RATE = NumberRange(min=0, min_open=True, max=1000)  # frames a second
+Pairs = dict[str, str]
 
 
 class KeyValue(click.ParamType):
@@ -111,6 +112,15 @@ def path_option(*words: str, metavar: str = "FILE", **settings: Any) -> Callable
 def choice_option(name: str, choices: Sequence[str], help: str, **settings: Any) -> Callable:
     """Add an option whose value is one of some words."""
     return option(name, help, type=click.Choice(choices), **settings)
+
+
+def pairs_option(*words: str, metavar: str) -> Callable:
+    """Add an option of the form ``key=value``, repeatable, whose values make a dictionary; see :func:`option`."""
+
+    def paired(_ctx: click.Context, _param: click.Parameter, pairs: tuple[tuple[str, str], ...]) -> Pairs:
+        return dict(pairs)
+
+    return option(*words, type=KeyValue(), multiple=True, metavar=metavar, callback=paired)
 
 
 benchmark_option = choice_option(
@@ -291,7 +301,7 @@ def sequence_option(help: str) -> Callable:
 def option_option(whose: str = "method's", *, metavar: str = "KEY=VALUE", remark: str = "") -> Callable:
     """Add ``--option KEY=VALUE``, repeatable, for a method or a reader."""
     help = f"An option of the {whose}; repeatable{f' ({remark})' if remark else ''}."
-    return click.option("--option", "options", type=KeyValue(), multiple=True, metavar=metavar, help=help)
+    return pairs_option("--option", "options", help, metavar=metavar)
 
 
 def reader_options(whose: str = "dataset's", *, remark: str = "a wrong name lists them") -> Callable:
@@ -305,8 +315,8 @@ def stream_options(function: Callable) -> Callable:
     shift = f"Add seconds to the times of a stream ({streams}), such as gaze=-5.0; `prbench inspect --thorough` says"
     shift += " which. P01*:gaze=-5.0 means recordings by id."
     scale = "Multiply the positions of a stream, such as objects=0.001 where its file holds millimetres."
-    function = click.option("--scale", type=KeyValue(), multiple=True, metavar="STREAM=FACTOR", help=scale)(function)
-    return click.option("--shift", type=KeyValue(), multiple=True, metavar="STREAM=SECONDS", help=shift)(function)
+    function = pairs_option("--scale", scale, metavar="STREAM=FACTOR")(function)
+    return pairs_option("--shift", shift, metavar="STREAM=SECONDS")(function)
 
 
 def method_settings(function: Callable) -> Callable:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import click
 
@@ -23,13 +23,11 @@ from prbench.cli.terminal import print_table, print_tables
 @opt.out_folder_option("Gets a table folder for each dataset; with --dataset it is the table.", required=True)
 @click.option("--dataset", metavar="NAME", help="Only this dataset, for example hd-epic.")
 @click.option("--fps", type=opt.RATE, metavar="N", help="Frames a second, where the files do not tell.")
-@click.option(
+@opt.pairs_option(
     "--field-map",
-    type=opt.KeyValue(),
-    multiple=True,
-    metavar="CANONICAL=THEIRS",
-    help="Which field of target_information.json means what, for example goal=centre; repeatable. An import that needs"
+    "Which field of target_information.json means what, for example goal=centre; repeatable. An import that needs"
     " it shows the fields and the words to add.",
+    metavar="CANONICAL=THEIRS",
 )
 @opt.on_error_option(what="sequences", them="them")
 @opt.replace_option()
@@ -39,9 +37,7 @@ def import_release(
     out: Path,
     dataset: str | None,
     fps: float | None,
-    field_map: tuple[tuple[str, str], ...],
-    on_error: Literal["skip", "fail"],
-    replace: bool,
+    **given: Any,
 ) -> Answer:
     """Turn the authors' released files into tables, and say what had to be inferred.
 
@@ -59,8 +55,7 @@ def import_release(
         if not session().quiet:
             print(f"{dataset}: {step}", file=sys.stderr, flush=True)
 
-    options = ImportOptions(fps=fps, field_map=dict(field_map), on_error=on_error, replace=replace)
-    report = import_files(root, out, dataset=dataset, options=options, progress=tell)
+    report = import_files(root, out, dataset=dataset, options=ImportOptions(fps=fps, **given), progress=tell)
     for table in report.tables:
         for warning in table.warnings:
             note(f"warning: {warning}")

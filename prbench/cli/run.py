@@ -442,7 +442,7 @@ def read_command_line(config: Path | None, given: Mapping[str, Any]) -> tuple[Ru
             name=given["method"],
             conditions=(given["condition"],) if given["condition"] else (),
             weights=str(given["weights"]) if given["weights"] else None,
-            options=dict(given["options"]),
+            options=given["options"],
             control=given["control"],
         )
         said = {"methods": [msgspec.to_builtins(method)], "sequences": given["sequences"], **own}

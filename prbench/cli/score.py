@@ -187,19 +187,7 @@ def score(
 )
 @opt.control_option("Give every sequence another one's goal; the file does not tell.")
 @opt.permission_option
-def export_conditions(
-    *,
-    data: tuple[Path, ...],
-    benchmark: str | None,
-    condition: str,
-    samples: int | None,
-    fold: str | None,
-    max_frames: int | None,
-    native_fps: float | None,
-    control: str | None,
-    permission: tuple[str, ...],
-    **given: Any,
-) -> Answer:
+def export_conditions(*, data: tuple[Path, ...], benchmark: str | None, fold: str | None, **given: Any) -> Answer:
     """Write exactly what a method may see, for one that runs elsewhere.
 
     `prbench score` takes the motions that the method makes from it.
@@ -212,11 +200,13 @@ def export_conditions(
     from prbench.sequences.folds import fold_tables
 
     about = find_benchmark(benchmark or default_benchmark().name)
+    condition = given.pop("condition")
     if condition not in about.conditions:
         known = ", ".join(about.conditions)
         raise UsageError(f"--condition {condition}: expected one of the benchmark {about.name}: {known}.")
-    given |= {"data": fold_tables(data, fold), "samples": samples or about.samples, "permitted": permission}
-    own = {"max_frames": max_frames, "native_fps": native_fps, "control": control}
+    own = {name: given.pop(name) for name in ("max_frames", "native_fps", "control")}
+    given |= {"samples": given["samples"] or about.samples, "permitted": given.pop("permission")}
+    given["data"] = fold_tables(data, fold)
     if about.default:
         report = export(ExportRequest(condition=Condition(condition), **own, **given))
     else:

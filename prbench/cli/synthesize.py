@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 import msgspec
@@ -52,9 +52,13 @@ class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
 @opt.count_option("Number of recordings to make (default: the size's number).")
 @opt.seed_option("of everything")
 @opt.choice_option("--size", ["tiny", "default", "large"], "How much (default tiny).", default="tiny")
-@opt.number_option("--events", "Picks and puts of each recording.")
+@opt.number_option("--events", "n_events", "Picks and puts of each recording.")
 @click.option("--bystander-objects", type=int, metavar="N", help="Objects that never move.")
-@opt.flag("--egoallo", "Also write bodies as EgoAllo would estimate them (adt; hd-epic and hot3d have no others).")
+@opt.flag(
+    "--egoallo",
+    "estimates",
+    "Also write bodies as EgoAllo would estimate them (adt; hd-epic and hot3d have no others).",
+)
 @opt.workers_option()
 def synthesize(
     *,
@@ -64,11 +68,8 @@ def synthesize(
     replace: bool,
     count: int | None,
     seed: int,
-    size: Literal["tiny", "default", "large"],
-    events: int | None,
-    bystander_objects: int | None,
-    egoallo: bool,
     workers: int,
+    **given: Any,
 ) -> Answer:
     """Write synthetic recordings in a dataset's native layout, with the truth beside them.
 
@@ -79,11 +80,11 @@ def synthesize(
     if out is None:
         raise UsageError(f"--out DIR is needed: the folder of the {'table' if table else 'recordings'}.")
     if table:
-        if egoallo or bystander_objects is not None:
+        if given.pop("estimates") or given.pop("bystander_objects") is not None:
             raise UsageError("--table writes no native files; leave --egoallo and --bystander-objects out.")
-        return _table(layout, out, size, count, seed=seed, events=events, replace=replace, workers=workers)
+        return _table(layout, out, count, seed=seed, replace=replace, workers=workers, **given)
     of_corpus = layout in _CORPUS_LAYOUTS
-    planned = (count or _CORPUS_RECORDINGS) if of_corpus else planned_recordings(size, count)
+    planned = (count or _CORPUS_RECORDINGS) if of_corpus else planned_recordings(given["size"], count)
     done = itertools.count(1)
     with progress(f"writing {layout}") as tell:
 
@@ -94,16 +95,7 @@ def synthesize(
         if of_corpus:
             tree = load_built_in(CORPORA, "synthesize")(layout, out, recordings=planned, **shared)
         else:
-            tree = synthesize_tree(
-                layout,
-                out,
-                recordings=count,
-                size=size,
-                n_events=events,
-                bystander_objects=bystander_objects,
-                estimates=egoallo,
-                **shared,
-            )
+            tree = synthesize_tree(layout, out, recordings=count, **given, **shared)
 
     def show() -> None:
         rows = []
@@ -123,11 +115,11 @@ def synthesize(
 def _table(
     layout: str,
     out: Path,
-    size: Literal["tiny", "default", "large"],
     count: int | None,
     *,
+    size: Literal["tiny", "default", "large"],
     seed: int,
-    events: int | None,
+    n_events: int | None,
     replace: bool,
     workers: int,
 ) -> Answer:
@@ -146,7 +138,7 @@ def _table(
             out,
             engine=engine_for(workers),
             world="large" if large else "default",
-            n_events=Staging.n_events if events is None else events,
+            n_events=Staging.n_events if n_events is None else n_events,
             options=BuildOptions(replace=replace),
             progress=tell,
         )

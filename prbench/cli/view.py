@@ -143,7 +143,7 @@ def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ..
 @opt.permission_option
 @opt.engine_options()
 def review(
-    *, root: Path, options: tuple[tuple[str, str], ...], permission: tuple[str, ...], engine: EngineChoice, **given: Any
+    *, root: Path, options: opt.Pairs, permission: tuple[str, ...], engine: EngineChoice, **given: Any
 ) -> Answer:
     """Write a page on which a person looks through events and corrects them.
 
@@ -154,7 +154,7 @@ def review(
 
     where = opt.opened(engine, reads=(root,))
     with progress("reading recordings") as tell:
-        done = write_review(root=root, option=dict(options), permitted=permission, engine=where, progress=tell, **given)
+        done = write_review(root=root, option=options, permitted=permission, engine=where, progress=tell, **given)
     for name, problem in done.without_picture.items():
         note(f"no pictures: {name}: {problem}")
 
