@@ -122,9 +122,6 @@ class SyntheticTree(msgspec.Struct, frozen=True, kw_only=True):
     split: dict[str, Literal["train", "validation", "test"]]
 
 
-_TREE = msgspec.json.Decoder(SyntheticTree)
-
-
 def read_synthetic_tree(root: Path) -> SyntheticTree | None:
     """Read the mark of a synthetic tree: in ``root``, or beside it if ``root`` is one of its recordings.
 
@@ -136,7 +133,7 @@ def read_synthetic_tree(root: Path) -> SyntheticTree | None:
     """
     for folder in (root, root.parent):
         if is_present(folder / SYNTHETIC_FILE):
-            return decode_json(folder / SYNTHETIC_FILE, _TREE)
+            return decode_json(folder / SYNTHETIC_FILE, SyntheticTree)
     return None
 
 

@@ -366,14 +366,15 @@ _NO_NUMBER = re.compile(rb"(?<=[\[,:\s])-?(?:NaN|Infinity)\b")
 
 
 @bounded.foreign_input()
-def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded]) -> Decoded:
+def decode_json(path: Source, form: type[Decoded], *, strict: bool = True) -> Decoded:
     """Read a JSON file into a data class; keys that the class does not name are skipped unread.
 
     A bare ``NaN`` or ``Infinity``, which is no JSON but is written by some programs, counts as ``null``.
 
     Args:
         path: The file.
-        decoder: Knows the class.
+        form: The class.
+        strict: Whether a text that holds a number is refused where a number is expected.
 
     Raises:
         InputFileError: if the file is missing, is no JSON, or lacks a key (naming it).
@@ -382,9 +383,9 @@ def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded]) -> Decoded
         # Some programs begin a file with a byte-order mark, which JSON does not know.
         content = read_all(path, largest=limits.LARGEST_JSON).removeprefix(b"\xef\xbb\xbf")
         try:
-            return decoder.decode(content)
+            return msgspec.json.decode(content, type=form, strict=strict)
         except msgspec.DecodeError:
-            return decoder.decode(_NO_NUMBER.sub(b"null", content))
+            return msgspec.json.decode(_NO_NUMBER.sub(b"null", content), type=form, strict=strict)
     except FileNotFoundError as error:
         raise missing_file(path) from error
     except msgspec.ValidationError as error:

@@ -67,7 +67,7 @@ def test_a_worker_on_a_cluster_occupies_the_processors_of_its_threads():
     engine = open_engine(Cluster(workers=5), threads=4)
     assert isinstance(engine, RayEngine)
     assert engine.workers == 5
-    assert engine._resources == (4, 0.0)
+    assert (engine.cpus_per_worker, engine.gpus_per_worker) == (4, 0.0)
 
 
 @pytest.mark.parametrize("command", ["build-dataset", "build-corpus", "build-windows", "run", "score", "train"])

@@ -7,8 +7,8 @@ import os
 import pickle
 import zipfile
 from pathlib import Path
+from typing import Any
 
-import msgspec
 import pytest
 
 from prbench import limits
@@ -42,7 +42,7 @@ def test_a_file_larger_than_any_of_its_kind_is_refused_unread(tmp_path):
         with pytest.raises(InputFileError, match=r"endless\.json: expected at most .* bytes, found 4,398,046,511,104"):
             read(path)
     with pytest.raises(InputFileError, match=r"endless\.json: expected at most"):
-        decode_json(path, msgspec.json.Decoder())
+        decode_json(path, Any)
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="there are no such files here")
@@ -161,7 +161,7 @@ def test_an_unforeseen_error_names_the_file_its_kind_and_its_cause(tmp_path, mon
 
     monkeypatch.setattr(files, "read_all", stumble)
     with pytest.raises(UnforeseenInput, match=r"numbers\.json: .*TypeError: no number") as caught:
-        decode_json(tmp_path / "numbers.json", msgspec.json.Decoder())
+        decode_json(tmp_path / "numbers.json", Any)
     assert caught.value.path == tmp_path / "numbers.json"
     assert isinstance(caught.value.__cause__, TypeError)
 
@@ -178,7 +178,7 @@ def test_what_is_no_file_is_refused_with_what_the_system_says(tmp_path, make):
     path = tmp_path / "metadata.json"
     make(path)
     with pytest.raises(InputFileError, match=r"metadata\.json: expected a file.*, found") as caught:
-        decode_json(path, msgspec.json.Decoder())
+        decode_json(path, Any)
     assert type(caught.value) is InputFileError
 
 
@@ -186,7 +186,7 @@ def test_json_nested_too_deep_is_refused(tmp_path):
     path = tmp_path / "deep.json"
     path.write_bytes(b"[" * 100_000 + b"]" * 100_000)
     with pytest.raises(InputFileError, match=r"deep\.json: expected values nested at most") as caught:
-        decode_json(path, msgspec.json.Decoder())
+        decode_json(path, Any)
     assert type(caught.value) is InputFileError
 
 

@@ -88,7 +88,6 @@ class Metadata(msgspec.Struct):
     subtours: Any = None
 
 
-METADATA_DECODER = msgspec.json.Decoder(Metadata)
 _DEFAULTS = AdtOptions()
 
 
@@ -128,7 +127,7 @@ def _is_recording(folder: Path) -> bool:
         return any((folder / _FILES[role]).is_file() for role in _OWN_ROLES)
     try:
         # HOT3D's metadata have the same name and tell the kind of headset.
-        return native.decode_json(path, METADATA_DECODER).headset is None
+        return native.decode_json(path, Metadata).headset is None
     except InputFileError:
         return True
 
@@ -184,11 +183,8 @@ class _SkeletonFile(msgspec.Struct):
     frames: list[msgspec.Raw]
 
 
-_INSTANCES = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _INSTANCE = msgspec.json.Decoder(_Instance)
-_ASSOCIATIONS = msgspec.json.Decoder(_Associations)
 _ASSOCIATION = msgspec.json.Decoder(_Association)
-_SKELETON = msgspec.json.Decoder(_SkeletonFile)
 _FRAME = msgspec.json.Decoder(_Frame)
 _WIDTH = 3 * adt.N_NATIVE_JOINTS
 _NUMBERS = re.compile(rb"[-+.,0-9eEnul]*")  # null stands for NaN
@@ -207,7 +203,7 @@ def read_objects(
     """
     expected = "an object with its instance_id, names, category, motion_type and instance_type"
     entries, unreadable = native.read_entries(
-        instances_path, native.decode_json(instances_path, _INSTANCES), _INSTANCE.decode, expected
+        instances_path, native.decode_json(instances_path, dict[str, msgspec.Raw]), _INSTANCE.decode, expected
     )
     instances: dict[int, _Instance] = {}
     for key, instance in entries.items():
@@ -274,7 +270,7 @@ def read_skeletons(found: RecordingFiles) -> tuple[tuple[adt.AdtSkeleton, ...], 
     skeletons = []
     names = [str(column) for column in range(_WIDTH)]
     for person, path in people:
-        listed = enumerate(native.decode_json(path, _SKELETON).frames)
+        listed = enumerate(native.decode_json(path, _SkeletonFile).frames)
         expected = f"a time, and the known skeleton of {adt.N_NATIVE_JOINTS} joints with three coordinates"
         frames, odd = native.read_entries(path, {f"frame {number}": raw for number, raw in listed}, _frame, expected)
         told = native.told_together(odd)
@@ -309,7 +305,7 @@ def associated_people(found: RecordingFiles) -> tuple[list[tuple[_Association, P
     association = found.path(ASSOCIATION)
     if association is None:
         return [], []
-    listed = enumerate(native.decode_json(association, _ASSOCIATIONS).people)
+    listed = enumerate(native.decode_json(association, _Associations).people)
     entries = {f"SkeletonMetadata[{number}]": raw for number, raw in listed}
     expected = "a person with AssociatedDeviceSerial, SkeletonId and SkeletonName"
     people, unreadable = native.read_entries(association, entries, _ASSOCIATION.decode, expected)
@@ -339,7 +335,7 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
         InputFileError: for a missing or damaged file, an unknown time domain, or a scene that is not Y up.
     """
     path = found.require(METADATA, adt.METADATA_FILE)
-    metadata = native.decode_json(path, METADATA_DECODER)
+    metadata = native.decode_json(path, Metadata)
     remedy = "Download the sequence again: its present release has one flat folder a recording."
     require(path, (metadata.subtours is None, "subtours", "layout v2.0", "layout v1.x", remedy))
     expected = f"'{adt.TIME_DOMAIN}' (the device clock)"

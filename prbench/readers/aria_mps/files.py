@@ -98,9 +98,6 @@ def _rank(file: InputFile, names: Sequence[str]) -> tuple[int, bool, int, bool, 
     return names.index(_place(file).name), unusual, len(folder.parts), bool(file.member), str(folder)
 
 
-_ANYTHING = msgspec.json.Decoder()
-
-
 def read_warnings(path: native.Source) -> tuple[str, ...]:
     """Read what the operators of a stream warn of; their names vary between versions, and none is required.
 
@@ -110,7 +107,7 @@ def read_warnings(path: native.Source) -> tuple[str, ...]:
     Raises:
         InputFileError: if the file is damaged, or an operator reports an ERROR: the stream is then not to be used.
     """
-    summary = native.decode_json(path, _ANYTHING)
+    summary = native.decode_json(path, object)
     warnings = []
     for operator, entry in summary.items() if isinstance(summary, dict) else ():
         for report in entry if isinstance(entry, list) else [entry]:  # some operators hold a list of reports

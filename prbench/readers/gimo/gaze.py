@@ -121,7 +121,7 @@ def read_transform(info: Path, norm: Path) -> gimo.SceneTransform:
     Raises:
         InputFileError: if a file is missing or no 4x4 rigid transform, or there is no positive scale.
     """
-    content = decode_json(info, _INFO)
+    content = decode_json(info, _TransformInfo)
     is_scale = 0 < content.scale < np.inf
     require(info, (is_scale, "scale", "a positive number", content.scale, ""))
     try:
@@ -150,6 +150,3 @@ def _rigid(path: Path, where: str, numbers: Float[np.ndarray, " n"]) -> Float[np
 class _TransformInfo(msgspec.Struct):
     scale: float
     transformation: list[list[float]]
-
-
-_INFO = msgspec.json.Decoder(_TransformInfo)

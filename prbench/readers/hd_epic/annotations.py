@@ -72,8 +72,6 @@ _TRACK = msgspec.json.Decoder(_Track)
 _ASSOCIATION = msgspec.json.Decoder(_Association)
 _MASK = msgspec.json.Decoder(_Mask)
 _SIDE = msgspec.json.Decoder(_Side)
-_LOG = msgspec.json.Decoder(_Log)
-_MAP = msgspec.json.Decoder(dict[str, Any])
 
 
 def annotated_videos(associations: Path) -> tuple[str, ...]:
@@ -185,7 +183,7 @@ def _videos_of(path: Path) -> dict[str, msgspec.Raw]:
 @lru_cache(maxsize=8)
 def _videos(path: Path, _size: int, _changed_ns: int) -> dict[str, msgspec.Raw]:
     """Return the file cut into its videos, none of them parsed; opened anew when it has changed."""
-    return decode_json(path, _ENTRIES)
+    return decode_json(path, dict[str, msgspec.Raw])
 
 
 def _point(values: list[float | None] | None) -> Float[np.ndarray, "3"] | None:
@@ -327,7 +325,7 @@ def read_video_clock(path: Path, log: Path | None) -> tuple[hd_epic.VideoClock, 
         first=3,
         remedy=_AGAIN,
     )
-    frames = None if log is None else decode_json(log, _LOG).num_mp4_frames
+    frames = None if log is None else decode_json(log, _Log).num_mp4_frames
     if not isinstance(frames, int | float) or frames == len(times):
         return hd_epic.VideoClock(times), ()
     remark = f"{path.name} has {len(times)} rows for a video of {frames} frames: it may be truncated"
@@ -342,6 +340,6 @@ def slam_number(path: Path) -> dict[str, str]:
     Raises:
         InputFileError: if the file is missing or damaged.
     """
-    entries = decode_json(path, _MAP)
+    entries = decode_json(path, dict[str, Any])
     numbers = {key: str(value).removesuffix(".0") for key, value in entries.items()}
     return {key.rpartition("/")[2].removesuffix(".vrs"): text for key, text in numbers.items() if text.isdecimal()}

@@ -82,9 +82,6 @@ class Metadata(msgspec.Struct):
     gt_available_status: dict[str, bool]
 
 
-METADATA_DECODER = msgspec.json.Decoder(Metadata)
-
-
 def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingFiles, ...]:
     """List the recordings of a HOT3D folder: the dataset's (recordings in it or one level deeper), or one recording.
 
@@ -101,7 +98,7 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
         if any(part.startswith(".") for part in path.relative_to(root).parts):
             continue
         try:
-            metadata = native.decode_json(path, METADATA_DECODER)
+            metadata = native.decode_json(path, Metadata)
         except InputFileError:
             # Other datasets call their metadata the same; damaged ones of this dataset lie beside its own files.
             if not any((folder / _FILES[role]).is_file() for role in (HEADSET, OBJECTS, UMETRACK)):
@@ -188,7 +185,6 @@ class _Instance(msgspec.Struct):
     instance_type: str
 
 
-_INSTANCES = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _INSTANCE = msgspec.json.Decoder(_Instance)
 
 
@@ -205,7 +201,7 @@ def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], 
     names = found.require(INSTANCES, f"../assets/{hot3d.INSTANCES_FILE}")
     expected = "an object with instance_name and instance_type"
     instances, unreadable = native.read_entries(
-        names, native.decode_json(names, _INSTANCES), _INSTANCE.decode, expected
+        names, native.decode_json(names, dict[str, msgspec.Raw]), _INSTANCE.decode, expected
     )
     held = [uid for uid in sorted(rows) if uid not in instances or instances[uid].instance_type == hot3d.LIBRARY_OBJECT]
     if not held:
@@ -285,7 +281,7 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
         InputFileError: for a missing or damaged file, or a world that is not Z up.
         RecordingUnusable: for a recording of Quest 3, or without ground truth.
     """
-    metadata = native.decode_json(found.require(METADATA, hot3d.METADATA_FILE), METADATA_DECODER)
+    metadata = native.decode_json(found.require(METADATA, hot3d.METADATA_FILE), Metadata)
     found.require_usable(why_unusable(metadata))
     objects, remarks, unreadable = read_objects(found)
     path = found.require(HEADSET, hot3d.HEADSET_FILE)

@@ -64,9 +64,6 @@ class _Model(msgspec.Struct):
     joint_rotation_axes: list[tuple[float, float, float]]
 
 
-_PROFILE = msgspec.json.Decoder(dict[Literal["hand_model"], _Model], strict=False)
-
-
 def bone_transforms(model: hot3d.HandModel, angles: Float[np.ndarray, "n 22"]) -> Float[np.ndarray, "n 17 4 4"]:
     """Return the pose of every bone in the frame of the wrist, relative to its rest.
 
@@ -166,7 +163,7 @@ def read_profile(path: Path) -> hot3d.HandModel:
     Raises:
         InputFileError: if the file is missing or damaged, an array has another shape, or weights do not sum to 1.
     """
-    profile = native.decode_json(path, _PROFILE)
+    profile = native.decode_json(path, dict[Literal["hand_model"], _Model], strict=False)
     require(path, ("hand_model" in profile, "", "the key 'hand_model'", "an empty object", "Download it again."))
     model = profile["hand_model"]
     for row, weights in enumerate(model.dense_bone_weights):
