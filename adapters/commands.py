@@ -65,7 +65,7 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
     help="Learn from the split 'validation' as well, once nothing is chosen by it; needs validation.every=0.",
 )
 @opt.fold_option
-@click.option("--init", type=opt.PATH, metavar="FILE", help="Weights to start from.")
+@opt.path_option("--init", "initial", "Weights to start from.")
 @click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1, mps.")
 @click.option("--devices", type=opt.POSITIVE, default=1, metavar="N", help="Processes to train in (default 1).")
 @opt.threads_option
@@ -73,21 +73,15 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
 @opt.engine_options(help="Processes that prepare the data (default 1; with --engine ray all processors).")
 @click.option("--show-config", is_flag=True, help="Print the resolved configuration and stop.")
 def train(
+    *,
     method: str,
-    stage: str | None,
     data: tuple[Path, ...],
     out: Path | None,
     config: Path | None,
-    overrides: tuple[tuple[str, str], ...],
-    refit: bool,
-    fold: str | None,
-    init: Path | None,
-    device: str,
-    devices: int,
-    threads: int,
     loaders: int,
     engine: EngineChoice,
     show_config: bool,
+    **given: Any,
 ) -> Answer | int:
     """Train a method's network on tables; the same command goes on with an interrupted training."""
     from prbench.harness.methods.installed import load_task
@@ -97,28 +91,14 @@ def train(
 
     configuration = None if config is None else str(config)
     if show_config:
-        _, shown = resolved(load_task(method), configuration, stage=stage, overrides=overrides)
+        _, shown = resolved(load_task(method), configuration, stage=given["stage"], overrides=given["overrides"])
         report = TrainReport(method=method, configuration=msgspec.to_builtins(shown), trained=None)
         return Answer(report, lambda: print(as_toml(shown), end=""))
     if not data:
         raise UsageError("--data DIR is needed.")
     if out is None:
         raise UsageError("--out DIR is needed.")
-    request = TrainRequest(
-        method=method,
-        data=data,
-        out=out,
-        refit=refit,
-        fold=fold,
-        stage=stage,
-        configuration=configuration,
-        overrides=overrides,
-        initial=init,
-        device=device,
-        devices=devices,
-        threads=threads,
-        workers=loaders,
-    )
+    request = TrainRequest(method=method, data=data, out=out, configuration=configuration, workers=loaders, **given)
     bar_is_shown = sys.stderr.isatty() and not session().verbose
     with progress(f"training {method}") if bar_is_shown else contextlib.nullcontext() as tell:
 

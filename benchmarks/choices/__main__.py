@@ -143,9 +143,7 @@ def _print_head_forward() -> None:
 def _run(table: SequenceTable, method: str, out: Path) -> None:
     """Score a control on the test sequences; a table of its own protocol is scored by that one."""
     own = table.folder / FILE_NAME
-    run_method(
-        RunRequest(method=method, data=(table.folder,), protocol=own if own.is_file() else None, out=out),
-    )
+    run_method(RunRequest(method=method, data=(table.folder,), protocol=own if own.is_file() else None, out=out))
 
 
 def _means(run: Path, only: Collection[str] | None = None) -> list[str]:

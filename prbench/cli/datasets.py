@@ -103,12 +103,7 @@ _NOT_COMPLETE = 3
 @opt.stream_options
 @opt.flag("--all", "everything", "List complete recordings too, and every incomplete one.")
 def inspect(
-    *,
-    places: tuple[Path, ...],
-    thorough: bool,
-    shift: opt.Pairs,
-    scale: opt.Pairs,
-    everything: bool,
+    *, places: tuple[Path, ...], thorough: bool, shift: opt.Pairs, scale: opt.Pairs, everything: bool
 ) -> Answer:
     """Say what folders hold, and which recordings are complete, cut short, incomplete or damaged.
 
@@ -163,15 +158,10 @@ def _print_tables(tables: tuple[InspectedTable, ...]) -> None:
         means = [f"{each.mean:.2f} ± {each.sd:.2f}" if table.sequences else "–" for each in table.quantities.values()]
         counts = [str(number) for number in (table.sequences, *table.by_split.values())]
         rows.append((table.dataset, *counts, *means, ", ".join(table.pose_sources)))
-    print_table(
-        "prime-and-reach sequences (mean ± standard deviation over sequences)",
-        (
-            "dataset", "sequences", "train", "validation", "test", "duration s", "prime gap s", "body m", "hand m",
-            "body",
-        ),
-        rows,
-        numbers=range(1, 9),
-    )  # fmt: skip
+    counted = ("dataset", "sequences", "train", "validation", "test")
+    measured = ("duration s", "prime gap s", "body m", "hand m")
+    title = "prime-and-reach sequences (mean ± standard deviation over sequences)"
+    print_table(title, (*counted, *measured, "body"), rows, numbers=range(1, 9))
     for table in tables:
         if table.participants_in_two_splits:
             print(
@@ -215,16 +205,11 @@ def _print(validation: Validation) -> None:
         _print_priming(validation.annotations.priming, validation.published_shares)
     if not validation.agreements:
         return
-    print_table(
-        "published priming (rows) and the rule (columns): events",
-        ("action", "published", *RULE_OUTCOMES),
-        [
-            (each.action, published, *map(str, by_rule.values()))
-            for each in validation.agreements
-            for published, by_rule in each.counts.items()
-        ],
-        numbers=(2, 3, 4),
-    )
+    rows: list[tuple[str, ...]] = []
+    for each in validation.agreements:
+        rows += [(each.action, published, *map(str, by_rule.values())) for published, by_rule in each.counts.items()]
+    header: tuple[str, ...] = ("action", "published", *RULE_OUTCOMES)
+    print_table("published priming (rows) and the rule (columns): events", header, rows, numbers=(2, 3, 4))
     rows = []
     for each in validation.agreements:
         told = validation.published_shares.get(each.action)
@@ -232,23 +217,15 @@ def _print(validation: Validation) -> None:
         gaps = [f"{mean:.2f} ± {sd:.2f}" for mean, sd in (each.published_gap, each.rule_gap)]
         ours = [f"{share:.1%}" for share in (each.tested_share, each.primed_share, each.agreement)]
         rows.append((each.action, ours[0], tested, ours[1], primed, ours[2], *gaps))
-    print_table(
-        "shares, and prime gaps in seconds (mean ± sd)",
-        ("action", "tested", "dataset", "primed", "dataset", "same answer", "gap published", "gap rule"),
-        rows,
-        numbers=range(1, 8),
-    )
+    header = ("action", "tested", "dataset", "primed", "dataset", "same answer", "gap published", "gap rule")
+    print_table("shares, and prime gaps in seconds (mean ± sd)", header, rows, numbers=range(1, 8))
     rows = []
     for each in validation.agreements:
         spread = each.difference
         numbers = (f"{value:.3f}" for value in (spread.bias, spread.median, spread.p95, spread.largest))
         rows.append((each.action, str(spread.n), *numbers))
-    print_table(
-        "prime time by the rule minus published, seconds",
-        ("action", "both primed", "mean", "median size", "95 % size", "largest"),
-        rows,
-        numbers=range(1, 6),
-    )
+    header = ("action", "both primed", "mean", "median size", "95 % size", "largest")
+    print_table("prime time by the rule minus published, seconds", header, rows, numbers=range(1, 6))
 
 
 def _print_priming(priming: dict[str, dict[str, int]], shares: dict[str, tuple[float, float]]) -> None:
@@ -264,12 +241,8 @@ def _print_priming(priming: dict[str, dict[str, int]], shares: dict[str, tuple[f
         told = [f"{share:.1%}" for share in shares.get(action, ())] or ["–", "–"]
         here = [f"{part / whole:.1%}" if whole else "–" for part, whole in ((tested, listed), (primed, tested))]
         rows.append((action, f"{listed:,}", f"{primed:,}", here[0], told[0], here[1], told[1]))
-    print_table(
-        "priming that the dataset publishes",
-        ("action", "listed", "primed", "tested", "paper", "primed of tested", "paper"),
-        rows,
-        numbers=range(1, 7),
-    )
+    header = ("action", "listed", "primed", "tested", "paper", "primed of tested", "paper")
+    print_table("priming that the dataset publishes", header, rows, numbers=range(1, 7))
 
 
 @command(

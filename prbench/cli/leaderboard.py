@@ -78,12 +78,9 @@ def compare(first: Path, second: Path, data: tuple[Path, ...], workers: int) -> 
 
 def _print_comparison(compared: RunComparison) -> None:
     first = compared.first.path.name
-    print_table(
-        f"{first} against {compared.second.path.name}, sequence by sequence",
-        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "detectable", ""),
-        [_difference_row(first, row) for row in compared.metrics],
-        numbers=(2, 3, 4, 5),
-    )
+    title = f"{first} against {compared.second.path.name}, sequence by sequence"
+    header = ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "detectable", "")
+    print_table(title, header, [_difference_row(first, row) for row in compared.metrics], numbers=(2, 3, 4, 5))
     print("detectable: smallest true difference that is found in four of five repetitions, at Holm's first step.")
     if any(row.conclusion == "cannot be tested" for row in compared.metrics):
         needed = compared.metrics[0].comparison.needed

@@ -31,14 +31,7 @@ from prbench.cli.terminal import print_table, print_tables
 )
 @opt.on_error_option(what="sequences", them="them")
 @opt.replace_option()
-def import_release(
-    *,
-    root: Path,
-    out: Path,
-    dataset: str | None,
-    fps: float | None,
-    **given: Any,
-) -> Answer:
+def import_release(*, root: Path, out: Path, dataset: str | None, fps: float | None, **given: Any) -> Answer:
     """Turn the authors' released files into tables, and say what had to be inferred.
 
     ROOT is the folder with HD-EPIC, MoGaze …, or one of these. Then, for example:

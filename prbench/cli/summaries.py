@@ -93,34 +93,28 @@ def print_summary(
     _print_marks([summary])
 
 
-def print_datasets(
-    summaries: Sequence[DatasetSummary],
-    agreements: Sequence[DatasetAgreement | None],
-    *,
-    origin: str,
-    motionless: bool = False,
-    metrics: Sequence[MetricInfo],
-    one_mean: bool = True,
+def _print_datasets(
+    report: RunReport, agreements: Sequence[DatasetAgreement | None], metrics: Sequence[MetricInfo]
 ) -> None:
     """Print the metrics of one method on several datasets, one column a dataset, and their mean.
 
     Below each rate stands its agreement with recorded people, and below the table what the datasets can decide.
 
     Args:
-        summaries: One a dataset.
+        report: A run of several datasets.
         agreements: One a dataset, in the same order.
-        origin: Whose method it is, in words.
-        motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
         metrics: All metrics of the benchmark.
-        one_mean: The datasets may enter one mean.
     """
     from prbench.board.tables import why_undecided
-    from prbench.harness.run_folder.summary import means_over_datasets
+    from prbench.harness.run_folder.summary import means_over_datasets, share_a_mean
 
+    record = report.folder.record
+    summaries = report.summaries
+    one_mean = share_a_mean(record.tables)
     found = {metric.metric for summary in summaries for metric in summary.metrics}
     wanted = [info for info in metrics if info.id in found and not info.is_detail]
     means = means_over_datasets(summaries) if one_mean else {}
-    irrelevant = _irrelevant(motionless)
+    irrelevant = _irrelevant(record.method.motionless)
     names = list(map(_short, summaries))
     rows: list[tuple[str, ...]] = [
         ("sequences (recordings)", *(f"{each.sequences} ({each.recordings})" for each in summaries), "")
@@ -138,7 +132,7 @@ def print_datasets(
             phis.append(f"{rates[0]:+.2f}" if rates and rates[0] is not None else _DASH)
         if any(phi != _DASH for phi in phis):
             rows.append((_PHI, *phis, ""))
-    title = f"{_method(summaries[0], origin)}; split {summaries[0].split}"
+    title = f"{_method(summaries[0], record.method.origin)}; split {summaries[0].split}"
     print_table(title, ("metric", *names, "mean"), rows, numbers=range(1, len(names) + 2))
     if any(row[0] == _PHI for row in rows):
         print("phi: agreement with recorded people, sequence by sequence; 0 is unrelated, 1 the same sequences.")
@@ -345,7 +339,6 @@ def _agreements(report: RunReport) -> list[DatasetAgreement | None]:
 def _print_run(report: RunReport, *, single: bool) -> None:
     from prbench.harness.benchmark import load_benchmark
     from prbench.harness.run_folder import read_scores
-    from prbench.harness.run_folder.summary import share_a_mean
     from prbench.metrics import printed_unit
 
     record = report.folder.record
@@ -372,10 +365,9 @@ def _print_run(report: RunReport, *, single: bool) -> None:
             _print_synthetic([table])
         return
     agreements = _agreements(report)
-    shared: dict[str, Any] = {"origin": record.method.origin, "motionless": record.method.motionless}
     if len(report.summaries) == 1:
-        print_summary(report.summaries[0], metrics=metrics, **shared)
+        method = record.method
+        print_summary(report.summaries[0], origin=method.origin, motionless=method.motionless, metrics=metrics)
         print_agreement(agreements[0])
     else:
-        one_mean = share_a_mean(record.tables)
-        print_datasets(report.summaries, agreements, metrics=metrics, one_mean=one_mean, **shared)
+        _print_datasets(report, agreements, metrics)

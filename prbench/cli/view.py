@@ -193,11 +193,9 @@ def diff(first: Path, second: Path) -> Answer:
         if changes:
             rows = [(kind, str(counts[kind]), meaning) for kind, meaning in KINDS.items() if kind in counts]
             print_table("changes", ("kind", "events", "meaning"), rows, numbers=(1,))
-            print_table(
-                "events",
-                ("kind", "recording", "event", "first", "second", "decided by"),
-                [tuple(value or "–" for value in vars(change).values()) for change in changes[:SHOWN]],
-            )
+            header = ("kind", "recording", "event", "first", "second", "decided by")
+            rows = [tuple(value or "–" for value in vars(change).values()) for change in changes[:SHOWN]]
+            print_table("events", header, rows)
         if len(changes) > SHOWN:
             print(f"… and {len(changes) - SHOWN} more: --out FILE")
         print(f"unchanged: {difference.unchanged_events} events, {difference.unchanged_sequences} of them sequences")

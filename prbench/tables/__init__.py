@@ -68,8 +68,8 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
         low: Lower bound of the 95 % interval; null without one.
         high: Upper bound of the interval.
         sd: Standard deviation over sequences, or the number after ± in the study.
-        sequences: Number of sequences behind the value.
-        recordings: Number of recordings that they come from.
+        sequences: float | None of sequences behind the value.
+        recordings: float | None of recordings that they come from.
         detectable: Smallest difference to an unrelated method of the same spread that would be found with 80 % power;
             null where nothing can be tested.
         rank: One more than the number of methods that are better by a supported difference; null where nothing is
@@ -131,7 +131,7 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """A table, or what a figure draws; blocks without rows are left out.
 
     Attributes:
-        number: Number in the study, such as ``2`` or ``S3``; empty for a table that no study has.
+        number: float | None in the study, such as ``2`` or ``S3``; empty for a table that no study has.
         title: What it shows.
         columns: Printed columns.
         blocks: Rows, by where they come from.
@@ -224,13 +224,7 @@ _PACKAGES = "% Needs \\usepackage{booktabs}, \\usepackage[T1]{fontenc} and \\use
 
 
 def cell_text(
-    cell: Cell,
-    column: Column,
-    *,
-    signed: bool = False,
-    between: str = " ",
-    bold: Markup = str,
-    escape: Markup = str,
+    cell: Cell, column: Column, *, signed: bool = False, between: str = " ", bold: Markup = str, escape: Markup = str
 ) -> str:
     """Return a number as printed, with its interval or ± and its mark.
 

@@ -240,13 +240,7 @@ def _pictures(
     return {event.event_id: picture(recording, event, rays, rule, before) for event in events}, ""
 
 
-def picture(
-    recording: Recording,
-    event: Event,
-    rays: Rays,
-    rule: InHandRule | None,
-    before: float,
-) -> dict[str, Any]:
+def picture(recording: Recording, event: Event, rays: Rays, rule: InHandRule | None, before: float) -> dict[str, Any]:
     """Return the numbers of one event's pictures.
 
     Args:

@@ -174,10 +174,7 @@ class NymeriaWindows:
         times = np.concatenate([piece.start + np.arange(len(piece.joints)) / SUIT_RATE for piece in pieces])
         expected = "pieces of motion one after the other"
         ordered = not (np.diff(times) <= 0).any()
-        require(
-            SUIT_FILE,
-            (ordered, "timestamps_us", expected, "two that overlap in time", "Leave the recording out."),
-        )
+        require(SUIT_FILE, (ordered, "timestamps_us", expected, "two that overlap in time", "Leave the recording out."))
         joints = np.concatenate([piece.joints for piece in pieces]).astype(np.float64)
         body = BodyStream(times, joints, np.ones(len(times), dtype=bool))
         gaze, message = self._gaze(motion)

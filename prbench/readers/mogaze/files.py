@@ -407,12 +407,7 @@ def _body(
         point = ((0.0, 0.0),) * 3
         box_min, box_max = np.array(manifest.object_extents.get(mogaze.kind_of_body(name), point)).T
     return mogaze.MogazeBody(
-        body_id=key,
-        name=name,
-        position=rows[:, :3],
-        rotation=rows[:, 3:],
-        box_min=box_min,
-        box_max=box_max,
+        body_id=key, name=name, position=rows[:, :3], rotation=rows[:, 3:], box_min=box_min, box_max=box_max
     )
 
 
