@@ -24,7 +24,7 @@ from prbench.protocol.manifests import digest_of, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences import corpus as corpus_tables
 from prbench.sequences import parts
-from prbench.sequences.dataset_info import CORPUS_FILE, CorpusCounts, CorpusInfo, QuarantinedRecording
+from prbench.sequences.dataset_info import CORPUS_FILE, CorpusCounts, CorpusInfo, quarantined
 from prbench.sequences.parts import BuildPlan, BuildReport, ShardReport, finish_shard, making_shard, shard_parts
 from prbench.shown import quoted
 from prbench_adapters.corpora import sources as corpora
@@ -334,11 +334,7 @@ def _write_corpus(
             frames=sum(receipt.frames for receipt in receipts),
         ),
         outcomes={outcome: outcomes[outcome] for outcome in corpus_tables.ANNOTATION_OUTCOMES},
-        quarantine=tuple(
-            QuarantinedRecording(recording_id=record.recording_id, status=record.status, message=record.message)
-            for record in records
-            if record.status != "read"
-        ),
+        quarantine=quarantined(records),
         identity_digest="",  # this and the next are filled in when the tables are written
         content_digest="",
         **terms,

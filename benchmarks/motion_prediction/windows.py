@@ -32,7 +32,7 @@ from prbench.readers import SYNTHETIC_PREFIX, PublishedForPrediction, Reader, re
 from prbench.recording.streams import BodyStream, PublishedTrack, Recording
 from prbench.sequences import parts
 from prbench.sequences import parts as in_parts
-from prbench.sequences.dataset_info import QuarantinedRecording
+from prbench.sequences.dataset_info import quarantined
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.sequence import row_batch
 from prbench_benchmarks.motion_prediction import table
@@ -514,11 +514,7 @@ def _write_table(
         input_digest=text_digest(*(text for each in read for text in (each.record.recording_id, each.input_digest))),
         options=settings["options"],
         outcomes={},
-        quarantine=tuple(
-            QuarantinedRecording(recording_id=each.recording_id, status=each.status, message=each.message)
-            for each in records
-            if each.status != "read"
-        ),
+        quarantine=quarantined(records),
         identity_digest="",
         content_digest="",
         fps=protocol.windows.fps,

@@ -37,7 +37,7 @@ from prbench.protocol.own_protocol import OPTION
 from prbench.readers import RecordingFiles, reader_for
 from prbench.recording import Recording
 from prbench.sequences import parts
-from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
+from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, quarantined
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.sequence import OUTCOMES, SCENES, event_batch, recording_batch, row_batch, sequence_batch
 from prbench.sequences.sequence import Recording as RecordingRow
@@ -393,11 +393,7 @@ def describe(
             recordings_cut_short=sum(bool(receipt.record.shortfalls) for receipt in receipts),
         ),
         outcomes={outcome: outcomes[outcome] for outcome in OUTCOMES},
-        quarantine=tuple(
-            QuarantinedRecording(recording_id=r.record.recording_id, status=r.record.status, message=r.record.message)
-            for r in receipts
-            if r.record.status != "read"
-        ),
+        quarantine=quarantined(receipt.record for receipt in receipts),
         identity_digest="",
         content_digest="",
         **terms,

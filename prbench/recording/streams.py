@@ -150,6 +150,13 @@ class BodyStream:
         _check_stream("body", self.times, self.joints, self.valid)
         require_near("body", self.joints, self.valid, farthest=FARTHEST_POSITION)
 
+    def wrists(self) -> tuple[HandStream, ...]:
+        """Return the body's wrists as hands, for recordings that track none."""
+        return tuple(
+            HandStream(side, "wrist", self.times, self.joints[:, [wrist]], self.valid)
+            for side, wrist in zip(SIDES, WRISTS, strict=True)
+        )
+
 
 @dataclass(frozen=True)
 class HandStream:

@@ -26,7 +26,7 @@ from prbench.protocol.manifests import Manifest, digest_of, load_citations, load
 from prbench.release import layout, reading
 from prbench.release.report import ImportReleaseReport, ImportReport
 from prbench.sequences import DatasetInfo, Event, Recording, Sequence, SequenceTable
-from prbench.sequences.dataset_info import FILE_NAME, FunnelCounts, QuarantinedRecording, strictest
+from prbench.sequences.dataset_info import FILE_NAME, FunnelCounts, quarantined, strictest
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.sequence import OUTCOMES, event_batch, recording_batch, sequence_batch
 from prbench.sequences.table import body_movement, hand_movement
@@ -313,7 +313,7 @@ def _describe(
     """Describe an import: every inference stands among its options; the writer fills in the digests."""
     protocol = load_protocol()
     n = len(found.sequences)
-    failed = [record for record in records if record.status == "failed"]
+    failed = sum(record.status == "failed" for record in records)
     options = {"source": "release", "in_hand_rule": "the release's own events"}
     for each in found.report.inferred:
         options[f"release.{each.name}"] = f"{each.value} ({each.how_surely}: {each.evidence})"
@@ -333,16 +333,13 @@ def _describe(
         # A release holds sequences alone, so every event has passed all stages.
         counts=FunnelCounts(
             recordings_found=len(records),
-            recordings_read=len(records) - len(failed),
-            recordings_failed=len(failed),
+            recordings_read=len(records) - failed,
+            recordings_failed=failed,
             recordings_skipped=0,
             **dict.fromkeys(("events", "located", "primed", "long_enough", "moved_enough", "sequences"), n),
         ),
         outcomes={outcome: n if outcome == "sequence" else 0 for outcome in OUTCOMES},
-        quarantine=tuple(
-            QuarantinedRecording(recording_id=each.recording_id, status=each.status, message=each.message)
-            for each in failed
-        ),
+        quarantine=quarantined(records),
         identity_digest="",
         content_digest="",
         **terms,

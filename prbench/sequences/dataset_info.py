@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import Annotated, ClassVar, Protocol, Self, runtime_checkable
+from typing import Annotated, Any, ClassVar, Protocol, Self, runtime_checkable
 
 import msgspec
 
@@ -44,6 +44,13 @@ class QuarantinedRecording(msgspec.Struct, frozen=True, kw_only=True):
     recording_id: str
     status: str
     message: str
+
+
+def quarantined(records: Iterable[Any]) -> tuple[QuarantinedRecording, ...]:
+    """Return those of the records that were not read."""
+    names = QuarantinedRecording.__struct_fields__
+    left_out = (each for each in records if each.status != "read")
+    return tuple(QuarantinedRecording(**{name: getattr(each, name) for name in names}) for each in left_out)
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):

@@ -67,10 +67,7 @@ def recording_from_gimo(readings: gimo.GimoReadings, manifest: Manifest, *, data
         camera=streams.NO_POSES,
         head=streams.NO_POSES,
         body=body,
-        hands=tuple(
-            streams.HandStream(side, "wrist", body.times, body.joints[:, wrist, None], body.valid)
-            for side, wrist in zip(streams.SIDES, WRISTS, strict=True)
-        ),
+        hands=body.wrists(),
         objects=(),
         annotated_events=events,
         split_group=readings.segment.group,

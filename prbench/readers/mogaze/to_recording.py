@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from prbench.geometry.skeleton import WRISTS, Y_UP_FROM_Z_UP, transform_points
+from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, transform_points
 from prbench.protocol.manifests import Manifest
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.format import NULL_LABEL, RATE, SEGMENT_DATASET, Segment
@@ -89,10 +89,7 @@ def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *
         camera=head,
         head=head,
         body=body,
-        hands=tuple(
-            streams.HandStream(side, "wrist", times, body.joints[:, [wrist]], body.valid)
-            for side, wrist in zip(streams.SIDES, WRISTS, strict=True)
-        ),
+        hands=body.wrists(),
         objects=tracks,
         annotated_events=events,
         split_group=readings.recording_id,
