@@ -152,19 +152,15 @@ def native_sources(dataset: str, root: Path | str, options: BuildOptions) -> tup
     readers.require_one_origin(root, (recording.dataset for recording in found.values()))
     readers.require_marked(root, {name: recording.dataset for name, recording in found.items()})
     tree = readers.read_synthetic_tree(root)
-    return tuple(
-        NativeSource(
-            root,
-            found[name],
-            tree.split.get(name) if tree else found[name].split,
-            found[name].skip_reason if events_only else manifest.why_bad(name) or found[name].skip_reason,
-            options.reader,
-        )
-        # Sequence ids, which go on with a slash, then come out sorted.
-        for name in chosen_ids(
-            sorted(found, key=lambda name: f"{name}/"), options.recordings, options.limit, where=root
-        )
-    )
+    # Sequence ids, which go on with a slash, then come out sorted.
+    in_order = sorted(found, key=lambda name: f"{name}/")
+    sources = []
+    for name in chosen_ids(in_order, options.recordings, options.limit, where=root):
+        files = found[name]
+        split = tree.split.get(name) if tree else files.split
+        reason = files.skip_reason if events_only else manifest.why_bad(name) or files.skip_reason
+        sources.append(NativeSource(root, files, split, reason, options.reader))
+    return tuple(sources)
 
 
 def chosen_ids(recording_ids: SequenceOf[str], glob: str, limit: int | None, *, where: Path | str) -> list[str]:

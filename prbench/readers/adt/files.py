@@ -227,25 +227,18 @@ def read_objects(
         static_time=adt.STATIC_TIME,
     )
     complete = sorted(known & boxes.keys() & poses.keys())
-    objects = tuple(
-        adt.AdtObject(
-            key,
-            instances[key].instance_name,
-            instances[key].prototype_name,
-            instances[key].category,
-            instances[key].motion_type == "dynamic",
-            boxes[key][0],
-            boxes[key][1],
-            *poses[key],
-        )
-        for key in complete
-    )
+    objects = []
+    for key in complete:
+        about = instances[key]
+        names = (about.instance_name, about.prototype_name, about.category)
+        low, high = boxes[key]
+        objects.append(adt.AdtObject(key, *names, about.motion_type == "dynamic", low, high, *poses[key]))
     incomplete = sorted((known | boxes.keys() | poses.keys()) - set(complete) - (instances.keys() - known))
     if not incomplete:
-        return objects, (), unreadable
+        return tuple(objects), (), unreadable
     named = ", ".join(str(key) for key in incomplete[:5]) + (" …" if len(incomplete) > 5 else "")
     remark = f"{len(incomplete)} objects without name, box or pose are left out: {named}"
-    return objects, (remark,), unreadable
+    return tuple(objects), (remark,), unreadable
 
 
 def _box(cells: tuple[str, ...]) -> tuple[int, Float[np.ndarray, "2 3"]]:

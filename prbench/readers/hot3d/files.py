@@ -206,19 +206,14 @@ def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], 
     held = [uid for uid in sorted(rows) if uid not in instances or instances[uid].instance_type == hot3d.LIBRARY_OBJECT]
     if not held:
         raise InputFileError(path, hot3d.OBJECT_ID, expected="objects", found="headsets only")
-    models = {uid: found.path(f"{MODEL_PREFIX}{uid}") for uid in held}
-    objects = tuple(
-        hot3d.Hot3dObject(
-            object_id=uid,
-            name=instances[uid].instance_name if uid in instances else uid,
-            rows=rows[uid],
-            mesh=None if model is None else read_glb(model),
-        )
-        for uid, model in models.items()
-    )
+    objects = []
+    for uid in held:
+        name = instances[uid].instance_name if uid in instances else uid
+        model = found.path(f"{MODEL_PREFIX}{uid}")
+        objects.append(hot3d.Hot3dObject(uid, name, rows[uid], None if model is None else read_glb(model)))
     nameless = [uid for uid in held if uid not in instances]
     remark = f"objects without a name in {hot3d.INSTANCES_FILE}: {', '.join(nameless)}"
-    return objects, (remark,) if nameless else (), unreadable
+    return tuple(objects), (remark,) if nameless else (), unreadable
 
 
 def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
