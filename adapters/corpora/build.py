@@ -15,7 +15,6 @@ from typing import Any
 
 import msgspec
 
-import prbench
 from prbench.engine import Engine, InProcess, is_out_of_memory
 from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, PrbenchError
@@ -24,7 +23,7 @@ from prbench.protocol.manifests import digest_of, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences import corpus as corpus_tables
 from prbench.sequences import parts
-from prbench.sequences.dataset_info import CORPUS_FILE, CorpusCounts, CorpusInfo, quarantined
+from prbench.sequences.dataset_info import CORPUS_FILE, CorpusCounts, CorpusInfo, begun_with, quarantined
 from prbench.sequences.parts import BuildPlan, BuildReport, ShardReport, finish_shard, making_shard, shard_parts
 from prbench.shown import quoted
 from prbench_adapters.corpora import sources as corpora
@@ -311,10 +310,8 @@ def _write_corpus(
         outcomes.update(record.outcomes)
     info = CorpusInfo(
         schema_version=corpus_tables.CORPUS_SCHEMA_VERSION,
-        protocol_version=protocol.version,
-        protocol_digest=protocol.digest,
+        **begun_with(protocol),
         dataset=dataset,
-        prbench_version=prbench.__version__,
         manifest_digest=_manifest_digest(corpus),
         input_digest=text_digest(*(text for receipt in receipts for text in (receipt.name, receipt.input_digest))),
         options={
@@ -335,8 +332,6 @@ def _write_corpus(
         ),
         outcomes={outcome: outcomes[outcome] for outcome in corpus_tables.ANNOTATION_OUTCOMES},
         quarantine=quarantined(records),
-        identity_digest="",  # this and the next are filled in when the tables are written
-        content_digest="",
         **terms,
     )
     folders = [folder for folder, _, _ in finished]

@@ -17,7 +17,6 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Bool, Float, Int
 
-import prbench
 from prbench.curation.job import NativeSource, PartReceipt, RecordingJob, native_sources, part_receipt
 from prbench.curation.options import BuildOptions
 from prbench.curation.splits import draw_splits
@@ -32,7 +31,7 @@ from prbench.readers import SYNTHETIC_PREFIX, PublishedForPrediction, Reader, re
 from prbench.recording.streams import BodyStream, PublishedTrack, Recording
 from prbench.sequences import parts
 from prbench.sequences import parts as in_parts
-from prbench.sequences.dataset_info import quarantined
+from prbench.sequences.dataset_info import begun_with, quarantined
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.sequence import row_batch
 from prbench_benchmarks.motion_prediction import table
@@ -506,17 +505,13 @@ def _write_table(
     info = table.WindowsInfo(
         **terms,
         schema_version=table.SCHEMA_VERSION,
-        protocol_version=protocol.version,
-        protocol_digest=protocol.digest,
+        **begun_with(protocol),
         dataset=dataset,
-        prbench_version=prbench.__version__,
         manifest_digest=settings["manifest"],
         input_digest=text_digest(*(text for each in read for text in (each.record.recording_id, each.input_digest))),
         options=settings["options"],
         outcomes={},
         quarantine=quarantined(records),
-        identity_digest="",
-        content_digest="",
         fps=protocol.windows.fps,
         observed_frames=protocol.windows.observed_frames,
         future_frames=protocol.windows.future_frames,

@@ -18,7 +18,6 @@ from typing import Any, Protocol
 import msgspec
 import pyarrow as pa
 
-import prbench
 from prbench import readers
 from prbench.curation.corrections import Corrections, UnknownEventError
 from prbench.curation.curate import CuratedRecording, curate_recording
@@ -37,7 +36,7 @@ from prbench.protocol.own_protocol import OPTION
 from prbench.readers import RecordingFiles, reader_for
 from prbench.recording import Recording
 from prbench.sequences import parts
-from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, quarantined
+from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, begun_with, quarantined
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.sequence import OUTCOMES, SCENES, event_batch, recording_batch, row_batch, sequence_batch
 from prbench.sequences.sequence import Recording as RecordingRow
@@ -377,10 +376,8 @@ def describe(
         terms["citation"] = "\n\n".join(text.strip() for text in (manifest.citation, body.citation) if text)
     return DatasetInfo(
         schema_version=SCHEMA_VERSION,
-        protocol_version=protocol.version,
-        protocol_digest=protocol.digest,
+        **begun_with(protocol),
         dataset=dataset,
-        prbench_version=prbench.__version__,
         manifest_digest=digest_of(manifest),
         input_digest=text_digest(*(text for r in receipts for text in (r.record.recording_id, r.input_digest))),
         options=(chosen | options.curation.described(manifest, protocol)) | dict(extra_options),
@@ -390,8 +387,6 @@ def describe(
         ),
         outcomes={outcome: outcomes[outcome] for outcome in OUTCOMES},
         quarantine=quarantined(receipt.record for receipt in receipts),
-        identity_digest="",
-        content_digest="",
         **terms,
     )
 

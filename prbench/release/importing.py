@@ -16,7 +16,6 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-import prbench
 from prbench.entry_points import STUDY_ITEMS, load_built_in
 from prbench.errors import InputFileError, RecordingsWouldBeLost
 from prbench.files.bounded import foreign_input
@@ -26,7 +25,7 @@ from prbench.protocol.manifests import Manifest, digest_of, load_citations, load
 from prbench.release import layout, reading
 from prbench.release.report import ImportReleaseReport, ImportReport
 from prbench.sequences import DatasetInfo, Event, Recording, Sequence, SequenceTable
-from prbench.sequences.dataset_info import FILE_NAME, FunnelCounts, quarantined, strictest
+from prbench.sequences.dataset_info import FILE_NAME, FunnelCounts, begun_with, quarantined, strictest
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.sequence import OUTCOMES, event_batch, recording_batch, sequence_batch
 from prbench.sequences.table import body_movement, hand_movement
@@ -323,10 +322,8 @@ def _describe(
     arrays = [text for one in found.sequences for text in (str(one.index), one.digest)]
     return DatasetInfo(
         schema_version=SCHEMA_VERSION,
-        protocol_version=protocol.version,
-        protocol_digest=protocol.digest,
+        **begun_with(protocol),
         dataset=found.report.dataset,
-        prbench_version=prbench.__version__,
         manifest_digest=digest_of(manifest),
         input_digest=text_digest(file_digest(found.folder / layout.TARGETS), *arrays),
         options=options,
@@ -340,7 +337,5 @@ def _describe(
         ),
         outcomes={outcome: n if outcome == "sequence" else 0 for outcome in OUTCOMES},
         quarantine=quarantined(records),
-        identity_digest="",
-        content_digest="",
         **terms,
     )

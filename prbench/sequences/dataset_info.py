@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar, Protocol, Self, runtime_checkable
 
 import msgspec
 
+import prbench
 from prbench.errors import RedistributionError, TableError
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import is_path_part, write_json
@@ -51,6 +52,12 @@ def quarantined(records: Iterable[Any]) -> tuple[QuarantinedRecording, ...]:
     names = QuarantinedRecording.__struct_fields__
     left_out = (each for each in records if each.status != "read")
     return tuple(QuarantinedRecording(**{name: getattr(each, name) for name in names}) for each in left_out)
+
+
+def begun_with(protocol: Any) -> dict[str, Any]:
+    """Return the fields that every description begins with; whoever writes the tables fills in their digests."""
+    versions = {"protocol_version": protocol.version, "prbench_version": prbench.__version__}
+    return {**versions, "protocol_digest": protocol.digest, "identity_digest": "", "content_digest": ""}
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
