@@ -311,7 +311,7 @@ class WindowsTable:
         )
         table = cls(folder, info, windows, runs)
 
-        require_unchanged(info, folder, schema.names, _IDENTITY, main="streams", others=["windows"], rows=RUNS_AT_ONCE)
+        require_unchanged(info, folder, schema, _IDENTITY, main="streams", others=["windows"], rows=RUNS_AT_ONCE)
         require_distinct(windows["window_id"].to_pylist(), f"{folder}, windows")
         table._require_fitting()
         return table

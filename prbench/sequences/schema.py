@@ -31,6 +31,7 @@ from prbench.files.arrays import first_repeated
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest
 from prbench.geometry.skeleton import JOINT_SET
+from prbench.limits import LATEST_TIME
 from prbench.sequences.sequence import EVENTS, RECORDINGS, SCENES, SEQUENCES, SequenceChunk
 from prbench.shown import quoted
 
@@ -204,6 +205,42 @@ def digests_of_files(folder: Path, tables: Iterable[str]) -> dict[str, str]:
     """SHA-256 of each Parquet file of some tables, by its path relative to the folder; absent files are left out."""
     paths = [path for name in tables for path in files_of_table(folder, name)]
     return {path.relative_to(folder).as_posix(): file_digest(path) for path in paths}
+
+
+def require_form(batch: pa.RecordBatch, expected: pa.Schema, source: Path) -> None:
+    """Refuse rows that no build writes, however their digests were made: code relies on their form.
+
+    Args:
+        batch: Rows of a main table.
+        expected: Its columns.
+        source: The file, for the message.
+
+    Raises:
+        TableError: for a missing value, a number that is not finite, an impossible rate or number of frames, or values
+            of another number of frames.
+    """
+    frames = batch.column("n_frames").fill_null(0).to_numpy()
+    checks = [
+        ("fps", batch.column("fps").fill_null(0).to_numpy() <= 0, "a rate above 0"),
+        ("n_frames", frames < 1, "1 or more"),
+    ]
+    for field in expected:
+        column = batch.column(field.name)
+        if not field.nullable:
+            checks.append((field.name, column.is_null().to_numpy(zero_copy_only=False), "a value"))
+        if pa.types.is_list(field.type) and not pa.types.is_struct(field.type.value_type):
+            lengths = column.value_lengths().to_numpy(zero_copy_only=False)
+            checks.append((field.name, ~np.isnan(lengths) & (lengths != frames), "as many values as frames"))
+        elif pa.types.is_floating(field.type) or (pa.types.is_fixed_size_list(field.type) and not column.null_count):
+            numbers = column.flatten() if pa.types.is_fixed_size_list(field.type) else column
+            usual = np.abs(numbers.fill_null(0).to_numpy()) <= LATEST_TIME  # no other number is as large
+            checks.append((field.name, ~usual.reshape(len(batch), -1).all(axis=1), f"numbers within {LATEST_TIME:g}"))
+    for name, wrong, wanted in checks:
+        if wrong.any():
+            row = batch.column(expected.names[0])[int(wrong.argmax())].as_py()
+            raise TableError(
+                f"{source}, {quoted(row)}, column '{name}': expected {wanted}, found another. Build the table again."
+            )
 
 
 def files_of_table(folder: Path, table: str) -> list[Path]:

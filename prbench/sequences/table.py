@@ -41,7 +41,7 @@ Info = TypeVar("Info", bound=Provenance)
 def require_unchanged(
     info: Provenance,
     folder: Path,
-    columns: SequenceOf[str],
+    columns: pa.Schema,
     identity: SequenceOf[str],
     *,
     main: str,
@@ -72,10 +72,11 @@ def require_unchanged(
                 " it again."
             )
     paths = table_schema.table_parts(folder, main)
-    digest = table_schema.ContentDigest(columns)
+    digest = table_schema.ContentDigest(columns.names)
     for path in paths:
         with table_schema.naming(path):
-            for batch in table_schema.open_parquet(path).iter_batches(batch_size=rows, columns=list(columns)):
+            for batch in table_schema.open_parquet(path).iter_batches(batch_size=rows, columns=columns.names):
+                table_schema.require_form(batch, columns, path)
                 digest.update(batch)
     names = pa.concat_tables(table_schema.read_parquet(path, list(identity)) for path in paths)
     ids = table_schema.identity_of_rows(names, protocol_version=info.protocol_version)
@@ -145,7 +146,7 @@ class BuiltTable(Generic[Info]):
             cls.check(table_schema.open_parquet(path).schema_arrow, cls.schemas[cls.main], source=str(path))
         # Before ids are read: a damaged file is reported as such, not as a wrong id.
         others = [name for name in (*cls.schemas, *cls.optional) if name != cls.main]
-        columns = cls.schemas[cls.main].names
+        columns = cls.schemas[cls.main]
         require_unchanged(table.info, table.folder, columns, cls.identity_columns, main=cls.main, others=others)
         table_schema.require_distinct_rows(paths, "sequence_id", f"{folder}, {cls.main}")
         require_told(table.info, table.folder, f"counts.{cls.main}", getattr(table.info.counts, cls.main), table.n_rows)

@@ -253,6 +253,30 @@ def test_every_command_that_opens_a_table_refuses_an_edited_one(command, edited,
 
 
 @pytest.mark.parametrize(
+    ("column", "value", "said"),
+    [
+        ("goal_location", [np.nan] * 3, "numbers within 1e+10"),
+        ("start_time", 1e300, "numbers within 1e+10"),
+        ("fps", 0.0, "a rate above 0"),
+        ("n_frames", -5, "1 or more"),
+        ("n_frames", 10**9, "as many values as frames"),
+        ("gaze_direction", [], "as many values as frames"),
+    ],
+)
+def test_values_that_no_build_writes_are_refused_whatever_their_digests(column, value, said, tmp_path) -> None:
+    table = fake_dataset(tmp_path / "d", 6)
+    path = table.folder / "sequences.parquet"
+    rows = pq.read_table(path)
+    values = rows[column].to_pylist()
+    values[2] = value
+    place = rows.schema.get_field_index(column)
+    kind = rows.schema.field(place)
+    pq.write_table(rows.set_column(place, kind, pa.array(values, kind.type)), path)
+    with pytest.raises(TableError, match=re.escape(f": expected {said}")):
+        SequenceTable.open(table.folder)
+
+
+@pytest.mark.parametrize(
     ("change", "said"),
     [
         ({"sequences": 7}, "counts.sequences: expected 6, as the table has it, found 7"),
