@@ -324,8 +324,8 @@ class WindowsTable:
             "fps": next((fps for fps in self.runs["fps"].to_pylist() if fps != info.fps), info.fps),
             "runs": len(lengths),
             "frames": int(lengths.sum()),
-            "recordings": pc.count_distinct(self.runs["recording_id"]).as_py(),
-            "participants": pc.count_distinct(self.runs["participant_id"]).as_py(),
+            "recordings": pc.call_function("count_distinct", [self.runs["recording_id"]]).as_py(),
+            "participants": pc.call_function("count_distinct", [self.runs["participant_id"]]).as_py(),
         }
         protocol = load_prediction_protocol()
         if info.protocol_digest == protocol.digest:
