@@ -168,7 +168,7 @@ def _with_bones_of(original: np.ndarray, motion: np.ndarray, noise: float) -> Fl
 
 def _postures(motion: np.ndarray, part: _Part) -> Float[np.ndarray, "frames joints 3"]:
     """Return a part of the body around its own middle, facing one way in all frames."""
-    across = sum(motion[:, left] - motion[:, right] for left, right in part.across)
+    across = np.sum([motion[:, left] - motion[:, right] for left, right in part.across], axis=0)
     joints = motion[:, part.joints]
     joints = joints - joints.mean(axis=1, keepdims=True)
     x, z = across[:, 0], across[:, 2]
