@@ -149,7 +149,8 @@ class BuiltTable(Generic[Info]):
         columns = cls.schemas[cls.main]
         require_unchanged(table.info, table.folder, columns, cls.identity_columns, main=cls.main, others=others)
         table_schema.require_distinct_rows(paths, "sequence_id", f"{folder}, {cls.main}")
-        require_told(table.info, table.folder, f"counts.{cls.main}", getattr(table.info.counts, cls.main), table.n_rows)
+        counts: Any = getattr(table.info, "counts", None)
+        require_told(table.info, table.folder, f"counts.{cls.main}", getattr(counts, cls.main), table.n_rows)
         return table
 
     @property
