@@ -213,13 +213,8 @@ def build_corpus_shard(
     corpus = corpora.corpus_for(name)
     corpus.described(options)
     groups = corpora.find_groups(corpus, None if root is None else Path(root), options)
-    record = ShardRecord(
-        kind="corpus",
-        number=shard.number,
-        count=shard.count,
-        settings=_shard_settings(corpus, groups[0][1][0].identity.dataset, options),
-        plan=tuple(name for name, _ in groups),
-    )
+    settings = _shard_settings(corpus, groups[0][1][0].identity.dataset, options)
+    record = ShardRecord.of("corpus", shard, settings, (name for name, _ in groups))
     mine = [groups[place] for place in shard.places(len(groups))]
     with making_shard(out, record) as work:
         finished = _make_parts(corpus, mine, work, options, engine, progress)

@@ -10,22 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from prbench.checking.conformance import subject as subjects
 from prbench.checking.conformance.checks import body, form, reproducibility
 from prbench.checking.conformance.findings import CheckRequest, Finding, Remedy, check, failed, passed, skipped, warning
 from prbench.checking.conformance.session import Judge
-from prbench.checking.conformance.subject import (
-    STATE_SEED,
-    TOLERANCE,
-    Answer,
-    MethodSubject,
-    generator_states,
-    generators_set_to,
-    generators_touched,
-    largest_changes,
-    metres,
-    program_misshaped,
-    same_bytes,
-)
+from prbench.checking.conformance.subject import STATE_SEED, Answer, MethodSubject
 from prbench.errors import PrbenchError, UsageError
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.methods.loading import LoadedMethod, MethodSpec, unload_method
@@ -195,7 +184,7 @@ class PredictorSubject(MethodSubject):
         """See :meth:`MethodSubject.is_misshapen`."""
         if answer.motions is not None:
             return False
-        if program_misshaped(answer) or not isinstance(answer.returned, Futures):
+        if subjects.program_misshaped(answer) or not isinstance(answer.returned, Futures):
             return True
         batch = answer.batch
         expected = (len(batch), answer.n_samples, batch.n_future, len(batch.joint_names), 3)
@@ -273,13 +262,13 @@ class PredictorSubject(MethodSubject):
         drew: tuple[str, ...] = ()
         started = time.perf_counter()
         try:
-            with computing_threads(self.spec.threads), generators_set_to(state_seed):
-                before = generator_states()
+            with computing_threads(self.spec.threads), subjects.generators_set_to(state_seed):
+                before = subjects.generator_states()
                 try:
                     returned = predictor.predict(batch, n_samples=n_samples, seed=seed)
                     answered = True
                 finally:
-                    drew = generators_touched(before)
+                    drew = subjects.generators_touched(before)
             futures = require_futures(returned, batch, n_samples, predictor=str(getattr(predictor, "name", "?")))
             motions = Futures(joints=np.asarray(futures.joints, dtype=np.float32))
         except PrbenchError as raised:
@@ -336,11 +325,11 @@ def firewall(subject: PredictorSubject) -> Iterator[Finding]:
         if blind.motions is None:
             yield failed(f"under {condition.value}, with NaN in all future frames: {blind.error}", _NO_FUTURE)
             return
-        if same_bytes(usual, blind):
+        if subjects.same_bytes(usual, blind):
             continue
         again = subject.ask(usual.batch)
-        moved = float(largest_changes(usual, blind).max())
-        if again.motions is not None and not same_bytes(usual, again) and moved <= TOLERANCE:
+        moved = float(subjects.largest_changes(usual, blind).max())
+        if again.motions is not None and not subjects.same_bytes(usual, again) and moved <= subjects.TOLERANCE:
             yield warning(
                 f"under {condition.value}: joints moved by up to {moved:.1e} m, as they do when it is asked twice.",
                 "That is rounding, which differs from call to call.",
@@ -348,7 +337,7 @@ def firewall(subject: PredictorSubject) -> Iterator[Finding]:
             )
             return
         yield failed(
-            f"under {condition.value}, with NaN in all future frames, joints moved by up to {metres(moved)}.",
+            f"under {condition.value}, with NaN in all future frames, joints moved by up to {subjects.metres(moved)}.",
             _NO_FUTURE,
             change_m=moved,
         )
@@ -370,7 +359,7 @@ def seed(subject: PredictorSubject) -> Iterator[Finding]:
         if answer.motions is None:
             yield failed(f"with {name}: {answer.error}", subject.own_generators)
             return
-    changes = {name: largest_changes(first, answer) for name, answer in others.items()}
+    changes = {name: subjects.largest_changes(first, answer) for name, answer in others.items()}
     if not any(change.any() for change in changes.values()):
         yield passed("neither seed nor keys change anything: it draws nothing.")
         return
@@ -387,7 +376,7 @@ def seed(subject: PredictorSubject) -> Iterator[Finding]:
         )
         return
     moved = float(changes["another seed"].max())
-    yield passed(f"another seed or key moves joints, by up to {metres(moved)}.", change_m=moved)
+    yield passed(f"another seed or key moves joints, by up to {subjects.metres(moved)}.", change_m=moved)
 
 
 @check("samples", "fewer samples are a prefix of more", needs=("determinism", "global-random", "seed"), of_motions=True)
@@ -409,10 +398,10 @@ def samples(subject: PredictorSubject) -> Iterator[Finding]:
     asked = f"1, {first.n_samples} and {subject.many_samples} futures of each window"
     if worst == 0.0:
         yield passed(f"{asked} begin with the same bytes.", change_m=worst)
-    elif worst <= TOLERANCE:
+    elif worst <= subjects.TOLERANCE:
         yield warning(f"{asked} begin alike but for {worst:.1e} m.", "That is rounding.", change_m=worst)
     else:
-        yield failed(f"{asked}: those that all share moved by up to {metres(worst)}.", _PREFIX, change_m=worst)
+        yield failed(f"{asked}: those that all share moved by up to {subjects.metres(worst)}.", _PREFIX, change_m=worst)
 
 
 @check("first-frame", "futures go on where the observed frames end", of_motions=True)
@@ -420,7 +409,7 @@ def first_frame(subject: PredictorSubject) -> Iterator[Finding]:
     """Measure the jump from the last observed to the first predicted frame, median over windows."""
     answer = subject.standard(subject.main)
     jump = float(np.median(first_frame_jump(answer.motions.joints, answer.batch.observed_joints[:, -1])))
-    text = f"{metres(jump)} from the last observed to the first predicted frame (median)."
+    text = f"{subjects.metres(jump)} from the last observed to the first predicted frame (median)."
     remedy = "Answer in metres, Y up, in the frame of the observed joints: a body cannot move so far in a frame."
     yield _judged(jump, 0.1, 1.0, text, remedy, jump_m=jump)
 

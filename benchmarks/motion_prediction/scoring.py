@@ -23,6 +23,8 @@ from prbench_benchmarks.motion_prediction.table import Truth, WindowsTable
 
 GROUND_TRUTH = "ground-truth"
 TRUNCATION_FLOOR = "truncation-floor"
+# Columns beside the scores; Truth holds one value a window of each.
+_ABOUT = ("window_id", "recording_id", "participant_id", "segment", "anchor")
 Reference = Callable[[ObservedBatch, Truth], Futures]
 
 
@@ -156,13 +158,7 @@ def score_reference(
 
 def _add(scores: Scores, batch: ObservedBatch, futures: Futures, truth: Truth, joints: JointSet, **given) -> None:
     rules = load_prediction_protocol().evaluation
-    about = {
-        "window_id": truth.window_ids,
-        "recording_id": truth.recording_ids,
-        "participant_id": truth.participant_ids,
-        "segment": truth.segments,
-        "anchor": truth.anchors,
-    }
+    about = {name: getattr(truth, f"{name}s") for name in _ABOUT}
     scores.add(about | score_batch(batch, futures, truth, joints, rules, **given))
 
 
@@ -267,7 +263,7 @@ def score_window(
         key=(0,),
     )
     truth = Truth(
-        **dict.fromkeys(("window_ids", "recording_ids", "participant_ids", "segments", "anchors"), ("",)),
+        **{f"{name}s": ("",) for name in _ABOUT},
         n_scored=np.array([len(recorded)]),
         joints=recorded[None],
         goal=np.full((1, 3), np.nan) if goal is None else goal[None],

@@ -28,18 +28,13 @@ from prbench.protocol.manifests import read_toml
 from prbench.sequences.table import by_share
 from prbench.shown import quoted
 from prbench.tables import DASH, Block, Cell, Column, Row, Table
+from prbench_benchmarks.motion_prediction import scoring
 from prbench_benchmarks.motion_prediction.batch import Condition, Predictor
 from prbench_benchmarks.motion_prediction.cases import run_on
 from prbench_benchmarks.motion_prediction.metric_infos import prediction_metrics
 from prbench_benchmarks.motion_prediction.predictors import ConstantVelocity, NearestPast, ZeroVelocity
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
-from prbench_benchmarks.motion_prediction.scoring import (
-    Scores,
-    SimilarPasts,
-    references,
-    score_predictor,
-    score_reference,
-)
+from prbench_benchmarks.motion_prediction.scoring import Scores, SimilarPasts
 from prbench_benchmarks.motion_prediction.table import WindowsTable
 
 TABLES = ("1", "2", "3")  # Numbers of the study's tables of scores.
@@ -170,8 +165,8 @@ def prediction_tables(
         progress(done, len(rows), row.label)
         if row.name in scores:
             continue
-        if row.method in references():
-            scores[row.name] = score_reference(references()[row.method], table, test, similar=similar)
+        if row.method in scoring.references():
+            scores[row.name] = scoring.score_reference(scoring.references()[row.method], table, test, similar=similar)
             continue
         try:
             predictor = _predictor(row, table, train, weights, device)
@@ -180,7 +175,7 @@ def prediction_tables(
                 n_samples = 1
             elif row.method == NearestPast.name:
                 n_samples = min(samples, len(train))
-            scores[row.name] = score_predictor(
+            scores[row.name] = scoring.score_predictor(
                 predictor, table, row.condition, test, similar=similar, n_samples=n_samples, seed=seed
             )
         except PrbenchError as error:
@@ -346,7 +341,7 @@ def _laid_out(
     blocks = [Block(title="measured", rows=tuple(lines))]
     notes = []
     # Methods from the smallest ADE on, each compared with the next one; references are no methods.
-    methods = [row for row in rows if row.name in measured and row.method not in references()]
+    methods = [row for row in rows if row.name in measured and row.method not in scoring.references()]
     methods.sort(key=lambda row: measured[row.name]["ade"].mean)
     steps = {
         worse: paired(scores[worse.name], scores[better.name], "ade") for better, worse in itertools.pairwise(methods)
@@ -446,7 +441,7 @@ def _values_of_conditions(dataset: str, scores: Mapping[str, Scores]) -> Table:
     # Parts that are removed are no condition.
     by_method: dict[str, dict[Condition, Scores]] = {}
     for row in load_tables().rows:
-        if row.name in scores and not row.is_ablation and row.method not in references():
+        if row.name in scores and not row.is_ablation and row.method not in scoring.references():
             by_method.setdefault(row.method, {})[row.condition] = scores[row.name]
     pairs: dict[tuple[str, str, str, Condition, Condition], ClusteredValues] = {}
     for method, found in by_method.items():

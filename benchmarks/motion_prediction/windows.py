@@ -30,7 +30,6 @@ from prbench.protocol.manifests import Manifest, digest_of, load_manifest, load_
 from prbench.readers import SYNTHETIC_PREFIX, PublishedForPrediction, Reader, reader_for
 from prbench.recording.streams import BodyStream, PublishedTrack, Recording
 from prbench.sequences import parts
-from prbench.sequences import parts as in_parts
 from prbench.sequences.dataset_info import begun_with, quarantined
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.sequence import row_batch
@@ -409,7 +408,7 @@ def build_windows(
     on_error: OnError = "skip",
     engine: Engine = _IN_PROCESS,
     progress: Progress = None,
-) -> in_parts.BuildReport[table.WindowsInfo, RecordingRow]:
+) -> parts.BuildReport[table.WindowsInfo, RecordingRow]:
     """Build a table of windows.
 
     Args:
@@ -425,15 +424,15 @@ def build_windows(
     """
     out = Path(out).expanduser().absolute()
     require_replaceable(out, table.FILE_NAME, kind="table of windows")
-    with sole_writer(out), in_parts.working_in_parts(out):
-        job = WindowsJob(on_error == "fail", in_parts.work_folder(out), load_prediction_protocol())
+    with sole_writer(out), parts.working_in_parts(out):
+        job = WindowsJob(on_error == "fail", parts.work_folder(out), load_prediction_protocol())
         finished = job.make_all(plan.sources, engine, progress)
         return _write_table(plan.settings, finished, out)
 
 
 def build_windows_shard(
     plan: WindowsPlan, out: Path, shard: Shard, *, on_error: OnError, engine: Engine, progress: Progress
-) -> in_parts.ShardReport[RecordingRow]:
+) -> parts.ShardReport[RecordingRow]:
     """Make one shard of a build, for :func:`merge_windows_shards`; goes on where it was interrupted.
 
     Args:
@@ -448,25 +447,19 @@ def build_windows_shard(
         ShardError: if ``out`` holds another shard.
     """
     out = out.expanduser().absolute()
-    record = ShardRecord(
-        kind="windows",
-        number=shard.number,
-        count=shard.count,
-        settings=plan.settings,
-        plan=tuple(source.recording_id for source in plan.sources),
-    )
+    record = ShardRecord.of("windows", shard, plan.settings, (source.recording_id for source in plan.sources))
     mine = [plan.sources[place] for place in shard.places(len(plan.sources))]
-    with in_parts.making_shard(out, record) as work:
+    with parts.making_shard(out, record) as work:
         job = WindowsJob(on_error == "fail", work, load_prediction_protocol())
         finished = job.make_all(mine, engine, progress)
-        in_parts.finish_shard(out, record, [each.folder for each in finished])
+        parts.finish_shard(out, record, [each.folder for each in finished])
     reused = sum(each.reused for each in finished)
-    return in_parts.ShardReport(out, shard, len(plan.sources), tuple(each.record for each in finished), reused)
+    return parts.ShardReport(out, shard, len(plan.sources), tuple(each.record for each in finished), reused)
 
 
 def merge_windows_shards(
     shards: Sequence[tuple[Path, ShardRecord]], out: Path
-) -> in_parts.BuildReport[table.WindowsInfo, RecordingRow]:
+) -> parts.BuildReport[table.WindowsInfo, RecordingRow]:
     """Write the table of an unsharded build from all of its shards, with the same bytes.
 
     Args:
@@ -485,13 +478,13 @@ def merge_windows_shards(
     out = out.expanduser().absolute()
     require_replaceable(out, table.FILE_NAME, kind="table of windows")
     with sole_writer(out):
-        finished = [part_receipt(part, entries, reused=False) for part, entries in in_parts.shard_parts(shards)]
+        finished = [part_receipt(part, entries, reused=False) for part, entries in parts.shard_parts(shards)]
         return _write_table(now, finished, out)
 
 
 def _write_table(
     settings: dict[str, Any], finished: list[PartReceipt], out: Path
-) -> in_parts.BuildReport[table.WindowsInfo, RecordingRow]:
+) -> parts.BuildReport[table.WindowsInfo, RecordingRow]:
     """Write the table of all parts of a build."""
     dataset = settings["dataset"]
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
@@ -522,4 +515,4 @@ def _write_table(
     splits = draw_splits(records, manifest, load_protocol().splits)
     runs = (run for each in finished for run in read_cut_runs(each.folder))
     info = table.write_windows(out, info, (replace(run, split=splits[run.recording_id]) for run in runs))
-    return in_parts.BuildReport(out, info, tuple(records), sum(each.reused for each in finished))
+    return parts.BuildReport(out, info, tuple(records), sum(each.reused for each in finished))

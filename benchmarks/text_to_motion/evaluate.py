@@ -20,16 +20,9 @@ from prbench.harness.methods.motions import Declared, generate_checked, native_f
 from prbench.randomness import noise_seed
 from prbench.representation import encode
 from prbench_adapters.training.store import Row, open_table
+from prbench_benchmarks.text_to_motion import clips as clips_of
 from prbench_benchmarks.text_to_motion import metrics
-from prbench_benchmarks.text_to_motion.clips import (
-    Draw,
-    EvaluatedClips,
-    Extractor,
-    Pass,
-    draw,
-    longest,
-    recorded_features,
-)
+from prbench_benchmarks.text_to_motion.clips import Draw, Extractor, Pass, draw, recorded_features
 from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration
 from prbench_benchmarks.text_to_motion.report import ResultRow, TextEvaluation
 from prbench_benchmarks.text_to_motion.training import load_evaluator
@@ -222,7 +215,7 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
         request.evaluator, tables, device=request.device, words=request.words, text_path=request.text_path
     )
     configuration = evaluator.configuration
-    read = EvaluatedClips.read(request.corpus, split=request.split, kinds=request.kinds, fps=configuration.fps)
+    read = clips_of.EvaluatedClips.read(request.corpus, split=request.split, kinds=request.kinds, fps=configuration.fps)
     adapter = None if request.method is None else _loaded(request.method, request)
     supported = read.clips if adapter is None else _supported(adapter, read.clips, configuration)
     fewest = min(len(supported), request.prompts) if adapter else len(read.clips)
@@ -310,7 +303,7 @@ def _supported(adapter: Adapter, clips: tuple[Row, ...], configuration: Evaluato
     declared = Declared.by(adapter, origin=f"adapter '{adapter.name}'")
     if declared.max_frames is None:
         return clips
-    lengths = np.array([longest(clip, configuration) for clip in clips])
+    lengths = np.array([clips_of.longest(clip, configuration) for clip in clips])
     native_fps = declared.native_fps or configuration.fps
     native = native_frames(lengths, fps=configuration.fps, native_fps=native_fps)
     return tuple(clip for clip, n_frames in zip(clips, native) if n_frames <= declared.max_frames)

@@ -124,13 +124,8 @@ def build_shard_from_sources(
     """
     out = Path(out).expanduser().absolute()
     sources = _in_table_order(sources)
-    record = ShardRecord(
-        kind="dataset",
-        number=shard.number,
-        count=shard.count,
-        settings=_settings(sources[0].dataset, options),
-        plan=tuple(source.recording_id for source in sources),
-    )
+    settings = _settings(sources[0].dataset, options)
+    record = ShardRecord.of("dataset", shard, settings, (source.recording_id for source in sources))
     mine = [sources[place] for place in shard.places(len(sources))]
     corrections = _corrections_of(sources, options)
     with parts.making_shard(out, record) as work:

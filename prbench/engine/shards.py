@@ -7,7 +7,7 @@ batches) belong to a shard follows from the plan and the number of shards alone.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -95,6 +95,11 @@ class ShardRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     settings: dict[str, Any]
     plan: tuple[str, ...]
     places: dict[str, Any] = {}
+
+    @classmethod
+    def of(cls, kind: Kind, shard: Shard, settings: dict[str, Any], plan: Iterable[str]) -> ShardRecord:
+        """Return the record of one shard of a build."""
+        return cls(kind=kind, number=shard.number, count=shard.count, settings=settings, plan=tuple(plan))
 
     @property
     def shard(self) -> Shard:

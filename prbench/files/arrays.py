@@ -249,13 +249,9 @@ class Archive:
         except FileNotFoundError as error:
             raise InputFileError(self.path, "", expected="an .npz file", found="no file", remedy=self.remedy) from error
         except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, OSError, ValueError) as error:
-            raise InputFileError(
-                self.path,
-                "",
-                expected="a readable .npz file",
-                found=f"another form or a damaged one ({str(error) or type(error).__name__})",
-                remedy=self.remedy or "Write it with np.savez or np.savez_compressed.",
-            ) from error
+            found = f"another form or a damaged one ({str(error) or type(error).__name__})"
+            remedy = self.remedy or "Write it with np.savez or np.savez_compressed."
+            raise InputFileError(self.path, "", expected="a readable .npz file", found=found, remedy=remedy) from error
 
 
 def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:
@@ -391,14 +387,9 @@ def require_column(
     Raises:
         InputFileError: naming line and column of the first such number.
     """
-    require_rows(
-        path,
-        np.abs(values) > largest,
-        f"a number within {largest:g} {unit}",
-        lambda row: f"{values[row]:g}",
-        column=column,
-        remedy=remedy,
-    )
+    expected = f"a number within {largest:g} {unit}"
+    bad = np.abs(values) > largest
+    require_rows(path, bad, expected, lambda row: f"{values[row]:g}", column=column, remedy=remedy)
 
 
 def first_repeated(ids: Iterable[str]) -> str | None:

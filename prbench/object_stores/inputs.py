@@ -171,19 +171,15 @@ def fetched_native(text: str, dataset: str | None, *, tell: Tell = lambda _: Non
     wanted = [each for each in listed if _is_wanted((*above, *each.name.split("/")), patterns)]
     if not wanted:
         store.is_empty()  # a bucket that does not exist is told as such
-        raise InputFileError(
-            str(store.url),
-            "",
-            expected=f"files of {dataset or 'a dataset'}",
-            found=f"{len(listed)} other files" if listed else "nothing",
-            remedy="`prbench datasets` says which files each dataset consists of.",
-        )
+        expected = f"files of {dataset or 'a dataset'}"
+        held = f"{len(listed)} other files" if listed else "nothing"
+        remedy = "`prbench datasets` says which files each dataset consists of."
+        raise InputFileError(str(store.url), "", expected=expected, found=held, remedy=remedy)
     for each in wanted:
         path = PurePosixPath(each.name)
         if path.is_absolute() or ".." in path.parts or path.as_posix() != each.name or clean(each.name) != each.name:
-            raise InputFileError(
-                str(store.url), each.name, expected="a path inside this folder", found="a path that may lead out of it"
-            )
+            outside = {"expected": "a path inside this folder", "found": "a path that may lead out of it"}
+            raise InputFileError(str(store.url), each.name, **outside)
     root = store.url.cache / f"native-{dataset or 'any'}" / store.url.name
     with in_turn(root, tell):
         _mirror(store, wanted, root, tell)

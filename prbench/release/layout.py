@@ -304,12 +304,6 @@ def read_array(path: Path, per_frame: tuple[int, ...]) -> np.ndarray:
         path,
         # Either byte order is accepted, so the comparison must not see it.
         (array.dtype.newbyteorder("=") in (np.float32, np.float64), "", "float32 or float64", array.dtype, remedy),
-        (
-            array.ndim == 1 + len(per_frame) and array.shape[1:] == per_frame,
-            "",
-            f"shape ({wanted})",
-            array.shape,
-            remedy,
-        ),
+        (array.ndim and array.shape[1:] == per_frame, "", f"shape ({wanted})", array.shape, remedy),
     )
     return array

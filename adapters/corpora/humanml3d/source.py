@@ -173,13 +173,10 @@ class HumanML3DSource(corpora.CorpusRecording):
             name = f"{self.identity.recording_id}.npy"
             assert self.root is not None  # of files
             features = (self.root / layout.FEATURES_FOLDER / name).exists()
-            raise InputFileError(
-                self.root / layout.JOINTS_FOLDER / name,
-                "",
-                expected="the joints of this motion",
-                found="its 263 features only" if features else "no such file",
-                remedy=_MAKE_JOINTS,
-            )
+            found = "its 263 features only" if features else "no such file"
+            expected = "the joints of this motion"
+            path = self.root / layout.JOINTS_FOLDER / name
+            raise InputFileError(path, "", expected=expected, found=found, remedy=_MAKE_JOINTS)
         joints = read_joints(self.joints)
         lines = read_texts(self.texts)
         clips, annotations = clips_of(self.identity, joints, lines, self.limits, load_manifest("humanml3d"))
@@ -208,13 +205,10 @@ class HumanML3DCorpus(corpora.Corpus):
         self.chosen(options)
         limits = self.limits(options)
         # Every motion by name.
+        endings = {layout.JOINTS_FOLDER: ".npy", layout.FEATURES_FOLDER: ".npy", layout.TEXTS_FOLDER: ".txt"}
         joints, features, texts = (
             {path.stem: path for path in sorted((root / folder).glob(f"[!.]*{suffix}"))}
-            for folder, suffix in (
-                (layout.JOINTS_FOLDER, ".npy"),
-                (layout.FEATURES_FOLDER, ".npy"),
-                (layout.TEXTS_FOLDER, ".txt"),
-            )
+            for folder, suffix in endings.items()
         )
         held = f"{len(features)} files of features" if features else "no motions at all"
         packed = f"{layout.TEXTS_ARCHIVE}, not unpacked" if (root / layout.TEXTS_ARCHIVE).is_file() else "none"

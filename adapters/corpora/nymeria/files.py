@@ -23,12 +23,8 @@ SUIT = "suit"
 TRAJECTORY = "trajectory"
 OFFSET = "time_offset"  # Roles of the files; narrations have the role of their kind.
 
-_ROLES = {
-    nymeria.SUIT_FILE: SUIT,
-    nymeria.TRAJECTORY_FILE: TRAJECTORY,
-    nymeria.OFFSET_FILE: OFFSET,
-    **{name: kind for kind, name in nymeria.NARRATION_FILES.items()},
-}
+_ROLES = {nymeria.SUIT_FILE: SUIT, nymeria.TRAJECTORY_FILE: TRAJECTORY, nymeria.OFFSET_FILE: OFFSET}
+_ROLES |= {name: kind for kind, name in nymeria.NARRATION_FILES.items()}
 _INNER_FOLDERS = ("body", "narration", "mps", "slam", nymeria.HEAD_FOLDER)
 
 

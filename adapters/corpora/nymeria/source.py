@@ -20,13 +20,9 @@ from prbench.readers.aria_mps.files import read_near
 from prbench.readers.extents import SEVERAL_SENSORS
 from prbench.sequences.corpus import Annotation, Caption, Clip
 from prbench_adapters.corpora import sources as corpora
+from prbench_adapters.corpora.nymeria import clock as clocks
 from prbench_adapters.corpora.nymeria import format as nymeria
-from prbench_adapters.corpora.nymeria.clock import (
-    ClockOffset,
-    offset_by_correlation,
-    offset_by_starts,
-    offset_from_file,
-)
+from prbench_adapters.corpora.nymeria.clock import ClockOffset
 from prbench_adapters.corpora.nymeria.files import OFFSET, SUIT, TRAJECTORY, find_sequences, read_narrations
 from prbench_adapters.corpora.nymeria.format import SUIT_RATE, Narration
 from prbench_adapters.corpora.nymeria.suit import CleanSuit, Piece, clean_suit, read_suit
@@ -247,7 +243,7 @@ class NymeriaSource(corpora.CorpusRecording):
         if not narrations:
             return None, ["no texts of the chosen kinds"]
         path = self.found.path(OFFSET)
-        if path is not None and (offset := offset_from_file(path, self.found.recording_id)) is not None:
+        if path is not None and (offset := clocks.offset_from_file(path, self.found.recording_id)) is not None:
             return offset, []
         thresholds = load_manifest("nymeria").thresholds
         messages = []
@@ -255,7 +251,7 @@ class NymeriaSource(corpora.CorpusRecording):
         if path is not None:
             try:
                 trajectory = read_near(path, np.zeros(0, dtype=np.int64), thresholds["correlation_rate"])
-                offset, why = offset_by_correlation(clean, trajectory.time_us, trajectory.rotation, thresholds)
+                offset, why = clocks.offset_by_correlation(clean, trajectory.time_us, trajectory.rotation, thresholds)
                 if offset is not None:
                     # Where the trajectory ends before the suit does, what follows was not used for the clock.
                     missing = clean.span[1] - offset.seconds - trajectory.time_us[-1] * 1e-6
@@ -264,7 +260,7 @@ class NymeriaSource(corpora.CorpusRecording):
             except InputFileError as error:  # texts may still be placed by their starts
                 why = str(error)
             messages.append(why)
-        offset, why = offset_by_starts(narrations, clean, thresholds)
+        offset, why = clocks.offset_by_starts(narrations, clean, thresholds)
         return offset, [*messages, why]
 
 

@@ -204,13 +204,9 @@ def clean_suit(suit: Suit, manifest: Manifest, *, path: Path | str, pose_source:
     if by_segment < 0.0:
         messages.append("the pelvis segment's x axis points backwards")
     tilt = measured_head_tilt(suit)
-    return CleanSuit(
-        pieces,
-        pose_source or manifest.body.pose_source,
-        manifest.body.head_tilt_deg if tilt is None else tilt,
-        tuple(messages),
-        head,
-    )
+    if tilt is None:
+        tilt = manifest.body.head_tilt_deg
+    return CleanSuit(pieces, pose_source or manifest.body.pose_source, tilt, tuple(messages), head)
 
 
 def measured_head_tilt(suit: Suit) -> float | None:

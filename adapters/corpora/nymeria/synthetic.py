@@ -88,28 +88,18 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
         kind: [name[len(nymeria.ANSWER_PREFIX) :].strip() for name in names]
         for kind, names in nymeria.ANSWER_COLUMNS.items()
     }
-    texts = tuple(
-        Narration(
-            row.kind,
-            round(device_start + row.start, 6),
-            round(device_start + row.end, 6),
-            tuple(zip(answers[row.kind], row.texts, strict=True)),
-            "annotator_1",
-        )
-        for row in motion.narrations
-    )
+    texts = []
+    for row in motion.narrations:
+        span = (round(device_start + row.start, 6), round(device_start + row.end, 6))
+        texts.append(Narration(row.kind, *span, tuple(zip(answers[row.kind], row.texts, strict=True)), "annotator_1"))
     # The eyes and head of the wearer; the frame of the glasses on the head is of no consequence here.
     rng = generator("slip")
     slip = [wobble(motion.times, noise * _SLIP[0], *_SLIP[1:], rng) for _ in range(2)]
     on_head = skeleton.rotation_matrices(rotation_quaternion(slip[0], slip[1]))
     rotation = quaternion(_Z_UP_FROM_Y_UP @ skeleton.rotation_matrices(motion.head_rotation) @ on_head)
-    glasses = mps.AriaTrajectory(
-        device_start_us + ticks,
-        np.rint(skeleton.z_up(motion.eye) * _ROUNDED) / _ROUNDED,
-        np.round(rotation, 8),
-        np.ones(len(ticks)),
-    )
-    return NymeriaReadings(motion.recording_id, suit, texts, glasses, offset_us / 1e6)
+    position = np.rint(skeleton.z_up(motion.eye) * _ROUNDED) / _ROUNDED
+    glasses = mps.AriaTrajectory(device_start_us + ticks, position, np.round(rotation, 8), np.ones(len(ticks)))
+    return NymeriaReadings(motion.recording_id, suit, tuple(texts), glasses, offset_us / 1e6)
 
 
 def _calibration_pose(motion: NarratedMotion) -> Float[np.ndarray, "23 3"]:

@@ -208,9 +208,6 @@ def _found(one: Check, subject: Any, worst: Mapping[str, Outcome]) -> list[Findi
             return [skipped(f"there are no motions to look at before {first} passes.")]
         return list(one.examine(subject))
     except Exception as error:  # a method may answer in ways that no check expects
-        return [
-            failed(
-                f"the check could not make sense of the method's answers: {type(error).__name__}: {error}",
-                "Look at the failures above first; if there are none, this is a defect of prbench: please report it.",
-            )
-        ]
+        found = f"the check could not make sense of the method's answers: {type(error).__name__}: {error}"
+        remedy = "Look at the failures above first; if there are none, this is a defect of prbench: please report it."
+        return [failed(found, remedy)]

@@ -167,15 +167,8 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
             )
     except PrbenchError as raised:
         error = str(raised)
-    return Answer(
-        batch,
-        motions,
-        error,
-        watched.returned,
-        watched.answered,
-        watched.seconds,
-        drew_from=tuple(sorted(watched.drew_from)),
-    )
+    call = (watched.returned, watched.answered, watched.seconds, tuple(sorted(watched.drew_from)))
+    return Answer(batch, motions, error, *call)
 
 
 def largest_changes(first: Answer, second: Answer, rows: list[int] | None = None) -> Float[np.ndarray, " rows"]:
@@ -187,12 +180,8 @@ def largest_changes(first: Answer, second: Answer, rows: list[int] | None = None
         rows: Row of ``first`` that each row of ``second`` belongs to; None for the same order.
     """
     places = range(len(second.batch)) if rows is None else rows
-    return np.array(
-        [
-            float(np.linalg.norm(first.motion(place) - second.motion(row), axis=-1).max())
-            for row, place in enumerate(places)
-        ]
-    )
+    apart = [first.motion(place) - second.motion(row) for row, place in enumerate(places)]
+    return np.array([float(np.linalg.norm(each, axis=-1).max()) for each in apart])
 
 
 def same_bytes(first: Answer, second: Answer) -> bool:
