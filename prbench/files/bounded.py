@@ -20,8 +20,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from prbench import limits
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
+from prbench.limits import (
+    HARMLESS_SIZE,
+    HIGHEST_COMPRESSION,
+    LARGEST_ARCHIVE,
+    LARGEST_FILE,
+    LARGEST_UNPACKED,
+    LONGEST_LINE,
+)
 
 _COPY_AGAIN = "The file may be damaged; copy or download it again."
 _TOO_LARGE = "This is another file, or a damaged one."
@@ -77,7 +84,7 @@ def require_rows(
         raise InputFileError(path, where, expected=said[0], found=said[1], remedy=remedy)
 
 
-def read_whole(path: Path, *, largest: int = limits.LARGEST_FILE) -> bytes:
+def read_whole(path: Path, *, largest: int = LARGEST_FILE) -> bytes:
     """Read all bytes of a file.
 
     Args:
@@ -92,7 +99,7 @@ def read_whole(path: Path, *, largest: int = limits.LARGEST_FILE) -> bytes:
         return file.read()
 
 
-def read_text(path: Path, *, expected: str = "", remedy: str = "", largest: int = limits.LARGEST_FILE) -> str:
+def read_text(path: Path, *, expected: str = "", remedy: str = "", largest: int = LARGEST_FILE) -> str:
     """Return the text of a file, line breaks as Python has them.
 
     Args:
@@ -118,7 +125,7 @@ def read_text(path: Path, *, expected: str = "", remedy: str = "", largest: int 
         ) from error
 
 
-def require_size(path: Path, *, largest: int = limits.LARGEST_FILE, opened: int | None = None) -> int:
+def require_size(path: Path, *, largest: int = LARGEST_FILE, opened: int | None = None) -> int:
     """Refuse what is no regular file, or larger than any file of its kind; reading pipes and devices may never end.
 
     Args:
@@ -145,7 +152,7 @@ def require_size(path: Path, *, largest: int = limits.LARGEST_FILE, opened: int 
     return status.st_size
 
 
-def open_regular(path: Path, *, largest: int = limits.LARGEST_ARCHIVE) -> io.BufferedReader:
+def open_regular(path: Path, *, largest: int = LARGEST_ARCHIVE) -> io.BufferedReader:
     """Open a file for reading bytes; every file of a user that Python itself reads is opened here.
 
     Raises:
@@ -178,8 +185,8 @@ def whole_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:
         InputFileError: naming the first line that is longer than any line of a text file.
     """
     number = 1
-    while line := file.readline(limits.LONGEST_LINE + 1):
-        if len(line) > limits.LONGEST_LINE:
+    while line := file.readline(LONGEST_LINE + 1):
+        if len(line) > LONGEST_LINE:
             raise too_long_line(path, f"line {number}")
         yield line
         number += 1
@@ -188,7 +195,7 @@ def whole_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:
 def too_long_line(path: Path, where: str) -> InputFileError:
     """Return the error for a line that no text file has."""
     return InputFileError(
-        path, where, expected=f"lines of at most {limits.LONGEST_LINE:,} bytes", found="a longer one", remedy=_TOO_LARGE
+        path, where, expected=f"lines of at most {LONGEST_LINE:,} bytes", found="a longer one", remedy=_TOO_LARGE
     )
 
 
@@ -204,7 +211,7 @@ def require_unpackable(path: Path, member: zipfile.ZipInfo, *, where: str = "") 
         InputFileError: if it declares too many bytes, altogether or for those that are stored; or if it is packed in
             another way than those two whose unpacking can be stopped at any byte.
     """
-    most = min(max(limits.HARMLESS_SIZE, limits.HIGHEST_COMPRESSION * member.compress_size), limits.LARGEST_UNPACKED)
+    most = min(max(HARMLESS_SIZE, HIGHEST_COMPRESSION * member.compress_size), LARGEST_UNPACKED)
     packing = f"compression number {member.compress_type}"
     expected = f"at most {most:,} bytes in {member.compress_size:,} packed ones"
     remedy = "The archive is damaged, or made to fill the memory; download it again from its origin."
@@ -227,7 +234,7 @@ def read_toml(path: Path, expected: str = "a TOML file", remedy: str = "") -> di
         InputFileError: if it is missing, too large, no file or no TOML (naming line and column).
     """
     try:
-        return tomllib.loads(read_text(path, expected=expected, remedy=remedy, largest=limits.HARMLESS_SIZE))
+        return tomllib.loads(read_text(path, expected=expected, remedy=remedy, largest=HARMLESS_SIZE))
     except tomllib.TOMLDecodeError as error:
         raise InputFileError(path, "", expected="a TOML file", found=str(error), remedy=remedy) from error
 

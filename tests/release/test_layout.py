@@ -126,7 +126,7 @@ def test_keys_become_numbers(key, index) -> None:
         ('"text"', "found a str"),
         ("{}", "one sequence or more"),
         ('{"1": 5}', "a int under the key '1'"),
-        ("[" * 100_000, "nested lists|valid JSON"),
+        ("[" * 100_000, "nested|valid JSON"),
     ],
 )
 def test_what_is_no_object_of_sequences_is_refused_with_the_place(content, message, tmp_path) -> None:
