@@ -7,7 +7,7 @@ list of them and the comparison with recorded people.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +15,14 @@ from pathlib import Path
 from prbench.board.cheat_search import FoundMotion, Progress, mean_of
 from prbench.contract import Condition
 from prbench.engine import Engine
+from prbench.errors import UsageError
 from prbench.files.storage import sole_writer
 from prbench.harness.controls import CONTROLS, GROUND_TRUTH, RECORDED_MOTION, ROUND_TRIP_FPS, SHUFFLED_GOAL
-from prbench.harness.planning import open_tables, select
+from prbench.harness.planning import Selection, open_tables, select
 from prbench.harness.request import RunRequest
+from prbench.harness.results import RunChecker
 from prbench.harness.run import run_method
+from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.summary import DatasetAgreement, DatasetSummary, MeanOverDatasets, means_over_datasets
 from prbench.metrics import MetricInfo
 
@@ -114,12 +117,20 @@ def not_worse_than_people(controls: Sequence[ControlMeans], info: MetricInfo) ->
 
 
 def audit(
-    data: Sequence[Path], *, split: str, limit: int | None, out: Path | None, engine: Engine, progress: Progress
+    data: Sequence[Path],
+    *,
+    runs: Sequence[Path] = (),
+    split: str,
+    limit: int | None,
+    out: Path | None,
+    engine: Engine,
+    progress: Progress,
 ) -> tuple[TableAudit, ...]:
     """Score all controls on some tables.
 
     Args:
         data: Dataset folders.
+        runs: Finished runs of methods on the same sequences, which stand beside the controls.
         split: Split of the tables.
         limit: Sequences of each table; None for all.
         out: Folder that keeps the run folders; without it they are thrown away.
@@ -131,10 +142,14 @@ def audit(
 
     Raises:
         TableError: if a table is missing, empty or of an unknown version, or holds no training sequences to retrieve.
+        UsageError: if a run was made on other sequences.
+        RunError: if a run is damaged, or its scores do not follow from its motions.
         StorageError: if the folder cannot be written.
     """
     tables = open_tables(data)
-    rates = {select(table, split=split, limit=limit).fps for table in tables}
+    selections = [select(table, split=split, limit=limit) for table in tables]
+    rates = {selection.fps for selection in selections}
+    by_table = [list(_audited_runs(runs, selection, engine)) for selection in selections]
     # Method, control and what it does; recorded motion stands last.
     wanted: list[tuple[str, str | None, str]] = []
     methods = [control for control in CONTROLS if control.use == _ONLY_METHOD]
@@ -144,7 +159,6 @@ def audit(
         # A round trip through the table's own rate is the recorded motion itself.
         if ROUND_TRIP_FPS.get(control.name) not in rates:
             wanted.append((control.name, None, control.summary))
-    by_table: list[list[AuditedControl]] = [[] for _ in tables]
     with (
         nullcontext() if out is None else sole_writer(out),
         tempfile.TemporaryDirectory(prefix="prbench-audit-") as thrown_away,
@@ -166,4 +180,20 @@ def audit(
                 agreement = DatasetAgreement.read(report.folder.dataset(summary.dataset).path)
                 audited.append(AuditedControl(label, use, name in RECORDED_MOTION, summary, agreement))
             progress(done + 1, len(wanted), label)
-    return tuple(TableAudit(tuple(audited)) for audited in by_table)
+    return tuple(TableAudit(tuple(sorted(audited, key=lambda each: each.is_recorded))) for audited in by_table)
+
+
+def _audited_runs(runs: Sequence[Path], selection: Selection, engine: Engine) -> Iterator[AuditedControl]:
+    """Yield what methods earned in finished runs on the chosen sequences of one table, each run checked against it."""
+    table = selection.table
+    checker = RunChecker(lambda _: table, engine)
+    for run in map(RunFolder.open, runs):
+        chosen = {(record.content_digest, record.selection_digest): record for record in run.record.tables}
+        record = chosen.get((table.content, selection.digest))
+        if record is None or not run.dataset(record.dataset).finished:
+            raise UsageError(
+                f"{run.path}: expected a finished run on the {len(selection)} sequences of {table.folder} that are"
+                " audited, found none. Run the method with the --data, --split and --limit of the audit."
+            )
+        agreement = DatasetAgreement.read(run.dataset(record.dataset).path)
+        yield AuditedControl(run.path.name, f"the run {run.path}", False, checker.check(run, record).summary, agreement)

@@ -130,6 +130,7 @@ _EVALUATIONS = 240
 
 
 @command("audit", example="prbench audit --data tables/adt --limit 100", report=["prbench.board.audit:TableAudit"])
+@click.argument("runs", type=opt.PATH, nargs=-1, metavar="[RUN]...")
 @opt.data_option(required=False, help="Built dataset folder(s); without it the five embedded synthetic ones are used.")
 @opt.split_option()
 @opt.limit_option(f"{_SEQUENCES}; {opt.FIRST_RUN_SEQUENCES} without --data")
@@ -143,8 +144,9 @@ _EVALUATIONS = 240
     help="Search for motions that earn more than people, in every column or in one, such as mpjpe.",
 )
 @opt.number_option("--evaluations", f"With --search: motions tried for each column (default {_EVALUATIONS}).")
-@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="With --search: its seed (default 0).")
+@opt.seed_option("of --search", default=None)
 def audit(
+    runs: tuple[Path, ...],
     data: tuple[Path, ...],
     split: str,
     limit: int | None,
@@ -154,7 +156,7 @@ def audit(
     evaluations: int | None,
     seed: int | None,
 ) -> Answer:
-    """Print what cheats, controls and recorded people earn under each metric.
+    """Print what cheats, controls and recorded people earn under each metric, and finished runs beside them.
 
     Of several tables it prints means of the main metrics; with -v of all metrics, and each table.
     Every cheat can be run by itself, too: `prbench run --method tremor`. docs/audit.md says what is to be learnt.
@@ -173,7 +175,7 @@ def audit(
     default = _SEQUENCES if data else opt.FIRST_RUN_SEQUENCES
     tables = data or opt.embedded_tables(engine)
     with progress("running controls") as show:
-        found = run_audit(tables, split=split, limit=limit or default, out=out, engine=engine, progress=show)
+        found = run_audit(tables, runs=runs, split=split, limit=limit or default, out=out, engine=engine, progress=show)
     if search is not None:
         with progress("searching for cheats") as show:
             best = cheat_search.search(
