@@ -23,11 +23,7 @@ from prbench.readers import ReaderOptions, described_options, parse_options
 from prbench.sequences.corpus import Annotation, Clip
 from prbench.sequences.sequence import FrameSource
 
-CORPUS_MODULES = {
-    "nymeria": "prbench_adapters.corpora.nymeria",
-    "humanml3d": "prbench_adapters.corpora.humanml3d",
-    "synthetic": "prbench_adapters.corpora.synthetic",
-}
+CORPUS_MODULES = {name: f"prbench_adapters.corpora.{name}" for name in ("nymeria", "humanml3d", "synthetic")}
 
 
 @dataclass(frozen=True)
@@ -202,11 +198,8 @@ class Corpus:
         """
         chosen = described_options(self.chosen(options))
         limits = self.limits(options)
-        return {
-            "fps": f"{limits.fps:g}",
-            "max_frames": str(limits.longest),
-            **{f"reader.{name}": text for name, text in chosen.items()},
-        }
+        own = {f"reader.{name}": text for name, text in chosen.items()}
+        return {"fps": f"{limits.fps:g}", "max_frames": str(limits.longest), **own}
 
     def find(self, root: Path | None, options: CorpusOptions) -> tuple[CorpusRecording, ...]:
         """Find all recordings below a folder.

@@ -116,13 +116,8 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
         return 3 * self.nodes
 
 
-_HUMANMAC: dict[str, Any] = {
-    "gaze": False,
-    "encoder": False,
-    "cross_attention": False,
-    "diffusion_steps": 1000,
-    "dropped": "vector",
-}
+_HUMANMAC: dict[str, Any] = dict.fromkeys(("gaze", "encoder", "cross_attention"), False)
+_HUMANMAC |= {"diffusion_steps": 1000, "dropped": "vector"}
 _PRESETS: dict[str, dict[str, Any]] = {
     "gazemodiff": {},
     "gazemodiff-code": {"legacy_layout": True, "dropped": "vector"},

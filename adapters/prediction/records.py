@@ -76,13 +76,8 @@ _NETWORKS: dict[type, type[nn.Module]] = {
 }
 AUTOENCODERS = "belfusion-autoencoders"
 # Maps each method, which is the kind of its weights, to what their header holds.
-RECORDS: dict[str, Any] = {
-    "gazemodiff": DiffusionRecord,
-    "humanmac": DiffusionRecord,
-    "cvae": CVAERecord,
-    "dlow": DLowRecord,
-    "belfusion": BeLFusionRecord,
-}
+RECORDS: dict[str, Any] = dict.fromkeys(("gazemodiff", "humanmac"), DiffusionRecord)
+RECORDS |= {"cvae": CVAERecord, "dlow": DLowRecord, "belfusion": BeLFusionRecord}
 
 
 def contents(kind: str, record: Record, network: nn.Module) -> tuple[dict[str, torch.Tensor], dict[str, str]]:

@@ -170,11 +170,9 @@ class PredictorTraining(TrainingModule):
         predicted = network.predict(observed, seeds)[:, :, :, : seen.n_joints].flatten(3)
         apart = (predicted - wanted).norm(dim=-1)
         still = (observed[:, -1:, : seen.n_joints].flatten(2) - wanted[:, 0]).norm(dim=-1)
-        return {
-            "ade": apart.mean(dim=-1).amin(dim=1).mean(),
-            "fde": apart[:, :, -1].amin(dim=1).mean(),
-            "still_ade": still.mean(),
-        }
+        ade = apart.mean(dim=-1).amin(dim=1).mean()
+        fde = apart[:, :, -1].amin(dim=1).mean()
+        return {"ade": ade, "fde": fde, "still_ade": still.mean()}
 
     def shown(self, batch: WindowBatch) -> Motion:
         """Return the windows of a batch, with directions that were not measured replaced by measured ones."""

@@ -77,14 +77,8 @@ def build_anchored_windows(data: Path | str, out: Path | str, *, only: Collectio
         "quarantine": (),
         "outcomes": {},
     }
-    info = WindowsInfo(
-        **(source | changed),
-        fps=fps,
-        observed_frames=rules.observed_frames,
-        future_frames=rules.future_frames,
-        fewest_gaze_frames=rules.fewest_gaze_frames,
-        joint_set="smpl22",
-    )
+    sizes = {name: getattr(rules, name) for name in ("observed_frames", "future_frames", "fewest_gaze_frames")}
+    info = WindowsInfo(**(source | changed), **sizes, fps=fps, joint_set="smpl22")
     with sole_writer(out):
         return write_windows(out, info, cut())
 

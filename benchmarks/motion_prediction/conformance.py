@@ -330,17 +330,12 @@ def firewall(subject: PredictorSubject) -> Iterator[Finding]:
         again = subject.ask(usual.batch)
         moved = float(subjects.largest_changes(usual, blind).max())
         if again.motions is not None and not subjects.same_bytes(usual, again) and moved <= subjects.TOLERANCE:
-            yield warning(
-                f"under {condition.value}: joints moved by up to {moved:.1e} m, as they do when it is asked twice.",
-                "That is rounding, which differs from call to call.",
-                change_m=moved,
-            )
+            found = f"joints moved by up to {moved:.1e} m, as they do when it is asked twice."
+            remedy = "That is rounding, which differs from call to call."
+            yield warning(f"under {condition.value}: {found}", remedy, change_m=moved)
             return
-        yield failed(
-            f"under {condition.value}, with NaN in all future frames, joints moved by up to {subjects.metres(moved)}.",
-            _NO_FUTURE,
-            change_m=moved,
-        )
+        found = f"with NaN in all future frames, joints moved by up to {subjects.metres(moved)}."
+        yield failed(f"under {condition.value}, {found}", _NO_FUTURE, change_m=moved)
         return
     yield passed(
         f"with NaN in all future frames the same bytes, under {', '.join(each.value for each in subject.working)}."

@@ -51,12 +51,8 @@ def displacements(errors: Float[np.ndarray, "batch samples frames"]) -> dict[str
         raise UsageError(f"expected one sample and one frame or more, found {errors.shape[1]} and {errors.shape[2]}.")
     average = errors.mean(axis=2)
     last = errors[:, :, -1]
-    return {
-        "ade": average.min(axis=1),
-        "fde": last.min(axis=1),
-        "ade_mean": average.mean(axis=1),
-        "fde_mean": last.mean(axis=1),
-    }
+    best = {"ade": average.min(axis=1), "fde": last.min(axis=1)}
+    return best | {"ade_mean": average.mean(axis=1), "fde_mean": last.mean(axis=1)}
 
 
 def diversity(predicted: Futures) -> Scores:

@@ -122,13 +122,9 @@ def export_windows(
             write_text(notices, f"{said}\n")
         with atomic_path(out) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(file, **arrays)
-    return ExportReport(
-        out=out,
-        rows=len(batch) * samples,
-        sequences={table.dataset: len(batch)},
-        left_out={},
-        notices=(said,) if said else (),
-    )
+    counts = {table.dataset: len(batch)}
+    shown = (said,) if said else ()
+    return ExportReport(out=out, rows=len(batch) * samples, sequences=counts, left_out={}, notices=shown)
 
 
 def _windows_of(

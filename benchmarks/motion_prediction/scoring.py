@@ -292,13 +292,8 @@ def _at_goal(
     pelvis = joints.index(joints.pelvis)[0]
     apart = np.linalg.norm(predicted[:, :, -1, pelvis].astype(np.float64) - actual[:, None, -1, pelvis], axis=-1)
     known = np.isfinite(goal).all(axis=1)
-    values = {
-        "wrist_to_goal": best,
-        "wrist_to_goal_mean": mean,
-        "wrist_to_goal_recorded": own,
-        "pelvis_at_event": apart.min(axis=1),
-        "pelvis_at_event_mean": apart.mean(axis=1),
-    }
+    values = {"wrist_to_goal": best, "wrist_to_goal_mean": mean, "wrist_to_goal_recorded": own}
+    values |= {"pelvis_at_event": apart.min(axis=1), "pelvis_at_event_mean": apart.mean(axis=1)}
     return {name: np.where(known, value, np.nan) for name, value in values.items()}
 
 

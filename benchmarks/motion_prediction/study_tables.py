@@ -359,11 +359,8 @@ def _laid_out(
         printed = []
         for row in rows:
             key = (dataset, row.method, row.variant)
-            found = [
-                each
-                for each in published_scores(f"table_{number}")
-                if (each["dataset"], each["method"], each["variant"]) == key
-            ]
+            scored = published_scores(f"table_{number}")
+            found = [each for each in scored if (each["dataset"], each["method"], each["variant"]) == key]
             cells = tuple(
                 Cell(
                     dataset=dataset,
@@ -395,16 +392,8 @@ def _laid_out(
                 " fewer."
             )
     notes += _notes(table)
-    title = load_tables().titles[number]
-    return Table(
-        number=number,
-        title=title,
-        columns=_COLUMNS,
-        blocks=tuple(blocks),
-        dataset=table.info.dataset,
-        part=part,
-        notes=tuple(notes),
-    )
+    about = {"title": load_tables().titles[number], "dataset": table.info.dataset, "part": part}
+    return Table(number=number, columns=_COLUMNS, blocks=tuple(blocks), notes=tuple(notes), **about)
 
 
 def _notes(table: WindowsTable) -> list[str]:

@@ -24,13 +24,7 @@ from prbench.files.bounded import foreign_input
 from prbench.files.storage import atomic_folder, require_replaceable
 from prbench.recording.streams import ESTIMATED
 from prbench.sequences.dataset_info import Count, Provenance
-from prbench.sequences.schema import (
-    naming,
-    open_parquet,
-    read_parquet,
-    require_distinct,
-    table_parts,
-)
+from prbench.sequences.schema import naming, open_parquet, read_parquet, require_distinct, table_parts
 from prbench.sequences.sequence import column_field, row_batch
 from prbench.sequences.table import require_told, require_unchanged
 from prbench.sequences.write import write_tables
@@ -52,25 +46,18 @@ _IDENTITY = ("run_id", "split", "segment", "n_frames")
 _TEXTS = ("run_id", "recording_id", "participant_id", "split", "published_split", "segment", "pose_source")
 _COLUMNS = (("window_id", pa.string()), ("row", pa.int32()), ("start", pa.int32()), ("anchor", pa.string()))
 _COUNTS = (("n_scored", pa.int32()), ("n_gaze_valid", pa.int32()), ("exclusion", pa.string()))
-WINDOWS = pa.schema(
-    [
-        *(column_field(name, kind) for name, kind in (*_COLUMNS, *_COUNTS)),
-        column_field("goal", pa.list_(pa.float64(), 3), nullable=True),
-    ]
-)
+_GOAL = column_field("goal", pa.list_(pa.float64(), 3), nullable=True)
+WINDOWS = pa.schema([*(column_field(name, kind) for name, kind in (*_COLUMNS, *_COUNTS)), _GOAL])
 
 
 def streams_schema(joints: JointSet) -> pa.Schema:
     """Columns of ``streams`` for a joint set."""
     numbers = (("fps", pa.float64()), ("start_time", pa.float64()), ("n_frames", pa.int32()))
+    poses = pa.list_(pa.list_(pa.float32(), len(joints.names) * 3))
     direction = pa.list_(pa.list_(pa.float32(), 3))
-    frames = (
-        ("joints", pa.list_(pa.list_(pa.float32(), len(joints.names) * 3))),
-        ("joints_valid", pa.list_(pa.bool_())),
-        ("gaze", direction),
-        ("gaze_valid", pa.list_(pa.bool_())),
-        ("head_direction", direction),
-    )
+    valid = pa.list_(pa.bool_())
+    gaze = (("gaze", direction), ("gaze_valid", valid), ("head_direction", direction))
+    frames = (("joints", poses), ("joints_valid", valid), *gaze)
     columns = (*((name, pa.string()) for name in _TEXTS), *numbers, *frames)
     return pa.schema([column_field(*column) for column in columns], metadata={"joint_set": joints.name})
 

@@ -121,14 +121,8 @@ class FutureWork(CaseWork):
         """See :meth:`CaseWork.scores`."""
         table = self.cases.table
         similar = SimilarPasts.of(table, self.cases.pool, closer_than=self.protocol.evaluation.similar_past)
-        score = partial(
-            _score_part,
-            dataset=table.info.dataset,
-            samples=self.request.samples,
-            joints=table.joints,
-            rules=self.protocol.evaluation,
-            one_design=self.method.one_design,
-        )
+        asked = (table.info.dataset, self.request.samples, table.joints)
+        score = partial(_score_part, *asked, self.protocol.evaluation, self.method.one_design)
         # Joints and truth are the same under every condition.
         parts = (
             (files.part(index), batch, truth, _of_windows(similar, truth.window_ids))
@@ -159,14 +153,11 @@ def _of_windows(similar: SimilarPasts, window_ids: tuple[str, ...]) -> SimilarPa
     )
 
 
+_Part = tuple[Path, ObservedBatch, Truth, SimilarPasts]
+
+
 def _score_part(
-    part: tuple[Path, ObservedBatch, Truth, SimilarPasts],
-    *,
-    dataset: str,
-    samples: int,
-    joints: JointSet,
-    rules: EvaluationRules,
-    one_design: bool,
+    dataset: str, samples: int, joints: JointSet, rules: EvaluationRules, one_design: bool, part: _Part
 ) -> pa.Table:
     path, batch, truth, similar = part
     names = truth.window_ids

@@ -45,13 +45,9 @@ def repeat_table(source: str, out: str, sequences: str) -> None:
             yield batch.slice(0, left)
             left -= min(left, batch.num_rows)
 
-    write_dataset(
-        Path(out),
-        msgspec.structs.replace(table.info, file_digests={}),
-        sequences=first(),
-        events=_copies(parts["events"], copies),
-        recordings=_copies(parts["recordings"], copies),
-    )
+    info = msgspec.structs.replace(table.info, file_digests={})
+    others = {name: _copies(parts[name], copies) for name in ("events", "recordings")}
+    write_dataset(Path(out), info, sequences=first(), **others)
 
 
 def _copies(rows: pa.Table, copies: int) -> Iterator[pa.RecordBatch]:
@@ -127,13 +123,8 @@ def find_one(folder: str) -> None:
 def rewrite(folder: str, out: str) -> None:
     """Write a table anew from its own rows, as a build puts its recordings together."""
     table = SequenceTable.open(folder)
-    write_dataset(
-        Path(out),
-        table.info,
-        sequences=(chunk.batch for chunk in table.chunks()),
-        events=table.events().to_batches(),
-        recordings=table.recordings().to_batches(),
-    )
+    others = {"events": table.events().to_batches(), "recordings": table.recordings().to_batches()}
+    write_dataset(Path(out), table.info, sequences=(chunk.batch for chunk in table.chunks()), **others)
 
 
 def store(folder: str, cache: str) -> None:

@@ -115,12 +115,8 @@ def contrastive_losses(
     if counted is not None:
         wrong = wrong * counted
     negative = wrong.mean() if counted is None else wrong.sum() / counted.sum().clamp_min(1)
-    return {
-        "loss": positive + negative,
-        "positive": positive,
-        "negative": negative,
-        "ranked": (near < far).float().mean().detach(),
-    }
+    ranked = (near < far).float().mean().detach()
+    return {"loss": positive + negative, "positive": positive, "negative": negative, "ranked": ranked}
 
 
 def different_texts(texts: Sequence[str], shift: int) -> Bool[torch.Tensor, " batch"]:

@@ -120,12 +120,10 @@ def _from_table(names: Sequence[str], folder: Path, *, seed: int) -> dict[str, E
     for chunk in table.chunks(columns=("fps", "joints", "previous_joints"), ids=frozenset(known_as)):
         previous = chunk.poses("previous_joints")
         for row, name in enumerate(chunk.sequence_ids):
-            found[known_as[name]] = Expected(
-                np.array(chunk.joints[chunk.offsets[row]], dtype=np.float64),
-                np.array(previous[row], dtype=np.float64),
-                int(chunk.n_frames[row]),
-                float(chunk.numbers("fps")[row]),
-            )
+            first = np.array(chunk.joints[chunk.offsets[row]], dtype=np.float64)
+            before = np.array(previous[row], dtype=np.float64)
+            fps = float(chunk.numbers("fps")[row])
+            found[known_as[name]] = Expected(first, before, int(chunk.n_frames[row]), fps)
     return found
 
 

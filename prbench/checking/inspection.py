@@ -149,11 +149,8 @@ def inspect_folders(
         InputFileError: if nothing is recognised in one of the folders.
     """
     tables = [folder for folder in folders if (folder / DATASET_FILE).exists()]
-    found = [
-        inspect_folder(folder, thorough=thorough, mends=mends, progress=progress)
-        for folder in folders
-        if folder not in tables
-    ]
+    others = [folder for folder in folders if folder not in tables]
+    found = [inspect_folder(folder, thorough=thorough, mends=mends, progress=progress) for folder in others]
     return Inspection(
         tuple(dataset for each in found for dataset in each.datasets),
         tuple(broken for each in found for broken in each.broken),

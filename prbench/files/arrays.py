@@ -32,13 +32,10 @@ from jaxtyping import Bool, Float
 from prbench import limits
 from prbench.errors import InputFileError, RecordingUnusable
 from prbench.files.bounded import open_regular, require, require_rows, require_size, require_unpackable
-from prbench.limits import (  # by name: scaffold/one_file.py copies what needs them
-    LARGEST_ARCHIVE,
-    LARGEST_ARRAYS,
-    LONGEST_AXIS,
-)
+from prbench.limits import LARGEST_ARCHIVE, LARGEST_ARRAYS, LONGEST_AXIS  # by name: scaffold/one_file.py copies users
 
 _PIECE = 4 * 1024**2
+_SAVED = "an array as np.save writes it"
 _NO_OBJECTS = "Save numbers and text only: np.array(values, dtype=np.float32), or np.array(names) without dtype=object."
 
 
@@ -83,14 +80,12 @@ def read_header(stream: IO[bytes], path: Path, where: str, *, remedy: str = "") 
         shape, fortran_order, dtype = read(stream)
     except (ValueError, SyntaxError, TypeError, EOFError, tokenize.TokenError) as error:
         first = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
-        raise InputFileError(
-            path, where, expected="an array as np.save writes it", found=first, remedy=remedy
-        ) from error
+        raise InputFileError(path, where, expected=_SAVED, found=first, remedy=remedy) from error
     is_array = all(0 <= size <= LONGEST_AXIS for size in shape) and dtype.itemsize > 0
     require(
         path,
         (not dtype.hasobject, where, "numbers or text", "Python objects", remedy or _NO_OBJECTS),
-        (is_array, where, "an array as np.save writes it", f"the shape {shape} of {dtype}", remedy),
+        (is_array, where, _SAVED, f"the shape {shape} of {dtype}", remedy),
     )
     return ArrayHeader(shape, dtype, fortran_order, stream.tell())
 
@@ -366,13 +361,7 @@ def require_unit_length(stream: str, vectors: Float[np.ndarray, "n k"], valid: B
 
 
 def require_column(
-    path: Path | str,
-    column: str,
-    values: Float[np.ndarray, " n"],
-    *,
-    largest: float,
-    unit: str,
-    remedy: str = _REMEDY,
+    path: Path | str, column: str, values: Float[np.ndarray, " n"], *, largest: float, unit: str, remedy: str = _REMEDY
 ) -> None:
     """Refuse a column of a table file that holds a number beyond what its field can mean; NaN may stand in it.
 

@@ -299,12 +299,8 @@ def inside(root: Path, relative: str) -> Path:
 
 def is_path_part(name: str) -> bool:
     """Return True if a name can be that of one folder or file: it leads nowhere else and is not taken for an option."""
-    return (
-        0 < len(name) <= LONGEST_NAME
-        and name[0] not in ".-"
-        and not any(letter in name for letter in "/\\:")
-        and clean(name) == name
-    )
+    leads_away = any(letter in name for letter in "/\\:")
+    return 0 < len(name) <= LONGEST_NAME and name[0] not in ".-" and not leads_away and clean(name) == name
 
 
 def cache_folder() -> Path:
@@ -421,10 +417,7 @@ def _acquired(path: Path) -> FileLock | None:
         _HeldByAnotherError: if another process has it.
     """
     path = Path(os.path.abspath(path))  # noqa: PTH100 - a result may replace a link, whose own name counts
-    for file in (
-        lock_file(path),
-        cache_folder() / "locks" / f"{text_digest(str(path))[:32]}.lock",
-    ):
+    for file in (lock_file(path), cache_folder() / "locks" / f"{text_digest(str(path))[:32]}.lock"):
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             # A lock that is no more than a file would outlive a killed owner, so none is better.

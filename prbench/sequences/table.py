@@ -379,14 +379,8 @@ _GAZE_SHIFT_STEP = 0.1
 _COLUMNS = ("joints", "goal_location", "gaze_origin", "gaze_direction", "gaze_valid", "fps", "preroll", "split")
 
 
-_SCALARS = (
-    "split",
-    "participant_id",
-    "pose_source",
-    "event_time",
-    "start_time",
-    *(name for name in QUANTITIES if name != "duration"),
-)
+_SCALARS = ("split", "participant_id", "pose_source", "event_time", "start_time")
+_MEASURED = tuple(name for name in QUANTITIES if name != "duration")
 
 
 @dataclass(frozen=True)
@@ -427,7 +421,7 @@ def table_statistics(table: SequenceTable) -> TableStatistics:
 
     A sequence lasts from its first frame to the event: up to one frame less than from 2 s before the prime.
     """
-    scalars = table.scalars(columns=_SCALARS)
+    scalars = table.scalars(columns=(*_SCALARS, *_MEASURED))
     splits = np.array(scalars["split"].to_pylist(), dtype=object)
     people = np.array(scalars["participant_id"].to_pylist(), dtype=object)
     goals = [np.zeros((0, 3))]  # a dataset may hold events alone
@@ -463,7 +457,7 @@ def table_statistics(table: SequenceTable) -> TableStatistics:
         participants_in_two_splits=len(set(people[splits == "train"]) & set(people[splits == "test"])),
         pose_sources=tuple(sorted(set(scalars["pose_source"].to_pylist()))),
         duration=(scalars["event_time"].to_numpy() - scalars["start_time"].to_numpy()),
-        **{name: scalars[name].to_numpy() for name in QUANTITIES if name != "duration"},
+        **{name: scalars[name].to_numpy() for name in _MEASURED},
         goal_distance=np.linalg.norm(goal, axis=1),
         goal_elevation_deg=np.rad2deg(np.arctan2(goal[:, 1], horizontal)),
         goal_azimuth_deg=np.rad2deg(np.arctan2(goal[:, 0], goal[:, 2])),

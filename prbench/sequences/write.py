@@ -54,9 +54,7 @@ def write_croissant(
             place = path.relative_to(folder).as_posix()
             entry = {
                 "@type": "cr:FileObject",
-                "@id": place,
-                "name": place,
-                "contentUrl": place,
+                **dict.fromkeys(("@id", "name", "contentUrl"), place),
                 "contentSize": f"{path.stat().st_size} B",
                 "encodingFormat": _PARQUET,
                 "sha256": file_digest(path),
@@ -68,8 +66,7 @@ def write_croissant(
             source = {"fileSet": {"@id": f"{name}-parts"}}
             part_set = {
                 "@type": "cr:FileSet",
-                "@id": f"{name}-parts",
-                "name": f"{name}-parts",
+                **dict.fromkeys(("@id", "name"), f"{name}-parts"),
                 "encodingFormat": _PARQUET,
                 "includes": f"{name}/part-*.parquet",
                 "containedIn": [{"@id": entry["@id"]} for entry in entries],
@@ -77,8 +74,7 @@ def write_croissant(
             distribution.append(part_set)
         record_set = {
             "@type": "cr:RecordSet",
-            "@id": name,
-            "name": name,
+            **dict.fromkeys(("@id", "name"), name),
             "description": descriptions[name],
             "key": {"@id": f"{name}/{schema.names[0]}"},
             "field": [_field(name, column, source | {"extract": {"column": column.name}}) for column in schema],

@@ -18,11 +18,7 @@ HEAD_FOLDER = "recording_head"
 OFFSET_FILE = "time_offset.json"
 
 # File of each kind of text.
-NARRATION_FILES = {
-    "atomic_action": "atomic_action.csv",
-    "motion_narration": "motion_narration.csv",
-    "activity_summarization": "activity_summarization.csv",
-}
+NARRATION_FILES = {kind: f"{kind}.csv" for kind in ("atomic_action", "motion_narration", "activity_summarization")}
 START_COLUMN = "start_time"
 END_COLUMN = "end_time"
 ANNOTATOR_COLUMN = "annotator"

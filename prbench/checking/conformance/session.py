@@ -73,6 +73,12 @@ def judge_of(benchmark: str) -> Judge:
     return getattr(importlib.import_module(module), attribute)()
 
 
+def _spec(request: verdicts.CheckRequest, **more: Any) -> MethodSpec:
+    methods = load_benchmark(request.benchmark).methods
+    asked = {"weights": request.weights, "options": request.options, "isolate": request.isolate}
+    return method_spec(request.method, group=methods, **asked, **more)
+
+
 def run_ordered() -> None:
     """Run the checks that are ordered on stdin and tell what they find; what the method prints goes to stderr."""
     order = json.loads(sys.stdin.readline())
@@ -86,16 +92,12 @@ def run_ordered() -> None:
 
     request = msgspec.convert(order["request"], verdicts.CheckRequest, dec_hook=lambda kind, text: kind(text))
     folder = Path(order["folder"])
-    spec = method_spec(
-        request.method,
-        weights=request.weights,
-        options=request.options,
+    spec = _spec(
+        request,
         device=request.device,
         threads=request.threads,
-        isolate=request.isolate,
         timeout=request.time_limit if request.isolate or is_program(request.method) else None,
         hidden=() if request.data is None else (request.data,),
-        group=load_benchmark(request.benchmark).methods,
     )
     subject = judge_of(request.benchmark).subject(spec, request, folder)
     subject.asking = lambda text: tell(event="asking", text=text)
@@ -145,13 +147,7 @@ def check(request: verdicts.CheckRequest, announce: _Announce | None = None) -> 
     judge = judge_of(request.benchmark)
     if request.method in METHOD_CONTROLS:
         raise UsageError(f"'{request.method}' is a control of the harness itself; there is no method to check.")
-    spec = method_spec(
-        request.method,
-        weights=request.weights,
-        options=request.options,
-        isolate=request.isolate,
-        group=load_benchmark(request.benchmark).methods,
-    )
+    spec = _spec(request)
     if request.data is not None:
         judge.require_table(request.data)
     call = request.time_limit
@@ -213,13 +209,9 @@ def _events_of_child(order: Mapping[str, object], limits: Mapping[str, float]) -
         _Lost: if it crashed, or the method took longer.
     """
     with tempfile.TemporaryFile() as log:
-        process = subprocess.Popen(
-            python_words("prbench.checking.conformance"),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=log,
-            env=users_environment(),
-        )
+        words = python_words("prbench.checking.conformance")
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": log}
+        process = subprocess.Popen(words, env=users_environment(), **pipes)
         assert process.stdin is not None
         assert process.stdout is not None
         with contextlib.suppress(BrokenPipeError):  # it is gone already; its exit status is told below

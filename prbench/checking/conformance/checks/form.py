@@ -180,11 +180,9 @@ def generates(subject: Subject) -> Iterator[Finding]:
     """Generate under each declared condition; none may raise."""
     # The method takes no sequence of the cases at all, so there is nothing to ask it.
     if not len(subject.source.n_frames):
-        yield failed(
-            f"max_frames is {subject.declared.max_frames}, and the shortest of the sequences has"
-            f" {int(subject.cases.source.n_frames.min())} frames at {subject.cases.source.fps:g} a second.",
-            _LIMIT,
-        )
+        shortest = f"{int(subject.cases.source.n_frames.min())} frames at {subject.cases.source.fps:g} a second"
+        limit = f"max_frames is {subject.declared.max_frames}"
+        yield failed(f"{limit}, and the shortest of the sequences has {shortest}.", _LIMIT)
         return
     yield from answered_everywhere(subject, _GENERATE, said="one motion for each sequence")
 

@@ -174,12 +174,9 @@ def _compared(first: asking.Answer, second: asking.Answer, when: str, remedy: st
         return passed(f"{when}: the same bytes.", change_m=0.0)
     moved = asking.largest_changes(first, second).max()
     if moved <= asking.TOLERANCE:
-        return warning(
-            f"{when}: joints moved by up to {moved:.1e} m.",
-            "That is rounding; resumed runs may differ in the last digits."
-            " torch.use_deterministic_algorithms(True) names the operations.",
-            change_m=moved,
-        )
+        rounding = "That is rounding; resumed runs may differ in the last digits."
+        remedy = f"{rounding} torch.use_deterministic_algorithms(True) names the operations."
+        return warning(f"{when}: joints moved by up to {moved:.1e} m.", remedy, change_m=moved)
     return failed(f"{when}: joints moved by up to {asking.metres(moved)}.", remedy, change_m=moved)
 
 
