@@ -123,9 +123,8 @@ class LearnedPredictor:
         try:
             measured = held(torch.from_numpy(turned), torch.from_numpy(batch.gaze_valid.copy())).numpy()
         except ValueError as error:
-            raise AdapterError(
-                f"{self.name}: {error}. Choose windows with measured gaze, or another condition."
-            ) from error
+            remedy = "Choose windows with measured gaze, or another condition."
+            raise AdapterError(f"{self.name}: {error}. {remedy}") from error
         latest = np.searchsorted(times, own_times + _SAME_TIME, side="right") - 1
         return np.concatenate([joints, measured[:, np.maximum(latest, 0)]], axis=2)
 

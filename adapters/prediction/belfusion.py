@@ -58,10 +58,8 @@ class UNetConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
     def __post_init__(self) -> None:
         if self.channels < 1 or self.channels % _GROUPS or not self.multiples or min(self.multiples) < 1:
-            raise ValueError(
-                f"'channels' must be a multiple of {_GROUPS} and 'multiples' positive, found {self.channels} and"
-                f" {list(self.multiples)}"
-            )
+            found = f"{self.channels} and {list(self.multiples)}"
+            raise ValueError(f"'channels' must be a multiple of {_GROUPS} and 'multiples' positive, found {found}")
         stride = 2 ** (len(self.multiples) - 1)
         if min(self.height, self.width) < 1 or self.height % stride or self.width % stride:
             raise ValueError(

@@ -433,10 +433,8 @@ def _started(
         now = getattr(seen, field)
         then = getattr(old.windows, field)  # type: ignore[attr-defined]  # every record has windows
         if now != then:
-            raise UsageError(
-                f"{start.path}: was trained on windows with {field} {then}, these have {now}. Train it again on these,"
-                " or change model.windows."
-            )
+            remedy = "Train it again on these, or change model.windows."
+            raise UsageError(f"{start.path}: was trained on windows with {field} {then}, these have {now}. {remedy}")
     return start, old
 
 

@@ -189,9 +189,8 @@ def require_futures(answer: object, batch: ObservedBatch, n_samples: int, *, pre
     shared = min(observed.shape[1], batch.n_future)
     moving = np.ptp(observed, axis=1).max() > 0 if len(batch) else False
     if shared > 1 and moving and (answer.joints[:, :, :shared] == observed[:, None, :shared]).all():
-        raise AdapterError(
-            f"{predictor}: its futures begin with the {shared} observed frames. Return the frames after them alone."
-        )
+        remedy = "Return the frames after them alone."
+        raise AdapterError(f"{predictor}: its futures begin with the {shared} observed frames. {remedy}")
     return answer
 
 

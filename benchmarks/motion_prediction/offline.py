@@ -132,10 +132,8 @@ def _windows_of(
 ) -> tuple[WindowsFileInfo, ObservedBatch, WindowsInfo]:
     """Make the rows of a file, sorted by opaque id, and return them with the provenance of the table."""
     if len(data) != 1:
-        raise UsageError(
-            f"--data: expected one table of windows, found {len(data)}. Windows of other tables may have other"
-            " joints and rates: export each into a file of its own."
-        )
+        remedy = "Windows of other tables may have other joints and rates: export each into a file of its own."
+        raise UsageError(f"--data: expected one table of windows, found {len(data)}. {remedy}")
     benchmark = load_benchmark(BENCHMARK)
     condition = Condition(benchmark.condition(name))
     folders = tuple(map(Path, data))
@@ -282,17 +280,13 @@ def _require_from_table(info: WindowsFileInfo, batch: ObservedBatch, path: Path,
     asked = {"seed": info.seed, "samples": info.samples, "split": info.split, "limit": info.limit}
     made, given, _ = _windows_of(data, condition, **asked)
     if made.table != info.table:
-        raise PredictionsError(
-            f"{path}: expected windows of {data[0]}, found those of another table. Give --data"
-            " the very table that they were exported from."
-        )
+        remedy = "Give --data the very table that they were exported from."
+        raise PredictionsError(f"{path}: expected windows of {data[0]}, found those of another table. {remedy}")
     pairs = [(getattr(given, name), getattr(batch, name)) for name in ("observed_joints", "gaze", "gaze_valid")]
     same = made == info and given.key == batch.key
     if not same or not all(np.array_equal(ours, theirs) for ours, theirs in pairs if ours is not None):
-        raise PredictionsError(
-            f"{path}: expected what {data[0]} gives, found something else. The file was changed:"
-            " export the windows again."
-        )
+        remedy = "The file was changed: export the windows again."
+        raise PredictionsError(f"{path}: expected what {data[0]} gives, found something else. {remedy}")
 
 
 def _joints(

@@ -242,10 +242,8 @@ def scores_of_runs(paths: Sequence[Path], table: WindowsTable) -> dict[str, Scor
         found[row.name] = _wide(files.scores, table)
         first = next(iter(found))
         if found[row.name].columns["window_id"] != found[first].columns["window_id"]:
-            raise RunError(
-                f"the runs of '{first}' and '{row.name}' are of different windows. Run both with the same --split and"
-                " --limit."
-            )
+            remedy = "Run both with the same --split and --limit."
+            raise RunError(f"the runs of '{first}' and '{row.name}' are of different windows. {remedy}")
     return found
 
 

@@ -197,10 +197,8 @@ def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[Run]) -> Window
             # Estimated bodies may carry later head motion: they never enter one mean with captured ones.
             kinds.setdefault(run.pose_source in ESTIMATED, run.recording_id)
             if len(kinds) > 1:
-                raise TableError(
-                    f"{folder}: expected captured bodies or estimated ones, found both: {kinds[False]} and"
-                    f" {kinds[True]}. Build a table of each; they never enter one mean."
-                )
+                found = f"both: {kinds[False]} and {kinds[True]}. Build a table of each; they never enter one mean."
+                raise TableError(f"{folder}: expected captured bodies or estimated ones, found {found}")
             windows.extend(window.row(run, counted["runs"]) for window in run.windows)
             counted["runs"] += 1
             counted["frames"] += len(run)
@@ -218,9 +216,8 @@ def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[Run]) -> Window
         tables = {"streams": streams(), "windows": rows()}
         written = write_tables(temporary, info, tables, schemas, _IDENTITY, row_group_rows=RUNS_AT_ONCE)
         if not windows:
-            raise TableError(
-                f"{folder}: expected a run of frames longer than a window, found 0 windows in {counted['runs']} runs."
-            )
+            found = f"0 windows in {counted['runs']} runs."
+            raise TableError(f"{folder}: expected a run of frames longer than a window, found {found}")
         outcomes = Counter(str(window["exclusion"] or "window") for window in windows)
         written = msgspec.structs.replace(
             written,
@@ -288,9 +285,8 @@ class WindowsTable:
                 found = open_parquet(path).schema_arrow.remove_metadata()
                 if found != expected.remove_metadata():
                     wrong = next((field.name for field in expected if field not in list(found)), "another column")
-                    raise TableError(
-                        f"{path}: expected a column '{wrong}' of version {SCHEMA_VERSION}. Build it again."
-                    )
+                    remedy = "Build it again."
+                    raise TableError(f"{path}: expected a column '{wrong}' of version {SCHEMA_VERSION}. {remedy}")
         short = [field.name for field in schema if not pa.types.is_list(field.type)]
         runs, windows = (
             pa.concat_tables(read_parquet(path, columns) for path in table_parts(folder, name)).combine_chunks()

@@ -317,10 +317,8 @@ class EvaluatorTask:
         if stage == "full" and objective.autoencoder_batches < 1:
             raise UsageError("--stage full needs model.autoencoder_batches: batches that train the autoencoder first.")
         if stage == "full" and not alone:
-            raise UsageError(
-                "--stage full trains in one process. With several, run --stage autoencoder, then --stage contrastive"
-                " with its weights as --init."
-            )
+            remedy = "With several, run --stage autoencoder, then --stage contrastive with its weights as --init."
+            raise UsageError(f"--stage full trains in one process. {remedy}")
         start = read_weights(initial, kind=MOVEMENT_KIND) if initial is not None else None
         tokens, words_digest = token_vectors(
             configuration.text, data.train.tables, words=objective.words, path=objective.text_path

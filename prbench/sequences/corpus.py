@@ -167,10 +167,8 @@ def check_corpus_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) 
     """
     version = (schema.metadata or {}).get(_VERSION_KEY.encode(), b"").decode() or "none"
     if version != str(CORPUS_SCHEMA_VERSION):
-        raise TableError(
-            f"{source}: expected version {CORPUS_SCHEMA_VERSION} of the corpus schema, found {version}."
-            " Build the corpus again with `prbench build-corpus`, or update prbench."
-        )
+        found = f"{version}. Build the corpus again with `prbench build-corpus`, or update prbench."
+        raise TableError(f"{source}: expected version {CORPUS_SCHEMA_VERSION} of the corpus schema, found {found}")
     check_columns(schema, expected, source=source, what="corpus")
 
 

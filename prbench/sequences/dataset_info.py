@@ -136,10 +136,8 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
         except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
             raise TableError(f"{path}: not a valid {path.name}: {error}. Build the {cls.described} again.") from error
         if not is_path_part(info.dataset):  # folders are named after it, and nothing is made before this is known
-            raise TableError(
-                f"{path}, dataset: expected a name that a folder can have, found '{quoted(info.dataset)}'."
-                f" Build the {cls.described} again."
-            )
+            found = f"'{quoted(info.dataset)}'. Build the {cls.described} again."
+            raise TableError(f"{path}, dataset: expected a name that a folder can have, found {found}")
         return info
 
     @classmethod

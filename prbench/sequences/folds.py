@@ -122,10 +122,8 @@ def participant_units(table: SequenceTable) -> dict[str, str]:
     people = rows["participant_id"].to_pylist()
     unknown = sum(name in _UNKNOWN for name in people)
     if unknown:
-        raise TableError(
-            f"{table.folder}: expected a participant of every sequence, found {unknown} of {len(people)} without."
-            " Folds of participants need to know who is who."
-        )
+        found = f"{unknown} of {len(people)} without. Folds of participants need to know who is who."
+        raise TableError(f"{table.folder}: expected a participant of every sequence, found {found}")
     names, place = np.unique(np.array(people, dtype=str), return_inverse=True)
     _, group = np.unique(np.array(rows["split_group"].to_pylist(), dtype=str), return_inverse=True)
     # Participants and split groups are the nodes of a graph, and each sequence is an edge between two of them.

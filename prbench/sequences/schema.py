@@ -86,10 +86,8 @@ def check_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None
     metadata = schema.metadata or {}
     version = metadata.get(b"prbench_schema_version", b"").decode() or "none"
     if version not in ("3", str(SCHEMA_VERSION)):
-        raise TableError(
-            f"{source}: expected schema version 3 or {SCHEMA_VERSION}, found {version}."
-            " Build the dataset again with `prbench build-dataset`, or update prbench."
-        )
+        remedy = "Build the dataset again with `prbench build-dataset`, or update prbench."
+        raise TableError(f"{source}: expected schema version 3 or {SCHEMA_VERSION}, found {version}. {remedy}")
     lacking = ADDED_COLUMNS if version == "3" else ()
     check_columns(schema, [field for field in expected if field.name not in lacking], source=source, what="dataset")
 
@@ -238,9 +236,8 @@ def require_form(batch: pa.RecordBatch, expected: pa.Schema, source: Path) -> No
     for name, wrong, wanted in checks:
         if wrong.any():
             row = batch.column(expected.names[0])[int(wrong.argmax())].as_py()
-            raise TableError(
-                f"{source}, {quoted(row)}, column '{name}': expected {wanted}, found another. Build the table again."
-            )
+            remedy = "Build the table again."
+            raise TableError(f"{source}, {quoted(row)}, column '{name}': expected {wanted}, found another. {remedy}")
 
 
 def files_of_table(folder: Path, table: str) -> list[Path]:
@@ -374,9 +371,8 @@ def require_distinct(ids: SequenceOf[str], where: Path | str) -> None:
     """
     repeated = first_repeated(ids)
     if repeated is not None:
-        raise TableError(
-            f"{where}: expected rows with different ids, found '{quoted(repeated)}' twice. Build the dataset again."
-        )
+        remedy = "Build the dataset again."
+        raise TableError(f"{where}: expected rows with different ids, found '{quoted(repeated)}' twice. {remedy}")
 
 
 def require_distinct_rows(paths: SequenceOf[Path], column: str, where: Path | str) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -179,5 +180,8 @@ def _module(name: str) -> _Module:
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             defines = {one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)}
         used = frozenset(one.id for one in ast.walk(node) if isinstance(one, ast.Name)) - defines
+        if isinstance(node, ast.Assign) and any(_FOR_TYPES_ONLY in module.outside.get(each, "") for each in used):
+            # A name for a type of arrays stands in annotations alone.
+            text = f"if TYPE_CHECKING:\n{textwrap.indent(text, '    ')}"
         module.statements.append(_Statement(text, frozenset(defines), used))
     return module
