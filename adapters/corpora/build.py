@@ -78,12 +78,11 @@ class CorpusJob:
                 return folder, receipt, True
         done = [self._read(recording, full) for recording in recordings]
         clips = [clip for read, _ in done for clip in sorted(read.clips, key=lambda clip: clip.sequence_id)]
+        annotations = [row for read, _ in done for row in read.annotations]
         records = tuple(record for _, record in done)
         batches = {
             "clips": corpus_tables.corpus_batch("clips", clips),
-            "annotations": corpus_tables.corpus_batch(
-                "annotations", (row for read, _ in done for row in read.annotations)
-            ),
+            "annotations": corpus_tables.corpus_batch("annotations", annotations),
             "recordings": corpus_tables.corpus_batch("recordings", records),
         }
         receipt = GroupReceipt(

@@ -428,25 +428,12 @@ def _judged(value: float, warn: float, fail: float, text: str, remedy: str, **nu
 
 
 # In the order in which they are made; those that ask for no motions are the checks of any method.
-CHECKS = (
-    *form.LOADING,
-    predicts,
-    form.shapes,
-    form.dtype,
-    form.finite,
-    past,
-    reproducibility.determinism,
-    reproducibility.global_random,
-    firewall,
-    seed,
-    samples,
-    reproducibility.single_row,
-    reproducibility.batch,
-    first_frame,
-    bones,
-    *body.RESOURCES,
-    reproducibility.process,  # in a process of its own, so last
-)
+_OF_FORM = (predicts, form.shapes, form.dtype, form.finite, past)
+_ASKED_AGAIN = (reproducibility.determinism, reproducibility.global_random)
+_OF_DRAWING = (seed, samples, reproducibility.single_row, reproducibility.batch)
+# The last one runs in a process of its own.
+_LAST = (first_frame, bones, *body.RESOURCES, reproducibility.process)
+CHECKS = (*form.LOADING, *_OF_FORM, *_ASKED_AGAIN, firewall, *_OF_DRAWING, *_LAST)
 
 
 def _futures(spec: MethodSpec, request: CheckRequest, folder: Path) -> PredictorSubject:

@@ -39,6 +39,7 @@ BENCHMARK = "motion-prediction"
 METADATA_KEY = "prbench_windows"  # Name of the array that holds :class:`WindowsFileInfo` as JSON.
 FORMAT_VERSION = 1
 _ELSEWHERE = "offline"
+_ASKED = ("seed", "samples", "split", "limit")  # Fields of a request that the file repeats.
 _LARGEST = 8 * 1024**3  # bytes of one array
 _LARGEST_IDS = 1024**3
 _REMEDY = "Export the windows again with `prbench export-conditions --benchmark motion-prediction`."
@@ -128,7 +129,7 @@ def export_windows(
 
 
 def _windows_of(
-    data: Sequence[Path | str], name: str, *, seed: int, samples: int, split: str, limit: int | None
+    data: Sequence[Path | str], name: str, *, split: str, limit: int | None, **drawn: int
 ) -> tuple[WindowsFileInfo, ObservedBatch, WindowsInfo]:
     """Make the rows of a file, sorted by opaque id, and return them with the provenance of the table."""
     if len(data) != 1:
@@ -146,8 +147,7 @@ def _windows_of(
     batch = next(cases.table.batches(condition, cases.places, frame=frame, size=len(cases)))[0]
     info = WindowsFileInfo(
         condition=condition,
-        seed=seed,
-        samples=samples,
+        **drawn,  # seed and samples
         split=split,
         limit=limit,
         fps=batch.fps,
@@ -239,10 +239,7 @@ def score_futures(
             method=called,
             data=tuple(data),
             condition=info.condition.value,
-            split=info.split,
-            limit=info.limit,
-            seed=info.seed,
-            samples=info.samples,
+            **{name: getattr(info, name) for name in _ASKED},
             batch_size=benchmark.about.batch_size,
             device=_ELSEWHERE,
             out=folder,
@@ -277,7 +274,7 @@ def _require_from_table(info: WindowsFileInfo, batch: ObservedBatch, path: Path,
         PredictionsError: naming what differs.
     """
     condition = info.condition.value
-    asked = {"seed": info.seed, "samples": info.samples, "split": info.split, "limit": info.limit}
+    asked = {name: getattr(info, name) for name in _ASKED}
     made, given, _ = _windows_of(data, condition, **asked)
     if made.table != info.table:
         remedy = "Give --data the very table that they were exported from."

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -306,21 +307,24 @@ def paired(first: Scores, second: Scores, metric: str, *, anchor: str = _EVERY) 
     return clustered(ours[known] - others[known], recordings[known]) if known.any() else None
 
 
+def _of_row(row: TableRow) -> dict[str, str]:
+    return {"condition": row.condition.value, "method": row.method, "variant": row.variant}
+
+
+def _measured(each: Estimate) -> dict[str, Any]:
+    counts = {"sequences": each.n_sequences, "recordings": each.n_recordings}
+    return {"value": each.mean, "low": each.low, "high": each.high, **counts}
+
+
 def _cells(row: TableRow, dataset: str, found: Mapping[str, Estimate]) -> tuple[Cell, ...]:
     units = {info.id: info.unit for info in prediction_metrics()}
     return tuple(
         Cell(
             dataset=dataset,
             metric=metric,
-            value=each.mean,
-            low=each.low,
-            high=each.high,
             unit=units[metric],
-            condition=row.condition.value,
-            method=row.method,
-            variant=row.variant,
-            sequences=each.n_sequences,
-            recordings=each.n_recordings,
+            **_of_row(row),
+            **_measured(each),
         )
         for metric, each in found.items()
     )
@@ -365,9 +369,7 @@ def _laid_out(
                     metric=each["metric"],
                     value=float(each["value"]),
                     unit="m",
-                    condition=row.condition.value,
-                    method=row.method,
-                    variant=row.variant,
+                    **_of_row(row),
                     origin=f"published: GazeMoDiff, Table {number}",
                     note=each["note"],
                 )
@@ -449,16 +451,12 @@ def _values_of_conditions(dataset: str, scores: Mapping[str, Scores]) -> Table:
         cell = Cell(
             dataset=dataset,
             metric="difference",
-            value=each.difference.mean,
-            low=each.difference.low,
-            high=each.difference.high,
             unit="m",
             condition=step,
             method=method,
             variant=f"{metric}, windows: {anchor}",
-            sequences=each.difference.n_sequences,
-            recordings=each.difference.n_recordings,
             note=f"p = {p_value}",
+            **_measured(each.difference),
         )
         text = {"method": method, "windows": anchor, "metric": metric, "told": step, "p": p_value}
         rows.append(Row(text=text, cells=(cell,)))

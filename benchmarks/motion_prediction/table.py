@@ -219,14 +219,9 @@ def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[Run]) -> Window
             found = f"0 windows in {counted['runs']} runs."
             raise TableError(f"{folder}: expected a run of frames longer than a window, found {found}")
         outcomes = Counter(str(window["exclusion"] or "window") for window in windows)
-        written = msgspec.structs.replace(
-            written,
-            **counted,
-            outcomes=dict(sorted(outcomes.items())),
-            estimated_bodies=info.estimated_bodies or True in kinds,
-            recordings=len(recordings),
-            participants=len(people),
-        )
+        about = {"outcomes": dict(sorted(outcomes.items())), "estimated_bodies": info.estimated_bodies or True in kinds}
+        counts = {"recordings": len(recordings), "participants": len(people)}
+        written = msgspec.structs.replace(written, **counted, **about, **counts)
         written.write(temporary)
     return written
 

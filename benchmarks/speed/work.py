@@ -88,19 +88,17 @@ def time_reading() -> None:
 
 def time_curation() -> None:
     """Time rays at boxes, in-hand segmentation and the whole of curation."""
-    recording = synthetic_recording(
-        perform("adt", seed=0, index=0, n_events=_EVENTS, bystander_objects=_BYSTANDER_OBJECTS)
-    )
+    acted = perform("adt", seed=0, index=0, n_events=_EVENTS, bystander_objects=_BYSTANDER_OBJECTS)
+    recording = synthetic_recording(acted)
     manifest = load_manifest("adt")
     _, origins, directions = gaze_rays(recording, "eye")
     boxes = [track.world_box(track.position[:1], track.rotation[:1]) for track in recording.objects]
     low, high = (np.concatenate([box[side] for box in boxes]) for side in (0, 1))
     seconds = recording.span[1] - recording.span[0]
+    slabs = partial(slab_test, origins, directions, low, high)
     rows = {
         "recording to sequences": timed(lambda: curate_recording(recording, manifest, load_protocol()), 5),
-        f"of that: slab test of {len(origins)} rays and {len(low)} boxes": timed(
-            lambda: slab_test(origins, directions, low, high), 5
-        ),
+        f"of that: slab test of {len(origins)} rays and {len(low)} boxes": timed(slabs, 5),
         "of that: their near misses": timed(lambda: near_miss(origins, directions, low, high), 3),
         "of that: holdings of all objects": timed(lambda: find_holdings(recording, manifest.in_hand), 5),
         "the recording itself, played": seconds,
@@ -112,16 +110,13 @@ def time_metrics() -> None:
     """Time scoring beside reading the scored files, and measure its memory."""
     predicted, recorded, targets = _random_problem(_SEQUENCES)
     constants = load_protocol().metrics
-    six = [info.id for info in STUDY_METRICS]
+    of_study = partial(score, predicted, recorded, targets, constants, metrics=[info.id for info in STUDY_METRICS])
     with tempfile.TemporaryDirectory() as folder:
-        files = [
-            _write_motions(Path(folder) / f"{i}.parquet", motion) for i, motion in enumerate((predicted, recorded))
-        ]
+        pair = enumerate((predicted, recorded))
+        files = [_write_motions(Path(folder) / f"{i}.parquet", motion) for i, motion in pair]
         rows = {
             "prbench: all metrics": timed(lambda: score(predicted, recorded, targets, constants), 5),
-            "prbench: the six of the study": timed(
-                lambda: score(predicted, recorded, targets, constants, metrics=six), 5
-            ),
+            "prbench: the six of the study": timed(of_study, 5),
             "warm pq.read_table of both motion files": timed(lambda: [pq.read_table(file) for file in files], 5),
         }
     print_rows(f"scoring {_SEQUENCES:,} sequences, {len(predicted.values):,} frames", rows)

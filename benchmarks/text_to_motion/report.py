@@ -104,6 +104,8 @@ class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
         return msgspec.json.decode(read_whole(path), type=cls)
 
 
+# What a cell takes over from a printed number.
+_SAME = ("dataset", "condition", "method", "variant", "metric", "value", "note")
 # The study's four metrics: title, direction of the better values, stored unit.
 _METRICS: dict[str, tuple[str, Literal["higher", "lower"], str]] = {
     "r_precision_top_3": ("R Precision Top-3", "higher", "rate"),
@@ -152,16 +154,10 @@ def table_s8(paths: Sequence[Path], *, with_published: bool) -> Table:
             words, cells = rows.setdefault(number.variant, ({"motions": number.variant}, []))
             words[number.metric] = f"{number.printed}{plus_minus}"
             cell = Cell(
-                dataset=number.dataset,
-                condition=number.condition,
-                method=number.method,
-                variant=number.variant,
-                metric=number.metric,
-                value=number.value,
+                **{name: getattr(number, name) for name in _SAME},
                 sd=float(number.plus_minus) if number.plus_minus else None,
                 unit=exported_unit(_METRICS[number.metric][2]),
                 origin=number.source,
-                note=number.note,
             )
             cells.append(cell)
         published = tuple(Row(text=words, cells=tuple(cells)) for words, cells in rows.values())

@@ -328,15 +328,10 @@ class EvaluatorTask:
             lines = [f"word vectors and lists, sha256 {words_digest} (frozen)"]
         if start is not None:
             lines.append(f"movement encoder {start.path.name}, sha256 {start.digest} (frozen)")
-        module = EvaluatorTraining(
-            configuration,
-            objective,
-            stage=cast(Stage, stage),
-            statistics=data.train.statistics().for_evaluator() if start is None else _stored_statistics(start),
-            tokens=tokens,
-            words_digest=words_digest,
-            origin=tuple(lines),
-        )
+        statistics = data.train.statistics().for_evaluator() if start is None else _stored_statistics(start)
+        about = {"tokens": tokens, "words_digest": words_digest, "origin": tuple(lines)}
+        stage_name = cast(Stage, stage)
+        module = EvaluatorTraining(configuration, objective, stage=stage_name, statistics=statistics, **about)
         if start is not None:
             # Take over the trained movement encoder.
             # Only the movement encoder is taken over, so only its fields have to agree.

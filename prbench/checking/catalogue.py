@@ -117,19 +117,17 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
         recordings = [recording for each in here for recording in each.recordings]
         lacking = Counter(file for each in recordings for file in missing_files(each, manifest.required_roles))
         for file, count in sorted(lacking.items()):
-            missing.append(
-                f"{file} is missing in {count} of {len(recordings)} recordings (`prbench inspect` names them)"
-            )
+            where = f"{count} of {len(recordings)} recordings (`prbench inspect` names them)"
+            missing.append(f"{file} is missing in {where}")
         options = reader_for(dataset).options if dataset in readable else None
-        defaults = {} if options is None else {option: getattr(options, option) for option in options.names()}
+        values = {} if options is None else {option: getattr(options, option) for option in options.names()}
+        defaults = {option: "none" if value is None else value for option, value in values.items()}
         entries.append(
             CatalogueEntry(
                 **{name: getattr(manifest, name) for name in _OF_THE_MANIFEST},
                 citation=manifest.citation.strip(),
                 body_poses=tuple(body.pose_source for body in (manifest.body, *manifest.other_bodies.values())),
-                reader_options=tuple(
-                    f"{option} (default {'none' if value is None else value})" for option, value in defaults.items()
-                ),
+                reader_options=tuple(f"{option} (default {value})" for option, value in defaults.items()),
                 found="; ".join(f"{number} recordings in {folder}" for number, folder in places),
                 missing=tuple(missing),
             )

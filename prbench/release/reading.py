@@ -300,25 +300,24 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
     trunk = joints[:, Joint.HEAD] - joints[:, Joint.PELVIS]
     size = float(np.median(np.linalg.norm(trunk, axis=1)))
     source = found.value(fields, "source")
-    found.sequences.append(
-        ReleasedSequence(
-            fields=fields,
-            index=index,
-            motion=files[0],
-            gaze=None if gaze is None else files[1],
-            n_frames=n_frames,
-            goal=goal,
-            subset=subset,
-            primed_frame=round(frame),
-            source=(source.strip() if isinstance(source, str) else "") or f"unknown-{subset}",
-            digest=text_digest(*map(file_digest, files)),
-            pelvis_to_head=size,
-            upright=float(np.median(trunk[:, 1])) / size if size else 0.0,
-            motion_from_canonical=motion_from_canonical,
-            goal_to_wrist=float(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).min()),
-            goal_to_gaze=distance,
-        )
+    released = ReleasedSequence(
+        fields=fields,
+        index=index,
+        motion=files[0],
+        gaze=None if gaze is None else files[1],
+        n_frames=n_frames,
+        goal=goal,
+        subset=subset,
+        primed_frame=round(frame),
+        source=(source.strip() if isinstance(source, str) else "") or f"unknown-{subset}",
+        digest=text_digest(*map(file_digest, files)),
+        pelvis_to_head=size,
+        upright=float(np.median(trunk[:, 1])) / size if size else 0.0,
+        motion_from_canonical=motion_from_canonical,
+        goal_to_wrist=float(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).min()),
+        goal_to_gaze=distance,
     )
+    found.sequences.append(released)
 
 
 def _read_array(found: ReleasedDataset, kind: str, index: int, per_frame: tuple[int, ...]) -> np.ndarray | str:

@@ -108,20 +108,19 @@ def clips_of(
             elif caption.text in seen:
                 own = "duplicate"
             seen.add(caption.text)
-            annotations.append(
-                Annotation(
-                    annotation_id=f"{recording}/{number}",
-                    recording_id=identity.recording_id,
-                    sequence_id=sequence_id if own == "clip" else None,
-                    kind=kind,
-                    text=caption.text,
-                    text_start=start,
-                    text_end=end,
-                    outcome=own,
-                    value=value if own == outcome else None,
-                    threshold=threshold if own == outcome else None,
-                )
+            annotation = Annotation(
+                annotation_id=f"{recording}/{number}",
+                recording_id=identity.recording_id,
+                sequence_id=sequence_id if own == "clip" else None,
+                kind=kind,
+                text=caption.text,
+                text_start=start,
+                text_end=end,
+                outcome=own,
+                value=value if own == outcome else None,
+                threshold=threshold if own == outcome else None,
             )
+            annotations.append(annotation)
     return tuple(clips), tuple(annotations)
 
 
@@ -218,14 +217,22 @@ class HumanML3DCorpus(corpora.Corpus):
             (joints, f"{layout.JOINTS_FOLDER}/", "joint files of HumanML3D", held, _MAKE_JOINTS),
             (texts, f"{layout.TEXTS_FOLDER}/", "text files of HumanML3D", packed, unpack),
         )
-        splits = _splits(root)
+        # The official lists.
+        splits: dict[str, str] = {}
+        for split, file in layout.SPLIT_FILES.items():
+            path = root / file
+            for name in read_text(path, largest=HARMLESS_SIZE).split() if path.is_file() else ():
+                if splits.setdefault(name, split) != split:
+                    raise InputFileError(path, name, expected="motions of one split", found=f"also in {splits[name]}")
+        remedy = "Copy them from the dataset's repository."
+        require(root, (splits, "train.txt, val.txt, test.txt", "the official lists", "none of them", remedy))
         dataset = f"{SYNTHETIC_PREFIX}humanml3d" if read_synthetic_tree(root) else "humanml3d"
         sources = []
         for name in sorted(joints.keys() | features.keys() | texts.keys()):
-            split = splits.get(name)
-            reason = None if split else "not listed in train.txt, val.txt or test.txt"
+            listed = splits.get(name)
+            reason = None if listed else "not listed in train.txt, val.txt or test.txt"
             group = name.removeprefix(layout.MIRROR_PREFIX)
-            identity = corpora.RecordingIdentity(dataset, name, _UNKNOWN_PERSON, split or "train", group)
+            identity = corpora.RecordingIdentity(dataset, name, _UNKNOWN_PERSON, listed or "train", group)
             text = texts.get(name, root / layout.TEXTS_FOLDER / f"{name}.txt")
             sources.append(HumanML3DSource(identity, limits, root, reason, joints.get(name), text))
         return tuple(sources)
@@ -233,23 +240,6 @@ class HumanML3DCorpus(corpora.Corpus):
     def group_of(self, recording_id: str) -> str:
         """Group a hundred motions: the dataset has tens of thousands, of a few kilobytes each."""
         return f"{recording_id[:-_FILES_OF_A_GROUP]}xx"
-
-
-def _splits(root: Path) -> dict[str, str]:
-    """Return the official lists.
-
-    Raises:
-        InputFileError: if none of them is there, or one motion stands in two.
-    """
-    splits: dict[str, str] = {}
-    for split, file in layout.SPLIT_FILES.items():
-        path = root / file
-        for name in read_text(path, largest=HARMLESS_SIZE).split() if path.is_file() else ():
-            if splits.setdefault(name, split) != split:
-                raise InputFileError(path, name, expected="motions of one split", found=f"also in {splits[name]}")
-    remedy = "Copy them from the dataset's repository."
-    require(root, (splits, "train.txt, val.txt, test.txt", "the official lists", "none of them", remedy))
-    return splits
 
 
 CORPUS = HumanML3DCorpus()

@@ -107,20 +107,19 @@ def clips_of(
                 clips.append(clip)
         for number, (caption, own) in enumerate(texts):
             decided = outcome if own == "clip" else own
-            annotations.append(
-                Annotation(
-                    annotation_id=f"{name}/{number}",
-                    recording_id=identity.recording_id,
-                    sequence_id=sequence_id if decided == "clip" else None,
-                    kind=caption.kind,
-                    text=caption.text,
-                    text_start=rows[0].start,
-                    text_end=rows[0].end,
-                    outcome=decided,
-                    value=value if own == "clip" else None,
-                    threshold=threshold if own == "clip" else None,
-                )
+            annotation = Annotation(
+                annotation_id=f"{name}/{number}",
+                recording_id=identity.recording_id,
+                sequence_id=sequence_id if decided == "clip" else None,
+                kind=caption.kind,
+                text=caption.text,
+                text_start=rows[0].start,
+                text_end=rows[0].end,
+                outcome=decided,
+                value=value if own == "clip" else None,
+                threshold=threshold if own == "clip" else None,
             )
+            annotations.append(annotation)
     return tuple(clips), tuple(annotations)
 
 

@@ -106,12 +106,9 @@ def read_suit(path: Path) -> Suit:
         expected = f"numbers of the shape {shapes[0]} or {shapes[1]}, for the {n} times"
         require(path, (fits, key, expected, f"{arrays[key].dtype} of the shape {arrays[key].shape}", _DOWNLOAD))
         arrays[key] = arrays[key].reshape(n, N_SEGMENTS, size)
-    return Suit(
-        time_us=np.rint(time).astype(np.int64),
-        position=arrays["segment_tXYZ"],
-        rotation=arrays["segment_qWXYZ"],
-        tpose=None if tpose is None or tpose.size != N_SEGMENTS * 3 else tpose.reshape(N_SEGMENTS, 3).astype(float),
-    )
+    if tpose is not None:
+        tpose = tpose.reshape(N_SEGMENTS, 3).astype(float) if tpose.size == N_SEGMENTS * 3 else None
+    return Suit(np.rint(time).astype(np.int64), arrays["segment_tXYZ"], arrays["segment_qWXYZ"], tpose)
 
 
 def _is(values: np.ndarray | None, wanted: float) -> bool:

@@ -167,32 +167,20 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
         np.savez(temporary, **arrays)
     for kind, name in nymeria.NARRATION_FILES.items():
         rows = [row for row in readings.narrations if row.kind == kind]
-        if rows:
-            _write_narrations(folder / "narration" / name, kind, rows)
+        if not rows:
+            continue
+        text = io.StringIO()
+        writer = csv.writer(text, quoting=csv.QUOTE_ALL, lineterminator="\r\n")
+        writer.writerow([*nymeria.NARRATION_HEADER, *nymeria.ANSWER_COLUMNS[kind]])
+        for number, row in enumerate(rows):
+            times = (f"{row.start:.6f}", f"{row.end:.6f}")
+            writer.writerow([number, number, *times, row.annotator, _CREATED, *(answer for _, answer in row.texts)])
+        # With the byte order mark that the release has.
+        write_bytes(folder / "narration" / name, text.getvalue().encode("utf-8-sig"))
     parts = readings.name.split("_")
-    write_json(
-        folder / nymeria.METADATA_FILE,
-        {
-            "date": parts[0],
-            "session_id": parts[1],
-            "fake_name": nymeria.participant_of(readings.name),
-            "act_id": parts[-2],
-            "uid": parts[-1],
-            "script": "invented",
-            "location": "nowhere",
-        },
-    )
+    named = {"date": parts[0], "session_id": parts[1], "act_id": parts[-2], "uid": parts[-1]}
+    invented = {"fake_name": nymeria.participant_of(readings.name), "script": "invented", "location": "nowhere"}
+    write_json(folder / nymeria.METADATA_FILE, named | invented)
     if trajectory:
         slam = folder / nymeria.HEAD_FOLDER / "mps" / "slam"
         write_csv(slam / nymeria.TRAJECTORY_FILE, trajectory_columns(readings.glasses, _NO_GRAPH, _GRAVITY, None))
-
-
-def _write_narrations(path: Path, kind: str, rows: list[Narration]) -> None:
-    """Write one narration file, with the byte order mark that the release has."""
-    text = io.StringIO()
-    writer = csv.writer(text, quoting=csv.QUOTE_ALL, lineterminator="\r\n")
-    writer.writerow([*nymeria.NARRATION_HEADER, *nymeria.ANSWER_COLUMNS[kind]])
-    for number, row in enumerate(rows):
-        times = (f"{row.start:.6f}", f"{row.end:.6f}")
-        writer.writerow([number, number, *times, row.annotator, _CREATED, *(answer for _, answer in row.texts)])
-    write_bytes(path, text.getvalue().encode("utf-8-sig"))

@@ -3,13 +3,7 @@
 from prbench.checking.conformance.checks import body, form, reproducibility
 from prbench.checking.conformance.findings import Check
 
-_BY_SUBJECT = (
-    *form.LOADING,
-    *form.CHECKS,
-    *reproducibility.CHECKS,
-    *reproducibility.INPUTS,
-    *body.CHECKS,
-    *body.RESOURCES,
-)
+_OF_DRAWING = (*reproducibility.CHECKS, *reproducibility.INPUTS)
+_BY_SUBJECT = (*form.LOADING, *form.CHECKS, *_OF_DRAWING, *body.CHECKS, *body.RESOURCES)
 # All checks in their order: those that need a process of their own come last
 CHECKS: tuple[Check, ...] = tuple(sorted(_BY_SUBJECT, key=lambda one: one.fresh))
