@@ -30,6 +30,7 @@ from prbench_adapters.training.ablations import Ablation, load_ablations, overri
 from prbench_adapters.training.report import WEIGHTS, read_record
 from prbench_adapters.training.run import TrainRequest, resolved, train
 from prbench_benchmarks.prime_and_reach.study.methods import (
+    CONDITION_COLUMN,
     METRIC_COLUMNS,
     measured_row,
     measured_title,
@@ -44,11 +45,7 @@ PAPER = "paper"
 _RUNS = "runs"
 # Options of an optimisation at smoke size.
 _FEW_ITERATIONS = {"iterations": "2", "ddim-steps": "2"}
-_COLUMNS = (
-    Column(key="condition", title="Condition", text=True),
-    Column(key="method", title="Variant", text=True),
-    *METRIC_COLUMNS,
-)
+_COLUMNS = (CONDITION_COLUMN, Column(key="method", title="Variant", text=True), *METRIC_COLUMNS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,10 +152,7 @@ def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> tuple
                     data=request.data,
                     weights=trained / WEIGHTS,
                     options=request.options_of(row),
-                    limit=request.limit,
-                    seed=request.seed,
-                    device=request.device,
-                    threads=request.threads,
+                    **{name: getattr(request, name) for name in ("limit", "seed", "device", "threads")},
                     out=out,
                 ),
                 engine=engine,
@@ -207,27 +201,21 @@ def ablation_table(number: str, folder: Path, check: Check | None, *, with_publi
             about = {"condition": row.condition, "variant": row.variant, "note": stamps[row.variant]}
             measured.append(measured_row(run, table, row.condition, row.variant, **about))
         lines = [Row(text={"condition": row.condition, "method": row.variant}) for row in missing]
-        parts.append(
-            Table(
-                number=number,
-                title=published_table(number).title,
-                dataset=table.dataset,
-                part=part_title(table),
-                columns=_COLUMNS,
-                blocks=(
-                    Block(title=measured_title(table), rows=tuple(measured)),
-                    Block(title="Not run, or not finished", rows=tuple(lines)),
-                    *published,
-                ),
-                # The first stamp stands in the title: one such row already makes a table that says nothing.
-                stamp=next(filter(None, stamps.values()), ""),
-                notes=(
-                    *(f"{variant}: {stamp}." for variant, stamp in stamps.items() if stamp),
-                    *table_notes(table),
-                    *published_table(number).notes,
-                ),
-            )
+        blocks = [Block(title=measured_title(table), rows=tuple(measured))]
+        blocks.append(Block(title="Not run, or not finished", rows=tuple(lines)))
+        notes = [f"{variant}: {stamp}." for variant, stamp in stamps.items() if stamp]
+        part = Table(
+            number=number,
+            title=published_table(number).title,
+            dataset=table.dataset,
+            part=part_title(table),
+            columns=_COLUMNS,
+            blocks=(*blocks, *published),
+            # The first stamp stands in the title: one such row already makes a table that says nothing.
+            stamp=next(filter(None, stamps.values()), ""),
+            notes=(*notes, *table_notes(table), *published_table(number).notes),
         )
+        parts.append(part)
     return parts
 
 

@@ -49,14 +49,8 @@ def agreement_tables(runs: Sequence[Path], checker: RunChecker) -> list[Table]:
                 notes.append(ON_SYNTHETIC_DATA)
             rates = []
             for rate in found.rates:
-                phi = Cell(
-                    metric="phi",
-                    value=rate.phi,
-                    low=rate.low,
-                    high=rate.high,
-                    sequences=rate.sequences,
-                    recordings=rate.recordings,
-                )
+                about = {name: getattr(rate, name) for name in ("low", "high", "sequences", "recordings")}
+                phi = Cell(metric="phi", value=rate.phi, **about)
                 words = {"metric": rate.title, "remark": rate.remark}
                 rates.append(Row(text=words, cells=(phi, metric_cell("people", "rate", rate.people))))
             bins = []

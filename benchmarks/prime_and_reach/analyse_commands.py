@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
+from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, progress
-from prbench.cli.options import OUT_FILE, PATH, data_option, permission_option, run_checker, workers_option
 from prbench.cli.terminal import print_tables
 from prbench.errors import UsageError
 from prbench_benchmarks.prime_and_reach.study_commands import taken_options
@@ -47,7 +47,7 @@ def _answer(report: AnalysisReport, *lines: str) -> Answer:
 def _agreement(runs: Paths, *, data: Paths, workers: int) -> Answer:
     from prbench_benchmarks.prime_and_reach.agreement import agreement_tables
 
-    return _answer(AnalysisReport(tables=agreement_tables(runs, run_checker(data, workers))))
+    return _answer(AnalysisReport(tables=agreement_tables(runs, opt.run_checker(data, workers))))
 
 
 def _diversity(
@@ -87,19 +87,21 @@ _KINDS = {
     report=AnalysisReport,
 )
 @click.argument("kind", type=click.Choice(list(_KINDS)), metavar="KIND", is_eager=True)
-@click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
-@data_option(required=False, help="Tables of the runs, on which their scores are checked; the embedded ones are known.")
-@click.option(
+@click.argument("runs", type=opt.PATH, nargs=-1, required=True, metavar="RUN...")
+@opt.data_option(
+    required=False, help="Tables of the runs, on which their scores are checked; the embedded ones are known."
+)
+@opt.option(
     "--fan",
-    type=OUT_FILE,
+    "Of diversity: draw the motions of one sequence as a fan of bodies: .png, .svg.",
+    type=opt.OUT_FILE,
     metavar="FILE",
-    help="Of diversity: draw the motions of one sequence as a fan of bodies: .png, .svg.",
 )
 @click.option(
     "--sequence", metavar="ID", help="The sequence to draw: its id, or a part that fits one only (default: any)."
 )
-@permission_option
-@workers_option()
+@opt.permission_option
+@opt.workers_option()
 @click.pass_context
 def analyse(ctx: click.Context, kind: str, runs: Paths, **given: Any) -> Answer:
     """Say on which sequences methods succeed, or how far their motions differ.

@@ -168,17 +168,16 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table
             theirs = np.array([values[spread.id] for values in people])
             estimates["people"] = mean_interval(clustered(theirs, recordings), nonnegative=True)
             estimates["difference"], _ = difference_interval(clustered(own - theirs, recordings))
+        about = {"dataset": info.dataset, "condition": run.record.condition, "method": run.record.method.name}
         cells = [
             Cell(
-                dataset=info.dataset,
                 metric=name,
                 variant=spread.id,
                 value=each.mean,
                 low=each.low,
                 high=each.high,
                 unit=spread.unit,
-                condition=run.record.condition,
-                method=run.record.method.name,
+                **about,
                 sequences=each.n_sequences,
                 recordings=each.n_recordings,
                 note="; ".join(each.marks),

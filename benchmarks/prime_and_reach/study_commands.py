@@ -49,17 +49,15 @@ class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _answer(
-    tables: Sequence[Table],
-    files: Sequence[Path],
-    drawn: Path | None = None,
-    lines: Sequence[str] = (),
-    *,
-    between: str = " ",
-    **more: Any,
+    tables: Sequence[Table], files: Sequence[Path], drawn: Path | None = None, lines: Sequence[str] = (), **more: Any
 ) -> Answer:
-    """Write the tables, and answer with their numbers, further lines, and the written files."""
+    """Write the tables, and answer with their numbers, further lines, and the written files.
+
+    ``more`` are fields of the report, and ``between``, which stands between a number and its interval.
+    """
     from prbench.tables import write_tables
 
+    between = more.pop("between", " ")
     for path in files:
         write_tables(tables, path)
     written = [*([] if drawn is None else [drawn]), *files]
@@ -117,35 +115,20 @@ def _evaluations(item: str, reports: Paths, *, with_published: bool, out: Paths)
     return _answer([load_built_in(STUDY_ITEMS, item)(reports, with_published=with_published)], out)
 
 
-def _prediction(
-    item: str, inputs: Paths, *, weights: Path | None, limit: int | None, device: str, seed: int, out: Paths
-) -> Answer:
+def _prediction(item: str, inputs: Paths, *, out: Paths, **settings: Any) -> Answer:
     """Score the rows of the study of motion prediction on the first input, windows; the others are finished runs."""
     from prbench.viewing.figures import FORMATS
 
     pictures = [path for path in out if path.suffix.lower() in FORMATS]
     files = [path for path in out if path not in pictures]
     with progress("scoring") as tell:
-        made = load_built_in(STUDY_ITEMS, item)(
-            inputs[0], inputs[1:], weights=weights, limit=limit, device=device, seed=seed, progress=tell
-        )
+        made = load_built_in(STUDY_ITEMS, item)(inputs[0], inputs[1:], **settings, progress=tell)
     for path in pictures:
         load_built_in(STUDY_ITEMS, "prediction-figure")(made, path)
     return _answer(made, files, pictures[0] if pictures else None, between="\n")
 
 
-def _train(
-    item: str,
-    folders: Paths,
-    *,
-    data: Paths,
-    nymeria: Path | None,
-    humanml3d: Path | None,
-    configuration: Path,
-    out: Paths,
-    workers: int,
-    **settings: Any,
-) -> Answer:
+def _train(item: str, folders: Paths, *, data: Paths, out: Paths, workers: int, **settings: Any) -> Answer:
     """Train and run the rows of a table of ablations, and write it in all formats beside them."""
     from prbench.engine import engine_for
     from prbench_benchmarks.prime_and_reach.ablation import AblationRequest, ablation_table, run_ablation
@@ -153,13 +136,13 @@ def _train(
     if folders or len(out) > 1 or not data:
         raise UsageError(f"study {item} --train: expected --data DIR... and at most one --out DIR, and no DIR else.")
     session().resumes = True
-    corpora = {"nymeria": nymeria, "humanml3d": humanml3d}
+    corpora = {name: settings.pop(name) for name in ("nymeria", "humanml3d")}
     request = AblationRequest(
         table=_number(item),
         data=data,
         out=out[0] if out else Path("ablations"),
         corpora={name: folder for name, folder in corpora.items() if folder is not None},
-        configuration=str(configuration),
+        configuration=str(settings.pop("configuration")),
         **settings,
     )
     runs, failed = run_ablation(request, engine=engine_for(workers), say=note)
@@ -215,22 +198,14 @@ _PICTURES = {
 }
 
 
-def _motions(
-    item: str,
-    inputs: Paths,
-    *,
-    sequences: tuple[str, ...],
-    limit: int | None,
-    permission: tuple[str, ...],
-    out: Paths,
-    data: Paths | None = None,
-) -> Answer:
+def _motions(item: str, inputs: Paths, *, out: Paths, data: Paths | None = None, **given: Any) -> Answer:
     from prbench.viewing.view import ViewRequest, scenes_of
     from prbench_benchmarks.prime_and_reach.study.motions import draw_examples, draw_moments
 
     title, usual = _PICTURES[item]
-    if limit is None and not sequences:
-        limit = usual
+    sequences = given["sequences"]
+    limit = usual if given["limit"] is None and not sequences else given["limit"]
+    permission = given["permission"]
     # Figure 5 is of runs and their tables, the others are of tables alone.
     runs, data, draw = ((), inputs, draw_examples) if data is None else (inputs, data, draw_moments)
     request = ViewRequest(out=out[0], runs=runs, data=data, sequences=sequences, limit=limit, permitted=permission)

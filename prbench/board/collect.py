@@ -20,14 +20,7 @@ from prbench.harness.claims import DECLARED, origin_of
 from prbench.harness.methods.installed import name_problem
 from prbench.harness.results import CheckedSummary, RunChecker, ScoredSequences
 from prbench.harness.run_folder import record as run_record
-from prbench.harness.run_folder.folder import (
-    FOLDS_FILE,
-    MERGED,
-    FoldRun,
-    RunFolder,
-    read_folds,
-    run_folder_of,
-)
+from prbench.harness.run_folder.folder import FOLDS_FILE, MERGED, FoldRun, RunFolder, read_folds, run_folder_of
 from prbench.harness.run_folder.record import RunCost, RunRecord, TableRecord, total_cost
 from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.run_folder.signature import require_signed

@@ -33,6 +33,7 @@ CONDITIONS = tuple(default_benchmark().conditions)
 ALL_CONDITIONS = tuple(name for about in benchmarks().values() for name in about.conditions)
 # Limit of a run on the embedded datasets, of each (``prbench.harness.first_run``); spelt out for quick help.
 FIRST_RUN_SEQUENCES = 10
+Paths = Sequence[Path]
 SPLITS = ("train", "validation", "test")
 # Value of ``--split`` that means the test split of a published evaluation, where windows have one.
 PUBLISHED = "published"
@@ -336,7 +337,7 @@ def control_option(help: str) -> Callable:
 
 def protocol_option(help: str) -> Callable:
     """Add ``--protocol FILE``, a protocol of the user's own."""
-    return click.option("--protocol", type=PATH, metavar="FILE", help=f"Your own protocol.toml: {help}")
+    return path_option("--protocol", f"Your own protocol.toml: {help}")
 
 
 def on_error_option(*, what: str = "a recording", them: str = "it") -> Callable:
@@ -459,7 +460,7 @@ def opened(choice: EngineChoice, **needs: Any) -> Engine:
     return engine
 
 
-def run_checker(data: Sequence[Path], workers: int) -> RunChecker:
+def run_checker(data: Paths, workers: int) -> RunChecker:
     """Make what scores again on the named tables and the embedded ones."""
     from prbench.engine import engine_for
     from prbench.harness.first_run import table_finder
@@ -469,12 +470,7 @@ def run_checker(data: Sequence[Path], workers: int) -> RunChecker:
 
 
 def collected_runs(
-    runs: Sequence[Path],
-    data: Sequence[Path],
-    workers: int,
-    *,
-    any_benchmark: bool = False,
-    require_signed: Path | None = None,
+    runs: Paths, data: Paths, workers: int, *, any_benchmark: bool = False, require_signed: Path | None = None
 ) -> CollectedRuns:
     """Collect finished runs, whose scores are held against their motions, and tell what was left out or not checked.
 

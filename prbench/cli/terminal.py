@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from prbench.tables import Table
 
 
+Rows = Iterable[Sequence[str]]
+
+
 class _CleanStream:
     """A text stream that spells out escape sequences and the like; line breaks and tabs stay.
 
@@ -86,12 +89,7 @@ def console(*, stderr: bool = False, **settings: Any) -> Console:
 
 
 def print_table(
-    title: str,
-    header: Sequence[str],
-    rows: Iterable[Sequence[str]],
-    *,
-    numbers: Collection[int] = (),
-    spaced: bool = False,
+    title: str, header: Sequence[str], rows: Rows, *, numbers: Collection[int] = (), spaced: bool = False
 ) -> None:
     """Print rows under a header; on a terminal that is too narrow for whole words, one line a cell.
 

@@ -98,7 +98,7 @@ class ExplainReport(msgspec.Struct, frozen=True, kw_only=True):
 @command("explain", example="prbench explain Mug_2/pick --data tables/adt --draw story.png", report=ExplainReport)
 @click.argument("event")
 @click.option("--data", type=opt.PATH, required=True, metavar="DIR", help="Built dataset folder.")
-@click.option("--draw", type=opt.OUT_FILE, metavar="FILE", help="Draw the story as PNG.")
+@opt.option("--draw", "Draw the story as PNG.", type=opt.OUT_FILE, metavar="FILE")
 @opt.permission_option
 def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ...]) -> Answer:
     """Tell what became of one event and why.

@@ -78,21 +78,15 @@ def agreement_with_people(
                 if inside.any():
                     own = sequence[chosen]
                     estimate = metric_interval(info, value[chosen], recordings[own], texts[chosen])
-                breakdown.append(
-                    BinRate(
-                        metric=info.id,
-                        title=info.title,
-                        by=by,
-                        begin=begin,
-                        end=end,
-                        sequences=int(inside.sum()),
-                        recordings=len(set(recordings[inside])),
-                        mean=estimate.mean if estimate else None,
-                        low=estimate.low if estimate else None,
-                        high=estimate.high if estimate else None,
-                        people=float(people[info.id][inside].mean()) if estimate else None,
-                    )
+                place_of_bin = {"metric": info.id, "title": info.title, "by": by, "begin": begin, "end": end}
+                found = BinRate(
+                    **place_of_bin,
+                    sequences=int(inside.sum()),
+                    recordings=len(set(recordings[inside])),
+                    **{name: getattr(estimate, name, None) for name in ("mean", "low", "high")},
+                    people=float(people[info.id][inside].mean()) if estimate else None,
                 )
+                breakdown.append(found)
     scene = None
     if all(name in people for name in _SCENE_METRICS):
         boxes = selection.table.scenes()

@@ -56,12 +56,8 @@ def solid_boxes(table: SequenceTable) -> dict[str, Boxes] | None:
 def boxes_around(chunk: SequenceChunk, boxes: Mapping[str, Boxes]) -> Boxes:
     """Return the solid boxes of each sequence of a chunk with :data:`SCENE_COLUMNS`, in its canonical frame."""
     world_from_canonical = chunk.vectors("world_from_canonical").reshape(-1, 4, 4)
-    return Boxes.joined(
-        [
-            boxes.get(name, _NONE).placed(invert_rigid(place))
-            for name, place in zip(chunk.strings("recording_id"), world_from_canonical, strict=True)
-        ]
-    )
+    pairs = zip(chunk.strings("recording_id"), world_from_canonical, strict=True)
+    return Boxes.joined([boxes.get(name, _NONE).placed(invert_rigid(place)) for name, place in pairs])
 
 
 def is_solid(scenes: pa.Table) -> Bool[np.ndarray, " boxes"]:
@@ -185,20 +181,18 @@ def _sources(selection: Selection) -> Iterator[tuple[slice, ConditionSource]]:
     for place, chunk in selection.windows(_COLUMNS):
         joints = chunk.joints
         offsets = chunk.offsets
-        yield (
-            place,
-            ConditionSource(
-                selection.sequence_ids[place],
-                selection.n_frames[place],
-                selection.fps,
-                tuple(chunk.strings("text")),
-                initial_joints=joints[offsets[:-1]],
-                previous_joints=chunk.poses("previous_joints").copy(),
-                goal_joints=joints[offsets[1:] - 1],
-                goal_location=chunk.vectors("goal_location").copy(),
-                head_tilt_deg=chunk.numbers("head_tilt_deg").copy(),
-            ),
+        source = ConditionSource(
+            selection.sequence_ids[place],
+            selection.n_frames[place],
+            selection.fps,
+            tuple(chunk.strings("text")),
+            initial_joints=joints[offsets[:-1]],
+            previous_joints=chunk.poses("previous_joints").copy(),
+            goal_joints=joints[offsets[1:] - 1],
+            goal_location=chunk.vectors("goal_location").copy(),
+            head_tilt_deg=chunk.numbers("head_tilt_deg").copy(),
         )
+        yield place, source
 
 
 def run_salt(seed: int, table_identity: str) -> bytes:

@@ -20,12 +20,7 @@ _BEGINS_THERE = 0.05
 
 
 def certain_faults(
-    selection: Selection,
-    predictions: Predictions,
-    *,
-    condition: str,
-    id_seed: int = 0,
-    native_fps: float | None = None,
+    selection: Selection, predictions: Predictions, *, condition: str, id_seed: int = 0, native_fps: float | None = None
 ) -> tuple[Diagnosis, ...]:
     """Return what is certainly wrong with the first sample of motions: axes, unit, frame, rate, joints, left and right.
 

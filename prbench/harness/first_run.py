@@ -77,9 +77,8 @@ def default_tables(
         total = sum(map(len, missing.values()))
         done = 0
         for layout, recordings in missing.items():
-            before = done
 
-            def show(finished: int, _: int, last: str, before: int = before) -> None:
+            def show(finished: int, _: int, last: str, before: int = done) -> None:
                 progress(before + finished, total, last)
 
             build_synthetic_table(
@@ -129,16 +128,8 @@ def companions(request: RunRequest) -> Iterator[RunRequest]:
         if method not in there:
             continue
         # The companions see the same sequences, but nothing that belongs to the user's own method.
-        yield replace(
-            request,
-            method=method,
-            condition=condition or request.condition,
-            weights=None,
-            options={},
-            out=None,
-            isolate=False,
-            timeout=None,
-        )
+        nothing: dict[str, Any] = {"weights": None, "options": {}, "out": None, "isolate": False, "timeout": None}
+        yield replace(request, method=method, condition=condition or request.condition, **nothing)
 
 
 def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[SequenceTable]:

@@ -110,14 +110,10 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
         method = MethodRecord.bare(request.method, CONTROL, "prbench", prbench.__version__)
     else:
         loading.require_weights(request.weights)
+        same = ("weights", "options", "device", "threads", "isolate", "timeout")
         spec = loading.method_spec(
             request.method,
-            weights=request.weights,
-            options=request.options,
-            device=request.device,
-            threads=request.threads,
-            isolate=request.isolate,
-            timeout=request.timeout,
+            **{name: getattr(request, name) for name in same},
             hidden=(*request.data, request.out or DEFAULT_PARENT, *request.hidden),
             group=benchmark.methods,
         )

@@ -241,20 +241,19 @@ def summary_of(
         for text, count in Counter(coded.flag[rows].tolist()).items():
             for name in coded.flags[text].split(";") if text >= 0 and coded.flags[text] else ():
                 flags[name] += count
-        metrics.append(
-            MetricSummary(
-                metric=info.id,
-                title=info.title,
-                unit=info.unit,
-                **{name: getattr(estimate, name) for name in ("mean", "low", "high", "marks")},
-                level=CONFIDENCE,
-                interval=estimate.method,
-                sequences=estimate.n_sequences,
-                recordings=estimate.n_recordings,
-                flags=dict(sorted(flags.items())),
-                detectable=detectable,
-            )
+        summary = MetricSummary(
+            metric=info.id,
+            title=info.title,
+            unit=info.unit,
+            **{name: getattr(estimate, name) for name in ("mean", "low", "high", "marks")},
+            level=CONFIDENCE,
+            interval=estimate.method,
+            sequences=estimate.n_sequences,
+            recordings=estimate.n_recordings,
+            flags=dict(sorted(flags.items())),
+            detectable=detectable,
         )
+        metrics.append(summary)
     says_synthetic = not table.synthetic or "synthetic" in table.title.lower()
     return DatasetSummary(
         **{name: getattr(table, name) for name in ("dataset", "synthetic", "redistribution", "sequences")},

@@ -105,7 +105,6 @@ def _score_run(
     own = run.path / FILE_NAME if followed is not None and followed.is_own else None
     protocol = protocol_for(request.protocol or own, (table.described_protocol for table in tables))
     record = run.record
-    method = record.method
     reports = []
     for table in tables:
         asked, chosen, selection = cases_of_run(run, table, limit=request.limit)
@@ -116,7 +115,7 @@ def _score_run(
         scores = CodedScores.of(reported(work.scores(files, engine), table.info.dataset, len(selection), progress))
         table_entry = table_record(chosen, selection)
         findings = work.findings(files)
-        report = _report(record, table_entry, selection, scores, findings, protocol, method.origin)
+        report = _report(record, table_entry, selection, scores, findings, protocol)
         reports.append(replace(report, changed=_changed(files, report)) if request.limit is None else report)
     return protocol, reports
 
@@ -178,19 +177,14 @@ def _score_file(
             files = sorted(file for file in path.rglob("*") if file.is_file())
             named = ((file.relative_to(path).as_posix(), file_digest(file)) for file in files)
             digest = text_digest(*itertools.chain.from_iterable(named))
+    limits = {"max_frames": request.max_frames, "native_fps": request.native_fps}
+    method = MethodRecord.of_file(name, path.name, digest, **limits, gaze=predictions.has_gaze)
     record = RunRecord(
         schema_version=RUN_SCHEMA_VERSION,
         prbench_version=prbench.__version__,
         protocol_version=protocol.version,
         protocol_digest=protocol.digest,
-        method=MethodRecord.of_file(
-            name,
-            path.name,
-            digest,
-            max_frames=request.max_frames,
-            native_fps=request.native_fps,
-            gaze=predictions.has_gaze,
-        ),
+        method=method,
         condition=request.condition.value if request.condition else UNSTATED,
         control=request.control,
         split=split,
@@ -216,7 +210,7 @@ def _score_file(
         findings = certain_faults(
             selection, predictions, condition=record.condition, id_seed=seed, native_fps=request.native_fps
         )
-        reports.append(_report(record, table, selection, scores, findings, protocol, f"file {clean(path.name)}"))
+        reports.append(_report(record, table, selection, scores, findings, protocol))
     return record, protocol, reports
 
 
@@ -227,14 +221,13 @@ def _report(
     scores: CodedScores,
     findings: tuple[Diagnosis, ...],
     protocol: BenchmarkProtocol,
-    origin: str,
 ) -> ScoreReport:
     give_back()
     agreement = agreement_with_people(selection, scores, protocol=protocol)
     give_back()
     recording_of = dict(zip(selection.sequence_ids, selection.recording_ids, strict=True))
     summary = summary_of(record, table, scores, recording_of, findings)
-    return ScoreReport(scores, summary, None, origin, agreement, record.method.motionless)
+    return ScoreReport(scores, summary, None, record.method.origin, agreement, record.method.motionless)
 
 
 def _written(

@@ -49,14 +49,9 @@ class Staging:
 
     def perform(self, index: int) -> Performance:
         """Act out one recording."""
-        return perform(
-            self.preset,
-            seed=self.seed,
-            index=index,
-            world=self.world,
-            n_events=self.n_events,
-            provocations=None if self.provocations is None else dict(self.provocations),
-        )
+        shares = None if self.provocations is None else dict(self.provocations)
+        staged = {name: getattr(self, name) for name in ("seed", "world", "n_events")}
+        return perform(self.preset, index=index, provocations=shares, **staged)
 
     def sense(self, performance: Performance) -> Recording:
         """Return what the sensors measure of a performance, and the furniture even where no sensor tracks any."""
@@ -67,9 +62,7 @@ class Staging:
         furniture = tuple(
             # Worlds of synthetic recordings are those of their performances.
             ObjectTrack(
-                object_id=piece.object_id,
-                name=piece.name,
-                category=piece.category,
+                **{name: getattr(piece, name) for name in ("object_id", "name", "category")},
                 times=np.array([start]),
                 position=piece.position[:1],
                 rotation=piece.rotation[:1],
@@ -169,7 +162,7 @@ def build_synthetic_table(
     shares = None if provocations is None else tuple(sorted(provocations.items()))
     staging = Staging(preset, seed, world, n_events, noise, shares)
     shown = str(recordings) if isinstance(recordings, int) else " ".join(map(str, recordings))
-    report = build_from_sources(
+    return build_from_sources(
         [synthetic_source(staging, index) for index in indices],
         out,
         options=options,
@@ -177,7 +170,6 @@ def build_synthetic_table(
         progress=progress,
         extra_options=staging.described() | {"recordings": shown},
     )
-    return report
 
 
 def recordings_of_people(preset: str, seed: int, people: Mapping[Split, int]) -> tuple[int, ...]:

@@ -362,12 +362,8 @@ def as_json(tables: Sequence[Table]) -> str:
     return msgspec.json.format(msgspec.json.encode(tables), indent=2).decode() + "\n"
 
 
-FORMATS: dict[str, Callable[[Sequence[Table]], str]] = {
-    ".csv": as_csv,
-    ".tex": as_latex,
-    ".md": as_markdown,
-    ".json": as_json,
-}
+_Renderer = Callable[[Sequence[Table]], str]
+FORMATS: dict[str, _Renderer] = {".csv": as_csv, ".tex": as_latex, ".md": as_markdown, ".json": as_json}
 
 
 def require_format(path: Path) -> None:

@@ -45,11 +45,8 @@ def breakdown_table(runs: Sequence[GenuineRun], by: str) -> Table:
         for group, cells in _scored_groups(run, by).items():
             if (cells[0].recordings or 0) < FEWEST_FOR_BOARD:
                 few[group] = None
-            rows.append(
-                Row(
-                    text={"group": group, "counts": f"{cells[0].sequences} ({cells[0].recordings})"}, cells=tuple(cells)
-                )
-            )
+            words = {"group": group, "counts": f"{cells[0].sequences} ({cells[0].recordings})"}
+            rows.append(Row(text=words, cells=tuple(cells)))
         word = ", measured on synthetic data" if run.record.synthetic else ""
         blocks.append(Block(title=f"{run.title}{word}", rows=tuple(rows)))
     notes = ["Rates in %, lengths in m; 95 % intervals over the recordings of each group in brackets."]
@@ -58,14 +55,11 @@ def breakdown_table(runs: Sequence[GenuineRun], by: str) -> Table:
     notes.append("The study prints no numbers for its Figure 4, so that nothing published stands beside.")
     if any(run.record.synthetic for run in runs):
         notes.append(ON_SYNTHETIC_DATA)
+    counts = Column(key="counts", title="Sequences (recordings)")
     return Table(
         number="of Figure 4",
         title=f"scores by {by}",
-        columns=(
-            Column(key="group", title=by, text=True),
-            Column(key="counts", title="Sequences (recordings)"),
-            *METRIC_COLUMNS,
-        ),
+        columns=(Column(key="group", title=by, text=True), counts, *METRIC_COLUMNS),
         blocks=tuple(blocks),
         notes=tuple(notes),
     )
@@ -81,6 +75,8 @@ def _scored_groups(run: GenuineRun, by: str) -> dict[str, list[Cell]]:
     recording_of = dict(zip(ids, rows["recording_id"].to_pylist(), strict=True))
     scores = read_scores(run.run.dataset(run.record.dataset).scores)
     method = run.run.record.method
+    about = {"dataset": run.record.dataset, "condition": run.run.record.condition, "method": method.name}
+    about["origin"] = origin_of(synthetic=run.record.synthetic)
     found: dict[str, list[Cell]] = {name: [] for name in names}
     for info in MAIN_METRICS:
         if method.motionless and info.irrelevant_if_motionless:
@@ -95,20 +91,8 @@ def _scored_groups(run: GenuineRun, by: str) -> dict[str, list[Cell]]:
             if not chosen.any():
                 continue
             estimate = metric_interval(info, values[chosen], recordings[chosen].tolist(), ids[chosen].tolist())
-            cell = metric_cell(
-                info.id,
-                info.unit,
-                estimate.mean,
-                estimate.low,
-                estimate.high,
-                dataset=run.record.dataset,
-                condition=run.run.record.condition,
-                method=method.name,
-                variant=f"{by}: {name}",
-                sequences=estimate.n_sequences,
-                recordings=estimate.n_recordings,
-                origin=origin_of(synthetic=run.record.synthetic),
-                note="; ".join(estimate.marks),
-            )
-            found[name].append(cell)
+            bounds = (estimate.mean, estimate.low, estimate.high)
+            counts = {"sequences": estimate.n_sequences, "recordings": estimate.n_recordings}
+            said = {"variant": f"{by}: {name}", "note": "; ".join(estimate.marks)}
+            found[name].append(metric_cell(info.id, info.unit, *bounds, **about, **counts, **said))
     return {name: cells for name, cells in found.items() if cells}

@@ -1,16 +1,10 @@
-"""Finished runs whose scores were held against their motions, with their tables, and how the study's figures draw them.
-
-Nothing of ``benchmarks/prime_and_reach/study.toml`` decides a score.
-"""
+"""Finished runs whose scores were held against their motions, with their tables."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-
-import msgspec
 
 from prbench.engine import Engine
 from prbench.errors import RunError, UsageError
@@ -18,29 +12,9 @@ from prbench.harness.first_run import tables_of_runs
 from prbench.harness.results import RunChecker
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.run_folder.record import TableRecord
-from prbench.protocol.manifests import BenchmarkProtocol, load_protocol, read_toml
+from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.shown import clean
-
-
-class StudySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How Figure S3 is drawn.
-
-    Attributes:
-        windows: σ of Figure S3, seconds, one curve each.
-        largest_distance: End of its axis, metres.
-        distance_step: Step of its axis, metres.
-    """
-
-    windows: tuple[float, ...]
-    largest_distance: float
-    distance_step: float
-
-
-@cache
-def load_study_settings() -> StudySettings:
-    """Read the settings that come with prbench."""
-    return read_toml("prbench_benchmarks.prime_and_reach", "study.toml", StudySettings)
 
 
 @dataclass(frozen=True, eq=False)

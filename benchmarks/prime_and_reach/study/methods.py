@@ -37,11 +37,10 @@ from prbench_benchmarks.prime_and_reach.table_two.request import StudyRow, load_
 _INFOS = {info.id: info for info in METRICS}
 # Columns of the main metrics as the study prints them.
 METRIC_COLUMNS = tuple(metric_column(info, in_study=True, with_unit=False) for info in MAIN_METRICS)
-_COLUMNS = (
-    Column(key="condition", title="Condition", text=True),
-    Column(key="method", title="Method", text=True),
-    *METRIC_COLUMNS,
-)
+CONDITION_COLUMN = Column(key="condition", title="Condition", text=True)
+_COLUMNS = (CONDITION_COLUMN, Column(key="method", title="Method", text=True), *METRIC_COLUMNS)
+# What a published number and its cell share.
+_ABOUT = ("dataset", "condition", "method", "variant", "metric")
 _DIFFERENCES = (
     "Intervals of differences: the measured number's by recordings; a published rate's as if its sequences were"
     " independent; a published length counts as exact."
@@ -102,17 +101,16 @@ def poses_table(
             published = published_rows(numbers, lambda each: each.variant.partition(";")[0])
             blocks.append(Block(title=_published_title("S1", "adt", table), rows=published))
         said = "What a model was trained on is declared by the name of its weights: it ends in -egoallo or -mocap."
-        parts.append(
-            Table(
-                number="S1",
-                title=published_table("S1").title,
-                dataset=table.dataset,
-                part=f"{table.dataset}, tested on {tested}",
-                columns=_COLUMNS,
-                blocks=tuple(blocks),
-                notes=(said, *table_notes(table), *_why_not_beside_notes(table)),
-            )
+        part = Table(
+            number="S1",
+            title=published_table("S1").title,
+            dataset=table.dataset,
+            part=f"{table.dataset}, tested on {tested}",
+            columns=_COLUMNS,
+            blocks=tuple(blocks),
+            notes=(said, *table_notes(table), *_why_not_beside_notes(table)),
         )
+        parts.append(part)
     return parts
 
 
@@ -150,12 +148,8 @@ def _part(table: DatasetTable, number: str, *, with_published: bool, named: bool
             condition = "control" if is_control else condition_title(row.entry.record.condition)
             label = f"{row.entry.method} ({row.variant})" if row.variant else row.entry.method
             others.append(measured_row(row, table, condition, label))
-    blocks = [
-        Block(title=measured_title(table), rows=tuple(rows)),
-        Block(
-            title="Beside the study's rows: controls, and methods or weights that it does not have", rows=tuple(others)
-        ),
-    ]
+    beside = "Beside the study's rows: controls, and methods or weights that it does not have"
+    blocks = [Block(title=measured_title(table), rows=tuple(rows)), Block(title=beside, rows=tuple(others))]
     notes = list(table_notes(table))
     if any(study.label[-1] in "†‡*" for study, _ in placed):
         notes.append(_MARKS)
@@ -239,11 +233,7 @@ def published_rows(numbers: Sequence[PublishedNumber], label: Callable[[Publishe
     for (condition, name), own in found.items():
         cells = tuple(
             Cell(
-                dataset=number.dataset,
-                condition=number.condition,
-                method=number.method,
-                variant=number.variant,
-                metric=number.metric,
+                **{each: getattr(number, each) for each in _ABOUT},
                 value=number.value,
                 unit=exported_unit(_INFOS[number.metric].unit),
                 sequences=load_table_one()[number.dataset].test,
@@ -388,11 +378,7 @@ def _difference(row: TableRow, number: PublishedNumber, remarks: tuple[str, ...]
         high = measured - published + hypot(info.scale * metric.high - measured, published - below)
     assumptions = ", ".join(each.id for each in assumptions_for((number.metric,)))
     return Cell(
-        dataset=number.dataset,
-        condition=number.condition,
-        method=number.method,
-        variant=number.variant,
-        metric=number.metric,
+        **{each: getattr(number, each) for each in _ABOUT},
         value=measured - published,
         low=low,
         high=high,

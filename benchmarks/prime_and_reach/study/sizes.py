@@ -13,12 +13,7 @@ from prbench.tables import Block, Cell, Column, Row, Table
 
 MEASURED = "measured"
 SYNTHETIC = "measured on synthetic data"
-_TITLES = {
-    "duration": "Duration",
-    "prime_gap": "Prime gap",
-    "body_movement": "Body movement",
-    "hand_movement": "Hand movement",
-}
+Tables = Sequence[SequenceTable]
 _SPLITS = ("train", "validation", "test")
 
 
@@ -59,7 +54,7 @@ def table_one(tables: Sequence[SequenceTable]) -> Table:
         Column(key="dataset", title="Dataset", text=True),
         Column(key="poses", title="Body pose", text=True),
         Column(key="n_sequences", title="Sequences", digits=0),
-        *(Column(key=name, title=title, unit=QUANTITIES[name]) for name, title in _TITLES.items()),
+        *(Column(key=name, title=name.replace("_", " ").capitalize(), unit=unit) for name, unit in QUANTITIES.items()),
     )
     return _table("1", tables, columns, measured, published, "Mean ± standard deviation over sequences.")
 
@@ -111,25 +106,18 @@ def _published_names(tables: Sequence[SequenceTable]) -> list[str]:
 
 
 def _table(
-    number: str,
-    tables: Sequence[SequenceTable],
-    columns: tuple[Column, ...],
-    measured: list[Row],
-    published: list[Row],
-    note: str,
+    number: str, tables: Tables, columns: tuple[Column, ...], measured: list[Row], published: list[Row], note: str
 ) -> Table:
     """Put measured, synthetic and published rows into blocks of their own."""
     pairs = list(zip(tables, measured, strict=True))
+    recorded = tuple(row for table, row in pairs if not table.info.synthetic)
     made_up = tuple(row for table, row in pairs if table.info.synthetic)
     return Table(
         number=number,
         title=published_table(number).title,
         columns=columns,
         blocks=(
-            Block(
-                title="Measured on recordings of people",
-                rows=tuple(row for table, row in pairs if not table.info.synthetic),
-            ),
+            Block(title="Measured on recordings of people", rows=recorded),
             Block(title="Measured on synthetic data: not comparable with published numbers", rows=made_up),
             Block(title=f"Published: {cite(number)}", rows=tuple(published)),
         ),

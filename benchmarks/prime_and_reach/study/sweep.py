@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -22,11 +23,15 @@ from prbench.metrics.prime_success import primed
 from prbench.metrics.ray_track import candidate_frames, head_track
 from prbench.protocol.manifests import MetricConstants
 from prbench.tables import Block, Cell, Column, Row, Table
-from prbench_benchmarks.prime_and_reach.study.genuine import GenuineRun, load_study_settings
+from prbench_benchmarks.prime_and_reach.study.genuine import GenuineRun
 from prbench_benchmarks.prime_and_reach.study.sizes import origin_of
 
 _COLUMNS = ["goal_location", "prime_time", "start_time", "head_tilt_deg", "fps", "joints"]
 _METRIC = "prime_success"
+# How Figure S3 is drawn; nothing here decides a score. From the paper, section E, but for the step, a choice of ours.
+WINDOWS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25)  # seconds, one curve each
+LARGEST_DISTANCE = 1.0  # metres, end of the axis
+DISTANCE_STEP = 0.025  # metres: 41 points, among them the protocol's 0.25 m
 _PRINTED_DISTANCES = (0.1, 0.25, 0.5, 1.0)  # metres, columns of the printed table; the CSV has all
 
 
@@ -60,10 +65,9 @@ def sweep(run: GenuineRun, *, engine: Engine) -> Sweep:
     # Recorded motion is scored against other goals there, which a sweep over its own goals does not repeat.
     if run.run.record.control is not None and run.run.record.method.kind == CONTROL:
         raise RunError(f"{run.run.path}: was made with --control; its sweep would be of other goals than its scores.")
-    settings = load_study_settings()
-    windows = settings.windows
-    count = round(settings.largest_distance / settings.distance_step)
-    distances = tuple(round(k * settings.distance_step, 6) for k in range(count + 1))
+    windows = WINDOWS
+    count = round(LARGEST_DISTANCE / DISTANCE_STEP)
+    distances = tuple(round(k * DISTANCE_STEP, 6) for k in range(count + 1))
     # The sequences of a run that have motions.
     record = run.run.record
     chosen = select(run.table, split=record.split, limit=record.limit)
@@ -135,6 +139,8 @@ def sweep_table(sweeps: Sequence[Sweep]) -> Table:
     blocks = []
     for one in sweeps:
         record = one.run.run.record
+        about: dict[str, Any] = {"condition": record.condition, "method": record.method.name}
+        about |= {"dataset": one.run.record.dataset, "origin": origin_of(synthetic=one.run.record.synthetic)}
         rows = []
         for window, rates in zip(one.windows, one.rates, strict=True):
             words = {"window": f"{window:g} s"}
@@ -142,18 +148,10 @@ def sweep_table(sweeps: Sequence[Sweep]) -> Table:
             for distance, rate in zip(one.distances, rates, strict=True):
                 if distance in _PRINTED_DISTANCES:
                     words[f"{distance:g}"] = f"{100 * rate:.2f}"
+                variant = f"sigma {window:g} s; delta {distance:g} m"
+                value = float(100 * rate)
                 cells.append(
-                    Cell(
-                        dataset=one.run.record.dataset,
-                        condition=record.condition,
-                        method=record.method.name,
-                        variant=f"sigma {window:g} s; delta {distance:g} m",
-                        metric=_METRIC,
-                        value=float(100 * rate),
-                        unit="%",
-                        sequences=one.sequences,
-                        origin=origin_of(synthetic=one.run.record.synthetic),
-                    )
+                    Cell(metric=_METRIC, variant=variant, value=value, unit="%", sequences=one.sequences, **about)
                 )
             rows.append(Row(text=words, cells=tuple(cells)))
         word = ", measured on synthetic data" if one.run.record.synthetic else ""

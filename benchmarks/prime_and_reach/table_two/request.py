@@ -33,6 +33,8 @@ CONTROLS = (GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED)
 # Controls that stand there if asked for: what the metrics give a body that cheats, and a training motion.
 MORE_CONTROLS = (*CHEATS, NEAREST_NEIGHBOUR)
 GOALS = (Condition.GOAL_POSE, Condition.GOAL_LOCATION)
+# Settings of a table that every row's run has.
+_SAME = ("split", "limit", "seed", "samples", "batch_size", "device", "threads")
 
 
 class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -238,13 +240,7 @@ class TableRequest:
             "--method": self.method or "all",
             "--condition": self.condition.value if self.condition is not None else "all",
             "--option": " ".join(f"{key}={value}" for key, value in sorted(self.options.items())),
-            "--split": self.split,
-            "--limit": str(self.limit),
-            "--seed": str(self.seed),
-            "--samples": str(self.samples),
-            "--batch-size": str(self.batch_size),
-            "--device": self.device,
-            "--threads": str(self.threads),
+            **{f"--{name.replace('_', '-')}": str(getattr(self, name)) for name in _SAME},
             "--control": SHUFFLED_GOAL if self.shuffled_goal else "",
         }
         if self.more_controls:
@@ -300,14 +296,8 @@ def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> li
         # A control does the same under every condition; one has to be recorded.
         condition=request.condition or Condition.GOAL_LOCATION,
         data=data,
-        split=request.split,
-        limit=request.limit,
-        batch_size=request.batch_size,
-        seed=request.seed,
-        samples=request.samples,
-        device=request.device,
-        threads=request.threads,
         protocol=request.protocol,
+        **{name: getattr(request, name) for name in _SAME},
     )
     installed = {adapter.name for adapter in list_adapters() if not adapter.problem}
     planned = []

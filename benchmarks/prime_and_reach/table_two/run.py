@@ -19,7 +19,7 @@ from prbench.board.tables import Leaderboard, of_all_methods
 from prbench.engine import Engine, InProcess
 from prbench.errors import PrbenchError, RunError, StorageError
 from prbench.files.bounded import foreign_input, read_whole
-from prbench.files.storage import remove_leftovers, sole_writer, write_json
+from prbench.files.storage import remove_leftovers, require_replaceable, sole_writer, write_json
 from prbench.harness.planning import select
 from prbench.harness.request import ProgressCallback, silent
 from prbench.harness.results import CheckedSummary, RunChecker
@@ -126,17 +126,11 @@ def _require_same(folder: Path, asked: Mapping[str, str]) -> None:
         StorageError: if the folder holds something else.
     """
     path = folder / PLAN
-    if folder.is_file():
-        raise StorageError(f"{folder}: is a file. Choose an empty or new folder for --out.")
     # A process that was killed while it wrote the plan has left a temporary file, which must not make the folder look
     # used.
     remove_leftovers(path)
+    require_replaceable(folder, PLAN, kind="folder of a table")
     if not path.is_file():
-        if folder.is_dir() and any(folder.iterdir()):
-            raise StorageError(
-                f"{folder}: is not empty and holds no {PLAN}, so it is no folder of a table."
-                " Choose an empty or new folder for --out."
-            )
         write_json(path, dict(asked))
         return
     try:

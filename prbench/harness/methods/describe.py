@@ -81,9 +81,7 @@ def describe_adapters(names: Iterable[str] | None = None, *, benchmark: str = PR
             method,
             conditions=tuple(sorted(condition.value for condition in declared.conditions)),
             fitted=hasattr(adapter, "fit"),
-            max_frames=declared.max_frames,
-            native_fps=declared.native_fps,
-            motionless=declared.motionless,
+            **{name: getattr(declared, name) for name in ("max_frames", "native_fps", "motionless")},
             weights=tuple(sorted({Path(path).name for path in paths if path is not None})),
         )
         found.append(description)

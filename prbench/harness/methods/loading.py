@@ -417,7 +417,7 @@ def method_spec(
             " (`prbench adapters new`), or write it as a program."
         )
     if isolate:
-        return replace(spec, program=_worker(spec, installed, None))
+        return replace(spec, program=worker_program(spec, installed.target))
     if timeout is not None:
         raise UsageError(
             f"--timeout: '{method}' runs in this process, which cannot be stopped in mid-batch. Add --isolate."
@@ -448,7 +448,7 @@ def fitted_to(spec: MethodSpec, table: SequenceTable) -> MethodSpec:
     # Behind the fence the table itself is hidden, as it holds the test rows.
     _HELD.copies.append(temporary_training_copy(table))
     copy = Path(_HELD.copies[-1].name).resolve()
-    program = _worker(spec, installed, (copy, folder.absolute()))
+    program = worker_program(spec, installed.target, (copy, folder.absolute()))
     return replace(spec, fit_folder=folder, table_folder=copy, program=program)
 
 
@@ -457,17 +457,3 @@ def fit_to_training_rows(adapter: object, spec: MethodSpec) -> None:
     if isinstance(adapter, Trainable) and spec.fit_folder is not None and spec.table_folder is not None:
         run = TrainingRun(folder=spec.fit_folder, seed=FIT_SEED, device=spec.device)
         adapter.fit(TrainingSplit.open(spec.table_folder), validation=None, run=run)
-
-
-def _worker(spec: MethodSpec, installed: InstalledEntry, fit: tuple[Path, Path] | None) -> Program:
-    """Return the worker process that keeps an installed method at a distance."""
-    return worker_program(
-        spec.name,
-        installed.target,
-        weights=spec.weights,
-        options=spec.options,
-        hidden=spec.hidden,
-        fit=fit,
-        timeout=spec.timeout,
-        benchmark=benchmark_of_group(spec.group.entry_points).name,
-    )

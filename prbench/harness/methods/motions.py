@@ -77,22 +77,13 @@ class Declared:
         asked = list(conditions) if isinstance(conditions, Iterable) and not isinstance(conditions, str) else []
         max_frames = stated.get("max_frames")
         native_fps = stated.get("native_fps")
+        some = bool(asked) and all(item in names for item in asked)
+        counted = max_frames is None or (_is_number(max_frames, Integral) and max_frames >= 1)
+        paced = native_fps is None or (_is_number(native_fps, Real) and 0 < native_fps < _FASTEST)
         checks = (
-            (
-                "conditions",
-                bool(asked) and all(item in names for item in asked),
-                f"to be some of {', '.join(sorted(names))}",
-            ),
-            (
-                "max_frames",
-                max_frames is None or (_is_number(max_frames, Integral) and max_frames >= 1),
-                "to be a whole number of 1 or more, or None",
-            ),
-            (
-                "native_fps",
-                native_fps is None or (_is_number(native_fps, Real) and 0 < native_fps < _FASTEST),
-                "to be frames per second above 0, or None",
-            ),
+            ("conditions", some, f"to be some of {', '.join(sorted(names))}"),
+            ("max_frames", counted, "to be a whole number of 1 or more, or None"),
+            ("native_fps", paced, "to be frames per second above 0, or None"),
         )
         for name, holds, expected in checks:
             if not holds:

@@ -258,15 +258,15 @@ def program_of(
         variables.pop("PYTHONHOME", None)
         readable.append(folder)
         place = f"virtual environment {folder.name}: "
+    path = variables.get("PATH", os.defpath)
     if table.conda is not None:
         before, place, folders = _conda(table.conda, file, variables)
         started = (*before, *words)
         readable += folders
     elif table.container is not None:
-        before, place = _container(table, file, variables, directory, weights, hidden)
+        before, place = _container(table, file, path, directory, weights, hidden)
         started = (*before, *words)
     else:
-        path = variables.get("PATH", os.defpath)
         program = find_executable(words[0], directory=directory, path=path, where=where)
         # As in a shell, words that begin with ~/ lead to the user's home.
         started = (program, *(str(Path(word).expanduser()) if word.startswith("~/") else word for word in words[1:]))
@@ -308,16 +308,10 @@ def _conda(named: str, file: Path, variables: Mapping[str, str]) -> tuple[list[s
 
 
 def _container(
-    table: EnvironmentTable,
-    file: Path,
-    variables: Mapping[str, str],
-    directory: Path,
-    weights: Path | None,
-    hidden: tuple[Path, ...],
+    table: EnvironmentTable, file: Path, path: str, directory: Path, weights: Path | None, hidden: tuple[Path, ...]
 ) -> tuple[list[str], str]:
     """Return the words before the command, and the name of the container."""
     engines = (table.engine,) if table.engine else ("podman", "docker")
-    path = variables.get("PATH", os.defpath)
     engine, program = next(((name, at) for name in engines if (at := shutil.which(name, path=path))), ("", ""))
     if not program:
         raise InputFileError(

@@ -32,6 +32,7 @@ from prbench.protocol.manifests import find_benchmark
 _SHOWN_TEXT = 2000  # characters of what a program says about its own error
 _TEXT_LIMIT = 100
 _Answer = TypeVar("_Answer")
+_Read = Callable[[Header, bytes | None, int], Any]
 
 
 def motions_in(
@@ -159,33 +160,23 @@ class Introduction:
                 f" found {_shown(wire)}. {remedy}."
             )
         version = header.get("version")
-        is_version = isinstance(version, str) and version.strip() and version.isprintable()
+        is_text = isinstance(version, str) and version.strip() and version.isprintable()
+        fits_version = is_text and len(str(version)) <= _TEXT_LIMIT
+        form = 'name and sha256 (64 hexadecimal digits), as {"goal-loc": {"name": …, "sha256": …}}'
         stated = header.get("weights")
         weights, fits = _weights({} if stated is None else stated, conditions)
+        flags = ("motionless", "gaze", "one_design")
         checks: list[tuple[str, Any, str]] = [
-            *(
-                (flag, header.get(flag) is None or isinstance(header[flag], bool), "be true or false")
-                for flag in ("motionless", "gaze", "one_design")
-            ),
+            *((flag, isinstance(header.get(flag), bool | None), "be true or false") for flag in flags),
             ("name", has_form(header.get("name")), f"be a text of {NAME_FORM}"),
-            (
-                "version",
-                is_version and len(str(version)) <= _TEXT_LIMIT,
-                f"be a text of 1 to {_TEXT_LIMIT} printable characters",
-            ),
+            ("version", fits_version, f"be a text of 1 to {_TEXT_LIMIT} printable characters"),
             ("conditions", isinstance(header.get("conditions"), list), "be an array of strings"),
-            (
-                "weights",
-                fits,
-                "give a condition's name and sha256 (64 hexadecimal digits),"
-                ' as {"goal-loc": {"name": …, "sha256": …}}',
-            ),
+            ("weights", fits, f"give a condition's {form}"),
         ]
         for key, holds, expected in checks:
             if not holds:
-                raise AdapterError(
-                    f"{origin}: expected '{key}' in its hello to {expected}, found {_shown(header.get(key))}."
-                )
+                found = _shown(header.get(key))
+                raise AdapterError(f"{origin}: expected '{key}' in its hello to {expected}, found {found}.")
         declared = Declared.checked(header, origin=origin, known=conditions)
         return cls(str(header["name"]), str(version), declared, weights, trainable=header.get("trainable") is True)
 
@@ -265,15 +256,7 @@ class RemoteMethod:
         hello = {"message": "hello", "wire": WIRE_VERSION, "prbench": prbench.__version__, **cls.said, **settings}
         return cls(program, hello)
 
-    def exchange(
-        self,
-        header: Header,
-        payload: bytes,
-        read: Callable[[Header, bytes | None, int], Any],
-        *,
-        largest: int,
-        ids: Any,
-    ) -> Any:
+    def exchange(self, header: Header, payload: bytes, read: _Read, *, largest: int, ids: Any) -> Any:
         """Ask the program.
 
         Args:

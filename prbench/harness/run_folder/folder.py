@@ -12,10 +12,10 @@ import msgspec
 import pyarrow as pa
 
 from prbench.engine import shards
-from prbench.errors import InputFileError, RunError, StorageError
+from prbench.errors import InputFileError, RunError
 from prbench.files.arrays import open_parquet, read_parquet
 from prbench.files.bounded import foreign_input
-from prbench.files.storage import file_digest, inside, remove_half_written, remove_leftovers
+from prbench.files.storage import file_digest, inside, remove_half_written, remove_leftovers, require_replaceable
 from prbench.harness.run_folder import record, summary
 from prbench.harness.run_folder.record import RunRecord, read_record
 from prbench.protocol.manifests import BenchmarkProtocol, default_benchmark
@@ -137,16 +137,10 @@ class RunFolder:
         """
         path = run_folder_of(path)
         remove_leftovers(path / record.FILE_NAME)  # of a process that was killed before the file stood there
+        require_replaceable(path, record.FILE_NAME, kind="run folder")
         if (path / record.FILE_NAME).is_file():
             wanted.require_same(RunRecord.read(path), path)
             remove_half_written(path)
-        elif path.exists() and not path.is_dir():
-            raise StorageError(f"{path}: is a file. Choose an empty or new folder for --out.")
-        elif path.is_dir() and any(path.iterdir()):
-            raise StorageError(
-                f"{path}: is not empty and holds no {record.FILE_NAME}, so it is no run folder."
-                " Choose an empty or new folder for --out."
-            )
         else:
             wanted.write(path)
         if protocol is not None:

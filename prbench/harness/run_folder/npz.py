@@ -65,11 +65,12 @@ class ArrayMotions:
         return ArrayMotions(tuple(joints), tuple(self.places[row] for row in rows), tuple(rays))
 
 
-def read_npz(path: Path) -> dict[str, Any]:
-    """Read all motions, once what the headers say was checked.
+# The fields of :class:`~prbench.harness.run_folder.predictions.Predictions`, but for ``rows``.
+Indexed = tuple[tuple[Path, ...], str, tuple[str, ...], tuple[int, ...], Any, bool]
 
-    Returns:
-        The fields of :class:`~prbench.harness.run_folder.predictions.Predictions`.
+
+def read_npz(path: Path) -> Indexed:
+    """Read all motions, once what the headers say was checked.
 
     Raises:
         PredictionsError: if the file cannot be read, or arrays are missing, of a wrong kind or do not fit together.
@@ -80,7 +81,7 @@ def read_npz(path: Path) -> dict[str, Any]:
         raise PredictionsError(str(error)) from error
 
 
-def _read(archive: Archive, path: Path) -> dict[str, Any]:
+def _read(archive: Archive, path: Path) -> Indexed:
     present = list(archive.members)
     id_column = next((name for name in ("sequence_id", "opaque_id") if name in present), None)
     if id_column is None and present and "joints" not in present:
@@ -147,17 +148,10 @@ def _read(archive: Archive, path: Path) -> dict[str, Any]:
         tuple(f"{path}, row {row}" for row in range(len(ids))),
         tuple(np.stack(pair, axis=1) for pair in rays),
     )
-    return {
-        "paths": (path,),
-        "id_column": id_column,
-        "ids": tuple(ids.tolist()),
-        "samples": tuple(whole["sample"].tolist()),
-        "store": store,
-        "has_gaze": bool(gaze),
-    }
+    return (path,), id_column, tuple(ids.tolist()), tuple(whole["sample"].tolist()), store, bool(gaze)
 
 
-def _read_by_name(archive: Archive, path: Path) -> dict[str, Any] | None:
+def _read_by_name(archive: Archive, path: Path) -> Indexed | None:
     """Read one array a sequence; None if some array has not the shape of motions."""
     headers = {name: archive.header(name) for name in archive.members}
     shapes = [header.shape for header in headers.values()]
@@ -175,14 +169,9 @@ def _read_by_name(archive: Archive, path: Path) -> dict[str, Any] | None:
             keys.append((name, sample))
             motions.append(motion)
     ids = tuple(name for name, _ in keys)
-    return {
-        "paths": (path,),
-        "id_column": "opaque_id" if all(map(_OPAQUE_ID.fullmatch, ids)) else "sequence_id",
-        "ids": ids,
-        "samples": tuple(sample for _, sample in keys),
-        "store": ArrayMotions(tuple(motions), tuple(f"{path}, '{name}', sample {sample}" for name, sample in keys)),
-        "has_gaze": False,
-    }
+    id_column = "opaque_id" if all(map(_OPAQUE_ID.fullmatch, ids)) else "sequence_id"
+    store = ArrayMotions(tuple(motions), tuple(f"{path}, '{name}', sample {sample}" for name, sample in keys))
+    return (path,), id_column, ids, tuple(sample for _, sample in keys), store, False
 
 
 def _is_floating(dtype: np.dtype) -> bool:

@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -24,7 +23,7 @@ from prbench.errors import InputFileError, PredictionsError
 from prbench.files.arrays import open_parquet, read_parquet
 from prbench.files.bounded import foreign_input, open_regular
 from prbench.geometry.skeleton import N_JOINTS
-from prbench.harness.run_folder.npz import POSE_SIZE, ArrayMotions, as_float32, read_npz
+from prbench.harness.run_folder.npz import POSE_SIZE, ArrayMotions, Indexed, as_float32, read_npz
 from prbench.harness.run_folder.scores import GAZE_COLUMNS, predictions_schema
 from prbench.sequences.write import write_table
 from prbench.shown import quoted
@@ -144,11 +143,8 @@ _CACHED_BYTES = 64 * 1024**2
 _JOINTS_FORM = f"a list of frames, each {POSE_SIZE} numbers (22 joints, x y z)"
 
 
-def index_parquet(paths: tuple[Path, ...]) -> dict[str, Any]:
+def index_parquet(paths: tuple[Path, ...]) -> Indexed:
     """Read the ids and samples of one file or several, whose rows count on.
-
-    Returns:
-        The fields of :class:`~prbench.harness.run_folder.predictions.Predictions`.
 
     Raises:
         PredictionsError: if a file cannot be read, or columns are missing or of a wrong kind.
@@ -178,14 +174,7 @@ def index_parquet(paths: tuple[Path, ...]) -> dict[str, Any]:
             # Interned: the table and the scores name the same sequences, and each name is kept once.
             ids += map(sys.intern, rows[id_column].to_pylist())
             samples += rows["sample"].to_pylist() if "sample" in columns else [0] * rows.num_rows
-    return {
-        "paths": paths,
-        "id_column": id_column,
-        "ids": tuple(ids),
-        "samples": tuple(samples),
-        "store": ParquetMotions(tuple(groups), gaze),
-        "has_gaze": bool(gaze),
-    }
+    return paths, id_column, tuple(ids), tuple(samples), ParquetMotions(tuple(groups), gaze), bool(gaze)
 
 
 @dataclass(frozen=True)
@@ -414,9 +403,9 @@ class Predictions:
             parts = tuple(sorted(part for part in path.glob("*.parquet") if part.name[0] != "."))
             if not parts:
                 raise PredictionsError(f"{path}: expected predictions (*.parquet), found none.")
-            return cls(**index_parquet(parts))
+            return cls(*index_parquet(parts))
         if path.suffix.lower() == ".npz":
-            return cls(**read_npz(path))
+            return cls(*read_npz(path))
         if path.suffix.lower() != ".parquet" and path.is_file():
             with open_regular(path) as file:
                 if file.read(4) != b"PAR1":
@@ -424,7 +413,7 @@ class Predictions:
                         f"{path}: expected Parquet, .npz, or a folder of Parquet files, found a file of another kind."
                         " Pickles and torch files are never loaded: save the arrays with np.savez."
                     )
-        return cls(**index_parquet((path,)))
+        return cls(*index_parquet((path,)))
 
     def only(self, ids: Sequence[str], samples: Sequence[int]) -> Predictions:
         """Return some of the motions, without the index of all others.
@@ -436,14 +425,11 @@ class Predictions:
         keys = [(name, sample) for sample in samples for name in ids]
         places = np.array([self._place(*key) for key in keys], dtype=np.int64)
         rows = places if self.rows is None else self.rows[places]
-        in_memory = isinstance(self.store, ArrayMotions)
-        return replace(
-            self,
-            ids=tuple(name for name, _ in keys),
-            samples=tuple(sample for _, sample in keys),
-            store=self.store.only(rows.tolist()) if isinstance(self.store, ArrayMotions) else self.store,
-            rows=None if in_memory else rows,
-        )
+        ids = tuple(name for name, _ in keys)
+        samples = tuple(sample for _, sample in keys)
+        if isinstance(self.store, ArrayMotions):
+            return replace(self, ids=ids, samples=samples, store=self.store.only(rows.tolist()), rows=None)
+        return replace(self, ids=ids, samples=samples, rows=rows)
 
     @cached_property
     def _place_of(self) -> dict[tuple[str, int], int]:

@@ -379,10 +379,7 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
             (memory < max(_LEAST_MEMORY, self.parameters or 0), f"{memory} bytes hold no Python with its parameters"),
             ((self.network_passes_declared or passes) < passes, f"{passes} batches need a network pass each"),
             (timed and seconds < frames * _SECONDS_A_FRAME, f"{seconds:.3g} s are too few to check {frames} frames"),
-            (
-                processors > _PROCESSORS * seconds,
-                f"{processors:.3g} s of processors are too many in {seconds:.3g} s",
-            ),
+            (processors > _PROCESSORS * seconds, f"{processors:.3g} s of processors are too many in {seconds:.3g} s"),
         )
         return next((words for wrong, words in checks if wrong), "")
 
