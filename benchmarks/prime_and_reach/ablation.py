@@ -133,16 +133,8 @@ def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> tuple
                 initial = prior / WEIGHTS
             trained = request.folder / row.training_name
             say(f"fine-tuning '{row.variant}': {trained}")
-            learnt = TrainRequest(
-                method="pr",
-                stage="finetune",
-                data=request.data,
-                out=trained,
-                overrides=overrides(row.model),
-                initial=initial,
-                **same,
-            )
-            train(learnt)
+            learnt = {"data": request.data, "out": trained, "overrides": overrides(row.model), "initial": initial}
+            train(TrainRequest(method="pr", stage="finetune", **learnt, **same))
             out = request.folder / _RUNS / row.run_name
             say(f"running '{row.variant}': {out}")
             run_method(

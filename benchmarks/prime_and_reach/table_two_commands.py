@@ -28,13 +28,8 @@ def run_table_two(given: Mapping[str, Any], *, choice: EngineChoice) -> Answer:
     from prbench_benchmarks.prime_and_reach.table_two.request import TableRequest
     from prbench_benchmarks.prime_and_reach.table_two.run import JSON, MARKDOWN, run_table
 
-    engine = opened(
-        choice,
-        usual=_WORKERS,
-        threads=given["threads"],
-        reads=tuple(given["data"]),
-        writes=(given["out"] or DEFAULT_PARENT / "table",),
-    )
+    places = {"reads": tuple(given["data"]), "writes": (given["out"] or DEFAULT_PARENT / "table",)}
+    engine = opened(choice, usual=_WORKERS, threads=given["threads"], **places)
     data = tuple(given["data"]) or embedded_tables(engine)
     for name, option in _SINGLE_RUN.items():
         if given[name]:

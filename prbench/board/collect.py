@@ -66,10 +66,8 @@ def cost_of(run: RunFolder, table: TableRecord, folds: Sequence[RunFolder] = ())
     if problem or not motions or not cost.seconds + cost.warm_up_seconds:
         return UNMEASURED, problem
     # A run of a single batch has a warm-up alone: slower than later batches, but the only measurement.
-    alone = not cost.motions
-    seconds = cost.warm_up_seconds if alone else cost.seconds
-    computed = cost.warm_up_processor_seconds if alone else cost.processor_seconds
-    timed = cost.warm_up_motions if alone else cost.motions
+    part = "" if cost.motions else "warm_up_"
+    seconds, computed, timed = (getattr(cost, part + name) for name in ("seconds", "processor_seconds", "motions"))
     memory = cost.peak_device_bytes if cost.peak_device_bytes is not None else cost.peak_process_bytes
     return {
         "seconds": seconds / timed,

@@ -160,11 +160,12 @@ def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> 
     records = [run.record for run in runs]
     tables = [record.tables[0] for record in records]
     plans = [table.batch_plan for table in tables]
-    digests = ("identity_digest", "content_digest")
     together = TableRecord(
         **{name: getattr(tables[0], name) for name in ("dataset", "title", "synthetic", "redistribution")},
-        **{name: text_digest(*(getattr(table, name) for table in tables)) for name in digests},
-        **{name: sum(getattr(table, name) for table in tables) for name in ("sequences", "unsupported")},
+        identity_digest=text_digest(*(table.identity_digest for table in tables)),
+        content_digest=text_digest(*(table.content_digest for table in tables)),
+        sequences=sum(table.sequences for table in tables),
+        unsupported=sum(table.unsupported for table in tables),
         selection_digest=text_digest(*sorted(owner)),
         batch_plan=BatchPlanRecord(
             batch_size=plans[0].batch_size,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -191,7 +192,6 @@ def check(*, method: str, benchmark: str | None, **given: Any) -> Answer:
 
 def print_report(report: Report) -> None:
     """Print a line a finding, and one for all checks that wait for the same one."""
-    shown = []
     waiting: dict[str, list[str]] = {}
     for finding in report.findings:
         if finding.outcome.value == "skipped" and " before " in finding.said:
@@ -199,14 +199,12 @@ def print_report(report: Report) -> None:
             continue
         # Behind a log the remedy has a line of its own.
         between = "\n    " if "\n" in finding.said else " "
-        shown.append((finding.check, finding.outcome.value, f"{finding.said}{between}{finding.remedy}".strip()))
-    for check_name, outcome, sentences in shown:
-        print(f"{outcome:<8} {check_name:<16} {clean(sentences, keep=chr(10))}")
+        sentences = f"{finding.said}{between}{finding.remedy}".strip()
+        print(f"{finding.outcome.value:<8} {finding.check:<16} {clean(sentences, keep=chr(10))}")
     for reason, names in waiting.items():
         print(f"skipped  {reason} {len(names)}: {', '.join(names)}.")
-    counts = ", ".join(
-        f"{sum(finding.outcome == outcome for finding in report.findings)} {outcome}" for outcome in _OUTCOMES
-    )
+    found = Counter(finding.outcome.value for finding in report.findings)
+    counts = ", ".join(f"{found[outcome]} {outcome}" for outcome in _OUTCOMES)
     verdict = "does not keep the contract" if report.failed else "keeps the contract"
     print(f"{report.method} {verdict}: {counts}; {report.seconds:.1f} s.")
 

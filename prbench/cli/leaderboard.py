@@ -145,17 +145,7 @@ _EVALUATIONS = 240
 )
 @opt.number_option("--evaluations", f"With --search: motions tried for each column (default {_EVALUATIONS}).")
 @opt.seed_option("of --search", default=None)
-def audit(
-    runs: tuple[Path, ...],
-    data: tuple[Path, ...],
-    split: str,
-    limit: int | None,
-    out: Path | None,
-    workers: int,
-    search: str | None,
-    evaluations: int | None,
-    seed: int | None,
-) -> Answer:
+def audit(runs: tuple[Path, ...], data: tuple[Path, ...], out: Path | None, search: str | None, **given: Any) -> Answer:
     """Print what cheats, controls and recorded people earn under each metric, and finished runs beside them.
 
     Of several tables it prints means of the main metrics; with -v of all metrics, and each table.
@@ -168,21 +158,22 @@ def audit(
     from prbench.engine import engine_for
 
     columns = cheat_search.searched_columns(search or cheat_search.EVERY_COLUMN)
-    if search is None and (evaluations, seed) != (None, None):
+    if search is None and (given["evaluations"], given["seed"]) != (None, None):
         raise UsageError("--evaluations and --seed belong to --search; add it, or leave them out.")
 
-    engine = engine_for(workers)
+    engine = engine_for(given["workers"])
     default = _SEQUENCES if data else opt.FIRST_RUN_SEQUENCES
     tables = data or opt.embedded_tables(engine)
+    chosen = {"split": given["split"], "limit": given["limit"] or default}
     with progress("running controls") as show:
-        found = run_audit(tables, runs=runs, split=split, limit=limit or default, out=out, engine=engine, progress=show)
+        found = run_audit(tables, runs=runs, **chosen, out=out, engine=engine, progress=show)
     if search is not None:
         with progress("searching for cheats") as show:
             best = cheat_search.search(
-                cheat_search.judged_tables(tables, split=split, limit=limit or default),
+                cheat_search.judged_tables(tables, **chosen),
                 columns,
-                evaluations=evaluations or _EVALUATIONS,
-                seed=seed or 0,
+                evaluations=given["evaluations"] or _EVALUATIONS,
+                seed=given["seed"] or 0,
                 engine=engine,
                 progress=show,
             )

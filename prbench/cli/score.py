@@ -19,6 +19,7 @@ from prbench.protocol.manifests import default_benchmark
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
+    from prbench.harness.request import Progress
     from prbench.harness.run_folder.summary import DatasetAgreement, DatasetSummary
 
 
@@ -201,9 +202,7 @@ def export_conditions(*, data: tuple[Path, ...], benchmark: str | None, fold: st
 
     about = find_benchmark(benchmark or default_benchmark().name)
     condition = given.pop("condition")
-    if condition not in about.conditions:
-        known = ", ".join(about.conditions)
-        raise UsageError(f"--condition {condition}: expected one of the benchmark {about.name}: {known}.")
+    load_benchmark(about.name).condition(condition)  # which refuses one of another benchmark
     own = {name: given.pop(name) for name in ("max_frames", "native_fps", "control")}
     given |= {"samples": given["samples"] or about.samples, "permitted": given.pop("permission")}
     given["data"] = fold_tables(data, fold)
@@ -293,11 +292,9 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
     from prbench.harness.sharded import merge_run_shards
 
     with progress("merging") as tell:
-        run = merge_run_shards(
-            opened,
-            out,
-            data=data,
-            engine=engine_for(workers),
-            progress=lambda step: tell(step.done, step.total, f"{step.stage} {step.dataset}"),
-        )
+
+        def told(step: Progress) -> None:
+            tell(step.done, step.total, f"{step.stage} {step.dataset}")
+
+        run = merge_run_shards(opened, out, data=data, engine=engine_for(workers), progress=told)
     return summaries.run_answer([run], single=bool(run.folder.record.sequences))

@@ -7,6 +7,7 @@ which sequences.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -78,12 +79,16 @@ def agreement_with_people(
                 if inside.any():
                     own = sequence[chosen]
                     estimate = metric_interval(info, value[chosen], recordings[own], texts[chosen])
-                place_of_bin = {"metric": info.id, "title": info.title, "by": by, "begin": begin, "end": end}
+                bounds: dict[str, Any] = {name: getattr(estimate, name, None) for name in ("mean", "low", "high")}
                 found = BinRate(
-                    **place_of_bin,
+                    metric=info.id,
+                    title=info.title,
+                    by=by,
+                    begin=begin,
+                    end=end,
                     sequences=int(inside.sum()),
                     recordings=len(set(recordings[inside])),
-                    **{name: getattr(estimate, name, None) for name in ("mean", "low", "high")},
+                    **bounds,
                     people=float(people[info.id][inside].mean()) if estimate else None,
                 )
                 breakdown.append(found)

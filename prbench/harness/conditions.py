@@ -98,13 +98,8 @@ class ConditionSource:
         """Stream the chosen rows of a table once and keep what conditions need."""
         windows = list(_sources(selection))
         joined = {name: np.concatenate([getattr(source, name) for _, source in windows]) for name in _ARRAYS}
-        return cls(
-            selection.sequence_ids,
-            selection.n_frames,
-            selection.fps,
-            tuple(itertools.chain.from_iterable(source.text for _, source in windows)),
-            **joined,
-        )
+        text = tuple(itertools.chain.from_iterable(source.text for _, source in windows))
+        return cls(selection.sequence_ids, selection.n_frames, selection.fps, text, **joined)
 
     def around(self, rows: Int[np.ndarray, " rows"]) -> tuple[ConditionSource, Int[np.ndarray, " rows"]]:
         """See :meth:`ConditionStream.around`; here it is all sequences."""

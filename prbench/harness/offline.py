@@ -273,13 +273,9 @@ def export_conditions(request: ExportRequest) -> ExportReport:
             write_text(notices, "".join(f"{line}\n" for line in said))
         write_conditions(conditions, request.out)
     names = [table.info.dataset for table in tables]
-    return ExportReport(
-        request.out,
-        len(conditions),
-        dict(zip(names, map(len, selections), strict=True)),
-        {name: left for name, left in zip(names, left_out, strict=True) if left},
-        said,
-    )
+    sequences = dict(zip(names, map(len, selections), strict=True))
+    longer = {name: left for name, left in zip(names, left_out, strict=True) if left}
+    return ExportReport(request.out, len(conditions), sequences, longer, said)
 
 
 def conditions_of(
@@ -338,10 +334,6 @@ def conditions_of(
     columns: dict[str, Any] = {name: np.concatenate([part[name] for part in parts])[rows] for name in parts[0]}
     if "text" in columns:
         columns["text"] = tuple(columns["text"].tolist())
-    conditions = ConditionsFile(
-        info=info,
-        opaque_id=tuple(itertools.chain.from_iterable(itertools.repeat(ids[row], info.samples) for row in order)),
-        sample=np.tile(np.arange(info.samples, dtype=np.int32), len(ids)),
-        **columns,
-    )
-    return conditions, selections, left_out
+    repeated = tuple(itertools.chain.from_iterable(itertools.repeat(ids[row], info.samples) for row in order))
+    sample = np.tile(np.arange(info.samples, dtype=np.int32), len(ids))
+    return ConditionsFile(info=info, opaque_id=repeated, sample=sample, **columns), selections, left_out

@@ -100,13 +100,8 @@ def work_of_run(run: RunFolder, request: RunRequest, cases: Any, rules: Any) -> 
     benchmark = load_benchmark(run.record.benchmark)
     # Motions that came as a file may have an unstated condition; no score depends on it.
     known = {condition.value: condition for condition in benchmark.conditions}
-    return benchmark.work(
-        request,
-        cases,
-        method=run.record.method,
-        condition=known.get(run.record.condition, next(iter(known.values()))),
-        rules=rules,
-    )
+    condition = known.get(run.record.condition, next(iter(known.values())))
+    return benchmark.work(request, cases, method=run.record.method, condition=condition, rules=rules)
 
 
 _VALUES_WITHIN = 1e-6  # metres, or as little of another unit: what other processors may make of the same motion

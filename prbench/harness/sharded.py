@@ -73,17 +73,15 @@ def run_shard(
             if request.out is None:  # beside the folder of the whole run
                 out = out.with_name(f"{out.name}-shard-{shard.number}-of-{shard.count}")
             held.enter_context(sole_writer(out))
+            # The whole tables of a fold, which the merge makes again: the fold itself lies in this machine's cache.
+            whole = list(tables_at) or [str(folder.absolute()) for folder in request.data]
             record = ShardRecord(
                 kind="run",
                 number=shard.number,
                 count=shard.count,
                 settings=prepared.record.written,
                 plan=tuple(named),
-                # The whole tables of a fold, which the merge makes again: the fold itself lies in this machine's cache.
-                places={
-                    "data": list(tables_at) or [str(folder.absolute()) for folder in request.data],
-                    "fold": request.fold,
-                },
+                places={"data": whole, "fold": request.fold},
             )
             # Make the folder of the shard, or go on in it.
             remove_leftovers(out / FILE_NAME)
@@ -144,12 +142,8 @@ def merge_run_shards(
     data = tuple(data) or tuple(fetched(at) if is_url(at) else Path(at) for at in shard.places.get("data", ()))
     request = request_of(record, data, folder=folder, fold=shard.places.get("fold"), out=out)
     prepared = prepare_run(request, earlier=record)
-    require_settings(
-        folder,
-        shard,
-        prepared.record.written,
-        remedy="Name the tables of the shards with --data, and merge in the environment that made them.",
-    )
+    remedy = "Name the tables of the shards with --data, and merge in the environment that made them."
+    require_settings(folder, shard, prepared.record.written, remedy=remedy)
     # Every batch is found in its shard before the first is copied.
     found = {batch: place for place in shards for batch in _batches_of(place[1])}
     for name, (dataset, index) in _named_batches(prepared).items():

@@ -20,6 +20,7 @@ from prbench.files.storage import text_digest
 from prbench.harness.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
 from prbench.harness.methods.installed import CHEATS, NEAREST_NEIGHBOUR, list_adapters
 from prbench.harness.methods.loading import load_adapter
+from prbench.harness.planning import open_tables
 from prbench.harness.request import DEFAULT_BATCH_SIZE, DEFAULT_PARENT, RunRequest
 from prbench.protocol.manifests import read_toml
 from prbench.protocol.own_protocol import read_protocol
@@ -210,12 +211,7 @@ class TableRequest:
             TableError: if one is missing, empty or of an unknown version.
             UsageError: if datasets repeat.
         """
-        tables = [SequenceTable.open(folder).with_sequences() for folder in self.data]
-        names = [table.info.dataset for table in tables]
-        for name in names:
-            if names.count(name) > 1:
-                raise UsageError(f"--data: expected different datasets, found {name} more than once.")
-        return sorted(tables, key=lambda table: study_place(table.info.dataset))
+        return sorted(open_tables(self.data), key=lambda table: study_place(table.info.dataset))
 
     def folder(self) -> Path:
         """Return the folder of the table; the same request finds its folder again."""

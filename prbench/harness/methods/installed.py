@@ -43,13 +43,8 @@ CHEATS = (
 )
 # Controls that ``--method`` takes
 METHOD_CONTROLS = (
-    GROUND_TRUTH,
-    GROUND_TRUTH_RESAMPLED,
-    GROUND_TRUTH_20_FPS,
-    GROUND_TRUTH_30_FPS,
-    SCRIPTED,
-    *CHEATS,
-    NEAREST_NEIGHBOUR,
+    *(GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, GROUND_TRUTH_20_FPS, GROUND_TRUTH_30_FPS),
+    *(SCRIPTED, *CHEATS, NEAREST_NEIGHBOUR),
 )
 # Methods of the default benchmark that come with prbench, installed or not
 BUILT_IN_METHODS = default_benchmark().methods

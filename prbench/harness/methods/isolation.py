@@ -12,7 +12,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import prbench
 from prbench.engine.unseen import hide_process
@@ -20,14 +19,10 @@ from prbench.errors import UsageError
 from prbench.files.bounded import read_text
 from prbench.harness.methods import unprivileged
 from prbench.harness.methods.installed import short_name
-from prbench.harness.methods.process import Program, users_environment
+from prbench.harness.methods.process import Program
 from prbench.harness.methods.programs import runs_in_container
 from prbench.limits import HARMLESS_SIZE
-from prbench.protocol.manifests import benchmark_of_group
 from prbench.text import CLIP_VARIABLE, DISTILBERT_VARIABLE
-
-if TYPE_CHECKING:
-    from prbench.harness.methods.loading import MethodSpec
 
 BUBBLEWRAP = "bubblewrap"
 HOME = "/tmp/home"  # inside the fence, where /tmp is empty and its own
@@ -292,39 +287,6 @@ def executable_folders(program: Path) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(found))
 
 
-_FIT_TIMEOUT = 7 * 24 * 3600.0  # seconds: fitting takes as long as it takes, as it does in this process
-_WORKER = "prbench.harness.methods.worker"
-
-
-def worker_program(spec: MethodSpec, target: str, fit: tuple[Path, Path] | None = None) -> Program:
-    """Return the worker that runs an installed method at a distance.
-
-    Args:
-        spec: The method; files that values of its options name by absolute paths are shown to it.
-        target: ``module:callable`` of its entry point.
-        fit: Folders of a copy of the training rows and of the result, if the run fits the method; else None.
-    """
-    environment = isolated_environment(users_environment()) | text_encoder(os.environ)
-    # The worker finds prbench where this process found it, installed or not; it drops the variable again.
-    environment["PYTHONPATH"] = os.pathsep.join(import_path())
-    benchmark = benchmark_of_group(spec.group.entry_points).name
-    words = [sys.executable, "-P", "-m", _WORKER, spec.name, "--benchmark", benchmark]
-    shown = [Shown(path) for path in (*python_folders(target), *readable_folders(environment))]
-    shown += [Shown(Path(value)) for _, value in spec.options if Path(value).is_absolute()]
-    if spec.weights is not None:
-        shown.append(Shown(spec.weights.absolute(), essential=True))
-    program = Program(spec.name, (), None, tuple(sorted(environment.items())))
-    if spec.timeout is not None:
-        program = replace(program, batch_timeout=spec.timeout)
-    if fit is not None:
-        train, folder = fit
-        folder.mkdir(parents=True, exist_ok=True)
-        words += ["--train", str(train), "--fit", str(folder)]
-        shown += [Shown(train, essential=True), Shown(folder, writable=True, essential=True)]
-        program = replace(program, start_timeout=_FIT_TIMEOUT)
-    return _behind_fence(replace(program, words=tuple(words)), shown, spec.hidden)
-
-
 def fenced(program: Program, *, weights: Path | None, hidden: tuple[Path, ...]) -> Program:
     """Put a user's program behind the best fence that works here, its own folder read-only.
 
@@ -339,10 +301,11 @@ def fenced(program: Program, *, weights: Path | None, hidden: tuple[Path, ...]) 
     shown = [Shown(path) for path in dict.fromkeys(paths)]
     if weights is not None:
         shown.append(Shown(weights.absolute(), essential=True))
-    return _behind_fence(program, shown, hidden)
+    return behind_fence(program, shown, hidden)
 
 
-def _behind_fence(program: Program, shown: Iterable[Shown], hidden: tuple[Path, ...]) -> Program:
+def behind_fence(program: Program, shown: Iterable[Shown], hidden: tuple[Path, ...]) -> Program:
+    """Put a program behind the best fence that works here, which shows it these files and folders alone."""
     hide_process()
     fence = available_fence()
     if fence.program is None:

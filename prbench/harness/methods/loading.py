@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
@@ -17,6 +18,7 @@ from prbench.contract import Trainable, TrainingRun
 from prbench.entry_points import ADAPTERS
 from prbench.errors import AdapterError, PrbenchError, UsageError
 from prbench.files.storage import cache_folder, file_digest, text_digest
+from prbench.harness.methods import isolation
 from prbench.harness.methods.installed import (
     METHOD_CONTROLS,
     InstalledEntry,
@@ -29,7 +31,6 @@ from prbench.harness.methods.installed import (
     no_such_method,
     short_name,
 )
-from prbench.harness.methods.isolation import fenced, isolated_environment, worker_program
 from prbench.harness.methods.motions import Declared
 from prbench.harness.methods.process import Program, users_environment
 from prbench.harness.methods.programs import program_of
@@ -292,12 +293,9 @@ def _loaded_program(spec: MethodSpec, program: Program) -> LoadedMethod:
     weights = spec.weights
     if weights is not None and weights.exists():
         weights = weights.absolute()
+    given = None if weights is None else str(weights)
     adapter = spec.group.remote.start(
-        program,
-        weights=None if weights is None else str(weights),
-        options=dict(spec.options),
-        device=spec.device,
-        threads=spec.threads,
+        program, weights=given, options=dict(spec.options), device=spec.device, threads=spec.threads
     )
     if program.package is None:
         return LoadedMethod(spec.name, adapter)
@@ -386,20 +384,12 @@ def method_spec(
         UsageError: if there is no such command, or the settings do not fit together.
     """
     hidden = tuple(path.absolute() for path in (*hidden, cache_folder())) if isolate else ()
-    spec = MethodSpec(
-        method,
-        weights,
-        tuple(sorted((options or {}).items())),
-        device,
-        threads,
-        timeout=timeout,
-        hidden=hidden,
-        group=group,
-    )
+    given = tuple(sorted((options or {}).items()))
+    spec = MethodSpec(method, weights, given, device, threads, timeout=timeout, hidden=hidden, group=group)
     if is_program(method):
         environment = users_environment()
         if isolate:
-            environment = isolated_environment(environment)
+            environment = isolation.isolated_environment(environment)
         else:  # a program of the user's own gets all of their variables, and none of the harness's
             withheld = [name for name in environment if name.upper().startswith("PRBENCH_")]
             environment = {name: value for name, value in environment.items() if name not in withheld}
@@ -407,7 +397,7 @@ def method_spec(
         if isolate and program.in_container:  # it shows no more than its mounts, and has no network
             program = replace(program, fence="container")
         elif isolate:
-            program = fenced(program, weights=weights, hidden=hidden)
+            program = isolation.fenced(program, weights=weights, hidden=hidden)
         return replace(spec, name=program.name, program=program)
     known = METHOD_CONTROLS if group is MOTIONS else ()
     installed = find_adapter(method, also_known=known, entry_points=group.entry_points)
@@ -434,14 +424,8 @@ def fitted_to(spec: MethodSpec, table: SequenceTable) -> MethodSpec:
     if spec.weights is not None or not spec.load().is_trainable:
         return spec
     installed = find_adapter(spec.name)
-    key = text_digest(
-        installed.package,
-        installed.version,
-        installed.target,
-        *(part for option in spec.options for part in option),
-        table.identity,
-        table.content,
-    )
+    options = (part for option in spec.options for part in option)
+    key = text_digest(installed.package, installed.version, installed.target, *options, table.identity, table.content)
     folder = cache_folder() / "fits" / f"{short_name(spec.name)}-{key[:16]}"
     if spec.program is None:
         return replace(spec, fit_folder=folder, table_folder=table.folder, fit=fit_to_training_rows)
@@ -457,3 +441,38 @@ def fit_to_training_rows(adapter: object, spec: MethodSpec) -> None:
     if isinstance(adapter, Trainable) and spec.fit_folder is not None and spec.table_folder is not None:
         run = TrainingRun(folder=spec.fit_folder, seed=FIT_SEED, device=spec.device)
         adapter.fit(TrainingSplit.open(spec.table_folder), validation=None, run=run)
+
+
+_FIT_TIMEOUT = 7 * 24 * 3600.0  # seconds: fitting takes as long as it takes, as it does in this process
+_WORKER = "prbench.harness.methods.worker"
+
+
+def worker_program(spec: MethodSpec, target: str, fit: tuple[Path, Path] | None = None) -> Program:
+    """Return the worker that runs an installed method at a distance.
+
+    Args:
+        spec: The method; files that values of its options name by absolute paths are shown to it.
+        target: ``module:callable`` of its entry point.
+        fit: Folders of a copy of the training rows and of the result, if the run fits the method; else None.
+    """
+    environment = isolation.isolated_environment(users_environment()) | isolation.text_encoder(os.environ)
+    # The worker finds prbench where this process found it, installed or not; it drops the variable again.
+    environment["PYTHONPATH"] = os.pathsep.join(isolation.import_path())
+    benchmark = benchmark_of_group(spec.group.entry_points).name
+    words = [sys.executable, "-P", "-m", _WORKER, spec.name, "--benchmark", benchmark]
+    shown = [
+        isolation.Shown(path) for path in (*isolation.python_folders(target), *isolation.readable_folders(environment))
+    ]
+    shown += [isolation.Shown(Path(value)) for _, value in spec.options if Path(value).is_absolute()]
+    if spec.weights is not None:
+        shown.append(isolation.Shown(spec.weights.absolute(), essential=True))
+    program = Program(spec.name, (), None, tuple(sorted(environment.items())))
+    if spec.timeout is not None:
+        program = replace(program, batch_timeout=spec.timeout)
+    if fit is not None:
+        train, folder = fit
+        folder.mkdir(parents=True, exist_ok=True)
+        words += ["--train", str(train), "--fit", str(folder)]
+        shown += [isolation.Shown(train, essential=True), isolation.Shown(folder, writable=True, essential=True)]
+        program = replace(program, start_timeout=_FIT_TIMEOUT)
+    return isolation.behind_fence(replace(program, words=tuple(words)), shown, spec.hidden)

@@ -21,6 +21,10 @@ GAZE_COLUMNS = ("gaze_origin", "gaze_direction")
 _SHAPES = ((), (_NUMBERS,), (N_JOINTS, 3))  # of what a row's list may hold: numbers, or frames in either nesting
 
 
+def _expected(expected: str, found: str) -> ValueError:
+    return ValueError(f"expected {expected}, found {found}")
+
+
 def motions_of(payload: bytes, batch: ConditionBatch, *, gaze: bool = False) -> Motions:
     """Read the motions of a ``motions`` message in the order of the batch, with lengths as they were sent.
 
@@ -38,8 +42,7 @@ def motions_of(payload: bytes, batch: ConditionBatch, *, gaze: bool = False) -> 
     numbers, ends, levels = _flattened(_column(rows, "joints", wanted), "joints")
     uneven = next((sizes for sizes in levels if len(sizes) > 1), None)
     if uneven is not None:
-        found = " and ".join(map(str, uneven[:2]))
-        raise ValueError(f"expected {_NUMBERS} numbers in every frame of 'joints', found {found}")
+        raise _expected(f"{_NUMBERS} numbers in every frame of 'joints'", " and ".join(map(str, uneven[:2])))
     shape = sum(levels, ())
     if shape not in _SHAPES and len(numbers):
         raise ValueError(f"expected {_NUMBERS} numbers a frame in 'joints', found frames of shape {shape}")
@@ -47,9 +50,7 @@ def motions_of(payload: bytes, batch: ConditionBatch, *, gaze: bool = False) -> 
     broken = np.flatnonzero(lengths % _NUMBERS)
     if broken.size:
         row = int(broken[0])
-        raise ValueError(
-            f"expected a multiple of {_NUMBERS} numbers for sequence {ids[row][:64]}, found {lengths[row]:,}"
-        )
+        raise _expected(f"a multiple of {_NUMBERS} numbers for sequence {ids[row][:64]}", f"{lengths[row]:,}")
     offsets = ends // _NUMBERS
     columns: list[np.ndarray] = [numbers.reshape(-1, N_JOINTS, 3)]
     for name in wanted[2:]:
@@ -57,10 +58,8 @@ def motions_of(payload: bytes, batch: ConditionBatch, *, gaze: bool = False) -> 
         wrong = np.flatnonzero(np.diff(ray_ends) != 3 * np.diff(offsets))
         if wrong.size:
             row = int(wrong[0])
-            raise ValueError(
-                f"expected {3 * (offsets[row + 1] - offsets[row]):,} numbers in '{name}' of sequence {ids[row][:64]},"
-                f" three a frame, found {ray_ends[row + 1] - ray_ends[row]:,}"
-            )
+            due = f"{3 * (offsets[row + 1] - offsets[row]):,} numbers in '{name}' of sequence {ids[row][:64]}"
+            raise _expected(f"{due}, three a frame", f"{ray_ends[row + 1] - ray_ends[row]:,}")
         columns.append(rays.reshape(-1, 3))
     places = _places_of(batch.opaque_id, ids)
     n_frames = np.diff(offsets)[places]
@@ -91,9 +90,7 @@ def numbers_by_id(payload: bytes, asked: Sequence[str], *, name: str, size: int)
     wrong = np.flatnonzero(np.diff(ends) != size)
     if wrong.size:
         row = int(wrong[0])
-        raise ValueError(
-            f"expected {size:,} numbers in '{name}' of {ids[row][:64]}, found {ends[row + 1] - ends[row]:,}"
-        )
+        raise _expected(f"{size:,} numbers in '{name}' of {ids[row][:64]}", f"{ends[row + 1] - ends[row]:,}")
     return numbers.reshape(len(ids), size)[places]
 
 
@@ -263,9 +260,8 @@ def motions_payload(ids: Sequence[str], motions: Motions) -> bytes:
     if joints.ndim != 4 or joints.shape[2:] != (N_JOINTS, 3):
         raise ValueError(f"expected joints of shape (batch, frames, {N_JOINTS}, 3), found {joints.shape}")
     if len(ids) != len(joints) or n_frames.shape != (len(ids),):
-        raise ValueError(
-            f"expected {len(ids)} motions with a length each, found {len(joints)} and lengths of shape {n_frames.shape}"
-        )
+        found = f"{len(joints)} and lengths of shape {n_frames.shape}"
+        raise _expected(f"{len(ids)} motions with a length each", found)
     # A method may claim more frames than its array holds; the harness then says which are missing.
     lengths = np.clip(n_frames, 0, joints.shape[1])
     offsets = np.concatenate([[0], np.cumsum(lengths)]) * (N_JOINTS * 3)

@@ -430,12 +430,8 @@ def _joined(*parts: Motions) -> Motions:
     gaze = None
     if len(rays) == len(parts):
         gaze = Gaze(stacked([each.origin for each in rays]), stacked([each.direction for each in rays]))
-    return Motions(
-        stacked([part.joints for part in parts]),
-        np.concatenate([part.n_frames for part in parts]),
-        Cost(sum(passes)) if passes else None,
-        gaze,
-    )
+    n_frames = np.concatenate([part.n_frames for part in parts])
+    return Motions(stacked([part.joints for part in parts]), n_frames, Cost(sum(passes)) if passes else None, gaze)
 
 
 def release_memory() -> None:

@@ -279,12 +279,9 @@ class RemoteMethod:
         number = self._batches
         self._batches += 1
         try:
-            answer, sent = self._process.ask(
-                {"message": header["message"], "batch": number, **header},
-                payload,
-                timeout=self._program.batch_timeout,
-                answer_limit=largest + _MEGABYTE,
-            )
+            numbered = {"message": header["message"], "batch": number, **header}
+            timeout = self._program.batch_timeout
+            answer, sent = self._process.ask(numbered, payload, timeout=timeout, answer_limit=largest + _MEGABYTE)
             return read(answer, sent, number)
         except Fault as fault:
             if fault.kind not in ("ended", "reported"):

@@ -6,8 +6,9 @@ import itertools
 import os
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pyarrow as pa
@@ -28,20 +29,13 @@ _PREFIX = "prbench-train-"
 class TrainingSplit(SequenceTable):
     """A table that shows its ``train`` rows only, so that a method that forgets to ask for them learns no test row."""
 
-    def chunks(
-        self,
-        *,
-        split: str | None = None,
-        columns: Sequence[str] | None = None,
-        ids: Collection[str] | None = None,
-        rows: int = 256,
-    ) -> Iterator[SequenceChunk]:
+    def chunks(self, *, split: str | None = None, **chosen: Any) -> Iterator[SequenceChunk]:
         """Stream the training rows.
 
         Raises:
             AdapterError: if another split is asked for.
         """
-        return super().chunks(split=_of_training(split), columns=columns, ids=ids, rows=rows)
+        return super().chunks(split=_of_training(split), **chosen)
 
     def scalars(self, *, split: str | None = None, columns: Sequence[str] | None = None) -> pa.Table:
         """Return the short values of the training rows.

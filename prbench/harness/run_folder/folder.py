@@ -273,9 +273,6 @@ def read_folds(folder: Path) -> tuple[FoldRun, ...]:
         RunError: if it is missing or damaged.
     """
     path = folder / FOLDS_FILE
-    return read_record(
-        path,
-        dict[Literal["folds"], tuple[FoldRun, ...]],
-        missing=f"{path}: expected the runs that were merged, found no file.",
-        remedy="Merge the runs of the folds again.",
-    ).get("folds", ())
+    kind = dict[Literal["folds"], tuple[FoldRun, ...]]
+    missing = f"{path}: expected the runs that were merged, found no file."
+    return read_record(path, kind, missing=missing, remedy="Merge the runs of the folds again.").get("folds", ())

@@ -38,6 +38,12 @@ def as_float32(joints: np.ndarray) -> Float[np.ndarray, "..."]:
         return np.asarray(joints, dtype=np.float32)
 
 
+def wrong_column(path: Path, name: str, expected: str, found: object, *, row: object = None) -> PredictionsError:
+    """Return the error for an array, or for one of its rows, that is not what it should be."""
+    place = "" if row is None else f", row {row}"
+    return PredictionsError(f"{path}, '{name}'{place}: expected {expected}, found {found}.")
+
+
 @dataclass(frozen=True, eq=False)
 class ArrayMotions:
     """Motions in memory, each an array of its own.
@@ -102,9 +108,7 @@ def _read(archive: Archive, path: Path) -> Indexed:
         raise PredictionsError(f"{path}: expected at most {MOST_MOTIONS:,} motions, found {announced:,}.")
     ids = archive.read(id_column, largest=_LARGEST_COLUMN)
     if ids.ndim != 1 or ids.dtype.kind not in "US":
-        raise PredictionsError(
-            f"{path}, '{id_column}': expected one text a motion, found shape {ids.shape} of {ids.dtype}."
-        )
+        raise wrong_column(path, id_column, "one text a motion", f"shape {ids.shape} of {ids.dtype}")
     ids = np.char.decode(ids, "utf-8") if ids.dtype.kind == "S" else ids
     whole = {"sample": np.zeros(len(ids), dtype=np.int64)}
     for name, smallest in (("n_frames", 1), ("sample", 0)):
@@ -112,15 +116,11 @@ def _read(archive: Archive, path: Path) -> Indexed:
             continue
         values = archive.read(name, largest=_LARGEST_COLUMN)
         if values.shape != (len(ids),) or values.dtype.kind not in "iu":
-            raise PredictionsError(
-                f"{path}, '{name}': expected {len(ids)} whole numbers, one a motion, found shape {values.shape} of"
-                f" {values.dtype}."
-            )
+            found = f"shape {values.shape} of {values.dtype}"
+            raise wrong_column(path, name, f"{len(ids)} whole numbers, one a motion", found)
         low = np.flatnonzero(values < smallest)
         if low.size:
-            raise PredictionsError(
-                f"{path}, '{name}', row {low[0]}: expected {smallest} or more, found {values[low[0]]}."
-            )
+            raise wrong_column(path, name, f"{smallest} or more", values[low[0]], row=low[0])
         whole[name] = values.astype(np.int64)
     n_frames = whole["n_frames"]
     frames = _frames_of(archive.header("joints"), path, n_frames)
@@ -130,10 +130,8 @@ def _read(archive: Archive, path: Path) -> Indexed:
     for name in gaze:
         header = archive.header(name)
         if header.shape != (*frames, 3) or not _is_floating(header.dtype):
-            raise PredictionsError(
-                f"{path}, '{name}': expected the shape {(*frames, 3)} of float32 or float64, as the joints have"
-                f" frames, found {header.shape} of {header.dtype}."
-            )
+            expected = f"the shape {(*frames, 3)} of float32 or float64, as the joints have frames"
+            raise wrong_column(path, name, expected, f"{header.shape} of {header.dtype}")
 
     def split(name: str, *shape: int) -> list[np.ndarray]:
         """Return the array's motions, one after the other."""
@@ -163,7 +161,7 @@ def _read_by_name(archive: Archive, path: Path) -> Indexed | None:
     motions: list[np.ndarray] = []
     for name, header in headers.items():
         if not _is_floating(header.dtype):
-            raise PredictionsError(f"{path}, '{name}': expected float32 or float64, found {header.dtype}.")
+            raise wrong_column(path, name, "float32 or float64", header.dtype)
         values = as_float32(archive.read(name, largest=_LARGEST_ARRAY))
         for sample, motion in enumerate(values.reshape(-1, *header.shape[-3:])):
             keys.append((name, sample))
@@ -185,25 +183,20 @@ def _frames_of(header: ArrayHeader, path: Path, n_frames: np.ndarray) -> tuple[i
     of_pose = 2 if header.shape[-2:] == (N_JOINTS, 3) else 1 if header.shape[-1:] == (POSE_SIZE,) else axes
     frames = header.shape[: axes - of_pose]
     if len(frames) not in (1, 2) or not _is_floating(header.dtype):
-        raise PredictionsError(f"{path}, 'joints': expected {_FORMS}, found {header.shape} of {header.dtype}.")
+        raise wrong_column(path, "joints", _FORMS, f"{header.shape} of {header.dtype}")
     if len(frames) == 1:
         if frames[0] != n_frames.sum():
-            raise PredictionsError(
-                f"{path}, 'joints': expected {n_frames.sum()} frames, the sum of n_frames, found {frames[0]}."
-            )
+            raise wrong_column(path, "joints", f"{n_frames.sum()} frames, the sum of n_frames", frames[0])
         return frames
     if frames[0] != len(n_frames):
-        raise PredictionsError(f"{path}, 'joints': expected {len(n_frames)} motions, one an id, found {frames[0]}.")
+        raise wrong_column(path, "joints", f"{len(n_frames)} motions, one an id", frames[0])
     # Only the header has been read so far: a tiny file may announce terabytes of zeros.
     widest = max(_PADDED_FRAMES, 4 * int(n_frames.max(initial=0)))
     if frames[1] > widest:
-        raise PredictionsError(
-            f"{path}, 'joints': expected at most {widest} frames, as n_frames needs {n_frames.max(initial=0)}, found"
-            f" {frames[1]}. Save joints[:, :n_frames.max()]."
-        )
+        expected = f"at most {widest} frames, as n_frames needs {n_frames.max(initial=0)}"
+        raise wrong_column(path, "joints", expected, f"{frames[1]}. Save joints[:, :n_frames.max()]")
     longer = np.flatnonzero(n_frames > frames[1])
     if longer.size:
-        raise PredictionsError(
-            f"{path}, 'joints', row {longer[0]}: expected {n_frames[longer[0]]} frames (n_frames), found {frames[1]}."
-        )
+        expected = f"{n_frames[longer[0]]} frames (n_frames)"
+        raise wrong_column(path, "joints", expected, frames[1], row=longer[0])
     return frames

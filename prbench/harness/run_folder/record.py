@@ -243,12 +243,9 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: if the folder holds none, or it is damaged or of another version.
         """
-        record = read_record(
-            folder / FILE_NAME,
-            cls,
-            missing=f"{folder}: expected a run folder (with {FILE_NAME}), found no such file in it.",
-            remedy="Choose another folder for --out.",
-        )
+        missing = f"{folder}: expected a run folder (with {FILE_NAME}), found no such file in it."
+        remedy = "Choose another folder for --out."
+        record = read_record(folder / FILE_NAME, cls, missing=missing, remedy=remedy)
         # A record of prbench 0.5 or older, which told neither own methods from foreign ones nor called a file a file.
         method = record.method
         if method.kind == "adapter":
@@ -281,7 +278,9 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
                 )
 
 
-def read_record(path: Path, kind: type[Record], *, missing: str, remedy: str) -> Record:
+def read_record(
+    path: Path, kind: type[Record], *, missing: str, remedy: str = "Delete it and run the method again."
+) -> Record:
     """Read one of the JSON files of a run.
 
     Args:
@@ -391,12 +390,8 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: if it is missing or damaged.
         """
-        return read_record(
-            path,
-            cls,
-            missing=f"{path}: expected the cost of a run, found no file. Run the method again: it resumes.",
-            remedy="Delete it and run the method again.",
-        )
+        missing = f"{path}: expected the cost of a run, found no file. Run the method again: it resumes."
+        return read_record(path, cls, missing=missing)
 
 
 def total_cost(costs: Sequence[RunCost]) -> RunCost:

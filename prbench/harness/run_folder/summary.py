@@ -189,12 +189,8 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: if it is missing, damaged or of another version.
         """
-        return read_record(
-            folder / FILE_NAME,
-            cls,
-            missing=f"{folder}: expected {FILE_NAME}, found none: the run is not finished. Run it again: it resumes.",
-            remedy="Delete it and run the method again.",
-        )
+        missing = f"{folder}: expected {FILE_NAME}, found none: the run is not finished. Run it again: it resumes."
+        return read_record(folder / FILE_NAME, cls, missing=missing)
 
 
 def counted_units(number: int, split: str) -> str:
@@ -392,9 +388,5 @@ class DatasetAgreement(msgspec.Struct, frozen=True, kw_only=True):
             RunError: if it is missing or damaged.
         """
         path = folder / AGREEMENT_FILE
-        return read_record(
-            path,
-            cls,
-            missing=f"{path}: expected the agreement with recorded people, found no file. Score the motions again.",
-            remedy="Delete it and run the method again.",
-        )
+        missing = f"{path}: expected the agreement with recorded people, found no file. Score the motions again."
+        return read_record(path, cls, missing=missing)
