@@ -61,18 +61,11 @@ def agreement_tables(runs: Sequence[Path], checker: RunChecker) -> list[Table]:
                 words |= {"sequences": str(each.sequences), "recordings": str(each.recordings)}
                 mean = metric_cell("mean", "rate", each.mean, each.low, each.high)
                 bins.append(Row(text=words, cells=(mean, metric_cell("people", "rate", each.people))))
+            by_sequence = f"{title}: agreement with recorded people, sequence by sequence"
+            by_place = f"{title}: by where the goal is, seen from the first pose"
+            said = "phi from -1 to 1, 0 is unrelated; 95 % intervals in brackets."
             tables += [
-                Table(
-                    title=f"{title}: agreement with recorded people, sequence by sequence",
-                    columns=_AGREEMENT,
-                    blocks=(Block(rows=tuple(rates)),),
-                    notes=("phi from -1 to 1, 0 is unrelated; 95 % intervals in brackets.",),
-                ),
-                Table(
-                    title=f"{title}: by where the goal is, seen from the first pose",
-                    columns=_BY_PLACE,
-                    blocks=(Block(rows=tuple(bins)),),
-                    notes=tuple(notes),
-                ),
+                Table(title=by_sequence, columns=_AGREEMENT, blocks=(Block(rows=tuple(rates)),), notes=(said,)),
+                Table(title=by_place, columns=_BY_PLACE, blocks=(Block(rows=tuple(bins)),), notes=tuple(notes)),
             ]
     return tables

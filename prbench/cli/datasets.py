@@ -259,14 +259,7 @@ def _print_priming(priming: dict[str, dict[str, int]], shares: dict[str, tuple[f
 @opt.option("--poses-root", "Folder of EgoAllo's outputs (default: ROOT/egoallo).", type=opt.LOCAL_PATH, metavar="DIR")
 @opt.flag("--dry-run", "Say which recordings lack a body, and run nothing.")
 def poses(
-    *,
-    estimator: str,
-    root: Path,
-    dataset: str | None,
-    config: Path | None,
-    max_recordings: int | None,
-    dry_run: bool,
-    **given: Any,
+    *, estimator: str, root: Path, dataset: str | None, config: Path | None, dry_run: bool, **given: Any
 ) -> Answer:
     """Say which recordings lack a body pose, and have EgoAllo estimate it."""
     from prbench.curation.poses import instructions, make_poses, pose_states, read_config
@@ -274,7 +267,7 @@ def poses(
 
     assert estimator == "egoallo", "the only choice"
     settings = read_config(config) if config else None
-    states = tuple(pose_states(root, dataset, limit=max_recordings, **given))
+    states = tuple(pose_states(root, dataset, limit=given.pop("max_recordings"), **given))
     outcomes = [Outcome(state.found.recording_id, state.state, state.message) for state in states]
     if settings is not None and not dry_run:
         with progress("running EgoAllo") as show_progress:

@@ -27,6 +27,8 @@ from prbench.metrics import METRICS, MetricInfo
 from prbench.protocol.manifests import BenchmarkProtocol
 
 RATES: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.unit == "rate")
+# One outcome a sequence: 0 or 1, or the share of its samples that succeed.
+Outcomes = Float[np.ndarray, " n"]
 _SCENE_METRICS = ("scene_penetration", "scene_depth")
 _PERFECT = 1 - 1e-12  # beyond which Fisher's scale has no finite value
 _ONE_OUTCOME = "{} the same outcome in every sequence"
@@ -121,11 +123,7 @@ def require_agreement(files: DatasetFolder, made: DatasetAgreement) -> None:
 
 
 def _agreement(
-    info: MetricInfo,
-    method: Float[np.ndarray, " n"],
-    people: Float[np.ndarray, " n"],
-    recordings: np.ndarray,
-    protocol: BenchmarkProtocol,
+    info: MetricInfo, method: Outcomes, people: Outcomes, recordings: np.ndarray, protocol: BenchmarkProtocol
 ) -> RateAgreement:
     names = np.unique(recordings)
     phi = phi_coefficient(method, people)

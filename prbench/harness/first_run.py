@@ -247,13 +247,9 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
                 f" {table.content_digest[:12]}…, which is neither named with --data nor embedded. Name its folder."
             )
         folders.append(str(folder))
-    method = ExperimentMethod(
-        name=record.method.name,
-        conditions=(record.condition,),
-        weights=None if weights is None else str(weights),
-        options=dict(record.method.options),
-        control=record.control,
-    )
+    about: dict[str, Any] = {"options": dict(record.method.options), "control": record.control}
+    about["weights"] = None if weights is None else str(weights)
+    method = ExperimentMethod(name=record.method.name, conditions=(record.condition,), **about)
     own_protocol = run.path / PROTOCOL_FILE
     same = ("benchmark", "limit", "sequences", "samples", "device", "threads")
     return Experiment(

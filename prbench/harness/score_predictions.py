@@ -38,13 +38,14 @@ from prbench.shown import clean
 
 # Condition of motions of which nobody said what they were made from; never ranked.
 UNSTATED = "unstated"
+InMemory = tuple[Predictions, str] | None
 _STATED_BY_THE_RUN = ("conditions", "condition", "control", "seed", "split", "max_frames", "native_fps", "name")
 
 
 def score_predictions(
     request: ScoreRequest,
     *,
-    given: tuple[Predictions, str] | None = None,
+    given: InMemory = None,
     engine: Engine | None = None,
     progress: ProgressCallback = silent,
 ) -> tuple[ScoreReport, ...]:
@@ -137,11 +138,7 @@ def _changed(files: DatasetFolder, now: ScoreReport) -> str:
 
 
 def _score_file(
-    tables: list[SequenceTable],
-    request: ScoreRequest,
-    given: tuple[Predictions, str] | None,
-    engine: Engine,
-    progress: ProgressCallback,
+    tables: list[SequenceTable], request: ScoreRequest, given: InMemory, engine: Engine, progress: ProgressCallback
 ) -> tuple[RunRecord, BenchmarkProtocol, list[ScoreReport]]:
     path = request.predictions
     name = request.name or path.absolute().stem

@@ -75,14 +75,9 @@ def run_shard(
             held.enter_context(sole_writer(out))
             # The whole tables of a fold, which the merge makes again: the fold itself lies in this machine's cache.
             whole = list(tables_at) or [str(folder.absolute()) for folder in request.data]
-            record = ShardRecord(
-                kind="run",
-                number=shard.number,
-                count=shard.count,
-                settings=prepared.record.written,
-                plan=tuple(named),
-                places={"data": whole, "fold": request.fold},
-            )
+            about = {"settings": prepared.record.written, "plan": tuple(named)}
+            places = {"data": whole, "fold": request.fold}
+            record = ShardRecord(kind="run", number=shard.number, count=shard.count, places=places, **about)
             # Make the folder of the shard, or go on in it.
             remove_leftovers(out / FILE_NAME)
             require_replaceable(out, FILE_NAME, kind="shard")
