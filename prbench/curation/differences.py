@@ -133,7 +133,7 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
             kind = "vanished" if status else "appeared"
             only = "recording in one of the builds only"
             changes.append((0.0, Change(kind, name, "", status, later, only)))
-    if not tables[0].scenes().equals(tables[1].scenes()):
+    if not _same(*(table.scenes().to_pylist() for table in tables)):
         changes.append((0.0, Change("values", "", "", "", "", "boxes of the scenes")))
     order = {kind: rank for rank, kind in enumerate(KINDS)}
     changes.sort(key=lambda item: (order[item[1].kind], item[1].recording_id, item[0], item[1].event))
@@ -246,6 +246,8 @@ def _same(one: Any, other: Any) -> bool:
         return abs(one - other) <= _WITHIN or one == other or (math.isnan(one) and math.isnan(other))
     if isinstance(one, list) and isinstance(other, list):
         return len(one) == len(other) and all(map(_same, one, other))
+    if isinstance(one, dict) and isinstance(other, dict):
+        return not _differing(one, other)
     return one == other
 
 

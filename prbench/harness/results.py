@@ -373,9 +373,10 @@ class RunChecker:
                 )
             work = work_of_run(run, request, cases, rules)
             if has_motions:
+                # First: another condition is judged otherwise, too.
+                declared = claims.require_questions(run, files, cases, work)
                 require_scores(files, scores, CodedScores.of(work.scores(files, self.engine)))
                 made = msgspec.structs.replace(made, findings=work.findings(files))
-                declared = claims.require_questions(run, files, cases, work)
             claims.require_table(run, record, chosen, cases, work, rules)
             cases = cases.chosen(np.isin(cases.sequence_ids, names))
             work_of_run(run, request, cases, rules).require_beside(files, scores)

@@ -96,7 +96,7 @@ def require_told(info: Provenance, folder: Path, key: str, found: object, expect
     Args:
         info: The description.
         folder: Folder that it stands in.
-        key: Where the number stands.
+        key: Name of the number.
         found: The number.
         expected: The one that the table has.
 

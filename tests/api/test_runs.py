@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 import prbench
+from prbench.contract import Condition
 from prbench.harness.run_folder import DatasetSummary
 from prbench.harness.score_predictions import score_predictions
 from prbench.harness.score_request import ScoreRequest
@@ -127,14 +128,16 @@ def test_a_dictionary_is_scored_as_its_file_is(table, runs, motions, tmp_path):
     lengths = np.array([len(motion) for motion in motions.values()])
     joints = np.concatenate(list(motions.values()))
     np.savez(tmp_path / "mine.npz", sequence_id=np.array(list(motions)), n_frames=lengths, joints=joints)
-    request = ScoreRequest(predictions=tmp_path / "mine.npz", data=(table.folder,), limit=6)
+    request = ScoreRequest(
+        predictions=tmp_path / "mine.npz", data=(table.folder,), limit=6, condition=Condition.GOAL_LOCATION
+    )
     (report,) = score_predictions(request)
     assert report.scores["value"].to_pylist() == values.value.tolist()
     assert scores.summaries[0].method == report.summary.method == "mine"
     assert scores.folder == tmp_path / "mine"
     assert {path.name for path in scores.folder.rglob("*")} >= {"run.json", "scores.parquet", "summary.json"}
     assert prbench.open_run(scores.folder).record.method.kind == "file"
-    again = prbench.score(tmp_path / "mine.npz", str(table.folder), limit=6)
+    again = prbench.score(tmp_path / "mine.npz", str(table.folder), limit=6, condition="goal-loc")
     pd.testing.assert_frame_equal(again.to_pandas(), scores.to_pandas())
     pd.testing.assert_frame_equal(prbench.score(runs[1].folder, [table]).to_pandas().drop(columns="flag"), values)
 

@@ -169,7 +169,7 @@ def test_the_motions_of_a_control_are_made_again(made) -> None:
 
 @pytest.mark.parametrize("digest", ["", OTHER])
 def test_motions_whose_question_was_taken_away_are_those_of_an_earlier_version(made, forged, digest) -> None:
-    folder = forged("mine", condition="text")
+    folder = forged("mine", condition="goal-pose")
     part = folder / "synthetic-adt/predictions/part-00000.parquet"
     table = pq.read_table(part)
     pq.write_table(table.replace_schema_metadata({**table.schema.metadata, QUESTION.encode(): digest.encode()}), part)

@@ -140,9 +140,10 @@ def test_recorded_motion_gaze_and_goal_of_none_are_left_out(place, tmp_path):
     data = (_changed(place, tmp_path, redistribution="none"),)
     with pytest.raises(RedistributionError, match="--permission synthetic-adt"):
         scenes_of(_request(place, data=data))
+    control = _on_table(place / "scripted", tmp_path / "control", data[0])
     with pytest.raises(RedistributionError, match="scripted"):  # moved from the recorded first pose
-        scenes_of(_request(place, "scripted", data=data))
-    method = _as_method(place / "scripted", tmp_path / "run")
+        scenes_of(ViewRequest(out=Path("a.png"), runs=(control,), data=data))
+    method = _on_table(place / "scripted", tmp_path / "run", data[0], name="made-up", kind="adapter")
     (scene,) = scenes_of(ViewRequest(out=Path("a.png"), runs=(method,), data=data, limit=1))
     assert [motion.label for motion in scene.motions] == ["made-up, goal-loc"]
     assert scene.goal is None
@@ -155,12 +156,15 @@ def test_recorded_motion_gaze_and_goal_of_none_are_left_out(place, tmp_path):
     assert "by permission" in scene.notice
 
 
-def _as_method(run: Path, folder: Path) -> Path:
-    """The same run as if an adapter had made it."""
+def _on_table(run: Path, folder: Path, table: Path, **method: str) -> Path:
+    """The same run as if it had been made on a table with other terms, perhaps by another method."""
     record = RunFolder.open(run).record
-    method = msgspec.structs.replace(record.method, name="made-up", kind="adapter")
+    terms = DatasetInfo.read(table).redistribution
+    tables = tuple(msgspec.structs.replace(each, redistribution=terms) for each in record.tables)
     (folder / "synthetic-adt/predictions").mkdir(parents=True)
-    msgspec.structs.replace(record, method=method).write(folder)
+    msgspec.structs.replace(record, method=msgspec.structs.replace(record.method, **method), tables=tables).write(
+        folder
+    )
     for path in (run / "synthetic-adt/predictions").iterdir():
         (folder / "synthetic-adt/predictions" / path.name).write_bytes(path.read_bytes())
     return folder
@@ -168,7 +172,8 @@ def _as_method(run: Path, folder: Path) -> Path:
 
 def test_the_notice_of_non_commercial_data_goes_into_the_view(place, tmp_path):
     data = (_changed(place, tmp_path, redistribution="non-commercial"),)
-    report = view(_request(place, "scripted", data=data, out=tmp_path / "view.html", limit=1))
+    run = _on_table(place / "scripted", tmp_path / "run", data[0])
+    report = view(ViewRequest(out=tmp_path / "view.html", runs=(run,), data=data, limit=1))
     assert report.notices == ("Made up: for non-commercial purposes only, under the dataset's own licence.",)
     assert "for non-commercial purposes only" in report.out.read_text(encoding="utf-8")
 
