@@ -329,25 +329,24 @@ class _OutType(PlaceType):
     metavar="FILE...",
     help="Write what the figure draws to these files: .csv, .tex or .md.",
 )
-@click.option(
+@opt.choice_option(
     "--by",
-    type=click.Choice(["action", "hand", "kind"]),
+    ["action", "hand", "kind"],
+    "What sequences are grouped by (default action): pick or put, the reaching hand, or the kind of prime.",
     default="action",
-    help="What sequences are grouped by (default action): pick or put, the reaching hand, or the kind of prime.",
 )
 @opt.sequence_option("Draw this sequence")
 @opt.limit_option("2, 1 and 3 in Figures 1, 2 and 5; all with --train")
 @opt.permission_option
 @click.option("--nymeria", type=opt.PATH, metavar="DIR", help="The built corpus Nymeria, to pre-train on.")
 @click.option("--humanml3d", type=opt.PATH, metavar="DIR", help="The same of HumanML3D (Table 4).")
-@click.option(
+@opt.path_option(
     "--config",
     "configuration",
-    type=opt.PATH,
+    "Configuration of the trainings: paper (default: days on a GPU), small, smoke (seconds; learns nothing,"
+    " and its table is stamped so), or a .toml file.",
     default="paper",
     metavar="NAME|FILE",
-    help="Configuration of the trainings: paper (default: days on a GPU), small, smoke (seconds; learns nothing,"
-    " and its table is stamped so), or a .toml file.",
 )
 @click.option("--weights", type=opt.PATH, metavar="DIR", help="Weights of prediction by row: no-gaze.safetensors …")
 @opt.device_option

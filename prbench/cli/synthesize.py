@@ -60,17 +60,7 @@ class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
     "Also write bodies as EgoAllo would estimate them (adt; hd-epic and hot3d have no others).",
 )
 @opt.workers_option()
-def synthesize(
-    *,
-    layout: str,
-    out: Path | None,
-    table: bool,
-    replace: bool,
-    count: int | None,
-    seed: int,
-    workers: int,
-    **given: Any,
-) -> Answer:
+def synthesize(*, layout: str, out: Path | None, table: bool, replace: bool, count: int | None, **given: Any) -> Answer:
     """Write synthetic recordings in a dataset's native layout, with the truth beside them.
 
     LAYOUT is the native layout to write: any dataset of `prbench datasets`.
@@ -82,7 +72,7 @@ def synthesize(
     if table:
         if given.pop("estimates") or given.pop("bystander_objects") is not None:
             raise UsageError("--table writes no native files; leave --egoallo and --bystander-objects out.")
-        return _table(layout, out, count, seed=seed, replace=replace, workers=workers, **given)
+        return _table(layout, out, count, replace=replace, **given)
     of_corpus = layout in _CORPUS_LAYOUTS
     planned = (count or _CORPUS_RECORDINGS) if of_corpus else planned_recordings(given["size"], count)
     done = itertools.count(1)
@@ -91,7 +81,7 @@ def synthesize(
         def tell_written(written: WrittenRecording) -> None:
             tell(next(done), planned, written.recording_id)
 
-        shared = {"seed": seed, "workers": workers, "on_written": tell_written}
+        shared = {"seed": given.pop("seed"), "workers": given.pop("workers"), "on_written": tell_written}
         if of_corpus:
             tree = load_built_in(CORPORA, "synthesize")(layout, out, recordings=planned, **shared)
         else:
