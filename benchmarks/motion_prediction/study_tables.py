@@ -307,7 +307,7 @@ def paired(first: Scores, second: Scores, metric: str, *, anchor: str = _EVERY) 
     return clustered(ours[known] - others[known], recordings[known]) if known.any() else None
 
 
-def _of_row(row: TableRow) -> dict[str, str]:
+def _of_row(row: TableRow) -> dict[str, Any]:
     return {"condition": row.condition.value, "method": row.method, "variant": row.variant}
 
 

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -46,7 +47,7 @@ def repeat_table(source: str, out: str, sequences: str) -> None:
             left -= min(left, batch.num_rows)
 
     info = msgspec.structs.replace(table.info, file_digests={})
-    others = {name: _copies(parts[name], copies) for name in ("events", "recordings")}
+    others: dict[str, Any] = {name: _copies(parts[name], copies) for name in ("events", "recordings")}
     write_dataset(Path(out), info, sequences=first(), **others)
 
 
@@ -123,7 +124,7 @@ def find_one(folder: str) -> None:
 def rewrite(folder: str, out: str) -> None:
     """Write a table anew from its own rows, as a build puts its recordings together."""
     table = SequenceTable.open(folder)
-    others = {"events": table.events().to_batches(), "recordings": table.recordings().to_batches()}
+    others: dict[str, Any] = {"events": table.events().to_batches(), "recordings": table.recordings().to_batches()}
     write_dataset(Path(out), table.info, sequences=(chunk.batch for chunk in table.chunks()), **others)
 
 

@@ -382,6 +382,6 @@ def load_evaluator(
     text = nets.TextEncoder(configuration, tokens.dimension)
     for name, network in (("movement", movement), ("motion", motion), ("text", text)):
         weights.load_into(network, name)
-    digests = {"digest": weights.digest, "words_digest": words_digest}
+    digests: dict[str, Any] = {"digest": weights.digest, "words_digest": words_digest}
     about = {"statistics": _stored_statistics(weights), "tokens": tokens, "device": device}
     return Extractor(configuration, movement, motion, text, **about, **digests)
