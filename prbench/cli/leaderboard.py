@@ -169,14 +169,9 @@ def audit(runs: tuple[Path, ...], data: tuple[Path, ...], out: Path | None, sear
         found = run_audit(tables, runs=runs, **chosen, out=out, engine=engine, progress=show)
     if search is not None:
         with progress("searching for cheats") as show:
-            best = cheat_search.search(
-                cheat_search.judged_tables(tables, **chosen),
-                columns,
-                evaluations=given["evaluations"] or _EVALUATIONS,
-                seed=given["seed"] or 0,
-                engine=engine,
-                progress=show,
-            )
+            judged = cheat_search.judged_tables(tables, **chosen)
+            tried = {"evaluations": given["evaluations"] or _EVALUATIONS, "seed": given["seed"] or 0}
+            best = cheat_search.search(judged, columns, **tried, engine=engine, progress=show)
         found = tuple(replace(each, found=own) for each, own in zip(found, best, strict=True))
 
     def show_all() -> None:

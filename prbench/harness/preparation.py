@@ -111,12 +111,9 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
     else:
         loading.require_weights(request.weights)
         same = ("weights", "options", "device", "threads", "isolate", "timeout")
-        spec = loading.method_spec(
-            request.method,
-            **{name: getattr(request, name) for name in same},
-            hidden=(*request.data, request.out or DEFAULT_PARENT, *request.hidden),
-            group=benchmark.methods,
-        )
+        given = {name: getattr(request, name) for name in same}
+        hidden = (*request.data, request.out or DEFAULT_PARENT, *request.hidden)
+        spec = loading.method_spec(request.method, **given, hidden=hidden, group=benchmark.methods)
         asked = request.condition
         loaded = spec.load()
         condition = loading.chosen_condition(

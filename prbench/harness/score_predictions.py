@@ -196,9 +196,8 @@ def _score_file(
     rules = ScoringRules(
         protocol.metrics,
         pose_given=request.condition is not None and "initial_joints" in GIVEN[request.condition],
-        allow_length_mismatch=request.allow_length_mismatch,
+        **{name: getattr(request, name) for name in ("allow_length_mismatch", "native_fps")},
         id_seed=seed,
-        native_fps=request.native_fps,
     )
     reports = []
     for table, selection in zip(record.tables, selections, strict=True):

@@ -162,14 +162,9 @@ def build_synthetic_table(
     shares = None if provocations is None else tuple(sorted(provocations.items()))
     staging = Staging(preset, seed, world, n_events, noise, shares)
     shown = str(recordings) if isinstance(recordings, int) else " ".join(map(str, recordings))
-    return build_from_sources(
-        [synthetic_source(staging, index) for index in indices],
-        out,
-        options=options,
-        engine=engine,
-        progress=progress,
-        extra_options=staging.described() | {"recordings": shown},
-    )
+    sources = [synthetic_source(staging, index) for index in indices]
+    told = staging.described() | {"recordings": shown}
+    return build_from_sources(sources, out, options=options, engine=engine, progress=progress, extra_options=told)
 
 
 def recordings_of_people(preset: str, seed: int, people: Mapping[Split, int]) -> tuple[int, ...]:
