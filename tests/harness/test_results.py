@@ -249,7 +249,7 @@ def test_motions_from_elsewhere_are_refused(runs: Path) -> None:
     shutil.copytree(
         runs / "ground-truth" / "synthetic-adt/predictions", runs / "scripted" / "synthetic-adt/predictions"
     )
-    with pytest.raises(RunError, match=r"mpjpe, recorded_motion from the motions and their table, found"):
+    with pytest.raises(RunError, match=r"method\.name: expected scripted's motions, found others"):
         checked(runs / "scripted", runs / "table")
 
 
