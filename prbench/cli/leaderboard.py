@@ -120,7 +120,7 @@ def _difference_row(first: str, row: ComparedMetric) -> tuple[str, ...]:
 
 
 # Metrics side by side at most; half as many on a narrow terminal.
-_COLUMNS = 8
+_COLUMNS = 9
 # Columns of a terminal that these metrics take.
 _WIDE = 120
 # Sequences of each dataset that is named with ``--data``, unless the user says how many.

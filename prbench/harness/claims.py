@@ -15,14 +15,13 @@ import numpy as np
 
 import prbench
 from prbench.errors import AdapterError, PrbenchError, RunError
-from prbench.files.arrays import open_parquet
 from prbench.harness.benchmark import Benchmark, Cases, CaseTable, CaseWork, load_benchmark
 from prbench.harness.methods.installed import METHOD_CONTROLS
 from prbench.harness.methods.loading import load_adapter, weights_digest
 from prbench.harness.methods.motions import Declared
 from prbench.harness.preparation import table_record
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
-from prbench.harness.run_folder.predictions import QUESTION, Predictions
+from prbench.harness.run_folder.predictions import QUESTION, Predictions, open_part
 from prbench.harness.run_folder.record import BUILT_IN, CONTROL, FILE_NAME, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import GAZE_COLUMNS, CodedScores
 from prbench.shown import clean, quoted
@@ -152,7 +151,7 @@ def require_questions(run: RunFolder, files: DatasetFolder, cases: Cases, work: 
     files.require_no_other_parts(len(work.plan))
     for index, question in work.questions(frozenset(range(len(work.plan)))):
         part = files.part(index)
-        schema = open_parquet(part).schema_arrow
+        schema = open_part(part).schema_arrow
         gaze = GAZE_COLUMNS[0] in schema.names
         _require(run, "method.gaze", method.gaze == gaze, f"{gaze}, as the motions say", method.gaze)
         stored = (schema.metadata or {}).get(QUESTION.encode(), b"").decode()

@@ -226,7 +226,7 @@ def read_columns(path: Source, columns: Mapping[str, Column]) -> pa.Table:
     header = read_header(path)
     require_column_names(path, header, columns)
     if isinstance(path, Path) and bounded.require_size(path, largest=limits.LARGEST_UNPACKED) < _WATCHED_SIZE:
-        with contextlib.suppress(pa.ArrowInvalid):  # reading by blocks names the row
+        with contextlib.suppress(pa.ArrowInvalid, pa.ArrowKeyError):  # reading by blocks names the row
             table = pyarrow.csv.read_csv(path, convert_options=_conversion(columns))
             require_whole_last_line(path, columns, header)
             require_integers(path, table, columns)
@@ -259,7 +259,7 @@ def read_blocks(path: Source, columns: Mapping[str, Column]) -> Iterator[pa.Tabl
                 require_integers(path, table, columns, first=row)
                 row += len(table)
                 yield table
-        except pa.ArrowInvalid as error:
+        except (pa.ArrowInvalid, pa.ArrowKeyError) as error:  # a key where blanks stand around a column's name
             found = str(error).splitlines()[0]
             named = re.search(r"Row #(\d+)", found)
             where = f"line {named[1]}" if named else ""

@@ -31,7 +31,9 @@ def short_sequences(tmp_path_factory: pytest.TempPathFactory) -> Path:
     chunks = table.chunks(ids=frozenset(cases.source.sequence_ids[:4]))
     write_dataset(
         folder / "short",
-        msgspec.structs.replace(table.info, file_digests={}),
+        msgspec.structs.replace(
+            table.info, file_digests={}, counts=msgspec.structs.replace(table.info.counts, sequences=4)
+        ),
         sequences=(chunk.batch for chunk in chunks),
         events=[],
         recordings=table.recordings().to_batches(),

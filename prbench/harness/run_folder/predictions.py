@@ -149,7 +149,7 @@ def index_parquet(paths: tuple[Path, ...]) -> Indexed:
     Raises:
         PredictionsError: if a file cannot be read, or columns are missing or of a wrong kind.
     """
-    names = _open(paths[0]).schema_arrow.names
+    names = open_part(paths[0]).schema_arrow.names
     id_column = next((name for name in ("sequence_id", "opaque_id") if name in names), None)
     if id_column is None:
         raise PredictionsError(f"{paths[0]}: expected a column 'sequence_id' or 'opaque_id', found {', '.join(names)}.")
@@ -158,7 +158,7 @@ def index_parquet(paths: tuple[Path, ...]) -> Indexed:
     samples: list[int] = []
     groups: list[tuple[Path, int, int, int]] = []
     for part in paths:
-        file = _open(part)
+        file = open_part(part)
         own_gaze = _checked_columns(part, file.schema_arrow, id_column)
         gaze = own_gaze if part == paths[0] else gaze
         if own_gaze != gaze:
@@ -221,7 +221,7 @@ class ParquetMotions:
             return self._cache[number]
         path, group, _, first_row = self.groups[number]
         with _naming(path):
-            table = _open(path).read_row_group(group, columns=["joints", *self.gaze])
+            table = open_part(path).read_row_group(group, columns=["joints", *self.gaze])
         rows = _as_rows(table["joints"].combine_chunks(), path, first_row=first_row)
         if self.gaze:
             columns = []
@@ -326,7 +326,12 @@ def _naming(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _open(path: Path) -> pq.ParquetFile:
+def open_part(path: Path) -> pq.ParquetFile:
+    """Open a file of predictions.
+
+    Raises:
+        PredictionsError: if it is missing or damaged.
+    """
     with _naming(path):
         return open_parquet(path, verify=True)
 
