@@ -58,6 +58,8 @@ def fuzz(
 
 
 def _must_be_told(mutation: Mutation, door: Door) -> bool:
+    if mutation.path.name in door.optional and mutation.harm == "replaced":
+        return False
     return mutation.harm == "replaced" or (mutation.harm == "shorter" and door.knows_whole)
 
 

@@ -50,6 +50,8 @@ class Door:
     look: Callable[[Path], Seen]
     spared: tuple[str, ...] = ()
     """Names of files that are not damaged: of which nothing can tell that they are missing."""
+    optional: tuple[str, ...] = ()
+    """Names of files that a recording may lack: nothing has to tell that they are missing."""
     knows_whole: bool = True
     """False where a shorter file is simply another one: files that people write, and lists of texts."""
 
@@ -108,7 +110,8 @@ def _dataset(layout: str, *, estimates: bool = False, **options: str) -> Door:
         told += [str(entry) for recording in recordings for entry in recording.unreadable]
         return Seen(digest_of(recordings), tuple(told))
 
-    return Door("adt-egoallo" if estimates else layout, make, look)
+    # The authors' priming: a dataset is built without it unless it is asked for.
+    return Door("adt-egoallo" if estimates else layout, make, look, optional=("priming_info.json",))
 
 
 def _corpus(name: str) -> Door:
