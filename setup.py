@@ -19,6 +19,8 @@ DATA = [
     "*.template",
     "*.html",
     "*.css",
+    "*.js",
+    "LICENSE",
     "*.pyi",
     "py.typed",
     "splits/*.csv",
