@@ -135,7 +135,7 @@ def _read_key(path: Path, kind: str) -> Any:
         return getattr(library, kind).from_bytes(read_whole(path, largest=HARMLESS_SIZE))
     except (OSError, library.Error) as error:
         expected = f"a {kind.removesuffix('Key').lower()} key of minisign, of which `minisign -G` makes a pair"
-        raise InputFileError(path, "", expected=expected, found=str(error)) from error
+        raise InputFileError(path, "", expected=expected, found=str(getattr(error, "strerror", "") or error)) from error
 
 
 def _key_id(encoded: bytes) -> str:
