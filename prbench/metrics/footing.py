@@ -50,16 +50,16 @@ class Footing:
     travel: Float[np.ndarray, " frames"]
 
 
-def footing(pair: ScoringPair, constants: MetricConstants) -> Footing:
-    """Find the contacts of the predicted motions (docs/specification/metrics.md#footing).
+def footing(motion: MotionBatch, fps: Float[np.ndarray, " n"], constants: MetricConstants) -> Footing:
+    """Find the contacts of motions (docs/specification/metrics.md#footing).
 
     Args:
-        pair: Predicted motions, canonical frame, metres, two frames or more.
+        motion: Canonical frame, metres, two frames or more.
+        fps: Frames per second, one rate a sequence.
         constants: Thresholds of the protocol, in metres and metres a second.
     """
-    motion = pair.predicted
     motion.require_frames(2)
-    rate = pair.targets.fps_of_sequence[motion.sequence_of_row]
+    rate = fps[motion.sequence_of_row]
     height = motion.columns[list(_FEET), 1]
     # An ankle rests above the sole: as high as the lower one gets in the motion, if a foot can be that high.
     ankles = height[[0, 2]]
@@ -77,6 +77,23 @@ def footing(pair: ScoringPair, constants: MetricConstants) -> Footing:
     speed *= rate
     planted = contact & (speed[:4] <= constants.foot_speed + constants.foot_tolerance)
     return Footing(contact, speed[:4], planted, speed[4])
+
+
+def sliding_steps(
+    motion: MotionBatch, fps: Float[np.ndarray, " n"], constants: MetricConstants
+) -> Bool[np.ndarray, " frames"]:
+    """Return True for each step in which an ankle or toe slides over the floor, as :func:`footing_numbers` counts it.
+
+    Args:
+        motion: Canonical frame, metres, two frames or more.
+        fps: Frames per second, one rate a sequence.
+        constants: Thresholds of the protocol, in metres and metres a second.
+    """
+    return _sliding(footing(motion, fps, constants), constants)
+
+
+def _sliding(feet: Footing, constants: MetricConstants) -> Bool[np.ndarray, " frames"]:
+    return (feet.contact & (feet.speed > constants.slide_speed + constants.foot_tolerance)).any(axis=0)
 
 
 def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, Float[np.ndarray, " n"]]:
@@ -100,12 +117,12 @@ def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, 
         * ``overhang``: the same in any step.
     """
     motion = pair.predicted
-    feet = footing(pair, constants)
+    feet = footing(motion, pair.targets.fps_of_sequence, constants)
 
     def largest(values: Float[np.ndarray, " frames"]) -> Float[np.ndarray, " n"]:
         return np.maximum.reduceat(values, motion.first)
 
-    sliding = (feet.contact & (feet.speed > constants.slide_speed + constants.foot_tolerance)).any(axis=0)
+    sliding = _sliding(feet, constants)
     standing = feet.planted.any(axis=0)
     way = np.add.reduceat(feet.travel, motion.first)
     carried = np.add.reduceat(feet.travel * standing, motion.first)

@@ -55,6 +55,11 @@ class RunMotions:
         """The run's files of the dataset."""
         return self.run.dataset(self.dataset)
 
+    @property
+    def kind(self) -> str:
+        """``control`` for motions that are made of recorded ones, else ``method``."""
+        return "control" if self.run.record.method.kind == "control" else "method"
+
     def __contains__(self, sequence_id: str) -> bool:
         return (sequence_id, self.sample) in self.predictions
 
@@ -136,7 +141,7 @@ def read_scenes(
     if not runs:
         require_may_pass_on(table.info, "the view", permitted)
     for run in runs:
-        if run.run.record.method.kind == "control":
+        if run.kind == "control":
             require_may_pass_on(table.info, f"the motions of '{run.label}'", permitted)
     scores = [run.scores(sequence_ids) for run in runs]
     followed = runs[0].run.protocol if runs else table.described_protocol.protocol()
@@ -146,7 +151,12 @@ def read_scenes(
     for name in sequence_ids:
         motions = [
             ShownMotion(
-                run.label, colour, run.joints(name, int(chunks[name].n_frames[0])), values[name], run.gaze(name)
+                run.label,
+                colour,
+                run.joints(name, int(chunks[name].n_frames[0])),
+                values[name],
+                run.gaze(name),
+                run.kind,
             )
             for run, colour, values in zip(runs, METHOD_COLOURS, scores, strict=False)
         ]
@@ -181,7 +191,7 @@ def scene_of(
         motion = MotionBatch(chunk.joints, chunk.offsets)
         scores = {name: float(column.value[0]) for name, column in score(motion, motion, targets, constants).items()}
     eyes = gaze if gaze.valid.any() else None
-    recorded = ShownMotion(RECORDED, RECORDED_COLOUR, chunk.joints.astype(np.float64), scores, eyes)
+    recorded = ShownMotion(RECORDED, RECORDED_COLOUR, chunk.joints.astype(np.float64), scores, eyes, "recorded")
     action, name, hand, split = (chunk.strings(column)[0] for column in ("action", "object_name", "hand", "split"))
     return Scene(
         sequence_id=chunk.sequence_ids[0],

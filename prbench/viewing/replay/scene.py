@@ -41,6 +41,7 @@ class ShownMotion:
         joints: Canonical frame, metres.
         scores: Maps metric ids to values; rates are 0 or 1. Empty if the motion was not scored.
         gaze: Recorded with the motion, or generated with it; None for a motion without eyes.
+        kind: ``recorded``, ``method`` or ``control``.
     """
 
     label: str
@@ -48,6 +49,7 @@ class ShownMotion:
     joints: Float[np.ndarray, "n 22 3"]
     scores: Mapping[str, float] = field(default_factory=dict)
     gaze: GazeRays | None = None
+    kind: str = "method"
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,11 +213,15 @@ def score_row(scene: Scene, motion: ShownMotion) -> tuple[str, ...]:
     )
 
 
+def known_scores(scene: Scene, motion: ShownMotion) -> list[tuple[str, str]]:
+    """Return the title and value of each known score of a motion."""
+    cells = zip(HEADER[1:], score_row(scene, motion)[1:], strict=True)
+    return [(name.replace("\n", " "), value) for name, value in cells if value != _UNKNOWN]
+
+
 def score_sentence(scene: Scene, motion: ShownMotion) -> str:
     """Return the known scores of a motion in one line."""
-    names = (name.replace("\n", " ") for name in HEADER[1:])
-    values = score_row(scene, motion)[1:]
-    return ", ".join(f"{name} {value}" for name, value in zip(names, values, strict=True) if value != _UNKNOWN)
+    return ", ".join(" ".join(score) for score in known_scores(scene, motion))
 
 
 def verdict(scene: Scene, motion: ShownMotion) -> str:

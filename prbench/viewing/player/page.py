@@ -1,0 +1,85 @@
+"""The page of the player: one HTML file that loads nothing and works from disk."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from prbench.files.storage import sole_writer, write_text
+from prbench.shown import html
+from prbench.viewing.player.document import PlayerSequence, encoded, entry_of
+
+_HERE = Path(__file__).parent
+_SCRIPTS = ("vendor/three/three.js", "player.js")
+
+
+@dataclass(frozen=True)
+class Assets:
+    """What a page needs to show the player.
+
+    Attributes:
+        scripts: JavaScript: three.js, then the player; it defines ``prbench.player.mount``.
+        style: CSS.
+    """
+
+    scripts: str
+    style: str
+
+
+def player_assets() -> Assets:
+    """Read the player's scripts and style, to be put into ``<script>`` and ``<style>`` or copied beside a page."""
+    scripts = [(_HERE / name).read_text(encoding="utf-8") for name in _SCRIPTS if (_HERE / name).is_file()]
+    style = _HERE / "player.css"
+    return Assets(";\n".join(scripts), style.read_text(encoding="utf-8") if style.is_file() else "")
+
+
+def page_text(sequences: Iterable[PlayerSequence], title: str = "prbench view") -> str:
+    """Return the page of some sequences; the motions of each are decoded when it is chosen.
+
+    Args:
+        sequences: What the menu offers, in its order.
+        title: Title of the page.
+    """
+    documents = []
+    entries = []
+    for number, sequence in enumerate(sequences):
+        documents.append(
+            f'<script type="application/json" id="sequence-{number}">{encoded(sequence).decode()}</script>'
+        )
+        entries.append(entry_of(sequence))
+    assets = player_assets()
+    menu = msgspec.json.encode(entries).decode().replace("<", "\\u003c")
+    parts = {
+        "__TITLE__": html(title),
+        "__STYLE__": assets.style,
+        "__ENTRIES__": menu,
+        "__DOCUMENTS__": "\n".join(documents),
+        # A string in a script that spells the end of a script would end it.
+        "__SCRIPTS__": assets.scripts.replace("</script", "<\\/script"),
+    }
+    text = (_HERE / "page.html").read_text(encoding="utf-8")
+    # Each part once and in the template's order, so that no part's own text is taken for a place.
+    pieces = []
+    for place, part in parts.items():
+        before, _, text = text.partition(place)
+        pieces += [before, part]
+    return "".join([*pieces, text])
+
+
+def write_page(sequences: Iterable[PlayerSequence], out: Path, title: str = "prbench view") -> None:
+    """Write the page of some sequences into one file.
+
+    Args:
+        sequences: What the menu offers, in its order.
+        out: The file; replaced when it exists.
+        title: Title of the page.
+
+    Raises:
+        StorageError: if the file cannot be written.
+    """
+    text = page_text(sequences, title)
+    with sole_writer(out):
+        write_text(out, text)
