@@ -20,6 +20,7 @@ DATA = [
     "*.html",
     "*.css",
     "*.js",
+    "vendor/*/*",
     "LICENSE",
     "*.pyi",
     "py.typed",
