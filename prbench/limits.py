@@ -88,3 +88,9 @@ LATEST_TIME = 1e10
 
 # Seconds from the first to the last sample of one stream; a longer one has a damaged time in it.
 LONGEST_RECORDING = 7 * 86_400.0
+
+# Bytes of an archive of runs that somebody hands in; Python writes larger ones in another form.
+LARGEST_PACKED = 2**31 - 1
+
+# Members of such an archive; a batch of motions is one.
+MOST_MEMBERS = 50_000

@@ -59,6 +59,17 @@ def quoted(text: object, *, longest: int = LONGEST_QUOTE) -> str:
     return f"{clean(text[:longest])} … ({len(text) - longest} more characters)"
 
 
+def listed(names: list[str]) -> str:
+    """Return how many names there are, and the first three.
+
+    >>> listed(["a", "b", "c", "d"])
+    '4 (a, b, c, …)'
+    """
+    if not names:
+        return "0"
+    return f"{len(names)} ({', '.join(map(quoted, names[:3]))}{', …' if len(names) > 3 else ''})"
+
+
 def condensed(text: str) -> str:
     """Return a message in which a word repeated in a row stands once with its count, and no word is endless.
 

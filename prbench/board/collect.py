@@ -152,6 +152,29 @@ class CollectedRuns:
     signed_by: str = ""
 
 
+def run_folders(paths: Iterable[Path]) -> list[Path]:
+    """Find the run folders that some paths mean, by name; one that is named twice, or through a link, counts once.
+
+    Args:
+        paths: Run folders, or folders that hold some, in any order.
+
+    Raises:
+        RunError: if a path holds no run.
+    """
+    folders: set[Path] = set()
+    for path in paths:
+        found = [run_folder_of(path)]
+        # A merged run is held against the runs on the folds beside it.
+        if not (found[0] / run_record.FILE_NAME).is_file() or found[0].parent == path:
+            found = sorted(file.parent for file in path.rglob(run_record.FILE_NAME)) if path.is_dir() else []
+        if not found:
+            raise RunError(
+                f"{path}: expected a run folder (with {run_record.FILE_NAME}) or a folder of runs, found none."
+            )
+        folders.update(Path(os.path.realpath(folder)) for folder in found)
+    return sorted(folders)
+
+
 # Reads the summary of one dataset of a run, and says whether it could be verified.
 Check = Callable[[RunFolder, TableRecord], CheckedSummary]
 
@@ -171,23 +194,11 @@ def collect_runs(
     Raises:
         RunError: if a path holds no run, a run is damaged or unsigned, or its files do not follow from one another.
     """
-    folders: dict[Path, None] = {}
-    for path in paths:
-        found = [run_folder_of(path)]
-        # A merged run is held against the runs on the folds beside it.
-        if not (found[0] / run_record.FILE_NAME).is_file() or found[0].parent == path:
-            found = sorted(file.parent for file in path.rglob(run_record.FILE_NAME)) if path.is_dir() else []
-        if not found:
-            raise RunError(
-                f"{path}: expected a run folder (with {run_record.FILE_NAME}) or a folder of runs, found none."
-            )
-        # By real path, so that a run that is named twice, or through a link, counts once.
-        folders |= {Path(os.path.realpath(folder)): None for folder in found}
     rows: list[LeaderboardRow] = []
     left_out: list[str] = []
     merged: list[tuple[LeaderboardRow, RunFolder]] = []
     of_folds: dict[tuple[str, str], tuple[LeaderboardRow, RunFolder]] = {}
-    opened = [RunFolder.open(folder, any_benchmark=any_benchmark) for folder in sorted(folders)]
+    opened = [RunFolder.open(folder, any_benchmark=any_benchmark) for folder in run_folders(paths)]
     signer = require_signed(opened, signed_by) if signed_by is not None else ""
     for run in opened:
         folder = run.path

@@ -27,7 +27,14 @@ EXAMPLE = "prbench leaderboard export runs/static runs/ground-truth --format md 
 
 leaderboard = Group(
     "leaderboard",
-    sections={"commands": {"export": "prbench.cli.leaderboard:export", "compare": "prbench.cli.leaderboard:compare"}},
+    sections={
+        "commands": {
+            "export": "prbench.cli.leaderboard:export",
+            "compare": "prbench.cli.leaderboard:compare",
+            "submit": "prbench.cli.board:submit",
+            "verify": "prbench.cli.board:verify",
+        }
+    },
     example=EXAMPLE,
     help="Put finished runs side by side.",
 )

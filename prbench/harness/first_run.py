@@ -28,7 +28,7 @@ from prbench.protocol.manifests import benchmarks, digest_of, load_manifest, loa
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
-from prbench.sequences.folds import ALL_FOLDS
+from prbench.sequences.folds import ALL_FOLDS, fold_tables
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.people.person import PRESETS
@@ -177,11 +177,13 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
     return [table.with_sequences() for table in tables.values()]
 
 
-def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], Any]:
+def table_finder(data: Sequence[Path], *, same_values: bool = True) -> Callable[[TableRecord], Any]:
     """Return a function that finds the table of a run among the named ones and those in prbench's own cache.
 
     Args:
         data: Folders of tables of any benchmark.
+        same_values: The table has to be the very same one; otherwise a named one of the same sequences will do, or a
+            fold of a named one.
 
     Raises:
         TableError: if a named one cannot be opened; the function raises it for one in the cache.
@@ -198,6 +200,13 @@ def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], Any]:
             # Identity says which sequences, content says which numbers; a rebuilt table may share only the first.
             if (record.identity_digest, record.content_digest) == (table.identity, table.info.content_digest):
                 return table
+        if not same_values:
+            wanted = (record.dataset, record.identity_digest)
+            whole = [table.folder for table in opened if record.fold and table.info.dataset == record.dataset]
+            folds = map(SequenceTable.open, fold_tables(whole, record.fold))
+            near = next((each for each in (*opened, *folds) if (each.info.dataset, each.identity) == wanted), None)
+            if near is not None:
+                return near
         # The default tables first: nearly every run was made on them. Then folds, and tables of earlier versions.
         tables = cache_folder() / "tables"
         earlier = sorted(path.parent for depth in ("*", "*/*") for path in tables.glob(f"{depth}/{FILE_NAME}"))

@@ -22,7 +22,7 @@ from msgspec.structs import asdict
 
 from prbench.checking.doctor.motion_set import Diagnosis
 from prbench.engine import Engine, InProcess
-from prbench.errors import RunError
+from prbench.errors import PredictionsError, RunError
 from prbench.harness import claims
 from prbench.harness.benchmark import CaseTable, CaseWork, load_benchmark
 from prbench.harness.intervals import CONFIDENCE, clustered, metric_interval
@@ -30,12 +30,14 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder import summary as run_summary
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
+from prbench.harness.run_folder.predictions import open_part
 from prbench.harness.run_folder.record import RunRecord, TableRecord
 from prbench.harness.run_folder.scores import PIECE, SCORES, CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
+from prbench.metrics import MetricInfo
 from prbench.metrics.registry import LENGTH_MISMATCH
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
-from prbench.shown import quoted
+from prbench.shown import listed, quoted
 
 # Fields that a run's record and its request share.
 _SHARED = ("benchmark", "condition", "split", "limit", "sequences", "seed", "samples", "device", "threads", "control")
@@ -60,13 +62,16 @@ def request_of(record: RunRecord, data: Sequence[Path], *, folder: Path, **chang
     return RunRequest(**(given | {name: getattr(record, name) for name in _SHARED} | changes))
 
 
-def cases_of_run(run: RunFolder, table: CaseTable, *, limit: int | None = None) -> tuple[RunRequest, Any, Any]:
+def cases_of_run(
+    run: RunFolder, table: CaseTable, *, limit: int | None = None, same_values: bool = True
+) -> tuple[RunRequest, Any, Any]:
     """Choose the cases of a run in one of its tables anew.
 
     Args:
         run: The run.
         table: The table that it was made on.
         limit: Number of cases, if it is to be another one than the run's.
+        same_values: The table has to hold the same values, too, not only the same sequences.
 
     Returns:
         The request of the run for this table, the chosen cases, and those of them that the method can answer.
@@ -77,7 +82,8 @@ def cases_of_run(run: RunFolder, table: CaseTable, *, limit: int | None = None) 
     run.dataset(table.info.dataset)
     record = run.record
     recorded = next(item for item in record.tables if item.dataset == table.info.dataset)
-    for key, found in (("identity_digest", table.identity), ("content_digest", table.content)):
+    digests = {"identity_digest": table.identity} | ({"content_digest": table.content} if same_values else {})
+    for key, found in digests.items():
         expected = getattr(recorded, key)
         if expected != found:
             raise RunError(
@@ -130,16 +136,72 @@ def require_summary(files: DatasetFolder, made: DatasetSummary, *, grouped: bool
         )
 
 
-def require_scores(files: DatasetFolder, stored: CodedScores, made: CodedScores) -> None:
+class MetricDrift(msgspec.Struct, frozen=True, kw_only=True):
+    """One metric as a run states it, and as its motions score now; rates from 0 to 1, lengths in metres.
+
+    Attributes:
+        metric: Id of the metric.
+        title: Its name as printed.
+        unit: Its unit.
+        stored: Mean of the stored scores.
+        rescored: Mean of the scores that the motions have now.
+        drift: Mean over the motions of how far the two are apart.
+        accepted: Largest drift that other values of the same recordings may cause.
+    """
+
+    metric: str
+    title: str
+    unit: str
+    stored: float
+    rescored: float
+    drift: float
+    accepted: float
+
+
+def metric_drifts(stored: CodedScores, made: CodedScores, infos: Sequence[MetricInfo]) -> tuple[MetricDrift, ...]:
+    """Compare two tables of scores that hold the same rows, metric by metric."""
+    found = []
+    for info in infos:
+        rows = stored.rows_of(info.id)
+        if not len(rows):
+            continue
+        mean = float(stored.value[rows].mean())
+        # One millimetre, half a point; half a percent of what is neither.
+        accepted = {"m": 1e-3, "rate": 5e-3, "ratio": 5e-3}.get(info.unit, 5e-3 * max(abs(mean), 1.0))
+        drift = MetricDrift(
+            metric=info.id,
+            title=info.title,
+            unit=info.unit,
+            stored=mean,
+            rescored=float(made.value[rows].mean()),
+            # Of each motion, so that no exchange of values between motions stays unseen.
+            drift=float(np.abs(made.value[rows] - stored.value[rows]).mean()),
+            accepted=accepted,
+        )
+        found.append(drift)
+    return tuple(found)
+
+
+def require_scores(
+    files: DatasetFolder, stored: CodedScores, made: CodedScores, *, drifting: Sequence[MetricInfo] | None = None
+) -> None:
     """Compare ``scores.parquet`` with what the motions score now.
 
+    Args:
+        files: Files of the dataset.
+        stored: What they hold.
+        made: What the motions score.
+        drifting: The metrics, where the table has the same sequences with other values, so that a little drift is
+            accepted in each.
+
     Raises:
-        RunError: naming the first row that differs.
+        RunError: naming the first row, or the metric, that differs.
     """
+    keys = _KEYS if drifting is None else _KEYS[:3]  # the remarks depend on the values
     # Keys first: values can only be compared where both tables hold the same rows.
     pieces = itertools.zip_longest(made.pieces(), stored.pieces(), fillvalue=SCORES.empty_table())
     for number, (ours, theirs) in enumerate(pieces):
-        one, other = (table.select(_KEYS) for table in (ours, theirs))
+        one, other = (table.select(keys) for table in (ours, theirs))
         if one.equals(other):
             continue
         rows = itertools.zip_longest(one.to_pylist(), other.to_pylist())
@@ -148,6 +210,9 @@ def require_scores(files: DatasetFolder, stored: CodedScores, made: CodedScores)
             f"{files.scores}, row {row}: expected {_row(made, row)} from the motions and their table, found"
             f" {_row(stored, row)} ({len(made)} and {len(stored)} rows). The file was edited. {_AGAIN}"
         )
+    if drifting is not None:
+        _require_little_drift(files, metric_drifts(stored, made, drifting))
+        return
     expected = made.value
     found = stored.value
     # Written as "not within", so that NaN counts as different.
@@ -159,6 +224,17 @@ def require_scores(files: DatasetFolder, stored: CodedScores, made: CodedScores)
             f" {files.predictions.name} scores on its table, found {found[row]:.6g} ({wrong.size} of"
             f" {len(found)} values differ). The scores or the motions were edited. {_AGAIN}"
         )
+
+
+def _require_little_drift(files: DatasetFolder, drifts: Sequence[MetricDrift]) -> None:
+    for each in drifts:
+        if not each.drift <= each.accepted:  # NaN differs, too
+            raise RunError(
+                f"{files.scores}, {each.metric}: expected values within {each.accepted:.3g} of those that the motions"
+                f" in {files.predictions.name} score on the table at hand, found {each.drift:.3g} of difference in the"
+                f" mean ({each.stored:.6g} stored, {each.rescored:.6g} scored now). The scores or the motions were"
+                f" edited, or the table was built of other data. {_AGAIN}"
+            )
 
 
 def _row(scores: CodedScores, row: int) -> str:
@@ -270,6 +346,8 @@ def _ranks(names: Sequence[str]) -> Int[np.ndarray, " names"]:
     return np.unique(np.array(names, dtype=object), return_inverse=True)[1]
 
 
+# What is unverified for want of a table; more data may show it.
+NOT_AT_HAND = "is not at hand"
 _OTHER_PROTOCOL = (
     "it was scored under another protocol than this version's, so metrics and limits that are newer are missing;"
     " `prbench score RUN --data DIR` scores its motions by this version's"
@@ -284,12 +362,14 @@ class CheckedSummary:
         unverified: Reason why the scores could not be held against the motions; empty where they were.
         scored: What a summary of some of the sequences is made from; None where a test gives a summary alone.
         declared: What the run says and nothing here can show.
+        drifts: Each metric as stored and as scored again; empty where the scores could not be held against the motions.
     """
 
     summary: DatasetSummary
     unverified: str
     scored: ScoredSequences | None = None
     declared: tuple[str, ...] = claims.DECLARED
+    drifts: tuple[MetricDrift, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -325,11 +405,14 @@ class RunChecker:
     """Checks runs against the tables that are at hand.
 
     Attributes:
-        find_table: Gives the very table that a run was made on, if it is at hand.
+        find_table: Gives the table that a run was made on, if it is at hand.
+        same_values: The table has to be the very same one; otherwise one of the same sequences with other values will
+            do, and a little drift is accepted.
     """
 
     find_table: Callable[[TableRecord], CaseTable | None] = lambda _: None
     engine: Engine = field(default_factory=InProcess)
+    same_values: bool = True
 
     def check(self, run: RunFolder, record: TableRecord) -> CheckedSummary:
         """Check one dataset of a finished run.
@@ -363,9 +446,11 @@ class RunChecker:
         elif rules is None:
             unverified = _OTHER_PROTOCOL
         elif table is None:
-            unverified = f"its table of {record.dataset} is not at hand: name it with --data DIR"
+            unverified = f"its table of {record.dataset} {NOT_AT_HAND}: name it with --data DIR"
+        drifts: tuple[MetricDrift, ...] = ()
         if table is not None and rules is not None:
-            request, chosen, cases = cases_of_run(run, table)
+            exact = self.same_values or table.content == record.content_digest
+            request, chosen, cases = cases_of_run(run, table, same_values=exact)
             unknown = sorted(set(names) - set(cases.sequence_ids))
             if unknown:
                 raise RunError(
@@ -373,11 +458,44 @@ class RunChecker:
                 )
             work = work_of_run(run, request, cases, rules)
             if has_motions:
+                require_motions(files, cases.sequence_ids, run.record.samples)
                 # First: another condition is judged otherwise, too.
-                declared = claims.require_questions(run, files, cases, work)
-                require_scores(files, scores, CodedScores.of(work.scores(files, self.engine)))
-                made = msgspec.structs.replace(made, findings=work.findings(files))
-            claims.require_table(run, record, chosen, cases, work, rules)
-            cases = cases.chosen(np.isin(cases.sequence_ids, names))
-            work_of_run(run, request, cases, rules).require_beside(files, scores)
-        return CheckedSummary(made, unverified, ScoredSequences(run, record, recording_of), declared)
+                declared = claims.require_questions(run, files, cases, work, exact=exact)
+                again = CodedScores.of(work.scores(files, self.engine))
+                require_scores(files, scores, again, drifting=None if exact else benchmark.metrics)
+                drifts = metric_drifts(scores, again, benchmark.metrics)
+                made = summary_of(run.record, record, scores if exact else again, recording_of, work.findings(files))
+            claims.require_table(run, record, chosen, cases, work, rules, exact=exact)
+            if exact:  # agreement with recorded people turns at single sequences
+                cases = cases.chosen(np.isin(cases.sequence_ids, names))
+                work_of_run(run, request, cases, rules).require_beside(files, scores)
+        return CheckedSummary(made, unverified, ScoredSequences(run, record, recording_of), declared, drifts)
+
+
+def require_motions(files: DatasetFolder, sequence_ids: Sequence[str], samples: int) -> None:
+    """Refuse stored motions that are not those of some sequences, each once for every sample.
+
+    Args:
+        files: Files of the dataset.
+        sequence_ids: The sequences.
+        samples: Motions of each.
+
+    Raises:
+        PredictionsError: naming sequences that are missing, repeated or unknown.
+    """
+    counts: Counter[tuple[str, int]] = Counter()
+    for part in sorted(files.predictions.glob("*.parquet")):
+        rows = open_part(part).read(["sequence_id", "sample"])
+        counts.update(zip(rows["sequence_id"].to_pylist(), rows["sample"].to_pylist(), strict=True))
+    wanted = {(name, sample) for name in sequence_ids for sample in range(samples)}
+    missing = sorted(wanted - set(counts))
+    repeated = sorted(key for key, count in counts.items() if count > 1)
+    unknown = sorted(set(counts) - wanted)
+    if missing or repeated or unknown:
+        kinds = {"missing": missing, "repeated": repeated, "unknown": unknown}
+        named = {kind: [f"{name}, sample {sample}" for name, sample in keys] for kind, keys in kinds.items()}
+        words = ", ".join(f"{kind} {listed(keys)}" for kind, keys in named.items())
+        raise PredictionsError(
+            f"{files.predictions}: expected a motion of each of {len(sequence_ids)} sequences for each of {samples}"
+            f" samples, found {words}. The motions were edited or lost: run the same command again, it resumes."
+        )

@@ -25,7 +25,6 @@ from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.run_folder.summary import DatasetAgreement, DatasetSummary
 from prbench.sequences import SequenceTable
-from prbench.shown import quoted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,15 +227,5 @@ def require_complete(
     raise PredictionsError(
         f"{request.predictions}: expected the {expected}{each}, found {len(there - set(missing))}:"
         f" missing {listed(missing)}, repeated {listed(repeated)}, unknown {listed(sorted(unknown))}"
-        f"{f', samples that were not asked for {surplus[:_NAMED]}' if surplus else ''}. {remedy}"
+        f"{f', samples that were not asked for {surplus[:3]}' if surplus else ''}. {remedy}"
     )
-
-
-_NAMED = 3  # ids listed in a message
-
-
-def listed(names: list[str]) -> str:
-    """Return how many names there are, and the first three."""
-    if not names:
-        return "0"
-    return f"{len(names)} ({', '.join(map(quoted, names[:_NAMED]))}{', …' if len(names) > _NAMED else ''})"

@@ -197,6 +197,16 @@ class RunFolder:
             return DatasetFolder(self.path)
         return DatasetFolder(own)
 
+    @property
+    def files(self) -> list[Path]:
+        """All files of a finished run on which a board depends, as far as they are there."""
+        files = [self.path / name for name in (record.FILE_NAME, PROTOCOL_FILE, FOLDS_FILE)]
+        for table in self.record.tables:
+            own = self.dataset(table.dataset)
+            files += [own.path / summary.FILE_NAME, own.scores, own.cost, own.agreement]
+            files += sorted(own.predictions.glob("*.parquet"))
+        return [path for path in files if path.is_file()]
+
     def discard_if_empty(self) -> None:
         """Remove the folder if not a single batch was finished, so that a failed first step leaves nothing behind."""
         folders = [self.dataset(table.dataset) for table in self.record.tables]

@@ -14,10 +14,8 @@ from typing import TYPE_CHECKING, Any
 from prbench.errors import InputFileError, MissingExtraError, RunError, UsageError
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import file_digest, write_bytes
-from prbench.harness.run_folder import record, summary
-from prbench.harness.run_folder.folder import FOLDS_FILE, MERGED, RunFolder, read_folds
+from prbench.harness.run_folder.folder import MERGED, RunFolder, read_folds
 from prbench.limits import HARMLESS_SIZE, LARGEST_JSON
-from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
 
 if TYPE_CHECKING:
     from minisign import PublicKey, SecretKey, Signature
@@ -119,13 +117,7 @@ def _why_not_signed(run: RunFolder, key: PublicKey, signer: str) -> str:
 
 def _sums(run: RunFolder) -> str:
     """Return the digests of all files on which a board depends, in the form of ``sha256sum``."""
-    files = [run.path / name for name in (record.FILE_NAME, PROTOCOL_FILE, FOLDS_FILE)]
-    for table in run.record.tables:
-        own = run.dataset(table.dataset)
-        files += [own.path / summary.FILE_NAME, own.scores, own.cost, own.agreement]
-        files += sorted(own.predictions.glob("*.parquet"))
-    there = (path for path in files if path.is_file())
-    return "".join(f"{file_digest(path)}  {path.relative_to(run.path).as_posix()}\n" for path in there)
+    return "".join(f"{file_digest(path)}  {path.relative_to(run.path).as_posix()}\n" for path in run.files)
 
 
 @foreign_input()
