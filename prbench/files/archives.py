@@ -7,6 +7,7 @@ different archives in the same bytes.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import re
@@ -15,7 +16,6 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -125,7 +125,7 @@ class Archive:
         return digest.hexdigest()
 
 
-@contextmanager
+@contextlib.contextmanager
 def open_archive(path: Path) -> Iterator[Archive]:
     """Open an archive that a stranger handed in; nothing is unpacked before every member was looked at.
 
@@ -133,31 +133,26 @@ def open_archive(path: Path) -> Iterator[Archive]:
         InputFileError: if it is no ZIP archive, or one that leads out of its folder, hides or repeats members, unpacks
             to more than it can honestly hold, or holds anything but plain files; names the member.
     """
-    with foreign_input(path):
-        file = open_regular(path, largest=LARGEST_PACKED)
-    with file:
-        yield _looked_at(path, file)
-
-
-@foreign_input()
-def _looked_at(path: Path, file: io.BufferedReader) -> Archive:
-    start, count = _require_plain_end(path, file)
-    try:
-        archive = zipfile.ZipFile(file)
-        entries = archive.infolist()
-    except (zipfile.BadZipFile, UnicodeDecodeError, NotImplementedError, struct.error) as error:
-        raise _refused(path, "its table of contents", "one of a whole ZIP archive", str(error)) from error
-    if len(entries) != count:
-        raise _refused(path, "its table of contents", f"{count} members, as its end says", f"{len(entries)}")
-    for entry in entries:
-        _require_plain_file(path, entry)
-    _require_different(path, [entry.filename for entry in entries])
-    total = sum(entry.file_size for entry in entries)
-    most = max(HARMLESS_SIZE, _HIGHEST_COMPRESSION * path.stat().st_size)
-    if total > most:
-        raise _refused(path, "", f"members of at most {most:,} bytes altogether", f"{total:,} declared")
-    _require_contiguous(path, file, entries, start)
-    return Archive(path, {entry.filename: entry for entry in entries}, archive)
+    with contextlib.ExitStack() as stack:
+        with foreign_input(path):
+            file = stack.enter_context(open_regular(path, largest=LARGEST_PACKED))
+            start, count = _require_plain_end(path, file)
+            try:
+                archive = zipfile.ZipFile(file)
+            except (zipfile.BadZipFile, UnicodeDecodeError, NotImplementedError, struct.error) as error:
+                raise _refused(path, "its table of contents", "one of a whole ZIP archive", str(error)) from error
+            entries = archive.infolist()
+            if len(entries) != count:
+                raise _refused(path, "its table of contents", f"{count} members, as its end says", f"{len(entries)}")
+            for entry in entries:
+                _require_plain_file(path, entry)
+            _require_different(path, [entry.filename for entry in entries])
+            total = sum(entry.file_size for entry in entries)
+            most = max(HARMLESS_SIZE, _HIGHEST_COMPRESSION * path.stat().st_size)
+            if total > most:
+                raise _refused(path, "", f"members of at most {most:,} bytes altogether", f"{total:,} declared")
+            _require_contiguous(path, file, entries, start)
+        yield Archive(path, {entry.filename: entry for entry in entries}, archive)
 
 
 def _require_plain_end(path: Path, file: io.BufferedReader) -> tuple[int, int]:
