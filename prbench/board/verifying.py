@@ -76,7 +76,7 @@ def verify_submission(
 
     Args:
         submission: The submission.
-        folder: Where it was unpacked.
+        folder: The folder that it was unpacked into.
         data: Folders of tables.
         engine: Processes that score; changes no value.
 
