@@ -128,8 +128,7 @@ assert distance.min() < 0.5
 sequence.plot()
 
 # %% [markdown]
-# `sequence.replay()` shows the same in 3-D, to turn and play. It needs the extra `view`
-# (`pip install 'prbench[view]'`).
+# `sequence.replay()` shows the same in 3-D, to turn and play.
 #
 # ## Events that became no sequence
 #

@@ -80,15 +80,10 @@ sequence = table.sequence(accepted.sequence_id)
 sequence.plot()
 
 # %% [markdown]
-# The same in 3-D: drag to turn, press play. This needs the extra `view` (`pip install 'prbench[view]'`).
+# The same in 3-D: drag to turn, press play.
 
 # %%
-try:
-    replay = sequence.replay()
-except prbench.PrbenchError as error:
-    replay = None
-    print(error)
-replay
+sequence.replay()
 
 # %% [markdown]
 # ## By hand

@@ -7,16 +7,17 @@ Progress of long work: a bar in a terminal or below a notebook's cell, and nothi
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import pyarrow as pa
@@ -32,8 +33,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-# Pixels of a replay below a cell.
-_REPLAY_HEIGHT = 560
+# Pixels of a replay below a cell, and bytes of motions in it.
+_REPLAY_HEIGHT = 640
+_LARGEST_IN_A_CELL = 4_000_000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,6 +51,7 @@ class Picture:
     title: str
     _draw: Callable[[Path], object]
     scenes: tuple[Scene, ...] = ()
+    _example: ClassVar[str] = "picture.png"
 
     @cached_property
     def png(self) -> bytes:
@@ -63,14 +66,14 @@ class Picture:
 
         Args:
             path: The file. It ends in ``.png``; where sequences are drawn, ``.mp4`` writes a film and ``.html`` a page
-                to turn and play, as ``prbench view --out`` does.
+                to turn and play, as ``prbench view --out`` does; all sequences stand in it.
 
         Returns:
             The file.
 
         Raises:
             UsageError: for another ending.
-            MissingExtraError: if a film or page is asked for without the extra ``view``.
+            MissingExtraError: if a film is asked for without the extra ``view``.
             StorageError: if the file cannot be written.
         """
         with output_file(path) as file:
@@ -85,53 +88,33 @@ class Picture:
         return self.png
 
     def __repr__(self) -> str:
-        return f"<Picture of {self.title}; .save('picture.png') writes it>"
+        return f"<{type(self).__name__} of {self.title}; .save('{self._example}') writes it>"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Replay:
-    """Motions in a 3-D view to turn and play: a notebook shows it below the cell, :meth:`save` writes it into a file.
+class Replay(Picture):
+    """Motions in a player to turn and play: a notebook shows it below the cell, :meth:`save` writes it into a file."""
 
-    Needs the extra ``view`` (``pip install 'prbench[view]'``).
-
-    Attributes:
-        title: What is shown, in a few words.
-        scenes: The sequences, each with its motions, in the order in which they are played.
-    """
-
-    title: str
-    scenes: tuple[Scene, ...] = field(repr=False)
+    _example: ClassVar[str] = "replay.html"
 
     @cached_property
     def page(self) -> str:
-        """The view as one HTML page that needs no network."""
-        with tempfile.TemporaryDirectory(prefix="prbench-") as folder:
-            return _save_scenes(self.scenes, Path(folder) / "replay.html").read_text(encoding="utf-8")
+        """The player as one HTML page that needs no network; the first sequences, as many as a notebook should hold."""
+        from prbench.viewing.player.document import player_sequence, within
+        from prbench.viewing.player.page import page_text
 
-    def save(self, path: PathLike) -> Path:
-        """Write the replay into a file; one that exists is replaced.
-
-        Args:
-            path: The file: ``.html`` is a page to turn and play, ``.mp4`` a film, ``.png`` a sheet of poses.
-
-        Returns:
-            The file.
-
-        Raises:
-            UsageError: for another ending.
-            MissingExtraError: without the extra ``view``, except for a PNG.
-            StorageError: if the file cannot be written.
-        """
-        with output_file(path) as file:
-            return _save_scenes(self.scenes, file)
+        return page_text(within(map(player_sequence, self.scenes), _LARGEST_IN_A_CELL), self.title)
 
     def _repr_html_(self) -> str:
-        # The page of a viewer brings styles and scripts of its own, so it gets a frame of its own.
-        page = escape(self.page, quote=True)
-        return f'<iframe srcdoc="{page}" width="100%" height="{_REPLAY_HEIGHT}" style="border:none"></iframe>'
-
-    def __repr__(self) -> str:
-        return f"<Replay of {self.title}; .save('replay.html') writes it>"
+        # The frame is a page of its own, which cannot reach the notebook. Where a site takes frames out, as GitHub
+        # does, the picture behind it is seen.
+        shown = "position:absolute;top:0;left:0;width:100%;height:100%;border:none;background:white"
+        frame = (
+            f'<iframe sandbox="allow-scripts allow-downloads" srcdoc="{escape(self.page)}" style="{shown}"></iframe>'
+        )
+        source = f"data:image/png;base64,{base64.b64encode(self.png).decode()}"
+        picture = f'<img alt="{html(self.title)}" style="max-width:100%;max-height:100%" src="{source}">'
+        return f'<div style="position:relative;height:{_REPLAY_HEIGHT}px">{picture}{frame}</div>'
 
 
 def _save_scenes(scenes: tuple[Scene, ...], path: Path) -> Path:
@@ -153,18 +136,12 @@ def picture_of(scenes: tuple[Scene, ...]) -> Picture:
 
 
 def replay_of(scenes: tuple[Scene, ...]) -> Replay:
-    """Return the 3-D view of some sequences, one after another.
+    """Return the player of some sequences.
 
     Args:
-        scenes: What is played.
-
-    Raises:
-        MissingExtraError: if the extra ``view`` is not installed.
+        scenes: What its menu offers.
     """
-    from prbench.viewing.view import file_kind
-
-    file_kind(Path("replay.html"))  # asks for the package before anything is drawn
-    return Replay(_titles(scenes), scenes)
+    return Replay(_titles(scenes), lambda path: _save_scenes(scenes, path), scenes)
 
 
 def _titles(scenes: Collection[Scene]) -> str:

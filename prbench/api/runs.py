@@ -240,7 +240,6 @@ class Run:
             The replay; a notebook shows it, :meth:`Replay.save` writes it.
 
         Raises:
-            MissingExtraError: if the extra ``view`` is not installed.
             UsageError: if a sequence is unknown.
             RunError: if the run has no motions, or ``data`` names another table than the run's.
             TableError: if the run's table cannot be found.

@@ -178,7 +178,6 @@ class Sequence(sequences.Sequence):
             The replay; a notebook shows it, :meth:`Replay.save` writes it.
 
         Raises:
-            MissingExtraError: if the extra ``view`` is not installed.
             RedistributionError: if the dataset's licence keeps recorded motion and no permission is stated.
         """
         return pictures.replay_of((self._scene(permission),))

@@ -275,16 +275,13 @@ def _run_all(
         )
         with progress(f"drawing {view.name}") as show_drawing:
             below = [*draw(wanted, show_drawing).notices, f"view: {view}"]
-    elif first_run:
-        few = "" if experiment.sequences else "--limit 1 "
-        below = [f"look at it: prbench view {folder.path} {few}--out motions.png"]
     if first_run and not experiment.sequences:
         note(
             f"these are {requests[0].limit} sequences of each dataset (--limit N takes another number); for the same"
             f" ones elsewhere: prbench export-conditions --data {requests[0].data[0].parent}/* --limit"
             f" {requests[0].limit} …"
         )
-    return run_answer(reports, companions, single=bool(experiment.sequences), below=below)
+    return run_answer(reports, companions, single=bool(experiment.sequences), data=requests[0].data, below=below)
 
 
 def _unlocked(path: Path) -> SecretKey:

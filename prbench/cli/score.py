@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
     from prbench.harness.request import Progress
     from prbench.harness.run_folder.summary import DatasetAgreement, DatasetSummary
+    from prbench.viewing.player.links import SequenceScores
 
 
 class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
@@ -31,12 +32,14 @@ class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
         motionless: They are declared to stand still, so that some metrics, such as Foot Skating, say nothing.
         scores: Their scores, as in ``summary.json``.
         agreement: Agreement with recorded people, and rates by the goal's place; null for futures.
+        sequences: Every sequence with its scores and the link to its motion, the worst first; empty for futures.
     """
 
     origin: str
     motionless: bool
     scores: DatasetSummary
     agreement: DatasetAgreement | None
+    sequences: list[SequenceScores] = []
 
 
 @command(
@@ -90,12 +93,15 @@ def score(
     from prbench.harness.benchmark import load_benchmark
     from prbench.harness.run_folder import RunFolder, signature
     from prbench.harness.run_folder.folder import run_folder_of
+    from prbench.harness.run_folder.record import FILE_NAME as RUN_FILE
     from prbench.harness.score_predictions import score_predictions
     from prbench.harness.score_request import ScoreRequest
     from prbench.protocol.manifests import find_benchmark
     from prbench.sequences.folds import fold_tables
+    from prbench.viewing.player.links import sequence_scores
 
     folder = run_folder_of(predictions)
+    is_run = (folder / RUN_FILE).is_file()
     if require_signed is not None:
         run = RunFolder.open(folder, any_benchmark=True)
         note(f"signed by {signature.require_signed([run], require_signed)}")
@@ -119,10 +125,11 @@ def score(
         for each in scored:
             if each.changed:
                 note(f"changed: {each.changed}")
-        made = [
-            ScoredMotions(origin=each.origin, motionless=each.motionless, scores=each.summary, agreement=each.agreement)
-            for each in scored
-        ]
+        made = []
+        for each in scored:
+            sequences = sequence_scores(each.coded, each.summary.dataset, data, linked=is_run)
+            own = {"scores": each.summary, "agreement": each.agreement, "sequences": sequences}
+            made.append(ScoredMotions(origin=each.origin, motionless=each.motionless, **own))
     else:
         for name, value in given.items():
             if value is not None and value is not False:
@@ -147,6 +154,7 @@ def score(
             metrics = load_benchmark(about.name).metrics
             summaries.print_summary(each.scores, origin=each.origin, motionless=each.motionless, metrics=metrics)
             summaries.print_agreement(each.agreement)
+            summaries.print_worst(each.sequences, folder if is_run else None, data)
         if out is not None:
             print(f"scores: {out}")
             if any(each.scores.condition == UNSTATED for each in made):
@@ -271,7 +279,7 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
             note(f"unverified: {reason}")
         merged.write(out)
         folds = RunReport(RunFolder.open(out), (merged.summary,), batches_made=0, batches_found=0)
-        return summaries.run_answer([folds], single=False)
+        return summaries.run_answer([folds], single=False, data=data)
     if out.resolve() in [folder.resolve() for folder in parts]:
         raise UsageError(f"--out {out}: is one of the shards. Choose another folder.")
     opened = require_whole(parts)
@@ -297,4 +305,4 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
             tell(step.done, step.total, f"{step.stage} {step.dataset}")
 
         run = merge_run_shards(opened, out, data=data, engine=engine_for(workers), progress=told)
-    return summaries.run_answer([run], single=bool(run.folder.record.sequences))
+    return summaries.run_answer([run], single=bool(run.folder.record.sequences), data=data)

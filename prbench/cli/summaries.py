@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
         RateAgreement,
     )
     from prbench.metrics import MetricInfo
+    from prbench.viewing.player.links import SequenceScores
 
 _DASH = "–"
 _PHI = "· phi"
@@ -253,6 +255,8 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
             ``agreement.json``; empty for merged folds and for benchmarks without recorded people.
         means: Mean of each metric over the datasets; without metrics that a dataset lacks, and empty for a single
             dataset.
+        sequences: Every sequence with its scores and the link to its motion, the worst first, dataset after dataset;
+            empty for a benchmark without recorded people.
     """
 
     folder: Path
@@ -264,6 +268,7 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
     datasets: tuple[DatasetSummary, ...]
     agreements: list[DatasetAgreement]
     means: dict[str, MeanOverDatasets]
+    sequences: list[SequenceScores]
 
 
 class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
@@ -283,7 +288,12 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def run_answer(
-    reports: Sequence[RunReport], companions: Sequence[RunReport] = (), *, single: bool, below: Sequence[str] = ()
+    reports: Sequence[RunReport],
+    companions: Sequence[RunReport] = (),
+    *,
+    single: bool,
+    data: Sequence[Path] = (),
+    below: Sequence[str] = (),
 ) -> Answer:
     """Answer a command that has made runs.
 
@@ -291,6 +301,7 @@ def run_answer(
         reports: The runs asked for.
         companions: Runs of other methods that a first run is shown beside.
         single: The runs are of single sequences, whose scores are shown one by one.
+        data: The tables that were run on.
         below: Lines that are printed below the scores.
     """
     scored = [summary for report in reports for summary in report.summaries]
@@ -300,21 +311,58 @@ def run_answer(
             _print_run(report, single=single)
         if companions:
             _print_company([reports[0], *companions])
-        for report in reports:
+        for report, made in zip(reports, answer.runs, strict=True):
             print(f"run folder: {report.folder.path}")
+            print_worst(made.sequences, report.folder.path, data)
         for line in below:
             print(line)
         print_findings(scored)
 
-    made = RunAnswer(runs=list(map(_made, reports)), companions=list(map(_made, companions)))
-    return Answer(made, show, exit_code_of(scored))
+    runs = [_made(report, data) for report in reports]
+    answer = RunAnswer(runs=runs, companions=[_made(report, data) for report in companions])
+    return Answer(answer, show, exit_code_of(scored))
 
 
-def _made(report: RunReport) -> MadeRun:
+SHOWN_SEQUENCES = 3  # that are printed; the report holds all
+
+
+def print_worst(sequences: Sequence[SequenceScores], folder: Path | None, data: Sequence[Path]) -> None:
+    """Print the worst sequences of a run, and the command that writes the page of their motions.
+
+    Args:
+        sequences: All sequences, the worst first; one dataset after another.
+        folder: The run folder; None for motions of a file, which no page shows.
+        data: The tables that were run on.
+    """
+    from prbench.files.storage import cache_folder
+    from prbench.viewing.player.links import told_rates
+
+    if not sequences:
+        return
+    first = [each for each in sequences if each.dataset == sequences[0].dataset]
+    print(f"worst of {len(first)} sequences of {first[0].dataset}, by the mean of their ranks in the main metrics:")
+    for each in first[:SHOWN_SEQUENCES]:
+        place = each.sequence_id if folder is None else str(folder / (each.motion or ""))
+        print(f"  {told_rates(each.scores)}: {place}")
+    if folder is not None:
+        # The embedded tables and folds lie in the cache, where the command finds them by their digests.
+        needed = [str(table) for table in data if cache_folder() not in table.parents]
+        named = ["--data", *needed] if needed else []
+        print(f"motions: {shlex.join(['prbench', 'view', str(folder), *named])}")
+
+
+def _made(report: RunReport, data: Sequence[Path]) -> MadeRun:
+    from prbench.harness.run_folder.scores import CodedScores
     from prbench.harness.run_folder.summary import means_over_datasets, share_a_mean
+    from prbench.protocol.manifests import default_benchmark
+    from prbench.viewing.player.links import sequence_scores
 
     record = report.folder.record
     several = len(report.summaries) > 1 and share_a_mean(record.tables)
+    sequences: list[SequenceScores] = []
+    for each in report.summaries if record.benchmark == default_benchmark().name else ():
+        scores = CodedScores.read(report.folder.dataset(each.dataset).scores)
+        sequences += sequence_scores(scores, each.dataset, data, linked=True)
     return MadeRun(
         folder=report.folder.path,
         method=record.method.name,
@@ -325,6 +373,7 @@ def _made(report: RunReport) -> MadeRun:
         datasets=report.summaries,
         agreements=[found for found in _agreements(report) if found],
         means=means_over_datasets(report.summaries) if several else {},
+        sequences=sequences,
     )
 
 

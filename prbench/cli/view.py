@@ -6,6 +6,8 @@ a page on which a person looks through events and corrects them.
 
 from __future__ import annotations
 
+import sys
+import webbrowser
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +17,7 @@ import msgspec
 
 from prbench.cli import options as opt
 from prbench.cli.builds import NOT_EVERYTHING
-from prbench.cli.commands import Answer, command, note, progress
+from prbench.cli.commands import Answer, command, note, progress, session
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
@@ -29,46 +31,74 @@ class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         out: The picture, film or page.
         sequences: Ids of the sequences in it.
+        links: Addresses of their motions in a page, in the same order; empty for a picture or film.
+        left_out: Number of sequences that a page has no room for.
         notices: Sentences that the datasets' terms ask for, as they stand in the view.
     """
 
     out: Path
     sequences: list[str]
+    links: list[str]
+    left_out: int
     notices: list[str]
 
 
-@command("view", example="prbench view runs/static --data tables/adt --out static.png", report=ViewReport)
+SHOWN_SEQUENCES = 10  # that are printed; the report holds all
+
+
+@command("view", example="prbench view runs/static --data tables/adt", report=ViewReport)
 @click.argument("runs", type=opt.PATH, nargs=-1, metavar="[RUN...]")
 @opt.data_option(required=False, help="The table(s) of the runs; not needed for the embedded synthetic datasets.")
-@opt.out_file_option("Picture (.png), film (.mp4) or page (.html); of motion prediction .png or .svg.", required=True)
+@opt.out_file_option(
+    "Page (.html), picture (.png) or film (.mp4); of motion prediction .png or .svg (default: motions.html in the run's"
+    " folder; in this folder for several runs, for none, and where the run's cannot be written)."
+)
 @opt.sequence_option("Show this sequence")
-@opt.limit_option("4")
+@opt.limit_option("4; in a page as many as 40 MB hold, the worst first")
 @click.option("--sample", type=int, default=0, metavar="K", help="Sample of runs with several (default 0, the first).")
+@opt.flag("--open", "Open it in the browser; on a terminal only.")
 @opt.permission_option
-def view(*, permission: tuple[str, ...], **given: Any) -> Answer:
-    """Show recorded and generated motion beside one another, as PNG, MP4 or HTML.
+def view(*, permission: tuple[str, ...], open: bool, **given: Any) -> Answer:
+    """Show recorded and generated motion beside one another, in a page to play and turn, or as PNG or MP4.
 
     RUN are the run folders to compare; without any, the recorded motion of --data is shown. Of motion prediction the
     futures are shown, as PNG or SVG.
     """
+    from prbench.viewing.player.links import PAGE
     from prbench.viewing.view import ViewRequest
     from prbench.viewing.view import view as draw
 
+    if given["out"] is None and any(session().shown_place(str(run)) != str(run) for run in given["runs"]):
+        given["out"] = Path(PAGE)  # the folder of a run at a URL is a copy that nobody looks into
     request = ViewRequest(permitted=permission, **given)
-    with progress(f"drawing {request.out.name}") as show:
+    with progress(f"drawing {(request.out or Path(PAGE)).name}") as show:
         drawn = draw(request, show)
     report = ViewReport(
-        out=drawn.out, sequences=[scene.sequence_id for scene in drawn.scenes], notices=list(drawn.notices)
+        out=drawn.out,
+        sequences=[scene.sequence_id for scene in drawn.scenes],
+        links=drawn.links,
+        left_out=drawn.left_out,
+        notices=list(drawn.notices),
     )
+    if drawn.left_out:
+        note(f"the page has no room for {drawn.left_out} more sequences; --sequence or --limit choose others.")
 
     def show_scores() -> None:
-        for scene in drawn.scenes:
+        for number, scene in enumerate(drawn.scenes[:SHOWN_SEQUENCES]):
             print(f"{scene.sequence_id}: {scene.title}")
             for motion in scene.motions:
                 print(f"  {motion.label}: {drawn.told(scene, motion)}")
+            for link in report.links[number : number + 1]:
+                print(f"  {link}")
+        if len(drawn.scenes) > SHOWN_SEQUENCES:
+            print(f"… and {len(drawn.scenes) - SHOWN_SEQUENCES} more (--json lists all)")
         for notice in report.notices:
             print(notice)
         print(f"view: {report.out}")
+        if open and sys.stdout.isatty():
+            webbrowser.open(report.out.absolute().as_uri())
+        elif open:
+            note("--open: this is no terminal, so no browser was opened.")
 
     return Answer(report, show_scores)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Sequence
+import os
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,14 +17,19 @@ from prbench.harness.controls import GROUND_TRUTH
 from prbench.harness.first_run import tables_of_runs
 from prbench.harness.results import RunChecker
 from prbench.harness.run_folder import RunFolder
+from prbench.harness.run_folder.scores import CodedScores
 from prbench.protocol.manifests import default_benchmark
 from prbench.sequences import SequenceTable
 from prbench.sequences.table import by_share, find_sequence_id
+from prbench.viewing.player.document import PlayerMotion, player_sequence, within
+from prbench.viewing.player.links import PAGE, motion_link, worst_first
+from prbench.viewing.player.page import write_page
 from prbench.viewing.replay.read import RunMotions, read_scenes, run_labels
 from prbench.viewing.replay.scene import METHOD_COLOURS, Progress, Scene, score_sentence
 from prbench.viewing.replay.sheet import MOST_SCENES, draw_sheet
 
 DEFAULT_LIMIT = 4
+LARGEST_PAGE = 40_000_000  # bytes of motions; a browser opens such a page in about a second
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,11 +37,12 @@ class ViewRequest:
     """The sequences and runs that a user wants to see.
 
     Attributes:
-        out: The file; its suffix chooses the kind.
+        out: The file; its suffix chooses the kind. None for a page in the run's folder (:func:`page_place`).
         runs: Run folders whose motions stand beside one another; none for recorded motion alone.
         data: Tables; where none is given, the tables in prbench's own cache are tried.
         sequences: Ids, or parts of ids that fit one sequence only.
-        limit: Largest number of sequences of each dataset, chosen as `prbench run --limit` does; by default four.
+        limit: Largest number of sequences of each dataset, chosen as `prbench run --limit` does; by default four, in a
+            page as many as fit, the worst first.
         sample: Number of the shown motion, for runs that drew several.
         permitted: Datasets for which the user has permission to pass recorded motion on.
 
@@ -43,7 +50,7 @@ class ViewRequest:
         UsageError: if parts of it do not fit together.
     """
 
-    out: Path
+    out: Path | None = None
     runs: tuple[Path, ...] = ()
     data: tuple[Path, ...] = ()
     sequences: tuple[str, ...] = ()
@@ -68,15 +75,28 @@ class ViewReport:
     """The sequences that were shown.
 
     Attributes:
-        scenes: Each a :class:`Scene`; those of another benchmark have what stands in the report of the command.
+        scenes: Each a :class:`Scene`, of a page a :class:`PlayerSequence`; those of another benchmark have what stands
+            in the report of the command.
+        left_out: Number of sequences that a page has no room for.
     """
 
     out: Path
     scenes: tuple[Any, ...]
+    left_out: int = 0
 
     def told(self, scene: Any, motion: Any) -> str:
         """Return the scores of a motion in one line."""
+        if isinstance(motion, PlayerMotion):
+            return ", ".join(f"{score.title} {score.text}" for score in motion.scores) or "not scored"
         return score_sentence(scene, motion) or "not scored"
+
+    @property
+    def links(self) -> list[str]:
+        """Addresses of the moments at which each sequence of a page is primed; none for a picture or film."""
+        if self.out.suffix.lower() != ".html":
+            return []
+        page = self.out.absolute().as_uri()
+        return [motion_link(scene.sequence_id, scene.prime_time, page) for scene in self.scenes]
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -92,24 +112,68 @@ def view(request: ViewRequest, progress: Progress = lambda *_: None) -> ViewRepo
         RunError: if a run has no predictions, was made on another table, or its scores are not those of its motions.
         TableError: if a table cannot be found or read.
         RedistributionError: if nothing is left that the licence lets be shown.
-        MissingExtraError: if MP4 or HTML is asked for without the extra `view`.
+        MissingExtraError: if MP4 is asked for without the extra `view`.
         StorageError: if the file cannot be written.
     """
     # First of all: an unwritable kind of file must not fail after minutes of drawing. Other benchmarks write SVG, too.
-    if request.out.suffix.lower() != ".svg":
+    if request.out is not None and request.out.suffix.lower() != ".svg":
         file_kind(request.out)
     if request.runs:
         benchmark = RunFolder.open(request.runs[0], any_benchmark=True).record.benchmark
         if benchmark != default_benchmark().name:
+            if request.out is None:
+                raise UsageError(
+                    f"--out FILE: a run of {benchmark} is drawn as a picture, .png or .svg; name the file."
+                )
             return load_benchmark(benchmark).view(request)
-    kind = file_kind(request.out)
+    out = request.out or page_place(request.runs)
+    kind = file_kind(out)
+    if kind == "html":
+        return _view_page(request, out, progress)
     scenes = scenes_of(request)
-    write_view(scenes, request.out, kind, progress)
-    return ViewReport(request.out, scenes)
+    write_view(scenes, out, kind, progress)
+    return ViewReport(out, scenes)
+
+
+def page_place(runs: Sequence[Path]) -> Path:
+    """Return where the page goes that nobody named a file for: into the folder of a single run, so that it moves along.
+
+    Where that folder cannot be written, and for anything else, it goes into the present folder.
+    """
+    if len(runs) == 1 and os.access(runs[0], os.W_OK):
+        return runs[0] / PAGE
+    return Path(PAGE)
+
+
+def _view_page(request: ViewRequest, out: Path, progress: Progress) -> ViewReport:
+    """Write the page of all sequences that were asked for, or of as many of each dataset as there is room for."""
+    shown = _shown(request)
+    chosen = _chosen(request, shown, most=None)
+    total = sum(map(len, chosen))
+    sequences = []
+    for (table, motions), ids in zip(shown, chosen, strict=True):
+        room = LARGEST_PAGE // len(shown)
+        for sequence in within(map(player_sequence, _scenes(request, table, motions, ids)), room):
+            sequences.append(sequence)
+            progress(len(sequences), total, sequence.sequence_id)
+    write_page(sequences, out)
+    return ViewReport(out, tuple(sequences), left_out=total - len(sequences))
+
+
+Shown = Sequence[tuple[SequenceTable, list[RunMotions]]]
 
 
 def scenes_of(request: ViewRequest) -> tuple[Scene, ...]:
     """Read what is to be shown, table after table."""
+    shown = _shown(request)
+    scenes: list[Scene] = []
+    for (table, motions), ids in zip(shown, _chosen(request, shown), strict=True):
+        scenes += _scenes(request, table, motions, ids)
+    return tuple(scenes)
+
+
+def _shown(request: ViewRequest) -> Shown:
+    """Open the tables, and on each the motions of the runs."""
     runs = [RunFolder.open(path) for path in request.runs]
     labels = run_labels([run.path for run in runs], [run.record for run in runs])
     if runs:
@@ -129,18 +193,20 @@ def scenes_of(request: ViewRequest) -> tuple[Scene, ...]:
             for run, label in zip(runs, labels, strict=True)
         ]
         shown.append((table, motions))
-    scenes: list[Scene] = []
-    for (table, motions), ids in zip(shown, _chosen(request, shown), strict=True):
-        # Every view shows the recorded motion anyway; a shuffled control of it shows other motions and stays.
-        made = [(each.run.record.method.name, each.run.record.control) for each in motions]
-        generated = [each for each, how in zip(motions, made, strict=True) if how != (GROUND_TRUTH, None)]
-        if ids:
-            scenes += read_scenes(table, ids, generated, permitted=request.permitted)
-    return tuple(scenes)
+    return shown
 
 
-def _chosen(request: ViewRequest, shown: Sequence[tuple[SequenceTable, list[RunMotions]]]) -> list[list[str]]:
-    """Ids of each table: those asked for, else a few that every run holds."""
+def _scenes(
+    request: ViewRequest, table: SequenceTable, motions: Sequence[RunMotions], ids: Sequence[str]
+) -> Iterator[Scene]:
+    # Every view shows the recorded motion anyway; a shuffled control of it shows other motions and stays.
+    made = [(each.run.record.method.name, each.run.record.control) for each in motions]
+    generated = [each for each, how in zip(motions, made, strict=True) if how != (GROUND_TRUTH, None)]
+    return read_scenes(table, ids, generated, permitted=request.permitted) if ids else iter(())
+
+
+def _chosen(request: ViewRequest, shown: Shown, most: int | None = DEFAULT_LIMIT) -> list[list[str]]:
+    """Ids of each table: those asked for, else ``most`` that every run holds; all, the worst first, if that is None."""
     rows = [table.scalars(columns=["sequence_id", "recording_id"]) for table, _ in shown]
     known = [table["sequence_id"].to_pylist() for table in rows]
     chosen = []
@@ -148,8 +214,14 @@ def _chosen(request: ViewRequest, shown: Sequence[tuple[SequenceTable, list[RunM
         for (_, runs), ids, table in zip(shown, known, rows, strict=True):
             recording_of = dict(zip(ids, table["recording_id"].to_pylist(), strict=True))
             held = [name for name in ids if all(name in run for run in runs)]
-            taken = set(by_share(held, [recording_of[name] for name in held])[: request.limit or DEFAULT_LIMIT])
-            chosen.append([name for name in ids if name in taken])
+            shared = by_share(held, [recording_of[name] for name in held])
+            taken = set(shared[: request.limit or most])
+            if most is None:
+                scored = [run.files.scores for run in runs if run.files.scores.is_file()]
+                ordered = dict.fromkeys([*worst_first(map(CodedScores.read, scored)), *shared])
+                chosen.append([name for name in ordered if name in taken])
+            else:
+                chosen.append([name for name in ids if name in taken])
         if not any(chosen):
             raise UsageError("these runs have no sequence in common; run them with the same --split and --limit.")
         return chosen
@@ -173,7 +245,7 @@ def _chosen(request: ViewRequest, shown: Sequence[tuple[SequenceTable, list[RunM
 
 
 # The kinds of files, and the package that each needs beside the required ones.
-_PACKAGES = {".png": "", ".mp4": "imageio-ffmpeg", ".html": "viser"}
+_PACKAGES = {".png": "", ".mp4": "imageio-ffmpeg", ".html": ""}
 
 
 def file_kind(path: Path) -> str:
@@ -222,6 +294,4 @@ def write_view(scenes: Sequence[Scene], path: Path, kind: str, progress: Progres
 
         film_scenes(scenes, path, progress)
     else:
-        from prbench.viewing.replay.page import write_page
-
-        write_page(scenes, path, progress)
+        write_page(map(player_sequence, scenes), path)

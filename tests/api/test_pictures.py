@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import html
 import importlib.util
 import io
+import re
 import sys
 import types
 
@@ -13,9 +15,8 @@ import pytest
 
 import prbench
 from prbench.api import pictures as progress_module
+from tests.browser import browser, page  # noqa: F401 - fixtures
 from tests.fakes import fake_info
-
-needs_view = pytest.mark.skipif(importlib.util.find_spec("viser") is None, reason="needs the extra view")
 
 
 def test_a_picture_shows_and_saves_itself(synthetic, tmp_path):
@@ -37,17 +38,36 @@ def test_a_picture_is_the_one_of_the_command(synthetic, tmp_path, capsys):
     assert synthetic.sequence(name).plot().png == out.read_bytes()
 
 
-@needs_view
 def test_a_replay_shows_and_saves_itself(synthetic, tmp_path):
     sequence = min(synthetic, key=lambda one: one.n_frames)
     replay = sequence.replay()
     assert isinstance(replay, prbench.Replay)
     shown = replay._repr_html_()
-    assert shown.startswith("<iframe srcdoc=")
-    assert html.unescape(shown.split('"', 2)[1]) == replay.page
+    frame = re.search(r'<iframe sandbox="([^"]*)" srcdoc="([^"]*)"', shown)
+    assert frame is not None
+    assert "allow-same-origin" not in frame[1]  # else its scripts could reach the notebook
+    assert html.unescape(frame[2]) == replay.page
     assert sequence.sequence_id in replay.page
     saved = replay.save(str(tmp_path / "replay.html")).read_text(encoding="utf-8")
     assert saved.count("<html") == replay.page.count("<html") == 1
+
+
+def test_where_frames_are_taken_out_the_picture_of_a_replay_is_left(synthetic):
+    replay = synthetic[0].replay()
+    without = re.sub(r"<iframe.*?</iframe>", "", replay._repr_html_(), flags=re.DOTALL)
+    source = re.search(r'<img [^>]*src="data:image/png;base64,([^"]+)"', without)
+    assert source is not None
+    assert base64.b64decode(source[1]) == replay.png == synthetic[0].plot().png
+
+
+def test_a_replay_in_a_notebook_plays_and_cannot_reach_it(synthetic, page):  # noqa: F811
+    sequence = min(synthetic, key=lambda one: one.n_frames)
+    page.set_content(f"<body>{sequence.replay()._repr_html_()}</body>")
+    frame = page.frames[-1]
+    assert frame.evaluate("prbench.documents[0].load().then((read) => read.n_frames)") == sequence.n_frames
+    assert (
+        frame.evaluate("(() => { try { return parent.document.title; } catch { return 'kept out'; } })()") == "kept out"
+    )
 
 
 @pytest.mark.slow
@@ -58,10 +78,11 @@ def test_a_replay_becomes_a_film(synthetic, tmp_path):
     assert film.read_bytes()[4:8] == b"ftyp"
 
 
-def test_without_the_extra_a_replay_says_what_to_install(synthetic, monkeypatch):
+def test_without_the_extra_a_film_says_what_to_install_and_a_page_needs_none(synthetic, monkeypatch, tmp_path):
     monkeypatch.setattr("prbench.viewing.view.find_spec", lambda name: None)
     with pytest.raises(prbench.PrbenchError, match=r"pip install 'prbench\[view\]'"):
-        synthetic[0].replay()
+        synthetic[0].replay().save(tmp_path / "film.mp4")
+    assert synthetic[0].replay().save(tmp_path / "page.html").is_file()
 
 
 def test_a_table_is_drawn_as_by_the_command(synthetic, empty, tmp_path):

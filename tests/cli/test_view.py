@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -37,6 +39,46 @@ def test_a_run_becomes_a_picture(run, data, tmp_path, capsys):
         assert line in said.out
     assert "drawing view.png: 1/1" in said.err
     assert main(["view", "--data", str(data), "--sequence", "/obj1/", "--out", str(tmp_path / "table.png")]) == 0
+
+
+def test_without_a_file_a_page_in_the_run_folder_shows_all_sequences_the_worst_first(run, data, capsys):
+    report = reported(["view", str(run), "--data", str(data)], capsys)
+    assert report.out == run / "motions.html"
+    assert report.left_out == 0
+    scored = reported(["score", str(run), "--data", str(data)], capsys)[0]
+    assert [row.sequence_id for row in scored.sequences] == report.sequences
+    assert [f"{run.as_uri()}/{row.motion}" for row in scored.sequences] == report.links
+    assert set(report.sequences) == set(Predictions.open(run / "synthetic-adt/predictions").ids)
+    assert main(["view", str(run), "--data", str(data)]) == 0
+    said = capsys.readouterr().out
+    assert report.links[0] in said
+    assert f"view: {run / 'motions.html'}" in said
+
+
+def test_where_the_run_folder_cannot_be_written_the_page_goes_into_the_present_one(
+    run, data, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    # Root, as whom tests may run, can write any folder.
+    monkeypatch.setattr("prbench.viewing.view.os", SimpleNamespace(access=lambda *_: False, W_OK=2))
+    assert reported(["view", str(run), "--data", str(data), "--limit", "1"], capsys).out == Path("motions.html")
+    assert (tmp_path / "motions.html").is_file()
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "motions.html").unlink()
+    assert reported(["view", "--data", str(data), "--limit", "2"], capsys).out == Path("motions.html")
+
+
+def test_a_page_holds_what_fits_and_says_what_is_left_out(run, data, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("prbench.viewing.view.LARGEST_PAGE", 200_000)
+    out = tmp_path / "page.html"
+    report = reported(["view", str(run), "--data", str(data), "--out", str(out)], capsys)
+    assert 0 < len(report.sequences) < len(report.sequences) + report.left_out
+    assert out.read_text(encoding="utf-8").count('type="application/json" id="sequence-') == len(report.sequences)
+    assert main(["view", str(run), "--data", str(data), "--out", str(out), "--open"]) == 0
+    said = capsys.readouterr().err
+    assert f"no room for {report.left_out} more sequences" in said
+    assert "no browser was opened" in said
 
 
 def test_what_a_view_shows_is_reported_as_json(run, data, tmp_path, capsys):

@@ -13,7 +13,7 @@ from prbench.shown import html
 from prbench.viewing.player.document import PlayerSequence, encoded, entry_of
 
 _HERE = Path(__file__).parent
-_SCRIPTS = ("vendor/three/three.js", "player.js")
+_THREE = _HERE / "vendor" / "three" / "three.js"
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,10 @@ class Assets:
 
 def player_assets() -> Assets:
     """Read the player's scripts and style, to be put into ``<script>`` and ``<style>`` or copied beside a page."""
-    scripts = [(_HERE / name).read_text(encoding="utf-8") for name in _SCRIPTS if (_HERE / name).is_file()]
-    style = _HERE / "player.css"
-    return Assets(";\n".join(scripts), style.read_text(encoding="utf-8") if style.is_file() else "")
+    own = sorted(_HERE.glob("*.js"), key=lambda path: (path.name == "player.js", path.name))  # which needs the others
+    scripts = [path.read_text(encoding="utf-8") for path in (_THREE, *own) if path.is_file()]
+    styles = [path.read_text(encoding="utf-8") for path in sorted(_HERE.glob("*.css"))]
+    return Assets(";\n".join(scripts), "\n".join(styles))
 
 
 def page_text(sequences: Iterable[PlayerSequence], title: str = "prbench view") -> str:

@@ -21,6 +21,8 @@ from prbench.sequences import DatasetInfo, SequenceChunk, SequenceTable
 from prbench.sequences.dataset_info import may_pass_on, notice, require_may_pass_on
 from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED, RECORDED_COLOUR, Goal, Scene, ShownMotion
 
+_READ_AT_ONCE = 256  # sequences whose recorded motion is in memory
+
 
 @dataclass(frozen=True, eq=False)
 class RunMotions:
@@ -146,21 +148,18 @@ def read_scenes(
     scores = [run.scores(sequence_ids) for run in runs]
     followed = runs[0].run.protocol if runs else table.described_protocol.protocol()
     constants = (followed or load_protocol()).metrics
-    # One row a chunk, because the order asked for need not be that of the table.
-    chunks = {chunk.sequence_ids[0]: chunk for chunk in table.chunks(ids=frozenset(sequence_ids), rows=1)}
-    for name in sequence_ids:
-        motions = [
-            ShownMotion(
-                run.label,
-                colour,
-                run.joints(name, int(chunks[name].n_frames[0])),
-                values[name],
-                run.gaze(name),
-                run.kind,
-            )
-            for run, colour, values in zip(runs, METHOD_COLOURS, scores, strict=False)
-        ]
-        yield scene_of(chunks[name], table.info, motions, permitted=permitted, constants=constants)
+    chunks: dict[str, SequenceChunk] = {}
+    for place, name in enumerate(sequence_ids):
+        if place % _READ_AT_ONCE == 0:
+            # One row a chunk, because the order asked for need not be that of the table.
+            part = frozenset(sequence_ids[place : place + _READ_AT_ONCE])
+            chunks = {chunk.sequence_ids[0]: chunk for chunk in table.chunks(ids=part, rows=1)}
+        chunk = chunks[name]
+        motions = []
+        for run, colour, values in zip(runs, METHOD_COLOURS, scores, strict=False):
+            joints = run.joints(name, int(chunk.n_frames[0]))
+            motions.append(ShownMotion(run.label, colour, joints, values[name], run.gaze(name), run.kind))
+        yield scene_of(chunk, table.info, motions, permitted=permitted, constants=constants)
 
 
 def scene_of(
