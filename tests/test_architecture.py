@@ -170,6 +170,7 @@ NO_FILES_OF_USERS = {
     "prbench/protocol/*.py": "TOML files of installed packages",
     "prbench/checking/hd_epic.py": "numbers of an installed package",
     "prbench/entry_points.py": "metadata of installed packages",
+    "prbench/viewing/player/page.py": "the player's own scripts and styles",
     "prbench/readers/*/synthetic.py": "synthetic files that are being written",
     "prbench/sequences/parts.py": "parts of a table that is being written",
     "adapters/training/store.py": "prbench's own code",
