@@ -38,7 +38,7 @@ class Layout:
         events: Returns the performance's events as this dataset can know them, times still those of the performance.
         clock_start: Returns the native time of the performance's first instant, seconds.
         object_id: Returns the id under which the native files know an object of the performance.
-        gaze_bias: Returns the recording's constant gaze error, yaw and pitch, radians; takes noise and switches.
+        gaze_bias: Deviation of the recording's constant gaze error, radians an axis.
         finish: Writes the files that all recordings of a tree share (tables of contents, annotations), after the last
             one. What :attr:`write` must hand over lies in ``root / SHARED_PARTS``, one file a recording; the folder is
             removed afterwards.
@@ -53,7 +53,7 @@ class Layout:
     events: Callable[[Performance], tuple[TrueEvent, ...]]
     clock_start: Callable[[Performance], float]
     object_id: Callable[[str], str]
-    gaze_bias: Callable[..., tuple[float, float]]
+    gaze_bias: float
     finish: Callable[[Path], None] = lambda _: None
     write_estimates: Callable[..., None] | None = None
 

@@ -6,28 +6,104 @@ segment to world.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-Side = Literal["left", "right"]
+from prbench.recording.streams import Side
 
 
 @dataclass(frozen=True)
-class PersonStyle:
-    """Who acts: body size and habits (docs/specification/synthetic-recordings.md#person).
+class Body:
+    """Bone offsets in metres; sideways parts are given for the left and mirrored for the right.
 
     Attributes:
-        parameters: Every drawn factor by name, for the truth record.
+        ankle_height: Ankle above the ball of the flat foot.
+        foot_length: Ankle to ball, forward.
+        spine: Pelvis to spine1, spine1 to spine2, spine2 to spine3, spine3 to neck.
+        neck_tilt: Radians.
+        hand: Wrist to middle-finger base.
+        eye: Head joint to eyes in the head's frame.
     """
 
-    participant_id: str
     stature: float
-    neck_tilt_deg: float
-    preferred_hand: Side
-    parameters: dict[str, float]
+    hip: tuple[float, float, float]
+    thigh: float
+    shin: float
+    ankle_height: float
+    foot_length: float
+    spine: tuple[tuple[float, float, float], ...]
+    neck_length: float
+    neck_tilt: float
+    collar: tuple[float, float, float]
+    shoulder: tuple[float, float, float]
+    upper_arm: float
+    forearm: float
+    hand: float
+    eye: tuple[float, float, float]
+
+    @property
+    def leg(self) -> float:
+        """Thigh plus shin."""
+        return self.thigh + self.shin
+
+    @property
+    def arm(self) -> float:
+        """Upper arm plus forearm."""
+        return self.upper_arm + self.forearm
+
+
+@dataclass(frozen=True)
+class Habits:
+    """Habits of movement of one person. Radians, seconds, metres.
+
+    Attributes:
+        walk_ratio: Metres per (step a minute).
+        turn_rate: Radians per second, mean over a turn.
+    """
+
+    walk_speed: float
+    walk_ratio: float
+    half_stance: float
+    toe_out: float
+    arm_swing: float
+    stoop: float
+    elbow_flare: float
+    goal_gain: float
+    fill_gain: float
+    goal_gain_vertical: float
+    fill_gain_vertical: float
+    eye_only_range: float
+    head_lag: float
+    neck_share: float
+    chest_share: float
+    pelvis_share: float
+    trunk_time: float
+    reach_time: float
+    turn_rate: float
+    right_handed: float
+
+
+@dataclass(frozen=True)
+class Person:
+    """A body and its habits."""
+
+    participant_id: str
+    body: Body
+    habits: Habits
+
+    @property
+    def neck_tilt_deg(self) -> float:
+        """Rest tilt of the neck-head bone, degrees."""
+        return float(np.rad2deg(self.body.neck_tilt))
+
+    @property
+    def style(self) -> dict[str, float]:
+        """Every drawn factor by name, for the truth record."""
+        lengths = {name: getattr(self.body, name) for name in ("thigh", "shin", "upper_arm", "forearm")}
+        return {name: float(value) for name, value in asdict(self.habits).items()} | lengths
 
 
 @dataclass(frozen=True)
@@ -135,7 +211,7 @@ class Performance:
     recording_id: str
     room_id: str
     split: Literal["train", "validation", "test"]
-    person: PersonStyle
+    person: Person
     rate: float
     times: Float[np.ndarray, " n"]
     joints: Float[np.ndarray, "n 22 3"]

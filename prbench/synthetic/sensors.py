@@ -13,9 +13,8 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from prbench.geometry.timelines import interpolate, slerp
-from prbench.randomness import named_generator
 from prbench.readers.aria_mps.format import gaze_angles
-from prbench.synthetic import GENERATOR_VERSION
+from prbench.synthetic.people.world import Source
 from prbench.synthetic.performance import ObjectMotion, Performance
 
 Points = Float[np.ndarray, "n 3"]  # metres, or unit directions
@@ -134,16 +133,8 @@ class Sensing:
 
 def sensor_generator(performance: Performance, purpose: str) -> np.random.Generator:
     """Return the random stream of one purpose of one recording, independent of all others."""
-    return named_generator(
-        "prbench-synth",
-        GENERATOR_VERSION,
-        performance.seed,
-        performance.preset,
-        performance.world,
-        "recording",
-        performance.index,
-        purpose,
-    )
+    source = Source(performance.seed, performance.preset, performance.world)
+    return source.generator("recording", performance.index, purpose)
 
 
 def device_start_us(performance: Performance) -> int:

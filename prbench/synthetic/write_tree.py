@@ -26,7 +26,7 @@ from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.layouts import SHARED_PARTS, layout_for
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors import Switches
+from prbench.synthetic.sensors import Sensing, Switches, gaze_bias_of
 
 _TRUTH_FOLDER = "truth"
 _TRUTH_SCHEMA = 1
@@ -77,7 +77,7 @@ def shared_tables(performance: Performance, *, noise: float = 1.0) -> dict[str, 
         provocation. ``fixations``: one row a planned look.
     """
     layout = layout_for(performance.preset)
-    yaw, pitch = np.rad2deg(layout.gaze_bias(performance, noise=noise, switches=Switches()))
+    yaw, pitch = np.rad2deg(gaze_bias_of(Sensing(performance, noise, Switches()), layout.gaze_bias))
     person = performance.person
     about = {
         "recording_id": [performance.recording_id],
@@ -87,9 +87,9 @@ def shared_tables(performance: Performance, *, noise: float = 1.0) -> dict[str, 
         "split": [performance.split],
         "seed": pa.array([performance.seed], pa.int64()),
         "duration_s": [performance.duration],
-        "stature_m": [person.stature],
+        "stature_m": [person.body.stature],
         "neck_tilt_deg": [person.neck_tilt_deg],
-        "style": [dict(sorted(person.parameters.items()))],
+        "style": [dict(sorted(person.style.items()))],
         "clock_offset_s": [dict.fromkeys(_STREAMS, layout.clock_start(performance))],
         "clock_drift_ppm": [dict.fromkeys(_STREAMS, 0.0)],
         "gaze_bias_yaw_deg": [float(yaw)],
@@ -98,9 +98,8 @@ def shared_tables(performance: Performance, *, noise: float = 1.0) -> dict[str, 
     }
     tables = {"recordings": about}
     events = [replace(event, object_id=layout.object_id(event.object_id)) for event in layout.events(performance)]
-    for name, columns, rows in (
-        ("events", _EVENT_COLUMNS, events),
-        ("fixations", _LOOK_COLUMNS, performance.fixations),
+    for name, columns, rows in zip(
+        ("events", "fixations"), (_EVENT_COLUMNS, _LOOK_COLUMNS), (events, performance.fixations), strict=True
     ):
         tables[name] = {"recording_id": pa.array([performance.recording_id] * len(rows), pa.string())}
         for column, attribute, kind in columns:
@@ -261,18 +260,10 @@ def synthesize_tree(
     require_free(out)
     count = planned_recordings(size, recordings)
     with sole_writer(out), atomic_folder(out) as root:
-        write_one = partial(
-            _write_recording,
-            root=root,
-            preset=preset,
-            seed=seed,
-            n_events=events if n_events is None else n_events,
-            bystander_objects=bystander_objects,
-            provocations=None if provocations is None else dict(provocations),
-            noise=noise,
-            truth_rate=truth_rate,
-            estimates=estimates,
-        )
+        wanted = {"n_events": events if n_events is None else n_events, "bystander_objects": bystander_objects}
+        wanted["provocations"] = None if provocations is None else dict(provocations)
+        act = partial(perform, preset, seed=seed, **wanted)
+        write_one = partial(_write_recording, act, root=root, noise=noise, truth_rate=truth_rate, estimates=estimates)
         done = []
         for result in engine_for(workers).map(write_one, range(count)):
             done.append(result)
@@ -300,29 +291,12 @@ def planned_recordings(size: str, recordings: int | None) -> int:
 
 
 def _write_recording(
-    index: int,
-    *,
-    root: Path,
-    preset: str,
-    seed: int,
-    n_events: int,
-    bystander_objects: int | None,
-    provocations: Mapping[str, float] | None,
-    noise: float,
-    truth_rate: float,
-    estimates: bool,
+    act: Callable[..., Performance], index: int, *, root: Path, noise: float, truth_rate: float, estimates: bool
 ) -> tuple[WrittenRecording, str, dict[str, pa.Table]]:
     """Write one recording, and return it, its world, and its rows of the tables that recordings share."""
-    performance = perform(
-        preset,
-        seed=seed,
-        index=index,
-        n_events=n_events,
-        bystander_objects=bystander_objects,
-        provocations=provocations,
-    )
+    performance = act(index=index)
     name = performance.recording_id
-    layout = layout_for(preset)
+    layout = layout_for(performance.preset)
     readings = layout.sense(performance, noise=noise)
     layout.write(readings, root)
     if estimates and layout.write_estimates is not None:

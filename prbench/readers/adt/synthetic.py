@@ -113,6 +113,8 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     turned = rotation * Rotation.from_rotvec(rng.normal(0.0, _POSE_TURN, (len(times), 3)) * scale)
     lost = sensing.generator("pose-losses").random(len(times)) < _POSE_LOSS * sensing.strength("pose_losses")
     quality = np.clip(1.0 - np.linalg.norm(offset, axis=1) / 5e-3, 0.2, 1.0)
+    people = [(performance, performance.person.participant_id)]
+    people += [(other, other.participant_id) for other in performance.other_people]
     return adt.AdtReadings(
         recording_id=performance.recording_id,
         serial=_glasses_serial(performance),
@@ -130,12 +132,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         objects=_sense_objects(sensing, times, pose_us * 1000 + adt.OBJECT_AFTER_POSE_NS),
         skeletons=tuple(
             _sense_suit(sensing, body.joints, body.finger_bases, person_id, number)
-            for number, (body, person_id) in enumerate(
-                [
-                    (performance, performance.person.participant_id),
-                    *((other, other.participant_id) for other in performance.other_people),
-                ]
-            )
+            for number, (body, person_id) in enumerate(people)
         ),
     )
 
@@ -416,6 +413,6 @@ LAYOUT = Layout(
     events=lambda performance: performance.events,
     clock_start=lambda performance: device_start_us(performance) / 1e6,
     object_id=lambda object_id: str(native_object_id(object_id)),
-    gaze_bias=aria.gaze_bias,
+    gaze_bias=aria.GAZE_BIAS["personalized"],
     write_estimates=_write_estimates,
 )

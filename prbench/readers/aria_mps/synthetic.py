@@ -27,7 +27,7 @@ from prbench.geometry.timelines import interpolate
 from prbench.readers.aria_mps import format as mps
 from prbench.synthetic.people.kinematics import wobble
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors import Sensing, Switches, closed_eyes, gaze_bias_of, measured_gaze
+from prbench.synthetic.sensors import Sensing, Switches, closed_eyes, measured_gaze
 
 Numbers = Float[np.ndarray, " n"]
 Microseconds = Int[np.ndarray, " n"]
@@ -44,9 +44,10 @@ GLASSES_SIZE: mps.GlassesSize = "DVT-S"
 GRAVITY = (0.0, 0.0, -9.81)  # In the native world.
 
 _GAZE_MARGIN = np.array([-0.02, 0.02])  # The written uncertainty interval around an angle, radians.
-_GAZE_BIAS = np.deg2rad(1.0) / np.sqrt(2)
+_OWN_BIAS = np.deg2rad(1.0) / np.sqrt(2)
+# Deviation of the constant error, radians an axis; larger without the wearer's own calibration.
+GAZE_BIAS: dict[mps.GazeKind, float] = {"personalized": _OWN_BIAS, "general": 2.5 * _OWN_BIAS}
 _GAZE_JITTER = np.deg2rad(0.5)
-_GENERAL = 2.5  # how much larger the bias is without the wearer's own calibration
 _GAZE_LOSS = 0.03
 _GAZE_CLOCK_US = 16
 _DRIFT = 5e-3
@@ -193,9 +194,8 @@ def gaze_rows(
         depth: Written distances of the point looked at, metres.
         gaze_kind: Without the wearer's own calibration ("general") the bias is larger.
     """
-    angles = measured_gaze(
-        sensing, sensing.head(times), sensing.gaze(times), bias=_bias_size(gaze_kind), jitter=_GAZE_JITTER
-    )
+    bias = GAZE_BIAS[gaze_kind]
+    angles = measured_gaze(sensing, sensing.head(times), sensing.gaze(times), bias=bias, jitter=_GAZE_JITTER)
     angles[closed_eyes(sensing, times)] = np.nan
     kept = sensing.generator("gaze-losses").random(len(times)) >= _GAZE_LOSS * sensing.strength("gaze_losses")
     shift = sensing.generator("gaze-clock").uniform(-_GAZE_CLOCK_US, _GAZE_CLOCK_US, len(times))
@@ -209,17 +209,6 @@ def gaze_rows(
         np.round(yaw[:, None] + _GAZE_MARGIN, _RADIANS),
         np.round(pitch[:, None] + _GAZE_MARGIN, _RADIANS),
     )
-
-
-def gaze_bias(
-    performance: Performance, *, noise: float, switches: Switches, gaze_kind: mps.GazeKind = "personalized"
-) -> tuple[float, float]:
-    """Return the recording's constant gaze error, yaw and pitch, radians."""
-    return gaze_bias_of(Sensing(performance, noise, switches), _bias_size(gaze_kind))
-
-
-def _bias_size(gaze_kind: mps.GazeKind) -> float:
-    return _GAZE_BIAS * (_GENERAL if gaze_kind == "general" else 1.0)
 
 
 def _sense_hands(sensing: Sensing, start_us: int) -> mps.WristPositions:

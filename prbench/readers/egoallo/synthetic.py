@@ -96,7 +96,7 @@ def shape_of(performance: Performance) -> Float[np.ndarray, "16"]:
         bone = performance.joints[0, child] - performance.joints[0, parent]
         bones[child] = Rotation.from_quat(rotations[0, parent], scalar_first=True).inv().apply(bone)
     wanted = bones
-    wanted[Joint.HEAD] = _HEAD_BONE * performance.person.stature
+    wanted[Joint.HEAD] = _HEAD_BONE * performance.person.body.stature
     directions = np.stack([_bones_of(rest.directions[..., k]) for k in range(ego.N_BETAS)], axis=-1)
     missing = (wanted - _bones_of(rest.template)).reshape(-1)
     betas, *_ = np.linalg.lstsq(directions.reshape(-1, ego.N_BETAS), missing, rcond=None)

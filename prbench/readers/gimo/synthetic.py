@@ -35,7 +35,7 @@ from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors import Sensing, Switches, gaze_bias_of, measured_gaze, sensor_generator
+from prbench.synthetic.sensors import Sensing, Switches, measured_gaze, sensor_generator
 
 Vectors = Float[np.ndarray, "n 3"]
 Numbers = Float[np.ndarray, " n"]
@@ -150,11 +150,6 @@ def picks(performance: Performance) -> tuple[TrueEvent, ...]:
     """Return events that an annotator would list: picks; no doors, and nothing that only looks like a pick."""
     others = ("not_an_event", "excluded_category", "other_wearer")
     return tuple(event for event in performance.events if event.action == "pick" and event.expected not in others)
-
-
-def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-    """Return the recording's constant gaze error, yaw and pitch, radians."""
-    return gaze_bias_of(Sensing(performance, noise, switches), _GAZE_BIAS)
 
 
 def looked_at(performance: Performance, origin: Vectors, direction: Vectors) -> Vectors:
@@ -424,5 +419,5 @@ LAYOUT = Layout(
     events=_events,
     clock_start=lambda performance: first_frame(performance) / gimo.FRAME_RATE,
     object_id=lambda _: gimo.OBJECT_ID,  # the dataset knows one target and no objects
-    gaze_bias=gaze_bias,
+    gaze_bias=_GAZE_BIAS,
 )

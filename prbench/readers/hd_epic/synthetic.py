@@ -25,8 +25,7 @@ from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, transform_points
 from prbench.geometry.timelines import interpolate
 from prbench.protocol.manifests import Manifest
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.synthetic import gaze_bias as aria_gaze_bias
-from prbench.readers.aria_mps.synthetic import sense_mps, uid_of, write_csv, write_mps
+from prbench.readers.aria_mps.synthetic import GAZE_BIAS, sense_mps, uid_of, write_csv, write_mps
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo import synthetic as egoallo
 from prbench.readers.egoallo.format import EgoAlloOutput
@@ -84,15 +83,8 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         switches: Which errors are on; all if None.
     """
     sensing = Sensing(performance, noise, switches or Switches())
-    start_us = device_start_us(performance)
-    glasses = sense_mps(
-        performance,
-        start_us=start_us,
-        noise=noise,
-        switches=switches,
-        gaze_kind=_GAZE_KIND,
-        step_jitter_us=_STEP_JITTER_US,
-    )
+    measured = {"start_us": device_start_us(performance), "noise": noise, "switches": switches}
+    glasses = sense_mps(performance, **measured, gaze_kind=_GAZE_KIND, step_jitter_us=_STEP_JITTER_US)
     # All videos of one participant share a world.
     world = (uid_of(f"kitchen of {performance.person.participant_id}"),)
     glasses = dataclasses.replace(glasses, trajectory=dataclasses.replace(glasses.trajectory, graph_uids=world))
@@ -123,7 +115,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         glasses=glasses,
         body=None,
     )
-    bodies = egoallo.sense_egoallo(performance, glasses.trajectory, noise=noise, switches=switches, start_us=start_us)
+    bodies = egoallo.sense_egoallo(performance, glasses.trajectory, **measured)
     return SensedVideo(readings, bodies)
 
 
@@ -255,11 +247,6 @@ def _first_look(performance: Performance, mask: hd_epic.ObjectMask, first: int) 
 def _row(performance: Performance, frame: int) -> int:
     """Return the row of the performance nearest to a video frame."""
     return min(round(frame / hd_epic.FPS * performance.rate), len(performance.times) - 1)
-
-
-def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
-    """Return the recording's constant gaze error, yaw and pitch, radians."""
-    return aria_gaze_bias(performance, noise=noise, switches=switches, gaze_kind=_GAZE_KIND)
 
 
 def known_events(performance: Performance) -> tuple[TrueEvent, ...]:
@@ -427,5 +414,5 @@ LAYOUT = Layout(
     events=known_events,
     clock_start=lambda performance: device_start_us(performance) / 1e6,
     object_id=association_id,
-    gaze_bias=gaze_bias,
+    gaze_bias=GAZE_BIAS[_GAZE_KIND],
 )

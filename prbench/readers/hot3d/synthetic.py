@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from prbench.files.storage import atomic_folder, read_json, write_bytes, write_json
 from prbench.geometry.skeleton import Joint, z_up
 from prbench.geometry.timelines import interpolate, slerp
-from prbench.readers.aria_mps.synthetic import GAZE_RATE, gaze_bias, pose_columns, sense_mps, write_csv, write_mps
+from prbench.readers.aria_mps.synthetic import GAZE_BIAS, GAZE_RATE, pose_columns, sense_mps, write_csv, write_mps
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo import synthetic as egoallo
 from prbench.readers.egoallo.to_recording import body_from_outputs
@@ -507,5 +507,5 @@ LAYOUT = Layout(
     events=_events,
     clock_start=clock_start,
     object_id=native_object_id,
-    gaze_bias=gaze_bias,
+    gaze_bias=GAZE_BIAS["personalized"],
 )

@@ -127,7 +127,7 @@ def _tipped(frames: Rotation, axis: str, towards: Float[np.ndarray, "n 3"]) -> R
 
 GOGGLES_ID = 1
 
-_GAZE_BIAS = np.deg2rad(0.8) / np.sqrt(2)
+GAZE_BIAS = np.deg2rad(0.8) / np.sqrt(2)
 _GAZE_JITTER = np.deg2rad(0.5)
 _DEPTH = (0.4, 2.0)  # m
 _MIRRORED = 0.01  # share of the gaze points that the tracker writes behind itself
@@ -168,7 +168,7 @@ def sense(
     tracker = Rotation.from_quat(sensors.sensor_generator(performance, "calibration").normal(size=4))
     # The gaze points in the eye tracker's camera, millimetres, and confidence.
     head = _head(sensing.performance, times)
-    angles = sensors.measured_gaze(sensing, head, sensing.gaze(times), bias=_GAZE_BIAS, jitter=_GAZE_JITTER)
+    angles = sensors.measured_gaze(sensing, head, sensing.gaze(times), bias=GAZE_BIAS, jitter=_GAZE_JITTER)
     depth = np.clip(sensors.fixation_depth(sensing, times, _DEPTH[1]), *_DEPTH)  # as far as the tracker tells distances
     points = _FACE_FROM_TRACKER.inv().apply(gaze_directions_cpf(*angles.T)) * depth[:, None] * 1e3
     rng = sensing.generator("gaze-quality")
@@ -213,11 +213,6 @@ def sense(
 def events(performance: Performance) -> tuple[TrueEvent, ...]:
     """Return events as the annotators of this dataset would know them: nobody annotates doors."""
     return tuple(event for event in performance.events if event.tag != "hinge")
-
-
-def gaze_bias(performance: Performance, *, noise: float, switches: sensors.Switches) -> tuple[float, float]:
-    """Return the recording's constant gaze error, yaw and pitch, radians."""
-    return sensors.gaze_bias_of(sensors.Sensing(performance, noise, switches), _GAZE_BIAS)
 
 
 def body_names(performance: Performance) -> dict[str, str]:
@@ -386,5 +381,5 @@ LAYOUT = Layout(
     events=events,
     clock_start=lambda _: 0.0,  # the first frame is time 0
     object_id=lambda object_id: object_id,
-    gaze_bias=gaze_bias,
+    gaze_bias=GAZE_BIAS,
 )

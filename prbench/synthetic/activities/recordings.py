@@ -104,25 +104,19 @@ def act_out(preset: Preset, script: scripts.Script, rate: float, rng: np.random.
     gaze = GazePlan(tuple(looks), (), ())
     rough = bodies.move_trunk(plan, base, bending, sway, feet, steps, times, None)
     eye = rough.neck + np.array([0.0, 0.06, 0.0]) * person.body.stature
-    head = bodies.move_head(preset, person.habits, gaze, base.heading, eye, times, rng)
+    head = bodies.move_head(plan, gaze, base.heading, eye, times, rng)
     trunk = bodies.move_trunk(plan, base, bending, sway, feet, steps, times, head)
     legs = pose_legs(person.body, np.stack(trunk.hips, axis=1), trunk.yaws[0], feet)
-    wrists, poles = _move_hands(plan, script, trunk, legs, sway, head, times)
+    rest = bodies.move_wrists(plan, trunk, sway, times)
+    wrists, poles = _move_hands(plan, script, trunk, legs, rest, head, times)
     arms = bodies.pose_arms(person.body, person.habits.elbow_flare, trunk, wrists, poles)
     return assemble(plan, base, feet, trunk, head, arms, times, gaze, ())
 
 
 def _move_hands(
-    plan: Plan,
-    script: scripts.Script,
-    trunk: Trunk,
-    legs: Legs,
-    sway: bodies.Sway,
-    head: bodies.Head,
-    times: Float[np.ndarray, " n"],
+    plan: Plan, script: scripts.Script, trunk: Trunk, legs: Legs, rest: np.ndarray, head: bodies.Head, times: np.ndarray
 ) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 2 3"]]:
     """Return wanted wrists, and directions of the elbows in the chest's frame. Commands act in time order."""
-    rest = bodies.move_wrists(plan, trunk, sway, times)
     wrists = rest.copy()
     commands = sorted(script.hands, key=lambda command: command.begin)
     for command in commands:
@@ -221,12 +215,7 @@ def identity_of(seed: int, index: int) -> Identity:
 def narrated_recording(seed: int, index: int) -> NarratedMotion:
     """Act out recording ``index``; it depends on nothing but the two numbers."""
     identity = identity_of(seed, index)
-    known = {
-        "recording_id": identity.recording_id,
-        "participant_id": identity.participant_id,
-        "split": identity.split,
-        "rate": RATE,
-    }
+    known = {name: getattr(identity, name) for name in ("recording_id", "participant_id", "split")} | {"rate": RATE}
     if identity.goal_preset is not None:
         # Picks and puts, described.
         performance = perform(
@@ -261,7 +250,7 @@ def narrated_recording(seed: int, index: int) -> NarratedMotion:
     return NarratedMotion(
         **known,
         **{name: getattr(motion, name) for name in _OF_BODY},
-        neck_tilt_deg=float(np.rad2deg(person.body.neck_tilt)),
+        neck_tilt_deg=person.neck_tilt_deg,
         narrations=narrate(script, motion, RATE, words),
     )
 

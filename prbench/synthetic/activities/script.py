@@ -14,7 +14,7 @@ from jaxtyping import Float
 from prbench.synthetic.people.gaze_plan import Look
 from prbench.synthetic.people.kinematics import direction
 from prbench.synthetic.people.person import Person
-from prbench.synthetic.people.reaching import solve_posture
+from prbench.synthetic.people.reaching import Reacher, solve_posture
 from prbench.synthetic.people.walking import BasePose, Segment, plan_segment
 
 # What a hand's target is fixed to; ``middle`` is the point between the shoulders.
@@ -166,13 +166,14 @@ class ScriptWriter:
         """Return the factor on this person's usual speed at which a way of that length is walked that fast."""
         return speed / (self.person.habits.walk_speed * float(1.0 - np.exp(-(distance + 0.15) / 0.75)))
 
-    def go(self, goal: BasePose, pace: float) -> Segment | None:
-        """Walk to a place, or shuffle there without turning into the way."""
+    def go(self, goal: BasePose, pace: float, otherwise: float) -> float:
+        """Walk to a place, or shuffle there; returns when, in ``otherwise`` seconds where the feet may stay."""
         segment = plan_segment(self.person.habits, pace, self.base, goal, self.now, faces_on=True)
-        if segment is not None:
-            self.script.moves.append(segment)
-            self.base = segment.goal
-        return segment
+        if segment is None:
+            return self.now + otherwise
+        self.script.moves.append(segment)
+        self.base = segment.goal
+        return segment.end
 
     def ahead(self, distance: float, heading: float) -> BasePose:
         """Return a place in some direction, facing that way."""
@@ -203,22 +204,9 @@ class ScriptWriter:
         for hand in (0, 1):
             self.rest(hand, self.now + (0.3 if down else 0.1), 1.2)
 
-    def move_hand(
-        self,
-        hand: int,
-        at: float,
-        duration: float,
-        place: Place,
-        offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        *,
-        bulge: float = 0.0,
-    ) -> None:
-        """Bring a hand somewhere, on a path that bulges forward."""
-        self.script.hands.append(Hand(hand, at, duration, place, offset, bulge=bulge))
-
     def rest(self, hand: int, at: float, duration: float, *, bulge: float = 0.0) -> None:
         """Bring a hand back to where it waits."""
-        self.move_hand(hand, at, duration, "thigh" if self.is_seated else "rest", bulge=bulge)
+        self.script.hands.append(Hand(hand, at, duration, "thigh" if self.is_seated else "rest", bulge=bulge))
 
     def look(self, begin: float, end: float, yaw: float, pitch: float, distance: float = 2.5) -> None:
         """Look somewhere relative to the heading; yaw > 0 left, pitch > 0 down."""
@@ -245,11 +233,12 @@ class ScriptWriter:
 
     def reach(self, hand: int, wrist: np.ndarray, begin: float, duration: float, stay: float) -> float:
         """Bring a wrist to a point of the world and back, bending as far as needed; returns when the hand is back."""
-        posture = solve_posture(self.person, self.base, hand, wrist)
+        posture = solve_posture(Reacher(self.person, self.base, hand), wrist)
         if not self.is_seated:
             self.bend(begin, duration - 0.1, posture.lean, posture.crouch, posture.chest_turn)
             self.bend(begin + duration + stay, 0.8 + 1.25 * posture.crouch, 0.0, 0.0)
-        self.move_hand(hand, begin + 0.1, duration - 0.1, "world", (float(wrist[0]), float(wrist[1]), float(wrist[2])))
+        x, y, z = wrist.tolist()
+        self.script.hands.append(Hand(hand, begin + 0.1, duration - 0.1, "world", (x, y, z)))
         self.rest(hand, begin + duration + stay, 0.9)
         self.look_at(begin - 0.2, begin + duration + stay, wrist)
         return begin + duration + stay + 0.9 + 0.6 * posture.crouch
@@ -271,8 +260,8 @@ def _walk(writer: ScriptWriter, *, least: float, most: float, side: float) -> No
     speeds = _SPEEDS if abs(turn) < _NO_CORNER else _SPEEDS[:-1]
     speed = writer.draw(*speeds[int(writer.rng.integers(len(speeds)))])
     distance = speed * writer.draw(2.4, 3.0)
-    segment = writer.go(writer.ahead(distance, writer.base.heading + turn), writer.pace(speed, distance))
-    writer.did("walk", begin, begin + 3.0 if segment is None else segment.end)
+    end = writer.go(writer.ahead(distance, writer.base.heading + turn), writer.pace(speed, distance), 3.0)
+    writer.did("walk", begin, end)
 
 
 def _walk_curve(writer: ScriptWriter) -> None:
@@ -289,12 +278,10 @@ def _walk_carrying(writer: ScriptWriter) -> None:
     hand = int(writer.rng.integers(3))
     hands = (0, 1) if hand == 2 else (hand,)
     for one in hands:
-        writer.move_hand(one, begin, 0.75, "shoulder", _CARRY_BOTH if hand == 2 else _CARRY)
+        writer.script.hands.append(Hand(one, begin, 0.75, "shoulder", _CARRY_BOTH if hand == 2 else _CARRY))
     writer.now += 0.5
-    segment = writer.go(
-        writer.ahead(writer.draw(1.8, 2.6), writer.base.heading + writer.draw(-0.2, 0.2)), writer.draw(0.8, 1.0)
-    )
-    end = writer.now + 3.0 if segment is None else segment.end
+    goal = writer.ahead(writer.draw(1.8, 2.6), writer.base.heading + writer.draw(-0.2, 0.2))
+    end = writer.go(goal, writer.draw(0.8, 1.0), 3.0)
     for one in hands:
         writer.rest(one, end - 0.1, 0.9)
     writer.did("carry", begin, end + 0.3, hand)
@@ -306,8 +293,7 @@ def _turn_around(writer: ScriptWriter) -> None:
     angle = writer.side() * writer.draw(0.55, 3.0)
     heading = writer.base.heading + angle
     writer.look(begin - 0.1, begin + 0.9, float(np.clip(angle, -1.4, 1.4)), 0.1)
-    segment = writer.go(replace(writer.base, heading=heading), 1.0)
-    writer.did("turn", begin, begin + 1.5 if segment is None else segment.end)
+    writer.did("turn", begin, writer.go(replace(writer.base, heading=heading), 1.0, 1.5))
 
 
 def stand(writer: ScriptWriter) -> None:
@@ -333,7 +319,7 @@ def _look_at_hands(writer: ScriptWriter) -> None:
     begin = writer.now
     length = writer.draw(2.6, 3.6)
     for hand in (0, 1):
-        writer.move_hand(hand, begin, 0.8, "shoulder", (-0.05, -0.10, 0.17))
+        writer.script.hands.append(Hand(hand, begin, 0.8, "shoulder", (-0.05, -0.10, 0.17)))
         writer.rest(hand, begin + length - 0.8, 0.8)
     writer.look_at(begin + 0.2, begin + length - 0.6, writer.before_chest(-0.24, 0.19))
     writer.did("look at hands", begin, begin + length)
@@ -344,16 +330,14 @@ def _step_sideways(writer: ScriptWriter) -> None:
     begin = writer.now
     side = writer.side()
     goal = writer.base.point + side * writer.draw(0.3, 0.6) * writer.base.left
-    segment = writer.go(replace(writer.base, x=float(goal[0]), z=float(goal[2])), 1.0)
-    writer.did("sidestep", begin, begin + 1.5 if segment is None else segment.end)
+    writer.did("sidestep", begin, writer.go(replace(writer.base, x=float(goal[0]), z=float(goal[2])), 1.0, 1.5))
 
 
 def _step_back(writer: ScriptWriter) -> None:
     """Step backwards."""
     begin = writer.now
     goal = writer.base.point - writer.draw(0.3, 0.55) * writer.base.forward
-    segment = writer.go(replace(writer.base, x=float(goal[0]), z=float(goal[2])), 1.0)
-    writer.did("step back", begin, begin + 1.5 if segment is None else segment.end)
+    writer.did("step back", begin, writer.go(replace(writer.base, x=float(goal[0]), z=float(goal[2])), 1.0, 1.5))
 
 
 def _reach_out(writer: ScriptWriter) -> None:
@@ -429,7 +413,8 @@ def _raise_arms(writer: ScriptWriter) -> None:
     up = writer.draw(0.9, 1.2)
     stay = writer.draw(0.4, 1.1)
     for hand in (0, 1):
-        writer.move_hand(hand, begin, up, "shoulder", (writer.draw(0.02, 0.06), 0.265, 0.05), bulge=_BULGE)
+        place = (writer.draw(0.02, 0.06), 0.265, 0.05)
+        writer.script.hands.append(Hand(hand, begin, up, "shoulder", place, bulge=_BULGE))
         writer.rest(hand, begin + up + stay, up, bulge=_BULGE)
     writer.did("raise arms", begin, begin + 2 * up + stay)
 

@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from prbench.synthetic.people import kinematics
 from prbench.synthetic.people.gaze_plan import GazePlan, Look
-from prbench.synthetic.people.person import Body, Habits, Preset, Trunk, pose_trunk, standing_pelvis_height
+from prbench.synthetic.people.person import Body, Trunk, pose_trunk, standing_pelvis_height
 from prbench.synthetic.people.plan import DOOR, Plan, Reach
 from prbench.synthetic.people.reaching import Posture, pelvis_setback
-from prbench.synthetic.people.walking import BasePath, Feet, Step, lowered_pelvis
+from prbench.synthetic.people.walking import BasePath, Feet, Steps, lowered_pelvis
 
 Signal = Float[np.ndarray, " n"]  # one number a time
 Points = Float[np.ndarray, "n 3"]  # metres
@@ -41,25 +41,19 @@ class Head:
 
 
 def move_head(
-    preset: Preset,
-    habits: Habits,
-    gaze: GazePlan,
-    heading: Signal,
-    eye: Points,
-    times: Signal,
-    rng: np.random.Generator,
+    plan: Plan, gaze: GazePlan, heading: Signal, eye: Points, times: Signal, rng: np.random.Generator
 ) -> Head:
     """Return the head's orientation over time.
 
     Args:
-        preset: Gains.
-        habits: Gains, lag and eye-only range of the person.
+        plan: Gains of the preset; gains, lag and eye-only range of the person.
         gaze: Fixations.
         heading: Heading of the base, radians, unwrapped.
         eye: About where the eyes are.
         times: Frame times, seconds.
         rng: Generator of the tremor.
     """
+    habits = plan.person.habits
     frame_time = float(times[1] - times[0])
     rate = 1.0 / (times[1] - times[0])
     # Each command is one head movement: towards a point until the fixation ends, then frozen relative to the heading.
@@ -79,7 +73,7 @@ def move_head(
 
     channel = np.zeros((times.size, 2))
     turn_rate = np.abs(np.gradient(heading, times))
-    goal_gains = preset.head_gain * np.array([habits.goal_gain, habits.goal_gain_vertical])
+    goal_gains = plan.preset.head_gain * np.array([habits.goal_gain, habits.goal_gain_vertical])
     fill_gains = np.array([habits.fill_gain, habits.fill_gain_vertical])
     for look in gaze.looks:
         start = look.start + habits.head_lag
@@ -187,7 +181,7 @@ class Sway:
     hands: Sides
 
 
-def draw_sway(plan: Plan, base: BasePath, steps: tuple[Step, ...], times: np.ndarray, rng: np.random.Generator) -> Sway:
+def draw_sway(plan: Plan, base: BasePath, steps: Steps, times: np.ndarray, rng: np.random.Generator) -> Sway:
     """Draw the wobbles of a recording, and the swing of pelvis and arms over its steps."""
     rate = 1.0 / (times[1] - times[0])
     lateral = np.zeros(times.size)
@@ -241,14 +235,7 @@ def bend(plan: Plan, postures: list[Posture], times: np.ndarray) -> Bending:
 
 
 def move_trunk(
-    plan: Plan,
-    base: BasePath,
-    bending: Bending,
-    sway: Sway,
-    feet: Feet,
-    steps: tuple[Step, ...],
-    times: Signal,
-    head: Head | None,
+    plan: Plan, base: BasePath, bending: Bending, sway: Sway, feet: Feet, steps: Steps, times: Signal, head: Head | None
 ) -> Trunk:
     """Return the pelvis, spine and shoulders at every frame.
 
@@ -349,13 +336,8 @@ def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Side
             stature = plan.person.body.stature
             for side in (0, 1):
                 offset = np.array([0.08 if side == 0 else -0.08, -0.18 * stature, 0.21 * stature])
-                kinematics.blend(
-                    wrists[side],
-                    times,
-                    reach.handed_over,
-                    MEETING_TIME,
-                    middle + kinematics.turn(trunk.yaws[3], 0.0, offset),
-                )
+                meeting = middle + kinematics.turn(trunk.yaws[3], 0.0, offset)
+                kinematics.blend(wrists[side], times, reach.handed_over, MEETING_TIME, meeting)
             handed = reach.handed_over + MEETING_TIME + HANDING_TIME
             kinematics.blend(wrists[other], times, handed, _BACK_WITHIN, rest[other])
             kinematics.blend(wrists[hand], times, handed, 0.5, carry[hand])

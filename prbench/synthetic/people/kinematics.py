@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 Signal = Float[np.ndarray, " n"]  # one number a time
 Channel = Float[np.ndarray, "n *dims"]  # one number or vector a time
 Points = Float[np.ndarray, "n 3"]  # metres
+Angle = np.ndarray | float  # radians, one or one a time
 
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -103,12 +104,12 @@ def two_pole_low_pass(values: Signal, time_constant: float, rate: float) -> np.n
     return values
 
 
-def wrap(angle: np.ndarray | float) -> np.ndarray:
+def wrap(angle: Angle) -> np.ndarray:
     """Wrap an angle to [-pi, pi)."""
     return np.asarray((np.asarray(angle) + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def turn(yaw: np.ndarray | float, pitch: np.ndarray | float, vector: np.ndarray) -> np.ndarray:
+def turn(yaw: Angle, pitch: Angle, vector: np.ndarray) -> np.ndarray:
     """Apply Ry(yaw) Rx(pitch) to a vector; all arguments broadcast over the leading axes."""
     x = vector[..., 0]
     y = vector[..., 1]
@@ -125,7 +126,7 @@ def turn(yaw: np.ndarray | float, pitch: np.ndarray | float, vector: np.ndarray)
     return turned
 
 
-def rotation(yaw: np.ndarray | float, pitch: np.ndarray | float) -> Float[np.ndarray, "*batch 3 3"]:
+def rotation(yaw: Angle, pitch: Angle) -> Float[np.ndarray, "*batch 3 3"]:
     """Return the matrix Ry(yaw) Rx(pitch); its columns are left, up and forward of the turned frame."""
     return np.stack([turn(yaw, pitch, axis) for axis in np.eye(3)], axis=-1)
 
@@ -137,7 +138,7 @@ def rotation_quaternion(yaw: np.ndarray, pitch: np.ndarray) -> Float[np.ndarray,
     return np.where(turned[..., :1] < 0.0, -turned, turned)
 
 
-def direction(yaw: np.ndarray | float, pitch: np.ndarray | float) -> np.ndarray:
+def direction(yaw: Angle, pitch: Angle) -> np.ndarray:
     """Return the unit vector that looks along yaw and pitch."""
     cos_pitch = np.cos(pitch)
     parts = np.broadcast_arrays(np.sin(yaw) * cos_pitch, -np.sin(pitch), np.cos(yaw) * cos_pitch)
@@ -205,34 +206,20 @@ def frame_of_bone(along: np.ndarray, hinge: np.ndarray) -> Float[np.ndarray, "*b
 def quaternion(matrix: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 4"]:
     """Return the quaternions (w x y z) of rotation matrices; w >= 0 up to rounding."""
     m = matrix
-    trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
-    squares = np.stack(
-        [
-            1.0 + trace,
-            1.0 + 2.0 * m[..., 0, 0] - trace,
-            1.0 + 2.0 * m[..., 1, 1] - trace,
-            1.0 + 2.0 * m[..., 2, 2] - trace,
-        ],
-        axis=-1,
-    )
+    diagonal = (m[..., 0, 0], m[..., 1, 1], m[..., 2, 2])
+    trace = diagonal[0] + diagonal[1] + diagonal[2]
+    squares = [1.0 + trace, *(1.0 + 2.0 * entry - trace for entry in diagonal)]
     wx = m[..., 2, 1] - m[..., 1, 2]
     wy = m[..., 0, 2] - m[..., 2, 0]
     wz = m[..., 1, 0] - m[..., 0, 1]
     xy = m[..., 0, 1] + m[..., 1, 0]
     xz = m[..., 0, 2] + m[..., 2, 0]
     yz = m[..., 1, 2] + m[..., 2, 1]
-    w2, x2, y2, z2 = np.moveaxis(squares, -1, 0)
-    candidates = np.stack(
-        [
-            np.stack([w2, wx, wy, wz], axis=-1),
-            np.stack([wx, x2, xy, xz], axis=-1),
-            np.stack([wy, xy, y2, yz], axis=-1),
-            np.stack([wz, xz, yz, z2], axis=-1),
-        ],
-        axis=-2,
-    )
+    w2, x2, y2, z2 = squares
+    rows = ((w2, wx, wy, wz), (wx, x2, xy, xz), (wy, xy, y2, yz), (wz, xz, yz, z2))
+    candidates = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
     # Any row is the quaternion times a number; the one with the largest component loses no digits (Shepperd, 1978).
-    best = squares.argmax(axis=-1)
+    best = np.stack(squares, axis=-1).argmax(axis=-1)
     chosen = unit(np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :])
     return np.where(chosen[..., :1] < 0.0, -chosen, chosen)
 

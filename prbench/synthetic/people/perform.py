@@ -18,9 +18,9 @@ from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.synthetic.people import body as bodies
 from prbench.synthetic.people.gaze_plan import GazePlan, plan_gaze, repaired
 from prbench.synthetic.people.kinematics import frame_of_bone, quaternion, rotation_quaternion, turn
-from prbench.synthetic.people.person import PRESETS, Person, Preset, Trunk, draw_person
+from prbench.synthetic.people.person import PRESETS, Person, Trunk, draw_person
 from prbench.synthetic.people.plan import OPENING, Plan, plan_recording, shares_for
-from prbench.synthetic.people.reaching import shoulder_in_posture, solve_posture
+from prbench.synthetic.people.reaching import Reacher, shoulder_in_posture, solve_posture
 from prbench.synthetic.people.truth import Scene, events_of_others, move_objects, true_events
 from prbench.synthetic.people.walking import BasePath, Feet, Legs, place_feet, plan_steps, pose_legs, sample_base
 from prbench.synthetic.people.world import Room, Source, World, assign, draw_room, seated
@@ -78,7 +78,7 @@ def synthesise(plan: Plan, times: Float[np.ndarray, " n"], generators: Generator
     ahead = body.neck_length * np.sin(body.neck_tilt) + body.eye[2]
     rough_eye = rough.neck + turn(rough.yaws[3], 0.0, np.array([0.0, up, ahead]))
     gaze_plan = plan_gaze(plan, base, rough_eye, times, for_gaze)
-    head = bodies.move_head(plan.preset, person.habits, gaze_plan, base.heading, rough_eye, times, for_head)
+    head = bodies.move_head(plan, gaze_plan, base.heading, rough_eye, times, for_head)
 
     frames = np.searchsorted(times, [reach.event for reach in plan.reaches])
     left = _CORRECTIONS
@@ -95,10 +95,9 @@ def synthesise(plan: Plan, times: Float[np.ndarray, " n"], generators: Generator
         # Solve the posture again where the wrist did not arrive, with the shoulder where it really was.
         for number, reach in enumerate(plan.reaches):
             if misses[number] > _WRIST_TOLERANCE:
-                place = (person, reach.base, reach.hand)
-                planned = shoulder_in_posture(*place, postures[number], plan.pelvis_height)
-                offset = trunk.shoulders[reach.hand][frames[number]] - planned
-                posture = solve_posture(*place, reach.grasp.wrist, plan.pelvis_height, offset)
+                who = Reacher(person, reach.base, reach.hand, plan.pelvis_height)
+                offset = trunk.shoulders[reach.hand][frames[number]] - shoulder_in_posture(who, postures[number])
+                posture = solve_posture(who, reach.grasp.wrist, offset)
                 postures[number] = replace(posture, chest_turn=reach.posture.chest_turn)
     return assemble(plan, base, feet, trunk, head, arms, times, gaze_plan, misses)
 
@@ -244,7 +243,7 @@ def perform(
     room_rng = source.generator("room", room_number, "plan")
     room = draw_room(constants, f"R{room_number:03d}", room_rng, bystander_objects)
     shares = shares_for(constants, provocations)
-    plan, motion, times = _acted(constants, source, room, person, index, n_events, rate, shares)
+    plan, motion, times = _acted(source, room, person, index, n_events, rate, shares)
     gaze_plan, gaze = _look(source, index, plan, motion, times)
     ids = _draw_ids(source, index, len(plan.items) + _OTHERS_OBJECTS)
     objects = move_objects(plan, motion.joints[:, 20:22], motion.hands, times, ids[:-_OTHERS_OBJECTS])
@@ -268,7 +267,7 @@ def perform(
         recording_id=recording_id,
         room_id=plan.room.room_id,
         split=split,
-        person=person.style(),
+        person=person,
         rate=rate,
         times=times,
         joints=motion.joints,
@@ -324,16 +323,10 @@ def _draw_ids(source: Source, index: int, count: int) -> list[str]:
 
 
 def _acted(
-    preset: Preset,
-    source: Source,
-    room: Room,
-    person: Person,
-    index: int,
-    n_events: int,
-    rate: float,
-    shares: Mapping[str, float],
+    source: Source, room: Room, person: Person, index: int, n_events: int, rate: float, shares: Mapping[str, float]
 ) -> tuple[Plan, Motion, np.ndarray]:
     """Plan and motion; planned anew when a wrist stays more than 2 cm from its target."""
+    preset = PRESETS[source.preset]
     attempt = 0
     while True:
         rng = source.generator("recording", index, f"plan{attempt}")

@@ -6,7 +6,7 @@ Source: docs/specification/synthetic-recordings.md#person.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 
 from prbench.protocol.manifests import read_toml
-from prbench.synthetic.people.kinematics import turn
-from prbench.synthetic.performance import PersonStyle, Side
+from prbench.synthetic.people.kinematics import Angle, turn
+from prbench.synthetic.performance import Body, Habits, Person
 
 
 class SurfaceKind(msgspec.Struct, frozen=True, array_like=True):
@@ -97,101 +97,6 @@ def _preset(name: str) -> Preset:
 
 # The five presets by name.
 PRESETS: Mapping[str, Preset] = MappingProxyType({name: _preset(name) for name in _ROWS["room"]})
-
-
-SIDES: tuple[Side, Side] = ("left", "right")
-
-
-@dataclass(frozen=True)
-class Body:
-    """Bone offsets in metres; sideways parts are given for the left and mirrored for the right.
-
-    Attributes:
-        ankle_height: Ankle above the ball of the flat foot.
-        foot_length: Ankle to ball, forward.
-        spine: Pelvis to spine1, spine1 to spine2, spine2 to spine3, spine3 to neck.
-        neck_tilt: Radians.
-        hand: Wrist to middle-finger base.
-        eye: Head joint to eyes in the head's frame.
-    """
-
-    stature: float
-    hip: tuple[float, float, float]
-    thigh: float
-    shin: float
-    ankle_height: float
-    foot_length: float
-    spine: tuple[tuple[float, float, float], ...]
-    neck_length: float
-    neck_tilt: float
-    collar: tuple[float, float, float]
-    shoulder: tuple[float, float, float]
-    upper_arm: float
-    forearm: float
-    hand: float
-    eye: tuple[float, float, float]
-
-    @property
-    def leg(self) -> float:
-        """Thigh plus shin."""
-        return self.thigh + self.shin
-
-    @property
-    def arm(self) -> float:
-        """Upper arm plus forearm."""
-        return self.upper_arm + self.forearm
-
-
-@dataclass(frozen=True)
-class Habits:
-    """Habits of movement of one person. Radians, seconds, metres.
-
-    Attributes:
-        walk_ratio: Metres per (step a minute).
-        turn_rate: Radians per second, mean over a turn.
-    """
-
-    walk_speed: float
-    walk_ratio: float
-    half_stance: float
-    toe_out: float
-    arm_swing: float
-    stoop: float
-    elbow_flare: float
-    goal_gain: float
-    fill_gain: float
-    goal_gain_vertical: float
-    fill_gain_vertical: float
-    eye_only_range: float
-    head_lag: float
-    neck_share: float
-    chest_share: float
-    pelvis_share: float
-    trunk_time: float
-    reach_time: float
-    turn_rate: float
-    right_handed: float
-
-
-@dataclass(frozen=True)
-class Person:
-    """A body and its habits."""
-
-    participant_id: str
-    body: Body
-    habits: Habits
-
-    def style(self) -> PersonStyle:
-        """Return the public record of this person."""
-        drawn = {name: float(value) for name, value in asdict(self.habits).items()}
-        lengths = {name: getattr(self.body, name) for name in ("thigh", "shin", "upper_arm", "forearm")}
-        return PersonStyle(
-            participant_id=self.participant_id,
-            stature=self.body.stature,
-            neck_tilt_deg=float(np.rad2deg(self.body.neck_tilt)),
-            preferred_hand=SIDES[int(self.habits.right_handed)],
-            parameters=drawn | lengths,
-        )
 
 
 def draw_person(preset: Preset, participant_id: str, rng: np.random.Generator) -> Person:
@@ -288,14 +193,7 @@ class Trunk:
     pitches: tuple[np.ndarray, ...]
 
 
-def pose_trunk(
-    body: Body,
-    stoop: float,
-    pelvis: np.ndarray,
-    pelvis_yaw: np.ndarray | float,
-    chest_yaw: np.ndarray | float,
-    lean: np.ndarray | float,
-) -> Trunk:
+def pose_trunk(body: Body, stoop: float, pelvis: np.ndarray, pelvis_yaw: Angle, chest_yaw: Angle, lean: Angle) -> Trunk:
     """Place the trunk's joints.
 
     Args:

@@ -10,15 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from prbench.synthetic.people import person as people
 from prbench.synthetic.people.kinematics import UP, frame_of_bone, orthogonal_unit, turn, unit, wrap
-from prbench.synthetic.people.person import (
-    Body,
-    Person,
-    Preset,
-    pose_trunk,
-    seated_pelvis_height,
-    standing_pelvis_height,
-)
+from prbench.synthetic.people.person import Body, Person, Preset
 from prbench.synthetic.people.walking import BasePose, Segment, plan_segment
 from prbench.synthetic.people.world import Room, Surface
 
@@ -91,41 +85,42 @@ def kept_away(
     return Grasp(wrists[int(np.abs(distance - clearance).argmin())], grasp.hand)
 
 
-def shoulder_in_posture(
-    person: Person, base: BasePose, hand: int, posture: Posture, pelvis_height: float | None = None
-) -> Vector:
-    """Return where the reaching shoulder is in a posture at a standing place."""
-    lean = np.array([posture.lean])
-    crouch = np.array([posture.crouch])
-    return _shoulders(person, base, hand, lean, crouch, posture.chest_turn, pelvis_height)[0]
+@dataclass(frozen=True)
+class Reacher:
+    """Who reaches, from where, and with which hand: 0 left, 1 right.
+
+    Attributes:
+        pelvis_height: Given for a seated person, who leans only.
+    """
+
+    person: Person
+    base: BasePose
+    hand: int
+    pelvis_height: float | None = None
 
 
-def solve_posture(
-    person: Person,
-    base: BasePose,
-    hand: int,
-    wrist: Vector,
-    pelvis_height: float | None = None,
-    offset: np.ndarray | None = None,
-) -> Posture:
+def shoulder_in_posture(who: Reacher, posture: Posture) -> Vector:
+    """Return where the reaching shoulder is in a posture."""
+    return _shoulders(who, np.array([posture.lean]), np.array([posture.crouch]), posture.chest_turn)[0]
+
+
+def solve_posture(who: Reacher, wrist: Vector, offset: np.ndarray | None = None) -> Posture:
     """Choose lean and crouch for a wrist target on a grid of 15 x 14 postures.
 
     Args:
-        person: Who.
-        base: Standing place.
-        hand: 0 left, 1 right.
+        who: Who reaches, from where.
         wrist: Target, world frame.
-        pelvis_height: Given for a seated person, who leans only.
         offset: True minus planned shoulder position, from an earlier pass.
     """
+    base = who.base
     bearing = wrap(np.arctan2(wrist[0] - base.x, wrist[2] - base.z) - base.heading)
-    chest = 0.5 * float(np.clip(bearing, -1.4, 1.4)) + (_SHOULDER_FORWARD if hand == 1 else -_SHOULDER_FORWARD)
-    crouches = _CROUCHES if pelvis_height is None else _CROUCHES[:1]
+    chest = 0.5 * float(np.clip(bearing, -1.4, 1.4)) + (_SHOULDER_FORWARD if who.hand == 1 else -_SHOULDER_FORWARD)
+    crouches = _CROUCHES if who.pelvis_height is None else _CROUCHES[:1]
     lean, crouch = (grid.ravel() for grid in np.meshgrid(_LEANS, crouches, indexing="ij"))
-    shoulders = _shoulders(person, base, hand, lean, crouch, chest, pelvis_height)
+    shoulders = _shoulders(who, lean, crouch, chest)
     if offset is not None:
         shoulders = shoulders + offset
-    extension = np.linalg.norm(wrist - shoulders, axis=-1) / person.body.arm
+    extension = np.linalg.norm(wrist - shoulders, axis=-1) / who.person.body.arm
     cost = (
         (crouch / 0.22) ** 2
         + (lean / 0.55) ** 2
@@ -141,25 +136,17 @@ def pelvis_setback(body: Body, lean: np.ndarray, crouch: np.ndarray) -> np.ndarr
     return 0.05 * body.stature * np.sin(lean) + 0.06 * crouch
 
 
-def _shoulders(
-    person: Person,
-    base: BasePose,
-    hand: int,
-    lean: np.ndarray,
-    crouch: np.ndarray,
-    chest_turn: float,
-    pelvis_height: float | None,
-) -> np.ndarray:
-    body = person.body
-    if pelvis_height is None:
-        height = standing_pelvis_height(body) - crouch * body.leg - 0.02 * lean
+def _shoulders(who: Reacher, lean: np.ndarray, crouch: np.ndarray, chest_turn: float) -> np.ndarray:
+    body = who.person.body
+    base = who.base
+    if who.pelvis_height is None:
+        height = people.standing_pelvis_height(body) - crouch * body.leg - 0.02 * lean
     else:
-        height = np.full(lean.shape, pelvis_height)
+        height = np.full(lean.shape, who.pelvis_height)
     pelvis = base.point - pelvis_setback(body, lean, crouch)[:, None] * base.forward
     pelvis[:, 1] = height
-    pelvis_turn = 0.3 * chest_turn
-    trunk = pose_trunk(body, person.habits.stoop, pelvis, base.heading + pelvis_turn, base.heading + chest_turn, lean)
-    return trunk.shoulders[hand]
+    turned = (base.heading + 0.3 * chest_turn, base.heading + chest_turn)
+    return people.pose_trunk(body, who.person.habits.stoop, pelvis, *turned, lean).shoulders[who.hand]
 
 
 _WITHIN_REACH = 0.92  # of the arm's length
@@ -221,7 +208,7 @@ class Reachability:
         self.room = room
         self.rng = rng
         self.is_seated = is_seated
-        self.pelvis_height = seated_pelvis_height(person.body) if is_seated else None
+        self.pelvis_height = people.seated_pelvis_height(person.body) if is_seated else None
 
     def hand_for(self, base: BasePose, centre: np.ndarray) -> int:
         """Draw the hand: with p = .75 the one on the side of the goal, else the preferred one."""
@@ -271,12 +258,13 @@ class Reachability:
         self, base: BasePose, hand: int, goal: Goal, number: float, held: Held | None
     ) -> tuple[float, Grasp, Posture]:
         """Find grasp and posture, which depend on one another through the shoulder: two rounds settle them."""
+        who = Reacher(self.person, base, hand, self.pelvis_height)
         if held is not None:
             turned = base.heading - held.heading
             # The same grasp on an object that has moved and turned.
             wrist = goal.centre + turn(turned, 0.0, held.grasp.wrist - held.centre)
             grasp = Grasp(wrist, np.stack([turn(turned, 0.0, axis) for axis in held.grasp.hand.T], axis=-1))
-            return held.yaw + turned, grasp, solve_posture(self.person, base, hand, grasp.wrist, self.pelvis_height)
+            return held.yaw + turned, grasp, solve_posture(who, grasp.wrist)
         centre = goal.centre
         half = goal.half_extents
         if goal.handle is not None and goal.handle_half is not None:
@@ -284,13 +272,12 @@ class Reachability:
             half = goal.handle_half
 
         def grasp_in(posture: Posture) -> Grasp:
-            shoulder = shoulder_in_posture(self.person, base, hand, posture, self.pelvis_height)
+            shoulder = shoulder_in_posture(who, posture)
             return take_hold(self.preset, self.person.body, shoulder, centre, half, goal.yaw, number)
 
         upright = Posture(0.0, 0.0, 0.0, 0.0)
-        first = solve_posture(self.person, base, hand, grasp_in(upright).wrist, self.pelvis_height)
-        grasp = grasp_in(first)
-        return goal.yaw, grasp, solve_posture(self.person, base, hand, grasp.wrist, self.pelvis_height)
+        grasp = grasp_in(solve_posture(who, grasp_in(upright).wrist))
+        return goal.yaw, grasp, solve_posture(who, grasp.wrist)
 
     def _places(self, base: BasePose, at_surface: int, goal: Goal, hand: int) -> list[BasePose]:
         """Return the standing places to try in turn: where one stands, the good place, then nearer ones."""

@@ -16,10 +16,10 @@ from jaxtyping import Float, Int
 
 from prbench.geometry.skeleton import WRISTS, rotation_matrices
 from prbench.protocol.manifests import load_protocol
-from prbench.synthetic.people.body import HANDING_TIME, MEETING_TIME, moved_along, opened
+from prbench.recording.streams import SIDES
+from prbench.synthetic.people.body import HANDING_TIME, MEETING_TIME, Sides, Signal, moved_along, opened
 from prbench.synthetic.people.gaze_plan import GazePlan
 from prbench.synthetic.people.kinematics import minimum_jerk, quaternion, rotation
-from prbench.synthetic.people.person import SIDES
 from prbench.synthetic.people.plan import Action, Plan, Reach
 from prbench.synthetic.people.world import Item
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
@@ -29,11 +29,7 @@ _Track = tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"], Int[np.ndarra
 
 
 def move_objects(
-    plan: Plan,
-    wrists: Float[np.ndarray, "n 2 3"],
-    hands: Float[np.ndarray, "n 2 3 3"],
-    times: Float[np.ndarray, " n"],
-    object_ids: list[str],
+    plan: Plan, wrists: Sides, hands: Float[np.ndarray, "n 2 3 3"], times: Signal, object_ids: list[str]
 ) -> list[ObjectMotion]:
     """Return the tracks of all handled objects and of the room's bystanders.
 
@@ -263,12 +259,10 @@ def first_sight(
     rays = list(zip(eye[inside].tolist(), gaze[inside].tolist(), strict=True))
     hits = [meets_box(origin, direction, lower, upper) for origin, direction in rays]
     distances = [passing_distance(origin, direction, lower, upper) for origin, direction in rays]
-    seen = [hit or distance <= curation.near_miss_distance for hit, distance in zip(hits, distances, strict=True)]
+    near = curation.near_miss_distance
+    seen = [hit or distance <= near for hit, distance in zip(hits, distances, strict=True)]
     # Where 5 mm decide whether the ray nearly misses the box.
-    borderline = [
-        not hit and abs(distance - curation.near_miss_distance) < _THIN_RAY
-        for hit, distance in zip(hits, distances, strict=True)
-    ]
+    borderline = [not hit and abs(distance - near) < _THIN_RAY for hit, distance in zip(hits, distances, strict=True)]
     # First sample of each unbroken look at the box, and the sample after its last.
     borders = np.flatnonzero(np.diff([False, *seen, False]))
     looks = [(int(begin), int(stop)) for begin, stop in zip(borders[::2], borders[1::2], strict=True)]
@@ -328,10 +322,8 @@ def true_events(
 
 def events_of_others(plan: Plan, scene: Scene, objects: list[ObjectMotion], recording_id: str) -> tuple[TrueEvent, ...]:
     """Return what a bystander does; it belongs to the other person's recording."""
-    events = [
-        _true_event(reach, None, "bystander", scene, objects[reach.item], f"{recording_id}/other")
-        for reach in plan.reaches
-    ]
+    name = f"{recording_id}/other"
+    events = (_true_event(each, None, "bystander", scene, objects[each.item], name) for each in plan.reaches)
     return tuple(replace(event, expected="other_wearer") for event in events)
 
 

@@ -230,6 +230,9 @@ class Step:
         return self.lift + self.swing
 
 
+Steps = tuple[Step, ...]  # in the order of their lifts
+
+
 @dataclass(frozen=True)
 class Feet:
     """Both feet at every frame.
@@ -244,7 +247,7 @@ class Feet:
     planted: Bool[np.ndarray, "n 2"]
 
 
-def plan_steps(person: Person, segments: tuple[Segment, ...]) -> tuple[Step, ...]:
+def plan_steps(person: Person, segments: tuple[Segment, ...]) -> Steps:
     """Return the steps that carry a person along the segments of the base."""
     steps = []
     for segment in segments:
@@ -269,7 +272,7 @@ def plan_steps(person: Person, segments: tuple[Segment, ...]) -> tuple[Step, ...
     return tuple(steps)
 
 
-def place_feet(person: Person, base: BasePath, steps: tuple[Step, ...], times: Signal, *, seated: bool) -> Feet:
+def place_feet(person: Person, base: BasePath, steps: Steps, times: Signal, *, seated: bool) -> Feet:
     """Return the balls of both feet over time.
 
     Args:
@@ -351,7 +354,7 @@ def ankles(body: Body, feet: Feet) -> Sides:
 
 
 def lowered_pelvis(
-    body: Body, height: Signal, hips: Sides, feet: Feet, steps: tuple[Step, ...], times: Signal, rate: float
+    body: Body, height: Signal, hips: Sides, feet: Feet, steps: Steps, times: Signal, rate: float
 ) -> Signal:
     """Lower the pelvis where the planted feet ask for it, and nowhere because of the swinging one.
 

@@ -17,6 +17,8 @@ from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.people.kinematics import UP
 from prbench.synthetic.people.person import ObjectKind, Preset, SurfaceKind
 
+Vector = Float[np.ndarray, "3"]  # metres
+
 _SEATED_TABLE_HEIGHT = 0.74
 _DEEPEST_SPOT = 0.38
 
@@ -32,8 +34,8 @@ class Surface:
     """
 
     kind: SurfaceKind
-    edge_centre: Float[np.ndarray, "3"]
-    normal: Float[np.ndarray, "3"]
+    edge_centre: Vector
+    normal: Vector
     width: float
     weight: float
 
@@ -48,11 +50,11 @@ class Surface:
         return float(np.arctan2(-self.normal[0], -self.normal[2]))
 
     @property
-    def left(self) -> Float[np.ndarray, "3"]:
+    def left(self) -> Vector:
         """Unit vector along the edge, to the left of a person who faces the surface."""
         return np.cross(UP, -self.normal)
 
-    def point(self, lateral: float, depth: float) -> Float[np.ndarray, "3"]:
+    def point(self, lateral: float, depth: float) -> Vector:
         """Return the point ``lateral`` to the left of the middle and ``depth`` behind the front edge."""
         return self.edge_centre + lateral * self.left - depth * self.normal
 
@@ -67,8 +69,8 @@ class Item:
     """
 
     kind: ObjectKind
-    half_extents: Float[np.ndarray, "3"]
-    position: Float[np.ndarray, "3"]
+    half_extents: Vector
+    position: Vector
     yaw: float
     hinged: bool = False
     rides_on: int | None = None
@@ -127,7 +129,7 @@ def draw_item_shape(kind: ObjectKind, rng: np.random.Generator) -> tuple[np.ndar
     return (drawn if kind.half_extents is None else np.array(kind.half_extents)), yaw
 
 
-def world_half_extents(half_extents: Float[np.ndarray, "3"], yaw: float) -> Float[np.ndarray, "3"]:
+def world_half_extents(half_extents: Vector, yaw: float) -> Vector:
     """Return half extents of the world-aligned box around a box turned by ``yaw``."""
     cosine = abs(np.cos(yaw))
     sine = abs(np.sin(yaw))
@@ -136,27 +138,23 @@ def world_half_extents(half_extents: Float[np.ndarray, "3"], yaw: float) -> Floa
 
 
 def draw_spot(
-    surface: Surface,
-    half_extents: Float[np.ndarray, "3"],
-    yaw: float,
-    rng: np.random.Generator,
-    around: tuple[float, float] | None = None,
-) -> Float[np.ndarray, "3"]:
+    surface: Surface, half: Vector, yaw: float, rng: np.random.Generator, around: tuple[float, float] | None = None
+) -> Vector:
     """Draw the centre of a box that stands on a free spot of a surface.
 
     Args:
         surface: Surface on which the object stands.
-        half_extents: Half extents of the box, in its own frame.
+        half: Half extents of the box, in its own frame.
         yaw: Heading of the box.
         rng: Generator.
         around: Lateral position of the previous spot and the spread around it; the whole width if None.
     """
-    half_depth = float(np.abs(world_half_extents(half_extents, yaw) @ np.abs(surface.normal)))
+    half_depth = float(np.abs(world_half_extents(half, yaw) @ np.abs(surface.normal)))
     deepest = min(_DEEPEST_SPOT, surface.kind.depth - 0.04)
     depth = rng.uniform(min(0.05 + half_depth, deepest), deepest)
     reach = surface.width / 2.0 - 0.03
     lateral = rng.uniform(-reach, reach) if around is None else np.clip(rng.normal(*around), -reach, reach)
-    return surface.point(float(lateral), float(depth)) + half_extents[1] * UP
+    return surface.point(float(lateral), float(depth)) + half[1] * UP
 
 
 def _draw_surfaces(preset: Preset, rng: np.random.Generator) -> tuple[Surface, ...]:

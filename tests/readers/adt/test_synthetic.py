@@ -14,11 +14,11 @@ from prbench.readers.adt import find_recordings, read_recording
 from prbench.readers.adt import format as adt
 from prbench.readers.adt import synthetic as layout
 from prbench.readers.adt.synthetic import LAYOUT, native_object_id, sense
-from prbench.readers.aria_mps.synthetic import gaze_bias
+from prbench.readers.aria_mps.synthetic import GAZE_BIAS
 from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import OtherPerson, Performance
-from prbench.synthetic.sensors import Switches, device_start_us
+from prbench.synthetic.sensors import Sensing, Switches, device_start_us, gaze_bias_of
 from tests.synthetic.plausibility import recorded_bone_change
 
 
@@ -146,7 +146,7 @@ def test_default_noise_has_the_sizes_of_the_page(performance) -> None:
     assert np.rad2deg((sense(performance, switches=only).gaze.yaw - ideal.gaze.yaw).std()) == pytest.approx(
         0.5, rel=0.1
     )
-    bias = gaze_bias(performance, noise=1.0, switches=Switches())
+    bias = gaze_bias_of(Sensing(performance, 1.0, Switches()), GAZE_BIAS["personalized"])
     biased = sense(performance, switches=replace(Switches.ideal(), gaze_bias=True)).gaze
     assert biased.yaw - ideal.gaze.yaw == pytest.approx(bias[0], abs=2e-6)
     assert biased.pitch - ideal.gaze.pitch == pytest.approx(bias[1], abs=2e-6)

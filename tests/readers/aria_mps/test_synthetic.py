@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.synthetic import gaze_bias, sense_mps, write_mps
+from prbench.readers.aria_mps.synthetic import GAZE_BIAS, sense_mps, write_mps
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors import Switches
+from prbench.synthetic.sensors import Sensing, Switches, gaze_bias_of
 
 START_US = 90_000_000_000
 
@@ -50,8 +50,8 @@ def test_steps_of_the_clock(performance) -> None:
 
 
 def test_general_gaze_is_biased_two_and_a_half_times_as_much(performance) -> None:
-    own = np.array(gaze_bias(performance, noise=1.0, switches=Switches()))
-    general = np.array(gaze_bias(performance, noise=1.0, switches=Switches(), gaze_kind="general"))
+    own = np.array(gaze_bias_of(Sensing(performance, 1.0, Switches()), GAZE_BIAS["personalized"]))
+    general = np.array(gaze_bias_of(Sensing(performance, 1.0, Switches()), GAZE_BIAS["general"]))
     assert general == pytest.approx(2.5 * own)
     only_bias = replace(Switches.ideal(), gaze_bias=True)
     ideal, biased = (sense(performance, switches=on, gaze_kind="general") for on in (Switches.ideal(), only_bias))

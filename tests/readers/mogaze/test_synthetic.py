@@ -13,11 +13,11 @@ from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, Joint
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.format import MODEL_OFFSETS, body_joints, link_offsets, link_poses
-from prbench.readers.mogaze.synthetic import body_names, gaze_bias, sense, solve_body
+from prbench.readers.mogaze.synthetic import GAZE_BIAS, body_names, sense, solve_body
 from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors import Switches
+from prbench.synthetic.sensors import Sensing, Switches, gaze_bias_of
 
 DERIVED = (Joint.SPINE1, Joint.SPINE2)
 
@@ -136,8 +136,8 @@ def test_default_noise_has_the_sizes_of_the_page(performance) -> None:
 
 
 def test_the_gaze_bias_is_what_truth_says(performance) -> None:
-    yaw, pitch = gaze_bias(performance, noise=1.0, switches=Switches())
-    assert gaze_bias(performance, noise=2.0, switches=Switches()) == pytest.approx((2 * yaw, 2 * pitch))
+    yaw, pitch = gaze_bias_of(Sensing(performance, 1.0, Switches()), GAZE_BIAS)
+    assert gaze_bias_of(Sensing(performance, 2.0, Switches()), GAZE_BIAS) == pytest.approx((2 * yaw, 2 * pitch))
     assert 0.0 < np.rad2deg(np.hypot(yaw, pitch)) < 3.0
 
 

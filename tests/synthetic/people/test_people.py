@@ -20,9 +20,9 @@ from prbench.synthetic.people.kinematics import (
 from prbench.synthetic.people.perform import Motion, synthesise
 from prbench.synthetic.people.person import Body, Person, draw_person
 from prbench.synthetic.people.plan import Plan, plan_recording
-from prbench.synthetic.people.reaching import kept_away, solve_posture, take_hold
+from prbench.synthetic.people.reaching import Reacher, kept_away, solve_posture, take_hold
 from prbench.synthetic.people.walking import BasePose, place_feet, plan_segment, plan_steps, sample_base
-from prbench.synthetic.people.world import Source, assign, draw_room
+from prbench.synthetic.people.world import Room, Source, assign, draw_room
 
 ADT = PRESETS["adt"]
 
@@ -81,11 +81,12 @@ def test_a_small_shift_needs_no_step() -> None:
 def test_low_goals_are_reached_by_bending_and_near_ones_upright() -> None:
     person = draw_person(ADT, "x", rng("reacher"))
     base = BasePose(0.0, 0.0, 0.0)
-    high = solve_posture(person, base, 1, np.array([-0.15, 1.2, 0.4]))
-    low = solve_posture(person, base, 1, np.array([-0.15, 0.5, 0.5]))
+    who = Reacher(person, base, hand=1)
+    high = solve_posture(who, np.array([-0.15, 1.2, 0.4]))
+    low = solve_posture(who, np.array([-0.15, 0.5, 0.5]))
     assert (high.lean, high.crouch) < (np.deg2rad(15.0), 0.1)
     assert low.lean + low.crouch > high.lean + high.crouch + 0.5
-    assert solve_posture(person, base, 1, np.array([-0.15, 1.0, 1.6])).extension > 0.92
+    assert solve_posture(who, np.array([-0.15, 1.0, 1.6])).extension > 0.92
 
 
 def test_adt_fingertips_stop_a_centimetre_before_the_box() -> None:
@@ -203,9 +204,11 @@ def test_the_head_begins_to_turn_a_lag_after_the_eyes(lag: float) -> None:
     look = Look(2.0, 3.5, np.array([2.0, 1.6, 2.0]), is_goal=True, reach=0)
 
     def half_way(head_lag: float) -> float:
-        habits = replace(draw_person(ADT, "x", rng("head")).habits, head_lag=head_lag)
+        person = draw_person(ADT, "x", rng("head"))
+        person = replace(person, habits=replace(person.habits, head_lag=head_lag))
+        plan = Plan(ADT, person, Room("", (0.0, 0.0), (), ()), False, BasePose(0.0, 0.0, 0.0), (), (), ())
         yaw = [
-            move_head(ADT, habits, GazePlan(looks, (), ()), np.zeros(times.size), eye, times, rng("tremor")).yaw
+            move_head(plan, GazePlan(looks, (), ()), np.zeros(times.size), eye, times, rng("tremor")).yaw
             for looks in ((), (look,))
         ]
         moved = yaw[1] - yaw[0]  # without the tremor
