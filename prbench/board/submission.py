@@ -1,4 +1,4 @@
-"""A submission: finished runs, who made them and what their method learned from, in one file that anybody can verify.
+"""A submission: finished runs, who made them and what their methods learned from, in one file that anybody can verify.
 
 The file is a ZIP archive (:mod:`prbench.files.archives`) of ``submission.json`` and the folders ``runs/NAME``. Unpacked
 they are run folders as any others. ``submission.json`` names every file with its digest, so its own digest stands for
@@ -9,38 +9,42 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Sequence
+import shutil
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
 import prbench
 from prbench.board.collect import collect_runs, run_folders
-from prbench.errors import InputFileError, RunError
+from prbench.errors import InputFileError, RunError, UsageError
 from prbench.files.archives import open_archive, write_archive
-from prbench.files.bounded import foreign_input, read_whole, require
+from prbench.files.bounded import foreign_input, read_toml, read_whole, require
 from prbench.files.storage import atomic_folder, bytes_digest, file_digest, sole_writer
-from prbench.harness.results import NOT_AT_HAND, CheckedSummary
-from prbench.harness.run_folder import record as run_record
+from prbench.harness.benchmark import CaseTable
+from prbench.harness.controls import HOLDS_RECORDINGS
+from prbench.harness.results import NOT_AT_HAND, RunChecker
 from prbench.harness.run_folder.folder import MERGED, RunFolder
-from prbench.harness.run_folder.record import RunRecord, TableRecord
-from prbench.harness.run_folder.signature import SIGNATURE, SUMS
+from prbench.harness.run_folder.record import CONTROL, RunRecord
+from prbench.harness.run_folder.signature import SIGNATURE, SUMS, require_unchanged
 from prbench.limits import HARMLESS_SIZE
+from prbench.sequences.dataset_info import require_may_pass_on
 
 FILE_NAME = "submission.json"
-SUFFIX = ".prbench.zip"
 RUNS = "runs"
 _AGAIN = "Ask its authors for a file as `prbench leaderboard submit` writes it."
+_PEOPLE = ("recording_id", "participant_id", "split")
 
 Digest = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
-# Text that people write about themselves; it is shown on pages.
-Words = Annotated[str, msgspec.Meta(min_length=1, max_length=300)]
+# Text that people write about themselves, and that pages show.
+Words = Annotated[str, msgspec.Meta(min_length=1, max_length=300, pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028-\u202e]+$")]
+RunName = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9-]{1,80}$")]
 Address = Annotated[str, msgspec.Meta(max_length=300, pattern=r"^https?://[^\s<>\"'`\\]+$")]
 
 
 class TrainingDataset(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Recordings of one of the benchmark's datasets that a method learned from.
+    """Recordings of one dataset that a method learned from.
 
     Attributes:
         dataset: Name of the dataset.
@@ -55,20 +59,21 @@ class TrainingDataset(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     @property
     def words(self) -> str:
         """What was used, in words."""
+        used = "all of it" if self.split == "all" else f"{self.split} split"
         if self.participants:
-            return f"{self.dataset} (participants {', '.join(self.participants)})"
-        return f"{self.dataset} ({'all of it' if self.split == 'all' else f'{self.split} split'})"
+            used = f"participants {', '.join(self.participants)}"
+        return f"{self.dataset} ({used})"
 
 
 class TrainingData(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the methods of a submission learned from, as their authors declare it; all empty where that is nothing.
+    """What the methods of a submission learned from, as their authors declare it; empty where that is nothing.
 
     Attributes:
         datasets: Datasets of the benchmark.
         corpora: Names of other data, such as ``AMASS``.
         licence: Licence of the data, in words.
-        recordings: SHA-256 of ``dataset/recording_id`` of each recording that is known to have been used, so that
-            overlap with tested ones is found and no id has to be public; sorted.
+        recordings: SHA-256 of ``dataset/recording_id`` of recordings that were used, so that overlap with tested ones
+            is found and no id has to be public.
     """
 
     datasets: tuple[TrainingDataset, ...] = ()
@@ -80,141 +85,137 @@ class TrainingData(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     def words(self) -> str:
         """The declaration in words, such as ``declared adt (train split), AMASS``."""
         named = [*(each.words for each in self.datasets), *self.corpora]
-        if self.recordings:
+        if self.recordings and not self.datasets:
             named.append(f"{len(self.recordings)} recordings by their digests")
         return f"declared {', '.join(named) or 'none'}"
 
-
-class SubmittedTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The part of a run on one dataset.
-
-    Attributes:
-        dataset: Name of the dataset.
-        identity_digest: Digest of the ids of its table, which everybody with the same licensed data shares.
-        sequences: Number of sequences that were scored.
-    """
-
-    dataset: str
-    identity_digest: str
-    sequences: int
-
-
-class SubmittedRun(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One run of a submission.
-
-    Attributes:
-        name: Name of its folder below ``runs``.
-        method: Name of its method.
-        condition: What the method was given.
-        control: ``shuffled-goal``, or null.
-        tables: Its datasets.
-    """
-
-    name: str
-    method: str
-    condition: str
-    control: str | None
-    tables: tuple[SubmittedTable, ...]
-
-    @classmethod
-    def of(cls, name: str, run: RunRecord) -> SubmittedRun:
-        """Describe a run by its record."""
-        tables = tuple(
-            SubmittedTable(
-                dataset=table.dataset,
-                identity_digest=table.identity_digest,
-                sequences=table.sequences - table.unsupported,
+    def used(self, table: CaseTable) -> set[str]:
+        """Return the recordings of a table that are declared, by their ids in the table."""
+        dataset = table.info.dataset
+        entries = [each for each in self.datasets if each.dataset == dataset]
+        rows = table.runs if hasattr(table, "runs") else table.scalars(columns=_PEOPLE)
+        found = set()
+        for recording, participant, split in set(zip(*(rows[name].to_pylist() for name in _PEOPLE), strict=True)):
+            named = any(
+                participant in each.participants or (not each.participants and each.split in ("all", split))
+                for each in entries
             )
-            for table in run.tables
-        )
-        return cls(name=name, method=run.method.name, condition=run.condition, control=run.control, tables=tables)
+            if named or _recording_digest(dataset, recording) in self.recordings:
+                found.add(recording)
+        return found
+
+    def with_digests(self, tables: Iterable[CaseTable]) -> TrainingData:
+        """Return the declaration with the digests of all recordings of some tables that it names."""
+        digests = {_recording_digest(table.info.dataset, name) for table in tables for name in self.used(table)}
+        return msgspec.structs.replace(self, recordings=tuple(sorted(digests.union(self.recordings))))
 
 
-class Member(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One file of a submission.
+def _recording_digest(dataset: str, recording: str) -> str:
+    return bytes_digest(f"{dataset}/{recording}".encode())
 
-    Attributes:
-        path: Its place in the archive.
-        size: Bytes.
-        sha256: Digest of its bytes.
+
+def read_training(path: Path) -> TrainingData:
+    """Read a declaration of training data from TOML; ``recordings`` may name them as ``dataset/recording_id``, too.
+
+    Raises:
+        InputFileError: if the file is missing, no TOML, or holds other keys or values.
     """
+    values = read_toml(path, "a declaration of training data")
+    names = values.get("recordings")
+    if isinstance(names, list) and all(isinstance(name, str) for name in names):
+        digests = {name if re.fullmatch("[0-9a-f]{64}", name) else bytes_digest(name.encode()) for name in names}
+        values["recordings"] = sorted(digests)
+    try:
+        return msgspec.convert(values, TrainingData)
+    except msgspec.ValidationError as error:
+        expected = "datasets, corpora, licence and recordings (docs/leaderboard.md)"
+        raise InputFileError(path, "", expected=expected, found=str(error)) from error
 
-    path: str
-    size: int
-    sha256: Digest
+
+def trained_on(texts: Iterable[str]) -> TrainingData:
+    """Return the declaration that ``--trained-on`` makes: ``none``, or datasets, each with a split or participants.
+
+    Raises:
+        UsageError: if ``none`` stands beside a dataset, or a dataset is there twice.
+    """
+    entries = []
+    for text in texts:
+        dataset, _, detail = text.partition(":")
+        if detail in ("", "train", "validation", "test", "all"):
+            entries.append(TrainingDataset(dataset=dataset, split=detail or "train"))
+        else:
+            entries.append(TrainingDataset(dataset=dataset, participants=tuple(detail.split(","))))
+    names = [each.dataset for each in entries]
+    if names == ["none"]:
+        return TrainingData()
+    if "none" in names or len(set(names)) < len(names):
+        raise UsageError(f"--trained-on {', '.join(texts)}: expected none alone, or every dataset once.")
+    return TrainingData(datasets=tuple(entries))
 
 
-class About(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What authors say of a submission.
+class Submission(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The whole of ``submission.json``. Holds no time of day, host or absolute path.
 
     Attributes:
+        schema_version: Version of the form.
+        prbench_version: Version of prbench that packed it.
         name: Name of the submission.
-        authors: Names of the method's authors.
+        authors: Names of the methods' authors.
         contact: How to reach them.
         url: Page of the method.
         paper: Address of the paper.
         code: Address of the code.
-        permission: Datasets whose recorded motion the authors may pass on by their own word, although its licence
-            keeps it.
         training: What the methods learned from; None where nobody says.
+        permission: Datasets whose recorded motion is in the submission by the authors' own word.
+        benchmark: Name of the benchmark of all runs.
+        protocol_digest: Digest of the rules by which all runs were scored.
+        runs: Maps the name of each run, which is that of its folder below ``runs``, to its ``run.json``.
+        members: Maps the path of each other file to the SHA-256 of its bytes.
+        digest: SHA-256 of ``submission.json``, and so over everything; not written.
     """
 
+    schema_version: Literal[1] = 1
+    prbench_version: str
     name: Words
     authors: tuple[Words, ...] = ()
     contact: Words | None = None
     url: Address | None = None
     paper: Address | None = None
     code: Address | None = None
-    permission: tuple[Words, ...] = ()
     training: TrainingData | None = None
-
-
-class Submission(About, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The whole of ``submission.json``. Holds no time of day, host or absolute path.
-
-    Attributes:
-        schema_version: Version of the form.
-        prbench_version: Version of prbench that packed it.
-        benchmark: Name of the benchmark of all runs.
-        protocol_digest: Digest of the rules by which all runs were scored.
-        runs: The runs, by name.
-        members: All other files of the submission, by path.
-    """
-
-    schema_version: Literal[1] = 1
-    prbench_version: str
+    permission: tuple[Words, ...] = ()
     benchmark: str
     protocol_digest: str
-    runs: Annotated[tuple[SubmittedRun, ...], msgspec.Meta(min_length=1)]
-    members: tuple[Member, ...]
-
-    @property
-    def encoded(self) -> bytes:
-        """The bytes of ``submission.json``."""
-        return json.dumps(msgspec.to_builtins(self), indent=1, sort_keys=True, ensure_ascii=True).encode() + b"\n"
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 over ``submission.json`` and so over every file."""
-        return bytes_digest(self.encoded)
+    runs: Annotated[dict[RunName, RunRecord], msgspec.Meta(min_length=1)]
+    members: dict[str, Digest]
+    digest: str = ""
 
     @property
     def id(self) -> str:
         """Name of the submission's folder on a board."""
-        return f"{slug(self.name).lower()}-{self.digest[:10]}"
+        return f"{_slug(self.name).lower()}-{self.digest[:10]}"
 
     @property
     def training_words(self) -> str:
         """What its methods learned from, in words."""
         return "not declared" if self.training is None else self.training.words
 
+    @classmethod
+    def decoded(cls, content: bytes, path: Path) -> Submission:
+        """Take up the bytes of a stranger's ``submission.json``.
 
-def recording_digest(name: str) -> str:
-    """Return what stands for a recording, ``dataset/recording_id``, where its id need not be public."""
-    return bytes_digest(name.encode())
+        Raises:
+            InputFileError: if they hold something else.
+        """
+        try:
+            submission = msgspec.json.decode(content, type=cls)
+        except (msgspec.DecodeError, msgspec.ValidationError, RecursionError) as error:
+            expected = "the form of a submission"
+            raise InputFileError(path, FILE_NAME, expected=expected, found=str(error), remedy=_AGAIN) from error
+        return msgspec.structs.replace(submission, digest=bytes_digest(content))
 
 
-def slug(name: str) -> str:
+def _slug(name: str) -> str:
     """Return a name that a folder can have on every system."""
     return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")[:60] or "run"
 
@@ -222,73 +223,87 @@ def slug(name: str) -> str:
 def pack(
     paths: Iterable[Path],
     out: Path,
-    about: About,
     *,
-    check: Callable[[RunFolder, TableRecord], CheckedSummary],
+    checker: RunChecker,
+    training: TrainingData | None = None,
+    permitted: tuple[str, ...] = (),
+    **about: Any,
 ) -> Submission:
     """Write a submission of finished runs, whole or not at all; equal runs give equal bytes.
 
     Args:
         paths: Run folders, or folders that hold some.
         out: The archive.
-        about: What the authors say.
-        check: Verifies a run, with or without its tables.
+        checker: Verifies the runs, with or without their tables; from those that it has the digests of the recordings
+            that training used are taken.
+        training: What the methods learned from; None where nobody says.
+        permitted: Datasets whose recorded motion may be passed on although the licence keeps it.
+        about: Name, authors and addresses, as fields of :class:`Submission`.
 
     Raises:
         RunError: if a run is unfinished, edited, broken in itself, holds no motions, or is of another benchmark or
             protocol than the others.
+        RedistributionError: if a run holds recorded motion that its licence keeps.
+        UsageError: if what the authors say does not fit the form.
         StorageError: if the archive cannot be written.
     """
-    named = _named(run_folders(paths))
-    collected = collect_runs([run.path for run in named.values()], check=check, any_benchmark=True)
-    problems = list(collected.left_out)
-    problems += [
-        f"{row.run}: {row.unverified}" for row in collected.rows if NOT_AT_HAND not in (row.unverified or NOT_AT_HAND)
-    ]
+    named: dict[str, RunFolder] = {}
+    for folder in run_folders(paths):
+        # The merged run stands in the folder that people know; those on the folds beside it.
+        name = _slug(folder.parent.name if folder.name == MERGED else folder.name)
+        alike = sum(other.split("--")[0] == name for other in named)
+        named[f"{name}--{alike + 1}" if alike else name] = RunFolder.open(folder, any_benchmark=True)
+    collected = collect_runs([run.path for run in named.values()], check=checker.check, any_benchmark=True)
+    unverified = [row for row in collected.rows if row.unverified and NOT_AT_HAND not in row.unverified]
+    problems = [*collected.left_out, *(f"{row.run}: {row.unverified}" for row in unverified)]
     if problems:
         raise RunError(f"expected finished runs with their motions, found others. {'; '.join(problems)}.")
+    for row in collected.rows:
+        # Motions of a method are its own; those of some controls are people's.
+        holds = row.record.method.kind == CONTROL and row.method in HOLDS_RECORDINGS
+        if holds or row.summary.hands_in_recordings:
+            what = f"the motions of '{row.method}' in a submission"
+            require_may_pass_on(row.table, what, permitted, published=True)
+    files: dict[str, Path] = {}
+    for name, run in sorted(named.items()):
+        require_unchanged(run)
+        files |= {f"{RUNS}/{name}/{path.relative_to(run.path).as_posix()}": path for path in _files_of(run)}
     first = next(iter(named.values())).record
-    for run in named.values():
-        for key in ("benchmark", "protocol_digest"):
-            expected = getattr(first, key)
-            found = getattr(run.record, key)
-            if found != expected:
-                raise RunError(
-                    f"{run.path / run_record.FILE_NAME}, {key}: expected {expected}, as the other runs have it, found"
-                    f" {found}. Submit runs of different benchmarks or protocols in files of their own."
-                )
-    files: dict[str, Path | bytes] = {}
-    for name, run in named.items():
-        signed = (path for file in (SUMS, SIGNATURE) if (path := run.path / file).is_file())
-        notices = (own.notice for table in run.record.tables if (own := run.dataset(table.dataset)).notice.is_file())
-        for path in (*run.files, *signed, *notices):
-            files[f"{RUNS}/{name}/{path.relative_to(run.path).as_posix()}"] = path
-    files = dict(sorted(files.items()))
-    submission = Submission(
-        **{field: getattr(about, field) for field in About.__struct_fields__},
-        prbench_version=prbench.__version__,
-        benchmark=first.benchmark,
-        protocol_digest=first.protocol_digest,
-        runs=tuple(SubmittedRun.of(name, run.record) for name, run in named.items()),
-        members=tuple(
-            Member(path=name, size=path.stat().st_size, sha256=file_digest(path))
-            for name, path in files.items()
-            if isinstance(path, Path)
-        ),
-    )
+    if training is not None:
+        tables = (checker.find_table(table) for run in named.values() for table in run.record.tables)
+        training = training.with_digests(table for table in tables if table is not None)
+    values = {
+        **{key: value for key, value in about.items() if value is not None},
+        "prbench_version": prbench.__version__,
+        "training": training,
+        "permission": permitted,
+        "benchmark": first.benchmark,
+        "protocol_digest": first.protocol_digest,
+        "runs": {name: msgspec.to_builtins(run.record) for name, run in sorted(named.items())},
+        "members": {name: file_digest(path) for name, path in files.items()},
+    }
+    content = json.dumps(msgspec.to_builtins(values), indent=1, sort_keys=True).encode() + b"\n"
+    submission = Submission.decoded(content, out)
+    _require_one_protocol(submission, out)
     with sole_writer(out):
-        write_archive(out, {FILE_NAME: submission.encoded, **files})
+        write_archive(out, {FILE_NAME: content, **files})
     return submission
 
 
-def _named(folders: Sequence[Path]) -> dict[str, RunFolder]:
-    """Open runs and give each a name of its own: that of its folder, or of the folder of a run on all folds."""
-    named: dict[str, RunFolder] = {}
-    for folder in folders:
-        name = slug(folder.parent.name if folder.name == MERGED else folder.name)
-        number = sum(other.rpartition("--")[0] == name or other == name for other in named)
-        named[f"{name}--{number + 1}" if number else name] = RunFolder.open(folder, any_benchmark=True)
-    return dict(sorted(named.items()))
+def _files_of(run: RunFolder) -> list[Path]:
+    """Return the files of a run that a submission holds."""
+    beside = [run.path / SUMS, run.path / SIGNATURE]
+    beside += [run.dataset(table.dataset).notice for table in run.record.tables]
+    return [*run.files, *(path for path in beside if path.is_file())]
+
+
+def _require_one_protocol(submission: Submission, path: Path) -> None:
+    for name, record in submission.runs.items():
+        for key in ("benchmark", "protocol_digest"):
+            expected = f"{getattr(submission, key)}, as the submission has it"
+            same = getattr(record, key) == getattr(submission, key)
+            remedy = "Submit runs of different benchmarks or protocols in files of their own."
+            require(path, (same, f"run {name}, {key}", expected, getattr(record, key), remedy))
 
 
 def open_submission(path: Path, folder: Path) -> Submission:
@@ -296,22 +311,26 @@ def open_submission(path: Path, folder: Path) -> Submission:
 
     Args:
         path: The archive, from a stranger.
-        folder: The folder, which must not exist yet or is replaced; run folders stand in ``runs`` of it.
+        folder: The folder, which is replaced if it exists; run folders stand in ``runs`` of it.
 
     Raises:
         InputFileError: if it is no such archive, is damaged or hostile, or holds other files than it lists.
         StorageError: if the folder cannot be written.
     """
     with open_archive(path) as archive:
-        if FILE_NAME not in archive.members:
-            raise InputFileError(path, "", expected=f"a submission (with {FILE_NAME})", found="none", remedy=_AGAIN)
-        submission = _decoded(archive.read(FILE_NAME), path)
-        _require_listed(path, submission, {name: info.file_size for name, info in archive.members.items()})
+        sizes = {entry.filename: entry.file_size for entry in archive.infolist()}
+        found = f"{sizes.get(FILE_NAME, 'none')}"
+        fits = FILE_NAME in sizes and sizes[FILE_NAME] <= HARMLESS_SIZE
+        require(path, (fits, FILE_NAME, f"a list of at most {HARMLESS_SIZE:,} bytes", found, _AGAIN))
+        submission = Submission.decoded(archive.read(FILE_NAME), path)
+        _require_listed(path, submission, sizes)
         with atomic_folder(folder) as temporary:
-            for member in submission.members:
-                _require_digest(path, member, archive.unpack(member.path, temporary))
-            (temporary / FILE_NAME).write_bytes(submission.encoded)
-            _require_run_files(path, submission, temporary)
+            for name in sizes:
+                target = temporary / name  # every name was found to stay inside, and to be there once
+                target.parent.mkdir(parents=True, exist_ok=True)
+                with archive.open(name) as source, open(target, "xb") as file:
+                    shutil.copyfileobj(source, file)
+            _require_whole(path, submission, temporary)
     return submission
 
 
@@ -319,63 +338,38 @@ def read_submission(folder: Path) -> Submission:
     """Read an unpacked submission and compare every file with its digest.
 
     Raises:
-        InputFileError: if a file is missing, changed, or not listed.
+        InputFileError: if a file is missing, changed, or not listed, or is no plain file.
     """
     with foreign_input(folder):
-        submission = _decoded(read_whole(folder / FILE_NAME, largest=HARMLESS_SIZE), folder / FILE_NAME)
-        there = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if not path.is_dir()}
-        _require_listed(folder, submission, {name: path.lstat().st_size for name, path in there.items()})
-        for member in submission.members:
-            _require_digest(folder, member, file_digest(there[member.path]))
+        submission = Submission.decoded(read_whole(folder / FILE_NAME, largest=HARMLESS_SIZE), folder)
+        there = [path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()]
+        for path in there:
+            require(path, (not path.is_symlink(), "", "a plain file", "a link", _AGAIN))
+        _require_listed(folder, submission, [path.relative_to(folder).as_posix() for path in there])
+        _require_whole(folder, submission, folder)
     return submission
 
 
-def _decoded(content: bytes, path: Path) -> Submission:
-    try:
-        submission = msgspec.json.decode(content, type=Submission)
-    except (msgspec.DecodeError, msgspec.ValidationError, RecursionError) as error:
-        raise InputFileError(
-            path, FILE_NAME, expected="the form of a submission", found=str(error), remedy=_AGAIN
-        ) from error
-    same = submission.encoded == content
-    require(path, (same, FILE_NAME, "the bytes that prbench writes for these values", "others", _AGAIN))
-    return submission
+def _require_listed(path: Path, submission: Submission, names: Iterable[str]) -> None:
+    there = set(names) - {FILE_NAME}
+    for name in sorted(there ^ set(submission.members)):
+        expected = "only files" if name in there else "every file"
+        found = "this one" if name in there else "no such file"
+        require(path, (False, name, f"{expected} that {FILE_NAME} lists", found, _AGAIN))
 
 
-def _require_listed(path: Path, submission: Submission, sizes: dict[str, int]) -> None:
-    """Refuse files that the list does not name, or that it names and that are missing or of another size."""
-    listed = {member.path: member.size for member in submission.members}
-    there = {name: size for name, size in sizes.items() if name != FILE_NAME}
-    once = len(listed) == len(submission.members) and FILE_NAME not in listed
-    require(path, (once, f"{FILE_NAME}, members", "each file once", "a repeated one", _AGAIN))
-    for name in sorted(listed | there):
-        expected = (
-            f"{listed[name]:,} bytes, as {FILE_NAME} says" if name in listed else f"only files that {FILE_NAME} lists"
-        )
-        found = f"{there[name]:,} bytes" if name in there else "no such file"
-        require(path, (listed.get(name) == there.get(name), name, expected, found, _AGAIN))
-
-
-def _require_digest(path: Path, member: Member, found: str) -> None:
-    expected = f"the file with the SHA-256 {member.sha256[:12]}…, as {FILE_NAME} says"
-    require(path, (found == member.sha256, member.path, expected, f"{found[:12]}…: it was changed", _AGAIN))
-
-
-def _require_run_files(path: Path, submission: Submission, folder: Path) -> None:
-    """Refuse files that no run has, and runs that are not those that the submission describes."""
+def _require_whole(path: Path, submission: Submission, folder: Path) -> None:
+    """Refuse changed files, files that no run has, and runs that are not those that the list describes."""
+    for name, digest in submission.members.items():
+        found = file_digest(folder / name)
+        expected = f"the SHA-256 {digest[:12]}…, as {FILE_NAME} lists it"
+        require(path, (found == digest, name, expected, f"{found[:12]}…: the file was changed", _AGAIN))
+    _require_one_protocol(submission, path)
     known: set[str] = set()
-    for described in submission.runs:
-        run = RunFolder.open(folder / RUNS / described.name, any_benchmark=True)
-        found = SubmittedRun.of(described.name, run.record)
-        where = f"{RUNS}/{described.name}/{run_record.FILE_NAME}"
-        require(
-            path,
-            (found == described, where, f"the run that {FILE_NAME} describes", "another one", _AGAIN),
-            (run.record.benchmark == submission.benchmark, where, submission.benchmark, run.record.benchmark, _AGAIN),
-            (run.record.protocol_digest == submission.protocol_digest, where, "its protocol", "another one", _AGAIN),
-        )
-        beside = [run.path / SUMS, run.path / SIGNATURE]
-        beside += [run.dataset(table.dataset).notice for table in run.record.tables]
-        known.update(file.relative_to(folder).as_posix() for file in (*run.files, *beside))
-    for member in submission.members:
-        require(path, (member.path in known, member.path, "files of runs", "a file that no run has", _AGAIN))
+    for name, record in submission.runs.items():
+        run = RunFolder.open(folder / RUNS / name, any_benchmark=True)
+        same = run.record == record and run.path == folder / RUNS / name
+        require(path, (same, f"run {name}", f"the run.json that {FILE_NAME} holds", "another", _AGAIN))
+        known.update(file.relative_to(folder).as_posix() for file in _files_of(run))
+    for name in submission.members:
+        require(path, (name in known, name, "files of runs", "a file that no run has", _AGAIN))

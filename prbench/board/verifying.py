@@ -9,10 +9,10 @@ import msgspec
 
 import prbench
 from prbench.board.collect import collect_runs
-from prbench.board.submission import RUNS, Submission, TrainingData, recording_digest
+from prbench.board.submission import RUNS, Submission
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError
-from prbench.harness.benchmark import CaseTable, load_benchmark
+from prbench.harness.benchmark import load_benchmark
 from prbench.harness.first_run import table_finder
 from prbench.harness.results import CheckedSummary, MetricDrift, RunChecker
 from prbench.harness.run_folder.folder import RunFolder
@@ -20,8 +20,6 @@ from prbench.harness.run_folder.record import CONTROL, TableRecord
 from prbench.harness.run_folder.summary import FILE_NAME as SUMMARY_FILE
 from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.metrics.registry import printed_scale, printed_unit
-
-_PEOPLE = ("recording_id", "participant_id", "split")
 
 
 class VerifiedDataset(msgspec.Struct, frozen=True, kw_only=True):
@@ -87,7 +85,7 @@ def verify_submission(
     """
     checker = RunChecker(table_finder(data, same_values=False), engine or InProcess(), same_values=False)
     found: list[VerifiedDataset] = []
-    learnt: set[str] = set()
+    learnt: set[tuple[str, str]] = set()
 
     def check(run: RunFolder, record: TableRecord) -> CheckedSummary:
         checked = checker.check(run, record)
@@ -95,7 +93,10 @@ def verify_submission(
             return checked
         _require_own_motions(run, record, checked)
         table = checker.find_table(record)
-        learnt.update(_learnt_recordings(submission.training, run, table, checked))
+        if submission.training is not None and checked.scored is not None:
+            recording_of = load_benchmark(run.record.benchmark).recordings_of(table)
+            tested = {recording_of[name] for name in checked.scored.ids}
+            learnt.update((record.dataset, name) for name in submission.training.used(table) & tested)
         found.append(
             VerifiedDataset(
                 run=run.path.name,
@@ -140,29 +141,6 @@ def _require_own_motions(run: RunFolder, record: TableRecord, checked: CheckedSu
             f"{run.dataset(record.dataset).path / SUMMARY_FILE}, findings: expected {', '.join(found) or 'none'}, which"
             f" the motions show, found {', '.join(stated) or 'none'}. The file was edited."
         )
-
-
-def _learnt_recordings(
-    training: TrainingData | None, run: RunFolder, table: CaseTable, checked: CheckedSummary
-) -> set[str]:
-    """Return the tested recordings that the methods are declared to have learned from, as ``dataset/recording``."""
-    if training is None or checked.scored is None:
-        return set()
-    dataset = table.info.dataset
-    entries = [each for each in training.datasets if each.dataset == dataset]
-    rows = table.runs if hasattr(table, "runs") else table.scalars(columns=_PEOPLE)
-    of_case = load_benchmark(run.record.benchmark).recordings_of(table)
-    tested = {of_case[name] for name in checked.scored.ids}
-    learnt = set()
-    for recording, participant, split in zip(*(rows[name].to_pylist() for name in _PEOPLE), strict=True):
-        name = f"{dataset}/{recording}"
-        declared = any(
-            participant in each.participants or (not each.participants and each.split in ("all", split))
-            for each in entries
-        )
-        if recording in tested and (declared or recording_digest(name) in training.recordings):
-            learnt.add(name)
-    return learnt
 
 
 def _verdict(found: Sequence[VerifiedDataset]) -> str:

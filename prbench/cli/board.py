@@ -11,6 +11,7 @@ import click
 from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, session
 from prbench.cli.terminal import print_table
+from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.board.verifying import Verification
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 @command(
     "submit",
-    example="prbench leaderboard submit runs/mine --out mine.prbench.zip --name Mine --author 'A. Author'",
+    example="prbench leaderboard submit runs/mine --out mine.prbench.zip --name Mine --author 'A. B.' --trained-on adt",
     report="prbench.board.submission:Submission",
 )
 @click.argument("runs", type=opt.PATH, nargs=-1, required=True, metavar="RUN...")
@@ -29,18 +30,52 @@ if TYPE_CHECKING:
 @click.option("--url", help="Page of the method.")
 @click.option("--paper", help="Address of the paper.")
 @click.option("--code", help="Address of the code.")
+@opt.path_option("--training", "TOML file that declares what the methods learned from (docs/leaderboard.md).")
+@click.option(
+    "--trained-on",
+    multiple=True,
+    metavar="DATASET[:DETAIL]",
+    help="Declares it in short: `none`, or a dataset with a split (default train), `all`, or participants separated by"
+    " commas; repeatable.",
+)
 @opt.permission_option
 @opt.tables_option
 @opt.workers_option()
-def submit(runs: tuple[Path, ...], out: Path, data: tuple[Path, ...], workers: int, **given: Any) -> Answer:
+def submit(
+    runs: tuple[Path, ...],
+    out: Path,
+    data: tuple[Path, ...],
+    workers: int,
+    training: Path | None,
+    trained_on: tuple[str, ...],
+    permission: tuple[str, ...],
+    **about: Any,
+) -> Answer:
     """Pack finished runs into one file that anybody with the data can verify.
 
-    RUN are run folders, or folders that hold some.
+    RUN are run folders, or folders that hold some. With --data their scores are held against the motions first, and
+    the recordings that training used are listed by their digests.
     """
-    from prbench.board.submission import About, pack
+    from prbench.board.submission import pack, read_training
+    from prbench.board.submission import trained_on as declared_on
 
-    submission = pack(runs, out, About(**given), check=opt.run_checker(data, workers).check)
-    return Answer(submission, lambda: print(f"submission {submission.id}: {out}"))
+    if training is not None and trained_on:
+        raise UsageError("--trained-on: --training says the same. Leave one of the two out.")
+    declared = None
+    if training is not None:
+        declared = read_training(training)
+    elif trained_on:
+        declared = declared_on(trained_on)
+    checker = opt.run_checker(data, workers)
+    submission = pack(runs, out, checker=checker, permitted=permission, training=declared, **about)
+
+    def show() -> None:
+        print(
+            f"{len(submission.runs)} runs, {len(submission.members)} files; training data: {submission.training_words}"
+        )
+        print(f"submission {submission.id}: {out}")
+
+    return Answer(submission, show)
 
 
 @command(

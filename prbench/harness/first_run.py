@@ -187,6 +187,7 @@ def table_finder(data: Sequence[Path], *, same_values: bool = True) -> Callable[
 
     Raises:
         TableError: if a named one cannot be opened; the function raises it for one in the cache.
+        RunError: raised by the function where ``same_values`` is false and the named table holds other sequences.
     """
     known = [load_benchmark(name) for name in benchmarks()]
     opened: list[CaseTable] = []
@@ -215,6 +216,13 @@ def table_finder(data: Sequence[Path], *, same_values: bool = True) -> Callable[
             if there and DatasetInfo.read(folder).content_digest == record.content_digest:
                 opened.append(SequenceTable.open(folder))
                 return opened[-1]
+        for table in opened:
+            if not same_values and table.info.dataset == record.dataset:
+                raise RunError(
+                    f"{table.folder}: expected the sequences of {record.dataset} that the run was made on (identity"
+                    f" {record.identity_digest[:12]}…), found others ({table.identity[:12]}…). Name the table that was"
+                    " built from the same recordings by the same protocol."
+                )
         return None
 
     return find

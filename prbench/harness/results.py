@@ -30,7 +30,7 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder import summary as run_summary
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
-from prbench.harness.run_folder.predictions import open_part
+from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.record import RunRecord, TableRecord
 from prbench.harness.run_folder.scores import PIECE, SCORES, CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
@@ -483,19 +483,15 @@ def require_motions(files: DatasetFolder, sequence_ids: Sequence[str], samples: 
     Raises:
         PredictionsError: naming sequences that are missing, repeated or unknown.
     """
-    counts: Counter[tuple[str, int]] = Counter()
-    for part in sorted(files.predictions.glob("*.parquet")):
-        rows = open_part(part).read(["sequence_id", "sample"])
-        counts.update(zip(rows["sequence_id"].to_pylist(), rows["sample"].to_pylist(), strict=True))
+    there = Predictions.open(files.predictions)
+    counts = Counter(zip(there.ids, there.samples, strict=True))
     wanted = {(name, sample) for name in sequence_ids for sample in range(samples)}
-    missing = sorted(wanted - set(counts))
-    repeated = sorted(key for key, count in counts.items() if count > 1)
-    unknown = sorted(set(counts) - wanted)
-    if missing or repeated or unknown:
-        kinds = {"missing": missing, "repeated": repeated, "unknown": unknown}
-        named = {kind: [f"{name}, sample {sample}" for name, sample in keys] for kind, keys in kinds.items()}
-        words = ", ".join(f"{kind} {listed(keys)}" for kind, keys in named.items())
+    repeated = {key for key, count in counts.items() if count > 1}
+    kinds = {"missing": wanted - counts.keys(), "repeated": repeated, "unknown": counts.keys() - wanted}
+    if any(kinds.values()):
+        named = {kind: sorted(f"{name}, sample {sample}" for name, sample in keys) for kind, keys in kinds.items()}
         raise PredictionsError(
             f"{files.predictions}: expected a motion of each of {len(sequence_ids)} sequences for each of {samples}"
-            f" samples, found {words}. The motions were edited or lost: run the same command again, it resumes."
+            f" samples, found {', '.join(f'{kind} {listed(keys)}' for kind, keys in named.items())}. The motions were"
+            " edited or lost: run the same command again, it resumes."
         )

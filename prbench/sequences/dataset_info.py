@@ -268,30 +268,36 @@ class _HasTerms(Protocol):
         ...
 
 
-def may_pass_on(terms: _HasTerms, permitted: Collection[str] = ()) -> bool:
+def may_pass_on(terms: _HasTerms, permitted: Collection[str] = (), *, published: bool = False) -> bool:
     """Return True if recorded motion and goal poses may stand in a view or export.
 
     Args:
         terms: Terms of the dataset.
         permitted: Datasets for which the user has the licensor's permission, by name.
+        published: It is made to be published, so that a use for non-commercial purposes alone cannot be seen to.
     """
-    return _known(terms.redistribution) != "none" or terms.dataset in permitted
+    kind = _known(terms.redistribution)
+    return kind == "yes" or terms.dataset in permitted or (kind == "non-commercial" and not published)
 
 
-def require_may_pass_on(terms: _HasTerms, what: str, permitted: Collection[str] = ()) -> None:
+def require_may_pass_on(
+    terms: _HasTerms, what: str, permitted: Collection[str] = (), *, published: bool = False
+) -> None:
     """Refuse to write what the licence keeps.
 
     Args:
         terms: Terms of the dataset.
         what: What would be written, for the message.
         permitted: See :func:`may_pass_on`.
+        published: See there.
 
     Raises:
         RedistributionError: if the licence forbids it and no permission is stated.
     """
-    if not may_pass_on(terms, permitted):
+    if not may_pass_on(terms, permitted, published=published):
+        kept = "be passed on" if _known(terms.redistribution) == "none" else "be published for any purpose"
         raise RedistributionError(
-            f"{terms.title} ({terms.dataset}): its licence does not let recorded motion and goal poses be passed on,"
+            f"{terms.title} ({terms.dataset}): its licence does not let recorded motion and goal poses {kept},"
             f" and {what} would hold them. If the licensor has given you permission, say so:"
             f" --permission {terms.dataset}"
         )

@@ -97,6 +97,18 @@ def require_signed(runs: Iterable[RunFolder], public_key: Path) -> str:
     return signer
 
 
+def require_unchanged(run: RunFolder) -> None:
+    """Refuse a signed run of which a file was changed, added or removed after it was signed; no key is needed.
+
+    Raises:
+        RunError: naming the file.
+    """
+    path = run.path / SUMS
+    changed = _changed(run, read_whole(path, largest=LARGEST_JSON)) if path.is_file() else ""
+    if changed:
+        raise RunError(f"{run.path}: {changed}. Hand in the run as it was signed, or without {SUMS} and its signature.")
+
+
 @foreign_input()
 def _why_not_signed(run: RunFolder, key: PublicKey, signer: str) -> str:
     try:
@@ -110,6 +122,10 @@ def _why_not_signed(run: RunFolder, key: PublicKey, signer: str) -> str:
         return "is not signed"
     except _library().Error as error:
         return f"its signature does not hold ({error})"
+    return _changed(run, text)
+
+
+def _changed(run: RunFolder, text: bytes) -> str:
     changed = set(_sums(run).encode().splitlines()) ^ set(text.splitlines())
     names = sorted({line.decode(errors="replace").partition("  ")[2] for line in changed})
     return f"{names[0]} was changed, added or removed after it was signed" if names else ""
