@@ -25,6 +25,7 @@ from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.run_folder.summary import DatasetAgreement, DatasetSummary
 from prbench.sequences import SequenceTable
+from prbench.shown import listed
 
 
 @dataclass(frozen=True, kw_only=True)
