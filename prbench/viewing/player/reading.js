@@ -143,7 +143,7 @@
     const half = 0.5 / sequence.fps;
     if (time >= sequence.eventTime - half) return sequence.action || "event";
     if (Math.abs(time - sequence.primeTime) <= half) return "prime";
-    return time < sequence.primeTime ? "before prime" : "between prime and event";
+    return time < sequence.primeTime ? "before prime" : "after prime";
   }
 
   parts.reading = { read, inSpans, phase, N_JOINTS };
