@@ -56,9 +56,12 @@ SHOWN_SEQUENCES = 10  # that are printed; the report holds all
 @opt.sequence_option("Show this sequence")
 @opt.limit_option("4; in a page as many as 40 MB hold, the worst first")
 @click.option("--sample", type=int, default=0, metavar="K", help="Sample of runs with several (default 0, the first).")
+@opt.root_option("Recordings of the table: a page shows their objects, and the scan of their scene.", required=False)
+@opt.path_option("--mesh", "Another mesh of the scene (.ply, .obj, .glb), in the coordinates of the recordings.")
+@opt.reader_options(remark="only those that name files or folders have to be said again")
 @opt.flag("--open", "Open it in the browser; on a terminal only.")
 @opt.permission_option
-def view(*, permission: tuple[str, ...], open: bool, **given: Any) -> Answer:
+def view(*, permission: tuple[str, ...], options: opt.Pairs, open: bool, **given: Any) -> Answer:
     """Show recorded and generated motion beside one another, in a page to play and turn, or as PNG or MP4.
 
     RUN are the run folders to compare; without any, the recorded motion of --data is shown. Of motion prediction the
@@ -70,7 +73,7 @@ def view(*, permission: tuple[str, ...], open: bool, **given: Any) -> Answer:
 
     if given["out"] is None and any(session().shown_place(str(run)) != str(run) for run in given["runs"]):
         given["out"] = Path(PAGE)  # the folder of a run at a URL is a copy that nobody looks into
-    request = ViewRequest(permitted=permission, **given)
+    request = ViewRequest(permitted=permission, option=options, **given)
     with progress(f"drawing {(request.out or Path(PAGE)).name}") as show:
         drawn = draw(request, show)
     report = ViewReport(

@@ -30,6 +30,7 @@ from prbench.readers.found import InputFile
 from prbench.recording import UnreadableEntry
 
 Points = Float[np.ndarray, "n 3"]
+Triangles = tuple[Float[np.ndarray, "_ 3"], Int[np.ndarray, "_ 3"]]  # vertices, and their numbers by triangle
 Rotations = Float[np.ndarray, "n 4"]
 
 _PIECE = 2**20
@@ -447,6 +448,48 @@ def missing_file(path: Source) -> InputFileError:
     return InputFileError(
         shown(path), "", expected="this file", found="no such file", remedy="Download the recording again."
     )
+
+
+def read_triangles(path: Path, *, expected: str = "a mesh of triangles", remedy: str = "") -> Triangles:
+    """Read a mesh (.obj, .ply, .glb) in the coordinates and unit of its file.
+
+    Transforms of its nodes are applied, materials are left aside, and no file that it names is opened.
+
+    Args:
+        path: The mesh.
+        expected: What the file should be, for messages.
+        remedy: What to do about a broken one.
+
+    Raises:
+        InputFileError: if the file is missing or holds no triangles.
+    """
+    import trimesh  # takes a third of a second, and only meshes need it
+
+    kind = path.suffix.lower()[1:]
+    try:
+        content = bounded.read_whole(path)
+        if kind == "glb":
+            # Refuse arrays that declare more entries than the file has bytes, before the parser makes room for them.
+            length = int.from_bytes(content[12:16], "little")
+            description = msgspec.json.decode(content[20 : 20 + length])
+            largest = max((accessor["count"] for accessor in description.get("accessors", ())), default=0)
+            entries = f"at most {len(content):,} entries, one a byte of the file"
+            bounded.require(path, (largest <= len(content), "accessors", entries, f"{largest:,}", remedy))
+        scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
+        mesh = scene.to_mesh()
+        vertices = np.asarray(mesh.vertices, dtype=np.float64)
+        triangles = np.asarray(mesh.faces, dtype=np.int64)
+    except FileNotFoundError as error:
+        raise missing_file(path) from error
+    except (InputFileError, MemoryError):
+        raise
+    except Exception as error:  # whatever a broken file makes the parser stumble over, the user needs its name
+        found = f"{type(error).__name__}: {str(error)[:120]}"
+        raise InputFileError(path, "", expected=expected, found=found, remedy=remedy) from error
+    if len(triangles) == 0 or not np.isfinite(vertices).all():
+        found = f"{len(triangles)} triangles and {len(vertices)} corners"
+        raise InputFileError(path, "", expected="triangles with finite corners", found=found, remedy=remedy)
+    return vertices, triangles
 
 
 @bounded.foreign_input()

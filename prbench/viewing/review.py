@@ -36,7 +36,7 @@ from prbench.protocol.manifests import InHandRule, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX, reader_for
 from prbench.recording import BodyStream, HandStream, ObjectTrack, PoseStream, Recording
 from prbench.recording.streams import SIDES
-from prbench.sequences import Event, SequenceTable
+from prbench.sequences import DatasetInfo, Event, SequenceTable
 from prbench.sequences.dataset_info import notice, require_may_pass_on
 from prbench.sequences.sequence import EVENTS, OUTCOMES, row_values
 
@@ -130,22 +130,14 @@ def write_review(
     if not events:
         raise UsageError(f"{data}: expected events that the options choose, found none among {len(rows)}.")
 
-    def told(kind: str) -> dict[str, str]:
-        return {key.removeprefix(kind): text for key, text in info.options.items() if key.startswith(kind)}
-
-    # The recordings are read as the table's build read them; of options that are places the table knows digests only.
-    name = info.dataset.removeprefix(SYNTHETIC_PREFIX)
-    usual = reader_for(name).options
-    reader = {key: text for key, text in told("reader.").items() if getattr(usual, key, None) is not None}
-    reader |= dict(option or {})
-    mends = (stream_numbers(told("shift."), "shift"), stream_numbers(told("scale."), "scale"))
-    sources = {each.recording_id: each for each in native_sources(name, root, BuildOptions(reader=(*reader.items(),)))}
+    sources, mends = native_recordings(info, root, option)
     work = [
         (each, sources.get(each), [event for event in events if event.recording_id == each])
         for each in dict.fromkeys(event.recording_id for event in events)
     ]
     if not any(source for _, source, _ in work):
         raise InputFileError(root, "", expected=f"recordings of {data}, such as {work[0][0]}", found="others")
+    name = info.dataset.removeprefix(SYNTHETIC_PREFIX)
     protocol = table.described_protocol.protocol() or load_protocol()
     said = info.options.get("in_hand_rule", "none")
     rule = None if said == "none" else load_manifest(name).in_hand_rule(None if said == "default" else said)
@@ -181,6 +173,29 @@ def write_review(
     with sole_writer(out):
         write_text(out, template.replace("__DATA__", text))
     return Review(out, len(events), problems)
+
+
+def native_recordings(
+    info: DatasetInfo, root: Path, option: Mapping[str, str] | None = None
+) -> tuple[dict[str, NativeSource], tuple[Numbers, Numbers]]:
+    """Return the recordings below a folder by id, to be read as a table's build read them, and what it mended in them.
+
+    Args:
+        info: Description of the table.
+        root: The recordings that it was built from.
+        option: Options of the reader that the description does not tell: of places it knows digests only.
+    """
+
+    def told(kind: str) -> dict[str, str]:
+        return {key.removeprefix(kind): text for key, text in info.options.items() if key.startswith(kind)}
+
+    name = info.dataset.removeprefix(SYNTHETIC_PREFIX)
+    usual = reader_for(name).options
+    reader = {key: text for key, text in told("reader.").items() if getattr(usual, key, None) is not None}
+    reader |= dict(option or {})
+    mends = (stream_numbers(told("shift."), "shift"), stream_numbers(told("scale."), "scale"))
+    sources = native_sources(name, root, BuildOptions(reader=(*reader.items(),)))
+    return {each.recording_id: each for each in sources}, mends
 
 
 def doubt(event: Event) -> tuple[float, float, str]:

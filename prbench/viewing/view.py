@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,12 @@ from prbench.harness.run_folder import RunFolder
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.protocol.manifests import default_benchmark
 from prbench.sequences import SequenceTable
+from prbench.sequences.dataset_info import require_may_pass_on
 from prbench.sequences.table import by_share, find_sequence_id
-from prbench.viewing.player.document import PlayerMotion, player_sequence, within
+from prbench.viewing.player.document import PlayerMotion, PlayerSequence, player_sequence, within
 from prbench.viewing.player.links import PAGE, motion_link, worst_first
 from prbench.viewing.player.page import write_page
+from prbench.viewing.player.surroundings import surrounded
 from prbench.viewing.replay.read import RunMotions, read_scenes, run_labels
 from prbench.viewing.replay.scene import METHOD_COLOURS, Progress, Scene, score_sentence
 from prbench.viewing.replay.sheet import MOST_SCENES, draw_sheet
@@ -45,6 +47,9 @@ class ViewRequest:
             page as many as fit, the worst first.
         sample: Number of the shown motion, for runs that drew several.
         permitted: Datasets for which the user has permission to pass recorded motion on.
+        root: The recordings that the table was built from; a page shows their objects and the scan of their scene.
+        mesh: Another mesh of the scene, in the coordinates of the recordings' files.
+        option: Options of the reader of the recordings that the table does not tell.
 
     Raises:
         UsageError: if parts of it do not fit together.
@@ -57,9 +62,16 @@ class ViewRequest:
     limit: int | None = None
     sample: int = 0
     permitted: Collection[str] = ()
+    root: Path | None = None
+    mesh: Path | None = None
+    option: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        turn_into_paths(self, "out", "runs", "data")
+        turn_into_paths(self, "out", "runs", "data", "root", "mesh")
+        if self.root is None and (self.mesh is not None or self.option):
+            raise UsageError("--mesh, --option: belong to recordings; name these with --root DIR.")
+        if self.root is not None and self.out is not None and self.out.suffix.lower() != ".html":
+            raise UsageError(f"--root: a page (.html) shows what stands around a body, not {self.out.name}.")
         if not self.runs and not self.data:
             raise UsageError("nothing to view: name a run folder, or a dataset folder with --data DIR.")
         if self.sequences and self.limit is not None:
@@ -150,14 +162,26 @@ def _view_page(request: ViewRequest, out: Path, progress: Progress) -> ViewRepor
     shown = _shown(request)
     chosen = _chosen(request, shown, most=None)
     total = sum(map(len, chosen))
-    sequences = []
+    if request.root is not None and len(shown) > 1:
+        raise UsageError("--root: holds the recordings of one dataset; name its table with --data DIR.")
+    sequences: list[PlayerSequence] = []
     for (table, motions), ids in zip(shown, chosen, strict=True):
         room = LARGEST_PAGE // len(shown)
-        for sequence in within(map(player_sequence, _scenes(request, table, motions, ids)), room):
-            sequences.append(sequence)
-            progress(len(sequences), total, sequence.sequence_id)
+
+        documents = _documents(_scenes(request, table, motions, ids), len(sequences), total, progress)
+        held = within(documents, room)
+        if request.root is not None:
+            require_may_pass_on(table.info, "the objects and the scene in the page", request.permitted)
+            held = within(surrounded(held, table, request.root, request.mesh, request.option, progress), room)
+        sequences += held
     write_page(sequences, out)
     return ViewReport(out, tuple(sequences), left_out=total - len(sequences))
+
+
+def _documents(scenes: Iterator[Scene], done: int, total: int, progress: Progress) -> Iterator[PlayerSequence]:
+    for number, scene in enumerate(scenes, done + 1):
+        yield player_sequence(scene)
+        progress(number, total, scene.sequence_id)
 
 
 Shown = Sequence[tuple[SequenceTable, list[RunMotions]]]

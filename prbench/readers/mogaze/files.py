@@ -25,7 +25,7 @@ from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LARGEST_ARRAYS, L
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.readers import read_synthetic_tree
 from prbench.readers.extents import Extent
-from prbench.readers.files import read_entries
+from prbench.readers.files import read_entries, read_triangles
 from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.mogaze import format as mogaze
 from prbench.recording import Recording, UnreadableEntry
@@ -190,19 +190,8 @@ def read_mesh(path: Path) -> Float[np.ndarray, "v 3"]:
     Raises:
         InputFileError: if the file holds no triangles.
     """
-    import trimesh  # late: 0.3 s that copies without meshes need not wait for
-
-    expected = "a mesh of triangles"
     remedy = "Copy or download the file again, or remove it: the size of the object is then taken from a table."
-    try:
-        require_size(path)
-        mesh = trimesh.load_mesh(path, process=False)
-        vertices = np.array(mesh.vertices, dtype=np.float64)
-    except (ValueError, IndexError, KeyError, AttributeError, TypeError) as error:
-        raise InputFileError(path, "", expected=expected, found=f"'{error}'", remedy=remedy) from error
-    is_mesh = len(mesh.faces) > 0 and np.isfinite(vertices).all()
-    require(path, (is_mesh, "", expected, f"{len(mesh.faces)} triangles and {len(vertices)} corners", remedy))
-    return vertices
+    return read_triangles(path, remedy=remedy)[0]
 
 
 SCENE = "scene"
