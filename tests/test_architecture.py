@@ -252,7 +252,7 @@ def _table_of_layers() -> str:
     for package, layer in sorted(LAYERS.items(), key=lambda item: (-item[1], item[0])):
         if package not in ("commands", "prbench_data_manifests", "prbench_benchmarks"):
             path, purpose = _purpose(package)
-            if path.endswith(".py") and package != "contract":
+            if path.endswith(".py") and package not in ("contract", "recording"):
                 continue  # single modules at the bottom: names, limits, errors
             purpose = re.sub(r":\w+:`[\w.~]*?(\w+)`", r"`\1`", purpose).replace("``", "`")
             rows.append(f"| {layer} | `{path}` | {purpose} |")

@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float, Int
 from prbench.errors import TableError, UsageError
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import atomic_folder, require_replaceable
-from prbench.recording.streams import ESTIMATED
+from prbench.recording import ESTIMATED
 from prbench.sequences.dataset_info import Count, Provenance
 from prbench.sequences.schema import naming, open_parquet, read_parquet, require_distinct, table_parts
 from prbench.sequences.sequence import column_field, row_batch

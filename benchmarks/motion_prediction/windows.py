@@ -28,7 +28,7 @@ from prbench.geometry.skeleton import head_forward
 from prbench.geometry.timelines import covered, interpolate, nearest_index
 from prbench.protocol.manifests import Manifest, digest_of, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX, PublishedForPrediction, Reader, reader_for
-from prbench.recording.streams import BodyStream, PublishedTrack, Recording
+from prbench.recording import BodyStream, PublishedTrack, Recording
 from prbench.sequences import parts
 from prbench.sequences.dataset_info import begun_with, quarantined
 from prbench.sequences.sequence import Recording as RecordingRow

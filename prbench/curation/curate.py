@@ -20,8 +20,7 @@ from prbench.errors import RecordingUnusable
 from prbench.geometry.shapes import Boxes, deepest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
 from prbench.protocol.manifests import BenchmarkProtocol, InHandRule, Manifest
-from prbench.recording import Recording
-from prbench.recording.streams import wrists_at
+from prbench.recording import Recording, wrists_at
 from prbench.sequences.sequence import Event, SceneBox, Sequence
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.table import body_movement, hand_movement

@@ -13,8 +13,7 @@ from jaxtyping import Float
 from prbench.curation.confidence import beyond
 from prbench.curation.in_hand import LONGEST_SURE_GAP, Departure, Holding, contact_streams, find_holdings, nearest_hand
 from prbench.protocol.manifests import InHandRule
-from prbench.recording import PublishedPriming, Recording
-from prbench.recording.streams import Action, HandSource, Side, reaching_hand, wrists_at
+from prbench.recording import Action, HandSource, PublishedPriming, Recording, Side, reaching_hand, wrists_at
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from prbench.errors import UsageError
 from prbench.geometry.shapes import TriangleMesh
 from prbench.geometry.timelines import covered, interpolate
 from prbench.protocol.manifests import InHandRule
-from prbench.recording import HandStream, ObjectTrack, Recording
-from prbench.recording.streams import Side
+from prbench.recording import HandStream, ObjectTrack, Recording, Side
 
 Frames = Bool[np.ndarray, " n"]  # a value a frame
 Numbers = Float[np.ndarray, " n"]

@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import UsageError, did_you_mean
 from prbench.geometry.timelines import covered
-from prbench.recording import AnnotatedEvent, GazeStream, PoseStream, Recording
-from prbench.recording.streams import reaching_hand, wrists_at
+from prbench.recording import AnnotatedEvent, GazeStream, PoseStream, Recording, reaching_hand, wrists_at
 
 STREAMS = ("gaze", "camera", "head", "body", "hands", "objects")
 Numbers = tuple[tuple[str, float], ...]

@@ -23,8 +23,7 @@ from prbench.geometry.timelines import nearest_index
 from prbench.progress_bar import ProgressCallback
 from prbench.readers import AnnotatedByHand, RecordingFiles, reader_for
 from prbench.readers.discover import usable_readers
-from prbench.recording import Recording
-from prbench.recording.streams import SIDES, Side
+from prbench.recording import SIDES, Recording, Side
 from prbench.shown import csv_text
 
 Times = Float[np.ndarray, " n"]

@@ -19,8 +19,7 @@ from prbench.curation.mending import SAME_PLACE, rides
 from prbench.diagnosis import Diagnosis
 from prbench.geometry.skeleton import WRISTS, Joint, bone_lengths, head_forward
 from prbench.geometry.timelines import covered, interpolate
-from prbench.recording import Recording
-from prbench.recording.streams import SIDES
+from prbench.recording import SIDES, Recording
 
 RATE = 30.0  # Hz, of the common grid
 _LONGEST = 6 * 3600.0  # seconds from the start that are looked at; a broken clock must not ask for all memory

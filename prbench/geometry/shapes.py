@@ -173,14 +173,9 @@ class Boxes:
 
     def part(self, start: int, stop: int) -> Boxes:
         """Return the boxes of the sequences ``start`` to ``stop - 1``, without copying."""
-        begin = self.offsets[start]
-        end = self.offsets[stop]
-        return Boxes(
-            self.centre[begin:end],
-            self.rotation[begin:end],
-            self.half_extents[begin:end],
-            self.offsets[start : stop + 1] - begin,
-        )
+        offsets = self.offsets[start : stop + 1]
+        own = slice(offsets[0], offsets[-1])
+        return Boxes(self.centre[own], self.rotation[own], self.half_extents[own], offsets - offsets[0])
 
     def chosen(self, keep: Bool[np.ndarray, " boxes"]) -> Boxes:
         """Return the boxes where ``keep`` is true, each still with its sequence."""
@@ -230,12 +225,8 @@ def deepest(points: Float[np.ndarray, "frames joints 3"], boxes: Boxes) -> Float
     largest = np.zeros(len(flat))
     # One box after the other: a scene of hundreds of boxes needs no more memory than one.
     for number in range(len(near.centre)):
-        one = Boxes(
-            near.centre[number : number + 1],
-            near.rotation[number : number + 1],
-            near.half_extents[number : number + 1],
-            np.array([0, 1]),
-        )
+        own = slice(number, number + 1)
+        one = Boxes(near.centre[own], near.rotation[own], near.half_extents[own], np.array([0, 1]))
         np.maximum(largest, one.depth(flat)[:, 0], out=largest)
     return largest.reshape(points.shape[:2]).max(axis=1)
 

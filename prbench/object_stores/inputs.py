@@ -9,6 +9,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 import msgspec
@@ -21,7 +22,6 @@ from prbench.protocol.manifests import load_manifest
 from prbench.shown import clean
 
 Tell = Callable[[str], None]
-Download = Callable[[], None]
 # Files that are fetched at the same time; most of a small file's time is waiting.
 _AT_ONCE = 8
 # Days after which an older state of a folder is deleted from the cache.
@@ -94,13 +94,11 @@ def fetch_files(
         tell: Called with a line before something is fetched.
     """
     missing = {name: file for name, file in manifest.files.items() if not _has_size(target(name), file.size)}
-
-    def download(name: str) -> Download:
-        file = missing[name]
-        return lambda: store.download(manifest.object_of(name), target(name), size=file.size, sha256=file.sha256)
-
-    sizes = [file.size for file in missing.values()]
-    _download_all(store, [download(name) for name in missing], sizes, tell)
+    downloads = [
+        partial(store.download, manifest.object_of(name), target(name), size=file.size, sha256=file.sha256)
+        for name, file in missing.items()
+    ]
+    _download_all(store, downloads, tell)
 
 
 def _fetched_file(store: stores.Store, tell: Tell) -> Path:
@@ -126,7 +124,7 @@ def _fetched_file(store: stores.Store, tell: Tell) -> Path:
     with in_turn(path, tell):
         # An object without a version may have changed and kept its size.
         if not found.version or not _has_size(path, found.size):
-            _download_all(store, [lambda: store.download("", path, size=found.size)], [found.size], tell)
+            _download_all(store, [partial(store.download, "", path, size=found.size)], tell)
     return path
 
 
@@ -206,11 +204,8 @@ def _mirror(store: stores.Store, wanted: Sequence[stores.StoredObject], root: Pa
     for path in [path for path in root.rglob("*") if path.is_file()]:
         if path.relative_to(root).as_posix() not in versions:
             path.unlink()
-
-    def download(each: stores.StoredObject) -> Download:
-        return lambda: store.download(each.name, root / each.name, size=each.size)
-
-    _download_all(store, [download(each) for each in changed], [each.size for each in changed], tell)
+    downloads = [partial(store.download, each.name, root / each.name, size=each.size) for each in changed]
+    _download_all(store, downloads, tell)
     write_bytes(kept, msgspec.json.encode(versions))
 
 
@@ -239,7 +234,7 @@ def _has_size(path: Path, size: int) -> bool:
         return False
 
 
-def _download_all(store: stores.Store, downloads: Sequence[Download], sizes: Sequence[int], tell: Tell) -> None:
+def _download_all(store: stores.Store, downloads: Sequence[partial[None]], tell: Tell) -> None:
     """Fetch some files, several at once; the first that fails ends it.
 
     Raises:
@@ -247,7 +242,7 @@ def _download_all(store: stores.Store, downloads: Sequence[Download], sizes: Seq
     """
     if not downloads:
         return
-    total = sum(sizes)
+    total = sum(download.keywords["size"] for download in downloads)
     store.url.cache.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(store.url.cache).free
     if total > free:

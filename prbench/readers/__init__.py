@@ -37,8 +37,7 @@ from prbench.files.storage import file_digest
 from prbench.readers.extents import Extent, shortfalls
 from prbench.readers.files import decode_json
 from prbench.readers.found import InputFile, RecordingFiles, is_present
-from prbench.recording import Recording, UnreadableEntry
-from prbench.recording.streams import PublishedTrack
+from prbench.recording import PublishedTrack, Recording, UnreadableEntry
 from prbench.shown import quoted
 
 if TYPE_CHECKING:
@@ -189,12 +188,10 @@ class Reader(Protocol):
     @property
     def dataset(self) -> str:
         """Name of the dataset."""
-        ...
 
     @property
     def options(self) -> ReaderOptions:
         """Return the user's choices; the class of the default value tells which options there are."""
-        ...
 
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
         """List the recordings below ``root`` (the dataset's folder, or one recording) without reading them.
@@ -202,7 +199,6 @@ class Reader(Protocol):
         Raises:
             InputFileError: if there are none, saying what was looked for and what was found.
         """
-        ...
 
     def read(self, found: RecordingFiles) -> Recording:
         """Read one recording.
@@ -212,7 +208,6 @@ class Reader(Protocol):
             RecordingUnusable: for a recording that is known to be bad.
             StreamsDoNotOverlap: if its streams share no instant.
         """
-        ...
 
 
 @runtime_checkable
@@ -230,7 +225,6 @@ class KnowsEnds(Reader, Protocol):
             PrbenchError: for files that cannot be made out.
             OSError: if a file cannot be opened.
         """
-        ...
 
 
 @runtime_checkable
@@ -243,7 +237,6 @@ class NamesFurtherFiles(Reader, Protocol):
         Raises:
             InputFileError: naming the file that is missing, and what asks for it.
         """
-        ...
 
 
 @runtime_checkable
@@ -259,7 +252,6 @@ class AriaGlasses(Reader, Protocol):
         Raises:
             InputFileError: if it has no trajectory, or an archive is damaged.
         """
-        ...
 
 
 @runtime_checkable
@@ -269,7 +261,6 @@ class AnnotatedByHand(Reader, Protocol):
     @property
     def annotation_columns(self) -> tuple[str, ...]:
         """Return the columns of the table, those of a proposal included."""
-        ...
 
     def annotation_line(self, found: RecordingFiles) -> AnnotationLine:
         """Return the line of one recording, still to be filled in.
@@ -277,7 +268,6 @@ class AnnotatedByHand(Reader, Protocol):
         Raises:
             InputFileError: for files that cannot be made out.
         """
-        ...
 
 
 @runtime_checkable
@@ -290,7 +280,6 @@ class CountsAnnotations(Reader, Protocol):
         Raises:
             InputFileError: if a file is no JSON.
         """
-        ...
 
 
 @runtime_checkable
@@ -300,7 +289,6 @@ class PublishedForPrediction(Reader, Protocol):
     @property
     def native_joints(self) -> str:
         """Name of the study's joint set (docs/specification/motion-prediction.md#joint-sets)."""
-        ...
 
     def read_published(self, found: RecordingFiles, *, native: bool) -> tuple[Recording, tuple[PublishedTrack, ...]]:
         """Read one recording with the pieces of it that the study used, at 30 frames a second.
@@ -312,7 +300,6 @@ class PublishedForPrediction(Reader, Protocol):
         Raises:
             PrbenchError: as :meth:`Reader.read`.
         """
-        ...
 
 
 @dataclass(frozen=True)

@@ -521,56 +521,8 @@ def header_names(line: bytes) -> list[str]:
     return [name.strip().strip('"') for name in line.decode("utf-8-sig").rstrip("\r\n").split(",")]
 
 
-# Times, positions and rotations of one body.
-Poses = tuple[Int[np.ndarray, " n"], Points, Rotations]
-
-
-def read_poses_by_body(
-    path: Path,
-    *,
-    body: Mapping[str, Column],
-    time: str,
-    position: tuple[str, ...],
-    rotation: tuple[str, ...],
-    static_time: int | None = None,
-) -> dict[Any, Poses]:
-    """Read the poses of every body of a file, each in the order of time.
-
-    Args:
-        path: CSV with a header line.
-        body: Name and type of the column that tells the body.
-        time: Name of the column of times, integers in nanoseconds.
-        position: Names of its three columns.
-        rotation: Names of its four columns.
-        static_time: Stands for a time in the only row of a body that never moves.
-
-    Raises:
-        InputFileError: if the file or a column is missing, a pose is no pose, or the clock of a body stands still (a
-            repeated row) or runs backwards.
-    """
-    (key,) = body
-    table = read_columns(path, {**body, time: int, **dict.fromkeys((*position, *rotation), float)})
-    positions = column_vectors(table, position)
-    rotations = column_vectors(table, rotation)
-    require_poses(path, positions, rotations)
-    encoded = table[key].combine_chunks().dictionary_encode()
-    codes = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)
-    times = table[time].to_numpy()
-    # Sorted by body alone: rows of one body keep the order of the file, which must be that of time.
-    order = np.argsort(codes, kind="stable")
-    grouped = times[order]
-    same_body = np.diff(codes[order]) == 0
-    mixed = np.flatnonzero(same_body & ((grouped[:-1] == static_time) | (grouped[1:] == static_time)))
-    if mixed.size:
-        where = f"line {int(order[mixed[0] + 1]) + 2}"
-        expected = f"one row of time {static_time} for an object that never moves, or rows with times"
-        found = f"both, or two rows of time {static_time}, for one object"
-        remedy = "Remove one of the rows, or download the file again."
-        raise InputFileError(path, where, expected=expected, found=found, remedy=remedy)
-    backwards = np.flatnonzero(same_body & (np.diff(grouped) <= 0))
-    if backwards.size:
-        later = backwards[0] + 1
-        require_increasing(path, grouped[later - 1 : later + 1], unit="ns", first=int(order[later]) + 1)
-    bounds = np.searchsorted(codes[order], np.arange(1, len(encoded.dictionary)))
-    bodies = zip(encoded.dictionary.to_pylist(), np.split(order, bounds), strict=True) if len(table) else ()
-    return {name: (times[rows], positions[rows], rotations[rows]) for name, rows in bodies}
+def write_table(file: Any, table: pa.Table) -> None:
+    """Write a table as Project Aria's files have it: a plain header, and no quotes, which Arrow would put around it."""
+    file.write((",".join(table.column_names) + "\n").encode())
+    options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none", batch_size=65536)
+    pyarrow.csv.write_csv(table, pa.PythonFile(file, mode="w"), options)

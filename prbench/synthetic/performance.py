@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from prbench.recording.streams import Side
+from prbench.recording import Side
 
 
 @dataclass(frozen=True)

@@ -34,8 +34,7 @@ from prbench.geometry.timelines import covered, interpolate, nearest_index
 from prbench.progress_bar import ProgressCallback
 from prbench.protocol.manifests import InHandRule, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX, reader_for
-from prbench.recording import BodyStream, HandStream, ObjectTrack, PoseStream, Recording
-from prbench.recording.streams import SIDES
+from prbench.recording import SIDES, BodyStream, HandStream, ObjectTrack, PoseStream, Recording
 from prbench.sequences import DatasetInfo, Event, SequenceTable
 from prbench.sequences.dataset_info import notice, require_may_pass_on
 from prbench.sequences.sequence import EVENTS, OUTCOMES, row_values

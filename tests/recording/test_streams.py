@@ -10,7 +10,7 @@ import pytest
 from prbench.errors import InputFileError, RecordingUnusable
 from prbench.files.arrays import first_repeated, require_column, require_near
 from prbench.geometry.skeleton import N_JOINTS, WRISTS
-from prbench.recording.streams import BodyStream, HandStream, plausible_body_frames, reaching_hand, wrists_at
+from prbench.recording import BodyStream, HandStream, plausible_body_frames, reaching_hand, wrists_at
 from tests.curation.scenes import scene
 from tests.readers.conftest import STANDING
 

@@ -23,7 +23,7 @@ from prbench.errors import InputFileError, RunError, StorageError, TableError, U
 from prbench.files.storage import is_path_part
 from prbench.harness.run_folder.scores import SCORES, read_scores, write_scores
 from prbench.protocol.published import QUANTITIES
-from prbench.recording.streams import HandSource
+from prbench.recording import HandSource
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import write_fold
 from prbench.sequences.schema import (

@@ -25,7 +25,7 @@ from prbench.protocol.manifests import digest_of, load_manifest
 from prbench.readers import described_options
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.files import find_gaze_file, read_gaze_angles, read_near
-from prbench.recording.streams import BodyStream, GazeStream, PoseStream, Recording
+from prbench.recording import BodyStream, GazeStream, PoseStream, Recording
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench_adapters.corpora.nymeria.clock import ClockOffset, offset_by_correlation, offset_from_file
 from prbench_adapters.corpora.nymeria.files import OFFSET, TRAJECTORY

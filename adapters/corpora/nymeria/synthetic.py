@@ -15,7 +15,7 @@ from prbench.geometry import skeleton
 from prbench.protocol.manifests import load_manifest
 from prbench.randomness import named_generator
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.synthetic import trajectory_columns, write_csv
+from prbench.readers.aria_mps.synthetic import write_csv
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import NarratedMotion
 from prbench.synthetic.people.kinematics import quaternion, rotation_quaternion, wobble
@@ -183,4 +183,4 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
     write_json(folder / nymeria.METADATA_FILE, named | invented)
     if trajectory:
         slam = folder / nymeria.HEAD_FOLDER / "mps" / "slam"
-        write_csv(slam / nymeria.TRAJECTORY_FILE, trajectory_columns(readings.glasses, _NO_GRAPH, _GRAVITY, None))
+        write_csv(slam / nymeria.TRAJECTORY_FILE, mps.trajectory_columns(readings.glasses, _NO_GRAPH, _GRAVITY, None))

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import IO, Literal
+from typing import Literal
 
 import numpy as np
 import pyarrow as pa
@@ -31,7 +31,7 @@ from prbench.readers.discover import discover, usable_readers
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.bodies import read_own_output
 from prbench.readers.egoallo.files import OUTPUT_ROLE, POINT_FILES, EgoalloInputs, poses_folder
-from prbench.readers.files import Source, opened
+from prbench.readers.files import Source, opened, write_table
 from prbench.recording import PoseStream
 
 _FPS = 30.0
@@ -40,7 +40,6 @@ _GRAVITY = 9.81
 _FLOOR_POINTS = 40  # a grid of so many by so many points over so many metres
 _FLOOR_EDGE = 4.0
 _SURE = (1e-6, 1e-4)  # inv_dist_std, dist_std: below the strictest limits
-_UNUSED = tuple(f"{what}_{axis}_device" for what in ("device_linear_velocity", "angular_velocity") for axis in "xyz")
 
 
 def prepare(inputs: EgoalloInputs, folder: Path) -> tuple[Path, int]:
@@ -62,23 +61,11 @@ def prepare(inputs: EgoalloInputs, folder: Path) -> tuple[Path, int]:
     # A trajectory is written anew only where it has to change: turned to Z up, or without poses that are no poses.
     # Everything else keeps the bytes of the dataset.
     if inputs.turned is not None or trajectory.left_out:
-        # Write ``closed_loop_trajectory.csv`` (docs/specification/aria-mps.md#closed-loop-trajectory).
-        n = len(trajectory.time_us)
-        rotation = dict(zip(mps.ROTATION_COLUMNS, trajectory.rotation.T, strict=True))
-        # Ours are scalar first; the columns of the file are qx, qy, qz, qw.
-        scalar_last = (*mps.ROTATION_COLUMNS[1:], mps.ROTATION_COLUMNS[0])
-        columns = {
-            mps.GRAPH_COLUMN: np.full(n, trajectory.graph_uids[0]),
-            mps.TIME_COLUMN: trajectory.time_us,
-            "utc_timestamp_ns": np.full(n, -1),
-            **dict(zip(mps.POSITION_COLUMNS, trajectory.position.T, strict=True)),
-            **{name: rotation[name] for name in scalar_last},
-            **dict.fromkeys(_UNUSED, np.zeros(n)),
-            **dict(zip(mps.GRAVITY_COLUMNS, np.tile(-_GRAVITY * trajectory.up, (n, 1)).T, strict=True)),
-            mps.QUALITY_COLUMN: trajectory.quality,
-        }
+        down = -_GRAVITY * trajectory.up
+        still = np.zeros((len(trajectory.time_us), 6))
+        columns = mps.trajectory_columns(trajectory, trajectory.graph_uids[0], down, still)
         with atomic_path(place) as temporary, open(temporary, "wb") as file:
-            _write_csv(file, pa.table(columns))
+            write_table(file, pa.table(columns))
     else:
         _bring(inputs.trajectory, place)
     points = folder / mps.SLAM_FOLDER / POINT_FILES[0]
@@ -167,14 +154,7 @@ def _write_turned_points(source: Source | None, place: Path) -> None:
         open(temporary, "wb") as packed,
         gzip.GzipFile("", "wb", compresslevel=1, fileobj=packed, mtime=0) as file,
     ):
-        _write_csv(file, table)
-
-
-def _write_csv(file: IO[bytes] | gzip.GzipFile, table: pa.Table) -> None:
-    # Arrow would put the column names in quotes, which Project Aria's files have not.
-    file.write((",".join(table.column_names) + "\n").encode())
-    options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none")
-    pyarrow.csv.write_csv(table, pa.PythonFile(file, mode="w"), options)
+        write_table(file, table)
 
 
 _STEP = 0.033  # seconds between the instants that are asked about

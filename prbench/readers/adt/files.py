@@ -26,7 +26,14 @@ from prbench.readers import files as native
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.to_recording import ASSUMED_SIZE, turned_to_z_up
 from prbench.readers.aria_mps import files as aria
-from prbench.readers.aria_mps.format import CALIBRATION_FILE, TIME_COLUMN, GazeAngles, device_from_cpf
+from prbench.readers.aria_mps.format import (
+    CALIBRATION_FILE,
+    OBJECT_ID,
+    OBJECT_TIME,
+    TIME_COLUMN,
+    GazeAngles,
+    device_from_cpf,
+)
 from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.files import body_extent, find_outputs
@@ -143,7 +150,7 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
         if file.role == TRAJECTORY:
             streams.append(csv_extent("glasses", file, TIME_COLUMN, 1e-6))
         elif file.role == OBJECTS:
-            streams.append(csv_extent("objects", file, adt.OBJECT_TIME, 1e-9))
+            streams.append(csv_extent("objects", file, OBJECT_TIME, 1e-9))
         elif file.role == GAZE:
             streams.append(replace(csv_extent("gaze", file, TIME_COLUMN, 1e-6), tells_span=False))
         elif file.role.startswith(SKELETON_PREFIX):
@@ -210,7 +217,7 @@ def read_objects(
         if instances.setdefault(instance.instance_id, instance) is not instance:
             found = f"{instance.instance_id} again"
             unreadable.append(UnreadableEntry(instances_path.name, key, "an instance_id of its own", found))
-    columns = (adt.OBJECT_ID, *adt.BOX_MIN, *adt.BOX_MAX)
+    columns = (OBJECT_ID, *adt.BOX_MIN, *adt.BOX_MAX)
     table = native.read_columns(boxes_path, dict.fromkeys(columns, str))
     rows = zip(*(table[name].to_pylist() for name in columns), strict=True)
     lines = {f"line {number}": row for number, row in enumerate(rows, start=2)}
@@ -218,14 +225,7 @@ def read_objects(
     boxes = dict(listed.values())
     unreadable += odd
     known = {key for key, instance in instances.items() if instance.instance_type != "human"}
-    poses = native.read_poses_by_body(
-        poses_path,
-        body={adt.OBJECT_ID: int},
-        time=adt.OBJECT_TIME,
-        position=adt.OBJECT_POSITION,
-        rotation=adt.OBJECT_ROTATION,
-        static_time=adt.STATIC_TIME,
-    )
+    poses = aria.read_poses_by_body(poses_path, int, static_time=adt.STATIC_TIME)
     complete = sorted(known & boxes.keys() & poses.keys())
     objects = []
     for key in complete:

@@ -27,10 +27,6 @@ MPS_FOLDER = "mps"
 TIME_DOMAIN = "DEVICE_CAPTURE"
 NOBODY = "NONE"  # Stands for a missing serial or skeleton in the association file.
 
-OBJECT_ID = "object_uid"
-OBJECT_TIME = "timestamp[ns]"
-OBJECT_POSITION = ("t_wo_x[m]", "t_wo_y[m]", "t_wo_z[m]")
-OBJECT_ROTATION = ("q_wo_w", "q_wo_x", "q_wo_y", "q_wo_z")
 BOX_MIN = ("p_local_obj_xmin[m]", "p_local_obj_ymin[m]", "p_local_obj_zmin[m]")
 BOX_MAX = ("p_local_obj_xmax[m]", "p_local_obj_ymax[m]", "p_local_obj_zmax[m]")
 STATIC_TIME = -1  # Time of an object that never moves.

@@ -348,9 +348,8 @@ def write(readings: adt.AdtReadings, folder: Path) -> None:
         ]
         write_json(target / adt.INSTANCES_FILE, {str(entry["instance_id"]): entry for entry in instances})
         still = np.zeros((len(readings.glasses.time_us), 6))
-        aria.write_csv(
-            target / adt.TRAJECTORY_FILE, aria.trajectory_columns(readings.glasses, _GRAPH_UID, _GRAVITY, still)
-        )
+        trajectory = mps.trajectory_columns(readings.glasses, _GRAPH_UID, _GRAVITY, still)
+        aria.write_csv(target / adt.TRAJECTORY_FILE, trajectory)
         gaze = readings.gaze
         ranges = (gaze.yaw_range[:, 0], gaze.pitch_range[:, 0], gaze.yaw_range[:, 1], gaze.pitch_range[:, 1])
         names = (mps.YAW_RANGE[0], mps.PITCH_RANGE[0], mps.YAW_RANGE[1], mps.PITCH_RANGE[1])
@@ -359,8 +358,8 @@ def write(readings: adt.AdtReadings, folder: Path) -> None:
             target / adt.GAZE_FILE, columns | {mps.DEPTH: gaze.depth} | dict(zip(names, ranges, strict=True))
         )
         columns = {
-            adt.OBJECT_ID: np.array([entry.object_id for entry in objects]),
-            adt.OBJECT_TIME: np.full(len(objects), adt.STATIC_TIME),
+            mps.OBJECT_ID: np.array([entry.object_id for entry in objects]),
+            mps.OBJECT_TIME: np.full(len(objects), adt.STATIC_TIME),
         }
         for axis in range(3):
             columns[adt.BOX_MIN[axis]] = np.array([entry.box_min[axis] for entry in objects])

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from prbench import recording as streams
 from prbench.files.bounded import require
 from prbench.geometry.skeleton import invert_rigid
 from prbench.geometry.timelines import require_overlap, stream_ranges
@@ -19,7 +20,6 @@ from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, AriaTrajectory, GlassesSize
 from prbench.readers.aria_mps.to_recording import gaze_in_world, head_and_camera, size_remark
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS, body_stream
-from prbench.recording import streams
 
 ASSUMED_SIZE: GlassesSize = "DVT-L"  # Size of glasses where no file tells it (choice: the public sample's).
 _CONTACTS: tuple[tuple[streams.ContactPoint, tuple[int, int]], ...] = (

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -419,3 +420,47 @@ def read_wrists(path: native.Source) -> mps.WristPositions:
     return mps.WristPositions(
         time_us, np.where(seen, confidence, np.minimum(confidence, 0.0)), np.where(seen[..., None], wrists, np.nan)
     )
+
+
+# Times (ns), positions and rotations of one body.
+Poses = tuple[Int[np.ndarray, " n"], native.Points, native.Rotations]
+
+
+def read_poses_by_body(path: Path, body: type[int] | type[str], *, static_time: int | None = None) -> dict[Any, Poses]:
+    """Read the poses of every body of a file, each in the order of time.
+
+    Args:
+        path: CSV with a header line.
+        body: Type of the column that tells the body.
+        static_time: Stands for a time in the only row of a body that never moves.
+
+    Raises:
+        InputFileError: if the file or a column is missing, a pose is no pose, or the clock of a body stands still (a
+            repeated row) or runs backwards.
+    """
+    numbers = dict.fromkeys((*mps.OBJECT_POSITION, *mps.OBJECT_ROTATION), float)
+    table = native.read_columns(path, {mps.OBJECT_ID: body, mps.OBJECT_TIME: int, **numbers})
+    positions = native.column_vectors(table, mps.OBJECT_POSITION)
+    rotations = native.column_vectors(table, mps.OBJECT_ROTATION)
+    native.require_poses(path, positions, rotations)
+    encoded = table[mps.OBJECT_ID].combine_chunks().dictionary_encode()
+    codes = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)
+    times = table[mps.OBJECT_TIME].to_numpy()
+    # Sorted by body alone: rows of one body keep the order of the file, which must be that of time.
+    order = np.argsort(codes, kind="stable")
+    grouped = times[order]
+    same_body = np.diff(codes[order]) == 0
+    mixed = np.flatnonzero(same_body & ((grouped[:-1] == static_time) | (grouped[1:] == static_time)))
+    if mixed.size:
+        where = f"line {int(order[mixed[0] + 1]) + 2}"
+        expected = f"one row of time {static_time} for an object that never moves, or rows with times"
+        found = f"both, or two rows of time {static_time}, for one object"
+        remedy = "Remove one of the rows, or download the file again."
+        raise InputFileError(path, where, expected=expected, found=found, remedy=remedy)
+    backwards = np.flatnonzero(same_body & (np.diff(grouped) <= 0))
+    if backwards.size:
+        later = backwards[0] + 1
+        native.require_increasing(path, grouped[later - 1 : later + 1], unit="ns", first=int(order[later]) + 1)
+    bounds = np.searchsorted(codes[order], np.arange(1, len(encoded.dictionary)))
+    bodies = zip(encoded.dictionary.to_pylist(), np.split(order, bounds), strict=True) if len(table) else ()
+    return {name: (times[rows], positions[rows], rotations[rows]) for name, rows in bodies}

@@ -6,6 +6,7 @@ x left, y up, z forward, origin midway between the eyes. Camera frame: z along t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -23,6 +24,15 @@ ROTATION_COLUMNS = ("qw_world_device", "qx_world_device", "qy_world_device", "qz
 GRAVITY_COLUMNS = ("gravity_x_world", "gravity_y_world", "gravity_z_world")
 QUALITY_COLUMN = "quality_score"
 UNDEFINED_GRAPH = "UNDEFINED_ROW"
+VELOCITY_COLUMNS = tuple(
+    f"{quantity}_{axis}_device" for quantity in ("device_linear_velocity", "angular_velocity") for axis in "xyz"
+)
+
+# The tables of objects' poses that ADT and HOT3D have.
+OBJECT_ID = "object_uid"
+OBJECT_TIME = "timestamp[ns]"
+OBJECT_POSITION = ("t_wo_x[m]", "t_wo_y[m]", "t_wo_z[m]")
+OBJECT_ROTATION = ("q_wo_w", "q_wo_x", "q_wo_y", "q_wo_z")
 
 YAW = "yaw_rads_cpf"
 PITCH = "pitch_rads_cpf"
@@ -51,8 +61,6 @@ SLAM_FOLDER = "slam"
 GAZE_FOLDER = "eye_gaze"
 HAND_FOLDER = "hand_tracking"
 
-# Roles of the files of one recording.
-# Roles of the files of one recording.
 # Roles of the files of one recording.
 TRAJECTORY = "trajectory"
 GAZE = "gaze"
@@ -268,10 +276,27 @@ def thinned(readings: MpsReadings, rate: float = POSE_RATE) -> MpsReadings:
 
 def trajectory_rows(whole: AriaTrajectory, rows: Int[np.ndarray, " k"]) -> AriaTrajectory:
     """Return some rows of a trajectory."""
-    return replace(
-        whole,
-        time_us=whole.time_us[rows],
-        position=whole.position[rows],
-        rotation=whole.rotation[rows],
-        quality=whole.quality[rows],
-    )
+    columns = ("time_us", "position", "rotation", "quality")
+    return replace(whole, **{name: getattr(whole, name)[rows] for name in columns})
+
+
+def trajectory_columns(
+    poses: AriaTrajectory, graph_uid: str, gravity: Sequence[float] | np.ndarray, velocities: np.ndarray | None
+) -> dict[str, object]:
+    """Return the columns of a file of poses: rotations scalar last, velocities (linear, then angular) if any."""
+    n = len(poses.time_us)
+    return {
+        GRAPH_COLUMN: np.full(n, graph_uid),
+        TIME_COLUMN: poses.time_us,
+        "utc_timestamp_ns": np.full(n, -1),
+        **split_columns(POSITION_COLUMNS, poses.position),
+        **split_columns((*ROTATION_COLUMNS[1:], ROTATION_COLUMNS[0]), np.roll(poses.rotation, -1, axis=1)),
+        **({} if velocities is None else split_columns(VELOCITY_COLUMNS, velocities)),
+        **split_columns(GRAVITY_COLUMNS, np.tile(gravity, (n, 1))),
+        QUALITY_COLUMN: poses.quality,
+    }
+
+
+def split_columns(names: Sequence[str], columns: np.ndarray) -> dict[str, object]:
+    """Return the columns of an array under their names."""
+    return dict(zip(names, columns.T, strict=True))

@@ -17,7 +17,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
@@ -25,6 +24,7 @@ from prbench.files.storage import atomic_path, write_json
 from prbench.geometry.skeleton import WRISTS, Y_UP_FROM_Z_UP, invert_rigid
 from prbench.geometry.timelines import interpolate
 from prbench.readers.aria_mps import format as mps
+from prbench.readers.files import write_table
 from prbench.synthetic.people.kinematics import wobble
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import Sensing, Switches, closed_eyes, measured_gaze
@@ -35,8 +35,6 @@ Points = Float[np.ndarray, "n 3"]
 EyePoints = Float[np.ndarray, "n 2 3"]
 
 POSE_RATE = 1000
-# Rows a second.
-# Rows a second.
 # Rows a second.
 GAZE_RATE = 10
 _HAND_RATE = 10
@@ -249,9 +247,6 @@ def _steps(performance: Performance, first_us: int, rate: int) -> Microseconds:
 
 
 _ROLES = (mps.TRAJECTORY, mps.GAZE, mps.CALIBRATION, mps.WRISTS, mps.SLAM_SUMMARY, mps.GAZE_SUMMARY, mps.HAND_SUMMARY)
-_VELOCITIES = tuple(
-    f"{quantity}_{axis}_device" for quantity in ("device_linear_velocity", "angular_velocity") for axis in "xyz"
-)
 _EYES = {"tx_left_eye_cpf": 0.0315, "tx_right_eye_cpf": -0.0315}
 _NO_SESSION = "00000000-0000-0000-0000-000000000000"
 # Places of the SLAM cameras on the glasses, metres; their distance tells the size of the glasses.
@@ -276,7 +271,7 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
     if mps.TRAJECTORY in wanted:
         trajectory = readings.trajectory
         n = len(trajectory.time_us)
-        columns = trajectory_columns(trajectory, trajectory.graph_uids[0], GRAVITY, _velocities(trajectory))
+        columns = mps.trajectory_columns(trajectory, trajectory.graph_uids[0], GRAVITY, _velocities(trajectory))
         columns["geo_available"] = np.zeros(n, dtype=np.int64)
         columns |= {f"t{axis}_ecef_device": np.zeros(n) for axis in "xyz"}
         columns |= {f"q{axis}_ecef_device": np.full(n, float(axis == "w")) for axis in "xyzw"}
@@ -357,27 +352,10 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
             for part, points in (("wrist", wrists.wrist), ("palm", wrists.palm)):
                 assert points is not None  # as sensed
                 names = [f"t{axis}_{side}_{part}_device" for axis in "xyz"]
-                columns |= split_columns(names, np.nan_to_num(points[:, index], nan=0.0))
+                columns |= mps.split_columns(names, np.nan_to_num(points[:, index], nan=0.0))
         write_csv(hands / mps.WRISTS_FILE, columns)
     if mps.HAND_SUMMARY in wanted and readings.wrists is not None:
         write_json(hands / mps.SUMMARY_FILE, {"HandTracking": {"status": "SUCCESS", "message": ""}})
-
-
-def trajectory_columns(
-    poses: mps.AriaTrajectory, graph_uid: str, gravity: Sequence[float], velocities: Float[np.ndarray, "n 6"] | None
-) -> dict[str, object]:
-    """Return the columns of a file of poses: rotations scalar last, velocities (linear, then angular) if any."""
-    n = len(poses.time_us)
-    return {
-        mps.GRAPH_COLUMN: np.full(n, graph_uid),
-        mps.TIME_COLUMN: poses.time_us,
-        "utc_timestamp_ns": np.full(n, -1),
-        **split_columns(mps.POSITION_COLUMNS, poses.position),
-        **split_columns((*mps.ROTATION_COLUMNS[1:], mps.ROTATION_COLUMNS[0]), np.roll(poses.rotation, -1, axis=1)),
-        **({} if velocities is None else split_columns(_VELOCITIES, velocities)),
-        **split_columns(mps.GRAVITY_COLUMNS, np.tile(gravity, (n, 1))),
-        mps.QUALITY_COLUMN: poses.quality,
-    }
 
 
 def _velocities(trajectory: mps.AriaTrajectory) -> Float[np.ndarray, "n 6"]:
@@ -397,11 +375,6 @@ def _pose_record(pose: Float[np.ndarray, "4 4"]) -> dict[str, object]:
     return {"Translation": pose[:3, 3].tolist(), "UnitQuaternion": [w, [x, y, z]]}
 
 
-def split_columns(names: Sequence[str], columns: np.ndarray) -> dict[str, object]:
-    """Return the columns of an array under their names."""
-    return {name: columns[:, index] for index, name in enumerate(names)}
-
-
 def pose_columns(bodies: Mapping[Any, Any]) -> dict[str, object]:
     """Return the table of poses that ADT and HOT3D have, rows in the order of time.
 
@@ -415,10 +388,10 @@ def pose_columns(bodies: Mapping[Any, Any]) -> dict[str, object]:
     order = np.argsort(times, kind="stable")
     ids = np.concatenate([np.full(len(rows.time_ns), body) for body, rows in bodies.items()])
     return {
-        "object_uid": ids[order],
-        "timestamp[ns]": times[order],
-        **split_columns([f"t_wo_{axis}[m]" for axis in "xyz"], position[order]),
-        **split_columns([f"q_wo_{axis}" for axis in "wxyz"], rotation[order]),
+        mps.OBJECT_ID: ids[order],
+        mps.OBJECT_TIME: times[order],
+        **mps.split_columns(mps.OBJECT_POSITION, position[order]),
+        **mps.split_columns(mps.OBJECT_ROTATION, rotation[order]),
     }
 
 
@@ -430,7 +403,4 @@ def write_csv(path: Path, columns: Mapping[str, object]) -> None:
     """
     table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        file.write((",".join(columns) + "\n").encode())
-        pyarrow.csv.write_csv(
-            table, file, pyarrow.csv.WriteOptions(include_header=False, quoting_style="none", batch_size=65536)
-        )
+        write_table(file, table)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from prbench.geometry.timelines import covered
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, WIDEST_GAZE_ANGLE, gaze_directions_cpf
-from prbench.recording.streams import SIDES, GazeStream, HandStream, PoseStream
+from prbench.recording import SIDES, GazeStream, HandStream, PoseStream
 
 ASSUMED_SIZE: mps.GlassesSize = "DVT-S"  # Size of glasses where no file tells it.
 SAME_INSTANT = 1e-3  # Seconds; the step of the poses.
@@ -45,7 +45,6 @@ def mps_streams(
     readings: mps.MpsReadings,
     *,
     world_from_source: Float[np.ndarray, "4 4"],
-    seconds_before_device: float = 0.0,
     least_confidence: float = 0.0,
 ) -> MpsStreams:
     """Return the poses of glasses, eyes and camera, gaze rays and wrists.
@@ -55,23 +54,22 @@ def mps_streams(
     Args:
         readings: Whole or thinned; the gaze rays are the same either way.
         world_from_source: Rigid transform from the trajectory's world.
-        seconds_before_device: Recording time = device time - this.
         least_confidence: A wrist is valid where its confidence is above this.
     """
     trajectory = readings.trajectory
     turn = Rotation.from_matrix(world_from_source[:3, :3])
     rotation = turn * Rotation.from_quat(trajectory.rotation, scalar_first=True)
     device = PoseStream(
-        trajectory.time_us / 1e6 - seconds_before_device,
+        trajectory.time_us / 1e6,
         trajectory.position @ world_from_source[:3, :3].T + world_from_source[:3, 3],
         rotation.as_quat(scalar_first=True),
         trajectory.quality >= mps.LEAST_QUALITY,
     )
     head, camera = head_and_camera(device, readings.glasses_size or ASSUMED_SIZE, readings.device_from_rgb)
-    gaze = gaze_in_world(head, readings.gaze, same_instant=SAME_INSTANT, before=seconds_before_device)
+    gaze = gaze_in_world(head, readings.gaze, same_instant=SAME_INSTANT)
     wrists = []
     if readings.wrists is not None:
-        times = readings.wrists.time_us / 1e6 - seconds_before_device
+        times = readings.wrists.time_us / 1e6
         origin, facing = device.pose_at(times)
         world_from_device = Rotation.from_quat(facing, scalar_first=True)
         posed = covered(device.times, device.valid, times, max_gap=mps.LONGEST_POSE_STEP, tolerance=SAME_INSTANT)
@@ -121,7 +119,7 @@ def part_poses(device: PoseStream, device_from_part: Float[np.ndarray, "4 4"]) -
     )
 
 
-def gaze_in_world(cpf: PoseStream, angles: mps.GazeAngles, *, same_instant: float, before: float = 0.0) -> GazeStream:
+def gaze_in_world(cpf: PoseStream, angles: mps.GazeAngles, *, same_instant: float) -> GazeStream:
     """Return the gaze rays in the world: origin = CPF origin, direction = rotated ``normalise(tan yaw, tan pitch, 1)``.
 
     A ray is invalid when an angle is not finite or beyond 60 degrees, or when no valid pose lies within
@@ -131,9 +129,8 @@ def gaze_in_world(cpf: PoseStream, angles: mps.GazeAngles, *, same_instant: floa
         cpf: World poses of the central pupil frame.
         angles: Yaw is positive left, pitch positive up, and both may hold NaN.
         same_instant: Rows closer than this belong to one instant, seconds.
-        before: Recording time = device time - this, seconds.
     """
-    times = angles.time_us / 1e6 - before
+    times = angles.time_us / 1e6
     yaw, pitch = angles.yaw, angles.pitch
     with np.errstate(invalid="ignore"):
         measured = (np.abs(yaw) <= WIDEST_GAZE_ANGLE) & (np.abs(pitch) <= WIDEST_GAZE_ANGLE)

@@ -19,7 +19,7 @@ from prbench.readers.egoallo.files import MODEL_ROLE, OUTPUT_ROLE
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.readers.files import require_increasing
 from prbench.readers.found import RecordingFiles
-from prbench.recording.streams import PoseStream
+from prbench.recording import PoseStream
 from prbench.representation.converters import RestJoints, read_rest_joints
 
 HOW_TO_GET = (

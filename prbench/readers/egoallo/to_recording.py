@@ -15,7 +15,7 @@ from jaxtyping import Float
 from prbench.geometry.skeleton import N_JOINTS, transform_points
 from prbench.geometry.timelines import covered
 from prbench.readers.egoallo import format as ego
-from prbench.recording.streams import BodyStream, PoseStream, hold_neighbours, plausible_body_frames
+from prbench.recording import BodyStream, PoseStream, hold_neighbours, plausible_body_frames
 from prbench.representation.converters import RestJoints
 from prbench.representation.converters.smpl import pose_body
 
@@ -75,22 +75,17 @@ def body_from_outputs(outputs: Sequence[ego.EgoAlloOutput], rest: RestJoints) ->
 
 
 def body_stream(
-    body: ego.EgoAlloBody,
-    *,
-    world_from_source: Float[np.ndarray, "4 4"],
-    seconds_before_device: float = 0.0,
-    head: PoseStream | None = None,
+    body: ego.EgoAlloBody, *, world_from_source: Float[np.ndarray, "4 4"], head: PoseStream | None = None
 ) -> BodyStream:
-    """Return the 22 joints in the recording's world and on its clock; implausible frames are masked and filled.
+    """Return the 22 joints in the recording's world, device seconds; implausible frames are masked and filled.
 
     Args:
         body: Joints in the source world, on the device clock.
         world_from_source: Source world (Z up) to the recording's (Y up).
-        seconds_before_device: Recording time = device seconds - this.
-        head: Poses of the glasses on the recording's clock; where they have a gap of more than 0.1 s, EgoAllo had
+        head: Poses of the glasses, device seconds; where they have a gap of more than 0.1 s, EgoAllo had
             nothing to go by, and the body is invalid.
     """
-    times = body.time_ns / 1e9 - seconds_before_device
+    times = body.time_ns / 1e9
     joints = transform_points(world_from_source, body.joints.astype(np.float64))
     valid = plausible_body_frames(times, joints)
     if head is not None:

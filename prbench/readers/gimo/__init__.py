@@ -12,8 +12,7 @@ from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.files import GimoOptions, extents, find_segments, open_route, read_readings, row_of
 from prbench.readers.gimo.to_recording import published_track, recording_from_gimo
-from prbench.recording import Recording
-from prbench.recording.streams import PublishedTrack
+from prbench.recording import PublishedTrack, Recording
 
 __all__ = ["READER", "GimoOptions", "GimoReader", "find_segments", "read_readings"]
 

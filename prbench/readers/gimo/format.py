@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.readers.gimo.bvh import BvhMotion
-from prbench.recording import UnreadableEntry
-from prbench.recording.streams import Side
+from prbench.recording import Side, UnreadableEntry
 
 TABLE_FILE = "dataset.csv"
 EVENTS_FILE = "prbench_events.csv"  # The user's own annotations, at the root unless a reader option names another file.

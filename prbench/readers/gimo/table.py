@@ -19,8 +19,7 @@ from prbench.files.bounded import read_text, require
 from prbench.limits import HARMLESS_SIZE
 from prbench.readers.files import missing_file, read_entries
 from prbench.readers.gimo import format as gimo
-from prbench.recording import UnreadableEntry
-from prbench.recording.streams import Side
+from prbench.recording import Side, UnreadableEntry
 
 _LAST_FRAME = 10**7  # Frame number that no recording reaches: four days at 30 frames a second.
 _MOST_DIGITS = 9  # of a frame number

@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from prbench import recording as streams
 from prbench.errors import InputFileError
 from prbench.geometry.skeleton import WRISTS, Joint, transform_points
 from prbench.geometry.timelines import covered, interpolate
 from prbench.protocol.manifests import Manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import place_skeleton
-from prbench.recording import streams
 
 _SHORTEST_LOOK = 0.01  # metres; nearer to the eyes a point gives no direction
 

@@ -22,8 +22,7 @@ from prbench.limits import LONGEST_RECORDING, MOST_FRAMES
 from prbench.readers import AnnotationCounts
 from prbench.readers.files import Metres, decode_json, must_exist, read_columns, read_entries
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.recording import UnreadableEntry
-from prbench.recording.streams import named_entries
+from prbench.recording import UnreadableEntry, named_entries
 
 # Number of a video frame; some writers give it a decimal point.
 _Frame = Annotated[float, msgspec.Meta(ge=0, le=MOST_FRAMES, multiple_of=1)]

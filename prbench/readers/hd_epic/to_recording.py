@@ -15,13 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from prbench import recording as recorded
 from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, transform_points
 from prbench.geometry.timelines import require_overlap, stream_ranges
 from prbench.protocol.manifests import Manifest
 from prbench.readers.aria_mps.to_recording import MpsStreams, mps_streams
 from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.recording import streams as recorded
 
 
 def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest, *, dataset: str) -> recorded.Recording:

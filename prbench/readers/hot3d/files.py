@@ -19,8 +19,8 @@ from prbench.errors import InputFileError
 from prbench.files.bounded import require
 from prbench.readers import ReaderOptions, synthetic_tree_around
 from prbench.readers import files as native
-from prbench.readers.aria_mps.files import find_mps_files, read_mps, require_up
-from prbench.readers.aria_mps.format import GAZE, TIME_COLUMN, TRAJECTORY
+from prbench.readers.aria_mps.files import find_mps_files, read_mps, read_poses_by_body, require_up
+from prbench.readers.aria_mps.format import GAZE, OBJECT_ID, OBJECT_TIME, TIME_COLUMN, TRAJECTORY
 from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.files import body_extent, find_outputs
@@ -54,8 +54,6 @@ HEADSET = "headset"
 INSTANCES = "instances"
 UMETRACK = "umetrack"
 PROFILE = "hand profile"
-# Roles of masks and object models are these and their name or uid.
-# Roles of masks and object models are these and their name or uid.
 # Roles of masks and object models are these and their name or uid.
 MASK_PREFIX = "mask:"
 MODEL_PREFIX = "model:"
@@ -115,8 +113,8 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
             # Digits only, so that no uid of a file can name a path; none of a missing or damaged file.
             uids: set[str] = set()
             with contextlib.suppress(InputFileError):
-                table = native.read_columns(folder / hot3d.OBJECTS_FILE, {hot3d.OBJECT_ID: str})
-                uids = set(filter(str.isdecimal, table[hot3d.OBJECT_ID].unique().to_pylist()))
+                table = native.read_columns(folder / hot3d.OBJECTS_FILE, {OBJECT_ID: str})
+                uids = set(filter(str.isdecimal, table[OBJECT_ID].unique().to_pylist()))
             models = [(uid, library / f"{uid}.glb") for uid in sorted(uids)]
             files += [input_file(f"{MODEL_PREFIX}{uid}", path) for uid, path in models if is_present(path)]
         files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
@@ -163,7 +161,7 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
         elif file.role == UMETRACK:  # hands have no row where none was seen, as at the start of many recordings
             truth.append(replace(json_extent("hands", file), may_start_late=True))
         elif file.role in _TRUTH_STREAMS or file.role.startswith(MASK_PREFIX):
-            truth.append(csv_extent(_TRUTH_STREAMS.get(file.role, "mask"), file, hot3d.TIME, 1e-9))
+            truth.append(csv_extent(_TRUTH_STREAMS.get(file.role, "mask"), file, OBJECT_TIME, 1e-9))
     streams = []
     for clock in (truth, [*device, *body_extent(found)]):
         start = min((stream.first for stream in clock if stream.first is not None), default=0.0)
@@ -204,7 +202,7 @@ def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], 
     )
     held = [uid for uid in sorted(rows) if uid not in instances or instances[uid].instance_type == hot3d.LIBRARY_OBJECT]
     if not held:
-        raise InputFileError(path, hot3d.OBJECT_ID, expected="objects", found="headsets only")
+        raise InputFileError(path, OBJECT_ID, expected="objects", found="headsets only")
     objects = []
     for uid in held:
         name = instances[uid].instance_name if uid in instances else uid
@@ -222,9 +220,7 @@ def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
         InputFileError: if the file or a column is missing, it has no rows, a pose is no pose, or the clock of a body
             stands still (a repeated row) or runs backwards.
     """
-    poses = native.read_poses_by_body(
-        path, body={hot3d.OBJECT_ID: str}, time=hot3d.TIME, position=hot3d.POSITION, rotation=hot3d.ROTATION
-    )
+    poses = read_poses_by_body(path, str)
     expected = "rows of poses"
     remedy = "metadata.json says that this ground truth is there; download the recording again."
     require(path, (poses, "", expected, "none", remedy))
@@ -258,7 +254,7 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
     path = found.require(HEADSET, hot3d.HEADSET_FILE)
     headsets = _read_pose_rows(path)
     names = f"{len(headsets)}: {', '.join(sorted(headsets)[:3])}"
-    require(path, (len(headsets) <= 1, hot3d.OBJECT_ID, "one headset", names, ""))
+    require(path, (len(headsets) <= 1, OBJECT_ID, "one headset", names, ""))
     hands, odd_hands = read_umetrack(found.require(UMETRACK, hot3d.UMETRACK_FILE))
     profile = found.path(PROFILE)
     # Those masks that curation honours and the recording has.
@@ -293,7 +289,7 @@ def read_mask(path: Path) -> tuple[hot3d.Mask, list[UnreadableEntry]]:
     Raises:
         InputFileError: if the file or a column is missing.
     """
-    table = native.read_columns(path, {hot3d.TIME: int, hot3d.STREAM: str, hot3d.MASK: str})
+    table = native.read_columns(path, {OBJECT_TIME: int, hot3d.STREAM: str, hot3d.MASK: str})
     values = table[hot3d.MASK].to_numpy()
     streams = table[hot3d.STREAM].to_numpy()
     known = np.isin(values, list(_TRUTH))
@@ -302,6 +298,6 @@ def read_mask(path: Path) -> tuple[hot3d.Mask, list[UnreadableEntry]]:
         for row in np.flatnonzero(~known)
     ]
     rgb = known & (streams == hot3d.RGB_STREAM)
-    time_ns, first = np.unique(table[hot3d.TIME].to_numpy()[rgb], return_index=True)
+    time_ns, first = np.unique(table[OBJECT_TIME].to_numpy()[rgb], return_index=True)
     good = np.isin(values[rgb], [text for text, good in _TRUTH.items() if good])[first]
     return (time_ns, good), native.told_together(odd)

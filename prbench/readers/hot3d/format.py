@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.readers.aria_mps.format import MpsReadings
 from prbench.readers.egoallo.format import EgoAlloBody, EgoAlloOutput
-from prbench.recording import UnreadableEntry
-from prbench.recording.streams import Side
+from prbench.recording import Side, UnreadableEntry
 
 METADATA_FILE = "metadata.json"
 OBJECTS_FILE = "dynamic_objects.csv"
@@ -29,10 +28,6 @@ LIBRARY_FOLDERS = ("assets", "object_library")  # Folders of the object models, 
 ARIA = "Aria"
 LIBRARY_OBJECT = "object"  # ``instance_type`` of what can be held; the headsets are listed too.
 
-OBJECT_ID = "object_uid"
-TIME = "timestamp[ns]"
-POSITION = ("t_wo_x[m]", "t_wo_y[m]", "t_wo_z[m]")
-ROTATION = ("q_wo_w", "q_wo_x", "q_wo_y", "q_wo_z")
 STREAM = "stream_id"
 MASK = "mask"
 RGB_STREAM = "214-1"

@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from prbench.files.storage import atomic_folder, read_json, write_bytes, write_json
 from prbench.geometry.skeleton import Joint, z_up
 from prbench.geometry.timelines import interpolate, slerp
+from prbench.readers.aria_mps.format import OBJECT_TIME
 from prbench.readers.aria_mps.synthetic import GAZE_BIAS, GAZE_RATE, pose_columns, sense_mps, write_csv, write_mps
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo import synthetic as egoallo
@@ -358,7 +359,7 @@ def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
             # One row a camera and frame: the RGB frame, then both SLAM cameras' one after it.
             slam = times + round(SLAM_DELAY * 1e9)
             columns = {
-                hot3d.TIME: np.column_stack([times, slam, slam]).ravel(),
+                OBJECT_TIME: np.column_stack([times, slam, slam]).ravel(),
                 hot3d.STREAM: np.tile(streams, len(times)),
                 hot3d.MASK: np.repeat(np.where(good, "True", "False"), len(streams)),
             }

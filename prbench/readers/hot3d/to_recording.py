@@ -25,7 +25,7 @@ from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands as umetrack
-from prbench.recording.streams import GazeStream, HandStream, ObjectTrack, PoseStream, Recording
+from prbench.recording import GazeStream, HandStream, ObjectTrack, PoseStream, Recording
 
 _Stream = TypeVar("_Stream", GazeStream, PoseStream)
 _SAME_POSITION = 1e-6

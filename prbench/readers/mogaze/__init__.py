@@ -12,8 +12,7 @@ from prbench.readers.found import RecordingFiles
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.files import extents, find_recordings, read_readings
 from prbench.readers.mogaze.to_recording import published_tracks, recording_from_mogaze
-from prbench.recording import Recording
-from prbench.recording.streams import PublishedTrack
+from prbench.recording import PublishedTrack, Recording
 
 __all__ = ["READER", "MogazeOptions", "MogazeReader", "find_recordings", "read_readings"]
 

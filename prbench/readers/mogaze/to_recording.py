@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from prbench import recording as streams
 from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, transform_points
 from prbench.protocol.manifests import Manifest
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.format import NULL_LABEL, RATE, SEGMENT_DATASET, Segment
-from prbench.recording import streams
 
 _UNIT_TOLERANCE = 0.1
 _TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from prbench.geometry.skeleton import WRISTS, rotation_matrices
 from prbench.protocol.manifests import load_protocol
-from prbench.recording.streams import SIDES
+from prbench.recording import SIDES
 from prbench.synthetic.people.body import HANDING_TIME, MEETING_TIME, Sides, Signal, moved_along, opened
 from prbench.synthetic.people.gaze_plan import GazePlan
 from prbench.synthetic.people.kinematics import minimum_jerk, quaternion, rotation

@@ -17,7 +17,7 @@ import pytest
 from prbench.errors import InputFileError, PrbenchError, TableError
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze.synthetic import write
-from prbench.recording.streams import BodyStream, GazeStream, PoseStream, PublishedTrack, Recording
+from prbench.recording import BodyStream, GazeStream, PoseStream, PublishedTrack, Recording
 from prbench.sequences.schema import digests_of_files
 from prbench_benchmarks.motion_prediction.batch import Condition
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol

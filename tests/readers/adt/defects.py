@@ -45,16 +45,16 @@ def _cut_in_a_number(root: Path, recording: str) -> None:
 
 def _one_object_lost(rows: list[Row]) -> list[Row]:
     """Remove all poses of one tracked object."""
-    lost = min(row[adt.OBJECT_ID] for row in rows if row[adt.OBJECT_TIME] != str(adt.STATIC_TIME))
-    return [row for row in rows if row[adt.OBJECT_ID] != lost]
+    lost = min(row[mps.OBJECT_ID] for row in rows if row[mps.OBJECT_TIME] != str(adt.STATIC_TIME))
+    return [row for row in rows if row[mps.OBJECT_ID] != lost]
 
 
 def _objects_untracked(rows: list[Row]) -> list[Row]:
     """Remove all poses of objects in the middle third of the recording."""
-    times = sorted({int(row[adt.OBJECT_TIME]) for row in rows} - {adt.STATIC_TIME})
+    times = sorted({int(row[mps.OBJECT_TIME]) for row in rows} - {adt.STATIC_TIME})
     first = times[len(times) // 3]
     last = times[2 * len(times) // 3]
-    return [row for row in rows if not first <= int(row[adt.OBJECT_TIME]) < last]
+    return [row for row in rows if not first <= int(row[mps.OBJECT_TIME]) < last]
 
 
 def _skeleton(root: Path, recording: str) -> Path:

@@ -13,8 +13,7 @@ from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.readers.adt import format as adt
 from prbench.readers.adt import synthetic as layout
 from prbench.readers.aria_mps.format import device_from_cpf
-from prbench.recording import Recording
-from prbench.recording.streams import hold_neighbours
+from prbench.recording import Recording, hold_neighbours
 from tests.readers.conftest import FINGER_BASES, FORK, SOFA, STANDING, TABLE
 
 

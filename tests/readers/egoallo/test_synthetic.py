@@ -69,9 +69,10 @@ def _body(outputs) -> EgoAlloBody:
 
 def _errors(person, outputs) -> np.ndarray:
     """Distance of every joint from the truth at the same time."""
-    stream = body_stream(_body(outputs), world_from_source=NATIVE_FROM_WORLD.T, seconds_before_device=START_US / 1e6)
+    stream = body_stream(_body(outputs), world_from_source=NATIVE_FROM_WORLD.T)
     assert stream.valid.all()
-    return np.linalg.norm(stream.joints - interpolate(person.times, person.joints, stream.times), axis=2)
+    times = stream.times - START_US / 1e6
+    return np.linalg.norm(stream.joints - interpolate(person.times, person.joints, times), axis=2)
 
 
 @pytest.mark.parametrize("preset", ["hd-epic", "hot3d", "adt"])
@@ -92,15 +93,14 @@ def test_an_ideal_estimate_is_the_truth(preset):
 def test_the_head_tilt_of_the_model_shows_where_the_head_looks(preset):
     person = perform(preset, seed=5, index=1, n_events=1, provocations={})
     body = _body(sense_egoallo(person, _trajectory(person), switches=Switches.ideal()))
-    stream = body_stream(body, world_from_source=NATIVE_FROM_WORLD.T, seconds_before_device=START_US / 1e6)
+    stream = body_stream(body, world_from_source=NATIVE_FROM_WORLD.T)
+    times = stream.times - START_US / 1e6
     seen, _ = head_forward(stream.joints, 38.3)
-    native, _ = head_forward(
-        interpolate(person.times, person.joints, stream.times), load_manifest("adt").body.head_tilt_deg
-    )
+    native, _ = head_forward(interpolate(person.times, person.joints, times), load_manifest("adt").body.head_tilt_deg)
     if preset == "adt":  # the suit's own bone under this tilt would be 31 degrees off
         between = np.rad2deg(np.arccos(np.clip((seen * native).sum(axis=1), -1, 1)))
         assert between.mean() < 6
-    head = Rotation.from_quat(slerp(person.times, person.head_rotation, stream.times), scalar_first=True)
+    head = Rotation.from_quat(slerp(person.times, person.head_rotation, times), scalar_first=True)
     assert (seen * head.apply([0.0, 0, 1])).sum(axis=1).mean() > np.cos(np.deg2rad(20))
 
 

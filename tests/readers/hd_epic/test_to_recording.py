@@ -20,7 +20,7 @@ from prbench.readers.hd_epic.to_recording import (
     published_priming,
     recording_from_hd_epic,
 )
-from prbench.recording.streams import BodyStream, HandStream
+from prbench.recording import BodyStream, HandStream
 from tests.readers.hd_epic_copies import GLASSES_START_NS, still_glasses
 
 THRESHOLDS = load_manifest("hd-epic").thresholds

@@ -12,8 +12,7 @@ from prbench.geometry.skeleton import Joint
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze.format import LINKS, STATE_COLUMNS, MogazeReadings, Segment
 from prbench.readers.mogaze.to_recording import published_tracks, recording_from_mogaze
-from prbench.recording import Recording
-from prbench.recording.streams import PublishedTrack
+from prbench.recording import PublishedTrack, Recording
 from tests.recording.mogaze_scene import CUP, GOGGLES, PICK, PUT, STANDING_HEIGHT, N, still_life
 
 CUP_TRACK = next(body for body in still_life().bodies if body.body_id == CUP).position

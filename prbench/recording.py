@@ -1,4 +1,6 @@
-"""The streams of one recording, on one clock, in one frame.
+"""``Recording`` and its streams: the one form that every reader yields and all of curation works on.
+
+One clock, one frame.
 
 World frame: metres, Y up, right-handed. Times: seconds on the recording's clock, strictly increasing within a stream;
 every stream has its own. Quaternions: w x y z, Hamilton. Values are finite everywhere; where nothing was measured the
@@ -460,6 +462,7 @@ def wrists_at(hands: Sequence[HandStream], body: BodyStream | None, time: float)
         time: Seconds.
     """
     wrists = {}
+    instant = np.array([time])
     for side, joint in zip(SIDES, WRISTS, strict=True):
         sources = [
             (stream.times, stream.points[:, 0], stream.valid, "tracked")
@@ -469,9 +472,11 @@ def wrists_at(hands: Sequence[HandStream], body: BodyStream | None, time: float)
         if body is not None:
             sources.append((body.times, body.joints[:, joint], body.valid, "body"))
         for times, points, valid, source in sources:
-            position = _point_at(times, points, valid, time)
-            if position is not None:
-                wrists[side] = (position, source)
+            # A wrist is known between two valid samples that are close to each other.
+            near = slice(*np.searchsorted(times, [time - _LONGEST_WRIST_GAP, time + _LONGEST_WRIST_GAP]))
+            if covered(times[near], valid[near], instant, max_gap=_LONGEST_WRIST_GAP).all():
+                usable = valid[near]
+                wrists[side] = interpolate(times[near][usable], points[near][usable], instant)[0], source
                 break
     return wrists
 
@@ -492,15 +497,3 @@ def reaching_hand(wrists: Wrists, place: Float[np.ndarray, "3"]) -> tuple[Side |
     is_near = distances[nearest] <= (_FARTHEST_LONE_WRIST if len(wrists) == 1 else _FARTHEST_WRIST)
     is_clear = len(wrists) == 1 or abs(distances["left"] - distances["right"]) >= LEAST_DIFFERENCE
     return (nearest, wrists[nearest][1]) if is_near and is_clear else (None, None)
-
-
-def _point_at(
-    times: Float[np.ndarray, " n"], points: Float[np.ndarray, "n 3"], valid: np.ndarray, time: float
-) -> Float[np.ndarray, "3"] | None:
-    """Return a point between two valid samples that are close to each other; None elsewhere."""
-    near = slice(*np.searchsorted(times, [time - _LONGEST_WRIST_GAP, time + _LONGEST_WRIST_GAP]))
-    instant = np.array([time])
-    if not covered(times[near], valid[near], instant, max_gap=_LONGEST_WRIST_GAP).all():
-        return None
-    usable = valid[near]
-    return interpolate(times[near][usable], points[near][usable], instant)[0]
