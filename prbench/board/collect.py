@@ -36,6 +36,8 @@ COSTS = {
     "memory_mebibytes": ("Memory (MiB) (declared)", "memory_mebibytes"),
     "parameters": ("Parameters (declared)", "parameters"),
 }
+# What a run says of its training data by itself; a submission says more.
+NOT_DECLARED = "not declared"
 # The cost of controls, whose motions the harness makes, and of motions that came as a file.
 UNMEASURED: dict[str, float | None] = dict.fromkeys(COSTS)
 
@@ -92,6 +94,9 @@ class LeaderboardRow:
         cost: Cost of a motion; see :func:`cost_of`.
         unverified_cost: The reason why ``cost.json`` is not believed; empty where nothing contradicts it.
         declared: What the run says and nothing at hand can show.
+        submission: Id of the submission that it came in to a board; empty for a run folder.
+        verified: How its scores were held against the motions, in words.
+        training: Words on what the method was trained on, as its submission declares it.
     """
 
     run: str
@@ -106,6 +111,9 @@ class LeaderboardRow:
     cost: Mapping[str, float | None] = field(default_factory=lambda: UNMEASURED)
     unverified_cost: str = ""
     declared: tuple[str, ...] = DECLARED
+    submission: str = ""
+    verified: str = "verified"
+    training: str = NOT_DECLARED
 
     @property
     def method(self) -> str:
@@ -129,9 +137,9 @@ class LeaderboardRow:
 
     @property
     def variant(self) -> str:
-        """Control, weights and options: the settings that distinguish runs of one method."""
+        """Submission, control, weights and options: what distinguishes runs of one method."""
         method = self.record.method
-        parts = [self.record.control] if self.record.control else []
+        parts = [part for part in (self.submission, self.record.control) if part]
         if method.weights:
             parts.append(f"weights {method.weights}")
         parts += [f"{key}={value}" for key, value in sorted(method.options.items())]

@@ -24,10 +24,12 @@ _CSV_COLUMNS = (
     *("table", "dataset", "condition", "method", "variant", "metric", "value", "unit", "higher_is_better"),
     *("low", "high", "sequences", "recordings", "detectable", "rank", "verified", "note", "kind"),
     *(column for _, column in COSTS.values()),
-    *("declared", "signed_by"),
+    *("declared", "signed_by", "submission", "training"),
 )
 _FEW = "†"
 FORMATS = ("md", "csv", "json")
+# Columns of boards that submissions come to.
+_SUBMITTED = {"verified": "Verified", "training": "Training data (declared)"}
 
 
 def export(leaderboard: Leaderboard, format: str) -> str:
@@ -103,7 +105,8 @@ def _csv_rows(leaderboard: Leaderboard) -> Iterator[dict[str, Any]]:
         for row in table.rows:
             entry = row.entry
             about: dict[str, Any] = {column: entry.cost[key] for key, (_, column) in COSTS.items()}
-            about |= {"table": str(number), "verified": entry.remarks or "verified"}
+            about |= {"table": str(number), "verified": entry.remarks or entry.verified}
+            about |= {"submission": entry.submission, "training": entry.training}
             about |= {"kind": entry.origin, "declared": note_of(*entry.declared)}
             yield from (_csv_row(cell, table.benchmark) | about for cell in measured_cells(row, table))
     for number, macro in enumerate(leaderboard.macro, start=1):
@@ -125,6 +128,7 @@ def _csv_rows(leaderboard: Leaderboard) -> Iterator[dict[str, Any]]:
                 "note": note_of(*notes, row.mark),
                 "kind": row.origin,
                 "declared": note_of(*row.declared),
+                "training": row.training,
             }
             yield from (_csv_row(cell, benchmark) | about for cell in cells if cell.metric in row.means)
 
@@ -153,6 +157,9 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True):
             difference.
         leads: Ids of metrics in which it is better than every other method, each by a supported difference.
         says_nothing: Ids of metrics that say nothing about this method, because it stands still.
+        submission: Id of the submission that it came in to a board; empty for a run folder.
+        verified: How its scores were held against the motions, in words, where they were.
+        training: What the method was trained on, as its submission declares it.
     """
 
     run: str
@@ -168,6 +175,9 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True):
     ranks: dict[str, int]
     leads: list[str]
     says_nothing: list[str]
+    submission: str
+    verified: str
+    training: str
 
 
 class BoardTable(msgspec.Struct, frozen=True, kw_only=True):
@@ -232,6 +242,7 @@ def as_board(leaderboard: Leaderboard) -> Board:
     for table in leaderboard.tables:
         protocol, identity, content, split, selection = table.key
         of_entry = ("run", "record", "summary", "cost", "origin", "unverified", "unverified_cost", "declared")
+        of_entry += ("submission", "verified", "training")
         rows = [
             BoardRow(
                 **{name: getattr(row.entry, name) for name in of_entry},
@@ -284,6 +295,8 @@ def _as_markdown(leaderboard: Leaderboard) -> str:
                     "method": _words(row.entry.method, row.entry.summary.symbols),
                     "variant": note_of(row.variant, row.entry.remarks),
                     "kind": row.entry.origin,
+                    "verified": row.entry.unverified or row.entry.verified,
+                    "training": row.entry.training,
                 },
                 cells=(
                     *measured_cells(row, table),
@@ -295,6 +308,8 @@ def _as_markdown(leaderboard: Leaderboard) -> str:
         costs = [Column(key=name, title=COSTS[name][0], digits=3 if name.endswith("seconds") else 0) for name in COSTS]
         blocks = (Block(rows=tuple(rows)),)
         columns = _columns(table.benchmark, *costs)
+        if any(row.entry.submission for row in table.rows):
+            columns += tuple(Column(key=key, title=title, text=True) for key, title in _SUBMITTED.items())
         tables.append(Table(title=", ".join(about), columns=columns, blocks=blocks, notes=tuple(_legend(table))))
     tables += [_macro_table(macro, with_benchmark=several) for macro in leaderboard.macro]
     if leaderboard.notes:
@@ -357,10 +372,24 @@ def _legend(table: DatasetTable) -> Iterable[str]:
         if alike:
             yield f"{condition}: the data separate no two methods in {', '.join(alike)}."
         yield from (f"{condition}, {line}" for line in ordered)
-    if table.redistribution == "non-commercial":
-        yield "The data may be used for non-commercial purposes only."
-    elif table.redistribution == "none":
-        yield "The data may not be passed on; this page holds scores only, no recorded motion and no goals."
+    kept = licence_note(table.title, table.redistribution)
+    if kept:
+        yield kept
+
+
+def licence_note(title: str, redistribution: str) -> str:
+    """Return what the licence of a dataset keeps from boards; empty where it keeps nothing.
+
+    Args:
+        title: Title of the dataset.
+        redistribution: ``yes``, ``non-commercial`` or ``none``.
+    """
+    left_out = "recorded motion, gaze, goals and scenes are left out; scores stand here."
+    if redistribution == "yes":
+        return ""
+    if redistribution == "non-commercial":
+        return f"{title} may be used for non-commercial purposes only: {left_out}"
+    return f"{title} may not be passed on: {left_out}"
 
 
 def table_notes(table: DatasetTable) -> Iterable[str]:

@@ -106,6 +106,7 @@ class MacroRow:
         missing: Datasets that the method lacks.
         unverified: Scores on one of the datasets or more were not held against the motions.
         declared: What its runs say and nothing at hand can show.
+        training: What the method was trained on, as its submission declares it.
     """
 
     method: str
@@ -120,6 +121,7 @@ class MacroRow:
     missing: tuple[str, ...]
     unverified: bool
     declared: tuple[str, ...]
+    training: str
 
 
 @dataclass(frozen=True)
@@ -371,6 +373,7 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
             missing=tuple(name for name in names if name not in found[key]),
             unverified=any(entry.unverified for entry in entries),
             declared=max((entry.declared for entry in entries), key=len),
+            training=next(entry.training for entry in entries),
         )
 
 
