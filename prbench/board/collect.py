@@ -6,7 +6,7 @@ The cost of a motion, as a leaderboard shows it beside the scores.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -158,6 +158,24 @@ class CollectedRuns:
     rows: tuple[LeaderboardRow, ...]
     left_out: tuple[str, ...]
     signed_by: str = ""
+
+
+# Values of ``--training``, and how the declarations begin that each of them means.
+TRAINING = {"none": "declared none", "declared": "declared", "overlapping": "overlaps", "undeclared": NOT_DECLARED}
+
+
+def with_training(collected: CollectedRuns, kinds: Collection[str]) -> CollectedRuns:
+    """Keep controls, and the runs whose training data are declared as asked for; what is left out is told.
+
+    Args:
+        collected: The runs.
+        kinds: Keys of :data:`TRAINING`.
+    """
+    begins = tuple(TRAINING[kind] for kind in kinds)
+    kept = tuple(row for row in collected.rows if row.is_control or row.training.startswith(begins))
+    count = len(collected.rows) - len(kept)
+    told = f"{count} rows whose training data are not as asked for ({', '.join(kinds)})"
+    return replace(collected, rows=kept, left_out=(*collected.left_out, *([told] if count else ())))
 
 
 def run_folders(paths: Iterable[Path]) -> list[Path]:

@@ -1,16 +1,17 @@
 """What a board shows, made from its folder alone: rows, pages, and what is to be cited.
 
 Text is the same on every machine. Means of the same scores may differ in their last digits between processors, so
-pages print no more digits than that. The bytes of Parquet depend on the version of Arrow that wrote them: ``rows.parquet``
-is compared by content, and left as it is where that is the same.
+pages print fewer digits. The bytes of Parquet depend on the version of Arrow that wrote them: ``rows.parquet`` is
+compared by content, and left as it is where that is the same.
 """
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -30,6 +31,9 @@ from prbench.errors import PrbenchError, RunError
 from prbench.files import arrays
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import atomic_path, text_digest, write_text
+from prbench.harness.results import CheckedSummary, RunChecker
+from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder.record import TableRecord
 from prbench.limits import HARMLESS_SIZE
 from prbench.protocol.manifests import dataset_names, load_citations, load_manifest
 from prbench.shown import clean, latex, markdown
@@ -72,32 +76,38 @@ def collect_board(board: BoardFolder) -> CollectedRuns:
     left_out: list[str] = []
     for name in board.standing:
         verification = read_verification(board.verification(name))
-        checked = {(each.run, each.dataset): each for each in verification.datasets}
-        collected = collect_runs([board.submission(name) / RUNS], any_benchmark=True)
+        covered = {(each.run, each.dataset): each for each in verification.datasets}
+        check = partial(_as_verified, covered)
+        collected = collect_runs([board.submission(name) / RUNS], check=check, any_benchmark=True)
         left_out += [f"{name}/{reason}" for reason in collected.left_out]
         for row in collected.rows:
-            found = checked.get((row.run, row.table.dataset))
-            row = replace(
+            submitted = replace(
                 row,
                 run=f"{name}/{row.run}",
                 submission=name,
                 training=verification.training,
+                verified=_verified(covered.get((row.run, row.table.dataset))),
                 table=msgspec.structs.replace(row.table, content_digest=""),
             )
-            if found is not None:
-                row = replace(row, unverified="", verified=_verified(row, found), declared=found.declared)
-            rows.append(row)
+            rows.append(submitted)
     return CollectedRuns(tuple(rows), tuple(left_out))
 
 
-def _verified(row: LeaderboardRow, found: VerifiedDataset) -> str:
+def _as_verified(
+    covered: Mapping[tuple[str, str], VerifiedDataset], run: RunFolder, record: TableRecord
+) -> CheckedSummary:
+    """Check a run without its table, which is not needed where its scores were held against its motions before."""
+    checked = RunChecker().check(run, record)
+    found = covered.get((run.path.name, record.dataset))
+    return checked if found is None else replace(checked, unverified="", declared=found.declared)
+
+
+def _verified(found: VerifiedDataset | None) -> str:
     """Say how far the scores on the table at hand are from those that were submitted."""
-    if found.same_content:
+    if found is None or found.same_values:
         return "verified"
-    units = {info.id: info.unit for info in row.benchmark.metrics}
-    drifts = {unit: [each.drift for each in found.metrics if units.get(each.metric) == unit] for unit in ("rate", "m")}
-    points = 100 * max(drifts["rate"], default=0.0)
-    millimetres = 1000 * max(drifts["m"], default=0.0)
+    points = 100 * max((each.drift for each in found.metrics if each.unit == "rate"), default=0.0)
+    millimetres = 1000 * max((each.drift for each in found.metrics if each.unit == "m"), default=0.0)
     return f"verified on another copy of the data, within {points:.2g} points and {millimetres:.2g} mm"
 
 
@@ -264,10 +274,9 @@ def cite_board(board: BoardFolder) -> BoardCitation:
     papers = []
     for name in board.standing:
         submission = _stated(board, name)
+        authors = clean(", ".join(submission.authors)) or "no authors named"
         declared = submission.paper or submission.url or submission.code or "no paper declared"
-        papers.append(
-            f"% {name}: {clean(submission.name)}, {clean(', '.join(submission.authors)) or 'no authors named'}: {declared}"
-        )
+        papers.append(f"% {name}: {clean(submission.name)}, {authors}: {declared}")
     cff = {"cff-version": "1.2.0", "message": "Please cite this board, its benchmark, and what its entries declare."}
     cff |= {"title": info.title, "type": "dataset", "version": state} | ({"url": info.url} if info.url else {})
     lines = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in cff.items()]

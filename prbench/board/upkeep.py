@@ -50,7 +50,7 @@ from prbench.files.storage import (
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.controls import HOLDS_RECORDINGS
 from prbench.harness.methods.installed import METHOD_CONTROLS
-from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder.folder import FOLDS_FILE, RunFolder
 from prbench.harness.run_folder.record import CONTROL
 from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.protocol.own_protocol import read_protocol
@@ -104,6 +104,7 @@ def begin_board(
         datasets=tuple(sorted(datasets, key=lambda each: each.name)),
     )
     with sole_writer(path):
+        _clear_leftovers(path)
         if (path / INFO).exists() and BoardFolder.open(path).info != info:
             raise StorageError(f"{path / INFO}: another board stands there. Choose an empty folder, or edit that file.")
         values = {
@@ -182,7 +183,7 @@ def withdraw_submission(path: Path, name: str, *, date: str, reason: str) -> His
 
     Args:
         path: The board.
-        name: Id of the submission.
+        name: Id of the submission, or its name.
         date: Today, as ``2026-01-31``.
         reason: Why.
 
@@ -194,13 +195,13 @@ def withdraw_submission(path: Path, name: str, *, date: str, reason: str) -> His
     with sole_writer(path):
         board = BoardFolder.open(path)
         _clear_leftovers(path)
+        added = [entry.id for entry in board.history if entry.action == ADD and name in (entry.id, entry.name)]
+        if not added:
+            known = ", ".join(board.standing) or "none"
+            raise UsageError(f"'{clean(name)}': expected a submission on the board, found none. There are: {known}.")
+        name = added[-1]
         entry = board.withdrawn.get(name)
         if entry is None:
-            if name not in board.standing:
-                known = ", ".join(board.standing) or "none"
-                raise UsageError(
-                    f"'{clean(name)}': expected a submission on the board, found none. There are: {known}."
-                )
             entry = HistoryEntry(date=date, action=WITHDRAW, id=name, reason=reason)
             board = replace(board, history=(*board.history, entry))
             _write_history(path, board.history)
@@ -212,17 +213,27 @@ def withdraw_submission(path: Path, name: str, *, date: str, reason: str) -> His
     return entry
 
 
-def build_board(path: Path) -> BoardFolder:
-    """Make the pages of a board again from what stands in it.
+def sound_board(path: Path) -> BoardFolder:
+    """Open a board on which everything follows from its history.
 
     Raises:
         PrbenchError: if its files contradict its history; says the first contradiction.
     """
+    board = BoardFolder.open(path)
+    for problem in board_problems(board):
+        raise problem
+    return board
+
+
+def build_board(path: Path) -> BoardFolder:
+    """Make the pages of a board again from what stands in it.
+
+    Raises:
+        PrbenchError: see :func:`sound_board`.
+    """
     with sole_writer(path):
         _clear_leftovers(path)
-        board = BoardFolder.open(path)
-        for problem in board_problems(board):
-            raise problem
+        board = sound_board(path)
         write_pages(board)
     return board
 
@@ -325,16 +336,17 @@ def board_problems(board: BoardFolder) -> Iterator[PrbenchError]:
             verification = read_verification(board.verification(name))
             covered = {(each.run, each.dataset) for each in verification.datasets}
             submitted = {(run.name, table.dataset) for run in submission.runs for table in run.tables}
-            if verification.digest != submission.digest or covered != submitted:
+            # A merged run has the motions of its folds, which are verified in its place.
+            merged = {each for each in submitted if (folder / RUNS / each[0] / FOLDS_FILE).is_file()}
+            if verification.digest != submission.digest or covered - merged != submitted - merged:
                 raise RunError(f"{board.verification(name)}: expected what was verified of {folder}, found another.")
             if motions_of(submission) != entry.motions or submission.name != entry.name:
                 raise RunError(f"{board.path / HISTORY}: expected name and motions of {name}, found others.")
+            yield from submission_problems(board.info, submission, folder)
         except PrbenchError as error:
             yield error
         except OSError as error:
             yield RunError(f"{folder}: expected a submission that {HISTORY} adds, found {error.strerror}.")
-        else:
-            yield from submission_problems(board.info, submission, folder)
     taken: dict[str, str] = {}
     for name, entry in board.standing.items():
         for key in _keys(entry.name, entry.motions):
@@ -375,8 +387,8 @@ def submission_problems(info: BoardInfo, submission: Submission, folder: Path) -
             copies = DatasetSummary.read(run.dataset(table.dataset).path).hands_in_recordings
             if dataset.redistribution != "yes" and (own or copies) and dataset.name not in submission.permission:
                 yield RedistributionError(
-                    f"{run.path}: holds recorded motion of {dataset.title} ({dataset.name}), whose licence keeps it. Submit"
-                    f" without this run, or with --permission {dataset.name} if the licensor has given it."
+                    f"{run.path}: holds recorded motion of {dataset.title} ({dataset.name}), whose licence keeps it."
+                    f" Submit without this run, or with --permission {dataset.name} if the licensor has given it."
                 )
 
 
@@ -388,7 +400,8 @@ def motions_of(submission: Submission) -> tuple[str, ...]:
         digests = [
             each.sha256 for each in submission.members if each.path.startswith(begin) and "/predictions/" in each.path
         ]
-        if run.method not in METHOD_CONTROLS and run.control is None:
+        # A merged run has no motions of its own.
+        if digests and run.method not in METHOD_CONTROLS and run.control is None:
             found.append(text_digest(*sorted(digests)))
     return tuple(sorted(found))
 
@@ -416,7 +429,7 @@ def _require_new(board: BoardFolder, submission: Submission, reason: str) -> Non
         added = next(each for each in reversed(board.history) if each.id == name and each.action == ADD)
         if not reason and (submission.digest == added.submission or keys.intersection(added.motions)):
             raise StorageError(
-                f"{name} was withdrawn on {entry.date}: {clean(entry.reason)}. If it comes back, say why: --reason TEXT."
+                f"{name} was withdrawn on {entry.date}: {clean(entry.reason)}. If it comes back, say why: --reason."
             )
 
 
@@ -471,12 +484,13 @@ def _files(path: Path) -> Iterator[tuple[Path, str, bool]]:
 
 def _clear_leftovers(path: Path) -> None:
     """Delete what a killed command has left half-written in a board."""
-    for folder in (path, path / SUBMISSIONS, path / VERIFICATION):
-        for left in folder.glob(".*.partial*"):
-            if left.is_dir():
-                shutil.rmtree(left, ignore_errors=True)
-            else:
-                left.unlink(missing_ok=True)
+    for left in sorted(path.rglob(".*.partial*")):
+        if left.relative_to(path).parts[0] == _GIT:
+            continue
+        if left.is_dir() and not left.is_symlink():
+            shutil.rmtree(left, ignore_errors=True)
+        else:
+            left.unlink(missing_ok=True)
 
 
 def _write_history(path: Path, history: Sequence[HistoryEntry]) -> None:

@@ -1,7 +1,11 @@
-"""``prbench leaderboard submit`` and ``verify``: runs in one file, which whoever has the data scores again."""
+"""``prbench leaderboard submit`` and ``verify``: runs in one file, which whoever has the data scores again.
+
+``init``, ``add``, ``withdraw``, ``history``, ``build``, ``check`` and ``cite``: a board of such files in a folder.
+"""
 
 from __future__ import annotations
 
+import datetime
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from prbench.cli import options as opt
-from prbench.cli.commands import Answer, command, session
+from prbench.cli.commands import Answer, command, note, session
 from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
+    from prbench.board.folder import BoardFolder
     from prbench.board.verifying import Verification
 
 
@@ -114,3 +119,155 @@ def _print_verification(found: Verification) -> None:
         print_table("metrics of which tables of other values give other scores", header, rows, numbers=(3, 4, 5))
     print(f"training data: {found.training}")
     print(f"{found.submission}: {found.verdict}.")
+
+
+_BOARD = click.argument("board", type=opt.LOCAL_PATH, metavar="BOARD")
+_DATE = click.option(
+    "--date",
+    type=click.DateTime(["%Y-%m-%d"]),
+    default=lambda: str(datetime.date.today()),
+    callback=lambda _ctx, _param, day: str(day.date()),
+    metavar="YYYY-MM-DD",
+    help="Day in the history (default: today).",
+)
+
+
+@command(
+    "init",
+    example="prbench leaderboard init board --title 'Reach 2026' --contact reach@example.org --data tables",
+    report="prbench.board.folder:BoardInfo",
+)
+@click.argument("board", type=opt.LOCAL_PATH, metavar="DIR")
+@click.option("--title", default="Leaderboard", help="Title of the board.")
+@click.option("--url", default="", help="Where it is going to be read.")
+@click.option("--contact", default="", help="Whom to write to.")
+@click.option("--maintainer", "maintainers", multiple=True, help="A name to cite; repeatable.")
+@click.option("--licence", default="CC BY 4.0", help="Licence of submissions (default CC BY 4.0).")
+@opt.benchmark_option
+@opt.protocol_option("the rules by which all runs are scored.")
+@opt.data_option(required=False, help="Tables to compare methods on; without it the embedded synthetic ones.")
+def init(board: Path, data: tuple[Path, ...], benchmark: str | None, **given: Any) -> Answer:
+    """Begin a board: its rules, a README, and what GitHub needs to take and check submissions.
+
+    DIR may be a clone of a repository; its files stay as they are.
+    """
+    from prbench.board.upkeep import begin_board
+    from prbench.engine import InProcess
+    from prbench.protocol.manifests import default_benchmark
+
+    tables = data or opt.embedded_tables(InProcess())
+    made = begin_board(board, tables, benchmark=benchmark or default_benchmark().name, **given)
+    _say_what_licences_keep(made)
+    return Answer(made.info, lambda: print(f"board: {board}, of {', '.join(each.name for each in made.info.datasets)}"))
+
+
+@command(
+    "add",
+    example="prbench leaderboard add board mine.prbench.zip --data tables",
+    report="prbench.board.folder:HistoryEntry",
+)
+@_BOARD
+@click.argument("file", type=opt.PATH)
+@opt.data_option(required=False, help="Your own tables; the embedded ones need not be named.")
+@_DATE
+@click.option("--reason", default="", help="Why a withdrawn submission comes back; stays in the history.")
+@opt.workers_option()
+def add(board: Path, file: Path, data: tuple[Path, ...], workers: int, **given: str) -> Answer:
+    """Verify a submission, put it on a board, and make the pages again."""
+    from prbench.board.upkeep import add_submission
+    from prbench.engine import engine_for
+
+    entry, verification = add_submission(board, file, data, engine=engine_for(workers), **given)
+
+    def show() -> None:
+        print(f"training data: {verification.training}")
+        print(f"{entry.id}: {verification.verdict}.")
+        print(f"added to {board}")
+
+    return Answer(entry, show)
+
+
+@command(
+    "withdraw",
+    example="prbench leaderboard withdraw board mine-0a1b2c3d4e --reason 'trained on test recordings'",
+    report="prbench.board.folder:HistoryEntry",
+)
+@_BOARD
+@click.argument("name", metavar="ID")
+@click.option("--reason", required=True, help="Why; stays in the history and on the page.")
+@_DATE
+def withdraw(board: Path, name: str, **given: str) -> Answer:
+    """Take a submission from a board: its motions go, its line and the reason stay."""
+    from prbench.board.upkeep import withdraw_submission
+
+    entry = withdraw_submission(board, name, **given)
+    return Answer(entry, lambda: print(f"{entry.id}: withdrawn on {entry.date}: {entry.reason}"))
+
+
+@command("history", example="prbench leaderboard history board", report=["prbench.board.folder:HistoryEntry"])
+@_BOARD
+def history(board: Path) -> Answer:
+    """Print what was added to a board and withdrawn from it."""
+    from prbench.board.folder import BoardFolder
+
+    entries = list(BoardFolder.open(board).history)
+    rows = [(each.date, each.action, each.id, each.name, each.reason) for each in entries]
+    return Answer(entries, lambda: print_table(str(board), ("date", "action", "id", "name", "reason"), rows))
+
+
+@command("build", example="prbench leaderboard build board", report="prbench.board.folder:BoardInfo")
+@_BOARD
+def build(board: Path) -> Answer:
+    """Make the pages of a board again from its submissions alone; they are the same on every machine."""
+    from prbench.board.pages import PAGES
+    from prbench.board.upkeep import build_board
+
+    made = build_board(board)
+    _say_what_licences_keep(made)
+    return Answer(made.info, lambda: print(f"{', '.join(PAGES)} of {len(made.standing)} submissions: {board}"))
+
+
+@command("check", example="prbench leaderboard check board --against base", report="prbench.board.upkeep:BoardCheck")
+@_BOARD
+@opt.path_option("--against", "The board before a change: its history may only have grown.", metavar="DIR")
+@opt.data_option(required=False, help="Your own tables: submissions on them are scored again.")
+@opt.workers_option()
+def check(board: Path, against: Path | None, data: tuple[Path, ...], workers: int) -> Answer:
+    """Look for anything on a board that no command has put there; what a pull request's workflow runs.
+
+    Files, digests, history, licences and pages are compared. Scores are held against motions with --data alone.
+    """
+    from prbench.board.upkeep import check_board
+    from prbench.engine import engine_for
+
+    found = check_board(board, against=against, data=data, engine=engine_for(workers))
+
+    def show() -> None:
+        for problem in found.problems:
+            print(f"! {problem}")
+        print(f"{found.submissions} submissions, {found.withdrawn} withdrawn, {len(found.rescored)} scored again")
+        print(f"{board}: {len(found.problems)} problems" if found.problems else f"{board}: sound")
+
+    return Answer(found, show, 1 if found.problems else 0)
+
+
+@command("cite", example="prbench leaderboard cite board", report="prbench.board.pages:BoardCitation")
+@_BOARD
+@opt.choice_option("--format", ["bibtex", "apa", "cff"], "BibTeX (default), APA or CITATION.cff.", default="bibtex")
+def cite(board: Path, format: str) -> Answer:
+    """Print how to cite a board, its protocol and its datasets, and the papers that its entries declare."""
+    from prbench.board.folder import BoardFolder
+    from prbench.board.pages import cite_board
+
+    found = cite_board(BoardFolder.open(board))
+    return Answer(found, lambda: print(getattr(found, format).rstrip("\n")))
+
+
+def _say_what_licences_keep(board: BoardFolder) -> None:
+    """Say on the terminal what the page says, too."""
+    from prbench.board.export import licence_note
+
+    for dataset in board.info.datasets:
+        kept = licence_note(dataset.title, dataset.redistribution)
+        if kept:
+            note(kept)

@@ -33,7 +33,11 @@ leaderboard = Group(
             "compare": "prbench.cli.leaderboard:compare",
             "submit": "prbench.cli.board:submit",
             "verify": "prbench.cli.board:verify",
-        }
+        },
+        "boards in a folder": {
+            name: f"prbench.cli.board:{name}"
+            for name in ("init", "add", "withdraw", "history", "build", "check", "cite")
+        },
     },
     example=EXAMPLE,
     help="Put finished runs side by side.",
@@ -46,17 +50,28 @@ leaderboard = Group(
 @opt.out_file_option("Write the leaderboard to this file instead of printing it.")
 @opt.tables_option
 @opt.signed_option
+@click.option(
+    "--training",
+    multiple=True,
+    type=click.Choice(["none", "declared", "overlapping", "undeclared"]),
+    help="Only methods whose training data are declared so, and controls; repeatable.",
+)
 @opt.workers_option()
-def export(runs: tuple[Path, ...], format: str, out: Path | None, **given: Any) -> Answer:
+def export(runs: tuple[Path, ...], format: str, out: Path | None, training: tuple[str, ...], **given: Any) -> Answer:
     """Write a leaderboard of finished runs.
 
-    RUN are run folders, or folders that hold some.
+    RUN are run folders, folders that hold some, or boards of `prbench leaderboard init`.
     """
     from prbench import board as boards
-    from prbench.board.export import as_board
+    from prbench.board.collect import with_training
+    from prbench.board.export import as_board, licence_note
     from prbench.files.storage import sole_writer, write_text
 
-    board = boards.make_leaderboard(opt.collected_runs(runs, **given, any_benchmark=True))
+    collected = opt.collected_runs(runs, **given, any_benchmark=True)
+    board = boards.make_leaderboard(with_training(collected, training) if training else collected)
+    for kept in dict.fromkeys(licence_note(table.title, table.redistribution) for table in board.tables):
+        if kept:
+            note(kept)
     text = boards.export(board, format)
     if out is not None:
         with sole_writer(out):

@@ -87,8 +87,8 @@ def check_commands(folder: Path) -> int:
     for number, writing in enumerate(chosen):
         started = time.monotonic()
         held = _made(folder / f"{number}" / "held")
-        if writing.before:
-            run(held, *writing.words(inputs, held / writing.result, writing.before))
+        for earlier in writing.before:
+            run(held, *writing.words(inputs, held / writing.result, earlier))
         with sole_writer(held / (writing.held or writing.result)):
             before = writing.same(held)
             _in_a_child(partial(writing.is_refused, inputs, owner=os.getpid()), held)

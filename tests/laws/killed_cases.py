@@ -68,7 +68,7 @@ class Writing:
         command: Its words. ``{out}`` is the result, ``{event}`` an event of the table, other names are inputs.
         result: Path of the result below the folder of a try.
         held: Path that the command holds while it writes, below the folder of a try; by default the result.
-        before: A command that has succeeded in the same place before.
+        before: Commands that have succeeded in the same place before.
         varies: See :class:`Killed`.
         half_kept: Folder of a cache whose half-written entries wait until their entry is made next.
         refuses: It never replaces a finished result.
@@ -79,7 +79,7 @@ class Writing:
     command: str
     result: str = "result"
     held: str = ""
-    before: str = ""
+    before: tuple[str, ...] = ()
     varies: tuple[str, ...] = ()
     half_kept: str = ""
     refuses: bool = False
@@ -92,8 +92,8 @@ class Writing:
     def work(self, inputs: Path, folder: Path) -> None:
         """Call the command."""
         out = folder / self.result
-        if self.before and not out.exists():
-            run(folder, *self.words(inputs, out, self.before))
+        for earlier in () if out.exists() else self.before:
+            run(folder, *self.words(inputs, out, earlier))
         expected = StorageError.exit_code if self.refuses and out.exists() else 0
         run(folder, *self.words(inputs, out), expected=expected)
 
@@ -153,6 +153,7 @@ def make_inputs(folder: Path, *, heavy: bool = False) -> Path:
     call(f"{RUN} --out {{run}}")
     call(f"{STATIC} --out {{static}}")
     call(f"{STATIC} --samples 2 --out {{several}}")
+    call("leaderboard submit {static} --data {table} --name S --out {out}", "submission")
     for number in (1, 2):
         call(f"{STATIC} --fold {number}/2 --out {{out}}", f"fold-{number}")
         call(f"{BUILD} --shard {number}/2 --out {{out}}", f"table-shard-{number}")
@@ -178,6 +179,8 @@ def make_inputs(folder: Path, *, heavy: bool = False) -> Path:
     return folder
 
 
+INIT = "leaderboard init {beside} --data {table}"
+ADD = "leaderboard add {beside} {submission} --data {table} --date 2026-01-02"
 _RECORDING = "Apartment_release_synthetic_seed0_seq000_M1292"
 _EVALUATE = (
     "evaluate-text --evaluator {evaluator}/weights.safetensors --corpus {corpus} --repetitions 1 --diversity-pairs 2"
@@ -190,7 +193,7 @@ WRITING = (
     Writing(
         "build-dataset --out, over an older table",
         f"{BUILD} --out {{out}}",
-        before=f"{BUILD} --out {{out}} --in-hand wrist",
+        before=(f"{BUILD} --out {{out}} --in-hand wrist",),
     ),
     Writing(
         "build-dataset all --out",
@@ -248,6 +251,24 @@ WRITING = (
     Writing("study prediction --out", "study prediction {windows} --limit 4 --out {out}", "t.md", heavy=True),
     Writing("leaderboard export --out", "leaderboard export {run} --out {out}", "l.md"),
     Writing("leaderboard compare --out", "leaderboard compare {run} {run} --out {out}", "c.json"),
+    Writing("leaderboard init --out", INIT, "board/board.toml", held="board"),
+    Writing("leaderboard add --out", ADD, "board/history.jsonl", held="board", before=(INIT,), refuses=True),
+    Writing(
+        "leaderboard withdraw --out",
+        "leaderboard withdraw {beside} S --reason R --date 2026-01-03",
+        "board/history.jsonl",
+        held="board",
+        before=(INIT, ADD),
+    ),
+    *(
+        Writing(
+            f"leaderboard {name} --out",
+            f"leaderboard {name} {{beside}}/board --out {{out}}",
+            "r.json",
+            before=(INIT.replace("{beside}", "{beside}/board"),),
+        )
+        for name in ("history", "build", "check", "cite")
+    ),
     *(
         Writing(f"view --out {kind}", "view {run} --data {table} --limit 1 --out {out}", f"v.{kind}", heavy=True)
         for kind in ("png", "html", "mp4")
