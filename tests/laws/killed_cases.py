@@ -153,7 +153,7 @@ def make_inputs(folder: Path, *, heavy: bool = False) -> Path:
     call(f"{RUN} --out {{run}}")
     call(f"{STATIC} --out {{static}}")
     call(f"{STATIC} --samples 2 --out {{several}}")
-    call("leaderboard submit {static} --data {table} --name S --out {out}", "submission")
+    call(SUBMIT, "submission")
     for number in (1, 2):
         call(f"{STATIC} --fold {number}/2 --out {{out}}", f"fold-{number}")
         call(f"{BUILD} --shard {number}/2 --out {{out}}", f"table-shard-{number}")
@@ -179,6 +179,7 @@ def make_inputs(folder: Path, *, heavy: bool = False) -> Path:
     return folder
 
 
+SUBMIT = "leaderboard submit {static} --data {table} --name S --out {out}"
 INIT = "leaderboard init {beside} --data {table}"
 ADD = "leaderboard add {beside} {submission} --data {table} --date 2026-01-02"
 _RECORDING = "Apartment_release_synthetic_seed0_seq000_M1292"
@@ -251,6 +252,8 @@ WRITING = (
     Writing("study prediction --out", "study prediction {windows} --limit 4 --out {out}", "t.md", heavy=True),
     Writing("leaderboard export --out", "leaderboard export {run} --out {out}", "l.md"),
     Writing("leaderboard compare --out", "leaderboard compare {run} {run} --out {out}", "c.json"),
+    Writing("leaderboard submit --out", SUBMIT, "s.zip"),
+    Writing("leaderboard verify --out", "leaderboard verify {submission} --data {table} --out {out}", "v.json"),
     Writing("leaderboard init --out", INIT, "board/board.toml", held="board"),
     Writing("leaderboard add --out", ADD, "board/history.jsonl", held="board", before=(INIT,), refuses=True),
     Writing(
