@@ -26,10 +26,10 @@ from prbench.readers.aria_mps.synthetic import sense_mps, write_mps
 from prbench.readers.egoallo.bodies import read_output, read_smplh_rest
 from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo.bodies import read_pose_decoder, read_rest_joints
-from prbench.readers.gimo.bvh import read_bvh
+from prbench.readers.gimo.bvh import read_bvh, write_bvh
 from prbench.readers.gimo.gaze import read_vertices
 from prbench.readers.gimo.pickles import load_tensors
-from prbench.readers.gimo.synthetic import pickled_tensors, ply_bytes, write_bvh
+from prbench.readers.gimo.synthetic import pickled_tensors, ply_bytes
 from prbench.readers.gimo.table import read_segments
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.annotations import read_video_clock

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
 from prbench.files.bounded import read_text, require, require_rows
+from prbench.files.storage import write_text
 from prbench.geometry.skeleton import Joint, match_names
 from prbench.geometry.timelines import interpolate
 from prbench.readers.files import must_exist
@@ -138,6 +139,36 @@ def _number(word: str) -> float:
         return float(word)
     except ValueError:
         return math.nan
+
+
+def write_bvh(motion: BvhMotion, path: Path, *, tip: float = 5.0) -> None:
+    """Write one BVH file, whole or not at all; six decimals.
+
+    Args:
+        motion: The content; joints in the order of a file, each before its children and these before its siblings.
+        path: The file.
+        tip: Length of the end site that stands above every joint without children, file unit.
+    """
+    lines = ["HIERARCHY", *_joint_lines(motion, 0, "", tip), "MOTION", f"Frames: {len(motion.values)}"]
+    lines.append(f"Frame Time: {motion.frame_time!r}")
+    lines += [" ".join(f"{value:.6f}" for value in row) for row in motion.values.tolist()]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _joint_lines(motion: BvhMotion, index: int, indent: str, tip: float) -> list[str]:
+    joint = motion.joints[index]
+    inner = indent + "  "
+    children = [child for child, other in enumerate(motion.joints) if other.parent == index]
+    below = [line for child in children for line in _joint_lines(motion, child, inner, tip)]
+    end = [f"{inner}End Site", f"{inner}{{", f"{inner}  OFFSET 0.0 {tip!r} 0.0", f"{inner}}}"]
+    return [
+        f"{indent}{'ROOT' if joint.parent < 0 else 'JOINT'} {joint.name}",
+        f"{indent}{{",
+        f"{inner}OFFSET {' '.join(repr(value) for value in joint.offset)}",
+        f"{inner}CHANNELS {len(joint.channels)} {' '.join(joint.channels)}",
+        *(below or end),
+        f"{indent}}}",
+    ]
 
 
 def joint_positions(motion: BvhMotion) -> Float[np.ndarray, "n j 3"]:

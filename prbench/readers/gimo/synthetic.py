@@ -28,7 +28,7 @@ from prbench.geometry.timelines import interpolate, slerp
 from prbench.randomness import named_generator
 from prbench.readers.aria_mps.format import gaze_directions_cpf
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
+from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion, write_bvh
 from prbench.readers.gimo.pickles import STORAGE
 from prbench.readers.gimo.to_recording import recording_from_gimo
 from prbench.synthetic import GENERATOR_VERSION
@@ -318,30 +318,6 @@ def ply_bytes(vertices: Float[np.ndarray, "v 3"]) -> bytes:
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{names}end_header\n"
     rows = np.concatenate([vertices, np.tile([0.0, 1.0, 0.0], (len(vertices), 1))], axis=1)
     return header.encode() + rows.astype("<f8").tobytes()
-
-
-def write_bvh(motion: BvhMotion, path: Path) -> None:
-    """Write the hierarchy, whose joints stand in the order of a file, with an end site at every tip; six decimals."""
-    lines = ["HIERARCHY", *_joint_lines(motion, 0, ""), "MOTION", f"Frames: {len(motion.values)}"]
-    lines.append(f"Frame Time: {motion.frame_time!r}")
-    lines += [" ".join(f"{value:.6f}" for value in row) for row in motion.values.tolist()]
-    write_text(path, "\n".join(lines) + "\n")
-
-
-def _joint_lines(motion: BvhMotion, index: int, indent: str) -> list[str]:
-    joint = motion.joints[index]
-    inner = indent + "  "
-    children = [child for child, other in enumerate(motion.joints) if other.parent == index]
-    below = [line for child in children for line in _joint_lines(motion, child, inner)]
-    tip = [f"{inner}End Site", f"{inner}{{", f"{inner}  OFFSET 0.0 5.0 0.0", f"{inner}}}"]
-    return [
-        f"{indent}{'ROOT' if joint.parent < 0 else 'JOINT'} {joint.name}",
-        f"{indent}{{",
-        f"{inner}OFFSET {' '.join(repr(value) for value in joint.offset)}",
-        f"{inner}CHANNELS {len(joint.channels)} {' '.join(joint.channels)}",
-        *(below or tip),
-        f"{indent}}}",
-    ]
 
 
 def write_table(path: Path, segments: Sequence[gimo.Segment]) -> None:

@@ -205,6 +205,10 @@ def scene_of(
         thresholds=constants,
         goal=goal_of(chunk) if shown and placed else None,
         notice=notice(info, permitted),
+        info=info,
+        recording_id=chunk.strings("recording_id")[0],
+        start_time=float(chunk.numbers("start_time")[0]),
+        world_from_canonical=chunk.vectors("world_from_canonical").reshape(4, 4).astype(np.float64),
     )
 
 

@@ -13,6 +13,7 @@ from prbench.geometry.skeleton import BONES, WRISTS, Joint, head_forward
 from prbench.metrics import STUDY_METRICS, GazeRays, MetricInfo
 from prbench.metrics.ray_track import ray_distance
 from prbench.protocol.manifests import MetricConstants
+from prbench.sequences import DatasetInfo
 from prbench.viewing.figures import BOX_EDGES, horizontal_direction
 
 if TYPE_CHECKING:
@@ -77,6 +78,10 @@ class Scene:
         thresholds: The protocol's limits of priming and reaching, drawn beside the measured values.
         goal: None where the recorded motion is withheld, and where the goal's place is unknown.
         notice: Sentence that the dataset's terms ask a view to show.
+        info: Description of the table; None for a scene of no table.
+        recording_id: The recording that the sequence was cut from.
+        start_time: Time of the first frame on the recording's clock, seconds.
+        world_from_canonical: Maps canonical coordinates into the recording's world.
     """
 
     sequence_id: str
@@ -91,6 +96,10 @@ class Scene:
     thresholds: MetricConstants
     goal: Goal | None = None
     notice: str = ""
+    info: DatasetInfo | None = None
+    recording_id: str = ""
+    start_time: float = 0.0
+    world_from_canonical: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
 
     @property
     def shows_recorded(self) -> bool:

@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.readers.gimo.bvh import BvhMotion, joint_positions, place_skeleton, read_bvh
-from prbench.readers.gimo.synthetic import write_bvh
+from prbench.readers.gimo.bvh import BvhMotion, joint_positions, place_skeleton, read_bvh, write_bvh
 from tests.comparing import differences
 from tests.fakes import STANDING
 from tests.readers.gimo_sample import LEAD, N_FRAMES, path_of_pelvis, skeleton

@@ -1,0 +1,50 @@
+"""``prbench export-motion``: motions in files that other tools open."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from prbench.cli import options as opt
+from prbench.cli.commands import Answer, command, progress
+
+
+@command(
+    "export-motion",
+    example="prbench export-motion runs/static --data tables/adt --sequence Mug_2/pick --format bvh --out mug.bvh",
+    report="prbench.viewing.exporting.export:ExportReport",
+)
+@click.argument("source", type=opt.PATH, metavar="RUN|TABLE")
+@opt.choice_option("--format", ["bvh", "glb", "npz"], "The format (docs/exporting.md).", required=True)
+@opt.out_file_option("The file; a folder where there are several motions.", required=True, metavar="FILE|DIR")
+@opt.data_option(required=False, help="The table(s) of the run; not needed for the embedded synthetic datasets.")
+@opt.sequence_option("Export this sequence")
+@opt.limit_option("4")
+@click.option("--sample", type=int, default=0, metavar="K", help="Sample of runs with several (default 0, the first).")
+@opt.flag("--recorded", "Write the recorded motion of a run's sequences, too, each into a second file.")
+@opt.choice_option("--unit", ["m", "cm"], "Unit of BVH (default m).", default="m")
+@opt.permission_option
+def export_motion(*, permission: tuple[str, ...], format: str, **given: Any) -> Answer:
+    """Write motions into files that other tools open, one file a motion.
+
+    Of RUN the generated motions are written, of TABLE the recorded ones.
+    """
+    from prbench.viewing.exporting.export import ExportRequest
+    from prbench.viewing.exporting.export import export_motion as export
+
+    request = ExportRequest(form=format, permitted=permission, **given)  # pyright: ignore[reportArgumentType]
+    with progress(f"writing {request.out.name}") as show:
+        report = export(request, show)
+
+    def show_files() -> None:
+        for motion in report.motions:
+            error = f", positions within {motion.largest_error_mm:.1f} mm" if motion.error_mm else ""
+            print(f"{motion.file}: {motion.sequence_id}, {motion.motion}, {motion.n_frames} frames{error}")
+        for notice in dict.fromkeys(motion.notice for motion in report.motions if motion.notice):
+            print(f"notice: {notice}")
+        for dataset in report.left_out:
+            print(f"left out: recorded motion, gaze and goals of {dataset} (--permission {dataset} adds them)")
+        print(f"exported: {report.out}")
+
+    return Answer(report, show_files)

@@ -1,0 +1,1 @@
+"""Motions in files that other tools open: one module a format, and the command that writes one file a motion."""
