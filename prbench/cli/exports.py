@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -16,35 +17,42 @@ from prbench.cli.commands import Answer, command, progress
     report="prbench.viewing.exporting.export:ExportReport",
 )
 @click.argument("source", type=opt.PATH, metavar="RUN|TABLE")
-@opt.choice_option("--format", ["bvh", "glb", "npz"], "The format (docs/exporting.md).", required=True)
-@opt.out_file_option("The file; a folder where there are several motions.", required=True, metavar="FILE|DIR")
+@opt.choice_option(
+    "--format", ["bvh", "glb", "npz", "smpl", "rrd", "mp4"], "The format (docs/exporting.md).", required=True
+)
+@opt.out_file_option("The file; a folder where there are several.", required=True, metavar="FILE|DIR")
 @opt.data_option(required=False, help="The table(s) of the run; not needed for the embedded synthetic datasets.")
 @opt.sequence_option("Export this sequence")
 @opt.limit_option("4")
 @click.option("--sample", type=int, default=0, metavar="K", help="Sample of runs with several (default 0, the first).")
-@opt.flag("--recorded", "Write the recorded motion of a run's sequences, too, each into a second file.")
+@opt.flag("--recorded", "The recorded motion of a run's sequences, too: beside it in rrd and mp4, else in a file each.")
 @opt.choice_option("--unit", ["m", "cm"], "Unit of BVH (default m).", default="m")
+@opt.path_option("--body-model", "Your own SMPL, SMPL-H or SMPL-X (.npz), for smpl.")
+@opt.root_option("The recordings, whose streams rrd holds, too.", required=False)
 @opt.permission_option
-def export_motion(*, permission: tuple[str, ...], format: str, **given: Any) -> Answer:
+def export_motion(*, source: Path, data: tuple[Path, ...], permission: tuple[str, ...], **given: Any) -> Answer:
     """Write motions into files that other tools open, one file a motion.
 
     Of RUN the generated motions are written, of TABLE the recorded ones.
     """
+    from prbench.sequences.dataset_info import FILE_NAME
     from prbench.viewing.exporting.export import ExportRequest
     from prbench.viewing.exporting.export import export_motion as export
 
-    request = ExportRequest(form=format, permitted=permission, **given)  # pyright: ignore[reportArgumentType]
-    with progress(f"writing {request.out.name}") as show:
+    is_table = (source / FILE_NAME).is_file()
+    runs, data = ((), (source, *data)) if is_table else ((source,), data)
+    request = ExportRequest(runs=runs, data=data, form=given.pop("format"), permitted=permission, **given)
+    with progress(f"writing {given['out'].name}") as show:
         report = export(request, show)
 
     def show_files() -> None:
         for motion in report.motions:
-            error = f", positions within {motion.largest_error_mm:.1f} mm" if motion.error_mm else ""
+            error = f", joints within {motion.largest_error_mm:.1f} mm" if motion.error_mm else ""
             print(f"{motion.file}: {motion.sequence_id}, {motion.motion}, {motion.n_frames} frames{error}")
         for notice in dict.fromkeys(motion.notice for motion in report.motions if motion.notice):
             print(f"notice: {notice}")
         for dataset in report.left_out:
-            print(f"left out: recorded motion, gaze and goals of {dataset} (--permission {dataset} adds them)")
+            print(f"left out: recorded motion and goals of {dataset} (--permission {dataset} adds them)")
         print(f"exported: {report.out}")
 
     return Answer(report, show_files)

@@ -276,6 +276,7 @@ WRITING = (
         Writing(f"view --out {kind}", "view {run} --data {table} --limit 1 --out {out}", f"v.{kind}", heavy=True)
         for kind in ("png", "html", "mp4")
     ),
+    Writing("export-motion --out", "export-motion {run} --data {table} --format bvh --out {out}"),
     Writing("review --out", "review {built} --root {adt} --out {out}", "r.html", heavy=True),
     Writing("explain --draw", "explain --data {table} {event} --draw {out}", "e.png", heavy=True),
     Writing("explain --out", "explain --data {table} {event} --out {out}", "e.json"),

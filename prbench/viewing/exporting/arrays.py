@@ -9,36 +9,33 @@ import msgspec
 import numpy as np
 
 from prbench.geometry.skeleton import PARENTS, Joint
-from prbench.viewing.replay.scene import Scene, ShownMotion
+from prbench.viewing.replay.scene import Scene
 
 
-def write_arrays(scene: Scene, motion: ShownMotion, path: Path, about: dict[str, Any]) -> None:
-    """Write a motion as ``.npz``; docs/exporting.md#npz names the arrays.
+def write_arrays(scene: Scene, path: Path, about: dict[str, Any]) -> None:
+    """Write the first motion of a scene as ``.npz``; docs/exporting.md names the arrays.
 
     Args:
         scene: The sequence; its goal is left out where it has none.
-        motion: One motion of it.
         path: The file.
         about: What is said of the motion, written as JSON.
     """
-    arrays = {
+    motion = scene.motions[0]
+    arrays: dict[str, Any] = {
         "joints": motion.joints.astype(np.float32),
-        "joint_names": np.array([joint.name.lower() for joint in Joint]),
-        "parents": np.array(PARENTS),
-        "fps": np.array(scene.fps),
+        "joint_names": [joint.name.lower() for joint in Joint],
+        "parents": PARENTS,
+        "fps": scene.fps,
         "times": scene.times,
-        "prime_time": np.array(scene.prime_time),
-        "event_time": np.array(scene.event_time),
-        "units": np.array("metres, seconds; canonical frame: Y up, the first pose faces +Z"),
-        "about": np.array(msgspec.json.encode(about, order="sorted").decode()),
+        "prime_time": scene.prime_time,
+        "event_time": scene.event_time,
+        "units": "metres, seconds; canonical frame: Y up, the first pose faces +Z",
+        "about": msgspec.json.encode(about, order="sorted").decode(),
     }
     if scene.goal is not None:
-        arrays["goal_location"] = scene.goal.location
-        arrays["goal_box_corners"] = scene.goal.box_corners
+        arrays |= {"goal_location": scene.goal.location, "goal_box_corners": scene.goal.box_corners}
         arrays["world_from_canonical"] = scene.world_from_canonical
     if motion.gaze is not None:
-        arrays["gaze_origin"] = motion.gaze.origin
-        arrays["gaze_direction"] = motion.gaze.direction
-        arrays["gaze_valid"] = motion.gaze.valid
+        arrays |= {f"gaze_{name}": getattr(motion.gaze, name) for name in ("origin", "direction", "valid")}
     with open(path, "wb") as file:  # a path without the suffix would get it
         np.savez(file, **arrays)

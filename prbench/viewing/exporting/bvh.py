@@ -39,9 +39,7 @@ def write_motion_bvh(posed: PosedSkeleton, path: Path, *, fps: float, unit: str)
         channels = rotations if joint else (*POSITION_CHANNELS, *rotations)
         x, y, z = offset.round(8).tolist()
         joints.append(BvhJoint(Joint(joint).name.lower(), parent, (x, y, z), channels))
-        with (
-            warnings.catch_warnings()
-        ):  # of a quarter turn, where any of the equal triples will do
+        with warnings.catch_warnings():  # of a quarter turn, where any of the equal triples will do
             warnings.simplefilter("ignore", UserWarning)
             angles = Rotation.from_matrix(posed.local[:, joint]).as_euler(_ORDER, degrees=True)
         columns.append(np.unwrap(angles, period=360.0, axis=0))  # tools that draw between frames turn the short way

@@ -3,55 +3,49 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
+import numpy as np
 
-from prbench.errors import RedistributionError, StorageError, UsageError
+from prbench.viewing.review import native_recordings
+from prbench.curation.mending import mended
+from prbench.errors import InputFileError, RedistributionError, StorageError, UsageError
 from prbench.files.storage import atomic_folder, require_replaceable, sole_file, sole_writer, text_digest, write_json
 from prbench.geometry.skeleton import Joint
-from prbench.harness.run_folder import RunFolder
-from prbench.progress_bar import ProgressCallback
-from prbench.sequences.dataset_info import FILE_NAME
+from prbench.recording import Recording
+from prbench.sequences import DatasetInfo
 from prbench.viewing.exporting.skeleton import pose_skeleton
-from prbench.viewing.replay.scene import RECORDED, Scene, ShownMotion
-from prbench.viewing.view import ViewRequest, scenes_of
+from prbench.viewing.replay.scene import Progress, Scene
+from prbench.viewing.view import ViewRequest, file_kind, scenes_of
 
-Form = Literal["bvh", "glb", "npz"]
+# Maps each format to the suffix of its files.
+SUFFIXES = {"bvh": ".bvh", "glb": ".glb", "npz": ".npz", "smpl": ".npz", "rrd": ".rrd", "mp4": ".mp4"}
+_OF_ONE_MOTION = ("bvh", "glb", "npz", "smpl")  # the others show several beside one another
 MANIFEST = "motions.json"
 _LONGEST_NAME = 60  # letters of an id in the name of a file
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportRequest:
-    """The motions that a user wants, and the form.
+class ExportRequest(ViewRequest):
+    """The motions that a user wants: of one run, or of a table the recorded ones.
 
     Attributes:
-        source: A run, or a table, whose recorded motion is meant.
-        out: The file; a folder where there are several.
-        form: Format, which is the suffix of the files, too.
-        data: Tables of the run.
-        sequences: Ids, or parts of ids that fit one sequence only.
-        limit: Largest number of sequences of each dataset where none is named.
-        sample: Number of the motion, for runs that drew several.
-        recorded: The recorded motion, too, in a second file.
+        form: Format, a key of :data:`SUFFIXES`.
+        recorded: The recorded motion of a run's sequences, too.
         unit: Unit of BVH, a key of :data:`prbench.viewing.exporting.bvh.UNITS`.
-        permitted: Datasets for which the user has permission to pass recorded motion on.
+        body_model: The user's SMPL, SMPL-H or SMPL-X, for the format ``smpl``.
+        root: The recordings that the table was built from, whose streams an ``rrd`` holds, too.
     """
 
-    source: Path
-    out: Path
-    form: Form
-    data: tuple[Path, ...] = ()
-    sequences: tuple[str, ...] = ()
-    limit: int | None = None
-    sample: int = 0
+    form: str
     recorded: bool = False
     unit: str = "m"
-    permitted: Collection[str] = ()
+    body_model: Path | None = None
+    root: Path | None = None
 
 
 class ExportedMotion(msgspec.Struct, frozen=True, kw_only=True):
@@ -64,8 +58,8 @@ class ExportedMotion(msgspec.Struct, frozen=True, kw_only=True):
         motion: The method and its condition, or ``ground truth``.
         fps: Frames a second.
         n_frames: Number of frames.
-        error_mm: Mean distance of each joint in the file from the motion, where bones have a constant length in the
-            file and not in the motion; millimetres.
+        error_mm: Mean distance of each joint in the file from the motion, millimetres; not 0 where bones change their
+            length, or a body model has others. Empty for formats that hold positions.
         largest_error_mm: The largest of any joint and frame.
         notice: Sentence that the dataset's terms ask for.
         licence: Licence of the dataset.
@@ -91,7 +85,7 @@ class ExportReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         out: The file, or the folder with them and ``motions.json``, which lists them as this report does.
         motions: One entry a file.
-        left_out: Datasets whose recorded motion, gaze and goals their licence keeps, and which are not in the files.
+        left_out: Datasets whose recorded motion and goals their licence keeps, and which are not in the files.
     """
 
     out: Path
@@ -99,108 +93,125 @@ class ExportReport(msgspec.Struct, frozen=True, kw_only=True):
     left_out: list[str]
 
 
-def export_motion(request: ExportRequest, progress: ProgressCallback = lambda *_: None) -> ExportReport:
+def export_motion(request: ExportRequest, progress: Progress = lambda *_: None) -> ExportReport:
     """Write motions, one file each.
 
     Raises:
-        UsageError: if the output's name does not fit, or a sequence is unknown or left out by the run.
+        UsageError: if options do not fit together, or a sequence is unknown or left out by the run.
+        InputFileError: if the body model or a recording cannot be read.
         RunError: if the run has no predictions, was made on another table, or its scores are not those of its motions.
-        RedistributionError: if a licence keeps all that would be written.
+        RedistributionError: if a licence keeps what would be written.
+        MissingExtraError: if the format needs a package that is not installed.
         StorageError: if the output cannot be written or holds something else.
     """
-    scenes, left_out = _scenes(request)
-    work = [(scene, motion) for scene in scenes for motion in _wanted(request, scene)]
-    _require_fitting_name(request.out, request.form, len(work))
-    motions = []
-
-    def write_all(place: Path, names: list[str]) -> None:
-        for (scene, motion), name in zip(work, names, strict=True):
-            path = place / name if len(work) > 1 else place
-            motions.append(_write(request, scene, motion, path, name))
-            progress(len(motions), len(work), scene.sequence_id)
-
+    form = request.form
+    for option, value, needed in (("--body-model", request.body_model, "smpl"), ("--root", request.root, "rrd")):
+        if value is not None and form != needed:
+            raise UsageError(f"{option}: belongs to --format {needed}; leave it out for {form}.")
+    if form == "smpl" and request.body_model is None:
+        raise UsageError("--format smpl: name your own copy of SMPL, SMPL-H or SMPL-X with --body-model FILE.npz.")
+    if form == "mp4":
+        file_kind(Path("film.mp4"))  # says what to install before minutes of reading
+    scenes, left_out = _permitted(request)
+    work = [each for scene in scenes for each in _parts(request, scene)]
+    out = request.out
+    is_file = out.suffix.lower() == SUFFIXES[form]
+    if len(work) == 1 and not is_file:
+        raise UsageError(f"{out}: expected a file that ends in {SUFFIXES[form]}, found '{out.suffix or 'no suffix'}'.")
+    if len(work) == 1 and out.is_dir():
+        raise StorageError(f"{out}: is a folder. Choose a file for --out.")
+    if len(work) > 1 and is_file:
+        raise UsageError(f"{out}: expected a folder for {len(work)} files, found a file's name. Leave out its suffix.")
     if len(work) == 1:
-        with sole_file(request.out) as temporary:
-            write_all(temporary, [request.out.name])
-        return ExportReport(out=request.out, motions=motions, left_out=left_out)
-    names = [file_name(scene.sequence_id, motion.label == RECORDED, request) for scene, motion in work]
-    with sole_writer(request.out), atomic_folder(request.out) as folder:
-        write_all(folder, names)
+        with sole_file(out) as temporary:
+            motions = [_write(request, work[0], temporary, out.name)]
+        return ExportReport(out=out, motions=motions, left_out=left_out)
+    require_replaceable(out, MANIFEST, kind="export of motions")
+    motions = []
+    with sole_writer(out), atomic_folder(out) as folder:
+        for scene in work:
+            name = file_name(scene.sequence_id, SUFFIXES[form], recorded=scene.shows_recorded and request.recorded)
+            motions.append(_write(request, scene, folder / name, name))
+            progress(len(motions), len(work), scene.sequence_id)
         write_json(folder / MANIFEST, {"motions": msgspec.to_builtins(motions), "left_out": left_out})
-    return ExportReport(out=request.out, motions=motions, left_out=left_out)
+    return ExportReport(out=out, motions=motions, left_out=left_out)
 
 
-def _scenes(request: ExportRequest) -> tuple[list[Scene], list[str]]:
+def _permitted(request: ExportRequest) -> tuple[list[Scene], list[str]]:
     """Read the sequences without what their licences keep, and name the datasets of which something is left out."""
-    run = None if (request.source / FILE_NAME).is_file() else RunFolder.open(request.source)
-    data = (request.source,) if run is None else request.data
-    view = ViewRequest(
-        out=request.out, runs=() if run is None else (request.source,), data=data, sequences=request.sequences,
-        limit=request.limit, sample=request.sample, permitted=request.permitted,
-    )  # fmt: skip
     scenes = []
     left_out = set()
-    for scene in scenes_of(view):
-        assert scene.info is not None, "read from a table"
-        if scene.info.redistribution == "yes" or scene.dataset in request.permitted:
-            scenes.append(scene)
-            continue
-        # A file is made to be passed on, so that terms such as non-commercial need the user's word, too. Controls are
-        # made of recorded motion.
-        generated = tuple(motion for motion in scene.motions if motion.label != RECORDED)
-        if not generated or request.recorded or run is None or run.record.method.kind == "control":
-            raise RedistributionError(
-                f"{scene.info.title} ({scene.dataset}): its licence ({scene.info.licence}) restricts who may be given"
-                " recorded motion and goals, and the files would hold them. If you keep to it, or have the licensor's"
-                f" permission, say so: --permission {scene.dataset}"
-            )
-        left_out.add(scene.dataset)
-        scenes.append(replace(scene, motions=generated, goal=None))
+    for scene in scenes_of(request):
+        info = _info(scene)
+        # A file is made to be passed on, so that terms such as non-commercial need the user's word, too.
+        if info.redistribution != "yes" and scene.dataset not in request.permitted:
+            methods = tuple(motion for motion in scene.motions if motion.kind == "method")
+            if not methods or request.recorded or request.root is not None:
+                raise RedistributionError(
+                    f"{info.title} ({scene.dataset}): its licence ({info.licence}) says to whom recorded motion and"
+                    " goals may be given, and the files would hold them. If you keep to it, or have the licensor's"
+                    f" permission, say so: --permission {scene.dataset}"
+                )
+            left_out.add(scene.dataset)
+            scene = replace(scene, motions=methods, goal=None)
+        scenes.append(scene)
     return scenes, sorted(left_out)
 
 
-def _wanted(request: ExportRequest, scene: Scene) -> tuple[ShownMotion, ...]:
-    """Return the motions that get a file: the generated ones, and the recorded one where it is asked for or alone."""
-    generated = tuple(motion for motion in scene.motions if motion.label != RECORDED)
-    return scene.motions if request.recorded or not generated else generated
+def _parts(request: ExportRequest, scene: Scene) -> Sequence[Scene]:
+    """Return what gets a file of its own: recorded motion where it is asked for, or where there is no other."""
+    generated = tuple(motion for motion in scene.motions if motion.kind != "recorded")
+    motions = scene.motions if request.recorded or not generated else generated
+    if request.form not in _OF_ONE_MOTION:
+        return [replace(scene, motions=motions)]
+    return [replace(scene, motions=(motion,)) for motion in motions]
 
 
-def _require_fitting_name(out: Path, form: str, n_files: int) -> None:
-    """Refuse, before anything is written, an output that is no file, or no folder, where one is needed."""
-    is_file = out.suffix.lower() == f".{form}"
-    if n_files == 1 and not is_file:
-        raise UsageError(f"{out}: expected a file that ends in .{form}, found '{out.suffix or 'no suffix'}'.")
-    if n_files == 1 and out.is_dir():
-        raise StorageError(f"{out}: is a folder. Choose a file for --out.")
-    if n_files > 1 and is_file:
-        raise UsageError(f"{out}: expected a folder for {n_files} motions, found a file's name. Leave .{form} out.")
-    if n_files > 1:
-        require_replaceable(out, MANIFEST, kind="export of motions")
-
-
-def file_name(sequence_id: str, recorded: bool, request: ExportRequest) -> str:
+def file_name(sequence_id: str, suffix: str, *, recorded: bool = False) -> str:
     """Return a name that every file system takes: the id's letters and digits, and eight of its digest."""
-    words = re.sub(r"[^A-Za-z0-9]+", "-", sequence_id).strip("-")[:_LONGEST_NAME]
-    which = "-recorded" if recorded and request.recorded else ""
-    return f"{words}-{text_digest(sequence_id)[:8]}{which}.{request.form}"
+    words = re.sub(r"[^A-Za-z0-9]+", "-", sequence_id)[:_LONGEST_NAME].strip("-")
+    return f"{words}-{text_digest(sequence_id)[:8]}{'-recorded' if recorded else ''}{suffix}"
 
 
-def _write(request: ExportRequest, scene: Scene, motion: ShownMotion, path: Path, name: str) -> ExportedMotion:
+def _info(scene: Scene) -> DatasetInfo:
+    assert scene.info is not None, "the scene was read from a table"
+    return scene.info
+
+
+def _write(request: ExportRequest, scene: Scene, path: Path, name: str) -> ExportedMotion:
     """Write one file, and say what is in it."""
-    assert scene.info is not None, "read from a table"
+    info = _info(scene)
     said = ExportedMotion(
-        file=name, sequence_id=scene.sequence_id, dataset=scene.dataset, motion=motion.label, fps=scene.fps,
-        n_frames=scene.n_frames, notice=scene.notice, licence=scene.info.licence, citation=scene.info.citation,
+        file=name, sequence_id=scene.sequence_id, dataset=scene.dataset, fps=scene.fps, n_frames=scene.n_frames,
+        motion=", ".join(motion.label for motion in scene.motions),
+        notice=scene.notice, licence=info.licence, citation=info.citation,
     )  # fmt: skip
-    about: dict[str, Any] = msgspec.to_builtins(said)
-    about |= {"prime_time": scene.prime_time, "event_time": scene.event_time, "homepage": scene.info.homepage}
+    of_files = ("file", "error_mm", "largest_error_mm")
+    about: dict[str, Any] = {key: value for key, value in msgspec.to_builtins(said).items() if key not in of_files}
+    about |= {"prime_time": scene.prime_time, "event_time": scene.event_time, "homepage": info.homepage}
+    joints = scene.motions[0].joints
+    if request.form == "mp4":
+        from prbench.viewing.replay.film import film_scenes
+
+        film_scenes([scene], path, lambda *_: None)
+        return said
+    if request.form == "rrd":
+        from prbench.viewing.exporting.rerun_file import write_rrd
+
+        write_rrd(scene, path, about, None if request.root is None else _recording(scene, request.root))
+        return said
     if request.form == "npz":
         from prbench.viewing.exporting.arrays import write_arrays
 
-        write_arrays(scene, motion, path, about)
+        write_arrays(scene, path, about)
         return said
-    posed = pose_skeleton(motion.joints)
-    millimetres = 1000 * posed.error
+    if request.form == "smpl":
+        from prbench.viewing.exporting.smpl import write_smpl
+
+        assert request.body_model is not None, "asked for above"
+        error = write_smpl(joints, request.body_model, path, about)
+        return _with_error(said, error)
+    posed = pose_skeleton(joints)
     if request.form == "bvh":
         from prbench.viewing.exporting.bvh import write_motion_bvh
 
@@ -208,7 +219,21 @@ def _write(request: ExportRequest, scene: Scene, motion: ShownMotion, path: Path
     else:
         from prbench.viewing.exporting.glb import write_glb
 
-        write_glb(scene, motion, posed, path, about)
-    per_joint = dict(zip((joint.name.lower() for joint in Joint), millimetres.mean(axis=0).round(3).tolist()))
-    largest = round(float(millimetres.max()), 3)
-    return msgspec.structs.replace(said, error_mm=per_joint, largest_error_mm=largest)
+        write_glb(scene, posed, path, about)
+    return _with_error(said, posed.error)
+
+
+def _with_error(said: ExportedMotion, error: np.ndarray) -> ExportedMotion:
+    """Add the distances of the joints (frames, 22), metres."""
+    means = (1000 * error.mean(axis=0)).round(3).tolist()
+    per_joint = {joint.name.lower(): mean for joint, mean in zip(Joint, means, strict=True)}
+    return msgspec.structs.replace(said, error_mm=per_joint, largest_error_mm=round(1000 * float(error.max()), 3))
+
+
+def _recording(scene: Scene, root: Path) -> Recording:
+    """Read the recording of a sequence as its table's build read it."""
+    sources, mends = native_recordings(_info(scene), root)
+    if scene.recording_id not in sources:
+        found = ", ".join(list(sources)[:3])
+        raise InputFileError(root, "", expected=f"the recording {scene.recording_id}", found=f"others, such as {found}")
+    return mended(sources[scene.recording_id].read(), *mends)

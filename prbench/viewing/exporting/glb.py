@@ -12,11 +12,12 @@ from typing import Any
 import msgspec
 import numpy as np
 import trimesh
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.geometry.skeleton import BONES, N_JOINTS, Joint
 from prbench.viewing.exporting.skeleton import CHILDREN, PosedSkeleton
-from prbench.viewing.replay.scene import GOAL_COLOUR, Goal, Scene, ShownMotion, rgb
+from prbench.viewing.replay.scene import GOAL_COLOUR, Scene, rgb
 
 # Radius of the bone that ends in each joint, metres; that of the pelvis is not used.
 _RADII = (
@@ -24,10 +25,10 @@ _RADII = (
     0.045, 0.045, 0.035, 0.035,
 )  # fmt: skip
 _HEAD_RADIUS = 0.1
+_SHORTEST = 0.001  # metres; shorter bones are a ball alone
 _POINT = 0.03  # metres; a goal without extent is drawn as a cube of this side
 _TYPES = {"float32": 5126, "uint16": 5123, "uint8": 5121}
 _SHAPES = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
-_VERTICES, _TRIANGLES = 34962, 34963  # what a buffer view is for
 
 
 class _Gltf:
@@ -39,66 +40,69 @@ class _Gltf:
         self.accessors: list[dict[str, Any]] = []
         self.materials: list[dict[str, Any]] = []
 
-    def add(self, values: np.ndarray, *, target: int | None = None, bounds: bool = False, unit: bool = False) -> int:
-        """Add an array and return the number of its accessor; ``unit`` reads whole numbers as 0 to 1."""
+    def add(self, values: np.ndarray) -> int:
+        """Add an array, numbers with a point as float32, and return the number of its accessor."""
+        values = values.astype(np.float32) if values.dtype.kind == "f" else values
+        accessor = {"bufferView": len(self.views), "componentType": _TYPES[values.dtype.name], "count": len(values)}
+        accessor["type"] = _SHAPES[values.shape[1:]]
+        if values.ndim < 3:  # demanded of positions and times, allowed for all
+            accessor |= {"min": np.atleast_1d(values.min(axis=0)).tolist()}
+            accessor |= {"max": np.atleast_1d(values.max(axis=0)).tolist()}
+        self.accessors.append(accessor)
         self.views.append({"buffer": 0, "byteOffset": len(self.data), "byteLength": values.nbytes})
-        self.data += np.ascontiguousarray(values).astype(values.dtype.newbyteorder("<")).tobytes()
+        self.data += values.astype(values.dtype.newbyteorder("<")).tobytes()
         self.data += bytes(-len(self.data) % 4)
-        if target is not None:
-            self.views[-1]["target"] = target
-        kind = {"componentType": _TYPES[values.dtype.name], "type": _SHAPES[values.shape[1:]], "count": len(values)}
-        if bounds:
-            kind["min"] = np.atleast_1d(values.min(axis=0)).tolist()
-            kind["max"] = np.atleast_1d(values.max(axis=0)).tolist()
-        if unit:
-            kind["normalized"] = True
-        self.accessors.append({"bufferView": len(self.views) - 1, **kind})
         return len(self.accessors) - 1
 
-    def primitive(self, mesh: trimesh.Trimesh, colour: tuple[float, float, float, float]) -> dict[str, Any]:
-        """Add a surface of one colour, and return the primitive."""
-        material: dict[str, Any] = {"pbrMetallicRoughness": {"baseColorFactor": colour, "metallicFactor": 0.0}}
-        if colour[3] < 1:
-            material |= {"alphaMode": "BLEND", "doubleSided": True}
-        self.materials.append(material)
-        positions = self.add(mesh.vertices.astype(np.float32), target=_VERTICES, bounds=True)
-        normals = self.add(mesh.vertex_normals.astype(np.float32), target=_VERTICES)
-        indices = self.add(mesh.faces.astype(np.uint16).ravel(), target=_TRIANGLES)
-        attributes = {"POSITION": positions, "NORMAL": normals}
+    def primitive(self, mesh: trimesh.Trimesh, colour: Float[np.ndarray, "3"], opacity: float = 1.0) -> dict[str, Any]:
+        """Add a surface of one linear colour, 0 to 1, and return the primitive."""
+        material = {"pbrMetallicRoughness": {"baseColorFactor": [*colour.tolist(), opacity], "metallicFactor": 0.0}}
+        see_through = {"alphaMode": "BLEND", "doubleSided": True}
+        self.materials.append(material if opacity == 1 else material | see_through)
+        attributes = {"POSITION": self.add(mesh.vertices), "NORMAL": self.add(mesh.vertex_normals)}
+        indices = self.add(mesh.faces.astype(np.uint16).ravel())
         return {"attributes": attributes, "indices": indices, "material": len(self.materials) - 1}
 
 
-def write_glb(scene: Scene, motion: ShownMotion, posed: PosedSkeleton, path: Path, about: dict[str, Any]) -> None:
-    """Write a motion as an animated glTF binary; metres, Y up, canonical frame.
+def write_glb(scene: Scene, posed: PosedSkeleton, path: Path, about: dict[str, Any]) -> None:
+    """Write the first motion of a scene as an animated glTF binary; metres, Y up, canonical frame.
 
     Args:
         scene: The sequence; its goal is left out where it has none.
-        motion: One motion of it.
-        posed: The same as rotations.
+        posed: The motion as rotations.
         path: The file.
-        about: What is said of the motion; stands in the document's ``extras``.
+        about: What is said of the motion; stands in the scene's ``extras``.
     """
     gltf = _Gltf()
-    nodes: list[dict[str, Any]] = []
-    for joint in Joint:
-        place = posed.root[0] if joint == Joint.PELVIS else posed.offsets[joint]
-        quaternion = Rotation.from_matrix(posed.local[0, joint]).as_quat()
-        nodes.append({"name": joint.name.lower(), "translation": place.tolist(), "rotation": quaternion.tolist()})
-        if CHILDREN[joint]:
-            nodes[-1]["children"] = list(CHILDREN[joint])
-    animation = _animation(gltf, scene, posed)
     rest = posed.offsets.copy()
     for parent, child in BONES:
         rest[child] = rest[parent] + rest[child]
-    inverse = np.tile(np.eye(4, dtype=np.float32), (N_JOINTS, 1, 1))
+    inverse = np.tile(np.eye(4), (N_JOINTS, 1, 1))
     inverse[:, 3, :3] = -rest  # stored column after column
     skin = {"joints": list(range(N_JOINTS)), "inverseBindMatrices": gltf.add(inverse), "skeleton": 0}
-    meshes = [{"name": "body", "primitives": _body(gltf, rest, motion.colour)}]
+    nodes: list[dict[str, Any]] = []
+    times = gltf.add(scene.times)
+    samplers = [{"input": times, "output": gltf.add(posed.root)}]
+    channels = [{"sampler": 0, "target": {"node": 0, "path": "translation"}}]
+    for joint in Joint:
+        quaternions = Rotation.from_matrix(posed.local[:, joint]).as_quat()
+        # Both signs mean one rotation; viewers that draw between two frames turn the short way only with equal ones.
+        turned = (quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0
+        quaternions[1:][np.cumsum(turned) % 2 == 1] *= -1
+        channels.append({"sampler": len(samplers), "target": {"node": int(joint), "path": "rotation"}})
+        samplers.append({"input": times, "output": gltf.add(quaternions)})
+        place = posed.offsets[joint] if joint else posed.root[0]
+        node = {"name": joint.name.lower(), "translation": place.tolist(), "rotation": quaternions[0].tolist()}
+        nodes.append(node | ({"children": list(CHILDREN[joint])} if CHILDREN[joint] else {}))
+    meshes = [{"name": "body", "primitives": _body(gltf, rest, scene.motions[0].colour)}]
     nodes.append({"name": "body", "mesh": 0, "skin": 0})
     if scene.goal is not None:
+        corners = scene.goal.box_corners - scene.goal.location
+        if np.ptp(corners, axis=0).max() < _POINT:
+            corners = trimesh.creation.box((_POINT,) * 3).vertices
+        box = gltf.primitive(trimesh.convex.convex_hull(corners), _linear(GOAL_COLOUR), 0.4)
+        meshes.append({"name": "goal", "primitives": [box]})
         nodes.append({"name": "goal", "mesh": 1, "translation": scene.goal.location.tolist()})
-        box = _box(scene.goal)
-        meshes.append({"name": "goal", "primitives": [gltf.primitive(box, (*_shade(GOAL_COLOUR), 0.4))]})
     document = {
         "asset": {"version": "2.0", "generator": "prbench", "copyright": about["notice"] or about["licence"]},
         "scene": 0,
@@ -106,7 +110,7 @@ def write_glb(scene: Scene, motion: ShownMotion, posed: PosedSkeleton, path: Pat
         "nodes": nodes,
         "meshes": meshes,
         "skins": [skin],
-        "animations": [{"name": motion.label, **animation}],
+        "animations": [{"name": scene.motions[0].label, "samplers": samplers, "channels": channels}],
         "materials": gltf.materials,
         "accessors": gltf.accessors,
         "bufferViews": gltf.views,
@@ -119,60 +123,31 @@ def write_glb(scene: Scene, motion: ShownMotion, posed: PosedSkeleton, path: Pat
     path.write_bytes(b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little") + body)
 
 
-def _animation(gltf: _Gltf, scene: Scene, posed: PosedSkeleton) -> dict[str, Any]:
-    """Add the channels: the pelvis's place, and every joint's rotation."""
-    times = gltf.add(scene.times.astype(np.float32), bounds=True)
-    outputs = [("translation", 0, posed.root)]
-    for joint in Joint:
-        quaternions = Rotation.from_matrix(posed.local[:, joint]).as_quat()
-        # Both signs mean one rotation; viewers that draw between two frames turn the short way only with equal ones.
-        turned = (quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0
-        quaternions[1:][np.cumsum(turned) % 2 == 1] *= -1
-        outputs.append(("rotation", int(joint), quaternions))
-    samplers = []
-    channels = []
-    for number, (kind, node, values) in enumerate(outputs):
-        samplers.append({"input": times, "output": gltf.add(values.astype(np.float32)), "interpolation": "LINEAR"})
-        channels.append({"sampler": number, "target": {"node": node, "path": kind}})
-    return {"samplers": samplers, "channels": channels}
-
-
-def _body(gltf: _Gltf, rest: np.ndarray, colour: str) -> list[dict[str, Any]]:
+def _body(gltf: _Gltf, rest: Float[np.ndarray, "22 3"], colour: str) -> list[dict[str, Any]]:
     """Add a capsule a bone and a head; left limbs are lighter, so that the sides can be told apart."""
-    parts: dict[bool, list[tuple[trimesh.Trimesh, int]]] = {False: [], True: []}
+    pieces: dict[bool, list[trimesh.Trimesh]] = {True: [], False: []}
+    bones: dict[bool, list[int]] = {True: [], False: []}  # of each vertex
     for parent, child in BONES:
-        radius = _RADII[child]
-        ends = [rest[parent], rest[child]]
-        sphere = _HEAD_RADIUS if child == Joint.HEAD else radius
-        ball = trimesh.creation.icosphere(subdivisions=1, radius=sphere).apply_translation(rest[child])
+        size = _HEAD_RADIUS if child == Joint.HEAD else _RADII[child]
+        parts = [trimesh.creation.icosphere(subdivisions=1, radius=size).apply_translation(rest[child])]
+        if np.linalg.norm(rest[child] - rest[parent]) > _SHORTEST:
+            segment = [rest[parent], rest[child]]
+            parts.append(trimesh.creation.cylinder(radius=_RADII[child], segment=segment, sections=12))
         is_left = Joint(child).name.startswith("LEFT")
-        # The ball closes the bone at its child, and so moves with the bone.
-        parts[is_left].append((ball, parent))
-        if np.linalg.norm(ends[1] - ends[0]) > radius / 100:
-            parts[is_left].append((trimesh.creation.cylinder(radius=radius, segment=ends, sections=12), parent))
+        pieces[is_left] += parts
+        bones[is_left] += [parent] * sum(len(part.vertices) for part in parts)
     primitives = []
-    for is_left, pieces in parts.items():
-        mesh = trimesh.util.concatenate([piece for piece, _ in pieces])
-        shade = np.array(_shade(colour))
-        red, green, blue = (0.5 + 0.5 * shade if is_left else shade).tolist()
-        primitive = gltf.primitive(mesh, (red, green, blue, 1.0))
-        bones = np.zeros((len(mesh.vertices), 4), dtype=np.uint8)
-        bones[:, 0] = np.concatenate([np.full(len(piece.vertices), joint) for piece, joint in pieces])
-        weights = np.tile(np.array([255, 0, 0, 0], dtype=np.uint8), (len(bones), 1))
-        primitive["attributes"]["JOINTS_0"] = gltf.add(bones, target=_VERTICES)
-        primitive["attributes"]["WEIGHTS_0"] = gltf.add(weights, target=_VERTICES, unit=True)
+    for is_left, parts in pieces.items():
+        shade = _linear(colour)
+        primitive = gltf.primitive(trimesh.util.concatenate(parts), 0.5 + 0.5 * shade if is_left else shade)
+        of_bone = np.zeros((len(bones[is_left]), 4), dtype=np.uint8)
+        of_bone[:, 0] = bones[is_left]
+        primitive["attributes"]["JOINTS_0"] = gltf.add(of_bone)
+        primitive["attributes"]["WEIGHTS_0"] = gltf.add(np.tile((1.0, 0.0, 0.0, 0.0), (len(of_bone), 1)))
         primitives.append(primitive)
     return primitives
 
 
-def _box(goal: Goal) -> trimesh.Trimesh:
-    """Return the goal's box around its location; a small cube where it has no extent."""
-    corners = goal.box_corners - goal.location
-    if np.ptp(corners, axis=0).max() < _POINT:
-        corners = trimesh.creation.box((_POINT,) * 3).vertices
-    return trimesh.convex.convex_hull(corners)
-
-
-def _shade(colour: str) -> list[float]:
+def _linear(colour: str) -> Float[np.ndarray, "3"]:
     """Return red, green and blue, 0 to 1, linear, as glTF has them."""
-    return [(part / 255) ** 2.2 for part in rgb(colour)]
+    return (np.array(rgb(colour)) / 255) ** 2.2
