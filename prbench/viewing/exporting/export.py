@@ -34,6 +34,7 @@ class ExportRequest(ViewRequest):
     """The motions that a user wants: of one run, or of a table the recorded ones.
 
     Attributes:
+        out: The file; a folder where several are written.
         form: Format, a key of :data:`SUFFIXES`.
         recorded: The recorded motion of a run's sequences, too.
         unit: Unit of BVH, a key of :data:`prbench.viewing.exporting.bvh.UNITS`.
@@ -41,6 +42,7 @@ class ExportRequest(ViewRequest):
         root: The recordings that the table was built from, whose streams an ``rrd`` holds, too.
     """
 
+    out: Path  # pyright: ignore[reportGeneralTypeIssues] # nothing stands for it, unlike in a view
     form: str
     recorded: bool = False
     unit: str = "m"

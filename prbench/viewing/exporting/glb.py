@@ -43,8 +43,8 @@ class _Gltf:
     def add(self, values: np.ndarray) -> int:
         """Add an array, numbers with a point as float32, and return the number of its accessor."""
         values = values.astype(np.float32) if values.dtype.kind == "f" else values
-        accessor = {"bufferView": len(self.views), "componentType": _TYPES[values.dtype.name], "count": len(values)}
-        accessor["type"] = _SHAPES[values.shape[1:]]
+        accessor: dict[str, Any] = {"bufferView": len(self.views), "count": len(values)}
+        accessor |= {"componentType": _TYPES[values.dtype.name], "type": _SHAPES[values.shape[1:]]}
         if values.ndim < 3:  # demanded of positions and times, allowed for all
             accessor |= {"min": np.atleast_1d(values.min(axis=0)).tolist()}
             accessor |= {"max": np.atleast_1d(values.max(axis=0)).tolist()}
@@ -139,7 +139,8 @@ def _body(gltf: _Gltf, rest: Float[np.ndarray, "22 3"], colour: str) -> list[dic
     primitives = []
     for is_left, parts in pieces.items():
         shade = _linear(colour)
-        primitive = gltf.primitive(trimesh.util.concatenate(parts), 0.5 + 0.5 * shade if is_left else shade)
+        mesh: Any = trimesh.util.concatenate(parts)
+        primitive = gltf.primitive(mesh, 0.5 + 0.5 * shade if is_left else shade)
         of_bone = np.zeros((len(bones[is_left]), 4), dtype=np.uint8)
         of_bone[:, 0] = bones[is_left]
         primitive["attributes"]["JOINTS_0"] = gltf.add(of_bone)
