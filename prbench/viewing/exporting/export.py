@@ -11,7 +11,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from prbench.viewing.review import native_recordings
 from prbench.curation.mending import mended
 from prbench.errors import InputFileError, RedistributionError, StorageError, UsageError
 from prbench.files.storage import atomic_folder, require_replaceable, sole_file, sole_writer, text_digest, write_json
@@ -20,6 +19,7 @@ from prbench.recording import Recording
 from prbench.sequences import DatasetInfo
 from prbench.viewing.exporting.skeleton import pose_skeleton
 from prbench.viewing.replay.scene import Progress, Scene
+from prbench.viewing.review import native_recordings
 from prbench.viewing.view import ViewRequest, file_kind, scenes_of
 
 # Maps each format to the suffix of its files.
