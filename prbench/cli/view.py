@@ -192,7 +192,7 @@ def review(
         note(f"no pictures: {name}: {problem}")
 
     def show() -> None:
-        print(f"{done.events} events, the most doubtful first")
+        print(f"{done.events} events, the most doubtful first; the body can be played for {done.motions}")
         print(f"page: {done.out}")
 
     return Answer(done, show, NOT_EVERYTHING if done.without_picture else 0)

@@ -68,7 +68,7 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
         first, stop = np.searchsorted(usable, span)
         around = usable[max(first - 1, 0) : stop + 1]  # with the nearest sample on either side
         return Decision("too_short", "body", float(np.diff(around).max()), max_gap)
-    joints = _joints_at(body, times)
+    joints = joints_at(body, times)
     try:
         facing_yaw(joints[0])
     except ValueError:  # without a heading there is no canonical frame
@@ -77,7 +77,7 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
     step = 1 / grid.fps
     around = np.array([grid.start_time - step, event_time + step])
     recorded = covered(body.times, body.valid, around, max_gap=max_gap)
-    before, after = _joints_at(body, around)
+    before, after = joints_at(body, around)
     # The glasses' pose, interpolated over invalid rows; None if no valid row lies within the clip.
     head = recording.head
     head_position = head_rotation = None
@@ -92,7 +92,7 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
         *_neighbour(after, bool(recorded[1]), joints[::-1]),
         head_position,
         head_rotation,
-        *_gaze_at(recording.gaze, times, max_gap=max_gap),
+        *gaze_at(recording.gaze, times, max_gap=max_gap),
     )
 
 
@@ -106,7 +106,13 @@ def _outside(span: tuple[float, float], interval: tuple[float, float]) -> Decisi
     return None
 
 
-def _joints_at(body: BodyStream, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 22 3"]:
+def joints_at(body: BodyStream, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 22 3"]:
+    """Return the joints between the nearest valid samples, world frame, metres.
+
+    Args:
+        body: The body, with one valid sample or more.
+        times: Seconds.
+    """
     near = _around(body.times, body.valid, times)
     return interpolate(body.times[near], body.joints[near], times)
 
@@ -131,7 +137,7 @@ def _neighbour(
     return 2 * inwards[0] - inwards[1], "extrapolated"
 
 
-def _gaze_at(
+def gaze_at(
     gaze: GazeStream, times: Float[np.ndarray, " n"], *, max_gap: float
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """Rays between neighbouring valid samples; invalid where these are too far apart (blinks, losses).

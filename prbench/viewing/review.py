@@ -8,8 +8,9 @@ are gathered here from the recordings, and saves what a person decides as a corr
 from __future__ import annotations
 
 import fnmatch
+import itertools
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
+from prbench.curation.clipping import gaze_at, joints_at
 from prbench.curation.corrections import CHANGES, COLUMNS
 from prbench.curation.in_hand import contact_distance
 from prbench.curation.job import NativeSource, native_sources
@@ -31,13 +33,17 @@ from prbench.files.storage import sole_writer, text_digest, write_text
 from prbench.geometry.shapes import near_miss, slab_test
 from prbench.geometry.skeleton import WRISTS, Joint
 from prbench.geometry.timelines import covered, interpolate, nearest_index
+from prbench.metrics import GazeRays
 from prbench.progress_bar import ProgressCallback
-from prbench.protocol.manifests import InHandRule, load_manifest, load_protocol
+from prbench.protocol.manifests import InHandRule, MetricConstants, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX, reader_for
 from prbench.recording import SIDES, BodyStream, HandStream, ObjectTrack, PoseStream, Recording
 from prbench.sequences import DatasetInfo, Event, SequenceTable
 from prbench.sequences.dataset_info import notice, require_may_pass_on
 from prbench.sequences.sequence import EVENTS, OUTCOMES, row_values
+from prbench.viewing.player.document import encoded, player_sequence
+from prbench.viewing.player.page import filled, player_assets
+from prbench.viewing.replay.scene import RECORDED, RECORDED_COLOUR, Goal, Scene, ShownMotion
 
 _STEP = 0.05  # seconds between two values of a curve
 _WAY_STEP = 5  # steps between two places seen from above
@@ -47,6 +53,11 @@ _LONGEST_GAP = 0.3  # seconds that a path is drawn across
 _SPEED_WINDOW = 0.2  # seconds, where no in-hand rule says another
 _MOST = 9999  # mm, which stands for all that is farther, and for rays that point away
 _WARNING = "This table was built with corrections: load their file first, or what you save lacks them. "
+_MOTION_BEFORE = 3.0  # seconds of the body before and after an event
+_MOTION_AFTER = 1.0
+_MOTION_FPS = 20.0
+_NEVER = -1000.0
+LARGEST_MOTIONS = 20_000_000  # bytes of motions on a page; a motion takes about 20 kB
 _UNKNOWN = -1  # stands in a curve where nothing was measured
 
 
@@ -58,11 +69,13 @@ class Review:
         out: The page.
         events: Number of events on it, the most doubtful first; entries that cannot be read have no time to show.
         without_picture: Maps each recording that could not be read to the reason; its events have no pictures.
+        motions: Number of events whose body can be played: of the first ones that have one, as many as 20 MB hold.
     """
 
     out: Path
     events: int
     without_picture: Mapping[str, str]
+    motions: int = 0
 
 
 _IN_PROCESS = InProcess()
@@ -141,18 +154,30 @@ def write_review(
     said = info.options.get("in_hand_rule", "none")
     rule = None if said == "none" else load_manifest(name).in_hand_rule(None if said == "default" else said)
     before = protocol.curation.priming_window + _BEFORE
-    draw = partial(_pictures, mends=mends, rule=rule, origin=info.options.get("ray_origin", "eye"), before=before)
+    origin = info.options.get("ray_origin", "eye")
+    terms = notice(info, permitted)
+    act = partial(event_motion, dataset=info.dataset, constants=protocol.metrics, terms=terms)
+    draw = partial(_pictures, mends=mends, rule=rule, origin=origin, before=before, act=act)
     pictures: dict[str, dict[str, Any]] = {}
+    bodies: dict[str, bytes] = {}
     problems: dict[str, str] = {}
-    for number, (found, problem) in enumerate(engine.map(draw, work)):
+    for number, (found, moved, problem) in enumerate(engine.map(draw, work)):
         pictures |= found
+        bodies |= moved
         if problem:
             problems[work[number][0]] = problem
         if progress is not None:
             progress(number + 1, len(work), work[number][0])
+    motions = []
+    room = LARGEST_MOTIONS
+    for place, event in enumerate(events):
+        content = bodies.get(event.event_id, b"")
+        room -= len(content)
+        if content and room >= 0:
+            motions.append(f'<script type="application/json" id="motion-{place}">{content.decode()}</script>')
     page = {
         "title": info.title,
-        "notice": f"{_WARNING if 'corrections' in info.options else ''}{notice(info, permitted)}",
+        "notice": f"{_WARNING if 'corrections' in info.options else ''}{terms}",
         "key": text_digest(info.dataset, info.content_digest),
         "columns": COLUMNS,
         "changes": CHANGES,
@@ -168,10 +193,11 @@ def write_review(
     }
     # Nothing in a name may end the element that holds the numbers.
     text = msgspec.json.encode(page).decode().replace("<", "\\u003c")
-    template = Path(__file__).with_name("review.html").read_text(encoding="utf-8")
+    assets = player_assets()
+    parts = {"STYLE": assets.style, "DATA": text, "MOTIONS": "\n".join(motions), "PLAYER": assets.scripts}
     with sole_writer(out):
-        write_text(out, template.replace("__DATA__", text))
-    return Review(out, len(events), problems)
+        write_text(out, filled(Path(__file__).with_name("review.html"), parts))
+    return Review(out, len(events), problems, len(motions))
 
 
 def native_recordings(
@@ -241,17 +267,61 @@ def _pictures(
     rule: InHandRule | None,
     origin: str,
     before: float,
-) -> tuple[dict[str, dict[str, Any]], str]:
-    """Read one recording and return the numbers of its events' pictures, or why there are none."""
+    act: Callable[[Recording, Event], bytes],
+) -> tuple[dict[str, dict[str, Any]], dict[str, bytes], str]:
+    """Read one recording and return the numbers of its events' pictures and motions, or why there are none."""
     _, source, events = work
     if source is None:
-        return {}, "this recording is not below --root"
+        return {}, {}, "this recording is not below --root"
     try:
         recording = mended(source.read(), *mends)
     except PrbenchError as error:
-        return {}, source.without_places(str(error))
+        return {}, {}, source.without_places(str(error))
     rays = gaze_rays(recording, origin)
-    return {event.event_id: picture(recording, event, rays, rule, before) for event in events}, ""
+    pictures = {event.event_id: picture(recording, event, rays, rule, before) for event in events}
+    return pictures, {event.event_id: act(recording, event) for event in events}, ""
+
+
+def event_motion(recording: Recording, event: Event, *, dataset: str, constants: MetricConstants, terms: str) -> bytes:
+    """Return the document of the body around an event, for the player; nothing where there was no body all the time.
+
+    Args:
+        recording: What a reader yields.
+        event: One of its events.
+        dataset: Name of the dataset.
+        constants: Thresholds of the protocol.
+        terms: Sentence that the dataset's terms ask a view to show.
+    """
+    body = recording.body
+    time = _uncorrected(event)
+    times = time + np.arange(-_MOTION_BEFORE, _MOTION_AFTER, 1 / _MOTION_FPS)
+    if body is None or event.location is None or event.box_min is None or event.box_max is None:
+        return b""
+    if not covered(body.times, body.valid, times, max_gap=_LONGEST_GAP).all():
+        return b""
+    joints = joints_at(body, times)
+    # The player's floor is at height 0, and its stage around the origin.
+    shift = np.array([joints[0, Joint.PELVIS, 0], joints[..., 1].min(), joints[0, Joint.PELVIS, 2]])
+    origin, direction, valid = gaze_at(recording.gaze, times, max_gap=_LONGEST_GAP)
+    corners = np.array(list(itertools.product(*zip(event.box_min, event.box_max, strict=True))))
+    eyes = GazeRays(origin - shift, direction, valid) if valid.any() else None
+    motion = ShownMotion(RECORDED, RECORDED_COLOUR, joints - shift, {}, eyes, "recorded")
+    scene = Scene(
+        sequence_id=event.event_id,
+        dataset=dataset,
+        title=f"{event.action} of {event.object_name}",
+        action=event.action,
+        fps=_MOTION_FPS,
+        n_frames=len(times),
+        # An event that was not primed, or long before, has no prime within these seconds.
+        prime_time=_NEVER if event.prime_time is None else float(event.prime_time - times[0]),
+        head_tilt_deg=recording.head_tilt_deg,
+        motions=(motion,),
+        thresholds=constants,
+        goal=Goal(event.location - shift, corners - shift),
+        notice=terms,
+    )
+    return encoded(msgspec.structs.replace(player_sequence(scene), event_time=_MOTION_BEFORE))
 
 
 def picture(recording: Recording, event: Event, rays: Rays, rule: InHandRule | None, before: float) -> dict[str, Any]:

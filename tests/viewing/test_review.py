@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
 from prbench.cli import main
@@ -21,6 +23,8 @@ from prbench.errors import InputFileError, RedistributionError, UsageError
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.viewing.review import write_review
+from tests.browser import browser  # noqa: F401 - fixture
+from tests.browser import page as opened  # noqa: F401 - fixture
 from tests.shared import made_once
 
 NODE = shutil.which("node")
@@ -131,9 +135,56 @@ def test_no_name_becomes_markup_and_nothing_is_loaded(tmp_path) -> None:
             addresses.extend(name for name, _ in attrs if name in ("src", "href", "action"))
 
     Look().feed(text)
-    assert tags.count("script") == 2
+    motions = text.count('<script type="application/json" id="motion-')
+    assert motions == len(data["events"])
+    assert tags.count("script") == 3 + motions
     assert addresses == []
-    assert "http" not in re.sub(r'<script type="application/json".*?</script>|http-equiv', "", text, flags=re.DOTALL)
+    # The player's own library names the standards of SVG by their addresses, which nothing opens.
+    assert "http" not in re.sub(r"<script.*?</script>|http-equiv", "", text, flags=re.DOTALL)
+
+
+def motions(out: Path) -> dict[int, dict]:
+    """Return the documents of the bodies on a page, by the place of their event."""
+    found = re.findall(r'id="motion-(\d+)">(.*?)</script>', out.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return {int(number): json.loads(text) for number, text in found}
+
+
+def test_a_body_is_played_from_three_seconds_before_its_event_to_one_after(tmp_path, monkeypatch) -> None:
+    place = made("adt")
+    out = tmp_path / "page.html"
+    data = page(place, out)
+    for number, document in motions(out).items():
+        event = data["events"][number]
+        assert document["sequence_id"] == event["id"]
+        assert (document["n_frames"], document["fps"], document["event_time"]) == (80, 20.0, 3.0)
+        if event["prime"] is not None:
+            assert document["prime_time"] == pytest.approx(event["prime"] + 3.0, abs=0.002)
+        (motion,) = document["motions"]
+        joints = np.frombuffer(base64.b64decode(motion["joints"]), "<i2").reshape(80, 22, 3) / 1000
+        assert joints[..., 1].min() == pytest.approx(0.0, abs=0.001)
+        wrist = np.linalg.norm(joints[60, [20, 21]] - document["goal"]["location"], axis=1).min()
+        assert wrist == pytest.approx(np.frombuffer(base64.b64decode(motion["wrist"]), "<i2")[60] / 1000, abs=0.002)
+        near = min(value for value in (at(data, event, side, 0.0) for side in ("left", "right")) if value >= 0)
+        assert abs(1000 * wrist - near) < 200  # a wrist and the middle finger's base lie this far apart
+    whole = len(motions(out))
+    size = max(len(json.dumps(document)) for document in motions(out).values())
+    monkeypatch.setattr("prbench.viewing.review.LARGEST_MOTIONS", 2 * size)
+    assert write_review(place / "table", place / "raw", out).motions == len(motions(out)) == 2 < whole
+
+
+def test_the_player_opens_below_an_event_and_closes_again(opened, tmp_path) -> None:  # noqa: F811
+    place = made("adt")
+    data = page(place, tmp_path / "page.html")
+    opened.goto((tmp_path / "page.html").as_uri())
+    opened.keyboard.press("p")
+    opened.wait_for_selector(".card.here .motion canvas")
+    opened.keyboard.press("j")
+    opened.keyboard.press("p")
+    opened.wait_for_selector(".card.here .motion canvas")
+    assert opened.locator("canvas").count() == 1
+    assert opened.locator(".card.here .id").inner_text() == data["events"][1]["id"]
+    opened.keyboard.press("p")
+    opened.wait_for_selector("canvas", state="detached")
 
 
 def test_where_the_licence_keeps_recorded_motion_the_page_needs_permission(tmp_path) -> None:

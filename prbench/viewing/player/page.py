@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,7 +34,8 @@ def player_assets() -> Assets:
     own = sorted(_HERE.glob("*.js"), key=lambda path: (path.name == "player.js", path.name))  # which needs the others
     scripts = [path.read_text(encoding="utf-8") for path in (_THREE, *own) if path.is_file()]
     styles = [path.read_text(encoding="utf-8") for path in sorted(_HERE.glob("*.css"))]
-    return Assets(";\n".join(scripts), "\n".join(styles))
+    # A string in a script that spells the end of a script would end the element.
+    return Assets(";\n".join(scripts).replace("</script", "<\\/script"), "\n".join(styles))
 
 
 def page_text(sequences: Iterable[PlayerSequence], title: str = "prbench view") -> str:
@@ -52,20 +53,29 @@ def page_text(sequences: Iterable[PlayerSequence], title: str = "prbench view") 
         )
         entries.append(entry_of(sequence))
     assets = player_assets()
-    menu = msgspec.json.encode(entries).decode().replace("<", "\\u003c")
-    parts = {
-        "__TITLE__": html(title),
-        "__STYLE__": assets.style,
-        "__ENTRIES__": menu,
-        "__DOCUMENTS__": "\n".join(documents),
-        # A string in a script that spells the end of a script would end it.
-        "__SCRIPTS__": assets.scripts.replace("</script", "<\\/script"),
-    }
-    text = (_HERE / "page.html").read_text(encoding="utf-8")
-    # Each part once and in the template's order, so that no part's own text is taken for a place.
+    return filled(
+        _HERE / "page.html",
+        {
+            "TITLE": html(title),
+            "STYLE": assets.style,
+            "ENTRIES": msgspec.json.encode(entries).decode().replace("<", "\\u003c"),
+            "DOCUMENTS": "\n".join(documents),
+            "PLAYER": assets.scripts,
+        },
+    )
+
+
+def filled(template: Path, parts: Mapping[str, str]) -> str:
+    """Return a template of ours with its places, such as ``__TITLE__``, filled.
+
+    Args:
+        template: HTML with each place once.
+        parts: The text of each place by its name, in the template's order: no part's own text is taken for a place.
+    """
+    text = template.read_text(encoding="utf-8")
     pieces = []
     for place, part in parts.items():
-        before, _, text = text.partition(place)
+        before, _, text = text.partition(f"__{place}__")
         pieces += [before, part]
     return "".join([*pieces, text])
 
