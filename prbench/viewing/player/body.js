@@ -63,24 +63,40 @@
     return [start, add(start, unit(minus(start, elbow)), HAND_LENGTH)];
   }
 
+  // Cross sections of the trunk from the seat to the collar bones: piece, height, half width, middle, radius; metres.
+  const TRUNK = [
+    ["pelvis", 0.862, 0.078, -0.01, 0.064], ["pelvis", 0.925, 0.086, -0.01, 0.066], ["waist", 1.0, 0.074, -0.006, 0.062],
+    ["waist", 1.085, 0.063, -0.004, 0.06], ["ribs", 1.17, 0.07, -0.006, 0.066], ["chest", 1.26, 0.084, -0.008, 0.075],
+    ["chest", 1.325, 0.09, -0.014, 0.072], ["chest", 1.375, 0.08, -0.026, 0.054], ["chest", 1.4, 0.066, -0.032, 0.042],
+  ]; // prettier-ignore
+
+  /** Return lying capsules close enough to each other that no rib shows. */
+  function trunk() {
+    const rows = [];
+    for (let index = 0; index + 1 < TRUNK.length; index += 1) {
+      const [piece, y, halfWidth, z, radius] = TRUNK[index];
+      const next = TRUNK[index + 1];
+      const steps = Math.ceil((next[1] - y) / 0.016);
+      for (let step = 0; step < steps; step += 1) {
+        const t = step / steps;
+        const at = (from, to) => from + t * (to - from);
+        rows.push([t < 0.5 ? piece : next[0], at(halfWidth, next[2]), at(y, next[1]), at(z, next[3]), at(radius, next[4])]);
+      }
+    }
+    return rows;
+  }
+
   /**
    * Return the cones of which the skin is melted: [piece, one end, its radius, other end, its radius].
    *
-   * The trunk is a stack of lying capsules, as a boat is a stack of ribs.
+   * Cones that lie close together swell where they melt, so radii here are up to 2 cm smaller than what is seen.
    */
   function cones() {
     const list = [];
     const cone = (piece, a, radiusA, b, radiusB) => list.push([NUMBER[piece], a, radiusA, b, radiusB]);
     const lying = (piece, halfWidth, y, z, radius) => cone(piece, [-halfWidth, y, z], radius, [halfWidth, y, z], radius);
 
-    lying("pelvis", 0.083, 0.868, -0.008, 0.083);
-    lying("pelvis", 0.085, 0.935, -0.008, 0.08);
-    lying("waist", 0.066, 1.02, -0.004, 0.076);
-    lying("waist", 0.06, 1.1, -0.006, 0.074);
-    lying("ribs", 0.068, 1.18, -0.008, 0.08);
-    lying("chest", 0.078, 1.265, -0.008, 0.088);
-    lying("chest", 0.084, 1.335, -0.016, 0.084);
-    lying("chest", 0.072, 1.395, -0.03, 0.06);
+    for (const row of trunk()) lying(...row);
     cone("neck", [0, 1.42, -0.04], 0.058, [0, 1.54, 0.0], 0.05);
 
     // The head: skull, forehead, jaw, chin, nose and ears, around the joint at [0, 1.525, 0.012].
@@ -113,7 +129,7 @@
       const [hip, knee, ankle, toe] = [at(1), at(4), at(7), at(10)];
       cone(`${side}Thigh`, add(hip, mirror([0.02, -0.01, 0])), 0.083, mix(hip, knee, 0.5), 0.072);
       cone(`${side}Thigh`, mix(hip, knee, 0.5), 0.071, knee, 0.05);
-      cone("pelvis", add(hip, mirror([0.01, 0.01, -0.045])), 0.066, add(hip, mirror([0.015, 0.04, -0.04])), 0.062);
+      cone("pelvis", add(hip, mirror([0.008, 0.0, -0.042])), 0.062, add(hip, mirror([0.012, 0.035, -0.036])), 0.056);
       cone(`${side}Shin`, knee, 0.049, mix(knee, ankle, 0.5), 0.045);
       cone(`${side}Shin`, mix(knee, ankle, 0.2), 0.04, add(mix(knee, ankle, 0.42), [0, 0, -0.02]), 0.045);
       cone(`${side}Shin`, mix(knee, ankle, 0.45), 0.045, ankle, 0.032);
@@ -340,7 +356,7 @@
     const n = PIECES.length;
     const indices = new Uint16Array(4 * pieces.length);
     const strengths = new Float32Array(4 * pieces.length);
-    const bands = new Float32Array(pieces.length);
+    const bands = new Float32Array(2 * pieces.length);
     for (let p = 0; p < pieces.length; p += 1) {
       // The graphics card blends four pieces a point: the strongest ones.
       const own = weights.subarray(p * n, (p + 1) * n);
@@ -350,26 +366,26 @@
         indices[4 * p + slot] = number;
         strengths[4 * p + slot] = own[number] / total;
       });
-      bands[p] = bandPlace([points[3 * p], points[3 * p + 1], points[3 * p + 2]], pieces[p]);
+      bands.set(bandPlace([points[3 * p], points[3 * p + 1], points[3 * p + 2]], pieces[p]), 2 * p);
     }
     geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(points, 3));
     geometry.setAttribute("normal", new THREE.BufferAttribute(normalsAt(points, samples), 3));
     geometry.setAttribute("skinIndex", new THREE.BufferAttribute(indices, 4));
     geometry.setAttribute("skinWeight", new THREE.BufferAttribute(strengths, 4));
-    geometry.setAttribute("band", new THREE.BufferAttribute(bands, 1));
+    geometry.setAttribute("band", new THREE.BufferAttribute(bands, 2));
     geometry.setIndex(new THREE.BufferAttribute(triangles, 1));
     return geometry;
   }
 
-  /** Return a point's place along a right arm or leg (0 to 1 its upper, 1 to 2 its lower part), or -9 elsewhere. */
+  /** Return a point's place along an arm or leg (0 to 1 its upper, 1 to 2 its lower part), and 1 for a right one. */
   function bandPlace(point, number) {
     const name = PIECES[number][0];
-    if (!name.startsWith("right")) return -9;
+    const right = name.startsWith("right") ? 1 : 0;
     const [t] = alongPiece(point, number);
-    if (name.endsWith("UpperArm") || name.endsWith("Thigh")) return t;
-    if (name.endsWith("Forearm") || name.endsWith("Shin")) return 1 + t;
-    return name.endsWith("Hand") || name.endsWith("Foot") ? 2.5 : -9;
+    if (name.endsWith("UpperArm") || name.endsWith("Thigh")) return [t, right];
+    if (name.endsWith("Forearm") || name.endsWith("Shin")) return [1 + t, right];
+    return [name.endsWith("Hand") || name.endsWith("Foot") ? 2.5 : -0.5, 0];
   }
 
   // The skin's paint: rings on the right limbs, dark glasses, hair, and soles, so that sides and directions are seen
@@ -379,9 +395,10 @@
       float soft = max(fwidth(place), 1e-4);
       return smoothstep(half_width + soft, half_width - soft, abs(place - middle));
     }
-    vec3 paint(vec3 base, vec3 rest, float band, vec3 ringColour) {
+    vec3 paint(vec3 base, vec3 rest, vec2 place, vec3 ringColour) {
+      float band = place.x;
       float rings = max(max(ring(band, 0.5, 0.06), ring(band, 0.72, 0.06)), max(ring(band, 1.38, 0.06), ring(band, 1.6, 0.06)));
-      base = mix(base, ringColour, rings * step(-1.0, band));
+      base = mix(base, ringColour, rings * step(0.99, place.y));
       float soft = 0.0015;
       if (rest.y > 1.47 && abs(rest.x) < 0.12) {
         vec2 lens = vec2(abs(rest.x) - 0.033, rest.y - 1.588);
@@ -404,12 +421,12 @@
     material.onBeforeCompile = (shader) => {
       shader.uniforms.ringColour = { value: ringColour };
       shader.vertexShader = shader.vertexShader
-        .replace("#include <common>", "#include <common>\nattribute float band;\nvarying float vBand;\nvarying vec3 vRest;")
+        .replace("#include <common>", "#include <common>\nattribute vec2 band;\nvarying vec2 vBand;\nvarying vec3 vRest;")
         .replace("#include <begin_vertex>", "#include <begin_vertex>\nvBand = band;\nvRest = position;");
       shader.fragmentShader = shader.fragmentShader
         .replace(
           "#include <common>",
-          `#include <common>\nvarying float vBand;\nvarying vec3 vRest;\nuniform vec3 ringColour;\n${PAINT}`
+          `#include <common>\nvarying vec2 vBand;\nvarying vec3 vRest;\nuniform vec3 ringColour;\n${PAINT}`
         )
         .replace(
           "#include <color_fragment>",
@@ -583,5 +600,5 @@
     }
   }
 
-  parts.body = { Body, PIECES, skin };
+  parts.body = { Body, PIECES, restOf: restEnds, skin };
 })();

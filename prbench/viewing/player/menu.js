@@ -152,7 +152,7 @@
           { type: "button", "data-id": entry.sequence_id, "aria-current": entry.sequence_id === this.current ? "true" : null,
             onclick: () => this.onChoose(entry.sequence_id) },
           make("span", { class: "prp-item-title" }, entry.title || entry.sequence_id),
-          make("span", { class: "prp-item-id" }, entry.sequence_id), ...cells
+          make("span", { class: "prp-item-id" }, make("bdi", {}, entry.sequence_id)), ...cells
         )); // prettier-ignore
       };
       this.items.replaceChildren(...found.slice(0, this.limit).map(row));
@@ -164,7 +164,7 @@
     _verdicts(motion, named) {
       const rates = (motion.scores || []).filter((score) => score.good !== null && score.good !== undefined);
       if (!rates.length) return null;
-      const words = rates.map((score) => make("span", { class: score.good ? "prp-pass" : "prp-fail" }, `${score.good ? "✓" : "✗"} ${score.title}`));
+      const words = rates.map((score) => make("span", { class: score.good ? "prp-pass" : "prp-fail" }, `${score.good ? "✓" : "✗"} ${score.title.replace(/ Success$/, "")}`));
       return make("span", { class: "prp-verdicts" }, named ? make("span", {}, `${motion.label}:`) : null, ...words);
     }
 

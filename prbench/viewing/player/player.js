@@ -63,15 +63,28 @@
     NoStage.prototype[name] = () => {};
   }
 
+  /** Return text as it was before it was made part of an address; text that was not, as it is. */
+  function decoded(text) {
+    try {
+      return decodeURIComponent(text);
+    } catch {
+      return text;
+    }
+  }
+
+  /** Return the parts `name=value` of the page's address behind its hash, still encoded. */
+  function hashParts() {
+    return location.hash.replace(/^#/, "").split("&").filter(Boolean);
+  }
+
   /** Return what the address of the page asks for: sequence, time, labels of motions. */
   function readHash() {
-    const asked = new URLSearchParams(location.hash.replace(/^#/, ""));
-    const time = Number.parseFloat(asked.get("t"));
-    const motions = asked.get("motions");
+    const asked = Object.fromEntries(hashParts().map((part) => [part.split("=")[0], part.slice(part.indexOf("=") + 1)]));
+    const time = Number.parseFloat(asked.t);
     return {
-      sequence: asked.get("sequence"),
+      sequence: asked.sequence ? decoded(asked.sequence) : null,
       time: Number.isFinite(time) ? time : null,
-      motions: motions ? motions.split(",").map(decodeURIComponent) : null,
+      motions: asked.motions ? asked.motions.split(",").map(decoded) : null,
     };
   }
 
@@ -105,7 +118,8 @@
       root.classList.toggle("prp-compact", Boolean(options.compact));
       root.setAttribute("role", "group");
       root.setAttribute("aria-label", "Motion player");
-      this.heading = make("h2", { class: "prp-title" });
+      // A page without a title of its own gets one.
+      this.heading = make(document.querySelector("h1") ? "h2" : "h1", { class: "prp-title" });
       this.subtitle = make("p", { class: "prp-subtitle" });
       this.place = make("div", { class: "prp-stage" });
       this.tags = make("div", { class: "prp-tags", "aria-hidden": "true" });
@@ -582,7 +596,9 @@
       const stops = this.timeline.stops();
       const later = (stop) => (stop.time - this.time) * direction > 1e-3;
       const next = direction > 0 ? stops.find(later) : stops.reverse().find(later);
-      if (next) this._goTo(next.time, next.words);
+      // What begins in the same frame is told together.
+      const words = next ? stops.filter((stop) => Math.abs(stop.time - next.time) < 1e-3).map((stop) => stop.words) : [];
+      if (next) this._goTo(next.time, words.join("; "));
       else this._announce(direction > 0 ? "No later mark." : "No earlier mark.");
     }
 
@@ -711,12 +727,10 @@
 
     /** Return the part of the address that leads to this moment; what others keep in it stays. */
     _hashOf() {
-      const kept = new URLSearchParams(location.hash.replace(/^#/, ""));
-      for (const name of ["sequence", "t", "motions"]) kept.delete(name);
+      const kept = hashParts().filter((part) => !["sequence", "t", "motions"].includes(part.split("=")[0]));
       const own = [`sequence=${encodeURIComponent(this.sequence.id)}`, `t=${this.time.toFixed(2)}`];
-      if (this.labels) own.push(`motions=${this.chosen.map((label) => encodeURIComponent(encodeURIComponent(label))).join(",")}`);
-      const rest = kept.toString();
-      return `#${rest ? `${rest}&` : ""}${own.join("&")}`;
+      if (this.labels) own.push(`motions=${this.chosen.map(encodeURIComponent).join(",")}`);
+      return `#${[...kept, ...own].join("&")}`;
     }
 
     _writeHash() {

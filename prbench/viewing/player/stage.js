@@ -301,7 +301,7 @@
         const unit = along.map((value) => value / size);
         const [, length] = this._endOf(from, unit);
         const at = (distance) => from.map((value, i) => value + distance * unit[i]);
-        for (let start = 0.06; start < length && count < 48; start += 0.1) {
+        for (let start = 0.3; start < length && count < 48; start += 0.1) {
           this.gazeRay.setMatrixAt(count, barMatrix(at(start), at(Math.min(start + 0.06, length))));
           count += 1;
         }
@@ -367,6 +367,25 @@
     return floor;
   }
 
+  /** Return labels that stay in the picture and do not cover one another: a later one moves up, or down at the top. */
+  function apart(labels, width) {
+    const placed = [];
+    for (const label of labels) {
+      const half = 4.2 * label.label.length + 10;
+      label.x = Math.min(Math.max(label.x, half), Math.max(width - half, half));
+      label.y = Math.max(label.y, 24);
+      const covered = () =>
+        placed.find((other) => Math.abs(other.x - label.x) < half + 4.2 * other.label.length + 10 && Math.abs(other.y - label.y) < 21);
+      let step = -21;
+      for (let tries = 0; tries < 8 && covered(); tries += 1) {
+        if (label.y + step < 24) step = 21;
+        label.y += step;
+      }
+      placed.push(label);
+    }
+    return placed;
+  }
+
   /** The stage in an element. Raises an Error where the browser has no WebGL. */
   class Stage {
     constructor(element, { reducedMotion = false, onDraw = () => {} } = {}) {
@@ -376,6 +395,7 @@
       this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, powerPreference: "high-performance" });
       this.renderer.shadowMap.enabled = true;
       this.renderer.shadowMap.type = THREE.PCFShadowMap;
+      this.renderer.shadowMap.autoUpdate = false; // turning the camera moves no shadow
       this.canvas = this.renderer.domElement;
       element.append(this.canvas);
       this.scene = new THREE.Scene();
@@ -400,6 +420,7 @@
       this.floor = makeFloor();
       this.scene.add(this.sky, this.sun, this.sun.target, this.back, this.back.target, this.floor);
       this.actors = [];
+      this._leaving = [];
       this.layout = "lanes";
       this.layers = {};
       this.preset = "default";
@@ -453,8 +474,10 @@
       this.look(this.preset === "eyes" ? "eyes" : "default", false);
     }
 
+    /** Take all motions off; what they hold is freed after the next frame, which may use the same programs. */
     clear() {
-      for (const actor of this.actors) actor.dispose();
+      for (const actor of this.actors) actor.group.removeFromParent();
+      this._leaving.push(...this.actors);
       this.actors = [];
       this.sequence = null;
       this._fitted = false;
@@ -502,10 +525,12 @@
     arrange() {
       if (!this.actors.length) return;
       const shown = this.shown;
-      const across = new THREE.Vector3().crossVectors(this.axis, up());
+      // Seen from the side the lanes follow one another, or the first body would cover the others.
+      const across = this.preset === "side" ? this.axis.negate() : new THREE.Vector3().crossVectors(this.axis, up());
       const spread = (actor) => {
-        let least = 0;
-        let most = 0;
+        const goal = this.sequence.goal ? this.sequence.goal.location : [0, 0, 0];
+        let least = Math.min(0, goal[0] * across.x + goal[2] * across.z);
+        let most = Math.max(0, goal[0] * across.x + goal[2] * across.z);
         for (let i = 0; i < this.sequence.nFrames; i += 1) {
           const from = 66 * i;
           const place = actor.motion.joints[from] * across.x + actor.motion.joints[from + 2] * across.z;
@@ -541,6 +566,7 @@
       this.floor.visible = !(this.sequence.mesh && on("scenery"));
       this._bounds = this._boundsOf(shown);
       this._light();
+      this.renderer.shadowMap.needsUpdate = true;
     }
 
     /** Return the middle and size of the ground that bodies and goal take, all frames together. */
@@ -600,6 +626,7 @@
 
     setTime(time) {
       this.time = time;
+      this.renderer.shadowMap.needsUpdate = true;
       for (const actor of this.actors) if (actor.shown) actor.setTime(time);
       const here = this._follows();
       if (this.follow && this._followed && here && this.preset !== "eyes") {
@@ -628,10 +655,12 @@
 
     /** Look from a preset place: "default", "side", "front", "above", or "eyes" (through the head). */
     look(preset, animated = true) {
+      const newLanes = (preset === "side") !== (this.preset === "side");
       this.preset = preset;
       this.controls.enabled = preset !== "eyes";
       this.camera.fov = preset === "eyes" ? 80 : 38;
       if (!this.actors.length) return;
+      if (newLanes) this.arrange();
       this._fitted = true;
       if (preset === "eyes") {
         this._flight = null;
@@ -640,8 +669,11 @@
       }
       const axis = this.axis;
       const side = new THREE.Vector3().crossVectors(axis, up());
+      // Several lanes are seen more from ahead, so that they spread over the picture.
+      const lanes = this.layout === "lanes" && this.shown.length > 1;
+      const [ahead, beside] = lanes ? [0.85, 0.55] : [0.62, 0.85];
       const towards = {
-        default: axis.clone().multiplyScalar(0.62).addScaledVector(side, -0.85).add(new THREE.Vector3(0, 0.36, 0)),
+        default: axis.clone().multiplyScalar(ahead).addScaledVector(side, -beside).add(new THREE.Vector3(0, 0.3, 0)),
         side: side.clone().multiplyScalar(-1).add(new THREE.Vector3(0, 0.07, 0)),
         front: axis.clone().add(new THREE.Vector3(0, 0.12, 0)),
         above: up().addScaledVector(axis, -0.001),
@@ -756,10 +788,11 @@
     }
 
     draw() {
-      if (!this.actors.length || this._lost) return;
+      if (!this.actors.length) return;
       const { clientWidth: width, clientHeight: height } = this.element;
       if (!width || !height) return;
       this._render(width, height);
+      for (const actor of this._leaving.splice(0)) actor.dispose();
       this.onDraw(this.labels(width, height));
     }
 
@@ -775,8 +808,15 @@
         this.renderer.setScissor(tile.x, fromBelow, tile.width, tile.height);
         this.camera.aspect = tile.width / tile.height;
         this.camera.updateProjectionMatrix();
-        if (this.preset === "eyes") this._standIn(tile.actors[this.eyes % tile.actors.length] || tile.actors[0]);
+        if (tiles.length > 1) this.renderer.shadowMap.needsUpdate = true;
+        const seer = this.preset === "eyes" ? tile.actors[this.eyes % tile.actors.length] : null;
+        // The own head ray would fill the eyes' picture: only its end is seen.
+        if (seer) {
+          this._standIn(seer);
+          seer.headRay.visible = false;
+        }
         this.renderer.render(this.scene, this.camera);
+        if (seer) seer.headRay.visible = this.layers.head !== false;
       }
       this.renderer.setScissorTest(false);
       for (const actor of this.actors) actor.group.visible = actor.shown;
@@ -806,13 +846,13 @@
             continue;
           }
           const place = new THREE.Vector3(...actor.joints[HEAD]).add(actor.group.position);
-          place.y += 0.3 + (this.layout === "overlay" ? 0.12 * this.shown.indexOf(actor) : 0);
+          place.y += 0.26;
           place.project(this.camera);
           if (place.z > 1) continue;
           labels.push({ label, colour, x: tile.x + ((place.x + 1) / 2) * tile.width, y: tile.y + ((1 - place.y) / 2) * tile.height });
         }
       }
-      return labels;
+      return apart(labels, width);
     }
 
     /**
@@ -849,6 +889,7 @@
 
     dispose() {
       this.clear();
+      for (const actor of this._leaving) actor.dispose();
       if (this._asked) cancelAnimationFrame(this._asked);
       this._observer.disconnect();
       this.controls.dispose();

@@ -6,10 +6,10 @@
   const parts = (prbench.playerParts = prbench.playerParts || {});
   const { make, svg } = parts.elements;
 
-  const AXIS = 34; // pixels: height of the seconds and of the marks' names
-  const PLOT = 52;
+  const AXIS = 32; // pixels: height of the seconds and of the marks' names
+  const PLOT = 46;
   const LANE = 8;
-  const GAP = 9;
+  const GAP = 7;
   const NARROW = 560;
   const DASHES = ["", "7 3", "2 3", "9 3 2 3", "1 4", "12 4"]; // one a motion, so that curves differ without colour
   const CURVES = [
@@ -211,13 +211,13 @@
           svg("path", { d: `M${points.join("L")}`, fill: "none", stroke: colour, "stroke-width": 2, "stroke-linejoin": "round", "stroke-dasharray": DASHES[number % DASHES.length] })
         );
       });
-      const words = limitValue ? `${title}` : title;
       if (narrow) {
-        group.append(svg("text", { class: "prp-row", x: this._left, y: top - 3 }, `${words}, limit ${centimetres(limitValue || 0)}, top ${centimetres(ceiling)}`));
+        group.append(svg("text", { class: "prp-row", x: this._left, y: top - 3 }, `${title}, limit ${centimetres(limitValue || 0)}, top ${centimetres(ceiling)}`));
       } else {
-        group.append(svg("text", { class: "prp-row", x: 4, y: top + 12 }, words));
-        if (limitValue) group.append(svg("text", { class: "prp-second", x: this._left - 6, y: Math.max(y(limitValue) + 4, top + 26), "text-anchor": "end" }, `limit ${centimetres(limitValue)}`));
-        group.append(svg("text", { class: "prp-second", x: 4, y: top + PLOT - 2 }, `0 to ${centimetres(ceiling)}`));
+        const lines = [title, limitValue ? `limit ${centimetres(limitValue)}` : "", `0 to ${centimetres(ceiling)}`];
+        lines.forEach((line, row) => {
+          group.append(svg("text", { class: row ? "prp-second" : "prp-row", x: 4, y: top + 11 + 15 * row }, line));
+        });
       }
       return group;
     }
