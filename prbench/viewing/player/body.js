@@ -80,7 +80,13 @@
       for (let step = 0; step < steps; step += 1) {
         const t = step / steps;
         const at = (from, to) => from + t * (to - from);
-        rows.push([t < 0.5 ? piece : next[0], at(halfWidth, next[2]), at(y, next[1]), at(z, next[3]), at(radius, next[4])]);
+        rows.push([
+          t < 0.5 ? piece : next[0],
+          at(halfWidth, next[2]),
+          at(y, next[1]),
+          at(z, next[3]),
+          at(radius, next[4]),
+        ]);
       }
     }
     return rows;
@@ -94,7 +100,8 @@
   function cones() {
     const list = [];
     const cone = (piece, a, radiusA, b, radiusB) => list.push([NUMBER[piece], a, radiusA, b, radiusB]);
-    const lying = (piece, halfWidth, y, z, radius) => cone(piece, [-halfWidth, y, z], radius, [halfWidth, y, z], radius);
+    const lying = (piece, halfWidth, y, z, radius) =>
+      cone(piece, [-halfWidth, y, z], radius, [halfWidth, y, z], radius);
 
     for (const row of trunk()) lying(...row);
     cone("neck", [0, 1.42, -0.04], 0.058, [0, 1.54, 0.0], 0.05);
@@ -106,7 +113,10 @@
     cone("head", [0, 1.585, 0.088], 0.008, [0, 1.554, 0.114], 0.0125);
     for (const side of [1, -1]) cone("head", [0.075 * side, 1.585, -0.008], 0.012, [0.077 * side, 1.558, 0.0], 0.009);
 
-    for (const [side, left] of [["left", true], ["right", false]]) {
+    for (const [side, left] of [
+      ["left", true],
+      ["right", false],
+    ]) {
       const at = (joint) => REST[left ? joint : joint + 1]; // right joints follow their left twins
       const mirror = (point) => (left ? point : [-point[0], point[1], point[2]]);
       const [shoulder, elbow, wrist] = [at(16), at(18), at(20)];
@@ -118,9 +128,18 @@
 
       // A mitten: the palm faces the thigh, the thumb points ahead.
       const along = unit(minus(wrist, elbow));
-      const ahead = unit(minus([0, 0, 1], along.map((value) => value * along[2])));
+      const ahead = unit(
+        minus(
+          [0, 0, 1],
+          along.map((value) => value * along[2]),
+        ),
+      );
       const hand = (forwards, sideways) => add(add(wrist, along, forwards), ahead, sideways);
-      for (const [sideways, length] of [[0.021, 0.155], [0, 0.165], [-0.021, 0.15]]) {
+      for (const [sideways, length] of [
+        [0.021, 0.155],
+        [0, 0.165],
+        [-0.021, 0.15],
+      ]) {
         cone(`${side}Hand`, hand(0.035, sideways * 0.8), 0.02, hand(0.09, sideways), 0.0165);
         cone(`${side}Hand`, hand(0.09, sideways), 0.0155, hand(length, sideways * 0.75), 0.0095);
       }
@@ -136,8 +155,20 @@
       cone(`${side}Foot`, add(ankle, [0, -0.035, -0.025]), 0.036, add(ankle, [0, -0.01, 0.02]), 0.035);
       cone(`${side}Foot`, add(ankle, [0, -0.012, 0.02]), 0.034, add(toe, [0, 0.008, 0]), 0.032);
       const outwards = mirror([0.012, 0, 0]);
-      cone(`${side}Foot`, add(add(toe, outwards), [0, 0.0, -0.02]), 0.027, add(add(toe, outwards), [0, 0, 0.035]), 0.022);
-      cone(`${side}Foot`, add(add(toe, outwards, -1.4), [0, 0, -0.02]), 0.027, add(add(toe, outwards, -1), [0, 0, 0.05]), 0.023);
+      cone(
+        `${side}Foot`,
+        add(add(toe, outwards), [0, 0.0, -0.02]),
+        0.027,
+        add(add(toe, outwards), [0, 0, 0.035]),
+        0.022,
+      );
+      cone(
+        `${side}Foot`,
+        add(add(toe, outwards, -1.4), [0, 0, -0.02]),
+        0.027,
+        add(add(toe, outwards, -1), [0, 0, 0.05]),
+        0.023,
+      );
     }
     return list;
   }
@@ -244,7 +275,7 @@
           points.push(
             low[0] + (i + middle[0] / cuts) * CELL,
             low[1] + (j + middle[1] / cuts) * CELL,
-            low[2] + (k + middle[2] / cuts) * CELL
+            low[2] + (k + middle[2] / cuts) * CELL,
           );
           pieces.push(piece[cell + corners[Math.log2(inside & -inside)]]);
 
@@ -421,16 +452,19 @@
     material.onBeforeCompile = (shader) => {
       shader.uniforms.ringColour = { value: ringColour };
       shader.vertexShader = shader.vertexShader
-        .replace("#include <common>", "#include <common>\nattribute vec2 band;\nvarying vec2 vBand;\nvarying vec3 vRest;")
+        .replace(
+          "#include <common>",
+          "#include <common>\nattribute vec2 band;\nvarying vec2 vBand;\nvarying vec3 vRest;",
+        )
         .replace("#include <begin_vertex>", "#include <begin_vertex>\nvBand = band;\nvRest = position;");
       shader.fragmentShader = shader.fragmentShader
         .replace(
           "#include <common>",
-          `#include <common>\nvarying vec2 vBand;\nvarying vec3 vRest;\nuniform vec3 ringColour;\n${PAINT}`
+          `#include <common>\nvarying vec2 vBand;\nvarying vec3 vRest;\nuniform vec3 ringColour;\n${PAINT}`,
         )
         .replace(
           "#include <color_fragment>",
-          "#include <color_fragment>\ndiffuseColor.rgb = paint(diffuseColor.rgb, vRest, vBand, ringColour);"
+          "#include <color_fragment>\ndiffuseColor.rgb = paint(diffuseColor.rgb, vRest, vBand, ringColour);",
         );
     };
     material.customProgramCacheKey = () => "prbench-body";
@@ -449,7 +483,11 @@
   function turnBetween(from, to) {
     const rows = [];
     for (let row = 0; row < 3; row += 1) {
-      rows.push([0, 1, 2].map((column) => to[0][row] * from[0][column] + to[1][row] * from[1][column] + to[2][row] * from[2][column]));
+      rows.push(
+        [0, 1, 2].map(
+          (column) => to[0][row] * from[0][column] + to[1][row] * from[1][column] + to[2][row] * from[2][column],
+        ),
+      );
     }
     return rows;
   }
@@ -529,9 +567,11 @@
       const a = rest.axis;
       const extra = stretch - girth;
       const scaled = [0, 1, 2].map((row) =>
-        [0, 1, 2].map((column) => (row === column ? girth : 0) + extra * a[row] * a[column])
+        [0, 1, 2].map((column) => (row === column ? girth : 0) + extra * a[row] * a[column]),
       );
-      const linear = turn.map((row) => [0, 1, 2].map((c) => row[0] * scaled[0][c] + row[1] * scaled[1][c] + row[2] * scaled[2][c]));
+      const linear = turn.map((row) =>
+        [0, 1, 2].map((c) => row[0] * scaled[0][c] + row[1] * scaled[1][c] + row[2] * scaled[2][c]),
+      );
       const shift = minus(joints[first], apply(linear, rest.start));
       out[number].set(
         ...linear[0], shift[0],
@@ -551,7 +591,10 @@
         bone.matrixWorldAutoUpdate = false;
         return bone;
       });
-      this._skeleton = new THREE.Skeleton(bones, PIECES.map(() => new THREE.Matrix4()));
+      this._skeleton = new THREE.Skeleton(
+        bones,
+        PIECES.map(() => new THREE.Matrix4()),
+      );
       this._ringColour = new THREE.Color();
       this.material = bodyMaterial(new THREE.Color(), this._ringColour);
       this.object = new THREE.Group();
@@ -576,7 +619,12 @@
     /** Move to a pose: 22 points in metres and the unit direction of the head. */
     pose(joints, headRay) {
       if (this._girth === null) this._girth = sizeOf(joints);
-      pose(joints, headRay, this._girth, this._skeleton.bones.map((bone) => bone.matrixWorld));
+      pose(
+        joints,
+        headRay,
+        this._girth,
+        this._skeleton.bones.map((bone) => bone.matrixWorld),
+      );
     }
 
     /** Set colour and opacity (1: solid); `order` draws farther translucent bodies first. */

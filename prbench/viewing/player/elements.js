@@ -39,12 +39,20 @@
   /** Return a button with a picture, or with words where `icon` is none of the pictures. */
   function button(icon, label, act, attributes = {}) {
     const inside = PATHS[icon] ? picture(icon) : icon;
-    return make("button", { type: "button", title: label, "aria-label": PATHS[icon] ? label : null, onclick: act, ...attributes }, inside);
+    return make(
+      "button",
+      { type: "button", title: label, "aria-label": PATHS[icon] ? label : null, onclick: act, ...attributes },
+      inside,
+    );
   }
 
   /** Return one of the small pictures of buttons. */
   const picture = (icon) =>
-    svg("svg", { viewBox: "0 0 24 24", width: 20, height: 20, "aria-hidden": "true", focusable: "false" }, svg("path", { d: PATHS[icon], fill: "currentColor" }));
+    svg(
+      "svg",
+      { viewBox: "0 0 24 24", width: 20, height: 20, "aria-hidden": "true", focusable: "false" },
+      svg("path", { d: PATHS[icon], fill: "currentColor" }),
+    );
 
   /** Return a small sample of how a motion is drawn: its number on its colour, so that colour is never alone. */
   function swatch(number, colour) {

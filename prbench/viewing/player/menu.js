@@ -43,7 +43,9 @@
   }
 
   const fails = (entry, label, metric) =>
-    judged(entry, label).some((motion) => (motion.scores || []).some((score) => score.title === metric && score.good === false));
+    judged(entry, label).some((motion) =>
+      (motion.scores || []).some((score) => score.title === metric && score.good === false),
+    );
 
   /** Menu in an element; `onChoose(sequence_id)` is called when the user picks one. */
   class Menu {
@@ -56,7 +58,14 @@
         this.limit = PAGE;
         this.list();
       };
-      this.search = make("input", { type: "search", id: `${name}-search`, placeholder: "words of id or title", oninput: again, autocomplete: "off", spellcheck: "false" });
+      this.search = make("input", {
+        type: "search",
+        id: `${name}-search`,
+        placeholder: "words of id or title",
+        oninput: again,
+        autocomplete: "off",
+        spellcheck: "false",
+      });
       this.metric = make("select", { id: `${name}-metric`, onchange: () => {
         if (this.metric.value) this.order.value = "worst";
         again();
@@ -68,7 +77,10 @@
       this.order = make("select", { id: `${name}-order`, onchange: again },
         make("option", { value: "given" }, "as given"), make("option", { value: "worst" }, "worst first")); // prettier-ignore
       const labels = [...new Set(entries.flatMap((entry) => (entry.motions || []).map((motion) => motion.label)))];
-      this.whose.append(make("option", { value: "" }, "all methods"), ...labels.map((label) => make("option", { value: label }, label)));
+      this.whose.append(
+        make("option", { value: "" }, "all methods"),
+        ...labels.map((label) => make("option", { value: label }, label)),
+      );
       this._fillMetrics();
       this.count = make("p", { class: "prp-count", role: "status" });
       this.items = make("ul", { class: "prp-items" });
@@ -76,7 +88,8 @@
         this.limit += 4 * PAGE;
         this.list();
       } }, "Show more"); // prettier-ignore
-      const field = (label, control) => make("div", { class: "prp-field" }, make("label", { for: control.id }, label), control);
+      const field = (label, control) =>
+        make("div", { class: "prp-field" }, make("label", { for: control.id }, label), control);
       element.append(
         field("Search", this.search),
         make("div", { class: "prp-fields" }, field("Failed", this.metric), labels.length > 1 ? field("Of", this.whose) : null, field("Order", this.order)),
@@ -103,7 +116,7 @@
       }
       this.metric.replaceChildren(
         make("option", { value: "" }, "any or none"),
-        ...[...counts].map(([title, count]) => make("option", { value: title }, `${title} (${count})`))
+        ...[...counts].map(([title, count]) => make("option", { value: title }, `${title} (${count})`)),
       );
       this.metric.value = counts.has(before) ? before : "";
     }
@@ -164,7 +177,13 @@
     _verdicts(motion, named) {
       const rates = (motion.scores || []).filter((score) => score.good !== null && score.good !== undefined);
       if (!rates.length) return null;
-      const words = rates.map((score) => make("span", { class: score.good ? "prp-pass" : "prp-fail" }, `${score.good ? "✓" : "✗"} ${score.title.replace(/ Success$/, "")}`));
+      const words = rates.map((score) =>
+        make(
+          "span",
+          { class: score.good ? "prp-pass" : "prp-fail" },
+          `${score.good ? "✓" : "✗"} ${score.title.replace(/ Success$/, "")}`,
+        ),
+      );
       return make("span", { class: "prp-verdicts" }, named ? make("span", {}, `${motion.label}:`) : null, ...words);
     }
 

@@ -59,7 +59,20 @@
       ); // prettier-ignore
     }
   }
-  for (const name of ["show", "choose", "setLayout", "setLayers", "setTheme", "setTime", "setFollow", "look", "orbit", "draw", "dispose", "invalidate"]) {
+  for (const name of [
+    "show",
+    "choose",
+    "setLayout",
+    "setLayers",
+    "setTheme",
+    "setTime",
+    "setFollow",
+    "look",
+    "orbit",
+    "draw",
+    "dispose",
+    "invalidate",
+  ]) {
     NoStage.prototype[name] = () => {};
   }
 
@@ -79,7 +92,9 @@
 
   /** Return what the address of the page asks for: sequence, time, labels of motions. */
   function readHash() {
-    const asked = Object.fromEntries(hashParts().map((part) => [part.split("=")[0], part.slice(part.indexOf("=") + 1)]));
+    const asked = Object.fromEntries(
+      hashParts().map((part) => [part.split("=")[0], part.slice(part.indexOf("=") + 1)]),
+    );
     const time = Number.parseFloat(asked.t);
     return {
       sequence: asked.sequence ? decoded(asked.sequence) : null,
@@ -131,7 +146,11 @@
       const timeline = make("div", { class: "prp-timeline" });
       this.nav = entries.length > 1 ? make("nav", { class: "prp-menu", "aria-label": "Sequences" }) : null;
       this.menuButton = this.nav
-        ? make("button", { type: "button", class: "prp-menu-button", "aria-expanded": "false", onclick: () => this._openMenu() }, `Sequences (${entries.length})`)
+        ? make(
+            "button",
+            { type: "button", class: "prp-menu-button", "aria-expanded": "false", onclick: () => this._openMenu() },
+            `Sequences (${entries.length})`,
+          )
         : null;
       const top = make("header", { class: "prp-top" },
         this.menuButton,
@@ -149,7 +168,10 @@
       ); // prettier-ignore
       try {
         if (typeof THREE === "undefined") throw new Error("three.js is missing from the page");
-        this.stage = new parts.stage.Stage(this.place, { reducedMotion: this.reducedMotion, onDraw: (labels) => this._placeTags(labels) });
+        this.stage = new parts.stage.Stage(this.place, {
+          reducedMotion: this.reducedMotion,
+          onDraw: (labels) => this._placeTags(labels),
+        });
         this.stage.canvas.setAttribute("role", "img");
         this.stage.canvas.addEventListener("webglcontextlost", (event) => {
           event.preventDefault();
@@ -169,7 +191,9 @@
 
     _transport() {
       this.playButton = button("play", "Play (Space)", () => this.toggle(), { class: "prp-play" });
-      this.repeatButton = button("loop", "Repeat at the end (R)", () => this._setRepeat(!this.repeat), { "aria-pressed": "false" });
+      this.repeatButton = button("loop", "Repeat at the end (R)", () => this._setRepeat(!this.repeat), {
+        "aria-pressed": "false",
+      });
       this.speedChoice = make("select", { "aria-label": "Speed", title: "Speed (- +)", onchange: () => {
         this.speed = Number(this.speedChoice.value);
       } }, ...SPEEDS.map((speed) => make("option", { value: speed, selected: speed === 1 }, `${speed}×`))); // prettier-ignore
@@ -189,17 +213,40 @@
 
     _viewButtons() {
       const choice = (list, act, current) =>
-        list.map(([value, words, title]) => button(words, title, () => act(value), { "data-value": value, "aria-pressed": String(value === current) }));
-      this.viewButtons = make("div", { class: "prp-choice", role: "group", "aria-label": "View" }, ...choice(VIEWS, (view) => this._look(view), "default"));
-      this.followButton = button("Follow", "Camera follows the bodies (F)", () => this._setFollow(!this.follow), { "aria-pressed": "false" });
-      this.layoutButtons = make("div", { class: "prp-choice", role: "group", "aria-label": "Arrangement" }, ...choice(LAYOUTS, (layout) => this._setLayout(layout), "lanes"));
-      return make("div", { class: "prp-views" }, this.layoutButtons, this.viewButtons, make("div", { class: "prp-choice" }, this.followButton));
+        list.map(([value, words, title]) =>
+          button(words, title, () => act(value), { "data-value": value, "aria-pressed": String(value === current) }),
+        );
+      this.viewButtons = make(
+        "div",
+        { class: "prp-choice", role: "group", "aria-label": "View" },
+        ...choice(VIEWS, (view) => this._look(view), "default"),
+      );
+      this.followButton = button("Follow", "Camera follows the bodies (F)", () => this._setFollow(!this.follow), {
+        "aria-pressed": "false",
+      });
+      this.layoutButtons = make(
+        "div",
+        { class: "prp-choice", role: "group", "aria-label": "Arrangement" },
+        ...choice(LAYOUTS, (layout) => this._setLayout(layout), "lanes"),
+      );
+      return make(
+        "div",
+        { class: "prp-views" },
+        this.layoutButtons,
+        this.viewButtons,
+        make("div", { class: "prp-choice" }, this.followButton),
+      );
     }
 
     /** Return a button that opens a small panel, with the panel. */
     _panel(words, title, ...children) {
       const inside = make("div", { class: "prp-panel" }, ...children);
-      const details = make("details", { class: "prp-details" }, make("summary", { title, "aria-label": title }, words), inside);
+      const details = make(
+        "details",
+        { class: "prp-details" },
+        make("summary", { title, "aria-label": title }, words),
+        inside,
+      );
       details.addEventListener("keydown", (event) => {
         if (event.key !== "Escape" || !details.open) return;
         details.open = false;
@@ -224,7 +271,11 @@
     _saveMenu() {
       this.withNames = make("input", { type: "checkbox", checked: true });
       this.progress = make("progress", { max: 1, value: 0, "aria-label": "Recorded part of the film" });
-      this.cancel = make("button", { type: "button", onclick: () => this._recording && this._recording.cancel() }, "Cancel");
+      this.cancel = make(
+        "button",
+        { type: "button", onclick: () => this._recording && this._recording.cancel() },
+        "Cancel",
+      );
       this.filmRow = make("div", { class: "prp-film", hidden: true }, this.progress, this.cancel);
       this.filmButton = make("button", { type: "button", onclick: () => this._film() }, "Film (WebM, real time)");
       this.savePanel = this._panel(
@@ -300,7 +351,8 @@
         "=": () => this._changeSpeed(1),
         r: () => this._setRepeat(!this.repeat),
         f: () => this._setFollow(!this.follow),
-        l: () => this._setLayout(LAYOUTS[(LAYOUTS.findIndex(([name]) => name === this.layout) + 1) % LAYOUTS.length][0]),
+        l: () =>
+          this._setLayout(LAYOUTS[(LAYOUTS.findIndex(([name]) => name === this.layout) + 1) % LAYOUTS.length][0]),
         w: () => this.stage.orbit(0, -0.12),
         s: () => this.stage.orbit(0, 0.12),
         a: () => this.stage.orbit(-0.15, 0),
@@ -324,7 +376,9 @@
 
     _togglePanel(panel) {
       panel.open = !panel.open;
-      const first = panel.open ? panel.querySelector(".prp-panel button, .prp-panel input") : panel.querySelector("summary");
+      const first = panel.open
+        ? panel.querySelector(".prp-panel button, .prp-panel input")
+        : panel.querySelector("summary");
       if (first) first.focus();
     }
 
@@ -370,7 +424,8 @@
     _what(sequence) {
       const missing = [];
       if (!sequence.goal) missing.push("The goal is not shown: it is unknown, or its dataset does not pass it on.");
-      if (!sequence.motions.some((motion) => motion.kind === "recorded")) missing.push("The recorded motion is not on this page.");
+      if (!sequence.motions.some((motion) => motion.kind === "recorded"))
+        missing.push("The recorded motion is not on this page.");
       return missing.join(" ");
     }
 
@@ -399,13 +454,16 @@
       if (!this.menu) return;
       const id = this.menu.neighbour(step);
       if (id) this.show(id).then(() => this._writeHash());
-      else this._announce(step > 0 ? "This is the last sequence of the list." : "This is the first sequence of the list.");
+      else
+        this._announce(step > 0 ? "This is the last sequence of the list." : "This is the first sequence of the list.");
     }
 
     /** Colours in which motions are drawn on page and stage, by their number. */
     _colours() {
       const dark = this.dark;
-      return this.sequence.motions.map(({ colour }) => (typeof THREE === "undefined" ? colour : `#${parts.stage.paintOf(colour, dark).getHexString()}`));
+      return this.sequence.motions.map(({ colour }) =>
+        typeof THREE === "undefined" ? colour : `#${parts.stage.paintOf(colour, dark).getHexString()}`,
+      );
     }
 
     _paintMotions() {
@@ -415,7 +473,8 @@
         .map((motion, number) => ({ motion, number, colour: colours[number] }))
         .filter(({ motion }) => chosen.includes(motion.label));
       this.timeline.show(this.sequence, shown);
-      for (const mark of this.scores.querySelectorAll(".prp-swatch")) mark.style.setProperty("--colour", colours[Number(mark.textContent) - 1]);
+      for (const mark of this.scores.querySelectorAll(".prp-swatch"))
+        mark.style.setProperty("--colour", colours[Number(mark.textContent) - 1]);
     }
 
     /** Fill the table: a row a motion with its scores and with the distances of the moment. */
@@ -427,9 +486,20 @@
       const chosen = this.chosen;
       this._now = [];
       const row = (motion, number) => {
-        const box = make("input", { type: "checkbox", checked: chosen.includes(motion.label), "aria-label": `show ${motion.label}` });
+        const box = make("input", {
+          type: "checkbox",
+          checked: chosen.includes(motion.label),
+          "aria-label": `show ${motion.label}`,
+        });
         box.addEventListener("change", () => this._choose(motion.label, box));
-        const name = make("th", { scope: "row" }, mayChoose ? box : null, swatch(number, motion.colour), make("span", {}, motion.label), motion.kind === "control" ? make("small", {}, " control") : null);
+        const name = make(
+          "th",
+          { scope: "row" },
+          mayChoose ? box : null,
+          swatch(number, motion.colour),
+          make("span", {}, motion.label),
+          motion.kind === "control" ? make("small", {}, " control") : null,
+        );
         const cells = titles.map((title) => this._scoreCell(motion.scores.find((score) => score.title === title)));
         const now = hasDistances ? [make("td", { class: "prp-now" }), make("td", { class: "prp-now" })] : [];
         this._now.push(now);
@@ -441,7 +511,9 @@
         make("thead", {}, make("tr", {}, make("th", { scope: "col" }, "motion"), ...heads.map((title) => make("th", { scope: "col" }, title)))),
         make("tbody", {}, ...motions.map(row))
       ); // prettier-ignore
-      this.scores.replaceChildren(make("div", { class: "prp-scroll", tabindex: 0, role: "region", "aria-label": "Table of scores" }, table));
+      this.scores.replaceChildren(
+        make("div", { class: "prp-scroll", tabindex: 0, role: "region", "aria-label": "Table of scores" }, table),
+      );
     }
 
     _scoreCell(score) {
@@ -524,7 +596,9 @@
           const sliding = parts.reading.inSpans(motion.sliding, frame) ? ", foot slides" : "";
           return `${motion.label}: ray ${centimetres(motion.head[frame])}, wrist ${centimetres(motion.wrist[frame])}${sliding}`;
         });
-      return [first, `${this.time.toFixed(2)} seconds, ${parts.reading.phase(sequence, this.time)}`, ...motions].filter(Boolean).join(". ");
+      return [first, `${this.time.toFixed(2)} seconds, ${parts.reading.phase(sequence, this.time)}`, ...motions]
+        .filter(Boolean)
+        .join(". ");
     }
 
     toggle() {
@@ -597,7 +671,9 @@
       const later = (stop) => (stop.time - this.time) * direction > 1e-3;
       const next = direction > 0 ? stops.find(later) : stops.reverse().find(later);
       // What begins in the same frame is told together.
-      const words = next ? stops.filter((stop) => Math.abs(stop.time - next.time) < 1e-3).map((stop) => stop.words) : [];
+      const words = next
+        ? stops.filter((stop) => Math.abs(stop.time - next.time) < 1e-3).map((stop) => stop.words)
+        : [];
       if (next) this._goTo(next.time, words.join("; "));
       else this._announce(direction > 0 ? "No later mark." : "No earlier mark.");
     }
@@ -646,7 +722,9 @@
     /** Describe the stage for those who do not see it. */
     _describe() {
       if (!this.stage.canvas || !this.sequence) return;
-      const view = VIEWS.find(([name]) => name === this.view)[2].replace(/ \(.*/, "").replace(/;.*/, "");
+      const view = VIEWS.find(([name]) => name === this.view)[2]
+        .replace(/ \(.*/, "")
+        .replace(/;.*/, "");
       this.stage.canvas.setAttribute("aria-label", `${this.sequence.title}: ${this.chosen.join(", ")}. ${view}.`);
     }
 
@@ -699,7 +777,14 @@
     }
 
     _help() {
-      const rows = KEYS.map(([keys, words]) => make("tr", {}, make("th", { scope: "row" }, ...keys.split(" ").map((key) => make("kbd", {}, key))), make("td", {}, words)));
+      const rows = KEYS.map(([keys, words]) =>
+        make(
+          "tr",
+          {},
+          make("th", { scope: "row" }, ...keys.split(" ").map((key) => make("kbd", {}, key))),
+          make("td", {}, words),
+        ),
+      );
       const close = make("button", { type: "button", onclick: () => this.dialog.close() }, "Close");
       this.dialog.replaceChildren(
         make("h2", {}, "Keys"), make("table", {}, make("tbody", {}, ...rows)),
@@ -751,7 +836,11 @@
         this._flash("Link copied.");
       } catch {
         const field = make("input", { type: "text", readonly: true, value: link, "aria-label": "Link to this moment" });
-        this.dialog.replaceChildren(make("h2", {}, "Link to this moment"), field, make("button", { type: "button", onclick: () => this.dialog.close() }, "Close"));
+        this.dialog.replaceChildren(
+          make("h2", {}, "Link to this moment"),
+          field,
+          make("button", { type: "button", onclick: () => this.dialog.close() }, "Close"),
+        );
         this.dialog.showModal();
         field.select();
       }

@@ -25,7 +25,7 @@
   function requireCount(found, expected, where) {
     if (found === expected) return;
     throw new Error(
-      `${where}: expected ${expected} numbers, found ${found}. Write the page again; its data are cut short.`
+      `${where}: expected ${expected} numbers, found ${found}. Write the page again; its data are cut short.`,
     );
   }
 
@@ -98,7 +98,7 @@
     if (document_.version !== VERSION) {
       throw new Error(
         `${id}: expected a document of version ${VERSION}, found version ${document_.version}. ` +
-          "Write the page again, so that player and data are of one prbench."
+          "Write the page again, so that player and data are of one prbench.",
       );
     }
     const n = document_.n_frames;

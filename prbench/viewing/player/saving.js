@@ -21,7 +21,10 @@
 
   /** Return a name for a file: letters, digits and hyphens of the id, and the moment. */
   function fileName(sequence, time, suffix) {
-    const id = sequence.id.replace(/[^A-Za-z0-9]+/g, "-").replace(/^-|-$/g, "").slice(0, 100);
+    const id = sequence.id
+      .replace(/[^A-Za-z0-9]+/g, "-")
+      .replace(/^-|-$/g, "")
+      .slice(0, 100);
     return `${id}${time === null ? "" : `-${time.toFixed(2)}s`}.${suffix}`;
   }
 
@@ -59,7 +62,10 @@
         }),
     });
     return new Promise((resolve, reject) => {
-      canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("The browser could not write the picture."))), "image/png");
+      canvas.toBlob(
+        (blob) => (blob ? resolve(blob) : reject(new Error("The browser could not write the picture."))),
+        "image/png",
+      );
     });
   }
 
@@ -109,8 +115,12 @@
     };
 
     const done = new Promise((resolve, reject) => {
-      recorder.addEventListener("error", (event) => reject(event.error || new Error("The film could not be recorded.")));
-      recorder.addEventListener("stop", () => resolve(cancelled ? null : new Blob(pieces, { type: format.split(";")[0] })));
+      recorder.addEventListener("error", (event) =>
+        reject(event.error || new Error("The film could not be recorded.")),
+      );
+      recorder.addEventListener("stop", () =>
+        resolve(cancelled ? null : new Blob(pieces, { type: format.split(";")[0] })),
+      );
       drawAt(0);
       recorder.start(250);
       let begin = null;

@@ -78,7 +78,11 @@
   function boxObject(corners, colour, faceOpacity) {
     const group = new THREE.Group();
     const edges = new THREE.MeshStandardMaterial({ color: colour, roughness: 0.5 });
-    const frame = bars(BOX_EDGES.map(([one, other]) => [corners[one], corners[other]]), 0.0045, edges);
+    const frame = bars(
+      BOX_EDGES.map(([one, other]) => [corners[one], corners[other]]),
+      0.0045,
+      edges,
+    );
     frame.castShadow = true;
     const faces = new THREE.BufferGeometry();
     faces.setAttribute("position", new THREE.BufferAttribute(new Float32Array(corners.flat()), 3));
@@ -100,11 +104,15 @@
     for (let i = 0; i < n; i += 1) {
       const step = at(Math.min(i + 1, n - 1)).sub(at(Math.max(i - 1, 0)));
       if (step.length() > 1e-5) forward.copy(step).normalize();
-      const side = new THREE.Vector3().crossVectors(Math.abs(forward.y) > 0.9 ? new THREE.Vector3(1, 0, 0) : up(), forward).normalize();
+      const side = new THREE.Vector3()
+        .crossVectors(Math.abs(forward.y) > 0.9 ? new THREE.Vector3(1, 0, 0) : up(), forward)
+        .normalize();
       const top = new THREE.Vector3().crossVectors(forward, side);
       for (let k = 0; k < around; k += 1) {
         const angle = (2 * Math.PI * k) / around;
-        const place = at(i).addScaledVector(side, radius * Math.cos(angle)).addScaledVector(top, radius * Math.sin(angle));
+        const place = at(i)
+          .addScaledVector(side, radius * Math.cos(angle))
+          .addScaledVector(top, radius * Math.sin(angle));
         place.toArray(positions, 3 * (i * around + k));
       }
     }
@@ -180,7 +188,11 @@
       const pelvis = pathOf(this.motion, n, PELVIS, FLOOR + 0.008);
       const tracks = [[pelvis, 0.009], ...WRISTS.map((joint) => [pathOf(this.motion, n, joint), 0.006])];
       for (const [points, radius] of tracks) {
-        const ahead = tube(points, radius * 0.6, new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.28, depthWrite: false }));
+        const ahead = tube(
+          points,
+          radius * 0.6,
+          new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.28, depthWrite: false }),
+        );
         const done = tube(points, radius, new THREE.MeshBasicMaterial());
         done.userData.done = true;
         this.paths.add(ahead, done);
@@ -200,11 +212,14 @@
         this.goal.add(dot);
         // A wrist inside the small sphere is within reach; a ray through the large one is on target.
         this.limits = new THREE.Group();
-        for (const [radius, opacity] of [[limits.reach_distance, 0.2], [limits.prime_distance, 0.085]]) {
+        for (const [radius, opacity] of [
+          [limits.reach_distance, 0.2],
+          [limits.prime_distance, 0.085],
+        ]) {
           if (!radius) continue;
           const shell = new THREE.Mesh(
             new THREE.SphereGeometry(radius, 40, 28),
-            new THREE.MeshBasicMaterial({ color: GOAL_COLOUR, transparent: true, opacity, depthWrite: false })
+            new THREE.MeshBasicMaterial({ color: GOAL_COLOUR, transparent: true, opacity, depthWrite: false }),
           );
           shell.position.set(...goal.location);
           this.limits.add(shell);
@@ -273,7 +288,10 @@
     _endOf(origin, direction) {
       let length = LONGEST_RAY;
       if (this.sequence.goal) {
-        const ahead = this.sequence.goal.location.reduce((sum, value, i) => sum + (value - origin[i]) * direction[i], 0);
+        const ahead = this.sequence.goal.location.reduce(
+          (sum, value, i) => sum + (value - origin[i]) * direction[i],
+          0,
+        );
         if (ahead > 0.05) length = Math.min(ahead, LONGEST_RAY);
         else length = 1;
       }
@@ -330,7 +348,10 @@
       Object.assign(shader.uniforms, uniforms);
       shader.vertexShader = shader.vertexShader
         .replace("#include <common>", "#include <common>\nvarying vec3 vFloor;")
-        .replace("#include <begin_vertex>", "#include <begin_vertex>\nvFloor = (modelMatrix * vec4(position, 1.0)).xyz;");
+        .replace(
+          "#include <begin_vertex>",
+          "#include <begin_vertex>\nvFloor = (modelMatrix * vec4(position, 1.0)).xyz;",
+        );
       shader.fragmentShader = shader.fragmentShader
         .replace(
           "#include <common>",
@@ -341,12 +362,9 @@
             vec2 away = abs(fract(place - 0.5) - 0.5);
             vec2 line = smoothstep(width + soft, max(width - soft, 0.0), away) * min(vec2(1.0), 0.6 / max(soft * 4.0, 0.6));
             return max(line.x, line.y);
-          }`
+          }`,
         )
-        .replace(
-          "#include <opaque_fragment>",
-          ""
-        )
+        .replace("#include <opaque_fragment>", "")
         .replace(
           /gl_FragColor = vec4\( color, opacity \* \( 1\.0 - getShadowMask\(\) \) \);/,
           `float fade = smoothstep(1.0, 0.25, distance(vFloor.xz, middle.xz) / radius);
@@ -357,7 +375,7 @@
           vec3 below = mix(fillColour, lineColour, lines);
           float alpha = base + lines * (1.0 - base);
           float whole = dark + alpha * (1.0 - dark);
-          gl_FragColor = vec4(mix(below, vec3(0.0), dark / max(whole, 1e-4)), whole);`
+          gl_FragColor = vec4(mix(below, vec3(0.0), dark / max(whole, 1e-4)), whole);`,
         );
     };
     const floor = new THREE.Mesh(new THREE.CircleGeometry(1, 48).rotateX(-Math.PI / 2), material);
@@ -375,7 +393,10 @@
       label.x = Math.min(Math.max(label.x, half), Math.max(width - half, half));
       label.y = Math.max(label.y, 24);
       const covered = () =>
-        placed.find((other) => Math.abs(other.x - label.x) < half + 4.2 * other.label.length + 10 && Math.abs(other.y - label.y) < 21);
+        placed.find(
+          (other) =>
+            Math.abs(other.x - label.x) < half + 4.2 * other.label.length + 10 && Math.abs(other.y - label.y) < 21,
+        );
       let step = -21;
       for (let tries = 0; tries < 8 && covered(); tries += 1) {
         if (label.y + step < 24) step = 21;
@@ -644,7 +665,8 @@
       const shown = this.shown;
       if (!shown.length) return null;
       const sum = new THREE.Vector3();
-      for (const { joints, group } of shown) sum.add(new THREE.Vector3(joints[PELVIS][0], 0, joints[PELVIS][2])).add(group.position);
+      for (const { joints, group } of shown)
+        sum.add(new THREE.Vector3(joints[PELVIS][0], 0, joints[PELVIS][2])).add(group.position);
       return sum.divideScalar(shown.length);
     }
 
@@ -673,8 +695,15 @@
       const lanes = this.layout === "lanes" && this.shown.length > 1;
       const [ahead, beside] = lanes ? [0.85, 0.55] : [0.62, 0.85];
       const towards = {
-        default: axis.clone().multiplyScalar(ahead).addScaledVector(side, -beside).add(new THREE.Vector3(0, 0.3, 0)),
-        side: side.clone().multiplyScalar(-1).add(new THREE.Vector3(0, 0.07, 0)),
+        default: axis
+          .clone()
+          .multiplyScalar(ahead)
+          .addScaledVector(side, -beside)
+          .add(new THREE.Vector3(0, 0.3, 0)),
+        side: side
+          .clone()
+          .multiplyScalar(-1)
+          .add(new THREE.Vector3(0, 0.07, 0)),
         front: axis.clone().add(new THREE.Vector3(0, 0.12, 0)),
         above: up().addScaledVector(axis, -0.001),
       }[preset].normalize();
@@ -694,8 +723,12 @@
         low = new THREE.Vector3(Infinity, FLOOR, Infinity);
         high = new THREE.Vector3(-Infinity, 1.75, -Infinity);
         for (const { joints, group } of shown) {
-          low.min(new THREE.Vector3(joints[0][0] - 0.5 + group.position.x, FLOOR, joints[0][2] - 0.5 + group.position.z));
-          high.max(new THREE.Vector3(joints[0][0] + 0.5 + group.position.x, 1.75, joints[0][2] + 0.5 + group.position.z));
+          low.min(
+            new THREE.Vector3(joints[0][0] - 0.5 + group.position.x, FLOOR, joints[0][2] - 0.5 + group.position.z),
+          );
+          high.max(
+            new THREE.Vector3(joints[0][0] + 0.5 + group.position.x, 1.75, joints[0][2] + 0.5 + group.position.z),
+          );
         }
       }
       const middle = low.clone().add(high).multiplyScalar(0.5);
@@ -752,7 +785,11 @@
       const radius = Math.min(Math.max(offset.length() * nearer, 0.5), 25);
       const angle = Math.atan2(offset.x, offset.z) + yaw;
       const polar = Math.min(Math.max(Math.acos(offset.y / offset.length()) + pitch, 0.02), Math.PI * 0.52);
-      offset.set(radius * Math.sin(polar) * Math.sin(angle), radius * Math.cos(polar), radius * Math.sin(polar) * Math.cos(angle));
+      offset.set(
+        radius * Math.sin(polar) * Math.sin(angle),
+        radius * Math.cos(polar),
+        radius * Math.sin(polar) * Math.cos(angle),
+      );
       this.camera.position.copy(this.controls.target).add(offset);
       this.controls.update();
       this.invalidate();
@@ -841,7 +878,12 @@
         for (const actor of tile.actors) {
           const { label, colour } = actor.motion;
           if (this.layout === "views" || this.preset === "eyes") {
-            if (this.preset === "eyes" && tile.actors.length > 1 && actor !== tile.actors[this.eyes % tile.actors.length]) continue;
+            if (
+              this.preset === "eyes" &&
+              tile.actors.length > 1 &&
+              actor !== tile.actors[this.eyes % tile.actors.length]
+            )
+              continue;
             labels.push({ label, colour, x: tile.x + tile.width / 2, y: tile.y + 26 });
             continue;
           }
@@ -849,7 +891,12 @@
           place.y += 0.26;
           place.project(this.camera);
           if (place.z > 1) continue;
-          labels.push({ label, colour, x: tile.x + ((place.x + 1) / 2) * tile.width, y: tile.y + ((1 - place.y) / 2) * tile.height });
+          labels.push({
+            label,
+            colour,
+            x: tile.x + ((place.x + 1) / 2) * tile.width,
+            y: tile.y + ((1 - place.y) / 2) * tile.height,
+          });
         }
       }
       return apart(labels, width);

@@ -35,9 +35,17 @@
       this.head = make("div", { class: "prp-playhead", "aria-hidden": "true" });
       this.slider = make(
         "div",
-        { class: "prp-slider", role: "slider", tabindex: 0, "aria-label": "Time", "aria-valuemin": 0, "aria-valuemax": 0, "aria-valuenow": 0 },
+        {
+          class: "prp-slider",
+          role: "slider",
+          tabindex: 0,
+          "aria-label": "Time",
+          "aria-valuemin": 0,
+          "aria-valuemax": 0,
+          "aria-valuenow": 0,
+        },
         this.picture,
-        this.head
+        this.head,
       );
       element.append(this.slider);
       this.slider.addEventListener("pointerdown", (event) => this._press(event));
@@ -153,7 +161,15 @@
       if (window_.length === 2) {
         const from = this._ofFrame(window_[0] - 0.5);
         const to = this._ofFrame(window_[1] + 0.5);
-        list.push(svg("rect", { class: "prp-window", x: from, y: AXIS - 3, width: Math.max(to - from, 1), height: height - AXIS + 3 }));
+        list.push(
+          svg("rect", {
+            class: "prp-window",
+            x: from,
+            y: AXIS - 3,
+            width: Math.max(to - from, 1),
+            height: height - AXIS + 3,
+          }),
+        );
       }
       const pixelsASecond = (this._right - this._left) / Math.max(duration, 1e-6);
       const step = [0.1, 0.25, 0.5, 1, 2, 5, 10].find((seconds) => seconds * pixelsASecond >= 44) || 20;
@@ -161,7 +177,13 @@
         const x = this._x(tick);
         list.push(svg("line", { class: "prp-tick", x1: x, x2: x, y1: AXIS - 3, y2: height }));
         const far = [this.sequence.primeTime, this.sequence.eventTime].every((mark) => Math.abs(this._x(mark) - x) > 1);
-        list.push(svg("text", { class: "prp-second", x, y: AXIS - 7, "text-anchor": "middle" }, far || step >= 1 ? `${Number(tick.toFixed(2))}` : ""));
+        list.push(
+          svg(
+            "text",
+            { class: "prp-second", x, y: AXIS - 7, "text-anchor": "middle" },
+            far || step >= 1 ? `${Number(tick.toFixed(2))}` : "",
+          ),
+        );
       }
       list.push(svg("text", { class: "prp-second", x: 4, y: AXIS - 7 }, this._left > 50 ? "seconds" : ""));
       return list;
@@ -177,7 +199,7 @@
         group.append(
           svg("line", { class: "prp-mark", x1: x, x2: x, y1: 14, y2: height }),
           svg("path", { class: "prp-mark-head", d: shape, transform: `translate(${x} 16)` }),
-          svg("text", { class: "prp-mark-name", x, y: 10, "text-anchor": anchor }, `${name} ${time.toFixed(2)} s`)
+          svg("text", { class: "prp-mark-name", x, y: 10, "text-anchor": anchor }, `${name} ${time.toFixed(2)} s`),
         );
       };
       const close = Math.abs(this._x(primeTime) - this._x(eventTime)) < 150;
@@ -194,25 +216,47 @@
       const ceiling = Math.min(Math.max(largest, 2 * (limitValue || 0.1)), 1.2);
       const y = (metres) => top + PLOT - (Math.min(metres, ceiling) / ceiling) * PLOT;
       const group = svg("g", {});
-      group.append(svg("rect", { class: "prp-plot", x: this._left, y: top, width: this._right - this._left, height: PLOT }));
+      group.append(
+        svg("rect", { class: "prp-plot", x: this._left, y: top, width: this._right - this._left, height: PLOT }),
+      );
       if (limitValue) {
         const line = y(limitValue);
         group.append(
-          svg("rect", { class: "prp-good", x: this._left, y: line, width: this._right - this._left, height: top + PLOT - line }),
-          svg("line", { class: "prp-limit", x1: this._left, x2: this._right, y1: line, y2: line })
+          svg("rect", {
+            class: "prp-good",
+            x: this._left,
+            y: line,
+            width: this._right - this._left,
+            height: top + PLOT - line,
+          }),
+          svg("line", { class: "prp-limit", x1: this._left, x2: this._right, y1: line, y2: line }),
         );
       }
       this.motions.forEach(({ number, colour }, index) => {
         const column = values[index];
         if (!column) return;
         const points = [];
-        for (let frame = 0; frame < column.length; frame += 1) points.push(`${this._ofFrame(frame).toFixed(1)} ${y(column[frame]).toFixed(1)}`);
+        for (let frame = 0; frame < column.length; frame += 1)
+          points.push(`${this._ofFrame(frame).toFixed(1)} ${y(column[frame]).toFixed(1)}`);
         group.append(
-          svg("path", { d: `M${points.join("L")}`, fill: "none", stroke: colour, "stroke-width": 2, "stroke-linejoin": "round", "stroke-dasharray": DASHES[number % DASHES.length] })
+          svg("path", {
+            d: `M${points.join("L")}`,
+            fill: "none",
+            stroke: colour,
+            "stroke-width": 2,
+            "stroke-linejoin": "round",
+            "stroke-dasharray": DASHES[number % DASHES.length],
+          }),
         );
       });
       if (narrow) {
-        group.append(svg("text", { class: "prp-row", x: this._left, y: top - 3 }, `${title}, limit ${centimetres(limitValue || 0)}, top ${centimetres(ceiling)}`));
+        group.append(
+          svg(
+            "text",
+            { class: "prp-row", x: this._left, y: top - 3 },
+            `${title}, limit ${centimetres(limitValue || 0)}, top ${centimetres(ceiling)}`,
+          ),
+        );
       } else {
         const lines = [title, limitValue ? `limit ${centimetres(limitValue)}` : "", `0 to ${centimetres(ceiling)}`];
         lines.forEach((line, row) => {
@@ -230,14 +274,36 @@
       else group.append(svg("text", { class: "prp-row", x: 4, y: top + height / 2 + 4 }, title));
       this.motions.forEach(({ motion, number, colour }, lane) => {
         const y = top + lane * (LANE + 2);
-        group.append(svg("rect", { class: "prp-lane", x: this._left, y, width: this._right - this._left, height: LANE, rx: 2 }));
-        if (!narrow && this.motions.length > 1) group.append(svg("text", { class: "prp-number", x: this._left - 5, y: y + LANE - 0.5, "text-anchor": "end" }, String(number + 1)));
+        group.append(
+          svg("rect", { class: "prp-lane", x: this._left, y, width: this._right - this._left, height: LANE, rx: 2 }),
+        );
+        if (!narrow && this.motions.length > 1)
+          group.append(
+            svg(
+              "text",
+              { class: "prp-number", x: this._left - 5, y: y + LANE - 0.5, "text-anchor": "end" },
+              String(number + 1),
+            ),
+          );
         for (const [first, last] of motion[name]) {
           const from = this._ofFrame(first - 0.5);
           const width = Math.max(this._ofFrame(last + 0.5) - from, 2);
           const fill = pattern === "solid" ? colour : `url(#${this._name}-${pattern}-${number})`;
-          group.append(svg("rect", { x: from, y, width, height: LANE, rx: pattern === "solid" ? 2 : 0, fill, "data-span": `${name} ${number}` }));
-          if (pattern !== "solid") group.append(svg("rect", { x: from, y, width, height: LANE, fill: "none", stroke: colour, "stroke-width": 1 }));
+          group.append(
+            svg("rect", {
+              x: from,
+              y,
+              width,
+              height: LANE,
+              rx: pattern === "solid" ? 2 : 0,
+              fill,
+              "data-span": `${name} ${number}`,
+            }),
+          );
+          if (pattern !== "solid")
+            group.append(
+              svg("rect", { x: from, y, width, height: LANE, fill: "none", stroke: colour, "stroke-width": 1 }),
+            );
         }
       });
       return group;
@@ -246,7 +312,10 @@
     /** Return the times to which one jumps: prime, event, and the start of every span, in order. */
     stops() {
       const { primeTime, eventTime, fps, action } = this.sequence;
-      const list = [{ time: primeTime, words: "prime" }, { time: eventTime, words: action || "event" }];
+      const list = [
+        { time: primeTime, words: "prime" },
+        { time: eventTime, words: action || "event" },
+      ];
       for (const { motion } of this.motions) {
         for (const { name, title } of SPANS) {
           for (const [first, last] of motion[name]) {
