@@ -30,7 +30,9 @@ from prbench.cli.commands import Answer, command, progress
 @opt.path_option("--body-model", "Your own SMPL, SMPL-H or SMPL-X (.npz), for smpl.")
 @opt.root_option("The recordings, whose streams rrd holds, too.", required=False)
 @opt.permission_option
-def export_motion(*, source: Path, data: tuple[Path, ...], permission: tuple[str, ...], **given: Any) -> Answer:
+def export_motion(
+    *, source: Path, data: tuple[Path, ...], root: Path | None, permission: tuple[str, ...], **given: Any
+) -> Answer:
     """Write motions into files that other tools open, one file a motion.
 
     Of RUN the generated motions are written, of TABLE the recorded ones.
@@ -41,7 +43,8 @@ def export_motion(*, source: Path, data: tuple[Path, ...], permission: tuple[str
 
     is_table = (source / FILE_NAME).is_file()
     runs, data = ((), (source, *data)) if is_table else ((source,), data)
-    request = ExportRequest(runs=runs, data=data, form=given.pop("format"), permitted=permission, **given)
+    given |= {"form": given.pop("format"), "recordings": root, "permitted": permission}
+    request = ExportRequest(runs=runs, data=data, **given)
     with progress(f"writing {given['out'].name}") as show:
         report = export(request, show)
 

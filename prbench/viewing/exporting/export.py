@@ -39,7 +39,7 @@ class ExportRequest(ViewRequest):
         recorded: The recorded motion of a run's sequences, too.
         unit: Unit of BVH, a key of :data:`prbench.viewing.exporting.bvh.UNITS`.
         body_model: The user's SMPL, SMPL-H or SMPL-X, for the format ``smpl``.
-        root: The recordings that the table was built from, whose streams an ``rrd`` holds, too.
+        recordings: Those that the table was built from, whose streams an ``rrd`` holds, too.
     """
 
     out: Path  # pyright: ignore[reportGeneralTypeIssues] # nothing stands for it, unlike in a view
@@ -47,7 +47,7 @@ class ExportRequest(ViewRequest):
     recorded: bool = False
     unit: str = "m"
     body_model: Path | None = None
-    root: Path | None = None
+    recordings: Path | None = None
 
 
 class ExportedMotion(msgspec.Struct, frozen=True, kw_only=True):
@@ -107,7 +107,7 @@ def export_motion(request: ExportRequest, progress: Progress = lambda *_: None) 
         StorageError: if the output cannot be written or holds something else.
     """
     form = request.form
-    for option, value, needed in (("--body-model", request.body_model, "smpl"), ("--root", request.root, "rrd")):
+    for option, value, needed in (("--body-model", request.body_model, "smpl"), ("--root", request.recordings, "rrd")):
         if value is not None and form != needed:
             raise UsageError(f"{option}: belongs to --format {needed}; leave it out for {form}.")
     if form == "smpl" and request.body_model is None:
@@ -148,7 +148,7 @@ def _permitted(request: ExportRequest) -> tuple[list[Scene], list[str]]:
         # A file is made to be passed on, so that terms such as non-commercial need the user's word, too.
         if info.redistribution != "yes" and scene.dataset not in request.permitted:
             methods = tuple(motion for motion in scene.motions if motion.kind == "method")
-            if not methods or request.recorded or request.root is not None:
+            if not methods or request.recorded or request.recordings is not None:
                 raise RedistributionError(
                     f"{info.title} ({scene.dataset}): its licence ({info.licence}) says to whom recorded motion and"
                     " goals may be given, and the files would hold them. If you keep to it, or have the licensor's"
@@ -200,7 +200,7 @@ def _write(request: ExportRequest, scene: Scene, path: Path, name: str) -> Expor
     if request.form == "rrd":
         from prbench.viewing.exporting.rerun_file import write_rrd
 
-        write_rrd(scene, path, about, None if request.root is None else _recording(scene, request.root))
+        write_rrd(scene, path, about, None if request.recordings is None else _recording(scene, request.recordings))
         return said
     if request.form == "npz":
         from prbench.viewing.exporting.arrays import write_arrays

@@ -56,7 +56,7 @@ def test_the_streams_of_the_recording_stand_beside_the_motion(tmp_path):
     table = SequenceTable.open(place / "table")
     name = table.scalars()["sequence_id"].to_pylist()[0]
     request = ExportRequest(
-        form="rrd", data=(place / "table",), sequences=(name,), root=place / "raw", out=tmp_path / "a.rrd"
+        form="rrd", data=(place / "table",), sequences=(name,), recordings=place / "raw", out=tmp_path / "a.rrd"
     )
     export_motion(request)
     chunk = next(table.chunks(ids=frozenset({name})))
@@ -67,7 +67,7 @@ def test_the_streams_of_the_recording_stand_beside_the_motion(tmp_path):
     times, looks = _read(tmp_path / "a.rrd", "recording/gaze", "LineStrip3D")
     assert times.min() >= 0
     assert len(looks) > 10
-    other = replace(request, root=place / "table", out=tmp_path / "b.rrd")
+    other = replace(request, recordings=place / "table", out=tmp_path / "b.rrd")
     with pytest.raises(InputFileError, match="expected"):
         export_motion(other)
     assert not (tmp_path / "b.rrd").exists()
