@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -202,10 +202,12 @@ def fake_dataset(
     dataset: str = "synthetic-adt",
     recordings: int = 12,
     boxes: Collection[SceneBox] = (),
+    change: Callable[[Sequence], Sequence] = lambda row: row,
+    **info: str,
 ) -> SequenceTable:
-    """Write a made-up dataset of ``n`` sequences, with boxes around them if wanted, and open it."""
+    """Write a made-up dataset of ``n`` sequences, changed and with boxes around them if wanted, and open it."""
     rows = sorted(
-        (fake_sequence(index, dataset=dataset, recordings=recordings) for index in range(n)),
+        (change(fake_sequence(index, dataset=dataset, recordings=recordings)) for index in range(n)),
         key=lambda row: row.sequence_id,
     )
     splits = {row.recording_id: row.split for row in rows}
@@ -218,7 +220,7 @@ def fake_dataset(
     ]  # fmt: skip
     write_dataset(
         folder,
-        fake_info(dataset, len(rows)),
+        msgspec.structs.replace(fake_info(dataset, len(rows)), **info),
         sequences=[sequence_batch(rows)] if rows else [],
         events=[event_batch(fake_event(row) for row in rows)],
         recordings=[recording_batch(records)],

@@ -29,8 +29,8 @@ from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.predictions import PredictionRows, write_part
 from prbench.harness.run_folder.record import MethodRecord
 from prbench.harness.run_folder.summary import DatasetSummary
-from prbench.harness.score_request import listed
 from prbench.sequences.dataset_info import notice, require_may_pass_on
+from prbench.shown import listed
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, require_futures
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
 from prbench_benchmarks.motion_prediction.table import WindowsInfo

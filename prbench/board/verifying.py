@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import prbench
 from prbench.board.collect import collect_runs
 from prbench.board.submission import RUNS, Submission
 from prbench.engine import Engine, InProcess
-from prbench.errors import RunError
+from prbench.errors import PredictionsError, RunError
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.first_run import table_finder
 from prbench.harness.results import CheckedSummary, MetricDrift, RunChecker
@@ -111,10 +112,15 @@ def verify_submission(
         )
         return checked
 
-    collected = collect_runs([folder / RUNS], check=check, any_benchmark=True)
+    try:
+        collected = collect_runs([folder / RUNS], check=check, any_benchmark=True)
+    except (RunError, PredictionsError) as error:
+        # The folder may be gone when people read this; what stands in it has the names that it has in the archive.
+        reason = str(error).replace(f"{os.path.realpath(folder)}/", "")
+        raise type(error)(f"submission {submission.id} is refused: {reason}") from error
     problems = [*collected.left_out, *(f"{row.run}: {row.unverified}" for row in collected.rows if row.unverified)]
     if problems:
-        raise RunError(f"submission {submission.id}: cannot be verified: {'; '.join(problems)}.")
+        raise RunError(f"submission {submission.id} cannot be verified: {'; '.join(problems)}.")
     return Verification(
         submission=submission.id,
         digest=submission.digest,
