@@ -18,7 +18,8 @@ import msgspec
 
 import prbench
 from prbench.board.collect import collect_runs, run_folders
-from prbench.errors import InputFileError, RunError, UsageError
+from prbench.datasets import SYNTHETIC_PREFIX, readable_datasets
+from prbench.errors import InputFileError, RunError, UsageError, did_you_mean
 from prbench.files.archives import open_archive, write_archive
 from prbench.files.bounded import foreign_input, read_toml, read_whole, require
 from prbench.files.storage import atomic_folder, bytes_digest, file_digest, sole_writer
@@ -30,6 +31,7 @@ from prbench.harness.run_folder.record import CONTROL, RunRecord
 from prbench.harness.run_folder.signature import SIGNATURE, SUMS, require_unchanged
 from prbench.limits import HARMLESS_SIZE
 from prbench.sequences.dataset_info import require_may_pass_on
+from prbench.shown import quoted
 
 FILE_NAME = "submission.json"
 RUNS = "runs"
@@ -126,31 +128,40 @@ def read_training(path: Path) -> TrainingData:
         digests = {name if re.fullmatch("[0-9a-f]{64}", name) else bytes_digest(name.encode()) for name in names}
         values["recordings"] = sorted(digests)
     try:
-        return msgspec.convert(values, TrainingData)
-    except msgspec.ValidationError as error:
-        expected = "datasets, corpora, licence and recordings (docs/leaderboard.md)"
-        raise InputFileError(path, "", expected=expected, found=str(error)) from error
+        return _declared(values)
+    except UsageError as error:
+        raise InputFileError(path, "", expected="a declaration (docs/leaderboard.md)", found=str(error)) from error
 
 
 def trained_on(texts: Iterable[str]) -> TrainingData:
     """Return the declaration that ``--trained-on`` makes: ``none``, or datasets, each with a split or participants.
 
     Raises:
-        UsageError: if ``none`` stands beside a dataset, or a dataset is there twice.
+        UsageError: if ``none`` stands beside a dataset, or a dataset is unknown.
     """
     entries = []
     for text in texts:
         dataset, _, detail = text.partition(":")
         if detail in ("", "train", "validation", "test", "all"):
-            entries.append(TrainingDataset(dataset=dataset, split=detail or "train"))
+            entries.append({"dataset": dataset, "split": detail or "train"})
         else:
-            entries.append(TrainingDataset(dataset=dataset, participants=tuple(detail.split(","))))
-    names = [each.dataset for each in entries]
-    if names == ["none"]:
-        return TrainingData()
-    if "none" in names or len(set(names)) < len(names):
-        raise UsageError(f"--trained-on {', '.join(texts)}: expected none alone, or every dataset once.")
-    return TrainingData(datasets=tuple(entries))
+            entries.append({"dataset": dataset, "participants": detail.split(",")})
+    return TrainingData() if list(texts) == ["none"] else _declared({"datasets": entries})
+
+
+def _declared(values: dict[str, Any]) -> TrainingData:
+    try:
+        training = msgspec.convert(values, TrainingData)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"training data: {error}") from error
+    known = readable_datasets()
+    for name in (each.dataset for each in training.datasets):
+        if name.removeprefix(SYNTHETIC_PREFIX) not in known:
+            raise UsageError(
+                f"training data: expected datasets among {', '.join(known)}, found {quoted(name)}."
+                f"{did_you_mean(name, known)} Name other data in `corpora` of a --training file."
+            )
+    return training
 
 
 class Submission(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

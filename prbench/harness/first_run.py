@@ -217,7 +217,8 @@ def table_finder(data: Sequence[Path], *, same_values: bool = True) -> Callable[
                 opened.append(SequenceTable.open(folder))
                 return opened[-1]
         for table in opened:
-            if not same_values and table.info.dataset == record.dataset:
+            is_merged = record.whole_table is not None and record.fold is None  # of several tables
+            if not same_values and not is_merged and table.info.dataset == record.dataset:
                 raise RunError(
                     f"{table.folder}: expected the sequences of {record.dataset} that the run was made on (identity"
                     f" {record.identity_digest[:12]}…), found others ({table.identity[:12]}…). Name the table that was"

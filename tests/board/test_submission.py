@@ -1,0 +1,244 @@
+"""Submissions hold finished runs and what their authors say; nothing else can be packed into one or put in later."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from prbench.board.submission import FILE_NAME, RUNS, TrainingData, open_submission, pack, read_submission, trained_on
+from prbench.cli.main import main
+from prbench.errors import InputFileError, PrbenchError, RedistributionError, UsageError
+from prbench.files.archives import open_archive, write_archive
+from prbench.files.storage import bytes_digest
+from prbench.harness.request import RunRequest
+from prbench.harness.results import RunChecker
+from prbench.harness.run import run_method
+from prbench.harness.run_folder.signature import SIGNATURE, SUMS
+from tests.board.submissions import DATASET, edit_json, made, repacked, submitted
+from tests.fakes import fake_dataset
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    """A copy to break."""
+    shutil.copytree(made() / "runs", tmp_path / "runs")
+    return tmp_path / "runs"
+
+
+def test_a_submission_holds_the_runs_and_comes_back_as_run_folders(tmp_path, capsys):
+    words = ["--name", "Großes Ding", "--author", "A. B.", "--author", "C. D.", "--url", "https://example.org/x"]
+    out = tmp_path / "a.prbench.zip"
+    assert main(["leaderboard", "submit", str(made() / "runs"), "--out", str(out), *words, "--trained-on", "none"]) == 0
+    assert "3 runs, 18 files; training data: declared none" in capsys.readouterr().out
+    submission = open_submission(out, tmp_path / "unpacked")
+    assert submission == read_submission(tmp_path / "unpacked")
+    assert (submission.name, submission.authors) == ("Großes Ding", ("A. B.", "C. D."))
+    assert submission.id == f"gro-es-ding-{submission.digest[:10]}"
+    assert submission.digest == bytes_digest((tmp_path / "unpacked" / FILE_NAME).read_bytes())
+    assert list(submission.runs) == ["people", "scripted", "still"]
+    (table,) = submission.runs["still"].tables
+    assert (table.dataset, table.sequences) == (DATASET, 8)
+    for name in submission.members:
+        assert (tmp_path / "unpacked" / name).read_bytes() == (made() / name).read_bytes()
+
+
+def test_equal_runs_give_equal_bytes_wherever_they_lie(tmp_path, runs):
+    submitted(tmp_path / "a.zip", "still", "people")
+    pack([runs / "people", runs / "still", runs / "still"], tmp_path / "b.zip", checker=RunChecker(), name="Mine")
+    assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
+    assert str(made()).encode() not in (tmp_path / "a.zip").read_bytes()
+
+
+def test_runs_of_one_name_stand_beside_one_another(tmp_path, runs):
+    shutil.copytree(runs / "still", tmp_path / "more" / "still")
+    shutil.copytree(runs / "still", tmp_path / "still!")
+    found = pack(
+        [runs / "still", tmp_path / "more", tmp_path / "still!"], tmp_path / "a.zip", checker=RunChecker(), name="M"
+    )
+    assert list(found.runs) == ["still", "still--2", "still--3"]
+
+
+def test_all_folds_of_a_run_are_submitted_and_verified_together(tmp_path):
+    table = fake_dataset(tmp_path / "table", 20, recordings=10).folder
+    out = tmp_path / "folds"
+    words = ["--method", "static", "--condition", "none", "--folds", "participant", "--data", str(table), "-q"]
+    assert main(["run", *words, "--out", str(out)]) == 0
+    file = str(tmp_path / "a.zip")
+    assert main(["leaderboard", "submit", str(out), "--out", file, "--name", "Folds"]) == 0
+    assert main(["leaderboard", "verify", file, "--data", str(table)]) == 0
+    assert main(["leaderboard", "submit", str(out / "merged"), "--out", str(tmp_path / "b.zip"), "--name", "F"]) == 7
+    assert not (tmp_path / "b.zip").exists()
+
+
+def break_sums(run: Path) -> None:
+    (run / SUMS).write_text(f"{'0' * 64}  run.json\n")
+    (run / SIGNATURE).write_text("not looked at without a key")
+
+
+BROKEN = {
+    "unfinished": (lambda run: (run / DATASET / "summary.json").unlink(), "not finished on synthetic-adt"),
+    "without motions": (lambda run: shutil.rmtree(run / DATASET / "predictions"), "its folder holds no motions"),
+    "edited": (lambda run: edit_json(run / DATASET / "summary.json", recordings=3), "recordings: expected"),
+    "cut scores": (lambda run: (run / DATASET / "scores.parquet").write_bytes(b"PAR1"), "not finished"),
+    "changed after signing": (break_sums, "was changed, added or removed after it was signed"),
+    "another protocol": (lambda run: edit_json(run / "run.json", protocol_digest="0" * 64), "another protocol"),
+    "no run": (lambda run: shutil.rmtree(run), "expected a run folder"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_run_is_not_packed_and_nothing_is_written(tmp_path, runs, name):
+    damage, message = BROKEN[name]
+    damage(runs / "still")
+    with pytest.raises(PrbenchError, match=message):
+        pack([runs / "people", runs / "still"], tmp_path / "out" / "a.zip", checker=RunChecker(), name="Mine")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("about", "message"),
+    [
+        ({"name": ""}, "name"),
+        ({"name": "a\x1b[31m"}, "name"),
+        ({"url": "javascript:alert(1)"}, "url"),
+        ({"code": "https://a.b/<script>"}, "code"),
+        ({"contact": "x" * 301}, "contact"),
+    ],
+)
+def test_what_authors_say_has_a_form(tmp_path, about, message):
+    with pytest.raises(InputFileError, match=message):
+        submitted(tmp_path / "a.zip", **about)
+
+
+@pytest.mark.parametrize("redistribution", ["none", "non-commercial"])
+def test_recorded_motion_that_its_licence_keeps_needs_the_users_word(tmp_path, redistribution):
+    table = fake_dataset(tmp_path / "table", 8, recordings=4, redistribution=redistribution).folder
+    for method in ("ground-truth", "scripted"):
+        run_method(RunRequest(method=method, data=(table,), out=tmp_path / method))
+    given = {"checker": RunChecker(), "name": "Mine"}
+    with pytest.raises(
+        RedistributionError, match=r"motions of 'ground-truth' in a submission .* --permission synthetic"
+    ):
+        pack([tmp_path / "scripted", tmp_path / "ground-truth"], tmp_path / "a.zip", **given)
+    assert not (tmp_path / "a.zip").exists()
+    pack([tmp_path / "scripted"], tmp_path / "a.zip", **given)  # its motions are nobody's
+    assert pack([tmp_path / "ground-truth"], tmp_path / "a.zip", permitted=(DATASET,), **given).permission == (DATASET,)
+
+
+def listing(change: Callable[[dict], object]) -> Callable[[Path], None]:
+    """Change submission.json alone."""
+
+    def forge(folder: Path) -> None:
+        values = json.loads((folder / FILE_NAME).read_text())
+        change(values)
+        (folder / FILE_NAME).write_text(json.dumps(values))
+
+    return forge
+
+
+def added(name: str, content: bytes = b"PK\x05\x06") -> Callable[[Path], None]:
+    """Put a file beside the runs, and list it."""
+
+    def forge(folder: Path) -> None:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+        repacked(folder, folder.parent / "unused.zip")
+        listing(lambda values: values["members"].update({name: bytes_digest(content)}))(folder)
+
+    return forge
+
+
+STILL = f"{RUNS}/still"
+HOSTILE = {
+    "a changed file": (lambda folder: (folder / STILL / "run.json").write_bytes(b"{}"), "the file was changed"),
+    "a file that is not listed": (
+        lambda folder: (folder / STILL / "more.json").write_bytes(b"{}"), "more.json: expected only files that",
+    ),
+    "a file that is missing": (lambda folder: (folder / STILL / DATASET / "cost.json").unlink(), "found no such file"),
+    "an archive in it": (added(f"{STILL}/inner.zip"), "inner.zip: .* found a file that no run has"),
+    "a program": (added(f"{STILL}/{DATASET}/run.py"), "a file that no run has"),
+    "a run that is not described": (added(f"{RUNS}/other/run.json", b"{}"), "a file that no run has"),
+    "no list": (lambda folder: (folder / FILE_NAME).unlink(), "a list of at most"),
+    "no JSON": (lambda folder: (folder / FILE_NAME).write_bytes(b"{"), "the form of a submission"),
+    "deep JSON": (lambda folder: (folder / FILE_NAME).write_bytes(b"[" * 10**6), "the form of a submission"),
+    "huge JSON": (lambda folder: (folder / FILE_NAME).write_bytes(b" " * (2**26 + 1)), "a list of at most 67,108,864"),
+    "another version": (listing(lambda values: values.update(schema_version=2)), "schema_version"),
+    "a key too many": (listing(lambda values: values.update(note="x")), "note"),
+    "a run elsewhere": (listing(lambda values: values["runs"].update({"../../x": values["runs"]["still"]})), "runs"),
+    "no run": (listing(lambda values: values.update(runs={})), "runs"),
+    "another run": (listing(lambda values: values["runs"]["still"].update(seed=5)), "run still: expected the run.json"),
+    "two protocols": (listing(lambda values: values.update(protocol_digest="0" * 64)), "protocol_digest"),
+    "a script as address": (listing(lambda values: values.update(url="javascript:alert(1)")), "url"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_file_that_does_not_hold_what_it_lists_leaves_nothing_behind(tmp_path, name):
+    forge, message = HOSTILE[name]
+    folder = tmp_path / "forged"
+    open_submission(submitted(tmp_path / "honest.zip"), folder)
+    forge(folder)
+    files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
+    write_archive(tmp_path / "forged.zip", files)
+    with pytest.raises(InputFileError, match=message):
+        open_submission(tmp_path / "forged.zip", tmp_path / "out" / "unpacked")
+    assert not list(tmp_path.glob("out/*"))
+    if name not in ("no list", "huge JSON"):
+        with pytest.raises(InputFileError, match=message):
+            read_submission(folder)
+
+
+def test_a_link_in_an_unpacked_submission_is_refused(tmp_path):
+    open_submission(submitted(tmp_path / "a.zip"), tmp_path / "folder")
+    path = tmp_path / "folder" / STILL / "run.json"
+    path.rename(tmp_path / "run.json")
+    path.symlink_to(tmp_path / "run.json")
+    with pytest.raises(InputFileError, match="expected a plain file, found a link"):
+        read_submission(tmp_path / "folder")
+
+
+@pytest.mark.parametrize(
+    ("texts", "words"),
+    [
+        (["none"], "declared none"),
+        (["adt"], "declared adt (train split)"),
+        (["adt:all", "gimo:3,7"], "declared adt (all of it), gimo (participants 3, 7)"),
+    ],
+)
+def test_training_data_are_declared_in_short(texts, words):
+    assert trained_on(texts).words == words
+
+
+@pytest.mark.parametrize("texts", [["none", "adt"], [""], ["adt:,"], ["atd"]])
+def test_a_contradictory_declaration_is_refused(texts):
+    with pytest.raises(UsageError, match="training data: "):
+        trained_on(texts)
+
+
+def test_training_data_are_declared_in_a_file_that_names_recordings_by_digests_alone(tmp_path, capsys):
+    path = tmp_path / "training.toml"
+    lines = ['licence = "CC BY 4.0"', 'corpora = ["AMASS"]', f'recordings = ["{DATASET}/rec001", "adt/secret"]']
+    path.write_text("\n".join(lines))
+    out = tmp_path / "a.zip"
+    words = ["leaderboard", "submit", str(made() / "runs/still"), "--out", str(out), "--name", "M"]
+    assert main([*words, "--training", str(path)]) == 0
+    with open_archive(out) as archive:
+        assert b"secret" not in archive.read(FILE_NAME)
+    assert main(["leaderboard", "verify", str(out), "--data", str(made() / "table")]) == 0
+    assert "training data: overlaps 1 test recordings" in capsys.readouterr().out
+    path.write_text("corpus = ['AMASS']")
+    assert main([*words, "--training", str(path)]) == 3
+    assert main([*words, "--training", str(path), "--trained-on", "none"]) == 2
+
+
+def test_the_recordings_of_a_declared_split_are_listed_by_their_digests(tmp_path):
+    checker = RunChecker(lambda _: fake_dataset(tmp_path / "table", 32, recordings=16))
+    training = trained_on([DATASET])
+    found = pack([made() / "runs/still"], tmp_path / "a.zip", checker=checker, training=training, name="M").training
+    assert isinstance(found, TrainingData)
+    expected = sorted(bytes_digest(f"{DATASET}/rec{number:03d}".encode()) for number in range(0, 16, 2))
+    assert list(found.recordings) == expected
