@@ -25,7 +25,7 @@ from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import TableRecord
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary
-from prbench.metrics import MetricInfo
+from prbench.metrics import MetricInfo, printed_unit
 
 
 @dataclass(frozen=True)
@@ -153,6 +153,33 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
         compared.append(ComparedRun(run.path, run.record.method.name, origin_of(run.record), shown))
     unverified = tuple(f"{run.path}: {why}" for run, why in checked if why)
     return RunComparison(compared[0], compared[1], tuple(metrics), tuple(left_out), unverified)
+
+
+def difference_texts(row: ComparedMetric) -> tuple[str, str, str, str]:
+    """Return difference, 95 % interval, corrected p-value and smallest detectable difference as printed."""
+    found = row.comparison
+    difference = found.difference
+    scale = row.info.scale
+    unit = " points" if row.info.unit == "rate" else printed_unit(row.info.unit)
+    bounds = "all equal" if "all_equal" in difference.marks else "cannot be given"
+    if difference.low is not None and difference.high is not None:
+        bounds = f"[{difference.low * scale:+.2f}, {difference.high * scale:+.2f}]"
+    detectable = "–" if found.detectable is None else f"{found.detectable * scale:.2f}{unit}"
+    if found.detectable is not None and row.info.unit == "rate" and found.detectable > 1:
+        detectable = "none"  # no difference of two rates is larger than 100 points
+    p_value = "–" if found.adjusted_p_value is None else f"{found.adjusted_p_value:.4f}"
+    return f"{difference.mean * scale:+.2f}{unit}", bounds, p_value, detectable
+
+
+def sentence(row: ComparedMetric, first: str, second: str) -> str:
+    """Say how two runs differ in one metric, and whether the data support it."""
+    difference, bounds, p_value, _ = difference_texts(row)
+    if row.conclusion not in ("higher", "lower"):
+        return f"{row.info.title}: {first} against {second} {difference} {bounds}: {row.conclusion}."
+    merit = "better" if (row.conclusion == "higher") == row.info.higher_is_better else "worse"
+    by = difference.lstrip("+-")
+    said = f"{first} is {row.conclusion} than {second} by {by} {bounds}, which is {merit}"
+    return f"{row.info.title}: {said}; supported by the data (p = {p_value})."
 
 
 # Maps each metric to the sequences that have it, sorted, and to the mean over the samples of each.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -230,6 +230,15 @@ def write_pages(board: BoardFolder) -> None:
             pq.write_table(rows, temporary)
 
 
+def cited_with(datasets: Iterable[str]) -> list[str]:
+    """Return BibTeX entries of what every board of some datasets cites: the datasets, the study and prbench."""
+    manifests = [name.removeprefix(SYNTHETIC_PREFIX) for name in datasets]
+    entries = [load_manifest(name).citation.strip() for name in manifests if name in dataset_names()]
+    common = load_citations()
+    toolkit = common["toolkit"].replace("VERSION", prbench.__version__)
+    return list(dict.fromkeys([*entries, common["study"].strip(), toolkit.strip()]))
+
+
 class BoardCitation(msgspec.Struct, frozen=True, kw_only=True):
     """How to cite a board and what stands on it.
 
@@ -264,13 +273,7 @@ def cite_board(board: BoardFolder) -> BoardCitation:
     }
     fields |= {"note": latex(note)} | ({"howpublished": rf"\url{{{info.url}}}"} if info.url else {})
     body = "".join(f"  {key:<12} = {{{value}}},\n" for key, value in fields.items())
-    entries = [f"@misc{{board-{state},\n{body}}}"]
-    for dataset in info.datasets:
-        manifest = dataset.name.removeprefix(SYNTHETIC_PREFIX)
-        if manifest in dataset_names():
-            entries.append(load_manifest(manifest).citation.strip())
-    common = load_citations()
-    entries += [common["study"].strip(), common["toolkit"].replace("VERSION", prbench.__version__).strip()]
+    entries = [f"@misc{{board-{state},\n{body}}}", *cited_with(dataset.name for dataset in info.datasets)]
     papers = []
     for name in board.standing:
         submission = _stated(board, name)

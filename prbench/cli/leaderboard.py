@@ -33,6 +33,7 @@ leaderboard = Group(
             "compare": "prbench.cli.leaderboard:compare",
             "submit": "prbench.cli.board:submit",
             "verify": "prbench.cli.board:verify",
+            "site": "prbench.cli.site:site",
         },
         "boards in a folder": {
             name: f"prbench.cli.board:{name}"
@@ -118,27 +119,10 @@ def _print_comparison(compared: RunComparison) -> None:
 
 
 def _difference_row(first: str, row: ComparedMetric) -> tuple[str, ...]:
-    from prbench.metrics import printed_unit
+    from prbench.board.comparison import difference_texts
 
-    found = row.comparison
-    difference = found.difference
-    scale = row.info.scale
-    unit = " points" if row.info.unit == "rate" else printed_unit(row.info.unit)
-    bounds = "all equal" if "all_equal" in difference.marks else "cannot be given"
-    if difference.low is not None and difference.high is not None:
-        bounds = f"[{difference.low * scale:+.2f}, {difference.high * scale:+.2f}]"
-    detectable = "–" if found.detectable is None else f"{found.detectable * scale:.2f}{unit}"
-    if found.detectable is not None and row.info.unit == "rate" and found.detectable > 1:
-        detectable = "none"  # no difference of two rates is larger than 100 points
-    return (
-        row.dataset,
-        row.info.title,
-        f"{difference.mean * scale:+.2f}{unit}",
-        bounds,
-        "–" if found.adjusted_p_value is None else f"{found.adjusted_p_value:.4f}",
-        detectable,
-        f"{first} is {row.conclusion}" if row.conclusion in ("higher", "lower") else row.conclusion,
-    )
+    conclusion = f"{first} is {row.conclusion}" if row.conclusion in ("higher", "lower") else row.conclusion
+    return row.dataset, row.info.title, *difference_texts(row), conclusion
 
 
 # Metrics side by side at most; half as many on a narrow terminal.
