@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.geometry.skeleton import PARENTS, Joint
 from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion, write_bvh
-from prbench.viewing.exporting.skeleton import NESTED_ORDER, PosedSkeleton
+from prbench.viewing.exporting.skeleton import NESTED_ORDER, pose_skeleton
+from prbench.viewing.replay.scene import Scene
+
+if TYPE_CHECKING:
+    from prbench.viewing.exporting.export import ExportRequest
 
 # BVH names no unit; tools expect one of these. Values are file units a metre.
 UNITS = {"m": 1.0, "cm": 100.0}
@@ -20,16 +27,14 @@ _ORDER = "ZXY"
 _TIP = 0.1  # metres
 
 
-def write_motion_bvh(posed: PosedSkeleton, path: Path, *, fps: float, unit: str) -> None:
-    """Write a motion as BVH.
+def write(scene: Scene, path: Path, about: Mapping[str, Any], request: ExportRequest) -> Float[np.ndarray, "n 22"]:  # noqa: ARG001
+    """Write the first motion of a scene; BVH has no place for what is said of it.
 
-    Args:
-        posed: The motion.
-        path: The file.
-        fps: Frames a second.
-        unit: One of :data:`UNITS`.
+    Returns:
+        Distance of each joint in the file from the motion, metres.
     """
-    scale = UNITS[unit]
+    posed = pose_skeleton(scene.motions[0].joints)
+    scale = UNITS[request.unit]
     rotations = tuple(f"{axis}rotation" for axis in _ORDER)
     joints = []
     columns = [posed.root * scale]
@@ -43,5 +48,6 @@ def write_motion_bvh(posed: PosedSkeleton, path: Path, *, fps: float, unit: str)
             warnings.simplefilter("ignore", UserWarning)
             angles = Rotation.from_matrix(posed.local[:, joint]).as_euler(_ORDER, degrees=True)
         columns.append(np.unwrap(angles, period=360.0, axis=0))  # tools that draw between frames turn the short way
-    motion = BvhMotion(tuple(joints), 1.0 / fps, np.concatenate(columns, axis=1))
+    motion = BvhMotion(tuple(joints), 1.0 / scene.fps, np.concatenate(columns, axis=1))
     write_bvh(motion, path, tip=_TIP * scale)
+    return posed.error

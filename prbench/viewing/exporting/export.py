@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,22 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 
-from prbench.curation.mending import mended
-from prbench.errors import InputFileError, RedistributionError, StorageError, UsageError
+from prbench.errors import RedistributionError, StorageError, UsageError
 from prbench.files.storage import atomic_folder, require_replaceable, sole_file, sole_writer, text_digest, write_json
 from prbench.geometry.skeleton import Joint
-from prbench.recording import Recording
 from prbench.sequences import DatasetInfo
-from prbench.viewing.exporting.skeleton import pose_skeleton
 from prbench.viewing.replay.scene import Progress, Scene
-from prbench.viewing.review import native_recordings
 from prbench.viewing.view import ViewRequest, file_kind, scenes_of
 
-# Maps each format to the suffix of its files.
+# Maps each format to the suffix of its files. Its module of this package has the same name and a function ``write``.
 SUFFIXES = {"bvh": ".bvh", "glb": ".glb", "npz": ".npz", "smpl": ".npz", "rrd": ".rrd", "mp4": ".mp4"}
-_OF_ONE_MOTION = ("bvh", "glb", "npz", "smpl")  # the others show several beside one another
+_SHOWS_SEVERAL = ("rrd", "mp4")  # motions beside one another
 MANIFEST = "motions.json"
 _LONGEST_NAME = 60  # letters of an id in the name of a file
 
@@ -110,8 +106,6 @@ def export_motion(request: ExportRequest, progress: Progress = lambda *_: None) 
     for option, value, needed in (("--body-model", request.body_model, "smpl"), ("--root", request.recordings, "rrd")):
         if value is not None and form != needed:
             raise UsageError(f"{option}: belongs to --format {needed}; leave it out for {form}.")
-    if form == "smpl" and request.body_model is None:
-        raise UsageError("--format smpl: name your own copy of SMPL, SMPL-H or SMPL-X with --body-model FILE.npz.")
     if form == "mp4":
         file_kind(Path("film.mp4"))  # says what to install before minutes of reading
     scenes, left_out = _permitted(request)
@@ -164,7 +158,7 @@ def _parts(request: ExportRequest, scene: Scene) -> Sequence[Scene]:
     """Return what gets a file of its own: recorded motion where it is asked for, or where there is no other."""
     generated = tuple(motion for motion in scene.motions if motion.kind != "recorded")
     motions = scene.motions if request.recorded or not generated else generated
-    if request.form not in _OF_ONE_MOTION:
+    if request.form in _SHOWS_SEVERAL:
         return [replace(scene, motions=motions)]
     return [replace(scene, motions=(motion,)) for motion in motions]
 
@@ -191,51 +185,10 @@ def _write(request: ExportRequest, scene: Scene, path: Path, name: str) -> Expor
     of_files = ("file", "error_mm", "largest_error_mm")
     about: dict[str, Any] = {key: value for key, value in msgspec.to_builtins(said).items() if key not in of_files}
     about |= {"prime_time": scene.prime_time, "event_time": scene.event_time, "homepage": info.homepage}
-    joints = scene.motions[0].joints
-    if request.form == "mp4":
-        from prbench.viewing.replay.film import film_scenes
-
-        film_scenes([scene], path, lambda *_: None)
+    module = importlib.import_module(f"prbench.viewing.exporting.{request.form}")  # torch and rerun take seconds
+    error = module.write(scene, path, about, request)
+    if error is None:
         return said
-    if request.form == "rrd":
-        from prbench.viewing.exporting.rerun_file import write_rrd
-
-        write_rrd(scene, path, about, None if request.recordings is None else _recording(scene, request.recordings))
-        return said
-    if request.form == "npz":
-        from prbench.viewing.exporting.arrays import write_arrays
-
-        write_arrays(scene, path, about)
-        return said
-    if request.form == "smpl":
-        from prbench.viewing.exporting.smpl import write_smpl
-
-        assert request.body_model is not None, "asked for above"
-        error = write_smpl(joints, request.body_model, path, about)
-        return _with_error(said, error)
-    posed = pose_skeleton(joints)
-    if request.form == "bvh":
-        from prbench.viewing.exporting.bvh import write_motion_bvh
-
-        write_motion_bvh(posed, path, fps=scene.fps, unit=request.unit)
-    else:
-        from prbench.viewing.exporting.glb import write_glb
-
-        write_glb(scene, posed, path, about)
-    return _with_error(said, posed.error)
-
-
-def _with_error(said: ExportedMotion, error: np.ndarray) -> ExportedMotion:
-    """Add the distances of the joints (frames, 22), metres."""
     means = (1000 * error.mean(axis=0)).round(3).tolist()
     per_joint = {joint.name.lower(): mean for joint, mean in zip(Joint, means, strict=True)}
     return msgspec.structs.replace(said, error_mm=per_joint, largest_error_mm=round(1000 * float(error.max()), 3))
-
-
-def _recording(scene: Scene, root: Path) -> Recording:
-    """Read the recording of a sequence as its table's build read it."""
-    sources, mends = native_recordings(_info(scene), root)
-    if scene.recording_id not in sources:
-        found = ", ".join(list(sources)[:3])
-        raise InputFileError(root, "", expected=f"the recording {scene.recording_id}", found=f"others, such as {found}")
-    return mended(sources[scene.recording_id].read(), *mends)

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.geometry.skeleton import BONES, N_JOINTS, Joint
-from prbench.viewing.exporting.skeleton import CHILDREN, PosedSkeleton
+from prbench.viewing.exporting.skeleton import CHILDREN, pose_skeleton
 from prbench.viewing.replay.scene import GOAL_COLOUR, Scene, rgb
 
 # Radius of the bone that ends in each joint, metres; that of the pelvis is not used.
@@ -64,15 +64,18 @@ class _Gltf:
         return {"attributes": attributes, "indices": indices, "material": len(self.materials) - 1}
 
 
-def write_glb(scene: Scene, posed: PosedSkeleton, path: Path, about: dict[str, Any]) -> None:
+def write(scene: Scene, path: Path, about: dict[str, Any], _: object) -> Float[np.ndarray, "n 22"]:
     """Write the first motion of a scene as an animated glTF binary; metres, Y up, canonical frame.
 
     Args:
         scene: The sequence; its goal is left out where it has none.
-        posed: The motion as rotations.
         path: The file.
         about: What is said of the motion; stands in the scene's ``extras``.
+
+    Returns:
+        Distance of each joint in the file from the motion, metres.
     """
+    posed = pose_skeleton(scene.motions[0].joints)
     gltf = _Gltf()
     rest = posed.offsets.copy()
     for parent, child in BONES:
@@ -121,6 +124,7 @@ def write_glb(scene: Scene, posed: PosedSkeleton, path: Path, about: dict[str, A
     chunks = ((b"JSON", text), (b"BIN\0", bytes(gltf.data)))
     body = b"".join(len(content).to_bytes(4, "little") + kind + content for kind, content in chunks)
     path.write_bytes(b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little") + body)
+    return posed.error
 
 
 def _body(gltf: _Gltf, rest: Float[np.ndarray, "22 3"], colour: str) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ _T_POSE[[Joint.LEFT_COLLAR, Joint.RIGHT_COLLAR]] = (0.6, 0.8, 0.0), (-0.6, 0.8, 
 _T_POSE[[Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST]] = (1.0, 0.0, 0.0)
 _T_POSE[[Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST]] = (-1.0, 0.0, 0.0)
 _T_POSE[Joint.HEAD] = (0.0, 1.0, 0.0)
-_HALF_TURN = -1 + 1e-6  # cosine below which a turn has no shortest axis
+_HALF_TURN = 1e-6  # length of the sum of two unit vectors below which they are opposite
 _Rotations = Float[np.ndarray, "n 3 3"]
 
 
@@ -60,9 +60,8 @@ def pose_skeleton(
     world = np.tile(np.eye(3), (*joints.shape[:2], 1, 1))
     local = world.copy()
     for joint in range(N_JOINTS):
-        before = world[:, 0]  # no rotation yet, where the joint is the pelvis
+        before = world[:, PARENTS[joint]].copy()  # of the pelvis the last joint, which has not turned yet
         if joint:
-            before = world[:, PARENTS[joint]]
             positions[:, joint] = positions[:, PARENTS[joint]] + before @ offsets[joint]
         children = list(CHILDREN[joint])
         seen = joints[:, children] - positions[:, [joint]]
@@ -71,7 +70,7 @@ def pose_skeleton(
             world[:, joint] = _best_rotations(offsets[children], seen)
         elif children:
             world[:, joint] = _shortest_turns(before @ offsets[children[0]], seen[:, 0]) @ before
-        local[:, joint] = np.swapaxes(before, 1, 2) @ world[:, joint] if joint else world[:, 0]
+        local[:, joint] = np.swapaxes(before, 1, 2) @ world[:, joint]
     return PosedSkeleton(offsets, positions[:, 0], local, np.linalg.norm(positions - joints, axis=2))
 
 
@@ -99,16 +98,19 @@ def _best_rotations(shape: Float[np.ndarray, "k 3"], seen: Float[np.ndarray, "n 
 
 
 def _shortest_turns(one: Float[np.ndarray, "n 3"], other: Float[np.ndarray, "n 3"]) -> _Rotations:
-    """Return the rotations by the smallest angle between two directions; none where a direction has no length."""
-    length = np.linalg.norm(one, axis=1) * np.linalg.norm(other, axis=1)
-    scale = np.where(length > 0, length, 1.0)
-    cosine = np.where(length > 0, (one * other).sum(axis=1) / scale, 1.0)
-    x, y, z = (np.cross(one, other) / scale[:, None]).T
-    zero = np.zeros(len(x))
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    turns = np.eye(3) + cross + cross @ cross / (1 + cosine.clip(_HALF_TURN))[:, None, None]
+    """Return the rotations by the smallest angle from one direction to another; none where there is no direction."""
+    one = _unit(one)
+    middle = one + _unit(other)
     # Any axis across the direction serves for a half turn; the one that is farthest from it loses no digits.
-    for frame in np.flatnonzero(cosine <= _HALF_TURN):
-        axis = np.cross(one[frame], np.eye(3)[np.abs(one[frame]).argmin()])
-        turns[frame] = 2 * np.outer(axis, axis) / (axis @ axis) - np.eye(3)
-    return turns
+    across = np.cross(one, np.eye(3)[np.abs(one).argmin(axis=1)])
+    middle = _unit(np.where(np.linalg.norm(middle, axis=1, keepdims=True) < _HALF_TURN, across, middle))
+    return _half_turns(middle) @ _half_turns(one)
+
+
+def _half_turns(axes: Float[np.ndarray, "n 3"]) -> _Rotations:
+    return 2 * axes[:, :, None] * axes[:, None] - np.eye(3)
+
+
+def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.where(length > 0, length, 1.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -12,10 +12,15 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from prbench.errors import UsageError
 from prbench.files.arrays import Archive
 from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint, bone_lengths
 from prbench.representation.converters.smpl import REGRESSOR, RestJoints, from_axis_angle, pose_body, read_rest_joints
 from prbench.viewing.exporting.skeleton import pose_skeleton
+from prbench.viewing.replay.scene import Scene
+
+if TYPE_CHECKING:
+    from prbench.viewing.exporting.export import ExportRequest
 
 _SHAPES = 10  # numbers of the shape that are fitted
 _SHAPE_WEIGHT = 0.002  # metres that one deviation of a shape number is worth
@@ -37,26 +42,29 @@ _NO_ANGLE = 1e-12  # squared radians
 _LIMIT_WEIGHT = 0.02  # square metres a square radian beyond a limit
 
 
-def write_smpl(
-    joints: Float[np.ndarray, "n 22 3"], body_model: Path, path: Path, about: dict[str, Any]
-) -> Float[np.ndarray, "n 22"]:
-    """Fit a body model to a motion, and write its parameters in the layout of AMASS; Y up, canonical frame.
+def write(scene: Scene, path: Path, about: dict[str, Any], request: ExportRequest) -> Float[np.ndarray, "n 22"]:
+    """Fit a body model to the first motion of a scene; write its parameters as AMASS does, but Y up.
 
     The shape is the one whose bones are nearest in length. Rotations are first solved from it joint by joint, then
     moved until limits of the joints hold. Hands and face stay in rest.
 
     Args:
-        joints: Metres.
-        body_model: See :func:`prbench.representation.converters.smpl.read_rest_joints`.
+        scene: The sequence.
         path: The file.
         about: What is said of the motion, written as JSON.
+        request: Names the body model; see :func:`prbench.representation.converters.smpl.read_rest_joints`.
 
     Returns:
         Distance of each joint of the fitted body from the motion, metres.
 
     Raises:
-        InputFileError: if the body model cannot be read.
+        UsageError: if no body model is named.
+        InputFileError: if it cannot be read.
     """
+    joints = scene.motions[0].joints
+    body_model = request.body_model
+    if body_model is None:
+        raise UsageError("--format smpl: name your own copy of SMPL, SMPL-H or SMPL-X with --body-model FILE.npz.")
     model = read_rest_joints(body_model)
     n_joints = len(Archive(body_model.expanduser()).load([REGRESSOR])[REGRESSOR])
     betas = _fit_shape(joints, model)
@@ -66,7 +74,7 @@ def write_smpl(
     error = np.linalg.norm(fitted - joints, axis=2)
     poses = np.zeros((len(joints), n_joints * 3))
     poses[:, : N_JOINTS * 3] = vectors.reshape(len(joints), -1)
-    rate = np.array(about["fps"])
+    rate = np.array(scene.fps)
     arrays = {
         "poses": poses, "trans": pelvis - rest[Joint.PELVIS], "betas": betas, "gender": np.array("neutral"),
         "mocap_framerate": rate, "mocap_frame_rate": rate, "root_orient": vectors[:, 0],

@@ -7,6 +7,7 @@ import re
 import shutil
 import struct
 import sys
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
 
@@ -22,12 +23,13 @@ from prbench.cli import main
 from prbench.geometry.skeleton import PARENTS, Joint
 from prbench.representation.converters.smpl import read_amass, read_rest_joints, smpl_joints
 from prbench.sequences import DatasetInfo, SequenceTable
-from prbench.viewing.exporting.export import file_name
-from prbench.viewing.exporting.smpl import write_smpl
+from prbench.viewing.exporting import smpl
+from prbench.viewing.exporting.export import ExportRequest, file_name
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 from tests.representation.converters.bodies import person, person_rotations, write_body_model
 from tests.shared import made_once
+from tests.viewing.replay.scenes import a_scene
 
 NAMES = [joint.name.lower() for joint in Joint]
 ID = "/obj5/"
@@ -161,7 +163,9 @@ def test_the_parameters_of_a_body_model_give_its_joints_back(model_joints, tmp_p
     model = tmp_path / "model.npz"
     write_body_model(model, joints=model_joints)
     joints = person_rotations(20)[0]
-    error = write_smpl(joints, model, tmp_path / "a.npz", {"fps": 20.0})
+    request = ExportRequest(form="smpl", body_model=model, data=(tmp_path,), out=tmp_path / "a.npz")
+    scene = a_scene(n_frames=20)
+    error = smpl.write(replace(scene, motions=(replace(scene.motions[0], joints=joints),)), request.out, {}, request)
     parameters = read_amass(tmp_path / "a.npz")
     found = smpl_joints(parameters, read_rest_joints(model))
     np.testing.assert_allclose(np.linalg.norm(found - joints, axis=2), error, atol=1e-9)

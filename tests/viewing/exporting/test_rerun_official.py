@@ -12,7 +12,7 @@ from prbench.errors import InputFileError
 from prbench.geometry.skeleton import BONES
 from prbench.sequences import SequenceTable
 from prbench.viewing.exporting.export import ExportRequest, export_motion
-from prbench.viewing.exporting.rerun_file import TIMELINE, write_rrd
+from prbench.viewing.exporting.rrd import TIMELINE, write
 from tests.viewing.replay.scenes import a_scene
 from tests.viewing.test_review import made
 
@@ -31,7 +31,8 @@ def _read(path, entity: str, column: str) -> tuple[np.ndarray, list]:
 
 def test_joints_gaze_goal_and_moments_are_where_the_scene_has_them(tmp_path):
     scene = a_scene("a method, goal-loc", with_eyes=True)
-    write_rrd(scene, tmp_path / "a.rrd", {"licence": "ours"})
+    request = ExportRequest(form="rrd", data=(tmp_path,), out=tmp_path / "a.rrd")
+    write(scene, request.out, {"licence": "ours"}, request)
     for entity, motion in zip(("ground_truth", "a_method_goal_loc"), scene.motions, strict=True):
         times, places = _read(tmp_path / "a.rrd", f"{entity}/joints", "Position3D")
         np.testing.assert_allclose(times, scene.times, atol=1e-6)

@@ -12,7 +12,7 @@ from prbench.geometry.skeleton import PARENTS, Joint
 from prbench.viewing.replay.scene import Scene
 
 
-def write_arrays(scene: Scene, path: Path, about: dict[str, Any]) -> None:
+def write(scene: Scene, path: Path, about: dict[str, Any], _: object) -> None:
     """Write the first motion of a scene as ``.npz``; docs/exporting.md names the arrays.
 
     Args:

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
-from prbench.errors import MissingExtraError
+from prbench.curation.mending import mended
+from prbench.errors import InputFileError, MissingExtraError
 from prbench.geometry.skeleton import invert_rigid, transform_points
 from prbench.recording import Recording
 from prbench.viewing.figures import BOX_EDGES
 from prbench.viewing.replay.scene import BOX_COLOUR, GAZE_COLOUR, Scene, bone_segments, head_rays, rays, rgb
+from prbench.viewing.review import native_recordings
+
+if TYPE_CHECKING:
+    from prbench.viewing.exporting.export import ExportRequest
 
 TIMELINE = "time"  # seconds after the first frame
 _RAY = 3.0  # metres
@@ -21,16 +26,17 @@ _STREAM_RATE = 60.0  # samples a second; trackers at 1 kHz say no more to the ey
 _AFTER = 1.0  # seconds of the streams after the event
 
 
-def write_rrd(scene: Scene, path: Path, about: dict[str, Any], recording: Recording | None = None) -> None:
-    """Write a scene, metres, Y up, canonical frame.
+def write(scene: Scene, path: Path, about: dict[str, Any], request: ExportRequest) -> None:
+    """Write a scene, metres, Y up, canonical frame; the streams of its recording stand below ``recording``.
 
     Args:
         scene: The sequence; its goal is left out where it has none.
         path: The file.
         about: What is said of the motions; stands in the entity ``about``.
-        recording: What the sequence was cut from; its streams stand below ``recording``.
+        request: Says where the recordings are.
 
     Raises:
+        InputFileError: if the recording cannot be read.
         MissingExtraError: if rerun-sdk is not installed.
     """
     try:
@@ -73,13 +79,27 @@ def write_rrd(scene: Scene, path: Path, about: dict[str, Any], recording: Record
             if looks is not None and motion.gaze is not None:
                 shown = [looks[frame]] if motion.gaze.valid[frame] else []
                 stream.log(f"{entity}/gaze", rr.LineStrips3D(shown, colors=rgb(GAZE_COLOUR)))
-    if recording is not None:
-        for entity, seconds, points in _streams(scene, recording):
+    if request.recordings is not None:
+        for entity, seconds, points in _streams(scene, recording_of(scene, request.recordings)):
             at(seconds)
             is_ray = entity.endswith("gaze")
             stream.log(entity, rr.LineStrips3D([points], colors=rgb(GAZE_COLOUR)) if is_ray else rr.Points3D(points))
     stream.flush()
     stream.disconnect()
+
+
+def recording_of(scene: Scene, root: Path) -> Recording:
+    """Read the recording of a sequence as its table's build read it.
+
+    Raises:
+        InputFileError: if it is not below ``root``, or cannot be read.
+    """
+    assert scene.info is not None, "the scene was read from a table"
+    sources, mends = native_recordings(scene.info, root)
+    if scene.recording_id not in sources:
+        found = ", ".join(list(sources)[:3])
+        raise InputFileError(root, "", expected=f"the recording {scene.recording_id}", found=f"others, such as {found}")
+    return mended(sources[scene.recording_id].read(), *mends)
 
 
 def _streams(scene: Scene, recording: Recording) -> list[tuple[str, float, np.ndarray]]:
