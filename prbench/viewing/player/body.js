@@ -12,27 +12,54 @@
 
   // Joints of a resting body of 1.7 m with its arms half lowered; metres, Y up, its left side on +X, soles near Y = 0.
   const REST = [
-    [0, 0.94, 0], [0.066, 0.855, -0.005], [-0.066, 0.855, -0.005], [0, 1.05, -0.022],
-    [0.1, 0.48, -0.005], [-0.1, 0.48, -0.005], [0, 1.185, -0.022], [0.09, 0.078, -0.045],
-    [-0.09, 0.078, -0.045], [0, 1.24, -0.004], [0.115, 0.024, 0.075], [-0.115, 0.024, 0.075],
-    [0, 1.452, -0.035], [0.08, 1.36, -0.025], [-0.08, 1.36, -0.025], [0, 1.525, 0.012],
-    [0.172, 1.39, -0.035], [-0.172, 1.39, -0.035], [0.372, 1.225, -0.045], [-0.372, 1.225, -0.045],
-    [0.562, 1.07, -0.02], [-0.562, 1.07, -0.02],
-  ]; // prettier-ignore
+    [0, 0.94, 0],
+    [0.066, 0.855, -0.005],
+    [-0.066, 0.855, -0.005],
+    [0, 1.05, -0.022],
+    [0.1, 0.48, -0.005],
+    [-0.1, 0.48, -0.005],
+    [0, 1.185, -0.022],
+    [0.09, 0.078, -0.045],
+    [-0.09, 0.078, -0.045],
+    [0, 1.24, -0.004],
+    [0.115, 0.024, 0.075],
+    [-0.115, 0.024, 0.075],
+    [0, 1.452, -0.035],
+    [0.08, 1.36, -0.025],
+    [-0.08, 1.36, -0.025],
+    [0, 1.525, 0.012],
+    [0.172, 1.39, -0.035],
+    [-0.172, 1.39, -0.035],
+    [0.372, 1.225, -0.045],
+    [-0.372, 1.225, -0.045],
+    [0.562, 1.07, -0.02],
+    [-0.562, 1.07, -0.02],
+  ];
 
   // The stiff pieces of the body: name, joint where it begins, joint where it ends, the piece that carries it.
   // `null` as the end: the piece ends in the air (head, hands) and takes the direction of its parent or of the head ray.
   const PIECES = [
-    ["pelvis", 0, 3, -1], ["waist", 3, 6, 0], ["ribs", 6, 9, 1], ["chest", 9, 12, 2],
-    ["neck", 12, 15, 3], ["head", 15, null, 4],
-    ["leftCollar", 13, 16, 3], ["rightCollar", 14, 17, 3],
-    ["leftUpperArm", 16, 18, 6], ["rightUpperArm", 17, 19, 7],
-    ["leftForearm", 18, 20, 8], ["rightForearm", 19, 21, 9],
-    ["leftHand", 20, null, 10], ["rightHand", 21, null, 11],
-    ["leftThigh", 1, 4, 0], ["rightThigh", 2, 5, 0],
-    ["leftShin", 4, 7, 14], ["rightShin", 5, 8, 15],
-    ["leftFoot", 7, 10, 16], ["rightFoot", 8, 11, 17],
-  ]; // prettier-ignore
+    ["pelvis", 0, 3, -1],
+    ["waist", 3, 6, 0],
+    ["ribs", 6, 9, 1],
+    ["chest", 9, 12, 2],
+    ["neck", 12, 15, 3],
+    ["head", 15, null, 4],
+    ["leftCollar", 13, 16, 3],
+    ["rightCollar", 14, 17, 3],
+    ["leftUpperArm", 16, 18, 6],
+    ["rightUpperArm", 17, 19, 7],
+    ["leftForearm", 18, 20, 8],
+    ["rightForearm", 19, 21, 9],
+    ["leftHand", 20, null, 10],
+    ["rightHand", 21, null, 11],
+    ["leftThigh", 1, 4, 0],
+    ["rightThigh", 2, 5, 0],
+    ["leftShin", 4, 7, 14],
+    ["rightShin", 5, 8, 15],
+    ["leftFoot", 7, 10, 16],
+    ["rightFoot", 8, 11, 17],
+  ];
   const NUMBER = Object.fromEntries(PIECES.map(([name], number) => [name, number]));
   const HAND_LENGTH = 0.17;
   const HEAD_HEIGHT = 0.16;
@@ -65,10 +92,16 @@
 
   // Cross sections of the trunk from the seat to the collar bones: piece, height, half width, middle, radius; metres.
   const TRUNK = [
-    ["pelvis", 0.862, 0.078, -0.01, 0.064], ["pelvis", 0.925, 0.086, -0.01, 0.066], ["waist", 1.0, 0.074, -0.006, 0.062],
-    ["waist", 1.085, 0.063, -0.004, 0.06], ["ribs", 1.17, 0.07, -0.006, 0.066], ["chest", 1.26, 0.084, -0.008, 0.075],
-    ["chest", 1.325, 0.09, -0.014, 0.072], ["chest", 1.375, 0.08, -0.026, 0.054], ["chest", 1.4, 0.066, -0.032, 0.042],
-  ]; // prettier-ignore
+    ["pelvis", 0.862, 0.078, -0.01, 0.064],
+    ["pelvis", 0.925, 0.086, -0.01, 0.066],
+    ["waist", 1.0, 0.074, -0.006, 0.062],
+    ["waist", 1.085, 0.063, -0.004, 0.06],
+    ["ribs", 1.17, 0.07, -0.006, 0.066],
+    ["chest", 1.26, 0.084, -0.008, 0.075],
+    ["chest", 1.325, 0.09, -0.014, 0.072],
+    ["chest", 1.375, 0.08, -0.026, 0.054],
+    ["chest", 1.4, 0.066, -0.032, 0.042],
+  ];
 
   /** Return lying capsules close enough to each other that no rib shows. */
   function trunk() {
@@ -295,8 +328,8 @@
     return { points: new Float32Array(points), pieces, triangles: new Uint32Array(triangles) };
   }
 
-  /** Return the outward directions of the skin at points: the slope of the sampled distance. */
-  function normalsAt(points, { distance, low, size }) {
+  /** Move points onto the skin, and return its outward directions there: the slope of the sampled distance. */
+  function settle(points, { distance, low, size }) {
     const [nx, ny] = size;
     const sample = (x, y, z) => {
       const i = Math.floor(x);
@@ -311,12 +344,16 @@
     const normals = new Float32Array(points.length);
     for (let p = 0; p < points.length; p += 3) {
       const g = [0, 1, 2].map((axis) => (points[p + axis] - low[axis]) / CELL);
-      const slope = unit([
+      const slope = [
         sample(g[0] + 1, g[1], g[2]) - sample(g[0] - 1, g[1], g[2]),
         sample(g[0], g[1] + 1, g[2]) - sample(g[0], g[1] - 1, g[2]),
         sample(g[0], g[1], g[2] + 1) - sample(g[0], g[1], g[2] - 1),
-      ]);
-      normals.set(slope, p);
+      ];
+      normals.set(unit(slope), p);
+      // One step of Newton's way takes the point from the middle of its cell onto the skin.
+      const steepness = norm(slope) / (2 * CELL);
+      const away = Math.min(Math.max(sample(...g) / Math.max(steepness, 0.3), -CELL / 2), CELL / 2);
+      for (let axis = 0; axis < 3; axis += 1) points[p + axis] -= away * normals[p + axis];
     }
     return normals;
   }
@@ -383,6 +420,7 @@
     if (geometry) return geometry;
     const samples = sampleBody();
     const { points, pieces, triangles } = surfaceNet(samples);
+    const normals = settle(points, samples);
     const weights = skinWeights(points, pieces, triangles);
     const n = PIECES.length;
     const indices = new Uint16Array(4 * pieces.length);
@@ -401,7 +439,7 @@
     }
     geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(points, 3));
-    geometry.setAttribute("normal", new THREE.BufferAttribute(normalsAt(points, samples), 3));
+    geometry.setAttribute("normal", new THREE.BufferAttribute(normals, 3));
     geometry.setAttribute("skinIndex", new THREE.BufferAttribute(indices, 4));
     geometry.setAttribute("skinWeight", new THREE.BufferAttribute(strengths, 4));
     geometry.setAttribute("band", new THREE.BufferAttribute(bands, 2));
@@ -573,12 +611,7 @@
         [0, 1, 2].map((c) => row[0] * scaled[0][c] + row[1] * scaled[1][c] + row[2] * scaled[2][c]),
       );
       const shift = minus(joints[first], apply(linear, rest.start));
-      out[number].set(
-        ...linear[0], shift[0],
-        ...linear[1], shift[1],
-        ...linear[2], shift[2],
-        0, 0, 0, 1
-      ); // prettier-ignore
+      out[number].set(...linear[0], shift[0], ...linear[1], shift[1], ...linear[2], shift[2], 0, 0, 0, 1);
     });
   }
 

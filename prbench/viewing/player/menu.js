@@ -66,16 +66,26 @@
         autocomplete: "off",
         spellcheck: "false",
       });
-      this.metric = make("select", { id: `${name}-metric`, onchange: () => {
-        if (this.metric.value) this.order.value = "worst";
-        again();
-      } }); // prettier-ignore
-      this.whose = make("select", { id: `${name}-whose`, onchange: () => {
-        this._fillMetrics();
-        again();
-      } }); // prettier-ignore
-      this.order = make("select", { id: `${name}-order`, onchange: again },
-        make("option", { value: "given" }, "as given"), make("option", { value: "worst" }, "worst first")); // prettier-ignore
+      this.metric = make("select", {
+        id: `${name}-metric`,
+        onchange: () => {
+          if (this.metric.value) this.order.value = "worst";
+          again();
+        },
+      });
+      this.whose = make("select", {
+        id: `${name}-whose`,
+        onchange: () => {
+          this._fillMetrics();
+          again();
+        },
+      });
+      this.order = make(
+        "select",
+        { id: `${name}-order`, onchange: again },
+        make("option", { value: "given" }, "as given"),
+        make("option", { value: "worst" }, "worst first"),
+      );
       const labels = [...new Set(entries.flatMap((entry) => (entry.motions || []).map((motion) => motion.label)))];
       this.whose.append(
         make("option", { value: "" }, "all methods"),
@@ -84,17 +94,33 @@
       this._fillMetrics();
       this.count = make("p", { class: "prp-count", role: "status" });
       this.items = make("ul", { class: "prp-items" });
-      this.more = make("button", { type: "button", class: "prp-more", onclick: () => {
-        this.limit += 4 * PAGE;
-        this.list();
-      } }, "Show more"); // prettier-ignore
+      this.more = make(
+        "button",
+        {
+          type: "button",
+          class: "prp-more",
+          onclick: () => {
+            this.limit += 4 * PAGE;
+            this.list();
+          },
+        },
+        "Show more",
+      );
       const field = (label, control) =>
         make("div", { class: "prp-field" }, make("label", { for: control.id }, label), control);
       element.append(
         field("Search", this.search),
-        make("div", { class: "prp-fields" }, field("Failed", this.metric), labels.length > 1 ? field("Of", this.whose) : null, field("Order", this.order)),
-        this.count, this.items, this.more
-      ); // prettier-ignore
+        make(
+          "div",
+          { class: "prp-fields" },
+          field("Failed", this.metric),
+          labels.length > 1 ? field("Of", this.whose) : null,
+          field("Order", this.order),
+        ),
+        this.count,
+        this.items,
+        this.more,
+      );
       this.items.addEventListener("keydown", (event) => this._walk(event));
       this.search.addEventListener("keydown", (event) => {
         if (event.key === "ArrowDown") this._focusItem(0, event);
@@ -160,13 +186,22 @@
       this.count.textContent = `${found.length} of ${this.entries.length} sequences`;
       const row = (entry) => {
         const cells = judged(entry, label).map((motion) => this._verdicts(motion, judged(entry, label).length > 1));
-        return make("li", {}, make(
-          "button",
-          { type: "button", "data-id": entry.sequence_id, "aria-current": entry.sequence_id === this.current ? "true" : null,
-            onclick: () => this.onChoose(entry.sequence_id) },
-          make("span", { class: "prp-item-title" }, entry.title || entry.sequence_id),
-          make("span", { class: "prp-item-id" }, make("bdi", {}, entry.sequence_id)), ...cells
-        )); // prettier-ignore
+        return make(
+          "li",
+          {},
+          make(
+            "button",
+            {
+              type: "button",
+              "data-id": entry.sequence_id,
+              "aria-current": entry.sequence_id === this.current ? "true" : null,
+              onclick: () => this.onChoose(entry.sequence_id),
+            },
+            make("span", { class: "prp-item-title" }, entry.title || entry.sequence_id),
+            make("span", { class: "prp-item-id" }, make("bdi", {}, entry.sequence_id)),
+            ...cells,
+          ),
+        );
       };
       this.items.replaceChildren(...found.slice(0, this.limit).map(row));
       this.more.hidden = found.length <= this.limit;

@@ -23,9 +23,14 @@
     ["views", "Split", "Motions in pictures of their own with one camera (L)"],
   ];
   const LAYERS = [
-    ["head", "head ray"], ["gaze", "gaze ray (dashed)"], ["paths", "paths of wrists and pelvis"],
-    ["limits", "spheres of the limits"], ["objects", "objects"], ["scenery", "scene mesh"], ["labels", "names"],
-  ]; // prettier-ignore
+    ["head", "head ray"],
+    ["gaze", "gaze ray (dashed)"],
+    ["paths", "paths of wrists and pelvis"],
+    ["limits", "spheres of the limits"],
+    ["objects", "objects"],
+    ["scenery", "scene mesh"],
+    ["labels", "names"],
+  ];
   const KEYS = [
     ["Space", "play or pause"],
     ["← →", "one frame back or ahead; with Shift half a second"],
@@ -53,10 +58,17 @@
     constructor(element, reason) {
       this.element = element;
       element.append(
-        make("div", { class: "prp-missing", role: "note" },
+        make(
+          "div",
+          { class: "prp-missing", role: "note" },
           make("p", {}, make("strong", {}, "The bodies cannot be drawn: this browser offers no WebGL.")),
-          make("p", {}, `Switch on hardware acceleration, or use another browser. Timeline, scores and distances work without it. (${reason})`))
-      ); // prettier-ignore
+          make(
+            "p",
+            {},
+            `Switch on hardware acceleration, or use another browser. Timeline, scores and distances work without it. (${reason})`,
+          ),
+        ),
+      );
     }
   }
   for (const name of [
@@ -140,7 +152,7 @@
       this.tags = make("div", { class: "prp-tags", "aria-hidden": "true" });
       this.status = make("p", { class: "prp-status", role: "status" });
       this.live = make("p", { class: "prp-hidden", role: "status", "aria-live": "polite" });
-      this.clock = make("output", { class: "prp-clock" });
+      this.clock = make("span", { class: "prp-clock" });
       this.notice = make("p", { class: "prp-notice" });
       this.scores = make("div", { class: "prp-scores" });
       const timeline = make("div", { class: "prp-timeline" });
@@ -152,20 +164,30 @@
             `Sequences (${entries.length})`,
           )
         : null;
-      const top = make("header", { class: "prp-top" },
+      const top = make(
+        "header",
+        { class: "prp-top" },
         this.menuButton,
         make("div", { class: "prp-titles" }, this.heading, this.subtitle),
-        make("div", { class: "prp-tools" },
-          button("link", "Copy a link to this moment (C)", () => this._copy()), this._saveMenu(), this._layerMenu(),
+        make(
+          "div",
+          { class: "prp-tools" },
+          button("link", "Copy a link to this moment (C)", () => this._copy()),
+          this._saveMenu(),
+          this._layerMenu(),
           options.compact ? null : button("theme", "Light or dark (T)", () => this._switchTheme()),
-          button("?", "Keys and help (?)", () => this._help(), { "aria-label": "Keys and help" }))
-      ); // prettier-ignore
+          button("?", "Keys and help (?)", () => this._help(), { "aria-label": "Keys and help" }),
+        ),
+      );
       root.append(
-        make("div", { class: "prp-frame" },
+        make(
+          "div",
+          { class: "prp-frame" },
           this.nav,
-          make("div", { class: "prp-main" }, top, this.place, this._transport(), timeline, this.scores, this.notice)),
-        this.live
-      ); // prettier-ignore
+          make("div", { class: "prp-main" }, top, this.place, this._transport(), timeline, this.scores, this.notice),
+        ),
+        this.live,
+      );
       try {
         if (typeof THREE === "undefined") throw new Error("three.js is missing from the page");
         this.stage = new parts.stage.Stage(this.place, {
@@ -194,21 +216,35 @@
       this.repeatButton = button("loop", "Repeat at the end (R)", () => this._setRepeat(!this.repeat), {
         "aria-pressed": "false",
       });
-      this.speedChoice = make("select", { "aria-label": "Speed", title: "Speed (- +)", onchange: () => {
-        this.speed = Number(this.speedChoice.value);
-      } }, ...SPEEDS.map((speed) => make("option", { value: speed, selected: speed === 1 }, `${speed}×`))); // prettier-ignore
-      return make("div", { class: "prp-transport", role: "group", "aria-label": "Time" },
+      this.speedChoice = make(
+        "select",
+        {
+          "aria-label": "Speed",
+          title: "Speed (- +)",
+          onchange: () => {
+            this.speed = Number(this.speedChoice.value);
+          },
+        },
+        ...SPEEDS.map((speed) => make("option", { value: speed, selected: speed === 1 }, `${speed}×`)),
+      );
+      return make(
+        "div",
+        { class: "prp-transport", role: "group", "aria-label": "Time" },
         button("previous", "Previous mark (B)", () => this._jump(-1)),
         button("back", "One frame back (←)", () => this._step(-1)),
         this.playButton,
         button("ahead", "One frame ahead (→)", () => this._step(1)),
         button("next", "Next mark (N)", () => this._jump(1)),
-        this.repeatButton, this.speedChoice,
-        make("span", { class: "prp-jumps" },
+        this.repeatButton,
+        this.speedChoice,
+        make(
+          "span",
+          { class: "prp-jumps" },
           button("Prime", "Jump to the prime (P)", () => this._goTo(this.sequence.primeTime, "prime")),
-          button("Event", "Jump to the event (E)", () => this._goTo(this.sequence.eventTime, "event"))),
-        this.clock
-      ); // prettier-ignore
+          button("Event", "Jump to the event (E)", () => this._goTo(this.sequence.eventTime, "event")),
+        ),
+        this.clock,
+      );
     }
 
     _viewButtons() {
@@ -258,10 +294,14 @@
 
     _layerMenu() {
       const boxes = LAYERS.map(([name, words]) => {
-        const box = make("input", { type: "checkbox", checked: true, onchange: () => {
-          this.layers[name] = box.checked;
-          this.stage.setLayers(this.layers);
-        } }); // prettier-ignore
+        const box = make("input", {
+          type: "checkbox",
+          checked: true,
+          onchange: () => {
+            this.layers[name] = box.checked;
+            this.stage.setLayers(this.layers);
+          },
+        });
         return make("label", {}, box, ` ${words}`);
       });
       this.layerPanel = this._panel("Show", "What is shown (X)", ...boxes);
@@ -279,12 +319,14 @@
       this.filmRow = make("div", { class: "prp-film", hidden: true }, this.progress, this.cancel);
       this.filmButton = make("button", { type: "button", onclick: () => this._film() }, "Film (WebM, real time)");
       this.savePanel = this._panel(
-        "Save", "Save a picture or a film (G)",
+        "Save",
+        "Save a picture or a film (G)",
         make("button", { type: "button", onclick: () => this._picture("#ffffff") }, "Picture, white (PNG, 2×)"),
         make("button", { type: "button", onclick: () => this._picture(null) }, "Picture, transparent (PNG, 2×)"),
         make("label", {}, this.withNames, " names and title"),
-        this.filmButton, this.filmRow
-      ); // prettier-ignore
+        this.filmButton,
+        this.filmRow,
+      );
       return this.savePanel;
     }
 
@@ -506,11 +548,22 @@
         return make("tr", {}, name, ...now, ...cells);
       };
       const heads = [...(hasDistances ? ["ray now", "wrist now"] : []), ...titles];
-      const table = make("table", {},
+      const table = make(
+        "table",
+        {},
         make("caption", {}, "Scores, and distances to the goal at this moment"),
-        make("thead", {}, make("tr", {}, make("th", { scope: "col" }, "motion"), ...heads.map((title) => make("th", { scope: "col" }, title)))),
-        make("tbody", {}, ...motions.map(row))
-      ); // prettier-ignore
+        make(
+          "thead",
+          {},
+          make(
+            "tr",
+            {},
+            make("th", { scope: "col" }, "motion"),
+            ...heads.map((title) => make("th", { scope: "col" }, title)),
+          ),
+        ),
+        make("tbody", {}, ...motions.map(row)),
+      );
       this.scores.replaceChildren(
         make("div", { class: "prp-scroll", tabindex: 0, role: "region", "aria-label": "Table of scores" }, table),
       );
@@ -787,14 +840,18 @@
       );
       const close = make("button", { type: "button", onclick: () => this.dialog.close() }, "Close");
       this.dialog.replaceChildren(
-        make("h2", {}, "Keys"), make("table", {}, make("tbody", {}, ...rows)),
+        make("div", { class: "prp-dialog-top" }, make("h2", {}, "Keys"), close),
+        make("table", {}, make("tbody", {}, ...rows)),
         make("h2", {}, "What is seen"),
-        make("p", {}, "Rings mark the right arm and leg. The face looks along the head ray; the ray is thick while it is on target. Dashes are the gaze. " +
-          "The small sphere around the goal is the limit of reaching, the large one that of priming. Grid lines are 1 m apart, fine ones 25 cm. " +
-          "The joints are the data's; skin, fingers and the twist of the limbs are the drawing's. Between two frames, places are interpolated."),
+        make(
+          "p",
+          {},
+          "Rings mark the right arm and leg. The face looks along the head ray; the ray is thick while it is on target. Dashes are the gaze. " +
+            "The small sphere around the goal is the limit of reaching, the large one that of priming. Grid lines are 1 m apart, fine ones 25 cm. " +
+            "The joints are the data's; skin, fingers and the twist of the limbs are the drawing's. Between two frames, places are interpolated.",
+        ),
         make("p", {}, "Drag to turn, wheel or two fingers to come nearer, right button or two fingers to shift."),
-        close
-      ); // prettier-ignore
+      );
       this.dialog.showModal();
       close.focus();
     }

@@ -110,8 +110,12 @@
       context.drawImage(stage.canvas, 0, 0, canvas.width, canvas.height);
       context.setTransform(canvas.width / width, 0, 0, canvas.height / height, 0, 0);
       annotate(context, width, height, {
-        labels: stage.labels(width, height), caption: caption(time), notice, ink: stage.theme.ink, back: stage.theme.back,
-      }); // prettier-ignore
+        labels: stage.labels(width, height),
+        caption: caption(time),
+        notice,
+        ink: stage.theme.ink,
+        back: stage.theme.back,
+      });
     };
 
     const done = new Promise((resolve, reject) => {
@@ -135,7 +139,13 @@
       };
       requestAnimationFrame(step);
     });
-    return { done, cancel: () => { cancelled = true; }, suffix: format.includes("mp4") ? "mp4" : "webm" }; // prettier-ignore
+    return {
+      done,
+      cancel: () => {
+        cancelled = true;
+      },
+      suffix: format.includes("mp4") ? "mp4" : "webm",
+    };
   }
 
   parts.saving = { download, fileName, picture, film, filmFormat };

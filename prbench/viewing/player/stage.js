@@ -14,16 +14,32 @@
   const GAZE_COLOUR = "#e69f00";
   const GOAL_COLOUR = "#56b4e9";
   const BOX_EDGES = [
-    [0, 1], [0, 2], [0, 4], [1, 3], [1, 5], [2, 3], [2, 6], [3, 7], [4, 5], [4, 6], [5, 7], [6, 7],
-  ]; // prettier-ignore
+    [0, 1],
+    [0, 2],
+    [0, 4],
+    [1, 3],
+    [1, 5],
+    [2, 3],
+    [2, 6],
+    [3, 7],
+    [4, 5],
+    [4, 6],
+    [5, 7],
+    [6, 7],
+  ];
   const BOX_FACES = [
-    [0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3],
-  ]; // prettier-ignore
+    [0, 1, 3, 2],
+    [4, 6, 7, 5],
+    [0, 4, 5, 1],
+    [2, 3, 7, 6],
+    [0, 2, 6, 4],
+    [1, 5, 7, 3],
+  ];
   const PELVIS = 0;
   const HEAD = 15;
   const WRISTS = [20, 21];
   const THEMES = {
-    light: { back: "#eef1f4", fill: "#ffffff", line: "#8a94a0", shadow: 0.34, sky: 1.55, sun: 2.2, ink: "#1a1f26" },
+    light: { back: "#eef1f4", fill: "#ffffff", line: "#8a94a0", shadow: 0.34, sky: 1.3, sun: 2.5, ink: "#1a1f26" },
     dark: { back: "#14181d", fill: "#262c34", line: "#66717e", shadow: 0.55, sky: 1.15, sun: 2.1, ink: "#e8ecf1" },
   };
 
@@ -38,7 +54,7 @@
   /** Return the colour in which a motion is painted: its own, but never nearly black, which would hide its form. */
   function paintOf(colour, dark) {
     const paint = new THREE.Color(colour);
-    if (luminance(colour) < 0.06) paint.set(dark ? "#c9ced6" : "#5a616b");
+    if (luminance(colour) < 0.06) paint.set(dark ? "#c9ced6" : "#767e89");
     else paint.lerp(new THREE.Color("#ffffff"), 0.12);
     return paint;
   }
@@ -88,8 +104,12 @@
     faces.setAttribute("position", new THREE.BufferAttribute(new Float32Array(corners.flat()), 3));
     faces.setIndex(BOX_FACES.flatMap(([a, b, c, d]) => [a, b, c, a, c, d]));
     const glass = new THREE.MeshBasicMaterial({
-      color: colour, transparent: true, opacity: faceOpacity, side: THREE.DoubleSide, depthWrite: false,
-    }); // prettier-ignore
+      color: colour,
+      transparent: true,
+      opacity: faceOpacity,
+      side: THREE.DoubleSide,
+      depthWrite: false,
+    });
     group.add(frame, new THREE.Mesh(faces, glass));
     return group;
   }
@@ -173,8 +193,10 @@
       if (!this.motion.gaze) return;
       // Dashes, so that eyes and head are told apart without colour.
       const dashes = new THREE.InstancedMesh(
-        new THREE.CylinderGeometry(0.0055, 0.0055, 1, 8), new THREE.MeshBasicMaterial({ color: GAZE_COLOUR }), 48
-      ); // prettier-ignore
+        new THREE.CylinderGeometry(0.0055, 0.0055, 1, 8),
+        new THREE.MeshBasicMaterial({ color: GAZE_COLOUR }),
+        48,
+      );
       dashes.frustumCulled = false;
       this.gazeRay = dashes;
       this.group.add(dashes);
@@ -205,8 +227,9 @@
       if (goal) {
         if (goal.box && goal.box.length === 8) this.goal.add(boxObject(goal.box, GOAL_COLOUR, 0.16));
         const dot = new THREE.Mesh(
-          new THREE.SphereGeometry(0.018, 20, 14), new THREE.MeshStandardMaterial({ color: "#0b6fa4", roughness: 0.4 })
-        ); // prettier-ignore
+          new THREE.SphereGeometry(0.018, 20, 14),
+          new THREE.MeshStandardMaterial({ color: "#0b6fa4", roughness: 0.4 }),
+        );
         dot.position.set(...goal.location);
         dot.castShadow = true;
         this.goal.add(dot);
@@ -492,7 +515,7 @@
       }
       this.arrange();
       this.setTime(0);
-      this.look(this.preset === "eyes" ? "eyes" : "default", false);
+      this.look(this.preset, false);
     }
 
     /** Take all motions off; what they hold is freed after the next frame, which may use the same programs. */
@@ -708,6 +731,7 @@
         above: up().addScaledVector(axis, -0.001),
       }[preset].normalize();
       const [middle, distance] = this._fit(towards);
+      if (preset !== "above") middle.y -= 0.035 * distance; // buttons cover the foot of the picture
       this._goTo(middle.clone().addScaledVector(towards, distance), middle, animated);
     }
 
@@ -739,8 +763,10 @@
       let distance = 1.2;
       for (let corner = 0; corner < 8; corner += 1) {
         const place = new THREE.Vector3(
-          corner & 1 ? high.x : low.x, corner & 2 ? high.y : low.y, corner & 4 ? high.z : low.z
-        ).sub(middle); // prettier-ignore
+          corner & 1 ? high.x : low.x,
+          corner & 2 ? high.y : low.y,
+          corner & 4 ? high.z : low.z,
+        ).sub(middle);
         const depth = place.dot(towards);
         const wide = (Math.abs(place.dot(right)) + 0.2) / (tangent * aspect);
         const tall = (Math.abs(place.dot(top)) + 0.12) / tangent;
@@ -759,8 +785,11 @@
       } else {
         this._flight = {
           begin: null,
-          from: this.camera.position.clone(), fromTarget: this.controls.target.clone(), position, target,
-        }; // prettier-ignore
+          from: this.camera.position.clone(),
+          fromTarget: this.controls.target.clone(),
+          position,
+          target,
+        };
       }
       this.invalidate();
     }

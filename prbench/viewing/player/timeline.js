@@ -144,11 +144,28 @@
       const list = svg("defs", {});
       for (const { number, colour } of this.motions) {
         list.append(
-          svg("pattern", { id: `${this._name}-hatch-${number}`, width: 5, height: 5, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" },
-            svg("rect", { width: 2.6, height: 5, fill: colour })),
-          svg("pattern", { id: `${this._name}-zigzag-${number}`, width: 8, height: LANE, patternUnits: "userSpaceOnUse" },
-            svg("path", { d: `M0 ${LANE - 1.500}L4 1.500L8 ${LANE - 1.500}`, fill: "none", stroke: colour, "stroke-width": 1.8 }))
-        ); // prettier-ignore
+          svg(
+            "pattern",
+            {
+              id: `${this._name}-hatch-${number}`,
+              width: 5,
+              height: 5,
+              patternUnits: "userSpaceOnUse",
+              patternTransform: "rotate(45)",
+            },
+            svg("rect", { width: 2.6, height: 5, fill: colour }),
+          ),
+          svg(
+            "pattern",
+            { id: `${this._name}-zigzag-${number}`, width: 8, height: LANE, patternUnits: "userSpaceOnUse" },
+            svg("path", {
+              d: `M0 ${LANE - 1.5}L4 1.500L8 ${LANE - 1.5}`,
+              fill: "none",
+              stroke: colour,
+              "stroke-width": 1.8,
+            }),
+          ),
+        );
       }
       return list;
     }
