@@ -165,16 +165,16 @@ def test_keys_move_the_time(player: Page, keys: list[str], time: float) -> None:
 
 
 def test_play_runs_to_the_event_and_then_nothing_is_drawn_any_more(player: Page) -> None:
-    player.evaluate("handle.seek(2.6)")
+    player.evaluate("handle.seek(2)")
     player.keyboard.press("Space")
-    player.get_by_role("button", name="Pause (Space)").wait_for()
-    player.get_by_role("button", name="Play (Space)").wait_for()
+    assert player.evaluate("handle.player.playing")
+    player.wait_for_function("!handle.player.playing")
     assert time_of(player) == 3.0
-    drawn = "() => handle.player.stage.renderer.info.render.frame"
-    player.wait_for_timeout(250)
-    before = player.evaluate(drawn)
-    player.wait_for_timeout(250)
-    assert player.evaluate(drawn) == before
+    drawn = [0, 1]
+    while drawn[-1] != drawn[-2] and len(drawn) < 12:  # a busy machine draws the last frame late
+        player.wait_for_timeout(200)
+        drawn.append(player.evaluate("handle.player.stage.renderer.info.render.frame"))
+    assert drawn[-1] == drawn[-2]
 
 
 def test_the_slider_tells_time_and_phase_and_is_dragged(player: Page) -> None:
