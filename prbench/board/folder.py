@@ -1,14 +1,11 @@
 """A board as a folder of text and Parquet: submissions, what was verified of them, and a history that only grows.
 
 ``history.jsonl`` decides what stands on the board: it names every submission with the digests of its files, and a
-withdrawn one keeps its lines. The pages are made from it and the submissions alone, so they are the same on every
-machine. A page never depends on the time, a path or the order of files.
+withdrawn one keeps its lines. The pages are made from it and the submissions alone.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import date as Date
 from pathlib import Path
@@ -17,33 +14,33 @@ from typing import Annotated, Literal
 import msgspec
 import tomli_w
 
+from prbench.board.submission import Submission
 from prbench.errors import InputFileError
-from prbench.files.bounded import foreign_input, read_text, read_toml
+from prbench.files.bounded import foreign_input, read_text, read_toml, require
+from prbench.files.storage import bytes_digest, text_digest
+from prbench.harness.run_folder.record import CONTROL
 
 INFO = "board.toml"
 HISTORY = "history.jsonl"
 SUBMISSIONS = "submissions"
 VERIFICATION = "verification"
-ADD = "add"
-WITHDRAW = "withdraw"
+_MARKERS = ("<<<<<<<", "=======", ">>>>>>>", "|||||||")
+_AGAIN = "Take the line from the repository again; no command writes such a one."
 _Text = Annotated[str, msgspec.Meta(max_length=1000)]
 _Digest = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
-_Id = Annotated[str, msgspec.Meta(pattern="^[a-z0-9][a-z0-9-]{0,80}-[0-9a-f]{10}$")]
-_CONFLICT = re.compile(r"(<{7}|={7}|>{7}|\|{7})( |$)")
-_REBUILD = "`prbench leaderboard build` makes the pages again."
 
 
 class BoardDataset(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A dataset whose sequences a board compares.
 
     Attributes:
-        name: Name of the dataset.
+        dataset: Name of the dataset.
         title: The same for readers.
         redistribution: Whether data made from the dataset may be passed on: ``yes``, ``non-commercial`` or ``none``.
         identity: Identity digest of its table, which every submission's table has to have.
     """
 
-    name: _Text
+    dataset: _Text
     title: _Text
     redistribution: Literal["yes", "non-commercial", "none"]
     identity: _Digest
@@ -85,7 +82,7 @@ class HistoryEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     Attributes:
         date: Day on which it happened, as the maintainer gave it.
-        action: ``add`` or ``withdraw``.
+        action: What was done.
         id: The submission.
         reason: Why it was withdrawn, or added again.
         name: Name of the added submission.
@@ -94,56 +91,49 @@ class HistoryEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         motions: Digests of the motions of each of its runs that is no control.
     """
 
-    date: Annotated[str, msgspec.Meta(pattern=r"^\d{4}-\d\d-\d\d$")]
+    date: str
     action: Literal["add", "withdraw"]
-    id: _Id
+    id: Annotated[str, msgspec.Meta(pattern="^[a-z0-9][a-z0-9-]{0,80}-[0-9a-f]{10}$")]
     reason: _Text = ""
     name: _Text = ""
-    submission: _Digest | None = None
-    verification: _Digest | None = None
+    submission: str = ""
+    verification: str = ""
     motions: tuple[_Digest, ...] = ()
 
+    @property
+    def line(self) -> str:
+        """The line without its end."""
+        return msgspec.json.encode(self).decode()
 
-def history_text(entries: Iterable[HistoryEntry]) -> str:
-    """Return the bytes of ``history.jsonl``."""
-    return "".join(msgspec.json.encode(entry).decode() + "\n" for entry in entries)
+    @classmethod
+    def adding(cls, submission: Submission, verification: bytes, *, date: str, reason: str) -> HistoryEntry:
+        """Return the entry for a verified submission."""
+        motions = []
+        for name, run in submission.runs.items():
+            begin = f"runs/{name}/"
+            digests = [digest for path, digest in submission.members.items() if path.startswith(begin) and "/predictions/" in path]
+            # Controls are the same for everybody, and a merged run has no motions of its own.
+            if digests and run.method.kind != CONTROL and run.control is None:
+                motions.append(text_digest(*sorted(digests)))
+        return cls(
+            date=date,
+            action="add",
+            id=submission.id,
+            reason=reason,
+            name=submission.name,
+            submission=submission.digest,
+            verification=bytes_digest(verification),
+            motions=tuple(sorted(motions)),
+        )
 
-
-@foreign_input()
-def read_history(path: Path) -> tuple[HistoryEntry, ...]:
-    """Read ``history.jsonl``; a board without one has no submission yet.
-
-    Raises:
-        InputFileError: naming the line that is no entry, or contradicts an earlier one.
-    """
-    if not path.exists():
-        return ()
-    entries: list[HistoryEntry] = []
-    standing: dict[str, HistoryEntry] = {}
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        where = f"line {number}"
-        if _CONFLICT.match(line):
-            remedy = f"Keep the lines of both sides, take the marker out, and rebuild: {_REBUILD}"
-            raise InputFileError(path, where, expected="an entry", found="a merge conflict's marker", remedy=remedy)
-        try:
-            entry = msgspec.json.decode(line, type=HistoryEntry)
-            Date.fromisoformat(entry.date)
-        except (msgspec.DecodeError, ValueError) as error:
-            remedy = "Take the line from the repository again; no command writes such a one."
-            raise InputFileError(path, where, expected="an entry", found=str(error), remedy=remedy) from error
-        stands = entry.id in standing
-        if entry.action == ADD and (stands or None in (entry.submission, entry.verification)):
-            found = "it again" if stands else "no digest of it or of what was verified"
-            raise InputFileError(path, where, expected=f"a new submission {entry.id}", found=found)
-        if entry.action == WITHDRAW and not (stands and entry.reason):
-            found = "no reason" if stands else "none of that id that stands"
-            raise InputFileError(path, where, expected=f"a submission to withdraw, and why ({entry.id})", found=found)
-        if entry.action == ADD:
-            standing[entry.id] = entry
-        else:
-            del standing[entry.id]
-        entries.append(entry)
-    return tuple(entries)
+    def shared_with(self, other: HistoryEntry) -> str:
+        """Return what the submission has in common with another: its files, its name, motions; empty for nothing."""
+        if self.submission == other.submission:
+            return "files"
+        letters = ["".join(filter(str.isalnum, each.name.casefold())) for each in (self, other)]
+        if letters[0] == letters[1]:
+            return "name"
+        return "motions" if set(self.motions) & set(other.motions) else ""
 
 
 @dataclass(frozen=True)
@@ -154,45 +144,65 @@ class BoardFolder:
         path: The folder.
         info: The content of ``board.toml``.
         history: What was added and withdrawn, in order.
+        standing: Maps the ids of the submissions that stand on the board to the entries that added them, sorted.
+        withdrawn: Maps the ids of those that were withdrawn to the two entries that added and withdrew them, sorted.
     """
 
     path: Path
     info: BoardInfo
-    history: tuple[HistoryEntry, ...] = ()
+    history: tuple[HistoryEntry, ...]
+    standing: dict[str, HistoryEntry]
+    withdrawn: dict[str, tuple[HistoryEntry, HistoryEntry]]
 
     @classmethod
     @foreign_input()
-    def open(cls, path: Path) -> BoardFolder:
+    def open(cls, path: Path, more: tuple[HistoryEntry, ...] = ()) -> BoardFolder:
         """Read what a board is and what happened to it.
 
+        Args:
+            path: The folder.
+            more: Entries that are going to stand behind those of ``history.jsonl``.
+
         Raises:
-            InputFileError: if the folder holds no board, or ``board.toml`` or ``history.jsonl`` is damaged.
+            InputFileError: if the folder holds no board, ``board.toml`` is damaged, or a line of ``history.jsonl`` is
+                no entry or contradicts an earlier one; names the key or line.
         """
-        file = path / INFO
-        values = read_toml(file, "a board", f"Make one with `prbench leaderboard init {path}`.")
+        values = read_toml(path / INFO, "a board", f"Make one with `prbench leaderboard init {path}`.")
         try:
             info = msgspec.convert(values, BoardInfo)
         except msgspec.ValidationError as error:
-            key = str(error).partition("`$.")[2].rstrip("`")
-            raise InputFileError(file, key, expected="a value of the key's type", found=str(error)) from error
-        return cls(path, info, read_history(path / HISTORY))
-
-    @property
-    def standing(self) -> dict[str, HistoryEntry]:
-        """Maps the ids of the submissions that stand on the board to the entries that added them, in id order."""
-        found: dict[str, HistoryEntry] = {}
-        for entry in self.history:
-            if entry.action == ADD:
-                found[entry.id] = entry
+            raise InputFileError(path / INFO, "", expected="the keys of a board", found=str(error)) from error
+        file = path / HISTORY
+        lines = read_text(file).splitlines() if file.exists() else []
+        entries: list[HistoryEntry] = []
+        standing: dict[str, HistoryEntry] = {}
+        withdrawn: dict[str, tuple[HistoryEntry, HistoryEntry]] = {}
+        for number, line in enumerate(lines + [entry.line for entry in more], start=1):
+            where = f"line {number}"
+            remedy = "Keep the lines of both sides without it, and run `prbench leaderboard build`."
+            marked = line.startswith(_MARKERS)
+            require(file, (not marked, where, "an entry", "a merge conflict's marker", remedy))
+            try:
+                entry = msgspec.json.decode(line, type=HistoryEntry)
+                Date.fromisoformat(entry.date)
+            except (msgspec.DecodeError, ValueError) as error:
+                raise InputFileError(file, where, expected="an entry", found=str(error), remedy=_AGAIN) from error
+            stands = entry.id in standing
+            if entry.action == "add":
+                require(file, (not stands, where, f"a new submission {entry.id}", "it again", _AGAIN))
+                standing[entry.id] = entry
+                withdrawn.pop(entry.id, None)
             else:
-                del found[entry.id]
-        return dict(sorted(found.items()))
+                fits = stands and bool(entry.reason)
+                require(file, (fits, where, "one that stands, and why it went", f"{entry.id}: {entry.reason}", _AGAIN))
+                withdrawn[entry.id] = standing.pop(entry.id), entry
+            entries.append(entry)
+        return cls(path, info, tuple(entries), dict(sorted(standing.items())), dict(sorted(withdrawn.items())))
 
     @property
-    def withdrawn(self) -> dict[str, HistoryEntry]:
-        """Maps the ids of withdrawn submissions to the entries that withdrew them."""
-        last = {entry.id: entry for entry in self.history}
-        return {name: entry for name, entry in sorted(last.items()) if entry.action == WITHDRAW}
+    def text(self) -> str:
+        """The bytes of ``history.jsonl``."""
+        return "".join(entry.line + "\n" for entry in self.history)
 
     def submission(self, name: str) -> Path:
         """Return the folder of a submission: what its archive held."""

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
-from functools import partial
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -22,7 +21,7 @@ import pyarrow.parquet as pq
 import prbench
 from prbench.board.collect import COSTS, CollectedRuns, LeaderboardRow, collect_runs
 from prbench.board.export import as_board, export, licence_note
-from prbench.board.folder import BoardFolder, history_text
+from prbench.board.folder import BoardFolder
 from prbench.board.submission import FILE_NAME, RUNS, Submission
 from prbench.board.tables import make_leaderboard
 from prbench.board.verifying import Verification, VerifiedDataset
@@ -30,7 +29,7 @@ from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import PrbenchError, RunError
 from prbench.files import arrays
 from prbench.files.bounded import foreign_input, read_whole
-from prbench.files.storage import atomic_path, text_digest, write_text
+from prbench.files.storage import text_digest
 from prbench.harness.results import CheckedSummary, RunChecker
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import TableRecord
@@ -39,28 +38,52 @@ from prbench.protocol.manifests import dataset_names, load_citations, load_manif
 from prbench.shown import clean, latex, markdown
 from prbench.tables import Block, Column, Row, Table, as_markdown
 
-MARKDOWN = "leaderboard.md"
 CSV = "leaderboard.csv"
-JSON = "leaderboard.json"
 ROWS = "rows.parquet"
-PAGES = (MARKDOWN, CSV, JSON, ROWS)
-_DIGITS = 6  # of numbers in JSON; more may differ between processors
-_NUMBERS = frozenset({"value", "low", "high", "detectable"})
-_COUNTS = frozenset({"sequences", "recordings", "rank"})
+PAGES = ("leaderboard.md", CSV, "leaderboard.json", ROWS)
+_SUBMISSIONS = {
+    "name": "Submission",
+    "id": "Id",
+    "authors": "Authors",
+    "date": "Added",
+    "training": "Training data (declared)",
+    "state": "State",
+    "links": "Page, paper, code",
+}
 
 
-@foreign_input()
-def read_verification(path: Path) -> Verification:
-    """Read what was verified of a submission.
+@dataclass(frozen=True)
+class Standing:
+    """A submission that stands on a board, as it says of itself, and what was verified of it.
 
-    Raises:
-        RunError: if the file is missing or damaged.
+    Neither is looked at again: see :func:`prbench.board.upkeep.sound_board`.
     """
-    try:
-        return msgspec.json.decode(read_whole(path, largest=HARMLESS_SIZE), type=Verification)
-    except (FileNotFoundError, msgspec.DecodeError) as error:
-        remedy = "Take the file from the repository again, or add the submission to a new board."
-        raise RunError(f"{path}: expected what was verified of the submission, found {error}. {remedy}") from error
+
+    stated: Submission
+    verified: Verification
+
+    @classmethod
+    @foreign_input()
+    def read(cls, board: BoardFolder, name: str) -> Standing:
+        """Read both files.
+
+        Raises:
+            InputFileError: if the first is missing or damaged.
+            RunError: if the second is damaged.
+        """
+        file = board.submission(name) / FILE_NAME
+        path = board.verification(name)
+        stated = Submission.decoded(read_whole(file, largest=HARMLESS_SIZE), file)
+        try:
+            verified = msgspec.json.decode(read_whole(path, largest=HARMLESS_SIZE), type=Verification)
+        except msgspec.DecodeError as error:
+            raise RunError(f"{path}: expected what was verified of the submission, found {error}.") from error
+        return cls(stated, verified)
+
+    @property
+    def links(self) -> str:
+        """Page, paper and code, as far as they are declared."""
+        return " ".join(filter(None, (self.stated.url, self.stated.paper, self.stated.code)))
 
 
 def collect_board(board: BoardFolder) -> CollectedRuns:
@@ -70,36 +93,32 @@ def collect_board(board: BoardFolder) -> CollectedRuns:
 
     Raises:
         RunError: if a run is damaged or its summary does not follow from its scores.
-        InputFileError: if a file was changed.
+        InputFileError: if a file is damaged.
     """
     rows: list[LeaderboardRow] = []
     left_out: list[str] = []
     for name in board.standing:
-        verification = read_verification(board.verification(name))
-        covered = {(each.run, each.dataset): each for each in verification.datasets}
-        check = partial(_as_verified, covered)
+        verified = Standing.read(board, name).verified
+        covered = {(each.run, each.dataset): each for each in verified.datasets}
+
+        def check(run: RunFolder, record: TableRecord) -> CheckedSummary:
+            # Without its table, which is not needed where the scores were held against the motions before.
+            checked = RunChecker().check(run, record)
+            found = covered.get((run.path.name, record.dataset))  # noqa: B023 - called within this turn
+            return checked if found is None else replace(checked, unverified="", declared=found.declared)
+
         collected = collect_runs([board.submission(name) / RUNS], check=check, any_benchmark=True)
         left_out += [f"{name}/{reason}" for reason in collected.left_out]
         for row in collected.rows:
-            submitted = replace(
-                row,
-                run=f"{name}/{row.run}",
-                submission=name,
-                training=verification.training,
-                verified=_verified(covered.get((row.run, row.table.dataset))),
-                table=msgspec.structs.replace(row.table, content_digest=""),
-            )
-            rows.append(submitted)
+            about = {
+                "run": f"{name}/{row.run}",
+                "submission": name,
+                "training": verified.training,
+                "verified": _verified(covered.get((row.run, row.table.dataset))),
+                "table": msgspec.structs.replace(row.table, content_digest=""),
+            }
+            rows.append(replace(row, **about))
     return CollectedRuns(tuple(rows), tuple(left_out))
-
-
-def _as_verified(
-    covered: Mapping[tuple[str, str], VerifiedDataset], run: RunFolder, record: TableRecord
-) -> CheckedSummary:
-    """Check a run without its table, which is not needed where its scores were held against its motions before."""
-    checked = RunChecker().check(run, record)
-    found = covered.get((run.path.name, record.dataset))
-    return checked if found is None else replace(checked, unverified="", declared=found.declared)
 
 
 def _verified(found: VerifiedDataset | None) -> str:
@@ -111,140 +130,79 @@ def _verified(found: VerifiedDataset | None) -> str:
     return f"verified on another copy of the data, within {points:.2g} points and {millimetres:.2g} mm"
 
 
-def page_texts(board: BoardFolder) -> dict[str, str]:
-    """Return the text pages of a board by their names.
+def pages_of(board: BoardFolder) -> dict[str, bytes]:
+    """Return the pages of a board by their names.
 
     Raises:
         RunError, InputFileError: see :func:`collect_board`.
     """
     leaderboard = make_leaderboard(collect_board(board))
-    # What stands above the tables of an ordinary export is its title alone.
-    _, _, tables = export(leaderboard, "md").partition("\n\n")
     info = board.info
-    lines = [f"{len(board.standing)} submissions, {len(board.withdrawn)} withdrawn"]
-    lines.append(f"benchmark {info.benchmark}, protocol version {info.protocol_version} ({info.protocol[:12]})")
-    lines += [info.url, f"contact: {info.contact}" if info.contact else ""]
-    head = [Table(title="Board", notes=tuple(filter(None, lines)))]
-    head += [table for table in (_submissions(board), _withdrawn(board)) if table.blocks]
-    head.append(Table(title="Data", notes=tuple(data_lines(board))))
-    value = msgspec.to_builtins(as_board(leaderboard))
-    value |= {"board": msgspec.to_builtins(info), "history": msgspec.to_builtins(board.history)}
-    rounded = json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.{_DIGITS}g}"))
-    written = json.dumps(rounded, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
-    return {
-        MARKDOWN: f"# {markdown(info.title)}\n\n{as_markdown(head)}\n{tables}".rstrip("\n") + "\n",
-        CSV: export(leaderboard, "csv"),
-        JSON: written + "\n",
-    }
-
-
-def _submissions(board: BoardFolder) -> Table:
-    """Lay out who submitted what and when, and how it was verified."""
-    rows = []
-    for name, entry in board.standing.items():
-        submission = _stated(board, name)
-        verification = read_verification(board.verification(name))
-        text = {
-            "name": submission.name,
-            "id": name,
-            "authors": ", ".join(submission.authors),
-            "date": entry.date,
-            "training": verification.training,
-            "verdict": verification.verdict,
-            "links": " ".join(filter(None, (submission.url, submission.paper, submission.code))),
-        }
-        rows.append(Row(text=text))
-    titles = {
-        "name": "Submission",
-        "id": "Id",
-        "authors": "Authors",
-        "date": "Added",
-        "training": "Training data (declared)",
-    }
-    titles |= {"verdict": "Verified", "links": "Page, paper, code"}
-    columns = tuple(Column(key=key, title=title, text=True) for key, title in titles.items())
-    blocks = (Block(rows=tuple(rows)),) if rows else ()
-    return Table(title="Submissions", columns=columns, blocks=blocks)
-
-
-def _withdrawn(board: BoardFolder) -> Table:
-    rows = [
-        Row(text={"id": name, "date": entry.date, "reason": entry.reason}) for name, entry in board.withdrawn.items()
+    notes = [
+        f"{len(board.standing)} submissions, {len(board.withdrawn)} withdrawn",
+        f"benchmark {info.benchmark}, protocol version {info.protocol_version} ({info.protocol[:12]})",
+        info.url,
+        info.contact and f"contact: {info.contact}",
+        *_data_lines(board),
     ]
-    titles = {"id": "Id", "date": "Withdrawn", "reason": "Reason"}
-    columns = tuple(Column(key=key, title=title, text=True) for key, title in titles.items())
-    return Table(title="Withdrawn", columns=columns, blocks=(Block(rows=tuple(rows)),) if rows else ())
+    columns = tuple(Column(key=key, title=title, text=True) for key, title in _SUBMISSIONS.items())
+    blocks = (Block(rows=tuple(_submission_rows(board))),)
+    head = Table(title="Submissions", columns=columns, blocks=blocks, notes=tuple(filter(None, notes)))
+    # What stands above the tables of an ordinary export is its title alone.
+    tables = export(leaderboard, "md").partition("\n\n")[2]
+    value = msgspec.to_builtins(as_board(leaderboard)) | msgspec.to_builtins({"board": info, "history": board.history})
+    rounded = json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.6g}"))
+    csv = export(leaderboard, "csv")
+    page = f"# {markdown(info.title)}\n\n{as_markdown([head])}\n{tables}"
+    texts = (page.rstrip("\n") + "\n", csv, json.dumps(rounded, indent=2, sort_keys=True, ensure_ascii=False) + "\n")
+    pages = {name: text.encode() for name, text in zip(PAGES, texts)}
+    return pages | {ROWS: _parquet(csv, board.path / ROWS)}
 
 
-def _stated(board: BoardFolder, name: str) -> Submission:
-    """Read what a submission says of itself, without looking at its other files again."""
-    return msgspec.json.decode(read_whole(board.submission(name) / FILE_NAME, largest=HARMLESS_SIZE), type=Submission)
+def _submission_rows(board: BoardFolder) -> Iterator[Row]:
+    for name, entry in board.standing.items():
+        found = Standing.read(board, name)
+        authors = ", ".join(found.stated.authors)
+        about = {"training": found.verified.training, "state": found.verified.verdict, "links": found.links}
+        yield Row(text={"name": entry.name, "id": name, "authors": authors, "date": entry.date, **about})
+    for name, (added, gone) in board.withdrawn.items():
+        state = f"withdrawn on {gone.date}: {gone.reason}"
+        yield Row(text={"name": added.name, "id": name, "date": added.date, "state": state})
 
 
-def data_lines(board: BoardFolder) -> Iterator[str]:
-    """Yield a sentence on each dataset: its table, and what its licence keeps from this board."""
-    permitted: dict[str, list[str]] = {}
-    for name in board.standing:
-        for dataset in _stated(board, name).permission:
-            permitted.setdefault(dataset, []).append(name)
-    for dataset in board.info.datasets:
-        yield f"{dataset.title} ({dataset.name}): identity of its table {dataset.identity[:12]}."
-        kept = licence_note(dataset.title, dataset.redistribution)
-        if kept:
-            yield kept
-        for name in permitted.get(dataset.name, ()):
-            yield f"{name} may hold recorded motion of {dataset.name}, by a permission that its authors state."
+def _data_lines(board: BoardFolder) -> Iterator[str]:
+    """Yield a sentence on the table of each dataset, and what its licence keeps from this board."""
+    permissions = {name: Standing.read(board, name).stated.permission for name in board.standing}
+    for each in board.info.datasets:
+        yield f"{each.title} ({each.dataset}): identity of its table {each.identity[:12]}"
+        yield licence_note(each.title, each.redistribution)
+        for name in (name for name, datasets in permissions.items() if each.dataset in datasets):
+            yield f"{name} may hold recorded motion of {each.dataset}, by a permission that its authors state."
 
 
-def rows_table(csv: str) -> pa.Table:
-    """Return the rows of ``leaderboard.csv`` with the types of their columns."""
-    names = csv.partition("\n")[0].split(",")
-    kinds = {name: pa.string() for name in names} | {"higher_is_better": pa.bool_()}
-    kinds |= dict.fromkeys((*_NUMBERS, *(column for _, column in COSTS.values())), pa.float64())
-    kinds |= dict.fromkeys(_COUNTS, pa.int64())
+def _parquet(csv: str, path: Path) -> bytes:
+    """Return the rows of a CSV as Parquet, or the bytes of the file that holds them already."""
+    numbers = ("value", "low", "high", "detectable", *(column for _, column in COSTS.values()))
+    kinds = dict.fromkeys(csv.partition("\n")[0].split(","), pa.string()) | dict.fromkeys(numbers, pa.float64())
+    kinds |= dict.fromkeys(("sequences", "recordings", "rank"), pa.int64())
     options = pyarrow.csv.ConvertOptions(column_types=kinds)
-    return pyarrow.csv.read_csv(io.BytesIO(csv.encode()), convert_options=options)
-
-
-def has_rows(path: Path, rows: pa.Table) -> bool:
-    """Return True if a file holds these very rows, whatever version of Arrow wrote it."""
+    rows = pyarrow.csv.read_csv(io.BytesIO(csv.encode()), convert_options=options)
     try:
-        return arrays.read_parquet(path).equals(rows)
+        if arrays.read_parquet(path).equals(rows):
+            return read_whole(path)
     except (OSError, pa.ArrowException, PrbenchError):
-        return False
-
-
-def write_pages(board: BoardFolder) -> None:
-    """Write the pages of a board, each whole or not at all; those that are the same stay as they are.
-
-    Raises:
-        RunError, InputFileError: see :func:`collect_board`.
-        StorageError: if the folder cannot be written.
-    """
-    texts = page_texts(board)
-    for name, text in texts.items():
-        write_text(board.path / name, text)
-    rows = rows_table(texts[CSV])
-    if not has_rows(board.path / ROWS, rows):
-        with atomic_path(board.path / ROWS) as temporary:
-            pq.write_table(rows, temporary)
-
-
-def cited_with(datasets: Iterable[str]) -> list[str]:
-    """Return BibTeX entries of what every board of some datasets cites: the datasets, the study and prbench."""
-    manifests = [name.removeprefix(SYNTHETIC_PREFIX) for name in datasets]
-    entries = [load_manifest(name).citation.strip() for name in manifests if name in dataset_names()]
-    common = load_citations()
-    toolkit = common["toolkit"].replace("VERSION", prbench.__version__)
-    return list(dict.fromkeys([*entries, common["study"].strip(), toolkit.strip()]))
+        pass  # no such file, or another one: it is written anew
+    content = io.BytesIO()
+    pq.write_table(rows, content)
+    return content.getvalue()
 
 
 class BoardCitation(msgspec.Struct, frozen=True, kw_only=True):
     """How to cite a board and what stands on it.
 
     Attributes:
-        bibtex: BibTeX entries of the board in its present state, the study, prbench and each dataset; declared papers
-            of the methods are comments.
+        bibtex: Entries of the board in its present state, each dataset, the study and prbench; papers that methods
+            declare are comments.
         apa: The board in APA style.
         cff: ``CITATION.cff`` for the board's repository.
     """
@@ -255,37 +213,30 @@ class BoardCitation(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def cite_board(board: BoardFolder) -> BoardCitation:
-    """Return what to cite of a board; its state is told by the digest of its history.
-
-    The year is that of the last entry, so the same board is cited alike for ever.
-    """
+    """Return what to cite of a board; the digest of its history tells the state, its last entry the year."""
     info = board.info
     year = board.history[-1].date[:4] if board.history else "n.d."
-    state = text_digest(history_text(board.history))[:10]
-    note = (
-        f"{info.benchmark}, protocol version {info.protocol_version}, {len(board.standing)} submissions, state {state}"
-    )
+    state = text_digest(board.text)[:10]
+    note = f"{info.benchmark}, protocol version {info.protocol_version}, {len(board.standing)} submissions, state {state}"
     names = info.maintainers or (info.title,)
-    fields = {
-        "title": f"{{{latex(info.title)}}}",
-        "author": " and ".join(f"{{{latex(name)}}}" for name in names),
-        "year": year,
-    }
-    fields |= {"note": latex(note)} | ({"howpublished": rf"\url{{{info.url}}}"} if info.url else {})
-    body = "".join(f"  {key:<12} = {{{value}}},\n" for key, value in fields.items())
-    entries = [f"@misc{{board-{state},\n{body}}}", *cited_with(dataset.name for dataset in info.datasets)]
-    papers = []
+    authors = " and ".join(f"{{{latex(name)}}}" for name in names)
+    entries = [
+        f"@misc{{board-{state},\n  title  = {{{{{latex(info.title)}}}}},\n  author = {{{authors}}},\n"
+        f"  year   = {{{year}}},\n  note   = {{{latex(note)}}},\n  url    = {{{clean(info.url)}}}\n}}"
+    ]
+    sources = [each.dataset.removeprefix(SYNTHETIC_PREFIX) for each in info.datasets]
+    entries += [load_manifest(name).citation for name in sources if name in dataset_names()]
+    common = load_citations()
+    entries += [common["study"], common["toolkit"].replace("VERSION", prbench.__version__)]
     for name in board.standing:
-        submission = _stated(board, name)
-        authors = clean(", ".join(submission.authors)) or "no authors named"
-        declared = submission.paper or submission.url or submission.code or "no paper declared"
-        papers.append(f"% {name}: {clean(submission.name)}, {authors}: {declared}")
-    cff = {"cff-version": "1.2.0", "message": "Please cite this board, its benchmark, and what its entries declare."}
-    cff |= {"title": info.title, "type": "dataset", "version": state} | ({"url": info.url} if info.url else {})
-    lines = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in cff.items()]
-    lines += ["authors:", *(f"  - name: {json.dumps(name, ensure_ascii=False)}" for name in names)]
+        found = Standing.read(board, name)
+        by = clean(", ".join(found.stated.authors)) or "no authors named"
+        entries.append(f"% {name}: {clean(found.stated.name)}, {by}: {found.links or 'no paper declared'}")
+    fields = {"cff-version": "1.2.0", "message": "Cite this board, its benchmark and what its entries declare."}
+    fields |= {"title": info.title, "type": "dataset", "version": state, "authors": [{"name": name} for name in names]}
+    fields |= {"url": info.url} if info.url else {}
     return BoardCitation(
-        bibtex="\n\n".join(filter(None, [*dict.fromkeys(entries), "\n".join(papers)])),
+        bibtex="\n\n".join(dict.fromkeys(entry.strip() for entry in entries)),
         apa=f"{', '.join(names)} ({year}). {info.title} [{note}]. {info.url}".strip(),
-        cff="\n".join(lines) + "\n",
+        cff="".join(f"{key}: {json.dumps(value, ensure_ascii=False)}\n" for key, value in fields.items()),
     )

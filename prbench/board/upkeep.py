@@ -10,9 +10,7 @@ import json
 import os
 import shutil
 import stat
-import unicodedata
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -20,40 +18,28 @@ import msgspec
 
 import prbench
 from prbench.board.folder import (
-    ADD,
     HISTORY,
     INFO,
     SUBMISSIONS,
     VERIFICATION,
-    WITHDRAW,
     BoardDataset,
     BoardFolder,
     BoardInfo,
     HistoryEntry,
-    history_text,
 )
-from prbench.board.pages import CSV, PAGES, ROWS, has_rows, page_texts, read_verification, rows_table, write_pages
+from prbench.board.pages import PAGES, Standing, pages_of
 from prbench.board.submission import RUNS, Submission, open_submission, read_submission
 from prbench.board.verifying import Verification, verify_submission
 from prbench.engine import Engine
-from prbench.errors import InputFileError, PrbenchError, RedistributionError, RunError, StorageError, UsageError
-from prbench.files.bounded import foreign_input, read_whole
-from prbench.files.storage import (
-    bytes_digest,
-    remove_folder,
-    sole_writer,
-    text_digest,
-    write_bytes,
-    write_json,
-    write_text,
-)
+from prbench.errors import PrbenchError, RunError, StorageError, UsageError
+from prbench.files.bounded import read_whole
+from prbench.files.storage import remove_folder, sole_writer, write_bytes, write_json, write_text
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.controls import HOLDS_RECORDINGS
-from prbench.harness.methods.installed import METHOD_CONTROLS
-from prbench.harness.run_folder.folder import FOLDS_FILE, RunFolder
+from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import CONTROL
 from prbench.harness.run_folder.summary import DatasetSummary
-from prbench.protocol.own_protocol import read_protocol
+from prbench.sequences.dataset_info import require_may_pass_on
 from prbench.shown import clean, markdown
 
 # Files that a board starts with, and their templates.
@@ -63,21 +49,17 @@ _FIRST_FILES = {
     ".github/workflows/board.yml": "workflow.yml",
     ".github/ISSUE_TEMPLATE/submission.yml": "submission.yml",
 }
-# Other files that may lie in a board.
-_OTHER_FILES = frozenset({"LICENSE", "CITATION.cff", ".gitignore"})
-_GIT = ".git"
+# All files at the top of a board.
+_KNOWN = frozenset({INFO, HISTORY, *PAGES, *_FIRST_FILES, "LICENSE", "CITATION.cff", ".gitignore"})
 
 
-def begin_board(
-    path: Path, data: Sequence[Path], *, benchmark: str, protocol: Path | None = None, **about: str | tuple[str, ...]
-) -> BoardFolder:
+def begin_board(path: Path, data: Sequence[Path], *, benchmark: str, **about: str | tuple[str, ...]) -> BoardFolder:
     """Write ``board.toml`` and the files around it; files that stand there already are left as they are.
 
     Args:
         path: The folder, which may be a clone of a repository.
         data: Tables on which methods are going to be compared.
         benchmark: Name of the benchmark.
-        protocol: File of a protocol of one's own; None for the benchmark's.
         about: Title, url, contact, maintainers and licence.
 
     Raises:
@@ -85,35 +67,25 @@ def begin_board(
         StorageError: if another board stands there, or the folder cannot be written.
     """
     made = load_benchmark(benchmark)
-    rules = made.present_rules if protocol is None else read_protocol(protocol)
-    tables = [made.open_table(folder) for folder in data]
-    datasets = [
-        BoardDataset(
-            name=table.info.dataset,
-            title=table.info.title,
-            redistribution=table.info.redistribution,
-            identity=table.identity,
-        )
-        for table in tables
-    ]
+    datasets = []
+    for table in map(made.open_table, data):
+        terms = {name: getattr(table.info, name) for name in ("dataset", "title", "redistribution")}
+        datasets.append(BoardDataset(**terms, identity=table.identity))
     info = BoardInfo(
         **about,
         benchmark=benchmark,
-        protocol_version=rules.version,
-        protocol=rules.digest,
-        datasets=tuple(sorted(datasets, key=lambda each: each.name)),
+        protocol_version=made.present_rules.version,
+        protocol=made.present_rules.digest,
+        datasets=tuple(sorted(datasets, key=lambda each: each.dataset)),
     )
+    # A text in double quotes is the same in YAML and JSON.
+    quoted_licence = json.dumps(clean(info.licence), ensure_ascii=False)[1:-1]
+    values = {"title": markdown(info.title), "contact": markdown(info.contact or "nobody is named")}
+    values |= {"licence": quoted_licence, "version": prbench.__version__}
     with sole_writer(path):
         _clear_leftovers(path)
         if (path / INFO).exists() and BoardFolder.open(path).info != info:
             raise StorageError(f"{path / INFO}: another board stands there. Choose an empty folder, or edit that file.")
-        values = {
-            "title": markdown(info.title),
-            "contact": markdown(info.contact or "no one is named"),
-            # A text in double quotes is the same in YAML and JSON.
-            "licence": json.dumps(clean(info.licence), ensure_ascii=False)[1:-1],
-            "version": prbench.__version__,
-        }
         for name, template in _FIRST_FILES.items():
             text = resources.files("prbench.board.templates").joinpath(f"{template}.template").read_text("utf-8")
             for key, value in values.items():
@@ -121,9 +93,7 @@ def begin_board(
             if not (path / name).exists():
                 write_text(path / name, text)
         write_text(path / INFO, info.text)
-        board = BoardFolder.open(path)
-        write_pages(board)
-    return board
+        return _with_pages(BoardFolder.open(path))
 
 
 def add_submission(
@@ -144,7 +114,7 @@ def add_submission(
 
     Raises:
         InputFileError, RunError, PredictionsError: if the submission is damaged, hostile or not what it says.
-        StorageError: if it or one of its name is on the board, or was withdrawn from it and no reason is given.
+        StorageError: if it, its name or its motions are on the board, or were withdrawn and no reason is given.
         RedistributionError: if it holds recorded motion that a licence keeps.
     """
     with sole_writer(path):
@@ -153,28 +123,18 @@ def add_submission(
         arriving = path / SUBMISSIONS / ".arriving.partial"
         try:
             submission = open_submission(file, arriving)
-            _require_new(board, submission, reason)
-            for problem in submission_problems(board.info, submission, arriving):
-                raise problem
+            _require_new(board, HistoryEntry.adding(submission, b"", date=date, reason=reason))
+            _require_fitting(board.info, submission, arriving)
             verification = verify_submission(submission, arriving, data, engine=engine)
             remove_folder(board.submission(submission.id))  # of a command that was killed
             arriving.replace(board.submission(submission.id))
         finally:
             shutil.rmtree(arriving, ignore_errors=True)
         write_json(board.verification(submission.id), msgspec.to_builtins(verification))
-        entry = HistoryEntry(
-            date=date,
-            action=ADD,
-            id=submission.id,
-            reason=reason,
-            name=submission.name,
-            submission=submission.digest,
-            verification=bytes_digest(read_whole(board.verification(submission.id))),
-            motions=motions_of(submission),
-        )
-        board = replace(board, history=(*board.history, entry))
-        write_pages(board)
-        _write_history(path, board.history)
+        verified = read_whole(board.verification(submission.id))
+        entry = HistoryEntry.adding(submission, verified, date=date, reason=reason)
+        board = _with_pages(BoardFolder.open(path, (entry,)))
+        write_text(path / HISTORY, board.text)
     return entry, verification
 
 
@@ -188,54 +148,46 @@ def withdraw_submission(path: Path, name: str, *, date: str, reason: str) -> His
         reason: Why.
 
     Raises:
-        UsageError: if no submission of that id stands there, or no reason is given.
+        UsageError: if there is no such submission, it was withdrawn for another reason, or no reason is given.
     """
-    if not reason.strip():
-        raise UsageError("--reason: expected why it is withdrawn, found nothing; the reason stays in the history.")
     with sole_writer(path):
         board = BoardFolder.open(path)
         _clear_leftovers(path)
-        added = [entry.id for entry in board.history if entry.action == ADD and name in (entry.id, entry.name)]
-        if not added:
+        ids = [entry.id for entry in board.history if name in (entry.id, entry.name)]
+        if not ids or not reason.strip():
             known = ", ".join(board.standing) or "none"
-            raise UsageError(f"'{clean(name)}': expected a submission on the board, found none. There are: {known}.")
-        name = added[-1]
-        entry = board.withdrawn.get(name)
-        if entry is None:
-            entry = HistoryEntry(date=date, action=WITHDRAW, id=name, reason=reason)
-            board = replace(board, history=(*board.history, entry))
-            _write_history(path, board.history)
-        elif entry.reason != reason:
-            raise UsageError(f"{name} was withdrawn on {entry.date}: {clean(entry.reason)}. Reasons are not changed.")
-        remove_folder(board.submission(name))
-        board.verification(name).unlink(missing_ok=True)
-        write_pages(board)
-    return entry
+            raise UsageError(f"expected a submission that stands ({known}) and a reason, found {clean(name)}, '{reason}'.")
+        entry = HistoryEntry(date=date, action="withdraw", id=ids[-1], reason=reason)
+        if entry.id in board.standing:
+            board = BoardFolder.open(path, (entry,))
+            write_text(path / HISTORY, board.text)
+        gone = board.withdrawn[entry.id][1]
+        if gone.reason != reason:
+            raise UsageError(f"{gone.id} was withdrawn on {gone.date}: {clean(gone.reason)}. A reason is not changed.")
+        remove_folder(board.submission(gone.id))
+        board.verification(gone.id).unlink(missing_ok=True)
+        _with_pages(board)
+    return gone
 
 
 def sound_board(path: Path) -> BoardFolder:
     """Open a board on which everything follows from its history.
 
     Raises:
-        PrbenchError: if its files contradict its history; says the first contradiction.
+        RunError: if its files contradict its history; says the first contradiction.
+        InputFileError: if the folder holds no board.
     """
     board = BoardFolder.open(path)
     for problem in board_problems(board):
-        raise problem
+        raise RunError(problem)
     return board
 
 
 def build_board(path: Path) -> BoardFolder:
-    """Make the pages of a board again from what stands in it.
-
-    Raises:
-        PrbenchError: see :func:`sound_board`.
-    """
+    """Make the pages of a board again from what stands in it; see :func:`sound_board` for what it raises."""
     with sole_writer(path):
         _clear_leftovers(path)
-        board = sound_board(path)
-        write_pages(board)
-    return board
+        return _with_pages(sound_board(path))
 
 
 class BoardCheck(msgspec.Struct, frozen=True, kw_only=True):
@@ -261,7 +213,7 @@ def check_board(
 
     Args:
         path: The board.
-        against: The board before a change: its history may only have grown.
+        against: The board before a change: its history may only have grown, by the same rules.
         data: Tables; submissions on them are scored again.
         engine: Processes that score.
 
@@ -269,229 +221,111 @@ def check_board(
         InputFileError: if the folder holds no board.
     """
     board = BoardFolder.open(path)
-    found = list(board_problems(board))
+    problems = list(board_problems(board))
     if against is not None and (against / INFO).is_file():
-        found += list(_changed_since(board, BoardFolder.open(against)))
-    if not found:
-        found += list(_stale_pages(board))
+        base = BoardFolder.open(against)
+        lines = iter(board.history)
+        if not all(entry in lines for entry in base.history):
+            problems.append(f"{path / HISTORY}: expected every line of {against / HISTORY} in its order, found a change.")
+        if len(board.history) > len(base.history) and board.info != base.info:
+            problems.append(f"{path / INFO}: expected the rules as before where submissions come or go, found a change.")
     rescored = []
-    at_hand = {load_benchmark(board.info.benchmark).open_table(folder).info.dataset for folder in data}
-    for name in board.standing if not found else ():
-        submission = read_submission(board.submission(name))
-        if {table.dataset for run in submission.runs for table in run.tables} <= at_hand:
-            try:
-                again = verify_submission(submission, board.submission(name), data, engine=engine)
-            except PrbenchError as error:
-                found.append(error)
-                continue
-            rescored.append(name)
-            if _means(again) != _means(read_verification(board.verification(name)), only=again):
-                found.append(
-                    RunError(f"{board.verification(name)}: expected what re-scoring finds, found other numbers.")
-                )
-    return BoardCheck(
-        submissions=len(board.standing),
-        withdrawn=len(board.withdrawn),
-        rescored=tuple(rescored),
-        problems=tuple(str(each) for each in found),
-    )
+    if not problems:
+        for name, content in pages_of(board).items():
+            if not (path / name).is_file() or read_whole(path / name) != content:
+                problems.append(f"{path / name}: is not what the submissions make of it. Run `prbench leaderboard build`.")
+        at_hand = {load_benchmark(board.info.benchmark).open_table(folder).info.dataset for folder in data}
+        for name in board.standing:
+            found = Standing.read(board, name)
+            if {table.dataset for run in found.stated.runs.values() for table in run.tables} <= at_hand:
+                try:
+                    again = verify_submission(found.stated, board.submission(name), data, engine=engine)
+                    if again.training != found.verified.training:
+                        raise RunError(f"{board.verification(name)}: expected '{again.training}', found another text.")
+                    rescored.append(name)
+                except PrbenchError as error:
+                    problems.append(str(error))
+    counts = {"submissions": len(board.standing), "withdrawn": len(board.withdrawn)}
+    return BoardCheck(**counts, rescored=tuple(rescored), problems=tuple(problems))
 
 
-def _means(verification: Verification, only: Verification | None = None) -> dict[str, object]:
-    """Return training data and rounded means of a verification, of runs on the tables of another one alone."""
-    tables = {each.content_digest for each in (only or verification).datasets}
-    found: dict[str, object] = {"training": verification.training}
-    for each in verification.datasets:
-        if each.content_digest in tables:
-            found[f"{each.run}/{each.dataset}"] = [
-                (metric.metric, round(metric.rescored, 5)) for metric in each.metrics
-            ]
-    return found
-
-
-def board_problems(board: BoardFolder) -> Iterator[PrbenchError]:
+def board_problems(board: BoardFolder) -> Iterator[str]:
     """Yield what in the files of a board contradicts its history."""
-    expected = {SUBMISSIONS: set(board.standing), VERIFICATION: {f"{name}.json" for name in board.standing}}
-    for file, name, is_plain in _files(board.path):
-        parts = name.split("/")
-        if not is_plain:
-            yield InputFileError(file, "", expected="a plain file", found="a link, or something else that is no file")
-        elif parts[0] in expected and len(parts) > 1 and parts[1] in expected[parts[0]]:
-            continue
-        elif parts[0] in expected:
-            remedy = "Add it with `prbench leaderboard add`, or delete it."
-            yield InputFileError(file, "", expected="a submission that the history adds", found="none", remedy=remedy)
-        elif name not in {INFO, HISTORY, *PAGES, *_FIRST_FILES, *_OTHER_FILES} and parts[0] != ".github":
-            yield InputFileError(file, "", expected="a file of the board", found="a file that belongs to nothing in it")
-    for name, entry in board.standing.items():
-        folder = board.submission(name)
-        try:
-            submission = read_submission(folder)
-            if (submission.id, submission.digest) != (name, entry.submission):
-                raise RunError(f"{folder}: expected the submission that {HISTORY} adds, found another.")
-            if bytes_digest(read_whole(board.verification(name))) != entry.verification:
-                raise RunError(
-                    f"{board.verification(name)}: expected what was verified on {entry.date}, found an edited file."
-                )
-            verification = read_verification(board.verification(name))
-            covered = {(each.run, each.dataset) for each in verification.datasets}
-            submitted = {(run.name, table.dataset) for run in submission.runs for table in run.tables}
-            # A merged run has the motions of its folds, which are verified in its place.
-            merged = {each for each in submitted if (folder / RUNS / each[0] / FOLDS_FILE).is_file()}
-            if verification.digest != submission.digest or covered - merged != submitted - merged:
-                raise RunError(f"{board.verification(name)}: expected what was verified of {folder}, found another.")
-            if motions_of(submission) != entry.motions or submission.name != entry.name:
-                raise RunError(f"{board.path / HISTORY}: expected name and motions of {name}, found others.")
-            yield from submission_problems(board.info, submission, folder)
-        except PrbenchError as error:
-            yield error
-        except OSError as error:
-            yield RunError(f"{folder}: expected a submission that {HISTORY} adds, found {error.strerror}.")
-    taken: dict[str, str] = {}
-    for name, entry in board.standing.items():
-        for key in _keys(entry.name, entry.motions):
-            if key in taken:
-                yield StorageError(
-                    f"{board.submission(name)}: expected another name and other motions than {taken[key]} has."
-                )
-            taken[key] = name
-
-
-def submission_problems(info: BoardInfo, submission: Submission, folder: Path) -> Iterator[PrbenchError]:
-    """Yield why a submission cannot stand on a board.
-
-    Args:
-        info: What the board compares.
-        submission: The submission.
-        folder: Where it was unpacked.
-    """
-    ours = (info.benchmark, info.protocol)
-    if (submission.benchmark, submission.protocol_digest) != ours:
-        yield RunError(
-            f"{folder}: expected runs of {info.benchmark} under the protocol {info.protocol[:12]}…, found"
-            f" {clean(submission.benchmark)} under {submission.protocol_digest[:12]}…. Run the methods again."
-        )
-    datasets = {each.name: each for each in info.datasets}
-    for described in submission.runs:
-        run = RunFolder.open(folder / RUNS / described.name, any_benchmark=True)
-        for table in described.tables:
-            dataset = datasets.get(table.dataset)
-            if dataset is None or dataset.identity != table.identity_digest:
-                known = ", ".join(f"{each.name} {each.identity[:12]}…" for each in info.datasets)
-                yield RunError(
-                    f"{run.path}: expected runs on the board's tables ({known}), found {clean(table.dataset)}"
-                    f" {table.identity_digest[:12]}…. Build the table again with the version of prbench of the board."
-                )
+    known = {*_KNOWN, *(f"{VERIFICATION}/{name}.json" for name in board.standing)}
+    folders = (".github/", *(f"{SUBMISSIONS}/{name}/" for name in board.standing))
+    for folder, below, files in os.walk(board.path):
+        if Path(folder) == board.path and ".git" in below:
+            below.remove(".git")
+        for file in sorted(Path(folder) / name for name in [*files, *below]):
+            name = file.relative_to(board.path).as_posix()
+            mode = file.lstat().st_mode
+            if stat.S_ISDIR(mode):
                 continue
-            own = run.record.method.kind == CONTROL and run.record.method.name in HOLDS_RECORDINGS
-            copies = DatasetSummary.read(run.dataset(table.dataset).path).hands_in_recordings
-            if dataset.redistribution != "yes" and (own or copies) and dataset.name not in submission.permission:
-                yield RedistributionError(
-                    f"{run.path}: holds recorded motion of {dataset.title} ({dataset.name}), whose licence keeps it."
-                    f" Submit without this run, or with --permission {dataset.name} if the licensor has given it."
-                )
-
-
-def motions_of(submission: Submission) -> tuple[str, ...]:
-    """Return a digest of the motions of each run that is no control; controls are the same for everybody."""
-    found = []
-    for run in submission.runs:
-        begin = f"{RUNS}/{run.name}/"
-        digests = [
-            each.sha256 for each in submission.members if each.path.startswith(begin) and "/predictions/" in each.path
-        ]
-        # A merged run has no motions of its own.
-        if digests and run.method not in METHOD_CONTROLS and run.control is None:
-            found.append(text_digest(*sorted(digests)))
-    return tuple(sorted(found))
-
-
-def _keys(name: str, motions: Sequence[str]) -> Iterator[str]:
-    """Yield what no two submissions may share: the letters and digits of the name, and the motions of each run."""
-    yield "".join(filter(str.isalnum, unicodedata.normalize("NFKC", name).casefold()))
-    yield from motions
-
-
-def _require_new(board: BoardFolder, submission: Submission, reason: str) -> None:
-    """Refuse what stands on a board, takes a name from it, or was withdrawn and comes back without a word."""
-    keys = set(_keys(submission.name, motions_of(submission)))
+            if not stat.S_ISREG(mode):
+                yield f"{file}: expected a plain file, found a link or a device."
+            elif name not in known and not name.startswith(folders):
+                yield f"{file}: belongs to nothing on the board. Add it with `prbench leaderboard add`, or delete it."
     for name, entry in board.standing.items():
-        if submission.digest == entry.submission:
-            raise StorageError(f"{board.submission(name)}: the board holds this very submission.")
-        shared = keys.intersection(_keys(entry.name, entry.motions))
-        if shared:
-            what = "motions" if shared.intersection(entry.motions) else "name"
+        try:
+            submission = read_submission(board.submission(name))
+            verified = read_whole(board.verification(name))
+            if HistoryEntry.adding(submission, verified, date=entry.date, reason=entry.reason) != entry:
+                yield f"{board.submission(name)} or {board.verification(name)}: is not what {HISTORY} adds; it was edited."
+            _require_fitting(board.info, submission, board.submission(name))
+        except (PrbenchError, OSError) as error:
+            yield str(error)
+    entries = list(board.standing.values())
+    for place, entry in enumerate(entries):
+        for other in entries[:place]:
+            if shared := entry.shared_with(other):
+                yield f"{board.submission(entry.id)}: has the {shared} of {other.id}. Withdraw one of the two."
+
+
+def _require_fitting(info: BoardInfo, submission: Submission, folder: Path) -> None:
+    """Refuse a submission that follows other rules, is on other tables, or holds what a licence keeps."""
+    found = f"{clean(submission.benchmark)} under {submission.protocol_digest[:12]}…"
+    if (submission.benchmark, submission.protocol_digest) != (info.benchmark, info.protocol):
+        raise RunError(f"{submission.id}: expected {info.benchmark} under protocol {info.protocol[:12]}…, found {found}.")
+    datasets = {each.dataset: each for each in info.datasets}
+    for name, record in submission.runs.items():
+        run = RunFolder.open(folder / RUNS / name, any_benchmark=True)
+        for table in record.tables:
+            ours = datasets.get(table.dataset)
+            if ours is None or ours.identity != table.identity_digest:
+                known = ", ".join(f"{each.dataset} {each.identity[:12]}…" for each in info.datasets)
+                found = f"{clean(table.dataset)} {table.identity_digest[:12]}…"
+                raise RunError(f"{submission.id}, run {name}: expected the board's tables ({known}), found {found}.")
+            holds = record.method.kind == CONTROL and record.method.name in HOLDS_RECORDINGS
+            if holds or DatasetSummary.read(run.dataset(table.dataset).path).hands_in_recordings:
+                what = f"run {name} of {submission.id}"
+                require_may_pass_on(ours, what, submission.permission, published=True)
+
+
+def _require_new(board: BoardFolder, entry: HistoryEntry) -> None:
+    """Refuse what stands on a board, takes a name from it, or was withdrawn and comes back without a word."""
+    for other in board.standing.values():
+        if shared := entry.shared_with(other):
             raise StorageError(
-                f"{board.submission(name)}: has the same {what} ({clean(entry.name)}). Withdraw it first, or submit"
-                " under another name and without what stands there."
+                f"{board.submission(other.id)}: has the same {shared}. Withdraw it first, or submit something else."
             )
-    for name, entry in board.withdrawn.items():
-        added = next(each for each in reversed(board.history) if each.id == name and each.action == ADD)
-        if not reason and (submission.digest == added.submission or keys.intersection(added.motions)):
-            raise StorageError(
-                f"{name} was withdrawn on {entry.date}: {clean(entry.reason)}. If it comes back, say why: --reason."
-            )
+    for added, gone in board.withdrawn.values():
+        if entry.shared_with(added) in ("files", "motions") and not entry.reason:
+            raise StorageError(f"{gone.id} was withdrawn on {gone.date}: {clean(gone.reason)}. Back by --reason alone.")
 
 
-def _changed_since(board: BoardFolder, base: BoardFolder) -> Iterator[PrbenchError]:
-    """Yield lines of an earlier history that are gone, and rules that changed together with the history."""
-    lines = iter(board.history)
-    for number, entry in enumerate(base.history, start=1):
-        if entry not in lines:
-            yield InputFileError(
-                board.path / HISTORY,
-                f"line {number} of {base.path / HISTORY}",
-                expected=f"it to stay ({entry.action} {entry.id}); the history only grows",
-                found="it edited, moved or gone",
-            )
-            return
-    if len(board.history) == len(base.history):
-        return
-    for name in sorted({name for each in (base, board) for _, name, _ in _files(each.path)}):
-        if name == INFO or name.startswith(".git"):
-            before, after = ((each.path / name) for each in (base, board))
-            if not (before.is_file() and after.is_file()) or read_whole(before) != read_whole(after):
-                remedy = "Change it in a pull request of its own."
-                yield InputFileError(
-                    after, "", expected="it as before, where submissions come or go", found="it changed", remedy=remedy
-                )
-
-
-def _stale_pages(board: BoardFolder) -> Iterator[PrbenchError]:
-    """Yield the pages that are not what the board makes of its submissions."""
-    texts = page_texts(board)
-    same = {
-        name: (board.path / name).is_file() and read_whole(board.path / name) == text.encode()
-        for name, text in texts.items()
-    }
-    same[ROWS] = has_rows(board.path / ROWS, rows_table(texts[CSV]))
-    for name in (name for name, equal in same.items() if not equal):
-        remedy = "Run `prbench leaderboard build` and commit what it writes; nobody edits pages."
-        yield InputFileError(
-            board.path / name, "", expected="what the submissions make of it", found="another page", remedy=remedy
-        )
-
-
-@foreign_input()
-def _files(path: Path) -> Iterator[tuple[Path, str, bool]]:
-    """Yield every file of a board but git's own: its path, its name in the board, and whether it is a plain file."""
-    for folder, folders, files in os.walk(path):
-        folders[:] = sorted(name for name in folders if (Path(folder) / name) != path / _GIT)
-        for name in sorted([*files, *(each for each in folders if (Path(folder) / each).is_symlink())]):
-            file = Path(folder) / name
-            yield file, file.relative_to(path).as_posix(), stat.S_ISREG(file.lstat().st_mode)
+def _with_pages(board: BoardFolder) -> BoardFolder:
+    """Write the pages, each whole or not at all."""
+    for name, content in pages_of(board).items():
+        write_bytes(board.path / name, content)
+    return board
 
 
 def _clear_leftovers(path: Path) -> None:
     """Delete what a killed command has left half-written in a board."""
     for left in sorted(path.rglob(".*.partial*")):
-        if left.relative_to(path).parts[0] == _GIT:
+        if left.relative_to(path).parts[0] == ".git":
             continue
         if left.is_dir() and not left.is_symlink():
             shutil.rmtree(left, ignore_errors=True)
         else:
             left.unlink(missing_ok=True)
-
-
-def _write_history(path: Path, history: Sequence[HistoryEntry]) -> None:
-    write_bytes(path / HISTORY, history_text(history).encode())
