@@ -6,6 +6,7 @@ withdrawn one keeps its lines. The pages are made from it and the submissions al
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from datetime import date as Date
 from pathlib import Path
@@ -110,11 +111,11 @@ class HistoryEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         """Return the entry for a verified submission."""
         motions = []
         for name, run in submission.runs.items():
-            begin = f"runs/{name}/"
-            digests = [digest for path, digest in submission.members.items() if path.startswith(begin) and "/predictions/" in path]
+            paths = [path for path in submission.members if re.match(f"runs/{re.escape(name)}/.*predictions/", path)]
+            digests = sorted(submission.members[path] for path in paths)
             # Controls are the same for everybody, and a merged run has no motions of its own.
             if digests and run.method.kind != CONTROL and run.control is None:
-                motions.append(text_digest(*sorted(digests)))
+                motions.append(text_digest(*digests))
         return cls(
             date=date,
             action="add",

@@ -217,7 +217,9 @@ def cite_board(board: BoardFolder) -> BoardCitation:
     info = board.info
     year = board.history[-1].date[:4] if board.history else "n.d."
     state = text_digest(board.text)[:10]
-    note = f"{info.benchmark}, protocol version {info.protocol_version}, {len(board.standing)} submissions, state {state}"
+    note = (
+        f"{info.benchmark}, protocol version {info.protocol_version}, {len(board.standing)} submissions, state {state}"
+    )
     names = info.maintainers or (info.title,)
     authors = " and ".join(f"{{{latex(name)}}}" for name in names)
     entries = [

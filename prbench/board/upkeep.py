@@ -156,7 +156,9 @@ def withdraw_submission(path: Path, name: str, *, date: str, reason: str) -> His
         ids = [entry.id for entry in board.history if name in (entry.id, entry.name)]
         if not ids or not reason.strip():
             known = ", ".join(board.standing) or "none"
-            raise UsageError(f"expected a submission that stands ({known}) and a reason, found {clean(name)}, '{reason}'.")
+            raise UsageError(
+                f"expected a submission that stands ({known}) and a reason, found {clean(name)}, '{reason}'."
+            )
         entry = HistoryEntry(date=date, action="withdraw", id=ids[-1], reason=reason)
         if entry.id in board.standing:
             board = BoardFolder.open(path, (entry,))
@@ -226,14 +228,20 @@ def check_board(
         base = BoardFolder.open(against)
         lines = iter(board.history)
         if not all(entry in lines for entry in base.history):
-            problems.append(f"{path / HISTORY}: expected every line of {against / HISTORY} in its order, found a change.")
+            problems.append(
+                f"{path / HISTORY}: expected every line of {against / HISTORY} in its order, found a change."
+            )
         if len(board.history) > len(base.history) and board.info != base.info:
-            problems.append(f"{path / INFO}: expected the rules as before where submissions come or go, found a change.")
+            problems.append(
+                f"{path / INFO}: expected the rules as before where submissions come or go, found a change."
+            )
     rescored = []
     if not problems:
         for name, content in pages_of(board).items():
             if not (path / name).is_file() or read_whole(path / name) != content:
-                problems.append(f"{path / name}: is not what the submissions make of it. Run `prbench leaderboard build`.")
+                problems.append(
+                    f"{path / name}: is not what the submissions make of it. Run `prbench leaderboard build`."
+                )
         at_hand = {load_benchmark(board.info.benchmark).open_table(folder).info.dataset for folder in data}
         for name in board.standing:
             found = Standing.read(board, name)
@@ -270,7 +278,7 @@ def board_problems(board: BoardFolder) -> Iterator[str]:
             submission = read_submission(board.submission(name))
             verified = read_whole(board.verification(name))
             if HistoryEntry.adding(submission, verified, date=entry.date, reason=entry.reason) != entry:
-                yield f"{board.submission(name)} or {board.verification(name)}: is not what {HISTORY} adds; it was edited."
+                yield f"{board.submission(name)}, {board.verification(name)}: {HISTORY} adds others; one was edited."
             _require_fitting(board.info, submission, board.submission(name))
         except (PrbenchError, OSError) as error:
             yield str(error)
@@ -285,7 +293,9 @@ def _require_fitting(info: BoardInfo, submission: Submission, folder: Path) -> N
     """Refuse a submission that follows other rules, is on other tables, or holds what a licence keeps."""
     found = f"{clean(submission.benchmark)} under {submission.protocol_digest[:12]}…"
     if (submission.benchmark, submission.protocol_digest) != (info.benchmark, info.protocol):
-        raise RunError(f"{submission.id}: expected {info.benchmark} under protocol {info.protocol[:12]}…, found {found}.")
+        raise RunError(
+            f"{submission.id}: expected {info.benchmark} under protocol {info.protocol[:12]}…, found {found}."
+        )
     datasets = {each.dataset: each for each in info.datasets}
     for name, record in submission.runs.items():
         run = RunFolder.open(folder / RUNS / name, any_benchmark=True)
@@ -310,7 +320,9 @@ def _require_new(board: BoardFolder, entry: HistoryEntry) -> None:
             )
     for added, gone in board.withdrawn.values():
         if entry.shared_with(added) in ("files", "motions") and not entry.reason:
-            raise StorageError(f"{gone.id} was withdrawn on {gone.date}: {clean(gone.reason)}. Back by --reason alone.")
+            raise StorageError(
+                f"{gone.id} was withdrawn on {gone.date}: {clean(gone.reason)}. Say why it returns: --reason."
+            )
 
 
 def _with_pages(board: BoardFolder) -> BoardFolder:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import datetime
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +17,9 @@ from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, note, session
 from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
+from prbench.protocol.manifests import default_benchmark
 
 if TYPE_CHECKING:
-    from prbench.board.folder import BoardFolder
     from prbench.board.verifying import Verification
 
 
@@ -144,21 +145,19 @@ _DATE = click.option(
 @click.option("--maintainer", "maintainers", multiple=True, help="A name to cite; repeatable.")
 @click.option("--licence", default="CC BY 4.0", help="Licence of submissions (default CC BY 4.0).")
 @opt.benchmark_option
-@opt.protocol_option("the rules by which all runs are scored.")
 @opt.data_option(required=False, help="Tables to compare methods on; without it the embedded synthetic ones.")
-def init(board: Path, data: tuple[Path, ...], benchmark: str | None, **given: Any) -> Answer:
+def init(board: Path, data: tuple[Path, ...], benchmark: str | None, **about: Any) -> Answer:
     """Begin a board: its rules, a README, and what GitHub needs to take and check submissions.
 
     DIR may be a clone of a repository; its files stay as they are.
     """
     from prbench.board.upkeep import begin_board
     from prbench.engine import InProcess
-    from prbench.protocol.manifests import default_benchmark
 
     tables = data or opt.embedded_tables(InProcess())
-    made = begin_board(board, tables, benchmark=benchmark or default_benchmark().name, **given)
-    _say_what_licences_keep(made)
-    return Answer(made.info, lambda: print(f"board: {board}, of {', '.join(each.name for each in made.info.datasets)}"))
+    info = begin_board(board, tables, benchmark=benchmark or default_benchmark().name, **about).info
+    say_what_licences_keep(info.datasets)
+    return Answer(info, lambda: print(f"board: {board}, of {', '.join(each.dataset for each in info.datasets)}"))
 
 
 @command(
@@ -177,14 +176,9 @@ def add(board: Path, file: Path, data: tuple[Path, ...], workers: int, **given: 
     from prbench.board.upkeep import add_submission
     from prbench.engine import engine_for
 
-    entry, verification = add_submission(board, file, data, engine=engine_for(workers), **given)
-
-    def show() -> None:
-        print(f"training data: {verification.training}")
-        print(f"{entry.id}: {verification.verdict}.")
-        print(f"added to {board}")
-
-    return Answer(entry, show)
+    entry, found = add_submission(board, file, data, engine=engine_for(workers), **given)
+    text = f"training data: {found.training}\n{entry.id}: {found.verdict}.\nadded to {board}"
+    return Answer(entry, lambda: print(text))
 
 
 @command(
@@ -193,7 +187,7 @@ def add(board: Path, file: Path, data: tuple[Path, ...], workers: int, **given: 
     report="prbench.board.folder:HistoryEntry",
 )
 @_BOARD
-@click.argument("name", metavar="ID")
+@click.argument("name", metavar="ID|NAME")
 @click.option("--reason", required=True, help="Why; stays in the history and on the page.")
 @_DATE
 def withdraw(board: Path, name: str, **given: str) -> Answer:
@@ -211,20 +205,20 @@ def history(board: Path) -> Answer:
     from prbench.board.folder import BoardFolder
 
     entries = list(BoardFolder.open(board).history)
-    rows = [(each.date, each.action, each.id, each.name, each.reason) for each in entries]
-    return Answer(entries, lambda: print_table(str(board), ("date", "action", "id", "name", "reason"), rows))
+    header = ("date", "action", "id", "name", "reason")
+    rows = [tuple(getattr(each, name) for name in header) for each in entries]
+    return Answer(entries, lambda: print_table(str(board), header, rows))
 
 
 @command("build", example="prbench leaderboard build board", report="prbench.board.folder:BoardInfo")
 @_BOARD
 def build(board: Path) -> Answer:
     """Make the pages of a board again from its submissions alone; they are the same on every machine."""
-    from prbench.board.pages import PAGES
     from prbench.board.upkeep import build_board
 
     made = build_board(board)
-    _say_what_licences_keep(made)
-    return Answer(made.info, lambda: print(f"{', '.join(PAGES)} of {len(made.standing)} submissions: {board}"))
+    say_what_licences_keep(made.info.datasets)
+    return Answer(made.info, lambda: print(f"pages of {len(made.standing)} submissions: {board}"))
 
 
 @command("check", example="prbench leaderboard check board --against base", report="prbench.board.upkeep:BoardCheck")
@@ -241,21 +235,17 @@ def check(board: Path, against: Path | None, data: tuple[Path, ...], workers: in
     from prbench.engine import engine_for
 
     found = check_board(board, against=against, data=data, engine=engine_for(workers))
-
-    def show() -> None:
-        for problem in found.problems:
-            print(f"! {problem}")
-        print(f"{found.submissions} submissions, {found.withdrawn} withdrawn, {len(found.rescored)} scored again")
-        print(f"{board}: {len(found.problems)} problems" if found.problems else f"{board}: sound")
-
-    return Answer(found, show, 1 if found.problems else 0)
+    lines = [f"! {problem}" for problem in found.problems]
+    lines += [f"{found.submissions} submissions, {found.withdrawn} withdrawn, {len(found.rescored)} scored again"]
+    lines += [f"{board}: {len(lines) - 1} problems" if found.problems else f"{board}: sound"]
+    return Answer(found, lambda: print("\n".join(lines)), 1 if found.problems else 0)
 
 
 @command("cite", example="prbench leaderboard cite board", report="prbench.board.pages:BoardCitation")
 @_BOARD
 @opt.choice_option("--format", ["bibtex", "apa", "cff"], "BibTeX (default), APA or CITATION.cff.", default="bibtex")
 def cite(board: Path, format: str) -> Answer:
-    """Print how to cite a board, its protocol and its datasets, and the papers that its entries declare."""
+    """Print how to cite a board, its benchmark and its datasets, and the papers that its entries declare."""
     from prbench.board.folder import BoardFolder
     from prbench.board.pages import cite_board
 
@@ -263,11 +253,10 @@ def cite(board: Path, format: str) -> Answer:
     return Answer(found, lambda: print(getattr(found, format).rstrip("\n")))
 
 
-def _say_what_licences_keep(board: BoardFolder) -> None:
-    """Say on the terminal what the page says, too."""
+def say_what_licences_keep(datasets: Iterable[Any]) -> None:
+    """Say on the terminal what pages say of the licences of some datasets or their tables."""
     from prbench.board.export import licence_note
 
-    for dataset in board.info.datasets:
-        kept = licence_note(dataset.title, dataset.redistribution)
-        if kept:
-            note(kept)
+    for text in dict.fromkeys(licence_note(each.title, each.redistribution) for each in datasets):
+        if text:
+            note(text)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from prbench.cli import options as opt
+from prbench.cli.board import say_what_licences_keep
 from prbench.cli.commands import Answer, Group, command, note, progress, session
 from prbench.cli.summaries import phi_cell
 from prbench.cli.terminal import print_table
@@ -61,18 +62,22 @@ leaderboard = Group(
 def export(runs: tuple[Path, ...], format: str, out: Path | None, training: tuple[str, ...], **given: Any) -> Answer:
     """Write a leaderboard of finished runs.
 
-    RUN are run folders, folders that hold some, or boards of `prbench leaderboard init`.
+    RUN are run folders, folders that hold some, or a board of `prbench leaderboard init`.
     """
     from prbench import board as boards
     from prbench.board.collect import with_training
-    from prbench.board.export import as_board, licence_note
+    from prbench.board.export import as_board
+    from prbench.board.folder import INFO
+    from prbench.board.pages import collect_board
+    from prbench.board.upkeep import sound_board
     from prbench.files.storage import sole_writer, write_text
 
-    collected = opt.collected_runs(runs, **given, any_benchmark=True)
+    if len(runs) == 1 and (runs[0] / INFO).is_file() and given["require_signed"] is None:
+        collected = collect_board(sound_board(runs[0]))
+    else:
+        collected = opt.collected_runs(runs, **given, any_benchmark=True)
     board = boards.make_leaderboard(with_training(collected, training) if training else collected)
-    for kept in dict.fromkeys(licence_note(table.title, table.redistribution) for table in board.tables):
-        if kept:
-            note(kept)
+    say_what_licences_keep(board.tables)
     text = boards.export(board, format)
     if out is not None:
         with sole_writer(out):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -476,30 +475,16 @@ def collected_runs(
     """Collect finished runs, whose scores are held against their motions, and tell what was left out or not checked.
 
     Args:
-        runs: Run folders, folders that hold some, or boards, whose submissions were verified before.
+        runs: Run folders, or folders that hold some.
         data: Tables of the runs.
         workers: Number of processes.
         any_benchmark: The command knows runs of every benchmark.
         require_signed: File of the public key that every run must be signed by.
     """
     from prbench.board import collect_runs
-    from prbench.board.folder import INFO as BOARD_FILE
-    from prbench.board.pages import collect_board
-    from prbench.board.upkeep import sound_board
 
-    boards = [path for path in runs if (path / BOARD_FILE).is_file()]
-    if boards and require_signed is not None:
-        raise UsageError(f"{boards[0]}: is a board, whose runs are not held against --require-signed; name the runs.")
     check = run_checker(data, workers).check
-    parts = [collect_board(sound_board(path)) for path in boards]
-    runs = tuple(path for path in runs if path not in boards)
-    if runs or not boards:
-        parts.append(collect_runs(runs, check=check, any_benchmark=any_benchmark, signed_by=require_signed))
-    collected = replace(
-        parts[-1],
-        rows=tuple(row for part in parts for row in part.rows),
-        left_out=tuple(reason for part in parts for reason in part.left_out),
-    )
+    collected = collect_runs(runs, check=check, any_benchmark=any_benchmark, signed_by=require_signed)
     for reason in collected.left_out:
         note(f"left out: {reason}")
     for row in collected.rows:
