@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -197,6 +197,15 @@ def _parquet(csv: str, path: Path) -> bytes:
     return content.getvalue()
 
 
+def cited_with(datasets: Iterable[str]) -> list[str]:
+    """Return BibTeX entries of what every board of some datasets cites: the datasets, the study and prbench."""
+    sources = (name.removeprefix(SYNTHETIC_PREFIX) for name in datasets)
+    entries = [load_manifest(name).citation for name in sources if name in dataset_names()]
+    common = load_citations()
+    entries += [common["study"], common["toolkit"].replace("VERSION", prbench.__version__)]
+    return list(dict.fromkeys(entry.strip() for entry in entries))
+
+
 class BoardCitation(msgspec.Struct, frozen=True, kw_only=True):
     """How to cite a board and what stands on it.
 
@@ -226,10 +235,7 @@ def cite_board(board: BoardFolder) -> BoardCitation:
         f"@misc{{board-{state},\n  title  = {{{{{latex(info.title)}}}}},\n  author = {{{authors}}},\n"
         f"  year   = {{{year}}},\n  note   = {{{latex(note)}}},\n  url    = {{{clean(info.url)}}}\n}}"
     ]
-    sources = [each.dataset.removeprefix(SYNTHETIC_PREFIX) for each in info.datasets]
-    entries += [load_manifest(name).citation for name in sources if name in dataset_names()]
-    common = load_citations()
-    entries += [common["study"], common["toolkit"].replace("VERSION", prbench.__version__)]
+    entries += cited_with(each.dataset for each in info.datasets)
     for name in board.standing:
         found = Standing.read(board, name)
         by = clean(", ".join(found.stated.authors)) or "no authors named"
@@ -238,7 +244,7 @@ def cite_board(board: BoardFolder) -> BoardCitation:
     fields |= {"title": info.title, "type": "dataset", "version": state, "authors": [{"name": name} for name in names]}
     fields |= {"url": info.url} if info.url else {}
     return BoardCitation(
-        bibtex="\n\n".join(dict.fromkeys(entry.strip() for entry in entries)),
+        bibtex="\n\n".join(entries),
         apa=f"{', '.join(names)} ({year}). {info.title} [{note}]. {info.url}".strip(),
         cff="".join(f"{key}: {json.dumps(value, ensure_ascii=False)}\n" for key, value in fields.items()),
     )

@@ -67,15 +67,9 @@ def export(runs: tuple[Path, ...], format: str, out: Path | None, training: tupl
     from prbench import board as boards
     from prbench.board.collect import with_training
     from prbench.board.export import as_board
-    from prbench.board.folder import INFO
-    from prbench.board.pages import collect_board
-    from prbench.board.upkeep import sound_board
     from prbench.files.storage import sole_writer, write_text
 
-    if len(runs) == 1 and (runs[0] / INFO).is_file() and given["require_signed"] is None:
-        collected = collect_board(sound_board(runs[0]))
-    else:
-        collected = opt.collected_runs(runs, **given, any_benchmark=True)
+    collected = opt.collected_runs(runs, **given, any_benchmark=True)
     board = boards.make_leaderboard(with_training(collected, training) if training else collected)
     say_what_licences_keep(board.tables)
     text = boards.export(board, format)

@@ -475,16 +475,22 @@ def collected_runs(
     """Collect finished runs, whose scores are held against their motions, and tell what was left out or not checked.
 
     Args:
-        runs: Run folders, or folders that hold some.
+        runs: Run folders, folders that hold some, or a board, whose submissions were verified before.
         data: Tables of the runs.
         workers: Number of processes.
         any_benchmark: The command knows runs of every benchmark.
         require_signed: File of the public key that every run must be signed by.
     """
     from prbench.board import collect_runs
+    from prbench.board.folder import INFO
+    from prbench.board.pages import collect_board
+    from prbench.board.upkeep import sound_board
 
-    check = run_checker(data, workers).check
-    collected = collect_runs(runs, check=check, any_benchmark=any_benchmark, signed_by=require_signed)
+    if len(runs) == 1 and (runs[0] / INFO).is_file() and require_signed is None:
+        collected = collect_board(sound_board(runs[0]))
+    else:
+        check = run_checker(data, workers).check
+        collected = collect_runs(runs, check=check, any_benchmark=any_benchmark, signed_by=require_signed)
     for reason in collected.left_out:
         note(f"left out: {reason}")
     for row in collected.rows:
