@@ -143,6 +143,6 @@ if __name__ == "__main__":
     what, given, *target = sys.argv[1:]
     if what == "tasks":
         for task, actions, seconds, answer in time_tasks(Path(given)):
-            print(f"{task}: {actions} actions, {seconds:.2f} s, {answer}")
+            sys.stdout.write(f"{task}: {actions} actions, {seconds:.2f} s, {answer}\n")
     else:
         {"rerun": write_rerun, "viser": write_viser}[what](Path(given), Path(target[0]))
