@@ -199,12 +199,14 @@ class BoardCheck(msgspec.Struct, frozen=True, kw_only=True):
         submissions: Number of submissions that stand on it.
         withdrawn: Number of those that were withdrawn.
         rescored: Ids of those whose motions were scored again.
+        believed: Ids of those that are new, and whose verification nothing here has shown: score them before a merge.
         problems: What is wrong; empty for a sound board.
     """
 
     submissions: int
     withdrawn: int
     rescored: tuple[str, ...]
+    believed: tuple[str, ...]
     problems: tuple[str, ...]
 
 
@@ -224,37 +226,50 @@ def check_board(
     """
     board = BoardFolder.open(path)
     problems = list(board_problems(board))
+    known = dict(board.standing)
     if against is not None and (against / INFO).is_file():
         base = BoardFolder.open(against)
+        known = base.standing
         lines = iter(board.history)
         if not all(entry in lines for entry in base.history):
-            problems.append(
-                f"{path / HISTORY}: expected every line of {against / HISTORY} in its order, found a change."
-            )
+            problems.append(f"{path / HISTORY}: expected every line of {against / HISTORY} in its order, found others.")
         if len(board.history) > len(base.history) and board.info != base.info:
-            problems.append(
-                f"{path / INFO}: expected the rules as before where submissions come or go, found a change."
-            )
+            problems.append(f"{path / INFO}: expected the same rules where submissions come or go, found others.")
+    elif against is not None:
+        known = {}
     rescored = []
     if not problems:
-        for name, content in pages_of(board).items():
-            if not (path / name).is_file() or read_whole(path / name) != content:
-                problems.append(
-                    f"{path / name}: is not what the submissions make of it. Run `prbench leaderboard build`."
-                )
-        at_hand = {load_benchmark(board.info.benchmark).open_table(folder).info.dataset for folder in data}
+        wanted = pages_of(board)
+        stale = [name for name in PAGES if not (path / name).is_file() or read_whole(path / name) != wanted[name]]
+        problems += [f"{path / name}: is not made of the submissions; `prbench leaderboard build`." for name in stale]
+        benchmark = load_benchmark(board.info.benchmark)
+        at_hand = {benchmark.open_table(folder).info.dataset for folder in data}
         for name in board.standing:
             found = Standing.read(board, name)
             if {table.dataset for run in found.stated.runs.values() for table in run.tables} <= at_hand:
+                rescored.append(name)
                 try:
                     again = verify_submission(found.stated, board.submission(name), data, engine=engine)
-                    if again.training != found.verified.training:
-                        raise RunError(f"{board.verification(name)}: expected '{again.training}', found another text.")
-                    rescored.append(name)
+                    _require_as_stored(again, found.verified, board.verification(name))
                 except PrbenchError as error:
                     problems.append(str(error))
-    counts = {"submissions": len(board.standing), "withdrawn": len(board.withdrawn)}
-    return BoardCheck(**counts, rescored=tuple(rescored), problems=tuple(problems))
+    return BoardCheck(
+        submissions=len(board.standing),
+        withdrawn=len(board.withdrawn),
+        rescored=tuple(rescored),
+        believed=tuple(name for name in board.standing if name not in {*known, *rescored}),
+        problems=tuple(problems),
+    )
+
+
+def _require_as_stored(again: Verification, stored: Verification, path: Path) -> None:
+    """Refuse an edited verification: what it says in words, and all that it says if the tables are the same."""
+    told = [(each.run, each.dataset, each.content_digest, each.declared) for each in again.datasets]
+    stated = [(each.run, each.dataset, each.content_digest, each.declared) for each in stored.datasets]
+    same_tables = [each[2] for each in told] == [each[2] for each in stated]
+    if again.training != stored.training or (same_tables and (told, again.verdict) != (stated, stored.verdict)):
+        expected = f"'{again.training}; {again.verdict}', which scoring again finds"
+        raise RunError(f"{path}: expected {expected}, found others. It was edited.")
 
 
 def board_problems(board: BoardFolder) -> Iterator[str]:

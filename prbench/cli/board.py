@@ -236,8 +236,9 @@ def check(board: Path, against: Path | None, data: tuple[Path, ...], workers: in
 
     found = check_board(board, against=against, data=data, engine=engine_for(workers))
     lines = [f"! {problem}" for problem in found.problems]
+    lines += [f"? {name}: new, and not scored again here: name its tables with --data" for name in found.believed]
     lines += [f"{found.submissions} submissions, {found.withdrawn} withdrawn, {len(found.rescored)} scored again"]
-    lines += [f"{board}: {len(lines) - 1} problems" if found.problems else f"{board}: sound"]
+    lines += [f"{board}: {len(found.problems)} problems" if found.problems else f"{board}: sound"]
     return Answer(found, lambda: print("\n".join(lines)), 1 if found.problems else 0)
 
 

@@ -20,6 +20,7 @@ from prbench.board.upkeep import add_submission, begin_board, build_board, check
 from prbench.cli.main import main
 from prbench.contract import Condition
 from prbench.errors import PrbenchError, RedistributionError, RunError, StorageError, UsageError
+from prbench.files.storage import file_digest
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from tests.board.submissions import edit_json, forged, made, moved_table, submitted
@@ -80,7 +81,22 @@ def member(path: Path, name: str) -> Path:
 
 def test_a_board_is_sound_and_so_is_a_new_one(tmp_path):
     assert check_board(board(tmp_path / "b"), data=[table()]).problems == ()
-    assert check_board(begun(tmp_path / "new")).problems == ()
+    new = begun(tmp_path / "new")
+    assert check_board(new).problems == ()
+    assert check_board(tmp_path / "b", against=new).believed == (only(tmp_path / "b"),)
+    assert check_board(tmp_path / "b", against=new, data=[table()]).believed == ()
+
+
+def test_scoring_again_finds_what_a_pull_request_made_up(tmp_path):
+    path = board(tmp_path / "b")
+    file = path / "verification" / f"{only(path)}.json"
+    before = file_digest(file)
+    edit_json(file, verdict="verified by everybody")
+    edit(path / "history.jsonl", before, file_digest(file))
+    build_board(path)
+    assert check_board(path).problems == ()  # nothing here can know
+    (problem,) = check_board(path, data=[table()]).problems
+    assert "which scoring again finds, found others" in problem
 
 
 @pytest.mark.parametrize(
@@ -100,8 +116,8 @@ def test_a_board_is_sound_and_so_is_a_new_one(tmp_path):
         (lambda path: edit(path / "history.jsonl", '"First"', '"Best"'), "one was edited"),
         (lambda path: (path / "history.jsonl").write_text(""), "belongs to nothing on the board"),
         (lambda path: edit(path / "board.toml", 'redistribution = "yes"', 'redistribution = "none"'), "--permission"),
-        (lambda path: edit(path / "leaderboard.csv", "static", "mine"), "leaderboard.csv: is not what the submissions"),
-        (lambda path: (path / ROWS).write_bytes(b"PAR1"), f"{ROWS}: is not what the submissions"),
+        (lambda path: edit(path / "leaderboard.csv", "static", "mine"), "leaderboard.csv: is not made of"),
+        (lambda path: (path / ROWS).write_bytes(b"PAR1"), f"{ROWS}: is not made of"),
         (lambda path: edit(path / "board.toml", 'identity = "', 'identity = "zz'), "expected the keys of a board"),
     ],
 )  # fmt: skip
@@ -113,7 +129,7 @@ def test_what_no_command_has_put_there_is_found_and_keeps_pages_from_being_made(
     except PrbenchError as error:
         problems = str(error)
     assert told in problems
-    if "is not what" not in told:
+    if "is not made" not in told:
         with pytest.raises(PrbenchError):
             build_board(path)
 
@@ -144,13 +160,13 @@ def test_a_history_that_contradicts_itself_is_refused_with_the_line(tmp_path, ch
 def test_the_history_only_grows_and_rules_do_not_change_with_it(tmp_path):
     base, path = board(tmp_path / "base"), board(tmp_path / "b")
     withdraw_submission(path, "First", reason="an error", **DAY)
-    assert check_board(path, against=base).problems == ()
+    assert check_board(path, against=base).problems == check_board(path, against=base).believed == ()
     (problem,) = check_board(base, against=path).problems
     assert "expected every line of" in problem
     edit(path / "board.toml", 'contact = "me"', 'contact = "you"')
     build_board(path)
     (problem,) = check_board(path, against=base).problems
-    assert "expected the rules as before" in problem
+    assert "expected the same rules" in problem
 
 
 @pytest.mark.parametrize(
