@@ -95,8 +95,7 @@ def _pose_at(
 
 def _require_distinct(what: str, ids: Sequence[str]) -> None:
     """Refuse one id for two things: which of them is meant later would depend on their order."""
-    repeated = first_repeated(ids)
-    if repeated is not None:
+    if (repeated := first_repeated(ids)) is not None:
         raise RecordingUnusable(f"{what}: expected different ids, found '{quoted(repeated)}' twice.")
 
 

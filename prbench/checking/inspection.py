@@ -242,8 +242,7 @@ def _inspect(
 ) -> tuple[State, tuple[str, ...]]:
     """Return the state of one recording, and what is wrong with it."""
     manifest = load_manifest(found.dataset)
-    reason = recording.skip_reason or manifest.why_bad(recording.recording_id)
-    if reason:
+    if reason := recording.skip_reason or manifest.why_bad(recording.recording_id):
         return "left out", (reason,)
     missing = tuple(f"missing: {name}" for name in missing_files(recording, manifest.required_roles))
     if readers.lacks_mark(recording.recording_id, recording.dataset):

@@ -222,7 +222,7 @@ def _write_table(
     splits = draw_splits([receipt.record for receipt in receipts], manifest, protocol.splits)
     info = write_dataset(
         out,
-        describe(dataset, manifest, protocol, options, receipts, extra_options),
+        describe(dataset, options, receipts, extra_options),
         sequences=with_splits(parts.read_batches(folders, "sequences"), splits),
         events=parts.read_batches(folders, "events"),
         recordings=with_splits(parts.read_batches(folders, "recordings"), splits),
@@ -324,8 +324,7 @@ def found_datasets(root: Path | str, options: BuildOptions) -> tuple[tuple[Found
         belonging = "--in-hand, --events-only, --option, --shift, --scale and --corrections belong to one dataset"
         raise UsageError(f"{belonging}; build that dataset by itself.")
     discovery = discover(Path(root))
-    twice = [name for name, count in Counter(each.name for each in discovery.found).items() if count > 1]
-    if twice:
+    if twice := [name for name, count in Counter(each.name for each in discovery.found).items() if count > 1]:
         places = " and ".join(str(each.root) for each in discovery.found if each.name == twice[0])
         raise UsageError(f"{twice[0]} was found in {places}; build the one you mean with `build-dataset {twice[0]}`.")
     return discovery.found, list(discovery.broken)

@@ -53,8 +53,7 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
     body = recording.body
     if body is None:
         return Decision("no_body", "body")
-    outside = _outside(recording.span, (prime_time - lead, event_time))
-    if outside is not None:
+    if outside := _outside(recording.span, (prime_time - lead, event_time)):
         return outside
     if not covered(body.times, body.valid, times, max_gap=max_gap).all():
         span = (grid.start_time, float(times[-1]))
@@ -62,8 +61,7 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
         if len(usable) == 0:
             return Decision("too_short", "clipping", 0.0, span[1] - span[0])
         # Estimated bodies begin some frames after the glasses. Nothing is extrapolated, however little is missing.
-        beyond = _outside((float(usable[0]), float(usable[-1])), span)
-        if beyond is not None:
+        if beyond := _outside((float(usable[0]), float(usable[-1])), span):
             return beyond
         first, stop = np.searchsorted(usable, span)
         around = usable[max(first - 1, 0) : stop + 1]  # with the nearest sample on either side

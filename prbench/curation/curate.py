@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from prbench.curation.clipping import Clip, clip
 from prbench.curation.confidence import TRACK_PAUSE, beyond, unbroken
 from prbench.curation.corrections import DROPPED, Corrections
-from prbench.curation.events import Decision, PickPutEvent, Place, find_events
+from prbench.curation.events import Decision, PickPutEvent, find_events
 from prbench.curation.options import DEFAULTS, CurationOptions
 from prbench.curation.priming import PUBLISHED_STAGE, Prime, Rays, find_prime, gaze_rays
 from prbench.errors import RecordingUnusable
@@ -89,18 +88,25 @@ def curate_recording(
     sequences = []
     rows = []
     for event in events:
-        decision, prime, sequence = _follow(recording, event, rays, protocol, options, split)
+        decision, prime, piece = _follow(recording, event, rays, protocol, options)
         place = event.place
         published = event.published_priming
         known = wrists_at(recording.hands, recording.body, event.event_time)
         wrists = {side: position for side, (position, _) in known.items()}
         confidence = None  # nothing was measured of an event without a place
         if place is not None:
-            confidence = decision.confidence * (prime.confidence if prime else 1.0) * _trust(event, place, wrists)
+            trust = unbroken(event.tracking_gap or 0.0, usual=TRACK_PAUSE)
+            if len(wrists) == 2 and event.hand_source not in ("annotated", "person"):
+                left, right = (float(np.linalg.norm(wrist - place.location)) for wrist in wrists.values())
+                trust *= beyond(abs(left - right))
+            confidence = decision.confidence * (prime.confidence if prime else 1.0) * trust
         doubted = confidence is not None and confidence < options.min_confidence and not event.settled
-        if sequence is not None and doubted:
+        sequence = None
+        if piece is not None and doubted:
             decision = Decision("low_confidence", "confidence", confidence, options.min_confidence)
-            sequence = None
+        elif piece is not None and prime is not None:
+            sequence = _sequence(recording, event, prime, piece, protocol, split)
+            sequences.append(sequence)
         margin = None
         if prime is not None and prime.kind != "published":
             margin = protocol.curation.near_miss_distance - prime.distance
@@ -123,8 +129,6 @@ def curate_recording(
                 event_confidence=confidence,
             )
         )
-        if sequence is not None:
-            sequences.append(sequence)
     for entry in recording.unreadable:
         rows.append(
             Event(
@@ -158,23 +162,9 @@ def curate_recording(
     )
 
 
-def _trust(event: PickPutEvent, place: Place, wrists: Mapping[str, np.ndarray]) -> float:
-    """Return how sure event and hand are, from 0 to 1: the gap in the object's track, and the nearer wrist's lead."""
-    trust = unbroken(event.tracking_gap or 0.0, usual=TRACK_PAUSE)
-    if len(wrists) == 2 and event.hand_source not in ("annotated", "person"):
-        left, right = (float(np.linalg.norm(wrist - place.location)) for wrist in wrists.values())
-        trust *= beyond(abs(left - right))
-    return trust
-
-
 def _follow(
-    recording: Recording,
-    event: PickPutEvent,
-    rays: Rays,
-    protocol: BenchmarkProtocol,
-    options: CurationOptions,
-    split: str,
-) -> tuple[Decision, Prime | None, Sequence | None]:
+    recording: Recording, event: PickPutEvent, rays: Rays, protocol: BenchmarkProtocol, options: CurationOptions
+) -> tuple[Decision, Prime | None, Clip | None]:
     """One event through the stages, until one of them says no."""
     if recording.annotations_alone and (event.rejected is None or event.rejected.outcome != DROPPED):
         return Decision("annotation_only", "location"), None, None
@@ -209,9 +199,7 @@ def _follow(
     moved = value is None or value >= threshold
     confidence = 1.0 if value is None else beyond(abs(value - threshold))
     decision = Decision("sequence" if moved else "minimum_movement", "filters", value, threshold, confidence)
-    if not moved:
-        return decision, prime, None
-    return decision, prime, _sequence(recording, event, prime, piece, protocol, split)
+    return decision, prime, piece if moved else None
 
 
 def _sequence(

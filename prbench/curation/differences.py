@@ -126,8 +126,7 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
         status, later = (rows[name]["status"] if name in rows else "" for rows in recordings)
         if status and later:
             follows = (*OUTCOMES, "status", "message") if name in reported else ()
-            columns = ", ".join(_differing(recordings[0][name], recordings[1][name], besides=follows))
-            if columns:
+            if columns := ", ".join(_differing(recordings[0][name], recordings[1][name], besides=follows)):
                 changes.append((0.0, Change("values", name, "", status, later, columns)))
         elif name not in reported:
             kind = "vanished" if status else "appeared"

@@ -21,6 +21,7 @@ from prbench.recording import HandStream, ObjectTrack, Recording, Side
 Frames = Bool[np.ndarray, " n"]  # a value a frame
 Numbers = Float[np.ndarray, " n"]
 Points = Float[np.ndarray, "n 3"]
+Rotations = Float[np.ndarray, "n 4"]
 
 _LONGEST_REST = 1.0  # seconds of rest that are averaged: enough to suppress sensor noise, short enough to be local
 
@@ -71,7 +72,7 @@ class Track:
     times: Numbers
     centre: Points
     position: Points
-    rotation: Float[np.ndarray, "n 4"]
+    rotation: Rotations
     window: float
 
 
@@ -241,12 +242,7 @@ def contact_streams(recording: Recording, rule: InHandRule) -> tuple[HandStream,
 
 
 def contact_distance(
-    hand: HandStream,
-    track: ObjectTrack,
-    rule: InHandRule,
-    times: Numbers,
-    position: Points,
-    rotation: Float[np.ndarray, "n 4"],
+    hand: HandStream, track: ObjectTrack, rule: InHandRule, times: Numbers, position: Points, rotation: Rotations
 ) -> Numbers:
     """Distance of the hand's nearest contact point to the object at given poses, metres; inf where unmeasured.
 

@@ -31,7 +31,7 @@ from prbench.files.bounded import foreign_input, require
 from prbench.files.storage import file_digest, text_digest
 from prbench.limits import HARMLESS_SIZE, LARGEST_ARCHIVE, LARGEST_JSON, LARGEST_PICKLE, LARGEST_UNPACKED
 from prbench.progress_bar import ProgressCallback
-from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, load_manifest
+from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, load_manifest, load_protocol
 from prbench.protocol.own_protocol import OPTION
 from prbench.readers import RecordingFiles, reader_for
 from prbench.recording import Recording
@@ -226,8 +226,7 @@ class RecordingJob(ABC):
             # No digest exists of what cannot be read; the part is tried again by the next build.
             return self._failed(source, "unreadable", error)
         folder = self._folder(source, digest)
-        entries = parts.read_receipt(folder)
-        if entries is not None:
+        if (entries := parts.read_receipt(folder)) is not None:
             found = part_receipt(folder, entries, reused=True)
             if found.record.status != "failed":  # a failure may have passed: try again
                 return found
@@ -304,8 +303,7 @@ class CurationJob(RecordingJob):
         options = (self.options.shift, self.options.scale)
         recording = mended(source.read(), *options)
         findings = examine_streams(recording, named_streams(recording.recording_id, *options))
-        certain = [str(each) for each in findings if each.certain]
-        if certain:
+        if certain := [str(each) for each in findings if each.certain]:
             raise RecordingUnusable(" ".join(certain))
         curated = curate_recording(
             recording,
@@ -346,15 +344,12 @@ _STAGES = {
 
 
 def describe(
-    dataset: str,
-    manifest: Manifest,
-    protocol: BenchmarkProtocol,
-    options: BuildOptions,
-    receipts: SequenceOf[PartReceipt],
-    extra_options: Mapping[str, str],
+    dataset: str, options: BuildOptions, receipts: SequenceOf[PartReceipt], extra_options: Mapping[str, str]
 ) -> DatasetInfo:
     """Provenance of a build; its two digests are filled in when the tables are written."""
     synthetic = dataset.startswith(readers.SYNTHETIC_PREFIX)
+    manifest = load_manifest(dataset.removeprefix(readers.SYNTHETIC_PREFIX))
+    protocol = options.protocol or load_protocol()
     outcomes = sum((Counter(receipt.record.outcomes) for receipt in receipts), Counter[str]())
     statuses = Counter(receipt.record.status for receipt in receipts)
     chosen = {"recordings": options.recordings, "limit": "all" if options.limit is None else str(options.limit)}
@@ -378,17 +373,14 @@ def describe(
         manifest_digest=digest_of(manifest),
         input_digest=text_digest(*(text for r in receipts for text in (r.record.recording_id, r.input_digest))),
         options=(chosen | options.curation.described(manifest, protocol)) | dict(extra_options),
-        counts=msgspec.structs.replace(
-            funnel_counts(statuses, outcomes),
-            recordings_cut_short=sum(bool(receipt.record.shortfalls) for receipt in receipts),
-        ),
+        counts=funnel_counts(statuses, outcomes, sum(bool(receipt.record.shortfalls) for receipt in receipts)),
         outcomes={outcome: outcomes[outcome] for outcome in OUTCOMES},
         quarantine=quarantined(receipt.record for receipt in receipts),
         **terms,
     )
 
 
-def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> FunnelCounts:
+def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int], cut_short: int = 0) -> FunnelCounts:
     """Count the candidates that each stage left, from recordings by status and events by outcome."""
     events = sum(outcomes.values())
     left = events
@@ -402,6 +394,7 @@ def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> F
         recordings_failed=statuses.get("failed", 0),
         recordings_skipped=statuses.get("skipped", 0),
         events=events,
+        recordings_cut_short=cut_short,
         **by_stage,
     )
 

@@ -102,9 +102,8 @@ def find_prime(
         nearest = float(distance.min(initial=np.inf))
         value = nearest if np.isfinite(nearest) else None
         gap = float(np.diff([begin, *times[window], event_time]).max())
-        return Decision(
-            "not_primed", "priming", value, limit, beyond(nearest - limit) * unbroken(gap, usual=GAZE_PAUSE)
-        )
+        confidence = beyond(nearest - limit) * unbroken(gap, usual=GAZE_PAUSE)
+        return Decision("not_primed", "priming", value, limit, confidence)
     index = int(primed[0])
     sample = first + index
     # How clearly the look met the place, and how clearly all looks before it missed.
@@ -116,13 +115,9 @@ def find_prime(
     before = max(sample - 1, 0)
     after = min(sample + 1, len(times) - 1)
     spacing = times[sample] - times[before] if sample > 0 else times[after] - times[sample]
-    return Prime(
-        time=float(times[sample]),
-        kind="hit" if hit[index] else "near_miss",
-        distance=float(distance[index]),
-        uncertainty=float(spacing),
-        confidence=beyond(met) * beyond(missed) * unbroken(gap, usual=GAZE_PAUSE),
-    )
+    kind = "hit" if hit[index] else "near_miss"
+    confidence = beyond(met) * beyond(missed) * unbroken(gap, usual=GAZE_PAUSE)
+    return Prime(float(times[sample]), kind, float(distance[index]), float(spacing), confidence)
 
 
 def in_lasting_look(times: Times, seen: Seen, *, shortest: float, longest_gap: float) -> Seen:

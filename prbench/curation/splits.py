@@ -35,8 +35,7 @@ def draw_splits(recordings: Sequence[Recording], manifest: Manifest, rule: Split
     """
     settled: dict[str, str] = {}
     for each in recordings:
-        split = each.split or manifest.splits.get(each.recording_id, "")
-        if split:
+        if split := each.split or manifest.splits.get(each.recording_id, ""):
             settled[each.split_group] = split
     # Whole seconds, so that a rounding in a clock moves nobody. What could not be read has no length, and no say.
     drawn = {each.split_group for each in recordings if each.split_group not in settled and round(each.duration)}

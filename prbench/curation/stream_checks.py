@@ -241,19 +241,16 @@ def stream_pairs(streams: Gridded) -> list[Pair]:
         if streams.joints:
             seen = _moving_pair("hands", "body", hand, streams.joints[side])
             # In one of the two axes the own movement of a head on another clock is in one of the streams alone.
-            local = [_from_glasses(streams, each) for each in (hand, streams.joints[side])]
-            beside = replace(_moving_pair("hands", "body", *local), offset=seen.offset)
-            pairs.append(max(seen, beside, key=lambda pair: pair.height))
+            if streams.recording.hands_from_glasses and streams.facing is not None and streams.head is not None:
+                points, known = streams.head
+                turned = streams.facing.inv()
+                both = (hand, streams.joints[side])
+                local = [(turned.apply(places - points), known & tracked) for places, tracked in both]
+                beside = replace(_moving_pair("hands", "body", *local), offset=seen.offset)
+                seen = max(seen, beside, key=lambda pair: pair.height)
+            pairs.append(seen)
     found = (_gaze_pair(streams), _carrying_pair(streams), _placing_pair(streams))
     return pairs + [pair for pair in found if pair is not None]
-
-
-def _from_glasses(streams: Gridded, moving: _Moving) -> _Moving:
-    """Return a place in the axes of the glasses, where these measured hands: their own movement would be in both."""
-    if not (streams.recording.hands_from_glasses and streams.facing is not None and streams.head is not None):
-        return moving
-    points, known = streams.head
-    return streams.facing.inv().apply(moving[0] - points), known & moving[1]
 
 
 def _moving_pair(one: str, other: str, first: _Moving, second: _Moving) -> Pair:

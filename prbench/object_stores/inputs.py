@@ -49,8 +49,7 @@ def fetched(text: str, *, tell: Tell = lambda _: None) -> Path:
             another size or digest than its manifest says.
         StorageError: if the store cannot be reached, or the disk is full.
     """
-    known = stores.opened_elsewhere(text)
-    if known is not None:
+    if (known := stores.opened_elsewhere(text)) is not None:
         return known
     store = stores.Store(stores.StoreUrl.parse(text))
     for last_try in (False, True):
@@ -143,8 +142,7 @@ def fetched_native(text: str, dataset: str | None, *, tell: Tell = lambda _: Non
         UsageError, MissingExtraError, StorageError: as :func:`fetched` raises them.
         InputFileError: if nothing lies there that a reader asks for.
     """
-    known = stores.opened_elsewhere(text)
-    if known is not None:
+    if (known := stores.opened_elsewhere(text)) is not None:
         return known
     store = stores.Store(stores.StoreUrl.parse(text))
     # The files that readers ask for, each as patterns for the last parts of a path.

@@ -53,8 +53,7 @@ def written_folder(text: str, *, tell: Tell = lambda _: None) -> Iterator[tuple[
         MissingExtraError: if fsspec or the package of the protocol is missing.
         StorageError: if the store cannot be reached, something else lies there, or another command writes there.
     """
-    known = stores.opened_elsewhere(text)
-    if known is not None:
+    if (known := stores.opened_elsewhere(text)) is not None:
         yield known, Outcome()
         return
     copy = _OutputCopy(stores.Store(stores.StoreUrl.parse(text)), tell)
@@ -92,8 +91,7 @@ def written_file(text: str, *, tell: Tell = lambda _: None) -> Iterator[Path]:
         remove_folder(folder)
         folder.mkdir(parents=True)
         path = folder / url.name
-        found = store.describe()
-        if found is not None:
+        if (found := store.describe()) is not None:
             store.download("", path, size=found.size)
         before = _local_files(folder)
         yield path
@@ -174,8 +172,7 @@ class _OutputCopy:
         if not self._local_is_newest():
             remove_folder(self.work)
             remove_folder(self.folder)
-            manifest = self.known or self.before
-            if manifest is not None:
+            if (manifest := self.known or self.before) is not None:
                 fetch_files(store, manifest, self._local, self.tell)
             if self.known is not None:
                 self.tell(f"{store.url}: going on with what an interrupted command has uploaded.")

@@ -12,7 +12,6 @@ import re
 import zipfile
 import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast
@@ -37,35 +36,17 @@ _PIECE = 2**20
 _COPY_ARCHIVE_AGAIN = "The archive may be truncated; copy or download it again."
 
 
-@dataclass(frozen=True)
-class ZippedFile:
-    """One file inside a zip archive."""
-
-    archive: Path
-    member: str
-
-    @property
-    def shown(self) -> Path:
-        """Return its name in messages."""
-        return self.archive / self.member
-
-    @property
-    def name(self) -> str:
-        """Return its own name, without folders."""
-        return self.member.rpartition("/")[2]
-
-
-Source = Path | ZippedFile
+Source = Path | InputFile  # a plain file, or one inside a zip archive
 
 
 def source_of(file: InputFile) -> Source:
     """Return what to read of an input file: itself, or its member of an archive."""
-    return ZippedFile(file.path, file.member) if file.member else file.path
+    return file if file.member else file.path
 
 
 def shown(source: Source) -> Path:
     """Return a source's name in messages."""
-    return source if isinstance(source, Path) else source.shown
+    return source if isinstance(source, Path) else source.path / source.member
 
 
 def archive_members(archive: Path) -> dict[str, int]:
@@ -95,19 +76,18 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
         with bounded.open_regular(source, largest=limits.LARGEST_UNPACKED) as file:
             yield file
         return
-    damaged = partial(
-        InputFileError, source.shown, "", expected="a file that can be unpacked", remedy=_COPY_ARCHIVE_AGAIN
-    )
+    name = shown(source)
+    damaged = partial(InputFileError, name, "", expected="a file that can be unpacked", remedy=_COPY_ARCHIVE_AGAIN)
     with contextlib.ExitStack() as stack:
         try:
-            plain = stack.enter_context(bounded.open_regular(source.archive))
+            plain = stack.enter_context(bounded.open_regular(source.path))
             archive = stack.enter_context(zipfile.ZipFile(plain))
             member = archive.getinfo(source.member)
-            bounded.require_unpackable(source.shown, member)
+            bounded.require_unpackable(name, member)
             file = cast(io.BufferedIOBase, stack.enter_context(archive.open(member)))
         except KeyError as error:
             expected = f"the file {source.member} in it"
-            raise InputFileError(source.archive, "", expected=expected, found="none") from error
+            raise InputFileError(source.path, "", expected=expected, found="none") from error
         except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError) as error:  # the latter two: encrypted
             raise damaged(found=str(error)) from error
         try:
@@ -134,7 +114,7 @@ def read_all(source: Source, *, largest: int = limits.LARGEST_FILE) -> bytes:
         while piece := file.read(_PIECE):
             content += piece
             if len(content) > largest:
-                raise InputFileError(source.shown, "", expected=f"at most {largest:,} bytes", found="more")
+                raise InputFileError(shown(source), "", expected=f"at most {largest:,} bytes", found="more")
     return bytes(content)
 
 
@@ -281,8 +261,7 @@ def require_column_names(path: Source, header: list[str], columns: Iterable[str]
     Raises:
         InputFileError: naming the first one.
     """
-    missing = [name for name in columns if name not in header]
-    if missing:
+    if missing := [name for name in columns if name not in header]:
         found = f"the columns {', '.join(name or '(unnamed)' for name in header)}"
         remedy = "This is another file, or another version of the format."
         raise InputFileError(shown(path), "header", expected=f"a column '{missing[0]}'", found=found, remedy=remedy)

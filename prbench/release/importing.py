@@ -9,9 +9,9 @@ import json
 import re
 import shlex
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -38,20 +38,13 @@ _PICKS = re.compile(r"\b(pick|grab|take|taking|took|lift|fetch)", re.IGNORECASE)
 _PUTS = re.compile(r"\b(put|plac|drop|set(s|ting)? down|return)", re.IGNORECASE)
 
 
-def make_row(
-    found: reading.ReleasedDataset,
-    one: reading.ReleasedSequence,
-    *,
-    head_tilt_deg: float,
-    texts: Mapping[Literal["pick", "put"], str],
-) -> Sequence:
+def make_row(found: reading.ReleasedDataset, one: reading.ReleasedSequence, *, head_tilt_deg: float) -> Sequence:
     """Read one sequence again and convert it; times count from the first frame.
 
     Args:
         found: The dataset that it belongs to.
         one: The sequence, measured.
         head_tilt_deg: Rest tilt of the neck-head bone of the dataset's bodies, degrees.
-        texts: The protocol's prompts, for entries without one.
 
     Raises:
         InputFileError: if its files changed since they were measured.
@@ -73,9 +66,13 @@ def make_row(
         joints = transform_points(canonical_from_motion, joints)
         directions = transform_points(turn, directions)
     text = value("text")
-    action = _action(value("action"), text)
+    action = _UNKNOWN_ACTION
+    for words in (text, value("action")):  # what is stated outweighs the prompt
+        picks = bool(_PICKS.search(words))
+        if picks != bool(_PUTS.search(words)):  # `take the cup and put it down` names both
+            action = "pick" if picks else "put"
     if not text and action != _UNKNOWN_ACTION:
-        text = texts["pick" if action == "pick" else "put"]
+        text = load_protocol().text["pick" if action == "pick" else "put"]
     hand = value("hand").lower()
     # Where no field names the hand, the nearer wrist is taken for the one that reached.
     wrist = WRISTS[int(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).argmin())]
@@ -127,15 +124,6 @@ def make_row(
     )
 
 
-def _action(stated: str, text: str) -> str:
-    """Take the action from its field, else from the prompt, unless that says both or neither."""
-    for words in (stated, text):
-        picks = bool(_PICKS.search(words))
-        if picks != bool(_PUTS.search(words)):  # `take the cup and put it down` names both
-            return "pick" if picks else "put"
-    return _UNKNOWN_ACTION
-
-
 def _event(sequence: Sequence) -> Event:
     same = ("recording_id", "sequence_id", "object_id", "object_name", "action", "hand", "event_time", "prime_time",
             "prime_kind")  # fmt: skip
@@ -165,7 +153,7 @@ def import_release(
     *,
     dataset: str | None = None,
     options: reading.ImportOptions = NO_OPTIONS,
-    progress: Callable[[str, str], None] = lambda _dataset, _step: None,
+    progress: reading.Progress = lambda _dataset, _step: None,
 ) -> ImportReleaseReport:
     """Turn a release into sequence tables.
 
@@ -214,12 +202,7 @@ def import_release(
 
 @foreign_input()
 def _import_dataset(
-    dataset: str,
-    folder: Path,
-    out: Path,
-    options: reading.ImportOptions,
-    progress: Callable[[str, str], None],
-    command: str,
+    dataset: str, folder: Path, out: Path, options: reading.ImportOptions, progress: reading.Progress, command: str
 ) -> ImportReport:
     manifest = load_manifest(dataset.removeprefix(layout.SYNTHETIC_PREFIX))
     exported = layout.read_export_record(folder)
@@ -235,12 +218,11 @@ def _import_dataset(
     records = []
     for name, rows in sorted(sequences_of.items()):
         splits = Counter(row.subset for row in rows)
+        message = ""
         if len(splits) > 1:
             message = "its sequences stand in more than one split"
         elif name == f"unknown-{rows[0].subset}":
             message = "the release does not say which recording a sequence comes from"
-        else:
-            message = ""
         record = Recording(
             recording_id=name,
             participant_id=reading.UNKNOWN,
@@ -256,13 +238,11 @@ def _import_dataset(
     for key, reason in sorted(report.reasons.items()):
         records.append(Recording(f"sequence {key}", reading.UNKNOWN, "", "", 0.0, {}, "failed", reason))
     events: list[Event] = []
-    texts = load_protocol().text
-    head_tilt_deg = manifest.body.head_tilt_deg
 
     def sequence_rows() -> Iterator[pa.RecordBatch]:
         for start in range(0, len(found.sequences), _ROWS):
             chosen = found.sequences[start : start + _ROWS]
-            made = [make_row(found, one, head_tilt_deg=head_tilt_deg, texts=texts) for one in chosen]
+            made = [make_row(found, one, head_tilt_deg=manifest.body.head_tilt_deg) for one in chosen]
             events.extend(map(_event, made))
             yield sequence_batch(made)
 

@@ -31,6 +31,7 @@ UNKNOWN = "unknown"
 # Seconds before the prime at which a sequence begins (Prime and Reach, section 3.2).
 _LEAD = 2.0
 _EXAMPLES = 12  # fields that a message shows
+Progress = Callable[[str, str], None]  # is told a dataset and what is done with it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +115,7 @@ class ReleasedDataset:
 
 
 def read_release(
-    report: ImportReport, folder: Path, options: ImportOptions, progress: Callable[[str, str], None], command: str
+    report: ImportReport, folder: Path, options: ImportOptions, progress: Progress, command: str
 ) -> ReleasedDataset:
     """Read and measure every sequence of one dataset.
 

@@ -19,14 +19,8 @@ from prbench.files.bounded import foreign_input, open_regular, read_text, read_w
 from prbench.files.storage import file_digest
 from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LONGEST_LINE, LONGEST_MESSAGE
 from prbench.readers import files, reader_for
-from prbench.readers.files import (
-    ZippedFile,
-    archive_members,
-    decode_json,
-    read_all,
-    read_columns,
-    require_whole_last_line,
-)
+from prbench.readers.files import archive_members, decode_json, read_all, read_columns, require_whole_last_line
+from prbench.readers.found import InputFile
 from tests.bombs import MEGABYTE, declaring, encrypted, zipped
 
 
@@ -114,33 +108,33 @@ def test_an_archive_may_declare_so_much_and_no_more(packed, unpacked, refused):
 def test_a_slam_file_of_one_endless_line_leaves_a_short_message(tmp_path):
     archive = zipped(tmp_path / "slam.zip", "slam/t.csv", b"a" * (40 * MEGABYTE))
     with pytest.raises(InputFileError, match=r"t\.csv, header: expected lines of at most") as caught:
-        read_columns(ZippedFile(archive, "slam/t.csv"), {"x": float})
+        read_columns(InputFile("", archive, 0, "slam/t.csv"), {"x": float})
     assert len(str(caught.value)) < 1000
 
 
 def test_an_archive_that_declares_less_than_it_holds_gives_no_more_than_it_declares(tmp_path):
     archive = declaring(zipped(tmp_path / "a.zip", "a.json", bytes(20 * MEGABYTE)), 1000)
     with pytest.raises(InputFileError, match="Bad CRC-32"):
-        read_all(ZippedFile(archive, "a.json"))
+        read_all(InputFile("", archive, 0, "a.json"))
 
 
 def test_compression_that_cannot_be_stopped_half_way_is_refused(tmp_path):
     archive = zipped(tmp_path / "a.zip", "a.json", b"{}", kind=zipfile.ZIP_BZIP2)
     with pytest.raises(InputFileError, match=r"a\.json: expected a member stored or deflated"):
-        read_all(ZippedFile(archive, "a.json"))
+        read_all(InputFile("", archive, 0, "a.json"))
 
 
 def test_an_encrypted_archive_is_refused(tmp_path):
     archive = encrypted(zipped(tmp_path / "a.zip", "a.json", b"{}"))
     with pytest.raises(InputFileError, match=r"a\.json: expected a file that can be unpacked, found .*encrypted"):
-        read_all(ZippedFile(archive, "a.json"))
+        read_all(InputFile("", archive, 0, "a.json"))
 
 
 def test_columns_that_outgrow_any_table_are_refused_while_they_are_read(tmp_path, monkeypatch):
     monkeypatch.setattr("prbench.limits.LARGEST_TABLE", MEGABYTE)
     archive = zipped(tmp_path / "a.zip", "a.csv", b"x,y\n" + b",\n" * 200_000)
     with pytest.raises(InputFileError, match=r"a\.csv: expected columns of at most 1,048,576 bytes, found more"):
-        read_columns(ZippedFile(archive, "a.csv"), {"x": float, "y": float})
+        read_columns(InputFile("", archive, 0, "a.csv"), {"x": float, "y": float})
 
 
 def test_long_plain_tables_are_read_in_pieces_with_the_same_result(tmp_path, monkeypatch):

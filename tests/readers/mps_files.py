@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.files import ZippedFile
+from prbench.readers.found import InputFile
 
 WORLD, OTHER_WORLD = "ea7288b8-b6a0-012d-8156-257aba6bd796", "short"
 COLUMNS = (
@@ -40,13 +40,13 @@ def write_lines(path: Path, lines: list[str], *, end: str = "\n", last_end: str 
     return path
 
 
-def zipped(path: Path, *, below: str = "mps/slam") -> ZippedFile:
+def zipped(path: Path, *, below: str = "mps/slam") -> InputFile:
     """The file in an archive beside it."""
     archive = path.with_suffix(".zip")
     member = f"{below}/{path.name}"
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as opened:
         opened.write(path, member)
-    return ZippedFile(archive, member)
+    return InputFile("", archive, 0, member)
 
 
 def gaze_lines(time_us: np.ndarray, *, yaw: float = 0.1) -> list[str]:

@@ -482,8 +482,7 @@ class Subject(MethodSubject):
     def takes(self, n_frames: int) -> bool:
         """Return True if a sequence of this length at the table's rate stays below ``max_frames``."""
         limit = self.declared.max_frames
-        rate = self.declared.native_fps
-        if rate is not None:
+        if (rate := self.declared.native_fps) is not None:
             n_frames = int(native_frames(np.array([n_frames]), fps=self.cases.source.fps, native_fps=rate)[0])
         return limit is None or n_frames <= limit
 

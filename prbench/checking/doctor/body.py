@@ -183,8 +183,7 @@ def examine_finite(motion_set: MotionSet) -> Finding | None:
             "Return only the frames that were asked for, and all of them.",
         ),
     ):  # fmt: skip
-        rows = [row for row in range(len(motion_set)) if bad[row].any()]
-        if rows:
+        if rows := [row for row in range(len(motion_set)) if bad[row].any()]:
             frames = sum(int(bad[row].sum()) for row in rows)
             first = int(np.argmax(bad[rows[0]]))
             where = "all of them at the end" if bad[rows[0]][first:].all() else f"the first is frame {first}"

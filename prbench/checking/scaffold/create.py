@@ -159,8 +159,7 @@ class ScaffoldRequest:
             known = ", ".join(_USUAL)
             raise UsageError(f"--benchmark {self.benchmark}: expected one with templates, which are {known}.")
         conditions = find_benchmark(self.benchmark).conditions
-        unknown = [name for name in self.conditions if name not in conditions]
-        if unknown:
+        if unknown := [name for name in self.conditions if name not in conditions]:
             known = ", ".join(conditions)
             raise UsageError(f"--condition {unknown[0]}: expected one of the benchmark {self.benchmark}: {known}.")
         if self.program and self.trainable:

@@ -249,8 +249,7 @@ def _make(state: PoseState, config: PosesConfig, model: Path | None) -> tuple[st
         return "kept" if state.state == "complete" else "skipped", state.message
     if state.inputs is None:
         return "failed", state.message
-    lacking = state.inputs.lacking(config.needs)
-    if lacking:
+    if lacking := state.inputs.lacking(config.needs):
         return "failed", lacking
     with sole_writer(state.target):
         _clear(work)
@@ -279,8 +278,7 @@ def _run(
         "model": "" if model is None else str(model),
     }
     log = state.target.parent / _LOG_FILE
-    ended = _run_program(config.command_line(values), config, log)
-    if ended:
+    if ended := _run_program(config.command_line(values), config, log):
         return "failed", ended
     outputs = sorted(produced.glob("*.npz"))
     if not outputs:

@@ -238,8 +238,7 @@ def _pose_state(root: Path, found: RecordingFiles, poses_root: Path | None) -> P
     # Synthetic recordings imitate a dataset and share its manifest.
     manifest = load_manifest(found.dataset.removeprefix(SYNTHETIC_PREFIX))
     # Making a body for a recording that every build skips would waste GPU hours.
-    bad = found.skip_reason or manifest.why_bad(found.recording_id)
-    if bad:
+    if bad := found.skip_reason or manifest.why_bad(found.recording_id):
         return PoseState(found, "skipped", bad, target, None)
     try:
         reader = reader_for(found.dataset)

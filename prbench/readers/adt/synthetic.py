@@ -149,19 +149,9 @@ def _sense_objects(
     scale = sensing.strength("object_noise")
     # The real dataset has the room itself as an object, which readers must leave out.
     half = np.array(_ROOM_HALF_EXTENTS)
-    room = adt.AdtObject(
-        object_id=adt.SCENE_BOX_ID,
-        name="ApartmentEnv",
-        prototype="ApartmentEnv",
-        category="shelter",
-        dynamic=False,
-        box_min=-half,
-        box_max=half,
-        time_ns=np.array([adt.STATIC_TIME]),
-        position=np.array([[0.0, half[1] - 0.1, 0.0]]),
-        rotation=np.array([[1.0, 0.0, 0.0, 0.0]]),
-    )
-    objects = [room]
+    names = (adt.SCENE_BOX_ID, "ApartmentEnv", "ApartmentEnv", "shelter")
+    pose = (np.array([adt.STATIC_TIME]), np.array([[0.0, half[1] - 0.1, 0.0]]), np.array([[1.0, 0.0, 0.0, 0.0]]))
+    objects = [adt.AdtObject(*names, False, -half, half, *pose)]
     for motion in performance.objects:
         seen = ~untracked(performance, motion, times) if motion.movable else np.ones(1, dtype=bool)
         query = times if motion.movable else times[:1]
@@ -210,8 +200,7 @@ def _sense_suit(
     segments = len(np.unique(suit_segments()))
     rng = sensing.generator(f"body-noise-{number}")
     shift = rng.normal(0.0, _BODY_NOISE, (len(times), segments, 3)) * sensing.strength("body_noise")
-    wandering = sensing.strength("body_wobble")
-    if wandering:
+    if wandering := sensing.strength("body_wobble"):
         rng = sensing.generator(f"body-wobble-{number}")
         slow = [wobble(times, _BODY_WOBBLE, *_BODY_WOBBLE_HZ, rng) for _ in range(3 * segments)]
         shift += np.stack(slow, axis=1).reshape(shift.shape) * wandering

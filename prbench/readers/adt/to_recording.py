@@ -73,18 +73,9 @@ def recording_from_adt(
         # One that never moves has a single sample.
         times = entry.time_ns / 1e9 if entry.time_ns[0] != adt.STATIC_TIME else device.times[:1]
         rotation = entry.rotation / np.linalg.norm(entry.rotation, axis=1, keepdims=True)
-        track = streams.ObjectTrack(
-            object_id=str(entry.object_id),
-            name=entry.name,
-            category=entry.category,
-            times=times,
-            position=entry.position,
-            rotation=rotation,
-            valid=np.ones(len(times), dtype=bool),
-            box_min=entry.box_min,
-            box_max=entry.box_max,
-            movable=entry.dynamic,
-        )
+        names = (str(entry.object_id), entry.name, entry.category)
+        samples = (times, entry.position, rotation, np.ones(len(times), dtype=bool))
+        track = streams.ObjectTrack(*names, *samples, entry.box_min, entry.box_max, entry.dynamic)
         tracks.append(track)
         # Every ray would hit a box that encloses the room: ``ApartmentEnv``, and any with a side above 3 m that holds
         # a ray's origin.
@@ -129,7 +120,7 @@ def recording_from_adt(
         hinged_objects=frozenset(
             str(entry.object_id) for entry in readings.objects if adt.is_hinged(entry.name, entry.category)
         ),
-        messages=(*readings.messages, *_remarks(readings, span, gaze, suit, wearer), *told),
+        messages=(*readings.messages, *_remarks(readings, span, gaze, suit), *told),
         unreadable=readings.unreadable,
     )
 
@@ -175,11 +166,7 @@ def _gaps(times: Float[np.ndarray, " n"], longest: float, where: str) -> list[st
 
 
 def _remarks(
-    readings: adt.AdtReadings,
-    span: tuple[float, float],
-    gaze: streams.GazeStream,
-    body: streams.BodyStream | None,
-    wearer: adt.AdtSkeleton | None,
+    readings: adt.AdtReadings, span: tuple[float, float], gaze: streams.GazeStream, body: streams.BodyStream | None
 ) -> list[str]:
     """Tell the user what is unusual about these readings."""
     glasses = readings.glasses
@@ -187,9 +174,9 @@ def _remarks(
     remarks += _counted(~_within(gaze.times, span), "gaze rows lie outside the tracked time and are invalid")
     remarks += _gaps(glasses.time_us / 1e6, LONGEST_POSE_STEP, "the poses of the glasses")
     remarks += _counted(~(glasses.quality > 0), "poses of the glasses have quality 0 and are invalid")
-    if wearer is None:
+    if body is None:
         remarks.append("no skeleton belongs to the wearer's glasses: no body, no hands")
-    elif body is not None:
+    else:
         tracked = _within(body.times, span)
         remarks += _counted(~body.valid & tracked, "body frames are implausible and invalid")
         remarks += _counted(~tracked, "body frames lie outside the tracked time and are invalid")
@@ -212,15 +199,8 @@ def prepared_trajectory(glasses: AriaTrajectory) -> AriaTrajectory:
     first, last = (int(glasses.time_us[usable][end]) for end in (0, -1))
     time_us = np.arange(first, last + 1, _STEP_US)
     position, rotation = device.pose_at(time_us / 1e6)
-    return AriaTrajectory(
-        time_us=time_us,
-        position=position,
-        rotation=rotation,
-        quality=np.ones(len(time_us)),
-        up=np.array([0.0, 0.0, 1.0]),
-        graph_uids=(_GRAPH_UID,),
-        left_out=0,
-    )
+    up = np.array([0.0, 0.0, 1.0])
+    return AriaTrajectory(time_us, position, rotation, np.ones(len(time_us)), up, (_GRAPH_UID,))
 
 
 def turned_to_z_up(glasses: AriaTrajectory) -> streams.PoseStream:

@@ -71,8 +71,7 @@ def find_mps_files(root: Path) -> tuple[InputFile, ...]:
                 unreadable.append(input_file(f"{UNREADABLE}{path.name}", path))
     found: dict[str, InputFile] = {}
     for role, names in _ROLES.items():
-        candidates = [file for file in present if _place(file).name in names]
-        if candidates:
+        if candidates := [file for file in present if _place(file).name in names]:
             best = min(candidates, key=lambda file: _rank(file, names))
             found[role] = InputFile(role, best.path, best.size, best.member)
     for role, companions in _SUMMARIES.items():
@@ -184,15 +183,8 @@ def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
             remarks.append(f"the hands are not used: {error}")
         else:
             wrists = read_wrists(sources[mps.WRISTS])
-    return mps.MpsReadings(
-        trajectory=trajectory,
-        gaze=gaze,
-        gaze_kind="personalized" if _place(files[mps.GAZE]).name in mps.PERSONALIZED_GAZE_FILES else "general",
-        wrists=wrists,
-        glasses_size=size,
-        device_from_rgb=device_from_rgb,
-        messages=tuple(remarks),
-    )
+    kind = "personalized" if _place(files[mps.GAZE]).name in mps.PERSONALIZED_GAZE_FILES else "general"
+    return mps.MpsReadings(trajectory, gaze, kind, wrists, size, device_from_rgb, tuple(remarks))
 
 
 _NUMBERS = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
@@ -307,15 +299,9 @@ def _trajectory_of(source: native.Source, table: pa.Table) -> mps.AriaTrajectory
     )
     # Gravity is a constant of a world, so that the first row of the kept one tells it.
     down = gravity[kept][0]
-    return mps.AriaTrajectory(
-        time_us=table[mps.TIME_COLUMN].to_numpy()[kept],
-        position=position[kept],
-        rotation=rotation[kept],
-        quality=table[mps.QUALITY_COLUMN].to_numpy()[kept],
-        up=-down / np.linalg.norm(down),
-        graph_uids=graphs,
-        left_out=int((~kept).sum()),
-    )
+    up = -down / np.linalg.norm(down)
+    time_us, quality = (table[name].to_numpy()[kept] for name in (mps.TIME_COLUMN, mps.QUALITY_COLUMN))
+    return mps.AriaTrajectory(time_us, position[kept], rotation[kept], quality, up, graphs, int((~kept).sum()))
 
 
 def read_gaze_angles(path: native.Source) -> mps.GazeAngles:
@@ -390,8 +376,7 @@ def read_first_calibration(path: native.Source) -> dict[str, Float[np.ndarray, "
         poses[camera.label] = np.eye(4)
         poses[camera.label][:3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
         poses[camera.label][:3, 3] = camera.pose.translation
-    missing = {"camera-slam-left", "camera-slam-right", "camera-rgb"} - poses.keys()
-    if missing:
+    if missing := {"camera-slam-left", "camera-slam-right", "camera-rgb"} - poses.keys():
         found = ", ".join(sorted(poses))
         raise InputFileError(native.shown(path), "line 1", expected=f"the camera {min(missing)}", found=found)
     return poses

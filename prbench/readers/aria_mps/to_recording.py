@@ -89,7 +89,7 @@ def mps_streams(
     outside = (gaze.times < device.times[0] - SAME_INSTANT) | (gaze.times > device.times[-1] + SAME_INSTANT)
     if outside.any():
         remarks.append(f"{int(outside.sum())} of {len(outside)} gaze rows lie outside the tracked time and are invalid")
-    messages = (*readings.messages, *_remarks(readings, gaze), *tuple(remarks))
+    messages = (*readings.messages, *_remarks(readings, gaze), *remarks)
     return MpsStreams(device, head, camera, gaze, tuple(wrists), messages)
 
 
@@ -111,12 +111,9 @@ def head_and_camera(
 def part_poses(device: PoseStream, device_from_part: Float[np.ndarray, "4 4"]) -> PoseStream:
     """Return the world poses of a part of the glasses (CPF, a camera) from those of the device."""
     rotation = Rotation.from_quat(device.rotation, scalar_first=True)
-    return PoseStream(
-        times=device.times,
-        position=device.position + rotation.apply(device_from_part[:3, 3]),
-        rotation=(rotation * Rotation.from_matrix(device_from_part[:3, :3])).as_quat(scalar_first=True),
-        valid=device.valid,
-    )
+    position = device.position + rotation.apply(device_from_part[:3, 3])
+    turned = rotation * Rotation.from_matrix(device_from_part[:3, :3])
+    return PoseStream(device.times, position, turned.as_quat(scalar_first=True), device.valid)
 
 
 def gaze_in_world(cpf: PoseStream, angles: mps.GazeAngles, *, same_instant: float) -> GazeStream:
@@ -138,12 +135,8 @@ def gaze_in_world(cpf: PoseStream, angles: mps.GazeAngles, *, same_instant: floa
     direction_cpf = gaze_directions_cpf(np.where(measured, yaw, 0.0), np.where(measured, pitch, 0.0))
     origin, rotation = cpf.pose_at(times)
     posed = covered(cpf.times, cpf.valid, times, max_gap=LONGEST_POSE_STEP, tolerance=same_instant)
-    return GazeStream(
-        times=times,
-        origin=origin,
-        direction=Rotation.from_quat(rotation, scalar_first=True).apply(direction_cpf),
-        valid=measured & posed,
-    )
+    direction = Rotation.from_quat(rotation, scalar_first=True).apply(direction_cpf)
+    return GazeStream(times, origin, direction, measured & posed)
 
 
 def _remarks(readings: mps.MpsReadings, gaze: GazeStream) -> tuple[str, ...]:
@@ -152,8 +145,7 @@ def _remarks(readings: mps.MpsReadings, gaze: GazeStream) -> tuple[str, ...]:
         remarks.append("general gaze, without the wearer's own calibration: directions may be off by several degrees")
     if not gaze.valid.any():
         remarks.append("no gaze row has a direction and a pose of the glasses: nothing can be primed")
-    low = int((readings.trajectory.quality < mps.LEAST_QUALITY).sum())
-    if low:
+    if low := int((readings.trajectory.quality < mps.LEAST_QUALITY).sum()):
         remarks.append(
             f"{low} of {len(readings.trajectory.quality)} poses of the glasses that were read have a quality below"
             f" {mps.LEAST_QUALITY} and are invalid"

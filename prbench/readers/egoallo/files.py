@@ -16,7 +16,7 @@ from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize
 from prbench.readers.egoallo import format as ego
 from prbench.readers.extents import SEVERAL_SENSORS, Extent
-from prbench.readers.files import Source, ZippedFile, archive_members, source_of
+from prbench.readers.files import Source, archive_members, source_of
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present
 
 OUTPUT_ROLE = "egoallo/"  # Roles of output files are this and the file's name.
@@ -56,8 +56,7 @@ def find_outputs(
     places = [] if poses_root is None else [poses_folder(root, recording_id, poses_root)]
     places += [] if folder is None else [folder / ego.OUTPUT_FOLDER]
     for place in (*places, poses_folder(root, recording_id)):
-        outputs = sorted(path for path in place.glob("*.npz") if not path.name.startswith("."))
-        if outputs:
+        if outputs := sorted(path for path in place.glob("*.npz") if not path.name.startswith(".")):
             files = [input_file(f"{OUTPUT_ROLE}{path.name}", path) for path in outputs]
             model = find_model(root, smplh_model)
             if model is not None and is_present(model):
@@ -149,15 +148,9 @@ def aria_inputs(root: Path, found: RecordingFiles, name: str = mps.TRAJECTORY_FI
     # The recording's own VRS file: beside its files, or by its name below a folder VRS.
     places = [found.folder / vrs for vrs in (*_VRS_NAMES, f"{found.recording_id}.vrs")]
     below = (path for base in ("VRS", "*/VRS") for path in root.glob(f"{base}/**/{found.recording_id}*.vrs"))
-    return EgoalloInputs(
-        found=found,
-        trajectory=sources[mps.TRAJECTORY],
-        calibration=sources.get(mps.CALIBRATION),
-        points=points_beside(found),
-        wrists=sources.get(mps.WRISTS),
-        vrs=next((path for path in (*places, *sorted(below)) if path.is_file()), None),
-        glasses_size="DVT-S",
-    )
+    vrs = next((path for path in (*places, *sorted(below)) if path.is_file()), None)
+    slam = (sources[mps.TRAJECTORY], sources.get(mps.CALIBRATION), points_beside(found))
+    return EgoalloInputs(found, *slam, sources.get(mps.WRISTS), vrs, "DVT-S")
 
 
 def points_beside(found: RecordingFiles) -> Source | None:
@@ -170,4 +163,5 @@ def points_beside(found: RecordingFiles) -> Source | None:
     members = archive_members(trajectory.path)
     folder = PurePosixPath(trajectory.member).parent
     names = (str(folder / name) for name in POINT_FILES)
-    return next((ZippedFile(trajectory.path, name) for name in names if name in members), None)
+    found = (InputFile("points", trajectory.path, members[name], name) for name in names if name in members)
+    return next(found, None)

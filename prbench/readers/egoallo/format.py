@@ -34,8 +34,6 @@ MODEL_FILE = "smplh/neutral/model.npz"
 N_MODEL_JOINTS = 52
 
 # EgoAllo's defaults, in output frames.
-# EgoAllo's defaults, in output frames.
-# EgoAllo's defaults, in output frames.
 WINDOW_FRAMES = 128
 WINDOW_OVERLAP = 32
 INPUT_STEP = 33  # Every so many poses of a 1 kHz trajectory are used: ``int(rate // 30)``, so 30.3 Hz and not 30.

@@ -65,11 +65,9 @@ def body_from_outputs(outputs: Sequence[ego.EgoAlloOutput], rest: RestJoints) ->
     time_ns, joints = (np.concatenate(parts) for parts in zip(*settled, (time_ns, joints), strict=True))
     # Tell the user what is unusual.
     remarks = []
-    several = sum(len(window.world_from_root) > 1 for window in ordered)
-    if several:
+    if several := sum(len(window.world_from_root) > 1 for window in ordered):
         remarks.append(f"{several} of {len(ordered)} EgoAllo outputs hold several samples; the first is taken")
-    gaps = int((np.diff(time_ns) > ego.LONGEST_STEP * 1e9).sum())
-    if gaps:
+    if gaps := int((np.diff(time_ns) > ego.LONGEST_STEP * 1e9).sum()):
         remarks.append(f"{gaps} gaps of more than {ego.LONGEST_STEP * 1e3:.0f} ms in the EgoAllo body")
     return ego.EgoAlloBody(time_ns, joints, tuple(remarks))
 

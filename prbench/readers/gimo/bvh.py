@@ -209,12 +209,7 @@ _STANDS_STILL = 0.2  # metres; a shorter walk fits anywhere
 
 
 def place_skeleton(
-    motion: BvhMotion,
-    seconds: Float[np.ndarray, " n"],
-    pelvis: Float[np.ndarray, "n 3"],
-    *,
-    name: str,
-    largest_error: float,
+    motion: BvhMotion, seconds: Float[np.ndarray, " n"], pelvis: Float[np.ndarray, "n 3"], name: str, worst: float
 ) -> tuple[Float[np.ndarray, "n 22 3"], list[str]]:
     """Align a skeleton in time with a pelvis track, and move its hips onto it frame by frame.
 
@@ -223,7 +218,7 @@ def place_skeleton(
         seconds: Times of the track, increasing, from any origin.
         pelvis: The track, metres, Y up.
         name: Name of the file, for messages.
-        largest_error: Metres; a worse alignment is refused.
+        worst: Metres; a worse alignment is refused.
 
     Returns:
         The joints at the instants of the track and in its frame, and remarks: when the skeleton's file begins, how far
@@ -271,9 +266,9 @@ def place_skeleton(
     error = float(np.sqrt(spread(start)))
     remedy = "The skeleton lies in another frame or belongs to another recording; use the fitted body instead"
     remedy += " (options vposer_model and smplx_model)."
-    expected = f"hips within {largest_error * 100:.0f} cm of the fitted pelvis"
+    expected = f"hips within {worst * 100:.0f} cm of the fitted pelvis"
     found = f"{error * 100:.1f} cm at the best start ({start:.2f} s)"
-    require(name, (error <= largest_error, "", expected, found, remedy))
+    require(name, (error <= worst, "", expected, found, remedy))
     # The limbs are the suit's, the place is that of the fitted pelvis, frame by frame.
     laid = interpolate(times, joints, start + since)
     laid = laid + (pelvis - laid[:, Joint.PELVIS])[:, None]

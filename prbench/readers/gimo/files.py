@@ -102,16 +102,10 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[listing.Recor
         if not folder.is_dir():
             reason = f"{segment.scene}/{segment.sequence}: its folder is missing; unpack or download it"
         in_tree = tree is not None and segment.sequence in tree.split
-        found.append(
-            listing.RecordingFiles(
-                dataset=dataset,
-                recording_id=segment.sequence if in_tree else segment.name,
-                folder=folder,
-                files=listing.FilesOnDemand(partial(_files, root, options, events_path, segment, folder, by_frame)),
-                split="test" if segment.training == gimo.TEST else "train",
-                skip_reason=reason,
-            )
-        )
+        name = segment.sequence if in_tree else segment.name
+        files = listing.FilesOnDemand(partial(_files, root, options, events_path, segment, folder, by_frame))
+        split = "test" if segment.training == gimo.TEST else "train"
+        found.append(listing.RecordingFiles(dataset, name, folder, files, split, reason))
     names = sorted({f"{row.segment.scene}/{row.segment.sequence}" for row in rows})
     is_there = any(recording.folder.is_dir() for recording in found)
     expected = f"folders of the sequences that {gimo.TABLE_FILE} lists"
@@ -120,18 +114,17 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[listing.Recor
     return tuple(sorted(found, key=lambda recording: recording.recording_id))
 
 
+# Files of a folder by ending (``.pkl``, ``_center.ply``) and frame.
+_Listing = Callable[[Path], dict[str, dict[int, Path]]]
+
+
 def _events_in(path: Path | None) -> tuple[tables.EventRow, ...]:
     """Return the table of events; an empty one where the user has none."""
     return tables.read_events(path) if path is not None and listing.is_present(path) else ()
 
 
 def _files(
-    root: Path,
-    options: GimoOptions,
-    events_path: Path,
-    segment: gimo.Segment,
-    folder: Path,
-    by_frame: Callable[[Path], dict[str, dict[int, Path]]],
+    root: Path, options: GimoOptions, events_path: Path, segment: gimo.Segment, folder: Path, by_frame: _Listing
 ) -> list[listing.InputFile]:
     scene = root / segment.scene / gimo.SCENE_FOLDER
     transform = inside(folder, segment.transformation)
@@ -156,8 +149,7 @@ def _by_frame(folder: Path) -> dict[str, dict[int, Path]]:
     """Return files by ending (``.pkl``, ``_center.ply``) and frame; names without a whole number are left out."""
     found: dict[str, dict[int, Path]] = {}
     for name in names_of(folder):
-        stem = _frame_of(name)
-        if stem is not None:
+        if (stem := _frame_of(name)) is not None:
             files = found.setdefault(name.removeprefix(stem), {})
             # Of "7.pkl" and "07.pkl" always the same one, in whatever order the disk lists them.
             if int(stem) not in files or name > files[int(stem)].name:
@@ -187,8 +179,7 @@ def extents(found: listing.RecordingFiles, recording: Recording | None) -> tuple
     streams = [Extent("segment", gimo.TABLE_FILE, *promised)]
     # Eyes are lost now and then.
     for role, stream, slack in ((POSE, "body", ONE_SYSTEM), (CENTRE, "gaze", SEVERAL_SENSORS)):
-        files = frames_of(found, role)
-        if files:
+        if files := frames_of(found, role):
             ends = min(files) / gimo.FRAME_RATE, max(files) / gimo.FRAME_RATE
             streams.append(Extent(stream, files[max(files)].name, *ends, tells_span=False, slack=slack))
     return tuple(streams)
@@ -233,19 +224,12 @@ def read_readings(found: listing.RecordingFiles, options: GimoOptions) -> gimo.G
     stray = [name for folder in folders for name in sorted(names_of(folder)) if _frame_of(name) is None]
     shown = ", ".join(stray[:3]) + (" …" if len(stray) > 3 else "")
     unnumbered = [f"{len(stray)} files without frame number left out: {shown}"] if stray else []
-    return gimo.GimoReadings(
-        recording_id=found.recording_id,
-        segment=row.segment,
-        transform=read_transform(
-            found.require(TRANSFORM, row.segment.transformation),
-            found.require(NORM, f"../{gimo.SCENE_FOLDER}/{gimo.NORM_FILE}"),
-        ),
-        body=_body(found, options),
-        gaze=gaze,
-        events=events,
-        messages=(*row.remarks, *overlaps, *event_remarks, *unnumbered, *gaze_remarks),
-        unreadable=tuple(filter(None, odd)),
-    )
+    info = found.require(TRANSFORM, row.segment.transformation)
+    transform = read_transform(info, found.require(NORM, f"../{gimo.SCENE_FOLDER}/{gimo.NORM_FILE}"))
+    body = _body(found, options)
+    messages = (*row.remarks, *overlaps, *event_remarks, *unnumbered, *gaze_remarks)
+    known = (found.recording_id, row.segment, transform, body, gaze, events)
+    return gimo.GimoReadings(*known, messages, tuple(filter(None, odd)))
 
 
 def _body(found: listing.RecordingFiles, options: GimoOptions) -> gimo.LocalJoints | gimo.LocalSkeleton:

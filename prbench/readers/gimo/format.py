@@ -28,8 +28,6 @@ CONFIRMED_COLUMN = "confirmed"
 # Columns of a table of proposed events.
 CANDIDATE_COLUMNS = (*EVENT_COLUMNS, CONFIRMED_COLUMN, "confidence", "reason", "activity")
 # Values of the column ``training``; the official loader never uses 2.
-# Values of the column ``training``; the official loader never uses 2.
-# Values of the column ``training``; the official loader never uses 2.
 TEST = 0
 TRAIN = 1
 TRAIN_LATER = 2

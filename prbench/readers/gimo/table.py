@@ -101,16 +101,10 @@ def read_segments(path: Path) -> tuple[tuple[Row, ...], list[UnreadableEntry]]:
             (training in gimo.PUBLISHED_SPLITS, "", expected, training, ""),
         )
         hint = _whole(cells[gimo.HINT_INDEX]) if has_hints and len(cells) > gimo.HINT_INDEX else -1
-        return gimo.Segment(
-            scene=values["scene"],
-            sequence=values["sequence_path"],
-            start_frame=start,
-            end_frame=end,
-            transformation=values["transformation"],
-            training=training,
-            activity=values.get(gimo.ACTIVITY_COLUMN, ""),
-            hint=hint if start <= hint <= end else None,
-        )
+        hinted = hint if start <= hint <= end else None
+        activity = values.get(gimo.ACTIVITY_COLUMN, "")
+        scene, sequence, transformation = (values[name] for name in texts)
+        return gimo.Segment(scene, sequence, start, end, transformation, training, activity, hinted)
 
     segments, unreadable = read_entries(path, {f"line {line}": cells for line, cells in lines}, read_segment)
     rows: dict[SegmentKey, Row] = {}
@@ -156,14 +150,8 @@ def _whole(text: str) -> int:
 def overlapping(rows: Sequence[Row], row: Row) -> tuple[gimo.Segment, ...]:
     """Return the other segments of the same sequence that share frames with one."""
     mine = row.segment
-    return tuple(
-        other.segment
-        for other in rows
-        if other.segment.key != mine.key
-        and other.segment.key[:2] == mine.key[:2]
-        and other.segment.start_frame <= mine.end_frame
-        and other.segment.end_frame >= mine.start_frame
-    )
+    others = [each.segment for each in rows if each.segment.key != mine.key and each.segment.key[:2] == mine.key[:2]]
+    return tuple(each for each in others if each.start_frame <= mine.end_frame and each.end_frame >= mine.start_frame)
 
 
 def read_events(path: Path) -> tuple[EventRow, ...]:
@@ -204,14 +192,8 @@ def _event_row(path: Path, line: int, cells: dict[str, str]) -> EventRow:
         if not holds:
             entry = UnreadableEntry(path.name, f"line {line}, column '{name}'", good, found)
             return EventRow(line, segment, None, "", None, confirmed=False, unreadable=entry)
-    return EventRow(
-        line=line,
-        segment=segment,
-        event_frame=None if no_frame else frame,
-        action=action,
-        hand=cast(Side, hand) if hand else None,
-        confirmed=confirmed,
-    )
+    side = cast(Side, hand) if hand else None
+    return EventRow(line, segment, None if no_frame else frame, action, side, confirmed)
 
 
 def _is_frame(text: str) -> bool:
@@ -240,8 +222,7 @@ def events_of(
         if event.confirmed and event.action == "pick" and event.event_frame is not None
     }
     if not frames:
-        odd = [str(event.unreadable) for event in mine if event.unreadable]
-        if odd:
+        if odd := [str(event.unreadable) for event in mine if event.unreadable]:
             return (), remarks, f"its event cannot be read: {'; '.join(odd)}"
         waiting = sum(not event.confirmed for event in mine)
         reason = f"none of its {waiting} proposed events is confirmed" if waiting else "only puts are annotated for it"

@@ -85,17 +85,13 @@ def _body(readings: gimo.GimoReadings, manifest: Manifest) -> tuple[streams.Body
         local = readings.body.joints
     else:
         frames = readings.body.poses.frames
-        local, remarks = place_skeleton(
-            readings.body.motion,
-            frames / gimo.FRAME_RATE,
-            readings.body.poses.pelvis(),
-            name=f"{readings.segment.scene}/{readings.segment.sequence}/{gimo.SKELETON_FILE}",
-            largest_error=manifest.thresholds["largest_track_error"],
-        )
+        pelvis = readings.body.poses.pelvis()
+        name = f"{readings.segment.scene}/{readings.segment.sequence}/{gimo.SKELETON_FILE}"
+        worst = manifest.thresholds["largest_track_error"]
+        local, remarks = place_skeleton(readings.body.motion, frames / gimo.FRAME_RATE, pelvis, name, worst)
     wanted = readings.segment.frames
     joints, valid = filled(frames, local, wanted, longest=round(manifest.thresholds["longest_filled_gap"]))
-    missing = len(wanted) - len(frames)
-    if missing:
+    if missing := len(wanted) - len(frames):
         remarks.append(
             f"{missing} of {len(wanted)} frames have no pose, {int((~valid).sum())} in gaps too long to fill"
         )
@@ -104,11 +100,7 @@ def _body(readings: gimo.GimoReadings, manifest: Manifest) -> tuple[streams.Body
 
 
 def filled(
-    frames: Int[np.ndarray, " n"],
-    joints: Float[np.ndarray, "n joints 3"],
-    wanted: Int[np.ndarray, " m"],
-    *,
-    longest: int,
+    frames: Int[np.ndarray, " n"], joints: Float[np.ndarray, "n joints 3"], wanted: Int[np.ndarray, " m"], longest: int
 ) -> tuple[Float[np.ndarray, "m joints 3"], Bool[np.ndarray, " m"]]:
     """Return joints on the wanted frames: interpolated across at most ``longest`` missing ones, else held, invalid."""
     # Between two frames that are n + 1 apart n are missing.

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+import prbench.readers.hd_epic.annotations as annotating  # `from` would find Python's own feature of that name
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.files.bounded import require
@@ -22,14 +23,6 @@ from prbench.readers.egoallo.to_recording import NO_OUTPUTS
 from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent
 from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.readers.hd_epic.annotations import (
-    annotated_videos,
-    participant_of,
-    read_priming,
-    read_tracks,
-    read_video_clock,
-    slam_number,
-)
 from prbench.recording import Recording
 
 
@@ -102,12 +95,11 @@ def find_recordings(root: Path | str, options: HdEpicOptions) -> tuple[Recording
     listed = next((file.path for file in annotated if file.role == ASSOCIATIONS), None)
     if listed is not None and (options.events_only or not videos):
         reason = None if options.events_only else _ANNOTATIONS_ALONE
-        return tuple(
-            RecordingFiles(
-                dataset, video, folder / videos.get(video, participant_of(video)), tuple(annotated), skip_reason=reason
-            )
-            for video in annotated_videos(listed)
-        )
+        places = {
+            each: videos.get(each, annotating.participant_of(each)) for each in annotating.annotated_videos(listed)
+        }
+        named = ((dataset, video, folder / place, tuple(annotated)) for video, place in places.items())
+        return tuple(RecordingFiles(*each, skip_reason=reason) for each in named)
     require(root, (len(videos) > 0, "", expected, names_in(root), remedy))
     recordings = []
     for video, participant in sorted(videos.items()):
@@ -136,7 +128,7 @@ _ANNOTATIONS_ALONE = (
 def _mapped(path: Path) -> dict[str, str]:
     """Return videos and numbers of a SLAM map; none where it is missing or damaged, which reading reports."""
     try:
-        return slam_number(path)
+        return annotating.slam_number(path)
     except InputFileError:
         return {}
 
@@ -242,26 +234,18 @@ def read_annotations(found: RecordingFiles) -> hd_epic.HdEpicReadings:
     place = f"{hd_epic.ANNOTATIONS_FOLDER}/{hd_epic.MOVEMENTS_FOLDER}/{hd_epic.ASSOCIATIONS_FILE}"
     require(place, (associations is not None, "", _ANNOTATION, "none", _CLONE))
     assert associations is not None
-    movements = read_tracks(associations, found.path(MASKS), video)
+    movements = annotating.read_tracks(associations, found.path(MASKS), video)
     unreadable = movements.unreadable
     priming = found.path(PRIMING)
     published = None
     if priming is not None:
-        published, odd = read_priming(priming, video)
+        published, odd = annotating.read_priming(priming, video)
         unreadable += odd
     last = max((track.end for track in movements.tracks), default=0.0) + _AFTER_LAST
     times = np.rint(np.arange(int(max(last, 1.0) * hd_epic.FPS)) * 1e9 / hd_epic.FPS).astype(np.int64)
-    return hd_epic.HdEpicReadings(
-        video=video,
-        participant_id=found.folder.name,
-        clock=hd_epic.VideoClock(times),
-        tracks=movements.tracks,
-        priming=published,
-        glasses=None,
-        body=None,
-        messages=movements.remarks,
-        unreadable=unreadable,
-    )
+    clock = hd_epic.VideoClock(times)
+    said = {"messages": movements.remarks, "unreadable": unreadable}
+    return hd_epic.HdEpicReadings(video, found.folder.name, clock, movements.tracks, published, None, None, **said)
 
 
 _AFTER_LAST = 2.0  # s; masks of the last movement's end may lie behind it
@@ -279,7 +263,8 @@ def read_readings(found: RecordingFiles) -> hd_epic.HdEpicReadings:
     annotations = read_annotations(found)
     place = f"{hd_epic.ANNOTATIONS_FOLDER}/{hd_epic.MOVEMENTS_FOLDER}/{hd_epic.MASKS_FILE}"
     require(place, (found.path(MASKS) is not None, "", _ANNOTATION, "none", _CLONE))
-    clock, clock_remarks = read_video_clock(found.require(TIME, f"{video}{hd_epic.TIME_SUFFIX}"), found.path(LOG))
+    times = found.require(TIME, f"{video}{hd_epic.TIME_SUFFIX}")
+    clock, clock_remarks = annotating.read_video_clock(times, found.path(LOG))
     glasses = _read_mps(found)
     head = mps_streams(replace(glasses, wrists=None), world_from_source=np.eye(4)).head
     body = read_bodies(found, cpf=head)
@@ -307,7 +292,7 @@ def _read_mps(found: RecordingFiles) -> mps.MpsReadings:
         remedy = f"Download SLAM/multi of {participant}: a download by video fetches gaze only."
         require(f"{place}/{hd_epic.SLAM_MAP_FILE}", (slam_map is not None, "", expected, "none", remedy))
         assert slam_map is not None
-        number = slam_number(slam_map).get(video)
+        number = annotating.slam_number(slam_map).get(video)
         key = f"{participant}/{video}.vrs"
         remedy = f"It has no multi-recording SLAM; three videos have {hd_epic.OTHER_SLAM_FOLDER}/*.zip instead."
         require(slam_map, (number is not None, key, "the number of a SLAM zip", "no such key", remedy))

@@ -40,8 +40,6 @@ FOCAL_LENGTH = 607.0  # Pixels, of the 1408 image.
 
 NO_FIXTURE = "Null"
 # Values of ``frame_primed`` that are no frames: tested in vain, never tested.
-# Values of ``frame_primed`` that are no frames: tested in vain, never tested.
-# Values of ``frame_primed`` that are no frames: tested in vain, never tested.
 NOT_PRIMED = -1
 EXCLUDED = -2
 

@@ -106,15 +106,8 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
             primed = _first_look(performance, mask, first)
             published.append(hd_epic.PublishedSide(key, is_start, mask.frame, mask.location, primed))
     published.sort(key=lambda side: (int(side.key.split("/")[0]), not side.is_start))
-    readings = hd_epic.HdEpicReadings(
-        video=performance.recording_id,
-        participant_id=performance.person.participant_id,
-        clock=clock,
-        tracks=tracks,
-        priming=tuple(published),
-        glasses=glasses,
-        body=None,
-    )
+    identity = (performance.recording_id, performance.person.participant_id)
+    readings = hd_epic.HdEpicReadings(*identity, clock, tracks, tuple(published), glasses, None)
     bodies = egoallo.sense_egoallo(performance, glasses.trajectory, **measured)
     return SensedVideo(readings, bodies)
 
@@ -145,14 +138,9 @@ def _annotated_tracks(sensing: Sensing, clock: hd_epic.VideoClock) -> tuple[hd_e
         device = device_start + np.array([pick.event_time, put.event_time]) + shift
         seconds = np.clip(clock.frames(device) / hd_epic.FPS, 0.0, last)
         start, end = (float(value) for value in np.round(seconds, _SECONDS))
-        track = hd_epic.ObjectTrack(
-            track_id=_identifier(f"{performance.recording_id} track {number}"),
-            object_id=association_id(pick.object_id),
-            name=pick.object_name.replace("_", " "),
-            start=start,
-            end=max(end, start + _SHORTEST_TRACK),
-            masks=(),
-        )
+        track_id = _identifier(f"{performance.recording_id} track {number}")
+        names = (track_id, association_id(pick.object_id), pick.object_name.replace("_", " "))
+        track = hd_epic.ObjectTrack(*names, start, max(end, start + _SHORTEST_TRACK), ())
         tracks.append(masks_of(sensing, track, (pick, put)))
     return tuple(sorted(tracks, key=lambda track: (track.start, track.end, track.object_id, track.track_id)))
 

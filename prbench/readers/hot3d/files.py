@@ -140,8 +140,7 @@ def why_unusable(metadata: Metadata) -> str | None:
     if metadata.headset != hot3d.ARIA:
         return f"recorded with {metadata.headset}, which has no gaze; only Aria recordings can be primed"
     truth = {"objects": "object_pose_gt", "hands": "umetrack_hand_pose_gt"}
-    missing = [what for what, key in truth.items() if not metadata.gt_available_status.get(key)]
-    if missing:
+    if missing := [what for what, key in truth.items() if not metadata.gt_available_status.get(key)]:
         return f"the dataset withholds the ground truth of {' and '.join(missing)} (a test participant)"
     return None
 

@@ -159,12 +159,8 @@ def _with_drift(
     ones = np.ones_like(seconds)
     above = np.column_stack([-ones, -seconds, ones])
     below = np.column_stack([ones, seconds, ones])
-    solved = linprog(
-        c=[0.0, 0.0, -1.0],
-        A_ub=np.concatenate([above, below]),
-        b_ub=np.concatenate([-low, high]),
-        bounds=[(None, None)] * 3,
-    )
+    limits = {"A_ub": np.concatenate([above, below]), "b_ub": np.concatenate([-low, high])}
+    solved = linprog([0.0, 0.0, -1.0], **limits, bounds=[(None, None)] * 3)
     if not solved.success:
         return 0.0, 0.0, -1.0
     offset, slope, margin = solved.x
@@ -235,8 +231,7 @@ def recording_from_hot3d(
         remarks.append(f"no mask_qa_pass: the first {skipped_start} s of objects and hands are not used")
     elif not (passed := readings.masks["qa_pass"][1]).all():
         remarks.append(f"{int((~passed).sum())} of {len(passed)} frames fail the quality check and are invalid")
-    without = [entry.name for entry in readings.objects if entry.mesh is None]
-    if without:
+    if without := [entry.name for entry in readings.objects if entry.mesh is None]:
         remarks.append(f"objects without a model, whose box is their origin as a point: {', '.join(sorted(without))}")
     most = max(int(hot3d.first_of_pairs(entry.rows.time_ns).sum()) for entry in readings.objects)
     for entry in readings.objects:

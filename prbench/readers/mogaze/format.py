@@ -60,14 +60,12 @@ def is_furniture(name: str) -> bool:
 
 
 def gaze_directions(
-    goggles_rotation: Float[np.ndarray, "n 3 3"],
-    calibration: Float[np.ndarray, "3 3"],
-    points: Float[np.ndarray, "n 3"],
+    goggles: Float[np.ndarray, "n 3 3"], calibration: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """Return the unit gaze directions in the dataset's world (docs/specification/mogaze.md#head-pose-and-gaze-ray).
 
     Args:
-        goggles_rotation: Goggles to world.
+        goggles: Rotations, goggles to world.
         calibration: Eye tracker's camera to goggles.
         points: Gaze points in the camera's frame, any unit; one behind it (z < 0) is mirrored first.
 
@@ -75,7 +73,7 @@ def gaze_directions(
         NaN where an input is NaN or the point is the origin.
     """
     ahead = np.where(points[:, 2:] < 0, -points, points)
-    aimed = (goggles_rotation @ calibration @ ahead[:, :, None])[:, :, 0]
+    aimed = (goggles @ calibration @ ahead[:, :, None])[:, :, 0]
     length = np.linalg.norm(aimed, axis=1, keepdims=True)
     return np.divide(aimed, length, out=np.full_like(aimed, np.nan), where=length > 0)
 

@@ -75,8 +75,7 @@ def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *
         remarks.append(f"{int((~usable).sum())} of {len(usable)} gaze samples are invalid")
     if in_metres:
         remarks.append("the gaze points are taken for metres: their median length is below 20")
-    unknown = [track.name for track in tracks if (track.box_min == track.box_max).all()]
-    if unknown:
+    if unknown := [track.name for track in tracks if (track.box_min == track.box_max).all()]:
         remarks.append(f"no mesh and no known size, so a point instead of a box: {', '.join(unknown)}")
     return streams.Recording(
         dataset=dataset,
@@ -157,22 +156,18 @@ def _track(
 
 
 def annotated_events(
-    segments: Sequence[Segment],
-    tracks: Sequence[streams.ObjectTrack],
-    body: streams.BodyStream,
-    rest_window: int,
-    file: str,
+    segments: Sequence[Segment], tracks: Sequence[streams.ObjectTrack], body: streams.BodyStream, window: int, file: str
 ) -> tuple[tuple[streams.AnnotatedEvent, ...], tuple[str, ...], list[streams.UnreadableEntry]]:
     """Return the picks at the start, puts at the end of every segment in which an object moves.
 
-    The place of a pick is the object's last pose before it, that of a put the median pose over the ``rest_window``
-    frames after it, clipped to the next movement.
+    The place of a pick is the object's last pose before it, that of a put the median pose over the ``window`` frames
+    after it, clipped to the next movement.
 
     Args:
         segments: Entries of ``segmentations`` in the order of the file.
         tracks: Every object, one sample a frame.
         body: The wearer, one sample a frame, whose wrists tell the hand of an event.
-        rest_window: Frames.
+        window: Frames.
         file: Name of the file that lists the segments.
 
     Returns:
@@ -232,26 +227,15 @@ def annotated_events(
         if carry.end < last:
             next_movement = min((other.start for other in later), default=last + 1)
             moved_again = min((other.start for other in later if other.label == carry.label), default=last + 1)
-            stop = min(carry.end + rest_window, next_movement)
+            stop = min(carry.end + window, next_movement)
             ends.append(("put", carry.end, _resting_after(track, carry.end, stop, moved_again)))
         for action, frame, (position, rotation) in ends:
             low, high = track.world_box(position[None], rotation[None])
             centre = (low[0] + high[0]) / 2
             hand, source = streams.reaching_hand(streams.wrists_at((), body, frame / RATE), centre)
-            events.append(
-                streams.AnnotatedEvent(
-                    native_key=f"{number}/{action}",
-                    action=action,
-                    object_id=track.object_id,
-                    object_name=track.name,
-                    event_time=frame / RATE,
-                    location=centre,
-                    box_min=low[0],
-                    box_max=high[0],
-                    hand=hand,
-                    hand_source=source,
-                )
-            )
+            about = (f"{number}/{action}", action, track.object_id, track.name, frame / RATE)
+            event = streams.AnnotatedEvent(*about, centre, low[0], high[0], hand, hand_source=source)
+            events.append(event)
     return tuple(events), tuple(remarks), unusable
 
 

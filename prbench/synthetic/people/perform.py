@@ -31,6 +31,8 @@ _CORRECTIONS = 2  # rounds; what is left decides whether the recording is planne
 
 
 # One stream for each kind of choice (sway, gaze, head), so that a change in one leaves the others alone.
+Quaternions = Float[np.ndarray, "n 4"]
+Hands = Float[np.ndarray, "n 2 3 3"]
 Generators = tuple[np.random.Generator, np.random.Generator, np.random.Generator]
 
 
@@ -45,9 +47,9 @@ class Motion:
     joints: Float[np.ndarray, "n 22 3"]
     rotations: Float[np.ndarray, "n 22 4"]
     head: bodies.Head
-    head_rotation: Float[np.ndarray, "n 4"]
+    head_rotation: Quaternions
     eye: Float[np.ndarray, "n 3"]
-    hands: Float[np.ndarray, "n 2 3 3"]
+    hands: Hands
     finger_bases: Float[np.ndarray, "n 2 3"]
     planted: Bool[np.ndarray, "n 2"]
     base: BasePath
@@ -143,29 +145,14 @@ def assemble(
         (Joint.LEFT_WRIST, arms.wrist),
     ):
         joints[:, left : left + 2] = pair  # the right joint of a pair follows the left one
-    return Motion(
-        joints=joints,
-        rotations=_segment_rotations(trunk, neck, head_rotation, legs, feet, arms, hands),
-        head=head,
-        head_rotation=head_rotation,
-        eye=eye,
-        hands=hands,
-        finger_bases=arms.wrist + body.hand * hands[..., 1],
-        planted=feet.planted,
-        base=base,
-        gaze_plan=gaze_plan,
-        misses=misses,
-    )
+    rotations = _segment_rotations(trunk, neck, head_rotation, legs, feet, arms, hands)
+    finger_bases = arms.wrist + body.hand * hands[..., 1]
+    seen = (head, head_rotation, eye, hands, finger_bases)
+    return Motion(joints, rotations, *seen, feet.planted, base, gaze_plan, misses)
 
 
 def _segment_rotations(
-    trunk: Trunk,
-    neck: Float[np.ndarray, "n 4"],
-    head: Float[np.ndarray, "n 4"],
-    legs: Legs,
-    feet: Feet,
-    arms: bodies.Arms,
-    hands: Float[np.ndarray, "n 2 3 3"],
+    trunk: Trunk, neck: Quaternions, head: Quaternions, legs: Legs, feet: Feet, arms: bodies.Arms, hands: Hands
 ) -> Float[np.ndarray, "n 22 4"]:
     """Return world from segment at each joint: trunk and feet y up, limbs y along the bone, x the hinge."""
     hips = np.stack(trunk.hips, axis=1)
@@ -245,7 +232,12 @@ def perform(
     shares = shares_for(constants, provocations)
     plan, motion, times = _acted(source, room, person, index, n_events, rate, shares)
     gaze_plan, gaze = _look(source, index, plan, motion, times)
-    ids = _draw_ids(source, index, len(plan.items) + _OTHERS_OBJECTS)
+    # Ids of sixteen decimal digits, distinct within the recording.
+    id_rng = source.generator("object", index, "id")
+    numbers: dict[str, None] = {}
+    while len(numbers) < len(plan.items) + _OTHERS_OBJECTS:
+        numbers[str(int(id_rng.integers(10**15, 9 * 10**15)))] = None
+    ids = list(numbers)
     objects = move_objects(plan, motion.joints[:, 20:22], motion.hands, times, ids[:-_OTHERS_OBJECTS])
     recording_id = name_of_recording(preset, seed, index)
     scene = Scene(times, motion.joints, motion.eye, gaze)
@@ -259,6 +251,11 @@ def perform(
             others = (passer_by,)
             events += events_of_others(their_plan, scene, their_objects, recording_id)
             objects += their_objects
+    fixations = []
+    for look in gaze_plan.looks:
+        event_id = None if look.reach is None else f"{recording_id}/{look.reach:03d}"
+        kind = "goal" if look.is_goal else "fill"
+        fixations.append(Fixation(float(look.start), float(look.end), look.point, kind, event_id))
     return Performance(
         preset=preset,
         world=world,
@@ -279,16 +276,7 @@ def perform(
         planted=motion.planted,
         objects=(*objects, *_furniture(plan, source, room_number)),
         events=events,
-        fixations=tuple(
-            Fixation(
-                float(look.start),
-                float(look.end),
-                look.point,
-                "goal" if look.is_goal else "fill",
-                None if look.reach is None else f"{recording_id}/{look.reach:03d}",
-            )
-            for look in gaze_plan.looks
-        ),
+        fixations=tuple(fixations),
         other_people=others,
     )
 
@@ -309,17 +297,6 @@ def _look(
             break
         gaze_plan = better
     return gaze_plan, gaze
-
-
-def _draw_ids(source: Source, index: int, count: int) -> list[str]:
-    """Draw ids of sixteen decimal digits, distinct within the recording."""
-    rng = source.generator("object", index, "id")
-    numbers: list[int] = []
-    while len(numbers) < count:
-        number = int(rng.integers(10**15, 9 * 10**15))
-        if number not in numbers:
-            numbers.append(number)
-    return [str(number) for number in numbers]
 
 
 def _acted(

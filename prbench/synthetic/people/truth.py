@@ -58,18 +58,8 @@ def move_objects(
         else:
             tracks.append(_resting(item))
     return [
-        ObjectMotion(
-            object_id=object_id,
-            name=item.kind.name,
-            category=item.kind.category,
-            half_extents=item.half_extents,
-            position=position,
-            rotation=turned,
-            held_by=held_by,
-            movable=True,
-            hinged=item.hinged,
-        )
-        for item, (position, turned, held_by), object_id in zip(plan.items, tracks, object_ids, strict=True)
+        ObjectMotion(object_id, item.kind.name, item.kind.category, item.half_extents, *track, True, item.hinged)
+        for item, track, object_id in zip(plan.items, tracks, object_ids, strict=True)
     ]
 
 

@@ -12,16 +12,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.synthetic.people.kinematics import (
-    blend,
-    direction,
-    eased_trapezoid,
-    minimum_jerk,
-    smooth,
-    turn,
-    two_bone,
-    wrap,
-)
+from prbench.synthetic.people import kinematics
+from prbench.synthetic.people.kinematics import blend, direction, minimum_jerk, smooth, turn, wrap
 from prbench.synthetic.people.person import BALL_HEIGHT, Body, Habits, Person
 
 Signal = Float[np.ndarray, " n"]  # one number a time
@@ -195,7 +187,7 @@ def sample_base(start: BasePose, segments: tuple[Segment, ...], times: Signal) -
             first = int(np.searchsorted(times, segment.translation_begin))
             duration = segment.arrival - segment.translation_begin
             elapsed = (times[first:] - segment.translation_begin) / duration
-            progress = eased_trapezoid(elapsed, min(0.5 / duration, 0.45), min(0.65 / duration, 0.5))
+            progress = kinematics.eased_trapezoid(elapsed, min(0.5 / duration, 0.45), min(0.65 / duration, 0.5))
             origin = np.array([segment.start.x, segment.start.z])
             goal = np.array([segment.goal.x, segment.goal.z])
             position[first:] = origin + progress[:, None] * (goal - origin)
@@ -301,7 +293,7 @@ def place_feet(person: Person, base: BasePath, steps: Steps, times: Signal, *, s
         # The swing: along the floor, up and down.
         elapsed = times[first:last] - step.lift
         height = (0.060 + 0.025 * min(stride, 1.2)) * min(1.0, stride / 0.12 + abs(new_yaw - old_yaw) / 0.5)
-        progress = eased_trapezoid((elapsed / step.swing - 0.10) / 0.82, 0.34, 0.34)
+        progress = kinematics.eased_trapezoid((elapsed / step.swing - 0.10) / 0.82, 0.34, 0.34)
         up = minimum_jerk((elapsed + _ROLL_BEFORE_LIFT) / 0.16)
         down = minimum_jerk((elapsed / step.swing - 0.62) / 0.38)
         ball[first:last, step.foot] = old_ball + progress[:, None] * (new_ball - old_ball)
@@ -403,7 +395,7 @@ def pose_legs(body: Body, hips: Sides, pelvis_yaw: Signal, feet: Feet) -> Legs:
     reached = []
     for side in (0, 1):
         heading = 0.5 * (pelvis_yaw + feet.yaw[:, side])
-        knee, ankle = two_bone(
+        knee, ankle = kinematics.two_bone(
             hips[:, side], wanted[:, side], (body.thigh, body.shin), direction(heading, _POLE_DOWN), _LEG_LIMIT
         )
         knees.append(knee)

@@ -27,8 +27,8 @@ from prbench.readers.aria_mps.files import (
     read_wrists,
 )
 from prbench.readers.aria_mps.synthetic import sense_mps, write_mps
-from prbench.readers.files import Source, ZippedFile
-from prbench.readers.found import RecordingFiles
+from prbench.readers.files import Source
+from prbench.readers.found import InputFile, RecordingFiles
 from prbench.synthetic.people import perform
 from tests.comparing import differences
 from tests.readers.mps_files import OTHER_WORLD, WORLD, trajectory_lines, write_lines, zipped
@@ -165,10 +165,8 @@ def test_gaze_of_the_three_schemas_reads_from_archives_too(samples, tmp_path) ->
         path = samples / "mps" / name
         with zipfile.ZipFile(tmp_path / "gaze.zip", "w") as archive:
             archive.write(path, "x/gaze.csv")
-        assert (
-            list(differences(read_gaze_angles(ZippedFile(tmp_path / "gaze.zip", "x/gaze.csv")), read_gaze_angles(path)))
-            == []
-        )
+        packed = read_gaze_angles(InputFile("", tmp_path / "gaze.zip", 0, "x/gaze.csv"))
+        assert list(differences(packed, read_gaze_angles(path))) == []
 
 
 def test_wrists_of_the_sample(samples, reference_values) -> None:

@@ -80,7 +80,7 @@ SECONDS = 7.0 + np.arange(N_FRAMES) / 30
 
 def laid(motion: BvhMotion, pelvis: np.ndarray | None = None):
     track = path_of_pelvis(SECONDS - 7.0) if pelvis is None else pelvis
-    return place_skeleton(motion, SECONDS, track, name="skeleton.bvh", largest_error=0.05)
+    return place_skeleton(motion, SECONDS, track, "skeleton.bvh", 0.05)
 
 
 @pytest.mark.parametrize("unit", [1.0, 100.0, 1000.0])

@@ -208,8 +208,7 @@ def dtype(subject: MethodSubject) -> Iterator[Finding]:
     """Require floating point, and warn of half precision."""
     answers = {name: answer for name, answer in _answered(subject).items() if not subject.is_misshapen(answer)}
     yield from by_condition(subject, answers, lambda answer: not _is_floating(answer), _DTYPE, said="floating point")
-    coarse = [name.value for name, answer in answers.items() if _dtype_of(answer) == np.dtype(np.float16)]
-    if coarse:
+    if coarse := [name.value for name, answer in answers.items() if _dtype_of(answer) == np.dtype(np.float16)]:
         said = f"{', '.join(coarse)}: joints come as float16, whose steps are 1 mm at 2 m from the origin."
         yield warning(said, _COARSE)
 
