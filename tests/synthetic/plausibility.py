@@ -1,6 +1,6 @@
 """Numbers that a believable human motion keeps to, and the scores of true motion, measured on performances.
 
-Source of the limits: docs/specification/synthetic-recordings.md#plausibility.
+The limits of docs/specification/synthetic-recordings.md#plausibility.
 """
 
 from __future__ import annotations

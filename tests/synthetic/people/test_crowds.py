@@ -1,6 +1,6 @@
 """Do twenty recordings of every preset move, look and act as people do, and resemble the datasets?
 
-Limits: docs/specification/synthetic-recordings.md#plausibility, #behaviour and #statistics.
+Limits: ``plausibility`` and ``behaviour`` beside this folder; docs/specification/synthetic-recordings.md#statistics.
 """
 
 from __future__ import annotations
