@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -27,14 +28,14 @@ from tests.board.submissions import edit_json, forged, made, moved_table, submit
 from tests.fakes import fake_dataset
 from tests.shared import made_once
 
-ABOUT = {
+ABOUT: dict[str, Any] = {
     "title": "Reach | <b>",
     "url": "https://e.org",
     "contact": "me",
     "maintainers": ("A Lab",),
     "licence": 'CC "BY"',
 }
-DAY = {"date": "2026-01-02"}
+DAY: dict[str, Any] = {"date": "2026-01-02"}
 
 
 def table() -> Path:
