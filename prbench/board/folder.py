@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
-import tomli_w
 
 from prbench.board.submission import Submission
 from prbench.errors import InputFileError
@@ -37,13 +36,14 @@ class BoardDataset(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     Attributes:
         dataset: Name of the dataset.
         title: The same for readers.
-        redistribution: Whether data made from the dataset may be passed on: ``yes``, ``non-commercial`` or ``none``.
+        redistribution: Whether data made from the dataset may be passed on: ``yes``, ``non-commercial``, or ``none``,
+            for which any other word counts.
         identity: Identity digest of its table, which every submission's table has to have.
     """
 
-    dataset: _Text
-    title: _Text
-    redistribution: Literal["yes", "non-commercial", "none"]
+    dataset: str
+    title: str
+    redistribution: str
     identity: _Digest
 
 
@@ -62,20 +62,15 @@ class BoardInfo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         datasets: The datasets that it compares methods on.
     """
 
-    title: _Text
-    url: _Text
-    contact: _Text
-    maintainers: tuple[_Text, ...]
-    licence: _Text
-    benchmark: _Text
+    title: str
+    url: str
+    contact: str
+    maintainers: tuple[str, ...]
+    licence: str
+    benchmark: str
     protocol_version: int
     protocol: _Digest
     datasets: tuple[BoardDataset, ...]
-
-    @property
-    def text(self) -> str:
-        """The bytes of ``board.toml``."""
-        return tomli_w.dumps(msgspec.to_builtins(self))
 
 
 class HistoryEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -13,8 +13,10 @@ import stat
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import msgspec
+import tomli_w
 
 import prbench
 from prbench.board.folder import (
@@ -33,7 +35,7 @@ from prbench.board.verifying import Verification, verify_submission
 from prbench.engine import Engine
 from prbench.errors import PrbenchError, RunError, StorageError, UsageError
 from prbench.files.bounded import read_whole
-from prbench.files.storage import remove_folder, sole_writer, write_bytes, write_json, write_text
+from prbench.files.storage import file_digest, remove_folder, sole_writer, write_bytes, write_json, write_text
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.controls import HOLDS_RECORDINGS
 from prbench.harness.run_folder.folder import RunFolder
@@ -53,7 +55,7 @@ _FIRST_FILES = {
 _KNOWN = frozenset({INFO, HISTORY, *PAGES, *_FIRST_FILES, "LICENSE", "CITATION.cff", ".gitignore"})
 
 
-def begin_board(path: Path, data: Sequence[Path], *, benchmark: str, **about: str | tuple[str, ...]) -> BoardFolder:
+def begin_board(path: Path, data: Sequence[Path], *, benchmark: str, **about: Any) -> BoardFolder:
     """Write ``board.toml`` and the files around it; files that stand there already are left as they are.
 
     Args:
@@ -92,7 +94,7 @@ def begin_board(path: Path, data: Sequence[Path], *, benchmark: str, **about: st
                 text = text.replace(f"<<{key}>>", value)
             if not (path / name).exists():
                 write_text(path / name, text)
-        write_text(path / INFO, info.text)
+        write_text(path / INFO, tomli_w.dumps(msgspec.to_builtins(info)))
         return _with_pages(BoardFolder.open(path))
 
 
@@ -123,7 +125,9 @@ def add_submission(
         arriving = path / SUBMISSIONS / ".arriving.partial"
         try:
             submission = open_submission(file, arriving)
-            _require_new(board, HistoryEntry.adding(submission, b"", date=date, reason=reason))
+            draft = HistoryEntry.adding(submission, b"", date=date, reason=reason)
+            _require_new(board, draft)
+            BoardFolder.open(path, (draft,))  # what could not be read again is refused before it is written
             _require_fitting(board.info, submission, arriving)
             verification = verify_submission(submission, arriving, data, engine=engine)
             remove_folder(board.submission(submission.id))  # of a command that was killed
@@ -233,8 +237,9 @@ def check_board(
         lines = iter(board.history)
         if not all(entry in lines for entry in base.history):
             problems.append(f"{path / HISTORY}: expected every line of {against / HISTORY} in its order, found others.")
-        if len(board.history) > len(base.history) and board.info != base.info:
-            problems.append(f"{path / INFO}: expected the same rules where submissions come or go, found others.")
+        if len(board.history) > len(base.history) and _rules_of(board) != _rules_of(base):
+            expected = f"the same {INFO} and .github where submissions come or go"
+            problems.append(f"{path}: expected {expected}, found others. Change them in a pull request of their own.")
     elif against is not None:
         known = {}
     rescored = []
@@ -260,6 +265,12 @@ def check_board(
         believed=tuple(name for name in board.standing if name not in {*known, *rescored}),
         problems=tuple(problems),
     )
+
+
+def _rules_of(board: BoardFolder) -> tuple[BoardInfo, dict[str, str]]:
+    """Return what decides how a board is kept, and what runs in its repository."""
+    files = (path for path in (board.path / ".github").rglob("*") if path.is_file())
+    return board.info, {path.relative_to(board.path).as_posix(): file_digest(path) for path in files}
 
 
 def _require_as_stored(again: Verification, stored: Verification, path: Path) -> None:
