@@ -29,6 +29,8 @@ from prbench.cli.commands import Answer, command, progress
 @opt.choice_option("--unit", ["m", "cm"], "Unit of BVH (default m).", default="m")
 @opt.path_option("--body-model", "Your own SMPL, SMPL-H or SMPL-X (.npz), for smpl.")
 @opt.root_option("The recordings, whose streams rrd holds, too.", required=False)
+@opt.path_option("--video", "Draw gaze and goal onto this egocentric video, for mp4; needs --root, --calibration.")
+@opt.path_option("--calibration", "The video's camera: device_calibration.json, as HD-EPIC has it.")
 @opt.permission_option
 def export_motion(
     *, source: Path, data: tuple[Path, ...], root: Path | None, permission: tuple[str, ...], **given: Any

@@ -36,6 +36,8 @@ class ExportRequest(ViewRequest):
         unit: Unit of BVH, a key of :data:`prbench.viewing.exporting.bvh.UNITS`.
         body_model: The user's SMPL, SMPL-H or SMPL-X, for the format ``smpl``.
         recordings: Those that the table was built from, whose streams an ``rrd`` holds, too.
+        video: An egocentric video onto which ``mp4`` draws gaze and goal.
+        calibration: Its camera, in the layout of HD-EPIC's ``device_calibration.json``.
     """
 
     out: Path  # pyright: ignore[reportGeneralTypeIssues] # nothing stands for it, unlike in a view
@@ -44,6 +46,8 @@ class ExportRequest(ViewRequest):
     unit: str = "m"
     body_model: Path | None = None
     recordings: Path | None = None
+    video: Path | None = None
+    calibration: Path | None = None
 
 
 class ExportedMotion(msgspec.Struct, frozen=True, kw_only=True):
@@ -103,7 +107,11 @@ def export_motion(request: ExportRequest, progress: Progress = lambda *_: None) 
         StorageError: if the output cannot be written or holds something else.
     """
     form = request.form
-    for option, value, needed in (("--body-model", request.body_model, "smpl"), ("--root", request.recordings, "rrd")):
+    for option, value, needed in (
+        ("--body-model", request.body_model, "smpl"),
+        ("--root", request.recordings, "mp4" if request.video else "rrd"),
+        ("--video", request.video, "mp4"),
+    ):
         if value is not None and form != needed:
             raise UsageError(f"{option}: belongs to --format {needed}; leave it out for {form}.")
     if form == "mp4":

@@ -5,7 +5,7 @@ Still parts of a picture are drawn once, moving parts are drawn over them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,25 +49,10 @@ def film_scenes(scenes: Sequence[replay.Scene], path: Path, progress: replay.Pro
         MissingExtraError: if imageio-ffmpeg is not installed.
         StorageError: if the file cannot be written.
     """
-    try:
-        import imageio_ffmpeg
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("imageio-ffmpeg", "view", "writing MP4") from error
     plans = [shown_frames(scene) for scene in scenes]
     with sole_file(path) as temporary:
-        writer = imageio_ffmpeg.write_frames(
-            str(temporary),
-            SIZE,
-            fps=FPS,
-            quality=_QUALITY,
-            macro_block_size=2,
-            ffmpeg_log_level="error",
-            # The index in front, so that a browser can begin to play; bitexact, so that equal scenes are equal bytes.
-            output_params=["-movflags", "+faststart", "-fflags", "+bitexact", "-flags:v", "+bitexact"],
-        )
+        writer = film_writer(temporary, SIZE, FPS)
         try:
-            # Starts the generator, as imageio-ffmpeg asks for.
-            writer.send(None)
             done = 0
             for scene, plan in zip(scenes, plans, strict=True):
                 stage = FilmStage(scene)
@@ -84,6 +69,30 @@ def film_scenes(scenes: Sequence[replay.Scene], path: Path, progress: replay.Pro
             raise StorageError(f"{path}: the film could not be written ({str(error).splitlines()[0]}).") from error
         finally:
             writer.close()
+
+
+def film_writer(path: Path, size: tuple[int, int], fps: float) -> Generator[None, bytes | None, None]:
+    """Open a film (H.264) that takes pictures with ``send``, as RGB bytes, until it is closed.
+
+    Raises:
+        MissingExtraError: if imageio-ffmpeg is not installed.
+    """
+    try:
+        import imageio_ffmpeg
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("imageio-ffmpeg", "view", "writing MP4") from error
+    writer = imageio_ffmpeg.write_frames(
+        str(path),
+        size,
+        fps=fps,  # pyright: ignore[reportArgumentType] # fractions are taken, too
+        quality=_QUALITY,
+        macro_block_size=2,
+        ffmpeg_log_level="error",
+        # The index in front, so that a browser can begin to play; bitexact, so that equal scenes are equal bytes.
+        output_params=["-movflags", "+faststart", "-fflags", "+bitexact", "-flags:v", "+bitexact"],
+    )
+    writer.send(None)  # starts the generator
+    return writer
 
 
 def shown_frames(scene: replay.Scene) -> Int[np.ndarray, " pictures"]:
