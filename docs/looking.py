@@ -25,7 +25,7 @@ _BONES = np.array(BONES)
 
 def documents(page: Path) -> list[dict[str, Any]]:
     """Return the sequences of a page that `prbench view` wrote, in its order: the worst first."""
-    found = re.findall(r'id="sequence-\d+">(.*?)</script>', page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    found = re.findall(r'class="sequence">(.*?)</script>', page.read_text(encoding="utf-8"), flags=re.DOTALL)
     return list(map(json.loads, found))
 
 

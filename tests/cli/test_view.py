@@ -74,7 +74,7 @@ def test_a_page_holds_what_fits_and_says_what_is_left_out(run, data, tmp_path, c
     out = tmp_path / "page.html"
     report = reported(["view", str(run), "--data", str(data), "--out", str(out)], capsys)
     assert 0 < len(report.sequences) < len(report.sequences) + report.left_out
-    assert out.read_text(encoding="utf-8").count('type="application/json" id="sequence-') == len(report.sequences)
+    assert out.read_text(encoding="utf-8").count('type="application/json" class="sequence"') == len(report.sequences)
     assert main(["view", str(run), "--data", str(data), "--out", str(out), "--open"]) == 0
     said = capsys.readouterr().err
     assert f"no room for {report.left_out} more sequences" in said

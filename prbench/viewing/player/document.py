@@ -15,7 +15,7 @@ from prbench.metrics.ray_track import candidate_frames
 from prbench.viewing.replay import scene as replay
 
 Points = Float[np.ndarray, "*n 3"]
-_MILLIMETRES = 1000
+MILLIMETRES = 1000
 _UNIT = 10_000  # that a direction of length one is written as
 _LARGEST = 32_767  # of int16: 32 m; what is farther away is drawn there
 # Verdicts that no picture of the study shows beside its own scores.
@@ -194,13 +194,13 @@ def _motion(scene: replay.Scene, motion: replay.ShownMotion) -> PlayerMotion:
     told = {}
     if motion.gaze is not None:
         # Where the gaze is not valid its numbers mean nothing and may be NaN.
-        rays = [millimetres(np.nan_to_num(motion.gaze.origin)), _directions(np.nan_to_num(motion.gaze.direction))]
-        told["gaze"] = np.concatenate(rays, axis=1).tobytes()
+        rays = np.concatenate([MILLIMETRES * motion.gaze.origin, _UNIT * motion.gaze.direction], axis=1)
+        told["gaze"] = packed(np.nan_to_num(rays), 1)
         told["gaze_valid"] = motion.gaze.valid.astype(np.uint8).tobytes()
     if scene.goal is not None:
         measured = replay.measure(motion, scene.goal, scene.head_tilt_deg)
-        told["wrist"] = millimetres(measured.wrist_distance).tobytes()
-        told["head"] = millimetres(measured.head_distance).tobytes()
+        told["wrist"] = packed(measured.wrist_distance)
+        told["head"] = packed(measured.head_distance)
         told["on_target"] = spans(measured.head_distance <= limits.prime_distance + limits.threshold_tolerance)
         told["within_reach"] = spans(measured.wrist_distance <= limits.reach_distance + limits.threshold_tolerance)
     sliding = []
@@ -211,8 +211,8 @@ def _motion(scene: replay.Scene, motion: replay.ShownMotion) -> PlayerMotion:
         label=motion.label,
         kind=motion.kind,
         colour=motion.colour,
-        joints=millimetres(motion.joints).tobytes(),
-        head_ray=_directions(forward).tobytes(),
+        joints=packed(motion.joints),
+        head_ray=packed(forward, _UNIT),
         scores=scores_of(scene, motion),
         sliding=sliding,
         **told,
@@ -249,29 +249,14 @@ def metres(points: Points) -> list:
     return np.round(points.astype(np.float64), 4).tolist()
 
 
-def millimetres(lengths: Float[np.ndarray, "*n"]) -> np.ndarray:
-    """Return lengths in metres as int16 millimetres; those beyond 32 m end there."""
-    return np.clip(np.rint(lengths * _MILLIMETRES), -_LARGEST, _LARGEST).astype("<i2")
-
-
-def _directions(vectors: Points) -> np.ndarray:
-    return np.rint(np.clip(vectors, -1.0, 1.0) * _UNIT).astype("<i2")
+def packed(values: Float[np.ndarray, "*n"], scale: int = MILLIMETRES) -> bytes:
+    """Return little-endian int16 of lengths in metres, or of other values times a scale; what is too large is cut."""
+    return np.clip(np.rint(values * scale), -_LARGEST, _LARGEST).astype("<i2").tobytes()
 
 
 def encoded(sequence: PlayerSequence) -> bytes:
     """Return the JSON of a sequence; nothing in a name can end the script element that holds it."""
     return msgspec.json.encode(sequence).replace(b"<", b"\\u003c")
-
-
-def entry_of(sequence: PlayerSequence) -> dict:
-    """Return what the player's menu shows of a sequence whose motions are read when it is chosen."""
-    motions = [{"label": motion.label, "scores": motion.scores} for motion in sequence.motions]
-    return {
-        "sequence_id": sequence.sequence_id,
-        "dataset": sequence.dataset,
-        "title": sequence.title,
-        "motions": motions,
-    }
 
 
 def within(sequences: Iterable[PlayerSequence], largest: int) -> Sequence[PlayerSequence]:

@@ -6,11 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
-
 from prbench.files.storage import sole_writer, write_text
 from prbench.shown import html
-from prbench.viewing.player.document import PlayerSequence, encoded, entry_of
+from prbench.viewing.player.document import PlayerSequence, encoded
 
 _HERE = Path(__file__).parent
 _THREE = _HERE / "vendor" / "three" / "three.js"
@@ -45,24 +43,11 @@ def page_text(sequences: Iterable[PlayerSequence], title: str = "prbench view") 
         sequences: What the menu offers, in its order.
         title: Title of the page.
     """
-    documents = []
-    entries = []
-    for number, sequence in enumerate(sequences):
-        documents.append(
-            f'<script type="application/json" id="sequence-{number}">{encoded(sequence).decode()}</script>'
-        )
-        entries.append(entry_of(sequence))
+    contents = [encoded(sequence).decode() for sequence in sequences]
+    documents = "\n".join(f'<script type="application/json" class="sequence">{each}</script>' for each in contents)
     assets = player_assets()
-    return filled(
-        _HERE / "page.html",
-        {
-            "TITLE": html(title),
-            "STYLE": assets.style,
-            "ENTRIES": msgspec.json.encode(entries).decode().replace("<", "\\u003c"),
-            "DOCUMENTS": "\n".join(documents),
-            "PLAYER": assets.scripts,
-        },
-    )
+    parts = {"TITLE": html(title), "STYLE": assets.style, "DOCUMENTS": documents, "PLAYER": assets.scripts}
+    return filled(_HERE / "page.html", parts)
 
 
 def filled(template: Path, parts: Mapping[str, str]) -> str:

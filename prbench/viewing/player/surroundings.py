@@ -19,7 +19,7 @@ from prbench.geometry.timelines import covered
 from prbench.readers.files import Triangles, read_triangles
 from prbench.recording import ObjectTrack, Recording
 from prbench.sequences import SequenceChunk, SequenceTable
-from prbench.viewing.player.document import PlayerMesh, PlayerObject, PlayerSequence, metres, millimetres
+from prbench.viewing.player.document import PlayerMesh, PlayerObject, PlayerSequence, metres, packed
 from prbench.viewing.replay.scene import Progress
 from prbench.viewing.review import native_recordings
 
@@ -57,7 +57,8 @@ def surrounded(
     Raises:
         InputFileError: if a recording is not below ``root``, or a mesh cannot be read.
     """
-    chunks = {chunk.sequence_ids[0]: chunk for chunk in _rows(table, sequences)}
+    ids = frozenset(each.sequence_id for each in sequences)
+    chunks = {chunk.sequence_ids[0]: chunk for chunk in table.chunks(ids=ids, columns=_NEEDED, rows=1)}
     recording_of = {name: chunk.strings("recording_id")[0] for name, chunk in chunks.items()}
     sources, mends = native_recordings(table.info, root, option)
     found: dict[str, PlayerSequence] = {}
@@ -75,30 +76,26 @@ def surrounded(
     return [found[sequence.sequence_id] for sequence in sequences]
 
 
-def _rows(table: SequenceTable, sequences: Sequence[PlayerSequence]) -> list[SequenceChunk]:
-    return list(table.chunks(ids=frozenset(each.sequence_id for each in sequences), columns=_NEEDED, rows=1))
-
-
 def _with(sequence: PlayerSequence, chunk: SequenceChunk, recording: Recording, scan: Path | None) -> PlayerSequence:
     times = chunk.numbers("start_time")[0] + np.arange(sequence.n_frames) / sequence.fps
     canonical_from_world = invert_rigid(chunk.vectors("world_from_canonical").reshape(4, 4).astype(np.float64))
     seen = np.concatenate([chunk.joints.reshape(-1, 3), chunk.vectors("goal_location")])
-    low = seen.min(axis=0) - _AROUND
-    high = seen.max(axis=0) + _AROUND
     near = []
     for track in recording.objects:
         shown = _object(track, times, canonical_from_world)
         if shown is not None:
-            centre = np.mean(shown.box, axis=0)
-            beyond = float(np.linalg.norm(np.maximum(np.maximum(low - centre, centre - high), 0.0)))
-            near.append((beyond, track.object_id, shown))
-    objects = [shown for beyond, _, shown in sorted(near, key=lambda each: each[:2])[:MOST_OBJECTS] if beyond == 0.0]
+            distance = float(np.linalg.norm(seen - np.mean(shown.box, axis=0), axis=1).min())
+            near.append((distance, track.object_id, shown))
+    nearest = sorted(near, key=lambda each: each[:2])[:MOST_OBJECTS]
     mesh = None
     if scan is not None:
         vertices, triangles = _read_once(scan)
         placed = transform_points(canonical_from_world, transform_points(recording.world_from_source, vertices))
         centres = placed[triangles].mean(axis=1)
-        mesh = _told(decimated(placed, triangles[((centres >= low) & (centres <= high)).all(axis=1)], MOST_TRIANGLES))
+        around = (centres >= seen.min(axis=0) - _AROUND) & (centres <= seen.max(axis=0) + _AROUND)
+        vertices, triangles = decimated(placed, triangles[around.all(axis=1)], MOST_TRIANGLES)
+        mesh = PlayerMesh(vertices=packed(vertices), triangles=triangles.astype("<u4").tobytes())
+    objects = [shown for distance, _, shown in nearest if distance <= _AROUND]
     return msgspec.structs.replace(sequence, objects=objects, mesh=mesh)
 
 
@@ -115,7 +112,7 @@ def _object(
     corners = np.array(list(itertools.product(*zip(track.box_min, track.box_max, strict=True))))
     box = transform_points(canonical_from_world, turned[0].apply(corners) + position[0])
     moves = np.linalg.norm(path - path[0], axis=1).max() > _MOVES
-    return PlayerObject(name=track.name, box=metres(box), path=millimetres(path).tobytes() if moves else None)
+    return PlayerObject(name=track.name, box=metres(box), path=packed(path) if moves else None)
 
 
 def decimated(vertices: Float[np.ndarray, "_ 3"], triangles: Int[np.ndarray, "_ 3"], most: int) -> Triangles:
@@ -138,8 +135,3 @@ def decimated(vertices: Float[np.ndarray, "_ 3"], triangles: Int[np.ndarray, "_ 
             sums = [np.bincount(place.reshape(-1), column, len(cells)) for column in vertices[used].T]
             return np.stack(sums, axis=1) / counts[:, None], merged[np.sort(first)]
         cell *= 1.5
-
-
-def _told(mesh: Triangles) -> PlayerMesh:
-    vertices, triangles = mesh
-    return PlayerMesh(vertices=millimetres(vertices).tobytes(), triangles=triangles.astype("<u4").tobytes())

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from prbench.metrics import GazeRays
-from prbench.viewing.player.document import encoded, entry_of, player_sequence, spans, within
+from prbench.viewing.player.document import encoded, player_sequence, spans, within
 from prbench.viewing.replay.scene import RECORDED, ShownMotion
 from tests.viewing.replay.scenes import a_scene, walking
 
@@ -110,4 +110,3 @@ def test_a_page_holds_the_first_sequences_that_fit():
     size = len(encoded(sequence))
     assert len(within([sequence] * 5, 3 * size)) == 3
     assert len(within([sequence] * 5, 10)) == 1  # never none
-    assert entry_of(sequence)["motions"][1]["label"] == "one"

@@ -32,7 +32,7 @@ def made(dataset: str) -> Path:
 
 
 def documents(out: Path) -> list[dict]:
-    found = re.findall(r'id="sequence-\d+">(.*?)</script>', out.read_text(encoding="utf-8"), flags=re.DOTALL)
+    found = re.findall(r'class="sequence">(.*?)</script>', out.read_text(encoding="utf-8"), flags=re.DOTALL)
     return list(map(json.loads, found))
 
 
@@ -112,6 +112,7 @@ def test_a_large_mesh_keeps_its_shape_with_few_triangles():
     few = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([[0, 1, 2]])
     kept, one = decimated(*few, 2_000)
     assert kept[one[0]].tolist() == few[0].tolist()
+    assert len(decimated(few[0], few[1][:0], 2_000)[1]) == 0  # where nothing of a scene is near
 
 
 @pytest.mark.parametrize(
