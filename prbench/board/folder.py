@@ -72,6 +72,11 @@ class BoardInfo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     protocol: _Digest
     datasets: tuple[BoardDataset, ...]
 
+    @property
+    def rules(self) -> str:
+        """Benchmark and protocol in words."""
+        return f"{self.benchmark}, protocol version {self.protocol_version} ({self.protocol[:12]})"
+
 
 class HistoryEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """A line of ``history.jsonl``.

@@ -139,8 +139,8 @@ def pages_of(board: BoardFolder) -> dict[str, bytes]:
     leaderboard = make_leaderboard(collect_board(board))
     info = board.info
     notes = [
-        f"{len(board.standing)} submissions, {len(board.withdrawn)} withdrawn",
-        f"benchmark {info.benchmark}, protocol version {info.protocol_version} ({info.protocol[:12]})",
+        f"submissions: {len(board.standing)}, withdrawn: {len(board.withdrawn)}",
+        f"benchmark {info.rules}",
         info.url,
         info.contact and f"contact: {info.contact}",
         *_data_lines(board),
@@ -226,16 +226,13 @@ def cite_board(board: BoardFolder) -> BoardCitation:
     info = board.info
     year = board.history[-1].date[:4] if board.history else "n.d."
     state = text_digest(board.text)[:10]
-    note = (
-        f"{info.benchmark}, protocol version {info.protocol_version}, {len(board.standing)} submissions, state {state}"
-    )
+    note = f"{info.rules}, submissions: {len(board.standing)}, state {state}"
     names = info.maintainers or (info.title,)
     authors = " and ".join(f"{{{latex(name)}}}" for name in names)
-    entries = [
-        f"@misc{{board-{state},\n  title  = {{{{{latex(info.title)}}}}},\n  author = {{{authors}}},\n"
-        f"  year   = {{{year}}},\n  note   = {{{latex(note)}}},\n  url    = {{{clean(info.url)}}}\n}}"
-    ]
-    entries += cited_with(each.dataset for each in info.datasets)
+    about = {"title": f"{{{latex(info.title)}}}", "author": authors, "year": year, "note": latex(note)}
+    about |= {"url": clean(info.url)} if info.url else {}
+    body = "".join(f"  {key:<6} = {{{value}}},\n" for key, value in about.items())
+    entries = [f"@misc{{board-{state},\n{body}}}", *cited_with(each.dataset for each in info.datasets)]
     for name in board.standing:
         found = Standing.read(board, name)
         by = clean(", ".join(found.stated.authors)) or "no authors named"

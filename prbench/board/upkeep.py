@@ -66,6 +66,7 @@ def begin_board(path: Path, data: Sequence[Path], *, benchmark: str, **about: An
 
     Raises:
         TableError: if a table cannot be opened.
+        UsageError: if two are of one dataset.
         StorageError: if another board stands there, or the folder cannot be written.
     """
     made = load_benchmark(benchmark)
@@ -73,6 +74,8 @@ def begin_board(path: Path, data: Sequence[Path], *, benchmark: str, **about: An
     for table in map(made.open_table, data):
         terms = {name: getattr(table.info, name) for name in ("dataset", "title", "redistribution")}
         datasets.append(BoardDataset(**terms, identity=table.identity))
+    if len({each.dataset for each in datasets}) < len(datasets):
+        raise UsageError(f"--data: expected each dataset once, found {', '.join(each.dataset for each in datasets)}.")
     info = BoardInfo(
         **about,
         benchmark=benchmark,

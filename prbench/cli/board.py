@@ -218,7 +218,7 @@ def build(board: Path) -> Answer:
 
     made = build_board(board)
     say_what_licences_keep(made.info.datasets)
-    return Answer(made.info, lambda: print(f"pages of {len(made.standing)} submissions: {board}"))
+    return Answer(made.info, lambda: print(f"board: {board}, submissions: {len(made.standing)}"))
 
 
 @command("check", example="prbench leaderboard check board --against base", report="prbench.board.upkeep:BoardCheck")
@@ -237,7 +237,7 @@ def check(board: Path, against: Path | None, data: tuple[Path, ...], workers: in
     found = check_board(board, against=against, data=data, engine=engine_for(workers))
     lines = [f"! {problem}" for problem in found.problems]
     lines += [f"? {name}: new, and not scored again here: name its tables with --data" for name in found.believed]
-    lines += [f"{found.submissions} submissions, {found.withdrawn} withdrawn, {len(found.rescored)} scored again"]
+    lines += [f"submissions: {found.submissions}, withdrawn: {found.withdrawn}, scored again: {len(found.rescored)}"]
     lines += [f"{board}: {len(found.problems)} problems" if found.problems else f"{board}: sound"]
     return Answer(found, lambda: print("\n".join(lines)), 1 if found.problems else 0)
 

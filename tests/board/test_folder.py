@@ -321,7 +321,7 @@ def test_what_is_cited_is_told_by_the_state_of_the_board(tmp_path, capsys):
         said.append(capsys.readouterr().out)
     for cited in ("@misc{board-", "pan2023aria", "hatano_prime", "@software{prbench", f"% {only(path)}: First"):
         assert cited in said[0]
-    assert said[1].startswith("A Lab (2026). Reach | <b> [prime-and-reach, protocol version 4, 1 submissions, state ")
+    assert said[1].startswith("A Lab (2026). Reach | <b> [prime-and-reach, protocol version 4 (")
     withdraw_submission(path, "First", reason="x", **DAY)
     assert main(["leaderboard", "cite", str(path)]) == 0
     assert capsys.readouterr().out != said[0]
