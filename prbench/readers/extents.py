@@ -125,14 +125,9 @@ def csv_extent(stream: str, file: InputFile, column: str, seconds: float) -> Ext
 
 def _extent(stream: str, file: InputFile, head: Iterable[float], tail: Iterable[float], seconds: float) -> Extent:
     """Return the extent from the earliest time near the beginning of a file to the latest near its end."""
-    first = min(head, default=None)
-    last = max(tail, default=None)
-    return Extent(
-        stream,
-        file.member.rpartition("/")[2] or file.path.name,
-        None if first is None else first * seconds,
-        None if last is None else last * seconds,
-    )
+    ends = (min(head, default=None), max(tail, default=None))
+    first, last = (None if time is None else time * seconds for time in ends)
+    return Extent(stream, file.member.rpartition("/")[2] or file.path.name, first, last)
 
 
 def _both_ends(file: InputFile) -> tuple[bytes, bytes]:

@@ -220,11 +220,9 @@ def examine_body(motion_set: MotionSet) -> Finding | None:
         f"mean places of the joints lie {shape:.1f} standard deviations apart (those of bodies more than"
         f" {_SHAPELESS:g}); the steadiest distances between joints vary by {soft:.0%}"
     )
-    found = not_positions(motion_set, evidence)
-    if found is None:
-        remedy = "Undo the scaling of the training before the motions are handed over."
-        cause = "scaled features, offsets or noise instead of positions"
-        found = Diagnosis("standardised", True, evidence, cause, remedy)
+    remedy = "Undo the scaling of the training before the motions are handed over."
+    cause = "scaled features, offsets or noise instead of positions"
+    found = not_positions(motion_set, evidence) or Diagnosis("standardised", True, evidence, cause, remedy)
     return Finding((found,), motion_set, unreadable=True)
 
 

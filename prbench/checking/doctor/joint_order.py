@@ -38,11 +38,9 @@ def examine_joint_order(motion_set: MotionSet) -> Finding | None:
     evidence = f"as HumanML3D's order, bones miss people's lengths by {own:.0%}"
     if fits[best][0] >= _FITS:
         evidence += f", in every known order by more than {_FITS:.0%}"
-        found = not_positions(motion_set, evidence)
-        if found is None:
-            cause = "an order or a skeleton that is not known, or no positions"
-            remedy = "Check that joints are positions in space, in the order of prbench.geometry.skeleton.Joint."
-            found = Diagnosis("joint-order", True, evidence, cause, remedy)
+        cause = "an order or a skeleton that is not known, or no positions"
+        remedy = "Check that joints are positions in space, in the order of prbench.geometry.skeleton.Joint."
+        found = not_positions(motion_set, evidence) or Diagnosis("joint-order", True, evidence, cause, remedy)
         return Finding((found,), motion_set, unreadable=True)
     # Orders that only exchange left and right have bones alike; the front tells which of them is right.
     alike = [name for name in fits if sum(fits[name]) < sum(fits[best]) + _ALIKE]

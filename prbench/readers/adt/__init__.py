@@ -58,12 +58,9 @@ class AdtReader:
         # The semi-dense point cloud of the Machine Perception Services.
         folder = found.folder / adt.MPS_FOLDER
         clouds = (folder / place / name for place in ("slam", "trajectory") for name in POINT_FILES)
-        return replace(
-            aria_inputs(root, found, adt.TRAJECTORY_FILE),
-            points=next((path for path in clouds if path.is_file()), None),
-            glasses_size=ASSUMED_SIZE,
-            turned=prepared_trajectory,
-        )
+        inputs = aria_inputs(root, found, adt.TRAJECTORY_FILE)
+        points = next((path for path in clouds if path.is_file()), None)
+        return replace(inputs, points=points, glasses_size=ASSUMED_SIZE, turned=prepared_trajectory)
 
 
 READER = AdtReader()

@@ -26,14 +26,7 @@ from prbench.readers import files as native
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.to_recording import ASSUMED_SIZE, turned_to_z_up
 from prbench.readers.aria_mps import files as aria
-from prbench.readers.aria_mps.format import (
-    CALIBRATION_FILE,
-    OBJECT_ID,
-    OBJECT_TIME,
-    TIME_COLUMN,
-    GazeAngles,
-    device_from_cpf,
-)
+from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.files import body_extent, find_outputs
@@ -115,7 +108,7 @@ def find_recordings(root: Path | str, options: AdtOptions = _DEFAULTS) -> tuple[
         places = {role: folder / name for role, name in _FILES.items()}
         if not is_present(places[GAZE]):
             places[GAZE] = aria.find_gaze_file(folder / adt.MPS_FOLDER / "eye_gaze") or places[GAZE]
-        places[CALIBRATION] = folder / adt.MPS_FOLDER / "slam" / CALIBRATION_FILE
+        places[CALIBRATION] = folder / adt.MPS_FOLDER / "slam" / mps.CALIBRATION_FILE
         places |= {f"{SKELETON_PREFIX}{path.stem}": path for path in sorted(folder.glob("Skeleton_*.json"))}
         files = [input_file(role, path) for role, path in places.items() if is_present(path)]
         if options.poses == "egoallo":
@@ -148,11 +141,11 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
     streams = []
     for file in found.files:
         if file.role == TRAJECTORY:
-            streams.append(csv_extent("glasses", file, TIME_COLUMN, 1e-6))
+            streams.append(csv_extent("glasses", file, mps.TIME_COLUMN, 1e-6))
         elif file.role == OBJECTS:
-            streams.append(csv_extent("objects", file, OBJECT_TIME, 1e-9))
+            streams.append(csv_extent("objects", file, mps.OBJECT_TIME, 1e-9))
         elif file.role == GAZE:
-            streams.append(replace(csv_extent("gaze", file, TIME_COLUMN, 1e-6), tells_span=False))
+            streams.append(replace(csv_extent("gaze", file, mps.TIME_COLUMN, 1e-6), tells_span=False))
         elif file.role.startswith(SKELETON_PREFIX):
             streams.append(replace(json_extent("body", file), tells_span=False, may_start_late=True))
     return (*streams, *body_extent(found))
@@ -217,7 +210,7 @@ def read_objects(
         if instances.setdefault(instance.instance_id, instance) is not instance:
             found = f"{instance.instance_id} again"
             unreadable.append(UnreadableEntry(instances_path.name, key, "an instance_id of its own", found))
-    columns = (OBJECT_ID, *adt.BOX_MIN, *adt.BOX_MAX)
+    columns = (mps.OBJECT_ID, *adt.BOX_MIN, *adt.BOX_MAX)
     table = native.read_columns(boxes_path, dict.fromkeys(columns, str))
     rows = zip(*(table[name].to_pylist() for name in columns), strict=True)
     lines = {f"line {number}": row for number, row in enumerate(rows, start=2)}
@@ -347,7 +340,7 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
     body = None
     if options.poses == "egoallo":
         # The glasses' central pupil frame, which EgoAllo's outputs refer to.
-        body = read_bodies(found, cpf=part_poses(turned_to_z_up(trajectory), device_from_cpf(size or ASSUMED_SIZE)))
+        body = read_bodies(found, cpf=part_poses(turned_to_z_up(trajectory), mps.device_from_cpf(size or ASSUMED_SIZE)))
     return adt.AdtReadings(
         recording_id=found.recording_id,
         serial=metadata.serial or "",
@@ -364,7 +357,7 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
     )
 
 
-def read_gaze(path: Path) -> GazeAngles:
+def read_gaze(path: Path) -> mps.GazeAngles:
     """Read a gaze file and refuse angles that are no radians.
 
     Raises:

@@ -199,14 +199,8 @@ def gaze_rows(
     shift = sensing.generator("gaze-clock").uniform(-_GAZE_CLOCK_US, _GAZE_CLOCK_US, len(times))
     stamps = time_us + np.rint(shift * sensing.strength("gaze_clock")).astype(np.int64)
     yaw, pitch = np.round(angles[kept], _RADIANS).T
-    return mps.GazeAngles(
-        stamps[kept],
-        yaw,
-        pitch,
-        np.round(depth, _METRES)[kept],
-        np.round(yaw[:, None] + _GAZE_MARGIN, _RADIANS),
-        np.round(pitch[:, None] + _GAZE_MARGIN, _RADIANS),
-    )
+    ranges = (np.round(angle[:, None] + _GAZE_MARGIN, _RADIANS) for angle in (yaw, pitch))
+    return mps.GazeAngles(stamps[kept], yaw, pitch, np.round(depth, _METRES)[kept], *ranges)
 
 
 def _sense_hands(sensing: Sensing, start_us: int) -> mps.WristPositions:
@@ -226,12 +220,8 @@ def _sense_hands(sensing: Sensing, start_us: int) -> mps.WristPositions:
     confidence = np.round(np.clip(1.0 - scale * (0.5 * angle**4 + doubt), 0.01, 1.0), _METRES)
     confidence = np.where((angle > 1.0) & (scale > 0), -1.0, confidence)
     seen = (confidence > 0)[..., None]
-    return mps.WristPositions(
-        start_us + since_start,
-        confidence,
-        np.where(seen, np.round(_in_device(sensing, times, wrist + error), _METRES), np.nan),
-        np.where(seen, np.round(_in_device(sensing, times, palm + error), _METRES), np.nan),
-    )
+    sensed = (np.round(_in_device(sensing, times, part + error), _METRES) for part in (wrist, palm))
+    return mps.WristPositions(start_us + since_start, confidence, *(np.where(seen, part, np.nan) for part in sensed))
 
 
 def _in_device(sensing: Sensing, times: Numbers, points: EyePoints) -> EyePoints:

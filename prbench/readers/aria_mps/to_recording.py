@@ -42,10 +42,7 @@ class MpsStreams:
 
 
 def mps_streams(
-    readings: mps.MpsReadings,
-    *,
-    world_from_source: Float[np.ndarray, "4 4"],
-    least_confidence: float = 0.0,
+    readings: mps.MpsReadings, *, world_from_source: Float[np.ndarray, "4 4"], least_confidence: float = 0.0
 ) -> MpsStreams:
     """Return the poses of glasses, eyes and camera, gaze rays and wrists.
 

@@ -31,12 +31,7 @@ def poses_folder(root: Path, recording_id: str, poses_root: Path | None = None) 
 
 
 def find_outputs(
-    root: Path,
-    folder: Path | None,
-    recording_id: str,
-    poses_root: Path | None = None,
-    *,
-    smplh_model: Path | None = None,
+    root: Path, folder: Path | None, name: str, poses_root: Path | None = None, *, smplh_model: Path | None = None
 ) -> tuple[InputFile, ...]:
     """Find the output files of one recording, and the body model; nothing where there are no outputs.
 
@@ -46,16 +41,16 @@ def find_outputs(
     Args:
         root: The dataset's folder.
         folder: The recording's own folder; None where it has none (archives).
-        recording_id: Name of the recording.
+        name: Name of the recording.
         poses_root: Folder in which the user keeps poses.
         smplh_model: The body model; the environment's or the one below ``root`` by default.
 
     Returns:
         Files with the roles ``egoallo/<file name>`` and ``smplh_model``.
     """
-    places = [] if poses_root is None else [poses_folder(root, recording_id, poses_root)]
+    places = [] if poses_root is None else [poses_folder(root, name, poses_root)]
     places += [] if folder is None else [folder / ego.OUTPUT_FOLDER]
-    for place in (*places, poses_folder(root, recording_id)):
+    for place in (*places, poses_folder(root, name)):
         if outputs := sorted(path for path in place.glob("*.npz") if not path.name.startswith(".")):
             files = [input_file(f"{OUTPUT_ROLE}{path.name}", path) for path in outputs]
             model = find_model(root, smplh_model)
