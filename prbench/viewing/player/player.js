@@ -73,6 +73,7 @@
   }
   for (const name of [
     "show",
+    "clear",
     "choose",
     "setLayout",
     "setLayers",
@@ -143,8 +144,9 @@
       const { root, entries, options } = this;
       root.classList.add("prp");
       root.classList.toggle("prp-compact", Boolean(options.compact));
-      root.setAttribute("role", "group");
-      root.setAttribute("aria-label", "Motion player");
+      // A landmark, such as main, keeps its role.
+      if (root.tagName === "DIV") root.setAttribute("role", "group");
+      if (root.tagName === "DIV") root.setAttribute("aria-label", "Motion player");
       // A page without a title of its own gets one.
       this.heading = make(document.querySelector("h1") ? "h2" : "h1", { class: "prp-title" });
       this.subtitle = make("p", { class: "prp-subtitle" });
@@ -473,7 +475,12 @@
 
     _fail(entry, error) {
       this.sequence = null;
-      this.stage.show && this.stage.clear && this.stage.clear();
+      this.stage.clear();
+      this.stage.invalidate();
+      this.timeline.clear();
+      this.scores.replaceChildren();
+      this.clock.textContent = "";
+      this.notice.textContent = "";
       this.heading.textContent = entry.title || entry.sequence_id;
       this.subtitle.textContent = `${entry.dataset} · ${entry.sequence_id}`;
       this._say(`The sequence cannot be shown. ${error && error.message ? error.message : error}`);

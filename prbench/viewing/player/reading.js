@@ -31,7 +31,12 @@
 
   /** Return int16 numbers times `scale`; `expected` may be null where any count is right. */
   function scaled(text, scale, expected, where) {
-    const bytes = bytesOf(text);
+    let bytes;
+    try {
+      bytes = bytesOf(text);
+    } catch {
+      throw new Error(`${where}: expected base64, found other text. Write the page again; its data are damaged.`);
+    }
     const count = Math.floor(bytes.length / 2);
     if (expected !== null) requireCount(count, expected, where);
     const view = new DataView(bytes.buffer);

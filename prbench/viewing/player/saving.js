@@ -7,7 +7,8 @@
   const { make } = parts.elements;
 
   const FORMATS = ["video/webm;codecs=vp9", "video/webm;codecs=vp8", "video/webm", "video/mp4"];
-  const FILM_RATE = 30; // frames per second of a film
+
+  const CAPTION = 48; // pixels that the caption takes at the top: names stay below it
 
   /** Hand a file to the user. */
   function download(blob, name) {
@@ -24,7 +25,7 @@
     const id = sequence.id
       .replace(/[^A-Za-z0-9]+/g, "-")
       .replace(/^-|-$/g, "")
-      .slice(0, 100);
+      .slice(-100);
     return `${id}${time === null ? "" : `-${time.toFixed(2)}s`}.${suffix}`;
   }
 
@@ -54,7 +55,7 @@
       background,
       paint: (context, width, height) =>
         annotate(context, width, height, {
-          labels: labels ? stage.labels(width, height) : [],
+          labels: labels ? stage.labels(width, height, caption ? CAPTION : 24) : [],
           caption,
           notice,
           ink: dark ? "#ffffff" : "#14181d",
@@ -73,6 +74,38 @@
   function filmFormat() {
     if (typeof MediaRecorder === "undefined" || !HTMLCanvasElement.prototype.captureStream) return null;
     return FORMATS.find((format) => MediaRecorder.isTypeSupported(format)) || null;
+  }
+
+  /**
+   * Return a recorded WebM with its duration written into it, so that players can jump in it.
+   *
+   * Recorders leave the duration out, because they write the head before they know it. What has one already, or is laid
+   * out otherwise than recorders do, comes back as it is.
+   */
+  function withDuration(bytes, milliseconds) {
+    const INFO = [0x15, 0x49, 0xa9, 0x66];
+    const start = bytes.subarray(0, 400).findIndex((_, i) => INFO.every((byte, k) => bytes[i + k] === byte));
+    if (start < 0) return bytes;
+    // The size follows the id: bytes whose count is told by the leading zeros of the first.
+    const count = Math.clz32(bytes[start + 4]) - 23;
+    let size = bytes[start + 4] & (0xff >> count);
+    for (let i = 1; i < count; i += 1) size = size * 256 + bytes[start + 4 + i];
+    const begin = start + 4 + count;
+    const content = bytes.subarray(begin, begin + size);
+    if (content.some((byte, i) => byte === 0x44 && content[i + 1] === 0x89 && content[i + 2] === 0x88)) return bytes;
+    const duration = new DataView(new ArrayBuffer(11));
+    duration.setUint32(0, 0x44898800);
+    duration.setFloat64(3, milliseconds);
+    const newSize = new DataView(new ArrayBuffer(8));
+    newSize.setUint32(0, 0x01000000);
+    newSize.setUint32(4, size + 11);
+    const pieces = [
+      bytes.subarray(0, start + 4),
+      new Uint8Array(newSize.buffer),
+      content,
+      new Uint8Array(duration.buffer),
+    ];
+    return new Blob([...pieces, bytes.subarray(begin + size)]);
   }
 
   /**
@@ -96,9 +129,12 @@
     canvas.width = 2 * Math.round((width * scale) / 2);
     canvas.height = 2 * Math.round((height * scale) / 2);
     const context = canvas.getContext("2d", { alpha: false });
-    const recorder = new MediaRecorder(canvas.captureStream(FILM_RATE), { mimeType: format, videoBitsPerSecond: 8e6 });
+    const stream = canvas.captureStream(0); // a frame is taken when it is asked for, so none is lost or taken twice
+    const camera = stream.requestFrame ? stream : stream.getVideoTracks()[0];
+    const recorder = new MediaRecorder(stream, { mimeType: format, videoBitsPerSecond: 8e6 });
     const pieces = [];
     let cancelled = false;
+    let began = 0;
     recorder.addEventListener("dataavailable", (event) => {
       if (event.data.size) pieces.push(event.data);
     });
@@ -110,23 +146,34 @@
       context.drawImage(stage.canvas, 0, 0, canvas.width, canvas.height);
       context.setTransform(canvas.width / width, 0, 0, canvas.height / height, 0, 0);
       annotate(context, width, height, {
-        labels: stage.labels(width, height),
+        labels: stage.labels(width, height, CAPTION),
         caption: caption(time),
         notice,
         ink: stage.theme.ink,
         back: stage.theme.back,
       });
+      camera.requestFrame();
     };
 
     const done = new Promise((resolve, reject) => {
       recorder.addEventListener("error", (event) =>
         reject(event.error || new Error("The film could not be recorded.")),
       );
-      recorder.addEventListener("stop", () =>
-        resolve(cancelled ? null : new Blob(pieces, { type: format.split(";")[0] })),
-      );
-      drawAt(0);
+      recorder.addEventListener("stop", () => {
+        stage.sharpen(null);
+        if (cancelled) return resolve(null);
+        const whole = new Blob(pieces, { type: format.split(";")[0] });
+        if (!format.includes("webm")) return resolve(whole);
+        const lasted = performance.now() - began;
+        return whole
+          .arrayBuffer()
+          .then((buffer) => resolve(new Blob([withDuration(new Uint8Array(buffer), lasted)], { type: whole.type })))
+          .catch(reject);
+      });
+      stage.sharpen(canvas.width / width);
       recorder.start(250);
+      began = performance.now();
+      drawAt(0);
       let begin = null;
       const step = (now) => {
         if (begin === null) begin = now;

@@ -409,12 +409,12 @@
   }
 
   /** Return labels that stay in the picture and do not cover one another: a later one moves up, or down at the top. */
-  function apart(labels, width) {
+  function apart(labels, width, top) {
     const placed = [];
     for (const label of labels) {
       const half = 4.2 * label.label.length + 10;
       label.x = Math.min(Math.max(label.x, half), Math.max(width - half, half));
-      label.y = Math.max(label.y, 24);
+      label.y = Math.max(label.y, top);
       const covered = () =>
         placed.find(
           (other) =>
@@ -422,7 +422,7 @@
         );
       let step = -21;
       for (let tries = 0; tries < 8 && covered(); tries += 1) {
-        if (label.y + step < 24) step = 21;
+        if (label.y + step < top) step = 21;
         label.y += step;
       }
       placed.push(label);
@@ -490,12 +490,18 @@
     _resize() {
       const { clientWidth, clientHeight } = this.element;
       if (!clientWidth || !clientHeight) return;
-      this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+      this.renderer.setPixelRatio(this._ratio || Math.min(window.devicePixelRatio || 1, 2));
       this.renderer.setSize(clientWidth, clientHeight);
       this.canvas.style.width = "100%";
       this.canvas.style.height = "100%";
       if (this._fitted && !this._touched()) this.look(this.preset, false);
       this.invalidate();
+    }
+
+    /** Draw with more pixels for each of the page's, for a film; null: as the screen wants. */
+    sharpen(ratio) {
+      this._ratio = ratio;
+      this._resize();
     }
 
     /** Return true if the user has turned the camera away from its preset. */
@@ -522,6 +528,7 @@
     clear() {
       for (const actor of this.actors) actor.group.removeFromParent();
       this._leaving.push(...this.actors);
+      this.renderer.shadowMap.needsUpdate = true;
       this.actors = [];
       this.sequence = null;
       this._fitted = false;
@@ -854,7 +861,7 @@
     }
 
     draw() {
-      if (!this.actors.length) return;
+      if (!this.actors.length && !this._leaving.length) return;
       const { clientWidth: width, clientHeight: height } = this.element;
       if (!width || !height) return;
       this._render(width, height);
@@ -899,8 +906,8 @@
       });
     }
 
-    /** Return the name of every motion with its place in the picture, pixels of the page. */
-    labels(width, height) {
+    /** Return the name of every motion with its place in the picture, pixels of the page, none above `top`. */
+    labels(width, height, top = 24) {
       if (this.layers.labels === false) return [];
       const labels = [];
       for (const tile of this._tiles(width, height)) {
@@ -928,7 +935,7 @@
           });
         }
       }
-      return apart(labels, width);
+      return apart(labels, width, top);
     }
 
     /**

@@ -86,6 +86,13 @@
       this.setTime(this.time || 0);
     }
 
+    /** Show nothing. */
+    clear() {
+      this.sequence = null;
+      this.picture.replaceChildren();
+      this.head.style.height = "0";
+    }
+
     setTime(time, words = "") {
       this.time = time;
       if (!this.sequence || !this._right) return;
@@ -115,7 +122,8 @@
           y += PLOT + GAP;
         }
       }
-      for (const kind of SPANS) {
+      // Without a goal nothing is on target or in reach, but a foot may slide.
+      for (const kind of hasCurves ? SPANS : SPANS.slice(2)) {
         y += narrow ? 12 : 0;
         rows.push(this._spans(kind, y, narrow));
         y += Math.max(this.motions.length * (LANE + 2), 12) + GAP;

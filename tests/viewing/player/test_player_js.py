@@ -7,117 +7,94 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
 import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 import prbench.viewing.player
-from prbench.viewing.player.page import player_assets
+from prbench.viewing.player import document
+from prbench.viewing.player.page import write_page
 from tests.browser import browser as browser
+from tests.fakes import STANDING
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 PLAYER = Path(prbench.viewing.player.__file__).parent
-FPS = 20
 N = 61
-# A standing body, its left side on +X; metres.
-STANDING = np.array(
-    [
-        (0, 0.94, 0), (0.07, 0.86, 0), (-0.07, 0.86, 0), (0, 1.05, -0.02), (0.1, 0.48, 0), (-0.1, 0.48, 0),
-        (0, 1.18, -0.02), (0.09, 0.08, -0.04), (-0.09, 0.08, -0.04), (0, 1.24, 0), (0.11, 0.02, 0.08),
-        (-0.11, 0.02, 0.08), (0, 1.45, -0.03), (0.08, 1.36, -0.02), (-0.08, 1.36, -0.02), (0, 1.53, 0.01),
-        (0.17, 1.39, -0.03), (-0.17, 1.39, -0.03), (0.2, 1.12, -0.03), (-0.2, 1.12, -0.03), (0.2, 0.88, 0),
-        (-0.2, 0.88, 0),
-    ]
-)  # fmt: skip
 
 
-def int16(values: Any, scale: float) -> str:
-    return base64.b64encode(np.rint(np.asarray(values) * scale).astype("<i2").tobytes()).decode()
-
-
-def motion(label: str, *, speed: float, good: bool, sliding: list[list[int]]) -> dict[str, Any]:
-    """A body that moves ahead in one pose."""
+def motion(label: str, speed: float, good: bool, sliding: list[list[int]]) -> document.PlayerMotion:
+    """A body that slides ahead without moving a limb."""
     shift = np.linspace(0, speed, N)
-    joints = np.repeat(STANDING[None], N, axis=0)
-    joints[..., 2] += shift[:, None]
     wrist = np.abs(1.5 - shift)
-    return {
-        "label": label,
-        "kind": "recorded" if label == "ground truth" else "method",
-        "colour": "#303030" if label == "ground truth" else "#0072b2",
-        "joints": int16(joints, 1000),
-        "head_ray": int16(np.tile([0, -0.6, 0.8], (N, 1)), 10_000),
-        "gaze": int16(np.tile([0, 1.6, 0.1, 0, -6, 8], (N, 1)), 1000),
-        "gaze_valid": None,
-        "wrist": int16(wrist, 1000),
-        "head": int16(wrist / 2, 1000),
-        "on_target": [[20, 40]] if good else [],
-        "within_reach": [[50, 60]] if good else [],
-        "sliding": sliding,
-        "scores": [
-            {"title": "Prime Success", "text": "yes" if good else "no", "good": good},
-            {"title": "nearest wrist", "text": f"{100 * wrist.min():.0f} cm", "good": None},
+    return document.PlayerMotion(
+        label=label,
+        kind="recorded" if label == "ground truth" else "method",
+        colour="#303030" if label == "ground truth" else "#0072b2",
+        joints=document.millimetres(STANDING + shift[:, None, None] * [0, 0, 1]).tobytes(),
+        head_ray=document.millimetres(np.tile([0, -6.0, 8.0], (N, 1))).tobytes(),
+        gaze=document.millimetres(np.tile([0, 1.6, 0.1, 0, -6, 8], (N, 1))).tobytes(),
+        wrist=document.millimetres(wrist).tobytes(),
+        head=document.millimetres(wrist / 2).tobytes(),
+        on_target=[[20, 40]] if good else [],
+        within_reach=[[50, 60]] if good else [],
+        sliding=sliding,
+        scores=[
+            document.Score(title="Prime Success", text="yes" if good else "no", good=good),
+            document.Score(title="nearest wrist", text=f"{100 * wrist.min():.0f} cm", good=None),
         ],
-    }
+    )
 
 
-def document(number: int, *, good: bool, speed: float) -> dict[str, Any]:
-    motions = [motion("ground truth", speed=1.0, good=True, sliding=[])]
-    motions.append(motion("<b>glide</b>", speed=speed, good=good, sliding=[[30, 44]]))
+def sequence(number: int, *, good: bool, speed: float) -> document.PlayerSequence:
     box = [[x, y, z] for z in (1.4, 1.6) for y in (0.8, 1.0) for x in (-0.1, 0.1)]
-    return {
-        "version": 1, "sequence_id": f"made/take {number}/cup", "dataset": "made", "title": f"pick cup {number}",
-        "action": "pick", "fps": FPS, "n_frames": N, "prime_time": 1.5, "event_time": 3.0, "notice": "Made by hand.",
-        "goal": {"location": [0, 0.9, 1.5], "box": box},
-        "limits": {"prime_distance": 0.25, "reach_distance": 0.1, "window": [10, 50]},
-        "objects": [{"name": "table", "box": box, "path": int16(np.linspace([0, 0, 0], [0.5, 0, 0], N), 1000)}],
-        "mesh": {"vertices": int16([(-1, 0, -1), (-1, 0, 1), (1, 0, 1)], 1000), "triangles": "AAAAAAEAAAACAAAA"},
-        "motions": motions,
-    }  # fmt: skip
+    path = document.millimetres(np.linspace([0, 0, 0], [0.5, 0, 0], N)).tobytes()
+    corners = document.millimetres(np.array([(-1.0, 0, -1), (-1, 0, 1), (1, 0, 1)])).tobytes()
+    return document.PlayerSequence(
+        sequence_id=f"made/take {number}/cup",
+        dataset="made",
+        title=f"pick cup {number}",
+        action="pick",
+        fps=20,
+        n_frames=N,
+        prime_time=1.5,
+        event_time=3.0,
+        notice="Made by hand.",
+        goal=document.PlayerGoal(location=[0, 0.9, 1.5], box=box),
+        limits=document.PlayerLimits(prime_distance=0.25, reach_distance=0.1, window=[10, 50]),
+        objects=[document.PlayerObject(name="table", box=box, path=path)],
+        mesh=document.PlayerMesh(vertices=corners, triangles=np.arange(3, dtype="<u4").tobytes()),
+        motions=[motion("ground truth", 1.0, True, []), motion("<b>glide</b>", speed, good, [[30, 44]])],
+    )
 
 
 @pytest.fixture(scope="module")
 def html(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page with three sequences, of which the second is the worst; their documents come when they are chosen."""
-    documents = [
-        document(0, good=True, speed=0.6),
-        document(1, good=False, speed=0.1),
-        document(2, good=False, speed=0.5),
-    ]
-    assets = player_assets()
     path = tmp_path_factory.mktemp("player") / "page.html"
-    listed = json.dumps(documents).replace("<", "\\u003c")
-    path.write_text(
-        f"""<!doctype html><html lang="en"><meta charset="utf-8"><title>Player</title>
-        <style>body {{ margin: 0 }} {assets.style}</style><main><div id="player"></div></main>
-        <script>{assets.scripts}</script><script>
-        const all = {listed};
-        const entries = all.map((one) => ({{...one, load: () => Promise.resolve(one)}}));
-        window.handle = prbench.player.mount(document.getElementById("player"), entries, {{}});</script></html>""",
-        encoding="utf-8",
-    )
+    made = [(True, 0.6), (False, 0.1), (False, 0.5)]
+    write_page([sequence(number, good=good, speed=speed) for number, (good, speed) in enumerate(made)], path)
     return path
 
 
 @pytest.fixture(scope="module")
 def opened(browser: Browser, html: Path) -> Iterator[Page]:
-    context = browser.new_context(
-        viewport={"width": 920, "height": 600}, accept_downloads=True, reduced_motion="reduce"
-    )
+    size = {"width": 920, "height": 600}
+    # Playwright waits with eval, which the page itself forbids.
+    context = browser.new_context(viewport=size, accept_downloads=True, reduced_motion="reduce", bypass_csp=True)
     page = context.new_page()
     problems: list[str] = []
     page.on("console", lambda said: problems.append(said.text) if said.type in ("error", "warning") else None)
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on("request", lambda request: problems.append(request.url) if request.url.startswith("http") else None)
     page.goto(html.as_uri())
+    page.evaluate("window.handle = prbench.handle; 0")
     yield page
     context.close()
     assert [problem for problem in problems if "GPU stall" not in problem] == []
@@ -263,7 +240,10 @@ def test_a_link_leads_to_its_sequence_motions_and_moment(player: Page, html: Pat
 def test_unknown_sequence_and_damaged_document_are_told_in_words(player: Page) -> None:
     player.evaluate("handle.show('made/none')")
     assert "no sequence 'made/none'" in player.locator(".prp-status").inner_text()
-    player.evaluate("handle.player.entries.push({sequence_id: 'short', load: async () => ({...all[0], n_frames: 60})})")
+    player.evaluate(
+        "const cut = async () => ({...await prbench.documents[0].load(), n_frames: 60});"
+        "handle.player.entries.push({sequence_id: 'short', load: cut})"
+    )
     player.evaluate("handle.show('short')")
     assert re.search(r"object 'table': expected 180 numbers, found 183", player.locator(".prp-status").inner_text())
     player.evaluate("handle.player.entries.pop()")
@@ -297,16 +277,25 @@ def test_pictures_are_png_white_or_transparent_and_twice_as_large(
 
 
 def test_a_film_is_recorded_and_can_be_cancelled(player: Page) -> None:
+    player.set_viewport_size({"width": 400, "height": 400})
     player.evaluate("handle.player.speed = 6; handle.player._togglePanel(handle.player.savePanel)")
     with player.expect_download() as download:
         player.get_by_role("button", name="Film").click()
     assert download.value.suggested_filename == "made-take-0-cup.webm"
-    assert Path(download.value.path()).read_bytes()[:4] == bytes.fromhex("1a45dfa3")
+    film = base64.b64encode(Path(download.value.path()).read_bytes()).decode()
+    lasts = """async (film) => {
+      const video = Object.assign(document.createElement("video"), {src: `data:video/webm;base64,${film}`});
+      await new Promise((ready, failed) => Object.assign(video, {onloadedmetadata: ready, onerror: failed}));
+      return [video.duration, video.videoWidth]; }"""
+    duration, width = player.evaluate(lasts, film)
+    assert 0.9 < duration < 60  # half a second of motion, half a second of its end
+    assert width > 500
     player.evaluate("handle.player.speed = 0.1")
     player.get_by_role("button", name="Film").click()
     player.get_by_role("button", name="Cancel").click()
     player.get_by_text("Film cancelled.").wait_for()
     player.evaluate("handle.player.speed = 1; handle.player.savePanel.open = false")
+    player.set_viewport_size({"width": 920, "height": 600})
 
 
 def test_switching_sequences_frees_what_the_last_one_held(player: Page) -> None:
@@ -355,7 +344,7 @@ def test_without_webgl_the_player_says_so_and_times_and_scores_stay(browser: Bro
 def test_destroying_the_player_leaves_an_empty_element(browser: Browser, html: Path) -> None:
     page = browser.new_page()
     page.goto(html.as_uri())
-    page.evaluate("handle.destroy()")
+    page.evaluate("prbench.handle.destroy()")
     page.keyboard.press("Space")
     assert page.locator("#player").evaluate("(element) => [element.childNodes.length, element.className]") == [0, ""]
     page.close()
