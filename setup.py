@@ -20,6 +20,7 @@ DATA = [
     "*.html",
     "*.css",
     "*.js",
+    "*.mplstyle",
     "vendor/*/*",
     "LICENSE",
     "*.pyi",

@@ -34,6 +34,7 @@ class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
         links: Addresses of their motions in a page, in the same order; empty for a picture or film.
         left_out: Number of sequences that a page has no room for.
         notices: Sentences that the datasets' terms ask for, as they stand in the view.
+        caption: Text below the picture in a paper; empty for films and pages.
     """
 
     out: Path
@@ -41,6 +42,7 @@ class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
     links: list[str]
     left_out: int
     notices: list[str]
+    caption: str
 
 
 SHOWN_SEQUENCES = 10  # that are printed; the report holds all
@@ -50,8 +52,8 @@ SHOWN_SEQUENCES = 10  # that are printed; the report holds all
 @click.argument("runs", type=opt.PATH, nargs=-1, metavar="[RUN...]")
 @opt.data_option(required=False, help="The table(s) of the runs; not needed for the embedded synthetic datasets.")
 @opt.out_file_option(
-    "Page (.html), picture (.png) or film (.mp4); of motion prediction .png or .svg (default: motions.html in the run's"
-    " folder; in this folder for several runs, for none, and where the run's cannot be written)."
+    "Page (.html), picture (.png, .svg, .pdf) or film (.mp4); of motion prediction a picture (default: motions.html in"
+    " the run's folder; in this folder for several runs, for none, and where the run's cannot be written)."
 )
 @opt.sequence_option("Show this sequence")
 @opt.limit_option("4; in a page as many as 40 MB hold, the worst first")
@@ -62,10 +64,10 @@ SHOWN_SEQUENCES = 10  # that are printed; the report holds all
 @opt.flag("--open", "Open it in the browser; on a terminal only.")
 @opt.permission_option
 def view(*, permission: tuple[str, ...], options: opt.Pairs, open: bool, **given: Any) -> Answer:
-    """Show recorded and generated motion beside one another, in a page to play and turn, or as PNG or MP4.
+    """Show recorded and generated motion beside one another, in a page to play and turn, or as a picture or film.
 
     RUN are the run folders to compare; without any, the recorded motion of --data is shown. Of motion prediction the
-    futures are shown, as PNG or SVG.
+    futures are shown, as a picture.
     """
     from prbench.viewing.player.links import PAGE
     from prbench.viewing.view import ViewRequest
@@ -82,6 +84,7 @@ def view(*, permission: tuple[str, ...], options: opt.Pairs, open: bool, **given
         links=drawn.links,
         left_out=drawn.left_out,
         notices=list(drawn.notices),
+        caption=drawn.caption,
     )
     if drawn.left_out:
         note(f"the page has no room for {drawn.left_out} more sequences; --sequence or --limit choose others.")
@@ -97,6 +100,8 @@ def view(*, permission: tuple[str, ...], options: opt.Pairs, open: bool, **given
             print(f"… and {len(drawn.scenes) - SHOWN_SEQUENCES} more (--json lists all)")
         for notice in report.notices:
             print(notice)
+        if report.caption:
+            print(f"caption: {report.caption}")
         print(f"view: {report.out}")
         if open and sys.stdout.isatty():
             webbrowser.open(report.out.absolute().as_uri())
@@ -131,7 +136,7 @@ class ExplainReport(msgspec.Struct, frozen=True, kw_only=True):
 @command("explain", example="prbench explain Mug_2/pick --data tables/adt --draw story.png", report=ExplainReport)
 @click.argument("event")
 @click.option("--data", type=opt.PATH, required=True, metavar="DIR", help="Built dataset folder.")
-@opt.option("--draw", "Draw the story as PNG.", type=opt.OUT_FILE, metavar="FILE")
+@opt.option("--draw", "Draw the story (.png, .svg, .pdf).", type=opt.OUT_FILE, metavar="FILE")
 @opt.permission_option
 def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ...]) -> Answer:
     """Tell what became of one event and why.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import textwrap
 from collections.abc import Collection
 from pathlib import Path
 from typing import Literal
@@ -19,14 +20,15 @@ from prbench.sequences.dataset_info import may_pass_on, notice
 from prbench.sequences.sequence import event_of
 from prbench.sequences.table import find_sequence_id
 from prbench.shown import clean, figure_text
-from prbench.viewing.figures import new_figure, write_png
+from prbench.viewing.figures import new_figure, styled, write_figure
 from prbench.viewing.replay.read import scene_of
 from prbench.viewing.replay.scene import Scene
-from prbench.viewing.replay.sheet import WIDTH, Block, block_height, draw_scene
+from prbench.viewing.replay.sheet import COLUMN, KEY, Block, block_height, caption_of, draw_key, draw_scene
 
 Verdict = Literal["passed", "stopped here", "not reached"]
 _MARKS: dict[Verdict, str] = {"passed": "+", "stopped here": "x", "not reached": " "}
-_LINE_HEIGHT = 0.17  # inches of a line of text in the picture
+_LINE_HEIGHT = 0.115  # inches of a line of text in the picture
+_CHARACTERS = 62  # of such a line
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,21 +88,31 @@ class EventStory:
         return "\n".join(map(clean, lines))
 
 
+@styled
 def draw_event_story(story: EventStory, path: Path) -> None:
-    """Write the picture of one event as PNG.
+    """Write the picture of one event, as wide as a text column: its story, and the motion below.
+
+    Args:
+        story: Result of :func:`explain_event`.
+        path: PNG, SVG or PDF to write; replaced when it exists.
 
     Raises:
+        UsageError: for another kind of file.
         StorageError: if it cannot be written.
     """
-    notice = f"\n{clean(story.notice)}" if story.notice else ""
-    text = f"{story.text()}{notice}"
-    below = 0.0 if story.motion is None else block_height(1)
-    height = below + 0.5 + _LINE_HEIGHT * len(text.splitlines())
-    figure = new_figure(WIDTH, height)
-    figure.text(0.35 / WIDTH, 1 - 0.25 / height, figure_text(text), fontsize=9, family="monospace", va="top")
+    lines = []
+    for line in [*story.text().splitlines(), *([clean(story.notice)] if story.notice else [])]:
+        # What goes on stands under the text of its line.
+        lines += textwrap.wrap(line, _CHARACTERS, subsequent_indent="    ") or [""]
+    below = 0.0 if story.motion is None else block_height(1) + KEY
+    height = below + 0.2 + _LINE_HEIGHT * len(lines)
+    figure = new_figure(COLUMN, height)
+    text = figure_text("\n".join(lines))
+    figure.text(0.06 / COLUMN, 1 - 0.08 / height, text, fontsize=6.2, family="monospace", va="top")
     if story.motion is not None:
-        draw_scene(Block(figure, below), story.motion)
-    write_png(figure, path)
+        draw_scene(Block(figure, 0.0, below), story.motion)
+        draw_key(Block(figure, 0.0, KEY), [story.motion])
+    write_figure(figure, path, "" if story.motion is None else caption_of([story.motion]))
 
 
 # The stages in the order in which curation asks.

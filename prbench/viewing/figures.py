@@ -5,9 +5,10 @@ matplotlib is imported when something is drawn, so that commands which draw noth
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -29,6 +30,26 @@ BOX_EDGES: tuple[tuple[int, int], ...] = (
 )  # fmt: skip
 
 
+STYLE = Path(__file__).with_name("prbench.mplstyle")
+# Kinds of files that a figure is written as.
+FORMATS = (".png", ".svg", ".pdf")
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+
+def styled(draw: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Let a function draw in the style of all figures, whatever settings of matplotlib the user has."""
+
+    @functools.wraps(draw)
+    def drawing(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        import matplotlib.style
+
+        with matplotlib.style.context(["default", STYLE]):
+            return draw(*args, **kwargs)
+
+    return drawing
+
+
 def new_figure(width: float, height: float, **options: Any) -> Figure:
     """Return an empty figure outside pyplot, which would keep it in memory and might open a window.
 
@@ -42,47 +63,36 @@ def new_figure(width: float, height: float, **options: Any) -> Figure:
     return Figure(figsize=(width, height), **options)
 
 
-def write_png(figure: Figure, path: Path | str) -> None:
-    """Write a figure as PNG at its own resolution; a file that exists is replaced.
-
-    Raises:
-        StorageError: if the file cannot be written.
-    """
-    with sole_file(Path(path)) as draft:
-        # Without matplotlib's version in the file, equal pictures are equal bytes.
-        figure.savefig(draft, format="png", metadata={"Software": None})
-
-
-# Kinds of files that figures of the study are written as.
-FORMATS = (".png", ".svg")
-
-
 def require_drawable(path: Path) -> None:
     """Refuse kinds of files that a figure is not written as, before anything is computed.
 
     Raises:
-        UsageError: for any but PNG and SVG.
+        UsageError: for any but PNG, SVG and PDF.
     """
     if path.suffix.lower() not in FORMATS:
         raise UsageError(f"{path}: the figure is written as {' or '.join(FORMATS)}, not as '{path.suffix}'.")
 
 
-def write_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG or SVG, by the suffix of the file; a file that exists is replaced.
+def write_figure(figure: Figure, path: Path | str, caption: str = "") -> None:
+    """Write a figure as PNG, SVG or PDF, by the suffix of the file; a file that exists is replaced.
+
+    Args:
+        figure: What to write.
+        path: The file.
+        caption: Text below the figure in a paper; it stands in the file's metadata.
 
     Raises:
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
+    path = Path(path)
     require_drawable(path)
-    if path.suffix.lower() == ".png":
-        write_png(figure, path)
-        return
-    import matplotlib as mpl
-
-    # A fixed salt for the ids in an SVG, and no date: equal pictures are equal bytes.
-    with mpl.rc_context({"svg.hashsalt": "prbench", "svg.fonttype": "none"}), sole_file(path) as draft:
-        figure.savefig(draft, format="svg", metadata={"Date": None, "Creator": None})
+    kind = path.suffix.lower().removeprefix(".")
+    # No date and no version of matplotlib in the file: equal pictures are equal bytes.
+    absent = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate", "Creator", "Producer")}[kind]
+    metadata = dict.fromkeys(absent) | ({"Subject" if kind == "pdf" else "Description": caption} if caption else {})
+    with sole_file(path) as draft:
+        figure.savefig(draft, format=kind, metadata=metadata)
 
 
 def grid_shape(n: int, columns: int) -> tuple[int, int]:

@@ -22,6 +22,7 @@ from prbench.protocol.manifests import default_benchmark
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import require_may_pass_on
 from prbench.sequences.table import by_share, find_sequence_id
+from prbench.viewing.figures import FORMATS
 from prbench.viewing.player.document import PlayerMotion, PlayerSequence, player_sequence, within
 from prbench.viewing.player.links import PAGE, motion_link, worst_first
 from prbench.viewing.player.page import write_page
@@ -90,11 +91,13 @@ class ViewReport:
         scenes: Each a :class:`Scene`, of a page a :class:`PlayerSequence`; those of another benchmark have what stands
             in the report of the command.
         left_out: Number of sequences that a page has no room for.
+        caption: Text below the picture in a paper; empty for films and pages.
     """
 
     out: Path
     scenes: tuple[Any, ...]
     left_out: int = 0
+    caption: str = ""
 
     def told(self, scene: Any, motion: Any) -> str:
         """Return the scores of a motion in one line."""
@@ -127,8 +130,8 @@ def view(request: ViewRequest, progress: Progress = lambda *_: None) -> ViewRepo
         MissingExtraError: if MP4 is asked for without the extra `view`.
         StorageError: if the file cannot be written.
     """
-    # First of all: an unwritable kind of file must not fail after minutes of drawing. Other benchmarks write SVG, too.
-    if request.out is not None and request.out.suffix.lower() != ".svg":
+    # First of all: an unwritable kind of file must not fail after minutes of drawing.
+    if request.out is not None:
         file_kind(request.out)
     if request.runs:
         benchmark = RunFolder.open(request.runs[0], any_benchmark=True).record.benchmark
@@ -143,8 +146,8 @@ def view(request: ViewRequest, progress: Progress = lambda *_: None) -> ViewRepo
     if kind == "html":
         return _view_page(request, out, progress)
     scenes = scenes_of(request)
-    write_view(scenes, out, kind, progress)
-    return ViewReport(out, scenes)
+    caption = write_view(scenes, out, kind, progress)
+    return ViewReport(out, scenes, caption=caption)
 
 
 def page_place(runs: Sequence[Path]) -> Path:
@@ -269,11 +272,11 @@ def _chosen(request: ViewRequest, shown: Shown, most: int | None = DEFAULT_LIMIT
 
 
 # The kinds of files, and the package that each needs beside the required ones.
-_PACKAGES = {".png": "", ".mp4": "imageio-ffmpeg", ".html": ""}
+_PACKAGES = {".html": "", **dict.fromkeys(FORMATS, ""), ".mp4": "imageio-ffmpeg"}
 
 
 def file_kind(path: Path) -> str:
-    """Return the kind of file, ``png``, ``mp4`` or ``html``, that a path asks for.
+    """Return the kind of file, ``html``, ``png``, ``svg``, ``pdf`` or ``mp4``, that a path asks for.
 
     A command calls it first: everything that it refuses would otherwise fail after minutes of drawing.
 
@@ -285,7 +288,7 @@ def file_kind(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix not in _PACKAGES:
         found = f"'{suffix}'" if suffix else "no suffix"
-        raise UsageError(f"{path}: expected a file that ends in .png, .mp4 or .html, found {found}.")
+        raise UsageError(f"{path}: expected a file that ends in {', '.join(_PACKAGES)}, found {found}.")
     if path.is_dir():
         raise StorageError(f"{path}: is a folder. Choose a file for --out.")
     kind = suffix[1:]
@@ -296,8 +299,8 @@ def file_kind(path: Path) -> str:
     return kind
 
 
-def write_view(scenes: Sequence[Scene], path: Path, kind: str, progress: Progress) -> None:
-    """Render scenes into one file.
+def write_view(scenes: Sequence[Scene], path: Path, kind: str, progress: Progress) -> str:
+    """Render scenes into one file, and return the caption of a picture; empty for films and pages.
 
     Args:
         scenes: Scenes to show, in order.
@@ -306,16 +309,17 @@ def write_view(scenes: Sequence[Scene], path: Path, kind: str, progress: Progres
         progress: Called after every step.
 
     Raises:
-        UsageError: if a PNG would become too large.
+        UsageError: if a picture would become too large.
         StorageError: if the file cannot be written.
     """
-    if kind == "png":
+    if f".{kind}" in FORMATS:
         if len(scenes) > MOST_SCENES:
-            raise UsageError(f"{path}: expected at most {MOST_SCENES} sequences in one PNG, found {len(scenes)}.")
-        draw_sheet(scenes, path, progress=progress)
-    elif kind == "mp4":
+            raise UsageError(f"{path}: expected at most {MOST_SCENES} sequences in one picture, found {len(scenes)}.")
+        return draw_sheet(scenes, path, progress=progress)
+    if kind == "mp4":
         from prbench.viewing.replay.film import film_scenes
 
         film_scenes(scenes, path, progress)
     else:
         write_page(map(player_sequence, scenes), path)
+    return ""

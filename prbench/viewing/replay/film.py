@@ -15,11 +15,11 @@ from jaxtyping import Float, Int
 
 from prbench.errors import MissingExtraError, StorageError
 from prbench.files.storage import sole_file
-from prbench.geometry.skeleton import Joint
 from prbench.shown import figure_text
-from prbench.viewing.figures import new_figure
+from prbench.viewing.bodies import body_lines, draw_bodies
+from prbench.viewing.figures import new_figure, styled
 from prbench.viewing.replay import scene as replay
-from prbench.viewing.replay.sheet import chosen_frames, draw_curves, draw_way
+from prbench.viewing.replay.sheet import UP, draw_curves, draw_way
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -37,6 +37,7 @@ _FOOTPRINT = 0.5  # metres beside what must be seen
 _Update = Callable[[int], None]
 
 
+@styled
 def film_scenes(scenes: Sequence[replay.Scene], path: Path, progress: replay.Progress) -> None:
     """Show sequences one after another, and write the film.
 
@@ -125,17 +126,17 @@ class FilmStage:
         self._add_side_views()
         # The sheet's view from above and its curves, in which bodies and the moment move.
         grid = self._figure.add_gridspec(
-            4, 1, left=0.66, right=0.98, bottom=0.08, top=0.9, height_ratios=(3.2, 1, 1, 1), hspace=0.9
+            3, 1, left=0.66, right=0.98, bottom=0.08, top=0.9, height_ratios=(3.0, 1, 1), hspace=0.45
         )
         above, *curves = (self._figure.add_subplot(place) for place in grid)
-        draw_way(above, scene, chosen_frames(scene))
+        draw_way(above, scene)
         for motion in scene.motions:
-            self._add_body(above, motion, replay.top_view)
+            self._add_body(above, motion, replay.top_view, UP)
         clock = above.text(0.98, 0.962, "", fontsize=13, weight="bold", transform=self._figure.transFigure, ha="right")
         clock.set_clip_on(False)
         self._add(above, clock, lambda frame: clock.set_text(f"{replay.phase(scene, frame)}{frame / scene.fps:5.2f} s"))
         if scene.goal is not None:
-            draw_curves((curves[0], curves[1], curves[2]), scene, scene.goal)
+            draw_curves((curves[0], curves[1]), scene, scene.goal)
         for panel in curves:
             panel.set_visible(scene.goal is not None)
             panel.set_xlabel("")
@@ -170,9 +171,7 @@ class FilmStage:
             panel.set(xlim=(low[0] - _FOOTPRINT, high[0] + _FOOTPRINT), ylim=(-0.05, height))
             panel.set_aspect("equal", adjustable="box")
             panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
-            panel.tick_params(labelsize=7, length=2, labelbottom=False)
-            for side in ("top", "right"):
-                panel.spines[side].set_visible(False)
+            panel.tick_params(labelbottom=False)
             panel.set_title(
                 figure_text(f"{motion.label}\n{replay.verdict(scene, motion)}"),
                 fontsize=8.5,
@@ -181,12 +180,11 @@ class FilmStage:
             )
             if scene.goal is not None:
                 replay.draw_goal(panel, scene.goal, flat, linewidth=1.0, markersize=4.0, zorder=1)
-            self._add_body(panel, motion, flat)
+            self._add_body(panel, motion, flat, np.cross(scene.picture_axis, UP))
 
-    def _add_body(self, panel: Axes, motion: replay.ShownMotion, flat: replay.Flatten) -> None:
+    def _add_body(self, panel: Axes, motion: replay.ShownMotion, flat: replay.Flatten, towards: replay.Vector) -> None:
         scene = self._scene
         goal = scene.goal_location
-        points = flat(motion.joints)
         head_segments = flat(replay.head_rays(motion.joints, scene.head_tilt_deg, goal, _LONGEST_RAY))
         self._add_ray(panel, head_segments, {"color": motion.colour, "linewidth": 1.2, "linestyle": (0, (4, 2))})
         if motion.gaze is not None:
@@ -194,10 +192,13 @@ class FilmStage:
             # A line to NaN is not drawn, which hides the ray where the gaze is not valid.
             segments = np.where(motion.gaze.valid[:, None, None], segments, np.nan)
             self._add_ray(panel, segments, {"color": replay.GAZE_COLOUR, "linewidth": 1.6})
-        lines, head = replay.draw_bodies(panel, points[:1], motion.colour)
-        bones = replay.bone_segments(points)
-        self._add(panel, lines, lambda frame: lines.set_segments(list(bones[frame])))
-        self._add(panel, head, lambda frame: head.set_data(*points[frame, Joint.HEAD, :, None]))
+        drawn: dict[str, Any] = {"flat": flat, "towards": towards, "head_tilt_deg": scene.head_tilt_deg}
+        lines = draw_bodies(panel, motion.joints[:1], motion.colour, **drawn)
+        self._add(
+            panel,
+            lines,
+            lambda frame: lines.set(**body_lines(panel, motion.joints[[frame]], motion.colour, **drawn)),
+        )
 
     def _add_ray(self, panel: Axes, segments: Float[np.ndarray, "n 2 2"], style: dict[str, Any]) -> None:
         (line,) = panel.plot([], [], zorder=2, **style)

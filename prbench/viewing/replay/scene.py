@@ -18,8 +18,6 @@ from prbench.viewing.figures import BOX_EDGES, horizontal_direction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.collections import LineCollection
-    from matplotlib.lines import Line2D
 
 Vector = Float[np.ndarray, "3"]
 Vectors = Float[np.ndarray, "n 3"]
@@ -160,12 +158,10 @@ class Measures:
 
     Attributes:
         head_distance: Distance from the goal to the head-forward ray, metres, as Prime Success measures it.
-        head_angle: Angle between the head-forward ray and the direction to the goal, degrees.
         wrist_distance: Distance from the goal to the nearer wrist, metres.
     """
 
     head_distance: Float[np.ndarray, " n"]
-    head_angle: Float[np.ndarray, " n"]
     wrist_distance: Float[np.ndarray, " n"]
 
     @property
@@ -185,7 +181,6 @@ def measure(motion: ShownMotion, goal: Goal, head_tilt_deg: float) -> Measures:
     wrists = np.linalg.norm(motion.joints[:, list(WRISTS)] - goal.location, axis=2)
     return Measures(
         head_distance=ray_distance(head, forward, goal.location[None]),
-        head_angle=_angle_deg(forward, goal.location - head),
         wrist_distance=wrists.min(axis=1),
     )
 
@@ -194,17 +189,6 @@ def gaze_distance(gaze: GazeRays, goal: Goal) -> Float[np.ndarray, " n"]:
     """Return the distance of the goal from the recorded gaze ray, metres; NaN where the gaze is not valid."""
     distance = ray_distance(gaze.origin, gaze.direction, goal.location[None])
     return np.where(gaze.valid, distance, np.nan)
-
-
-def gaze_angle(gaze: GazeRays, goal: Goal) -> Float[np.ndarray, " n"]:
-    """Return the angle of the recorded gaze to the direction of the goal, degrees; NaN where the gaze is not valid."""
-    return np.where(gaze.valid, _angle_deg(gaze.direction, goal.location - gaze.origin), np.nan)
-
-
-def _angle_deg(one: Vectors, other: Vectors) -> Float[np.ndarray, " n"]:
-    # The arc tangent stays exact for small angles, where an arc cosine loses half of its digits.
-    sine = np.linalg.norm(np.cross(one, other), axis=1)
-    return np.rad2deg(np.arctan2(sine, (one * other).sum(axis=1)))
 
 
 def score_row(scene: Scene, motion: ShownMotion) -> tuple[str, ...]:
@@ -270,16 +254,17 @@ GAZE_COLOUR = "#e69f00"
 GOAL_COLOUR = "#56b4e9"
 BOX_COLOUR = "#1b6f9c"
 MARK_COLOUR = "#555555"
-# True for right limbs and the trunk, in the order of ``skeleton.BONES``; left limbs are drawn thin.
-IS_THICK = np.array([not Joint(child).name.startswith("LEFT") for _, child in BONES])
-
 _BONES = np.array(BONES)
-_LINE_WIDTHS = np.where(IS_THICK, 2.1, 0.9)  # points
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
     """Return red, green and blue, 0 to 255, of ``#rrggbb``."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def paler(colour: str) -> str:
+    """Return a colour, ``#rrggbb``, half as far from white."""
+    return "#" + "".join(f"{(each + 255) // 2:02x}" for each in rgb(colour))
 
 
 def gaze_style(motion: ShownMotion) -> dict[str, Any]:
@@ -292,29 +277,6 @@ def gaze_style(motion: ShownMotion) -> dict[str, Any]:
 def bone_segments(points: Float[np.ndarray, "*poses 22 k"]) -> Float[np.ndarray, "*poses 21 2 k"]:
     """Return both ends of every bone, in the order of ``skeleton.BONES``."""
     return points[..., _BONES, :]
-
-
-def draw_bodies(
-    axes: Axes, points: Float[np.ndarray, "poses 22 2"], colour: str, *, alpha: float = 1.0
-) -> tuple[LineCollection, Line2D]:
-    """Draw poses that are already flat.
-
-    Returns:
-        The lines, one a bone, pose after pose, and the markers of the heads; a film moves both.
-    """
-    from matplotlib.collections import LineCollection
-
-    lines = LineCollection(
-        list(bone_segments(points).reshape(-1, 2, 2)),
-        colors=colour,
-        linewidths=np.tile(_LINE_WIDTHS, len(points)),
-        capstyle="round",
-        alpha=alpha,
-        zorder=3,
-    )
-    axes.add_collection(lines)
-    (heads,) = axes.plot(*points[:, Joint.HEAD].T, "o", color=colour, markersize=4.5, alpha=alpha, zorder=3)
-    return lines, heads
 
 
 def side_view(
