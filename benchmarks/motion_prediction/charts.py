@@ -8,19 +8,20 @@ from pathlib import Path
 from prbench.errors import UsageError
 from prbench.shown import figure_text
 from prbench.tables import Cell, Table
-from prbench.viewing.figures import new_figure, require_drawable, write_figure
+from prbench.viewing.figures import new_figure, require_drawable, styled, write_figure
 
 _MARKERS = "osD^vP*X<"
 _LEAD = "windows: event-"  # how the variant of a difference ends for windows so many seconds before the event
 
 
-def draw_prediction(tables: Sequence[Table], path: Path) -> None:
-    """Draw the mean error up to each horizon, and how it changes over the time to the event when more is told.
+@styled
+def draw_prediction(tables: Sequence[Table], path: Path) -> str:
+    """Draw the mean error up to each horizon, and its change when more is told; return the caption.
 
     Args:
         tables: Tables of :func:`prbench_benchmarks.motion_prediction.study_tables.prediction_tables`. The second panel
             needs anchored windows and a method under several conditions.
-        path: ``.png`` or ``.svg``; replaced when it exists.
+        path: PNG, SVG or PDF; replaced when it exists.
 
     Raises:
         UsageError: for another kind of file, or if no row was measured.
@@ -41,28 +42,30 @@ def draw_prediction(tables: Sequence[Table], path: Path) -> None:
                 if cell.metric == "difference" and metric == "ade" and lead:
                     values.setdefault(f"{cell.method}: {cell.condition}", []).append((float(lead), cell))
     panels = [
-        (horizons, "mean error up to the horizon (best sample), m", "seconds after the last observed frame"),
-        (values, "change of the mean error when more is told, m", "seconds before the event"),
+        (horizons, "error up to the horizon, best sample (m)", "seconds after the last observed frame"),
+        (values, "change when more is told (m)", "seconds before the event"),
     ]
     panels = [panel for panel in panels if panel[0]]
     if not panels:
         raise UsageError(f"{path}: nothing to draw, since no row was measured.")
-    figure = new_figure(6.4 * len(panels), 4.4, layout="constrained")
+    figure = new_figure(3.5 * len(panels), 2.5, layout="constrained")
     for axes, (lines, title, x_title) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels):
         for number, (label, points) in enumerate(lines.items()):
             places = [at + 0.01 * (number - len(lines) / 2) for at, _ in points]  # so that intervals stand apart
             means = [cell.value for _, cell in points]
             marker = _MARKERS[number % len(_MARKERS)]
-            (line,) = axes.plot(places, means, f"{marker}-", markersize=5, linewidth=1.2, label=figure_text(label))
+            (line,) = axes.plot(places, means, f"{marker}-", markersize=3, linewidth=0.9, label=figure_text(label))
             for place, (_, cell) in zip(places, points):
                 if cell.low is not None and cell.high is not None:
-                    axes.plot([place, place], [cell.low, cell.high], color=line.get_color(), linewidth=1.0, alpha=0.7)
-        axes.set_title(title, fontsize=9, loc="left")
-        axes.set_xlabel(x_title, fontsize=8)
-        axes.tick_params(labelsize=7)
-        axes.legend(fontsize=7, frameon=False)
+                    axes.plot([place, place], [cell.low, cell.high], color=line.get_color(), linewidth=0.7)
+        axes.set_title(title)
+        axes.set_xlabel(x_title)
+        axes.legend(fontsize=6)
         if lines is values:
             axes.axhline(0.0, color="0.6", linewidth=0.9)
             axes.invert_xaxis()
-    figure.supxlabel("Lines: 95 % intervals over recordings.", fontsize=7, color="0.35", x=0.01, ha="left")
-    write_figure(figure, path)
+    said = "Lines: 95 % intervals over recordings."
+    figure.supxlabel(said, color="0.35", x=0.01, ha="left")
+    caption = f"Motion prediction: {'; '.join(title for _, title, _ in panels)}. {said}"
+    write_figure(figure, path, caption)
+    return caption

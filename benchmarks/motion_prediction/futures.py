@@ -47,7 +47,7 @@ _OBSERVED_POSES = 3  # of the observed frames, evenly spread
 _SPACING = 0.45  # metres between the bodies of two moments
 _MARGIN = 0.3  # metres
 _LOOK = 0.6  # metres of the line that shows where gaze points
-_LINE = 190  # characters of the note below the panels
+_LINE = 140  # characters of the note below the panels
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,8 +202,8 @@ def view_futures(request: ViewRequest) -> FuturesReport:
                 notice=notice(table.info, request.permitted),
             )
         )
-    _draw(shown, request)
-    return FuturesReport(request.out, tuple(shown))
+    caption = _draw(shown, request)
+    return FuturesReport(request.out, tuple(shown), caption=caption)
 
 
 def _read(files: DatasetFolder, chosen: set[str], joints: int) -> dict[str, Float[np.ndarray, "samples future _ 3"]]:
@@ -219,29 +219,29 @@ def _read(files: DatasetFolder, chosen: set[str], joints: int) -> dict[str, Floa
     return {name: np.stack(samples) for name, samples in found.items()}
 
 
-def _draw(windows: Sequence[ShownWindow], request: ViewRequest) -> None:
-    """Draw windows below one another, a row for each run."""
+@figures.styled
+def _draw(windows: Sequence[ShownWindow], request: ViewRequest) -> str:
+    """Draw windows below one another, a row for each run, and return the caption."""
     rows = [(window, fan) for window in windows for fan in window.motions]
-    height = 2.9 * len(rows) + 1.1
-    figure = figures.new_figure(14.0, height, dpi=110)
-    grid = {"left": 0.005, "right": 0.992, "top": 1 - 0.55 / height, "bottom": 0.8 / height, "wspace": 0.13}
+    height = 1.55 * len(rows) + 0.7
+    figure = figures.new_figure(7.0, height)
+    grid = {"left": 0.005, "right": 0.992, "top": 1 - 0.4 / height, "bottom": 0.5 / height, "wspace": 0.2}
     panels = figure.subplots(
-        len(rows), 3, squeeze=False, width_ratios=(3.4, 1.2, 1.2), gridspec_kw={**grid, "hspace": 0.26}
+        len(rows), 3, squeeze=False, width_ratios=(3.4, 1.2, 1.2), gridspec_kw={**grid, "hspace": 0.4}
     )
     for (window, fan), (bodies, above, errors) in zip(rows, panels, strict=True):
         _draw_bodies(bodies, window, fan)
         title = f"{window.sequence_id}\n{fan.label}: {len(fan.joints)} futures, {fan.score}"
-        bodies.set_title(figure_text(title), fontsize=8.5, loc="left")
+        bodies.set_title(figure_text(title), fontsize=6)
         _draw_from_above(above, window, fan)
         # Mean distance of the joints from what happened over the seconds.
         tracks = window.errors(fan)
         seconds = np.arange(1, tracks.shape[1] + 1) / window.fps
         for track, colour in reversed(list(zip(tracks, fan.shades, strict=True))):
-            errors.plot(seconds, track, color=colour, linewidth=1.1)
+            errors.plot(seconds, track, color=colour, linewidth=0.8)
         # The same for all rows of a window, so that rows compare.
         errors.set_ylim(0.0, 1.05 * max(float(window.errors(each).max()) for each in window.motions) + 1e-3)
-        errors.set_title("joints from what happened, mean, m, over seconds", fontsize=7.5, loc="left")
-        errors.tick_params(labelsize=6)
+        errors.set_title("mean error (m) over s")
     said = [
         "Grey: the observed half second, the last pose darkest; black: what happened; a shade is a future, the same in",
         "all panels of a row.",
@@ -249,12 +249,14 @@ def _draw(windows: Sequence[ShownWindow], request: ViewRequest) -> None:
     if any(window.look is not None for window in windows):
         said.append("Orange: recorded gaze at the last observed frame.")
     if any(window.goal is not None for window in windows):
-        said.append("Cyan: the goal at the event.")
+        said.append("Light blue: the goal at the event.")
     said.append(windows[0].title)
     notices = dict.fromkeys(window.notice for window in windows if window.notice)
     foot = "\n".join((*textwrap.wrap(" ".join(said), _LINE), *notices)).strip()
-    figure.supxlabel(figure_text(foot), fontsize=7.5, color="0.35", x=0.01, y=0.01, ha="left")
-    figures.write_figure(figure, request.out)
+    figure.supxlabel(figure_text(foot), fontsize=6, color="0.35", x=0.01, y=0.01, ha="left")
+    caption = f"Possible futures of windows. {' '.join(foot.split())}"
+    figures.write_figure(figure, request.out, caption)
+    return caption
 
 
 def _draw_from_above(axes: Axes, window: ShownWindow, fan: Fan) -> None:
@@ -263,13 +265,13 @@ def _draw_from_above(axes: Axes, window: ShownWindow, fan: Fan) -> None:
     wrists = window.joint_set.index(*window.joint_set.wrists)
 
     def end(pose: np.ndarray, colour: object) -> None:
-        axes.plot(pose[pelvis, 0], pose[pelvis, 2], "s", color=colour, markersize=4)
-        axes.plot(pose[wrists, 0], pose[wrists, 2], ".", color=colour, markersize=4)
+        axes.plot(pose[pelvis, 0], pose[pelvis, 2], "s", color=colour, markersize=2.5)
+        axes.plot(pose[wrists, 0], pose[wrists, 2], ".", color=colour, markersize=2.5)
 
     for joints, colour in reversed(list(zip(fan.joints, fan.shades, strict=True))):
-        axes.plot(joints[:, pelvis, 0], joints[:, pelvis, 2], color=colour, linewidth=1.4)
+        axes.plot(joints[:, pelvis, 0], joints[:, pelvis, 2], color=colour, linewidth=0.9)
         end(joints[-1], colour)
-    for joints, colour, width in ((window.observed, OBSERVED_COLOUR, 3.0), (window.recorded, RECORDED_COLOUR, 1.1)):
+    for joints, colour, width in ((window.observed, OBSERVED_COLOUR, 2.0), (window.recorded, RECORDED_COLOUR, 0.8)):
         axes.plot(joints[:, pelvis, 0], joints[:, pelvis, 2], color=colour, linewidth=width)
     end(window.recorded[-1], RECORDED_COLOUR)
     shown = [window.observed[:, pelvis], window.recorded[:, pelvis], window.recorded[-1][wrists]]
@@ -278,15 +280,14 @@ def _draw_from_above(axes: Axes, window: ShownWindow, fan: Fan) -> None:
         axes.plot(window.look[:, 0], window.look[:, 2], color=GAZE_COLOUR, linewidth=1.4)
         shown.append(window.look)
     if window.goal is not None:
-        axes.plot(window.goal[0], window.goal[2], "o", color=GOAL_COLOUR, markersize=8, alpha=0.8)
+        axes.plot(window.goal[0], window.goal[2], "s", color=GOAL_COLOUR, markersize=4)
         shown.append(window.goal[None])
     x, z = figures.square_limits(np.concatenate(shown)[:, [0, 2]], margin=_MARGIN)
     # x grows to the left, as for somebody who looks down on a body that faces away from them.
     axes.set_xlim(*reversed(x))
     axes.set_ylim(*z)
     axes.set_aspect("equal")
-    axes.set_title("from above, m; squares: pelvis, dots: wrists at the end", fontsize=7.5, loc="left")
-    axes.tick_params(labelsize=6)
+    axes.set_title("from above (m); ends")
 
 
 def _draw_bodies(axes: Axes, window: ShownWindow, fan: Fan) -> None:
@@ -298,13 +299,13 @@ def _draw_bodies(axes: Axes, window: ShownWindow, fan: Fan) -> None:
     # All poses of each moment with their colours; what futures show after the event nobody has recorded.
     moments: list[tuple[str, list[tuple[np.ndarray, Any, float]], np.ndarray | None]] = []
     greys = reversed(figures.shades(OBSERVED_COLOUR, len(chosen)))
-    poses = [(pose, colour, 1.5) for pose, colour in zip(window.observed[chosen], greys, strict=True)]
+    poses = [(pose, colour, 0.9) for pose, colour in zip(window.observed[chosen], greys, strict=True)]
     moments.append(("observed", poses, None))
     for name, frame in groups:
-        poses = [(pose, colour, 1.5) for pose, colour in zip(fan.joints[:, frame], fan.shades, strict=True)][::-1]
+        poses = [(pose, colour, 0.9) for pose, colour in zip(fan.joints[:, frame], fan.shades, strict=True)][::-1]
         happened = frame < len(window.recorded)
         if happened:
-            poses.append((window.recorded[frame], RECORDED_COLOUR, 1.1))
+            poses.append((window.recorded[frame], RECORDED_COLOUR, 0.7))
         moments.append((name, poses, window.goal if happened else None))
     clouds = []
     for _, poses, goal in moments:
@@ -316,12 +317,12 @@ def _draw_bodies(axes: Axes, window: ShownWindow, fan: Fan) -> None:
         for pose, colour, width in poses:
             flat = figures.flattened(pose, last, window.sideways, shift)
             figures.draw_chains(axes, flat, window.joint_set.chains, colour, linewidth=width)
-            axes.plot(*flat[head], "o", color=colour, markersize=4.0)
+            axes.plot(*flat[head], "o", color=colour, markersize=2.2)
         if goal is not None:
             place = figures.flattened(goal[None], last, window.sideways, shift)[0]
-            axes.plot(*place, "o", color=GOAL_COLOUR, markersize=8, alpha=0.8, zorder=4)
+            axes.plot(*place, "s", color=GOAL_COLOUR, markersize=4, zorder=4)
         centre = float(cloud[:, 0].mean()) + shift
-        axes.text(centre, window.floor - 0.1, name, fontsize=7, ha="center", va="top", color="0.35")
+        axes.text(centre, window.floor - 0.1, name, fontsize=6, ha="center", va="top", color="0.35")
     if window.look is not None:
         axes.plot(*figures.flattened(window.look, last, window.sideways, shifts[0]).T, color=GAZE_COLOUR, linewidth=1.4)
     everything = np.concatenate([points + np.array([shift, 0.0]) for points, shift in zip(clouds, shifts, strict=True)])

@@ -28,11 +28,13 @@ class AnalysisReport(msgspec.Struct, frozen=True, kw_only=True):
         tables: The tables, those of one run one behind the other.
         fan: The picture of diversity; null if none was asked for.
         fan_sequence: Id of the sequence in that picture; null if none was asked for.
+        caption: Text below that picture in a paper.
     """
 
     tables: list[Table]
     fan: Path | None = None
     fan_sequence: str | None = None
+    caption: str = ""
 
 
 def _answer(report: AnalysisReport, *lines: str) -> Answer:
@@ -68,9 +70,9 @@ def _diversity(
         tables = measure_diversity(runs[0], data, progress=show)
     if fan is None or drawn is None:
         return _answer(AnalysisReport(tables=tables))
-    draw_fan(drawn, fan)
-    lines = [*([drawn.notice] if drawn.notice else []), f"fan: {fan} ({drawn.sequence_id})"]
-    return _answer(AnalysisReport(tables=tables, fan=fan, fan_sequence=drawn.sequence_id), *lines)
+    caption = draw_fan(drawn, fan)
+    lines = [*([drawn.notice] if drawn.notice else []), f"caption: {caption}", f"fan: {fan} ({drawn.sequence_id})"]
+    return _answer(AnalysisReport(tables=tables, fan=fan, fan_sequence=drawn.sequence_id, caption=caption), *lines)
 
 
 # The function of each kind, and the options that it takes .

@@ -31,6 +31,7 @@ class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
         tables: The tables, or the numbers behind a figure.
         files: The files that were written.
         out: The picture of a figure; null for a table.
+        caption: Text below that picture in a paper; empty for a table.
         sequences: Ids of the sequences in a picture of motions.
         notices: Sentences that the datasets' terms ask for, as they stand in such a picture.
         folder: Folder of the configuration, its trainings and runs; null without ``--train``.
@@ -41,6 +42,7 @@ class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
     tables: list[Table] = []
     files: list[Path] = []
     out: Path | None = None
+    caption: str = ""
     sequences: list[str] = []
     notices: list[str] = []
     folder: Path | None = None
@@ -65,7 +67,8 @@ def _answer(
 
     def show() -> None:
         print_tables(report.tables, between=between)
-        for line in (*lines, *(f"written: {path}" for path in written)):
+        caption = [f"caption: {report.caption}"] if report.caption else []
+        for line in (*lines, *caption, *(f"written: {path}" for path in written)):
             print(line)
 
     return Answer(report, show, exit_code=1 if report.failed else 0)
@@ -123,9 +126,10 @@ def _prediction(item: str, inputs: Paths, *, out: Paths, **settings: Any) -> Ans
     files = [path for path in out if path not in pictures]
     with progress("scoring") as tell:
         made = load_built_in(STUDY_ITEMS, item)(inputs[0], inputs[1:], **settings, progress=tell)
+    caption = ""
     for path in pictures:
-        load_built_in(STUDY_ITEMS, "prediction-figure")(made, path)
-    return _answer(made, files, pictures[0] if pictures else None, between="\n")
+        caption = load_built_in(STUDY_ITEMS, "prediction-figure")(made, path)
+    return _answer(made, files, pictures[0] if pictures else None, between="\n", caption=caption)
 
 
 def _train(item: str, folders: Paths, *, data: Paths, out: Paths, workers: int, **settings: Any) -> Answer:
@@ -167,8 +171,8 @@ def _distributions(_item: str, folders: Paths, *, out: Paths) -> Answer:
     statistics = [each for each in map(table_statistics, tables) if each.sequences]
     if not statistics:
         raise TableError("nothing to draw, since no table holds sequences.")
-    draw_table_one(statistics, out[0])
-    return _answer([table_one(tables)], (), out[0])
+    caption = draw_table_one(statistics, out[0])
+    return _answer([table_one(tables)], (), out[0], caption=caption)
 
 
 def _drawn(item: str, runs: Paths, *, data: Paths, numbers: Paths, out: Paths, workers: int, by: str = "") -> Answer:
@@ -182,12 +186,12 @@ def _drawn(item: str, runs: Paths, *, data: Paths, numbers: Paths, out: Paths, w
     opened = genuine_runs(runs, data, engine)
     if item == "figure-4":
         table = breakdown_table(opened, by)
-        draw_breakdown(table, out[0])
+        caption = draw_breakdown(table, out[0])
     else:
         sweeps = [sweep(run, engine=engine) for run in opened]
-        draw_sweep(sweeps, out[0])
+        caption = draw_sweep(sweeps, out[0])
         table = sweep_table(sweeps)
-    return _answer([table], numbers, out[0])
+    return _answer([table], numbers, out[0], caption=caption)
 
 
 # Title of each picture of motions, and how many sequences of each dataset it shows.
@@ -212,10 +216,11 @@ def _motions(item: str, inputs: Paths, *, out: Paths, data: Paths | None = None,
     scenes = [scene for scene in scenes_of(request) if runs or scene.shows_recorded]
     if not scenes:
         raise UsageError("nothing to draw: the licence of these datasets keeps recorded motion (--permission).")
-    draw(scenes, out[0], title=title)
+    caption = draw(scenes, out[0], title=title)
     notices = list(dict.fromkeys(scene.notice for scene in scenes if scene.notice))
     lines = [*(f"{scene.sequence_id}: {scene.title}" for scene in scenes), *notices]
-    return _answer([], (), out[0], lines, sequences=[scene.sequence_id for scene in scenes], notices=notices)
+    shown = {"sequences": [scene.sequence_id for scene in scenes], "notices": notices, "caption": caption}
+    return _answer([], (), out[0], lines, **shown)
 
 
 class _Item(NamedTuple):
@@ -381,6 +386,6 @@ def study(ctx: click.Context, item: str, inputs: Paths, train: bool, **given: An
             require_format(path)
     if is_figure:
         if len(given["out"]) != 1:
-            raise UsageError(f"{name}: --out FILE is needed, the picture: .png or .svg.")
+            raise UsageError(f"{name}: --out FILE is needed, the picture: {' or '.join(FORMATS)}.")
         require_drawable(given["out"][0])
     return row.make(item, inputs, **chosen)

@@ -23,7 +23,6 @@ import numpy as np
 import pyarrow as pa
 
 from prbench.api.arguments import PathLike, output_file
-from prbench.errors import UsageError
 from prbench.progress_bar import ProgressCallback, progress_bar
 from prbench.sequences.sequence import row_values
 from prbench.shown import html
@@ -65,7 +64,7 @@ class Picture:
         """Write the picture into a file; one that exists is replaced.
 
         Args:
-            path: The file. It ends in ``.png``; where sequences are drawn, ``.mp4`` writes a film and ``.html`` a page
+            path: The file. It ends in ``.png``, ``.svg`` or ``.pdf``; where sequences are drawn, ``.mp4`` writes a film and ``.html`` a page
                 to turn and play, as ``prbench view --out`` does; all sequences stand in it.
 
         Returns:
@@ -76,11 +75,12 @@ class Picture:
             MissingExtraError: if a film is asked for without the extra ``view``.
             StorageError: if the file cannot be written.
         """
+        from prbench.viewing.figures import require_drawable
+
         with output_file(path) as file:
             if self.scenes:
                 return _save_scenes(self.scenes, file)
-            if file.suffix.lower() != ".png":
-                raise UsageError(f"{file}: expected a file that ends in .png, found '{file.suffix}'.")
+            require_drawable(file)
             self._draw(file)
             return file
 

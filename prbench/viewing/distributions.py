@@ -12,7 +12,8 @@ from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.protocol.published import Spread, load_table_one
 from prbench.sequences.table import TableStatistics
 from prbench.shown import figure_text
-from prbench.viewing.figures import new_figure, require_drawable, write_figure
+from prbench.viewing.figures import new_figure, require_drawable, styled, write_figure
+from prbench.viewing.replay.scene import METHOD_COLOURS as _COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,10 +22,10 @@ if TYPE_CHECKING:
 _BINS = 30
 # Height of a panel over that of its bars, so that no legend lies on a bar.
 _HEADROOM = 1.2
-_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
 
 
-def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: int = 110) -> None:
+@styled
+def draw_table_one(statistics: Sequence[TableStatistics], path: Path) -> str:
     """Draw goal distance, elevation and azimuth, body movement, gaze shift and prime gap.
 
     Histograms show densities, so that datasets of different size can be compared. The published mean and spread of the
@@ -32,22 +33,21 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: in
 
     Args:
         statistics: One or several datasets, drawn over one another.
-        path: ``.png`` or ``.svg``; replaced when it exists.
-        dpi: Resolution of a PNG.
+        path: PNG, SVG or PDF; replaced when it exists.
 
     Raises:
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
     require_drawable(path)
-    figure = new_figure(12.0, 6.6, dpi=dpi, layout="constrained")
+    figure = new_figure(7.0, 3.9, layout="constrained")
     panels = figure.subplots(2, 3).ravel()
     # The published band belongs to one dataset; behind several it would be read as that of all.
     only = statistics[0] if len(statistics) == 1 else None
     published = None if only is None else load_table_one().get(only.dataset.removeprefix("synthetic-"))
-    _histogram(panels[0], statistics, "goal_distance", "a  goal distance from the start (m)")
-    _histogram(panels[1], statistics, "goal_elevation_deg", "b  goal elevation from the start (deg)")
-    _histogram(panels[2], statistics, "goal_azimuth_deg", "c  goal azimuth from the start (deg, left positive)")
+    _histogram(panels[0], statistics, "goal_distance", "a  goal distance (m)")
+    _histogram(panels[1], statistics, "goal_elevation_deg", "b  goal elevation (deg)")
+    _histogram(panels[2], statistics, "goal_azimuth_deg", "c  goal azimuth (deg, left positive)")
     band = None if published is None else published.body_movement
     _histogram(panels[3], statistics, "body_movement", "d  body movement (m)", band)
     for colour, each in zip(_COLOURS, statistics, strict=False):
@@ -56,15 +56,17 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: in
         panels[4].plot(each.gaze_shift_times, median, color=colour, linewidth=1.2)
     panels[4].axvline(0.0, color="0.6", linewidth=0.8)
     panels[4].set_ylim(bottom=0.0)
-    _dress(panels[4], "e  gaze away from the goal (deg, quartiles), s from the prime time")
+    panels[4].set_title("e  gaze away from the goal (deg), s from the prime")
     band = None if published is None else published.prime_gap
     _histogram(panels[5], statistics, "prime_gap", "f  prime gap (s)", band)
     for colour, each in zip(_COLOURS, statistics, strict=False):
         panels[0].plot(
             [], [], color=colour, linewidth=4, label=figure_text(f"{each.dataset}, {each.sequences} sequences")
         )
-    panels[0].legend(fontsize=7, frameon=False)
-    write_figure(figure, path)
+    panels[0].legend(fontsize=6)
+    caption = _caption(statistics, with_published=published is not None)
+    write_figure(figure, path, caption)
+    return caption
 
 
 def _histogram(
@@ -82,15 +84,20 @@ def _histogram(
         label = f"{whose}, sd shaded"
         axes.axvspan(published.mean - published.sd, published.mean + published.sd, color="0.92")
         axes.axvline(published.mean, color="0.4", linewidth=1.0, label=label)
-        axes.legend(fontsize=7, edgecolor="none")
+        axes.legend(fontsize=6)
     for colour, each in zip(_COLOURS, values, strict=False):
         axes.hist(each, bins=edges.tolist(), density=True, color=colour, alpha=0.7 if len(values) == 1 else 0.4)
         axes.axvline(float(each.mean()), color=colour, linewidth=1.0)
-    _dress(axes, title)
+    axes.set_title(title)
     axes.set_yticks([])
     axes.set_ylim(top=_HEADROOM * axes.get_ylim()[1])
 
 
-def _dress(axes: Axes, title: str) -> None:
-    axes.set_title(title, fontsize=8, loc="left")
-    axes.tick_params(labelsize=7)
+def _caption(statistics: Sequence[TableStatistics], *, with_published: bool) -> str:
+    tables = ", ".join(f"{each.dataset} ({each.sequences} sequences)" for each in statistics)
+    published = " Grey: published mean and standard deviation." if with_published else ""
+    return (
+        f"Sequences of {tables}: a to c, place of the goal seen from the first pose; d, how far the body moves; e, angle"
+        " between gaze and goal around the prime time, median and quartiles; f, time from the prime to the event."
+        f" Densities; vertical lines are means.{published}"
+    )

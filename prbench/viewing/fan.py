@@ -18,18 +18,18 @@ from prbench.harness.diversity import MotionsToGoal, timing
 from prbench.protocol.manifests import MetricConstants
 from prbench.shown import figure_text
 from prbench.viewing import figures
+from prbench.viewing.replay.scene import GOAL_COLOUR
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_GOAL = "tab:cyan"
 _LOOK = 0.5  # metres of the line that shows where a head points
 _MARGIN = 0.35  # metres
 _MOMENTS = ("first frame", "prime", "last frame")
 _SPACING = 0.5  # metres between the bodies of two moments
 _FARTHEST = 2.0  # metres; a head ray farther from the goal is off target, however far
 _FASTEST = 4.0  # m/s; a wrist that jumps would flatten all other curves
-_LINE = 190  # characters of the note below the panels
+_LINE = 140  # characters of the note below the panels
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,25 +59,25 @@ class Fan:
     notice: str
 
 
-def draw_fan(fan: Fan, path: Path, *, dpi: int = 110) -> None:
-    """Draw the motions of one sequence.
+@figures.styled
+def draw_fan(fan: Fan, path: Path) -> str:
+    """Draw the motions of one sequence, and return the caption.
 
     Args:
         fan: The sequence and its motions.
-        path: ``.png`` or ``.svg``; replaced when it exists.
-        dpi: Resolution of a PNG.
+        path: PNG, SVG or PDF; replaced when it exists.
 
     Raises:
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
     figures.require_drawable(path)
-    height = 2.9 * len(fan.groups) + 1.2
-    figure = figures.new_figure(14.0, height, dpi=dpi)
+    height = 1.5 * len(fan.groups) + 0.75
+    figure = figures.new_figure(7.0, height)
     # A fixed layout: that of matplotlib's solver differs in its last digits from call to call, and so do ids in an SVG.
-    grid = {"left": 0.005, "right": 0.995, "top": 1 - 0.62 / height, "bottom": 0.85 / height, "wspace": 0.13}
+    grid = {"left": 0.005, "right": 0.995, "top": 1 - 0.4 / height, "bottom": 0.55 / height, "wspace": 0.2}
     rows = figure.subplots(
-        len(fan.groups), 4, squeeze=False, width_ratios=(2.0, 1.2, 1.2, 1.2), gridspec_kw={**grid, "hspace": 0.2}
+        len(fan.groups), 4, squeeze=False, width_ratios=(2.0, 1.2, 1.2, 1.2), gridspec_kw={**grid, "hspace": 0.3}
     )
     # The same square for all groups, so that rows compare: limits of x and z, metres.
     points = [group.motions.joints[:, :, [Joint.PELVIS, Joint.HEAD]].reshape(-1, 3)[:, [0, 2]] for group in fan.groups]
@@ -92,33 +92,33 @@ def draw_fan(fan: Fan, path: Path, *, dpi: int = 110) -> None:
         forward, _ = head_forward(motions.joints, motions.head_tilt_deg)
         for number, colour in reversed(list(enumerate(_shades(group)))):
             pelvis = motions.joints[number, :, Joint.PELVIS]
-            above.plot(pelvis[:, 0], pelvis[:, 2], color=colour, linewidth=1.3)
-            above.plot(pelvis[-1, 0], pelvis[-1, 2], "s", color=colour, markersize=4)
+            above.plot(pelvis[:, 0], pelvis[:, 2], color=colour, linewidth=0.9)
+            above.plot(pelvis[-1, 0], pelvis[-1, 2], "s", color=colour, markersize=2.5)
             head = motions.joints[number, primes[number], Joint.HEAD]
             tip = head + _LOOK * forward[number, primes[number]]
-            above.plot([head[0], tip[0]], [head[2], tip[2]], color=colour, linewidth=0.9, linestyle="--")
-            above.plot(head[0], head[2], "o", color=colour, markersize=4)
+            above.plot([head[0], tip[0]], [head[2], tip[2]], color=colour, linewidth=0.6, linestyle="--")
+            above.plot(head[0], head[2], "o", color=colour, markersize=2.5)
         if fan.shows_goal:
-            above.plot(motions.goal[0], motions.goal[2], "o", color=_GOAL, markersize=9, alpha=0.8)
-        above.set_title("from above, m; squares: the end", fontsize=8, loc="left")
+            above.plot(motions.goal[0], motions.goal[2], "s", color=GOAL_COLOUR, markersize=4)
+        above.set_title("from above (m)")
         above.set_aspect("equal")
-        above.tick_params(labelsize=6)
         above.set_xlim(*seen_from_above[0])
         above.set_ylim(*seen_from_above[1])
         distance = motions.head_distance
-        _draw_curves(looks, group, distance, "goal to head ray, m", _FARTHEST)
+        _draw_curves(looks, group, distance, "goal to head ray (m)", _FARTHEST)
         for number, colour in reversed(list(enumerate(_shades(group)))):
             nearest = min(distance[number, primes[number]], _FARTHEST)
-            looks.plot(primes[number] / motions.fps, nearest, "o", color=colour, markersize=5, zorder=4)
-        looks.axhline(fan.constants.prime_distance, color=_GOAL, linewidth=0.9, linestyle=":")
+            looks.plot(primes[number] / motions.fps, nearest, "o", color=colour, markersize=3, zorder=4)
+        looks.axhline(fan.constants.prime_distance, color=GOAL_COLOUR, linewidth=0.9, linestyle=":")
         speed = np.linalg.norm(np.diff(motions.reaching_wrist, axis=1), axis=-1) * motions.fps
-        _draw_curves(wrists, group, speed, "speed of the wrist, m/s", _FASTEST)
-        bodies.set_title(
-            figure_text(f"{group.label}: {len(group.motions.joints)} motions, from the side"), fontsize=9, loc="left"
-        )
-    figure.suptitle(figure_text(f"{fan.dataset}: {fan.sequence_id}"), fontsize=10, x=0.01, y=0.985, ha="left")
-    figure.supxlabel(figure_text(_foot(fan)), fontsize=7.5, color="0.35", x=0.01, y=0.01, ha="left")
-    figures.write_figure(figure, path)
+        _draw_curves(wrists, group, speed, "wrist speed (m/s)", _FASTEST)
+        bodies.set_title(figure_text(f"{group.label}: {len(group.motions.joints)} motions, from the side"))
+    figure.suptitle(figure_text(f"{fan.dataset}: {fan.sequence_id}"), fontsize=6, x=0.01, y=0.985, ha="left")
+    foot = _foot(fan)
+    figure.supxlabel(figure_text(foot), fontsize=6, color="0.35", x=0.01, y=0.01, ha="left")
+    caption = f"Motions of {', '.join(group.label for group in fan.groups)} for one goal. {' '.join(foot.split())}"
+    figures.write_figure(figure, path, caption)
+    return caption
 
 
 def _foot(fan: Fan) -> str:
@@ -128,7 +128,7 @@ def _foot(fan: Fan) -> str:
     said.append("time (first look of the head that stays, else its best look).")
     said.append(f"Curves are cut at {_FARTHEST:g}\u00a0m and {_FASTEST:g}\u00a0m/s.")
     if fan.shows_goal:
-        said.append("Cyan: the goal.")
+        said.append("Light blue: the goal.")
     if len(fan.groups) > 1:
         said.append(
             "Recorded people: the sequence itself and similar tasks of other recordings, laid on its goal and stretched"
@@ -162,15 +162,15 @@ def _draw_bodies(axes: Axes, fan: Fan, group: FanGroup) -> None:
     for moment, poses, points, shift in zip(_MOMENTS, bodies, clouds, shifts, strict=True):
         for pose, colour in reversed(list(zip(poses, _shades(group), strict=True))):
             flat = figures.flattened(pose, start, sideways, shift)
-            figures.draw_chains(axes, flat, CHAINS, colour)
+            figures.draw_chains(axes, flat, CHAINS, colour, linewidth=1.0)
             forward, _ = head_forward(pose, fan.groups[0].motions.head_tilt_deg)
             tip = figures.flattened((pose[Joint.HEAD] + _LOOK * forward)[None], start, sideways, shift)[0]
-            axes.plot(*np.stack([flat[Joint.HEAD], tip]).T, color=colour, linewidth=0.9, linestyle="--")
-            axes.plot(*flat[Joint.HEAD], "o", color=colour, markersize=4.5)
+            axes.plot(*np.stack([flat[Joint.HEAD], tip]).T, color=colour, linewidth=0.6, linestyle="--")
+            axes.plot(*flat[Joint.HEAD], "o", color=colour, markersize=2.5)
         if fan.shows_goal and moment != _MOMENTS[0]:
-            axes.plot(goal[0, 0] + shift, goal[0, 1], "o", color=_GOAL, markersize=9, alpha=0.8, zorder=4)
+            axes.plot(goal[0, 0] + shift, goal[0, 1], "s", color=GOAL_COLOUR, markersize=4, zorder=4)
         centre = float(points[:, 0].mean()) + shift
-        axes.text(centre, -0.12, moment, fontsize=7, ha="center", va="top", color="0.35")
+        axes.text(centre, -0.12, moment, fontsize=6, ha="center", va="top", color="0.35")
     everything = np.concatenate([points + np.array([shift, 0.0]) for points, shift in zip(clouds, shifts, strict=True)])
     axes.set_xlim(everything[:, 0].min() - _MARGIN, everything[:, 0].max() + _MARGIN)
     axes.set_ylim(-0.32, everything[:, 1].max() + 0.15)
@@ -184,7 +184,6 @@ def _draw_curves(axes: Axes, group: FanGroup, curves: np.ndarray, title: str, to
     n_frames = group.motions.joints.shape[1]
     seconds = np.arange(n_frames - curves.shape[1], n_frames) / group.motions.fps
     for curve, colour in reversed(list(zip(curves, _shades(group), strict=True))):
-        axes.plot(seconds, np.minimum(curve, top), color=colour, linewidth=1.1)
+        axes.plot(seconds, np.minimum(curve, top), color=colour, linewidth=0.8)
     axes.set_ylim(-top / 40, top * 41 / 40)
-    axes.set_title(f"{title}, over seconds", fontsize=8, loc="left")
-    axes.tick_params(labelsize=6)
+    axes.set_title(f"{title}, over s")

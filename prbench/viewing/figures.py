@@ -112,8 +112,8 @@ def legend_below(figure: Figure, axes: Axes, note: str, *, columns: int) -> None
     """
     handles, labels = axes.get_legend_handles_labels()
     # The note is the legend's title, because a note of its own at the lower edge would be drawn over the legend.
-    style: dict[str, Any] = {"loc": "outside lower center", "fontsize": 8, "frameon": False, "title_fontsize": 7}
-    figure.legend(handles, labels, ncols=min(len(labels), columns), title=figure_text(note), **style)
+    columns = min(len(labels), columns)
+    figure.legend(handles, labels, ncols=columns, title=figure_text(note), loc="outside lower center")
 
 
 def horizontal_direction(offset: Vector) -> Vector:

@@ -13,99 +13,100 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from prbench.geometry.skeleton import CHAINS, Joint, head_forward
+from prbench.geometry.skeleton import Joint, head_forward
 from prbench.shown import figure_text
 from prbench.viewing import figures
-from prbench.viewing.replay.scene import Scene, ShownMotion
+from prbench.viewing.bodies import draw_bodies
+from prbench.viewing.replay.scene import GAZE_COLOUR, GOAL_COLOUR, Scene, ShownMotion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_NOTE_CHARACTERS = 90  # that fit below a panel
+_NOTE_CHARACTERS = 70  # that fit below a panel
 _POSES = 6
 _ARROW = 0.45  # metres
 _MARGIN = 0.45  # metres
-_GOAL = "tab:cyan"
-_GAZE = "tab:green"
 # Columns of Figure 5.
 MOMENTS = ("first frame", "prime", "reach")
 
 
-def draw_examples(scenes: Sequence[Scene], path: Path, *, title: str, columns: int = 2, dpi: int = 110) -> None:
-    """Draw recorded sequences as in Figures 1 and 2: poses from light to dark, gaze at the prime, and the goal.
+@figures.styled
+def draw_examples(scenes: Sequence[Scene], path: Path, *, title: str, columns: int = 2) -> str:
+    """Draw recorded sequences as in Figures 1 and 2, poses from light to dark, and return the caption.
 
     Args:
         scenes: Sequences whose recorded motion may be shown, one or more.
-        path: ``.png`` or ``.svg``; replaced when it exists.
+        path: PNG, SVG or PDF; replaced when it exists.
         title: What is shown.
         columns: Panels side by side.
-        dpi: Resolution of a PNG.
 
     Raises:
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
     rows, wide = figures.grid_shape(len(scenes), columns)
-    figure = figures.new_figure(5.6 * wide, 3.0 * rows + 0.6, dpi=dpi, layout="constrained")
+    figure = figures.new_figure(3.5 * wide, 1.9 * rows + 0.4, layout="constrained")
     axes = figure.subplots(rows, wide, squeeze=False).ravel()
     for scene, place in zip(scenes, axes):
         motion = scene.motions[0]
         chosen = np.unique(np.append(np.linspace(0, scene.n_frames - 1, _POSES).round(), moments(scene)[1])).astype(int)
-        for frame in chosen:
-            share = frame / max(scene.n_frames - 1, 1)
-            _draw_pose(place, scene, motion.joints[frame], colour=str(0.78 - 0.73 * share), alpha=1.0)
-        prime = moments(scene)[1]
-        _draw_gaze(place, scene, prime)
-        _draw_goal(place, scene)
         _frame_panel(place, _drawn(scene, motion, chosen.tolist()))
-        place.set_title(figure_text(f"{scene.dataset}: {scene.title}"), fontsize=8, loc="left")
+        for frame in chosen:
+            grey = f"{round(255 * (0.78 - 0.68 * frame / max(scene.n_frames - 1, 1))):02x}"
+            _draw_pose(place, scene, motion.joints[frame], colour=f"#{3 * grey}")
+        _draw_gaze(place, scene, moments(scene)[1])
+        _draw_goal(place, scene)
+        place.set_title(figure_text(f"{scene.dataset}: {scene.title}"))
     for place in axes[len(scenes) :]:
         place.set_axis_off()
-    figure.suptitle(figure_text(title), fontsize=10, x=0.01, ha="left")
+    figure.suptitle(figure_text(title), x=0.01, ha="left")
     # A figure of a single panel is narrower than the note.
-    foot = textwrap.fill(_foot(scenes, "Darker: later. Green: gaze at the prime time."), _NOTE_CHARACTERS * wide)
-    figure.supxlabel(figure_text(foot), fontsize=7, color="0.35")
-    figures.write_figure(figure, path)
+    said = _foot(scenes, "Darker: later. Orange: gaze at the prime time.")
+    figure.supxlabel(figure_text(textwrap.fill(said, _NOTE_CHARACTERS * wide)), color="0.35")
+    figures.write_figure(figure, path, f"{title}. {said}")
+    return f"{title}. {said}"
 
 
-def draw_moments(scenes: Sequence[Scene], path: Path, *, title: str, dpi: int = 110) -> None:
-    """Draw sequences as in Figure 5: recorded and generated poses at the first frame, at the prime, and at the reach.
+@figures.styled
+def draw_moments(scenes: Sequence[Scene], path: Path, *, title: str) -> str:
+    """Draw sequences as in Figure 5, poses at the first frame, the prime and the reach, and return the caption.
 
     An arrow shows where each head points.
 
     Args:
         scenes: Sequences with their motions, a row each, one or more.
-        path: ``.png`` or ``.svg``; replaced when it exists.
+        path: PNG, SVG or PDF; replaced when it exists.
         title: What is shown.
-        dpi: Resolution of a PNG.
 
     Raises:
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
-    figure = figures.new_figure(11.5, 2.7 * len(scenes) + 0.9, dpi=dpi, layout="constrained")
+    figure = figures.new_figure(7.0, 1.7 * len(scenes) + 0.6, layout="constrained")
     axes = figure.subplots(len(scenes), len(MOMENTS), squeeze=False)
     for scene, row in zip(scenes, axes, strict=True):
         frames = moments(scene)
         reach = [_drawn(scene, motion, [*frames]) for motion in scene.motions]
         for moment, frame, place in zip(MOMENTS, frames, row, strict=True):
+            _frame_panel(place, np.concatenate(reach))
             for motion in scene.motions:
                 joints = motion.joints[min(frame, len(motion.joints) - 1)]
-                _draw_pose(place, scene, joints, colour=motion.colour, alpha=0.95)
+                _draw_pose(place, scene, joints, colour=motion.colour)
                 head = joints[Joint.HEAD]
                 points = np.stack([head, head + _ARROW * head_forward(joints, scene.head_tilt_deg)[0]])
                 begin, end = _flat(scene, points)
-                style = {"arrowstyle": "-|>", "color": motion.colour, "linewidth": 1.4}
+                style = {"arrowstyle": "-|>", "color": motion.colour, "linewidth": 0.9, "mutation_scale": 6}
                 place.annotate("", end, begin, arrowprops=style)
             _draw_goal(place, scene)
-            _frame_panel(place, np.concatenate(reach))
-            place.set_title(figure_text(f"{moment}, {frame / scene.fps:.2f} s"), fontsize=8, loc="left")
-        row[0].set_ylabel(figure_text(f"{scene.dataset}\n{scene.title}"), fontsize=7)
+            place.set_title(figure_text(f"{moment}, {frame / scene.fps:.2f} s"))
+        row[0].set_ylabel(figure_text(f"{scene.dataset}\n{scene.title}"), fontsize=6)
     for motion in {motion.label: motion for scene in scenes for motion in scene.motions}.values():
         axes[0, 0].plot([], [], color=motion.colour, linewidth=3, label=figure_text(motion.label))
-    figures.legend_below(figure, axes[0, 0], _foot(scenes, "Arrows: where the head points."), columns=4)
-    figure.suptitle(figure_text(title), fontsize=10, x=0.01, ha="left")
-    figures.write_figure(figure, path)
+    said = _foot(scenes, "Arrows: where the head points.")
+    figures.legend_below(figure, axes[0, 0], said, columns=4)
+    figure.suptitle(figure_text(title), x=0.01, ha="left")
+    figures.write_figure(figure, path, f"{title}. {said}")
+    return f"{title}. {said}"
 
 
 def moments(scene: Scene) -> tuple[int, int, int]:
@@ -124,18 +125,22 @@ def _drawn(scene: Scene, motion: ShownMotion, frames: Sequence[int]) -> Float[np
 
 def _flat(scene: Scene, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
     """Picture coordinates: metres along the way to the goal, and height."""
-    start = scene.motions[0].joints[0, Joint.PELVIS]
-    # Where the licence keeps the goal, the way is that of the motion itself.
-    end = scene.motions[0].joints[-1, Joint.PELVIS]
-    if scene.goal is not None:
-        end = scene.goal.location
-    return figures.flattened(points, start, figures.horizontal_direction(end - start), 0.0)
+    return figures.flattened(points, scene.motions[0].joints[0, Joint.PELVIS], _way(scene), 0.0)
 
 
-def _draw_pose(axes: Axes, scene: Scene, joints: Float[np.ndarray, "22 3"], *, colour: str, alpha: float) -> None:
-    flat = _flat(scene, joints)
-    figures.draw_chains(axes, flat, CHAINS, colour, alpha=alpha, linewidth=1.8)
-    axes.plot(*flat[Joint.HEAD], "o", color=colour, alpha=alpha, markersize=5.5)
+def _way(scene: Scene) -> Float[np.ndarray, "3"]:
+    """Horizontal unit vector from the first place to the goal; where the licence keeps the goal, to the last place."""
+    pelvis = scene.motions[0].joints[:, Joint.PELVIS]
+    end = pelvis[-1] if scene.goal is None else scene.goal.location
+    return figures.horizontal_direction(end - pelvis[0])
+
+
+def _draw_pose(axes: Axes, scene: Scene, joints: Float[np.ndarray, "22 3"], *, colour: str) -> None:
+    def flat(points: np.ndarray) -> np.ndarray:
+        return _flat(scene, points.reshape(-1, 3)).reshape(*points.shape[:-1], 2)
+
+    towards = np.cross(_way(scene), [0.0, 1.0, 0.0])
+    draw_bodies(axes, joints[None], colour, flat, towards, head_tilt_deg=scene.head_tilt_deg)
 
 
 def _draw_gaze(axes: Axes, scene: Scene, frame: int) -> None:
@@ -147,14 +152,14 @@ def _draw_gaze(axes: Axes, scene: Scene, frame: int) -> None:
     direction = gaze.direction[frame]
     along = max(float((scene.goal.location - origin) @ direction), 0.0)
     begin, end = _flat(scene, np.stack([origin, origin + along * direction]))
-    axes.plot([begin[0], end[0]], [begin[1], end[1]], color=_GAZE, linewidth=1.2, linestyle="--")
-    axes.plot(*end, "+", color=_GAZE, markersize=11, markeredgewidth=2.2, zorder=5)
+    axes.plot([begin[0], end[0]], [begin[1], end[1]], color=GAZE_COLOUR, linestyle="--", zorder=4)
+    axes.plot(*end, "+", color=GAZE_COLOUR, markersize=7, markeredgewidth=1.5, zorder=6)
 
 
 def _draw_goal(axes: Axes, scene: Scene) -> None:
     if scene.goal is not None:
         place = _flat(scene, scene.goal.location[None])[0]
-        axes.plot(*place, "o", color=_GOAL, markersize=11, alpha=0.75, zorder=4)
+        axes.plot(*place, "s", color=GOAL_COLOUR, markersize=5, zorder=5)
 
 
 def _frame_panel(axes: Axes, points: Float[np.ndarray, "n 2"]) -> None:
@@ -169,7 +174,7 @@ def _frame_panel(axes: Axes, points: Float[np.ndarray, "n 2"]) -> None:
 
 def _foot(scenes: Sequence[Scene], marks: str) -> str:
     """Return what the marks mean, and the notices that the datasets' terms ask for."""
-    said = [marks, "Cyan: the goal. Seen at right angles to the way."]
+    said = [marks, "Blue square: the goal. Seen at right angles to the way."]
     if any(scene.dataset.startswith("synthetic-") for scene in scenes):
         said.append("Synthetic people.")
     said += dict.fromkeys(scene.notice for scene in scenes if scene.notice)
