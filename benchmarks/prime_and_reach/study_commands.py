@@ -325,7 +325,7 @@ class _OutType(PlaceType):
     type=_OutType("file"),
     metavar="FILE...",
     help="Write a table to these files: .csv (one number a row), .tex (LaTeX with booktabs) or .md. Of a figure, the"
-    " picture: .png or .svg, also of prediction. With --train: folder of all that is made (default ablations).",
+    " picture: .png, .svg or .pdf, also of prediction. With --train: folder of all that is made (default ablations).",
 )
 @click.option(
     "--numbers",
@@ -386,6 +386,6 @@ def study(ctx: click.Context, item: str, inputs: Paths, train: bool, **given: An
             require_format(path)
     if is_figure:
         if len(given["out"]) != 1:
-            raise UsageError(f"{name}: --out FILE is needed, the picture: {' or '.join(FORMATS)}.")
+            raise UsageError(f"{name}: --out FILE is needed, the picture: .png, .svg or .pdf.")
         require_drawable(given["out"][0])
     return row.make(item, inputs, **chosen)

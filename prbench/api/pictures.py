@@ -64,8 +64,8 @@ class Picture:
         """Write the picture into a file; one that exists is replaced.
 
         Args:
-            path: The file. It ends in ``.png``, ``.svg`` or ``.pdf``; where sequences are drawn, ``.mp4`` writes a film and ``.html`` a page
-                to turn and play, as ``prbench view --out`` does; all sequences stand in it.
+            path: The file, ``.png``, ``.svg`` or ``.pdf``. Where sequences are drawn, ``.mp4`` writes a film and
+                ``.html`` a page to turn and play, as ``prbench view --out`` does; all sequences stand in it.
 
         Returns:
             The file.

@@ -93,7 +93,12 @@ PASSWORD_VARIABLE = "PRBENCH_SIGN_PASSWORD"
 )
 @opt.limit_option(f"all; {opt.FIRST_RUN_SEQUENCES} without --data; with all: 5 of each dataset")
 @opt.sequence_option("Run this one only")
-@click.option("--view", type=opt.OUT_FILE, metavar="FILE", help="Show the motions as .png, .mp4 or .html.")
+@click.option(
+    "--view",
+    type=opt.OUT_FILE,
+    metavar="FILE",
+    help="Show the motions in a page (.html), picture (.png, .svg, .pdf) or film (.mp4).",
+)
 @opt.flag("--with-controls", "With all: the cheats of docs/audit.md and nearest-neighbour, too.")
 @opt.protocol_option(
     "the numbers of the metrics, stamped into the run; the table must have been built by the same rules."

@@ -97,7 +97,7 @@ def _caption(statistics: Sequence[TableStatistics], *, with_published: bool) -> 
     tables = ", ".join(f"{each.dataset} ({each.sequences} sequences)" for each in statistics)
     published = " Grey: published mean and standard deviation." if with_published else ""
     return (
-        f"Sequences of {tables}: a to c, place of the goal seen from the first pose; d, how far the body moves; e, angle"
+        f"Sequences of {tables}: a to c, place of the goal from the first pose; d, how far the body moves; e, angle"
         " between gaze and goal around the prime time, median and quartiles; f, time from the prime to the event."
         f" Densities; vertical lines are means.{published}"
     )

@@ -70,7 +70,7 @@ def require_drawable(path: Path) -> None:
         UsageError: for any but PNG, SVG and PDF.
     """
     if path.suffix.lower() not in FORMATS:
-        raise UsageError(f"{path}: the figure is written as {' or '.join(FORMATS)}, not as '{path.suffix}'.")
+        raise UsageError(f"{path}: the figure is written as .png, .svg or .pdf, not as '{path.suffix}'.")
 
 
 def write_figure(figure: Figure, path: Path | str, caption: str = "") -> None:

@@ -138,7 +138,7 @@ def view(request: ViewRequest, progress: Progress = lambda *_: None) -> ViewRepo
         if benchmark != default_benchmark().name:
             if request.out is None:
                 raise UsageError(
-                    f"--out FILE: a run of {benchmark} is drawn as a picture, .png or .svg; name the file."
+                    f"--out FILE: a run of {benchmark} is drawn as a picture (.png, .svg, .pdf); name the file."
                 )
             return load_benchmark(benchmark).view(request)
     out = request.out or page_place(request.runs)
@@ -288,7 +288,7 @@ def file_kind(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix not in _PACKAGES:
         found = f"'{suffix}'" if suffix else "no suffix"
-        raise UsageError(f"{path}: expected a file that ends in {', '.join(_PACKAGES)}, found {found}.")
+        raise UsageError(f"{path}: expected a file that ends in .html, .png, .svg, .pdf or .mp4, found {found}.")
     if path.is_dir():
         raise StorageError(f"{path}: is a folder. Choose a file for --out.")
     kind = suffix[1:]

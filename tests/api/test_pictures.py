@@ -96,9 +96,9 @@ def test_a_table_is_drawn_as_by_the_command(synthetic, empty, tmp_path):
         empty.plot()
 
 
-def test_a_story_is_a_png_alone(synthetic, tmp_path):
+def test_a_story_is_a_picture_alone(synthetic, tmp_path):
     story = synthetic.explain(synthetic.events[0].event_id)
-    with pytest.raises(prbench.PrbenchError, match=r"expected a file that ends in \.png, found '\.html'"):
+    with pytest.raises(prbench.PrbenchError, match=r"written as \.png, \.svg or \.pdf, not as '\.html'"):
         story.save(tmp_path / "story.html")
 
 

@@ -92,14 +92,14 @@ def test_what_a_view_shows_is_reported_as_json(run, data, tmp_path, capsys):
 
 def test_mistakes_are_told_in_one_message(run, data, tmp_path, capsys):
     for words, code, message in (
-        (["view", str(run), "--data", str(data), "--out", "a.gif"], 2, ".png, .mp4 or .html"),
+        (["view", str(run), "--data", str(data), "--out", "a.gif"], 2, ".html, .png, .svg, .pdf or .mp4"),
         (["view", "--out", "a.png"], 2, "nothing to view"),
         (["view", str(data), "--out", "a.png"], 7, "expected a run folder"),
         (["view", str(run), "--data", str(data), "--sequence", "obj1/pikc", "--out", "a.png"], 2, "Near it:"),
         ([*RUN, str(data), "--sequence", "obj5/pikc"], 2, "Near it:"),
         ([*RUN, str(data), "--sequence", "/obj0/"], 2, "--split train"),
         ([*RUN, str(data), "--sequence", "/obj5/", "--limit", "2"], 2, "leave --limit out"),
-        ([*RUN, str(data), "--out", str(tmp_path / "r"), "--view", "a.gif"], 2, ".png, .mp4 or .html"),
+        ([*RUN, str(data), "--out", str(tmp_path / "r"), "--view", "a.gif"], 2, ".html, .png, .svg, .pdf or .mp4"),
     ):
         assert main(words) == code
         assert message in capsys.readouterr().err

@@ -188,7 +188,7 @@ def test_goals_in_an_unknown_frame_are_not_drawn_and_nothing_is_measured_against
 
 @pytest.mark.parametrize("name", ["view.gif", "view", "view.png.txt"])
 def test_another_suffix_is_refused_before_anything_is_read(name, tmp_path):
-    with pytest.raises(UsageError, match=r"\.png, \.mp4 or \.html"):
+    with pytest.raises(UsageError, match=r"\.html, \.png, \.svg, \.pdf or \.mp4"):
         view(ViewRequest(out=tmp_path / name, runs=(tmp_path / "no run",)))
 
 

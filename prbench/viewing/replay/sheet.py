@@ -121,7 +121,7 @@ def draw_way(axes: Axes, scene: replay.Scene) -> None:
     tilt = scene.head_tilt_deg
     first = scene.motions[0]
     poses = first.joints[[frame for frame, _, _ in moments]]
-    draw_bodies(axes, poses, replay.paler(first.colour), replay.top_view, UP, head_tilt_deg=tilt, zorder=2)
+    draw_bodies(axes, poses, replay.paler(first.colour), replay.top_view, UP, head_tilt_deg=tilt, zorder=2.0)
     for motion in scene.motions:
         path = replay.top_view(motion.joints[:, Joint.PELVIS])
         axes.plot(*path.T, color=motion.colour, linewidth=1.4, zorder=5)

@@ -117,7 +117,7 @@ def test_a_run_that_cannot_be_measured_is_refused_with_what_to_do(table, tmp_pat
         ([single], "expected two motions or more of each sequence, found one"),
         ([shuffled], "were given other sequences' goals"),
         ([run, "--sequence", "x"], "--sequence: belongs to --fan FILE"),
-        ([run, "--fan", str(tmp_path / "fan.mp4")], "written as .png or .svg"),
+        ([run, "--fan", str(tmp_path / "fan.mp4")], "written as .png, .svg or .pdf"),
         ([run, "--fan", str(tmp_path / "fan.png"), "--sequence", "nowhere"], "nowhere"),
     ):
         assert main(["analyse", "diversity", *words, *data]) == 2

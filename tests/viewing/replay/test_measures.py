@@ -14,7 +14,6 @@ from prbench.viewing.replay.scene import (
     RECORDED_COLOUR,
     Goal,
     ShownMotion,
-    gaze_angle,
     gaze_distance,
     measure,
     phase,
@@ -44,7 +43,6 @@ def test_a_goal_two_metres_away_at_a_known_angle(degrees, distance):
     body = ShownMotion("x", RECORDED_COLOUR, _upright()[None])
     values = measure(body, _goal(degrees, 2.0), head_tilt_deg=0.0)
     assert values.head_distance[0] == pytest.approx(distance, abs=1e-9)  # 2 sin 30°; behind the head: the way to it
-    assert values.head_angle[0] == pytest.approx(degrees, abs=1e-6)
 
 
 def test_the_nearer_wrist_counts_and_the_best_frame():
@@ -69,9 +67,7 @@ def test_invalid_gaze_leaves_a_gap():
     gaze = GazeRays(np.zeros((2, 3)), np.array([[0.0, 0, 1], [0, 0, 1]]), np.array([True, False]))
     goal = Goal(np.array([3.0, 0.0, 4.0]), _NO_BOX)
     assert gaze_distance(gaze, goal)[0] == pytest.approx(3.0)
-    assert gaze_angle(gaze, goal)[0] == pytest.approx(np.rad2deg(np.arctan2(3, 4)))
     assert np.isnan(gaze_distance(gaze, goal)[1])
-    assert np.isnan(gaze_angle(gaze, goal)[1])
 
 
 def test_scores_in_words_leave_out_what_compares_a_motion_with_itself():

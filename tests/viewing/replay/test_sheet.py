@@ -13,18 +13,32 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 
 from prbench.errors import StorageError
+from prbench.geometry.skeleton import Joint
+from prbench.viewing.bodies import body_lines
+from prbench.viewing.figures import styled
 from prbench.viewing.replay.scene import GAZE_COLOUR, GOAL_COLOUR, METHOD_COLOURS, RECORDED_COLOUR, rgb
-from prbench.viewing.replay.sheet import WIDTH, Block, block_height, chosen_frames, draw_scene, draw_sheet
+from prbench.viewing.replay.sheet import (
+    COLUMN,
+    KEY,
+    Block,
+    block_height,
+    chosen_frames,
+    draw_key,
+    draw_scene,
+    draw_sheet,
+)
 from tests.viewing.replay.scenes import a_scene
 
 LABELS = [f"method_with_a_name_{number}, goal-loc, shuffled-goal" for number in range(6)]
 
 
+@styled
 def _drawn(scene) -> Figure:
-    height = block_height(len(scene.motions))
-    figure = Figure(figsize=(WIDTH, height))
+    height = block_height(len(scene.motions)) + KEY
+    figure = Figure(figsize=(COLUMN, height))
     FigureCanvasAgg(figure)
-    draw_scene(Block(figure, height), scene)
+    draw_scene(Block(figure, 0.0, height), scene)
+    draw_key(Block(figure, 0.0, KEY), [scene])
     return figure
 
 
@@ -105,7 +119,7 @@ def test_without_goal_and_gaze_the_generated_motion_is_still_drawn(tmp_path):
     words = " ".join(text.get_text() for text in figure.findobj(Text))
     assert "ground truth" not in words
     assert "gaze" not in words
-    assert "goal and its box" not in words
+    assert "goal" not in words.split()
 
 
 def test_progress_is_told_and_an_unwritable_place_named(tmp_path):
@@ -115,3 +129,35 @@ def test_progress_is_told_and_an_unwritable_place_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match=r"file"):
         draw_sheet([a_scene()], tmp_path / "file" / "a.png")
+
+
+def test_a_picture_is_as_wide_as_a_text_column_with_text_that_can_be_read_there():
+    figure = _drawn(a_scene("mdm, text", "pr, goal-loc"))
+    assert figure.get_figwidth() == COLUMN == 3.5
+    sizes = {text.get_fontsize() for text in figure.findobj(Text) if text.get_text().strip()}
+    assert min(sizes) >= 6
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_the_caption_stands_in_the_file_and_says_what_is_shown(suffix, tmp_path):
+    path = tmp_path / f"view{suffix}"
+    caption = draw_sheet([a_scene("pr, goal-loc")], path)
+    assert "pr, goal-loc" in caption
+    assert "within 25 cm" in caption
+    words = b"Bodies from the side at the same moments"
+    assert words in path.read_bytes()
+
+
+def test_right_and_left_limbs_differ_and_the_nearer_one_lies_on_top():
+    scene = a_scene()
+    joints = scene.motions[0].joints[:1]
+    lines = _drawn(scene).axes[0].collections[0]
+    shades = {tuple(np.round(colour, 3)) for colour in lines.get_colors()}
+    assert len(shades) == 3, "white outlines, right limbs with the trunk, left limbs"
+    towards = np.cross(scene.picture_axis, [0.0, 1.0, 0.0])
+    ankles = joints[0, [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE]] @ towards
+    axes = Figure(figsize=(2, 2)).add_subplot(xlim=(-1, 1), ylim=(0, 2))
+    drawn = body_lines(axes, joints, "#000000", lambda points: points[..., :2], towards, head_tilt_deg=0.0)
+    last = drawn["color"][-1]
+    assert ankles[0] != ankles[1]
+    assert last.max() < 1, "a fill, not an outline, is drawn last"

@@ -170,9 +170,9 @@ def test_every_figure_is_made_by_its_command(suffix, runs, table, tmp_path, caps
 
 
 def test_a_figure_of_another_kind_is_refused_first(runs, table, tmp_path, capsys):
-    words = ["study", "figure-4", str(runs["scripted"]), "--data", str(table.folder), "--out", str(tmp_path / "f.pdf")]
+    words = ["study", "figure-4", str(runs["scripted"]), "--data", str(table.folder), "--out", str(tmp_path / "f.gif")]
     assert main(words) == UsageError.exit_code
-    assert "written as .png or .svg" in capsys.readouterr().err
+    assert "written as .png, .svg or .pdf" in capsys.readouterr().err
 
 
 def test_numbers_of_a_figure_are_written_beside_it(runs, table, tmp_path):
