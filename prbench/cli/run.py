@@ -97,7 +97,7 @@ PASSWORD_VARIABLE = "PRBENCH_SIGN_PASSWORD"
     "--view",
     type=opt.OUT_FILE,
     metavar="FILE",
-    help="Show the motions in a page (.html), picture (.png, .svg, .pdf) or film (.mp4).",
+    help="Show the motions: .html, .png, .svg, .pdf or .mp4.",
 )
 @opt.flag("--with-controls", "With all: the cheats of docs/audit.md and nearest-neighbour, too.")
 @opt.protocol_option(

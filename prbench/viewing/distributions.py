@@ -56,7 +56,7 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path) -> str:
         panels[4].plot(each.gaze_shift_times, median, color=colour, linewidth=1.2)
     panels[4].axvline(0.0, color="0.6", linewidth=0.8)
     panels[4].set_ylim(bottom=0.0)
-    panels[4].set_title("e  gaze away from the goal (deg), s from the prime")
+    panels[4].set_title("e  gaze off the goal (deg), around the prime")
     band = None if published is None else published.prime_gap
     _histogram(panels[5], statistics, "prime_gap", "f  prime gap (s)", band)
     for colour, each in zip(_COLOURS, statistics, strict=False):

@@ -105,14 +105,14 @@ def draw_fan(fan: Fan, path: Path) -> str:
         above.set_xlim(*seen_from_above[0])
         above.set_ylim(*seen_from_above[1])
         distance = motions.head_distance
-        _draw_curves(looks, group, distance, "goal to head ray (m)", _FARTHEST)
+        _draw_curves(looks, group, distance, "head ray (m)", _FARTHEST)
         for number, colour in reversed(list(enumerate(_shades(group)))):
             nearest = min(distance[number, primes[number]], _FARTHEST)
             looks.plot(primes[number] / motions.fps, nearest, "o", color=colour, markersize=3, zorder=4)
         looks.axhline(fan.constants.prime_distance, color=GOAL_COLOUR, linewidth=0.9, linestyle=":")
         speed = np.linalg.norm(np.diff(motions.reaching_wrist, axis=1), axis=-1) * motions.fps
         _draw_curves(wrists, group, speed, "wrist speed (m/s)", _FASTEST)
-        bodies.set_title(figure_text(f"{group.label}: {len(group.motions.joints)} motions, from the side"))
+        bodies.set_title(figure_text(f"{group.label}: {len(group.motions.joints)} motions"))
     figure.suptitle(figure_text(f"{fan.dataset}: {fan.sequence_id}"), fontsize=6, x=0.01, y=0.985, ha="left")
     foot = _foot(fan)
     figure.supxlabel(figure_text(foot), fontsize=6, color="0.35", x=0.01, y=0.01, ha="left")

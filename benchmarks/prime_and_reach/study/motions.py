@@ -47,16 +47,21 @@ def draw_examples(scenes: Sequence[Scene], path: Path, *, title: str, columns: i
     rows, wide = figures.grid_shape(len(scenes), columns)
     figure = figures.new_figure(3.5 * wide, 1.9 * rows + 0.4, layout="constrained")
     axes = figure.subplots(rows, wide, squeeze=False).ravel()
-    for scene, place in zip(scenes, axes):
+    chosen = [
+        np.unique(np.append(np.linspace(0, scene.n_frames - 1, _POSES).round(), moments(scene)[1])).astype(int)
+        for scene in scenes
+    ]
+    for scene, frames, place in zip(scenes, chosen, axes):
+        _frame_panel(place, _drawn(scene, scene.motions[0], frames.tolist()))
+        place.set_title(figure_text(f"{scene.dataset}\n{scene.title}"))
+    figure.draw_without_rendering()  # settles the panels, by whose size bodies are drawn
+    for scene, frames, place in zip(scenes, chosen, axes):
         motion = scene.motions[0]
-        chosen = np.unique(np.append(np.linspace(0, scene.n_frames - 1, _POSES).round(), moments(scene)[1])).astype(int)
-        _frame_panel(place, _drawn(scene, motion, chosen.tolist()))
-        for frame in chosen:
+        for frame in frames:
             grey = f"{round(255 * (0.78 - 0.68 * frame / max(scene.n_frames - 1, 1))):02x}"
             _draw_pose(place, scene, motion.joints[frame], colour=f"#{3 * grey}")
         _draw_gaze(place, scene, moments(scene)[1])
         _draw_goal(place, scene)
-        place.set_title(figure_text(f"{scene.dataset}: {scene.title}"))
     for place in axes[len(scenes) :]:
         place.set_axis_off()
     figure.suptitle(figure_text(title), x=0.01, ha="left")
@@ -85,10 +90,14 @@ def draw_moments(scenes: Sequence[Scene], path: Path, *, title: str) -> str:
     figure = figures.new_figure(7.0, 1.7 * len(scenes) + 0.6, layout="constrained")
     axes = figure.subplots(len(scenes), len(MOMENTS), squeeze=False)
     for scene, row in zip(scenes, axes, strict=True):
-        frames = moments(scene)
-        reach = [_drawn(scene, motion, [*frames]) for motion in scene.motions]
-        for moment, frame, place in zip(MOMENTS, frames, row, strict=True):
+        reach = [_drawn(scene, motion, [*moments(scene)]) for motion in scene.motions]
+        for moment, frame, place in zip(MOMENTS, moments(scene), row, strict=True):
             _frame_panel(place, np.concatenate(reach))
+            place.set_title(figure_text(f"{moment}, {frame / scene.fps:.2f} s"))
+        row[0].set_ylabel(figure_text(f"{scene.dataset}\n{scene.title}"), fontsize=6)
+    figure.draw_without_rendering()  # settles the panels, by whose size bodies are drawn
+    for scene, row in zip(scenes, axes, strict=True):
+        for frame, place in zip(moments(scene), row, strict=True):
             for motion in scene.motions:
                 joints = motion.joints[min(frame, len(motion.joints) - 1)]
                 _draw_pose(place, scene, joints, colour=motion.colour)
@@ -98,8 +107,6 @@ def draw_moments(scenes: Sequence[Scene], path: Path, *, title: str) -> str:
                 style = {"arrowstyle": "-|>", "color": motion.colour, "linewidth": 0.9, "mutation_scale": 6}
                 place.annotate("", end, begin, arrowprops=style)
             _draw_goal(place, scene)
-            place.set_title(figure_text(f"{moment}, {frame / scene.fps:.2f} s"))
-        row[0].set_ylabel(figure_text(f"{scene.dataset}\n{scene.title}"), fontsize=6)
     for motion in {motion.label: motion for scene in scenes for motion in scene.motions}.values():
         axes[0, 0].plot([], [], color=motion.colour, linewidth=3, label=figure_text(motion.label))
     said = _foot(scenes, "Arrows: where the head points.")
