@@ -34,7 +34,7 @@ _QUALITY = 7  # of 10, as the encoder's wrapper counts
 _DPI = 100
 _LONGEST_RAY = 6.0  # metres
 _FOOTPRINT = 0.5  # metres beside what must be seen
-_Update = Callable[[int], None]
+_Update = Callable[[int], object]
 
 
 @styled
