@@ -11,10 +11,9 @@ from typing import Any
 
 import msgspec
 
-from prbench.errors import RedistributionError, StorageError, UsageError
+from prbench.errors import RedistributionError, UsageError
 from prbench.files.storage import atomic_folder, require_replaceable, sole_file, sole_writer, text_digest, write_json
 from prbench.geometry.skeleton import Joint
-from prbench.sequences import DatasetInfo
 from prbench.viewing.replay.scene import Progress, Scene
 from prbench.viewing.view import ViewRequest, file_kind, scenes_of
 
@@ -119,13 +118,10 @@ def export_motion(request: ExportRequest, progress: Progress = lambda *_: None) 
     scenes, left_out = _permitted(request)
     work = [each for scene in scenes for each in _parts(request, scene)]
     out = request.out
-    is_file = out.suffix.lower() == SUFFIXES[form]
-    if len(work) == 1 and not is_file:
-        raise UsageError(f"{out}: expected a file that ends in {SUFFIXES[form]}, found '{out.suffix or 'no suffix'}'.")
-    if len(work) == 1 and out.is_dir():
-        raise StorageError(f"{out}: is a folder. Choose a file for --out.")
-    if len(work) > 1 and is_file:
-        raise UsageError(f"{out}: expected a folder for {len(work)} files, found a file's name. Leave out its suffix.")
+    suffix = SUFFIXES[form]
+    if (out.suffix.lower() == suffix) != (len(work) == 1):
+        wanted = f"a file that ends in {suffix}" if len(work) == 1 else f"a folder for {len(work)} files"
+        raise UsageError(f"{out}: expected {wanted}, found '{out.suffix or 'no suffix'}'.")
     if len(work) == 1:
         with sole_file(out) as temporary:
             motions = [_write(request, work[0], temporary, out.name)]
@@ -134,7 +130,7 @@ def export_motion(request: ExportRequest, progress: Progress = lambda *_: None) 
     motions = []
     with sole_writer(out), atomic_folder(out) as folder:
         for scene in work:
-            name = file_name(scene.sequence_id, SUFFIXES[form], recorded=scene.shows_recorded and request.recorded)
+            name = file_name(scene.sequence_id, suffix, recorded=scene.shows_recorded and request.recorded)
             motions.append(_write(request, scene, folder / name, name))
             progress(len(motions), len(work), scene.sequence_id)
         write_json(folder / MANIFEST, {"motions": msgspec.to_builtins(motions), "left_out": left_out})
@@ -146,7 +142,7 @@ def _permitted(request: ExportRequest) -> tuple[list[Scene], list[str]]:
     scenes = []
     left_out = set()
     for scene in scenes_of(request):
-        info = _info(scene)
+        info: Any = scene.info
         # A file is made to be passed on, so that terms such as non-commercial need the user's word, too.
         if info.redistribution != "yes" and scene.dataset not in request.permitted:
             methods = tuple(motion for motion in scene.motions if motion.kind == "method")
@@ -177,14 +173,9 @@ def file_name(sequence_id: str, suffix: str, *, recorded: bool = False) -> str:
     return f"{words}-{text_digest(sequence_id)[:8]}{'-recorded' if recorded else ''}{suffix}"
 
 
-def _info(scene: Scene) -> DatasetInfo:
-    assert scene.info is not None, "the scene was read from a table"
-    return scene.info
-
-
 def _write(request: ExportRequest, scene: Scene, path: Path, name: str) -> ExportedMotion:
     """Write one file, and say what is in it."""
-    info = _info(scene)
+    info: Any = scene.info
     said = ExportedMotion(
         file=name, sequence_id=scene.sequence_id, dataset=scene.dataset, fps=scene.fps, n_frames=scene.n_frames,
         motion=", ".join(motion.label for motion in scene.motions),

@@ -118,7 +118,8 @@ def _streams(scene: Scene, recording: Recording) -> list[tuple[str, float, np.nd
     canonical_from_world = invert_rigid(scene.world_from_canonical)
     samples = []
     for name, stream, points in found:
-        times = stream.times - scene.start_time
+        # What was seen once stands still.
+        times = stream.times - scene.start_time if len(stream.times) > 1 else np.zeros(len(stream.times))
         inside = np.flatnonzero(stream.valid & (times >= 0) & (times <= scene.event_time + _AFTER))
         # Of each sixtieth of a second the first sample.
         _, first = np.unique(np.floor(times[inside] * _STREAM_RATE), return_index=True)

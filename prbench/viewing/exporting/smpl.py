@@ -77,8 +77,7 @@ def write(scene: Scene, path: Path, about: dict[str, Any], request: ExportReques
     rate = np.array(scene.fps)
     arrays = {
         "poses": poses, "trans": pelvis - rest[Joint.PELVIS], "betas": betas, "gender": np.array("neutral"),
-        "mocap_framerate": rate, "mocap_frame_rate": rate, "root_orient": vectors[:, 0],
-        "pose_body": vectors[:, 1:].reshape(len(joints), -1), "error": error,
+        "mocap_framerate": rate, "mocap_frame_rate": rate, "error": error,
         "about": np.array(msgspec.json.encode(about, order="sorted").decode()),
     }  # fmt: skip
     with open(path, "wb") as file:
