@@ -444,14 +444,14 @@
       element.append(this.canvas);
       this.scene = new THREE.Scene();
       this.camera = new THREE.PerspectiveCamera(38, 1, 0.05, 80);
-      this.controls = new THREE.OrbitControls(this.camera, this.canvas);
-      this.controls.maxPolarAngle = Math.PI * 0.52;
-      this.controls.minDistance = 0.5;
-      this.controls.maxDistance = 25;
-      this.controls.zoomSpeed = 0.8;
-      this.controls.addEventListener("change", () => this.invalidate());
-      this.controls.addEventListener("start", () => {
-        this._flight = null;
+      this.target = new THREE.Vector3(); // what the camera looks at
+      this._letGo = parts.hands.listen(this.canvas, {
+        start: () => {
+          this._flight = null;
+        },
+        turn: (across, down) => this.orbit(-across * 2 * Math.PI, -down * 2 * Math.PI),
+        shift: (across, down) => this.shift(across, down),
+        nearer: (factor) => this.orbit(0, 0, factor),
       });
       this.sky = new THREE.HemisphereLight("#ffffff", "#aab0b8", 1.5);
       this.sun = new THREE.DirectionalLight("#fff6e8", 2);
@@ -683,7 +683,7 @@
       if (this.follow && this._followed && here && this.preset !== "eyes") {
         const step = here.clone().sub(this._followed);
         this.camera.position.add(step);
-        this.controls.target.add(step);
+        this.target.add(step);
         if (this._lookedFrom) this._lookedFrom.add(step);
       }
       this._followed = here;
@@ -709,7 +709,6 @@
     look(preset, animated = true) {
       const newLanes = (preset === "side") !== (this.preset === "side");
       this.preset = preset;
-      this.controls.enabled = preset !== "eyes";
       this.camera.fov = preset === "eyes" ? 80 : 38;
       if (!this.actors.length) return;
       if (newLanes) this.arrange();
@@ -787,13 +786,13 @@
       if (!animated || this.reducedMotion) {
         this._flight = null;
         this.camera.position.copy(position);
-        this.controls.target.copy(target);
-        this.controls.update();
+        this.target.copy(target);
+        this.camera.lookAt(this.target);
       } else {
         this._flight = {
           begin: null,
           from: this.camera.position.clone(),
-          fromTarget: this.controls.target.clone(),
+          fromTarget: this.target.clone(),
           position,
           target,
         };
@@ -808,8 +807,8 @@
       const t = Math.min((now - flight.begin) / 350, 1);
       const eased = t * t * (3 - 2 * t);
       this.camera.position.lerpVectors(flight.from, flight.position, eased);
-      this.controls.target.lerpVectors(flight.fromTarget, flight.target, eased);
-      this.controls.update();
+      this.target.lerpVectors(flight.fromTarget, flight.target, eased);
+      this.camera.lookAt(this.target);
       if (t < 1) this.invalidate();
       else this._flight = null;
     }
@@ -817,7 +816,7 @@
     /** Turn the camera about what it looks at (radians), or come nearer (`nearer` < 1). */
     orbit(yaw, pitch, nearer = 1) {
       if (this.preset === "eyes") return;
-      const offset = this.camera.position.clone().sub(this.controls.target);
+      const offset = this.camera.position.clone().sub(this.target);
       const radius = Math.min(Math.max(offset.length() * nearer, 0.5), 25);
       const angle = Math.atan2(offset.x, offset.z) + yaw;
       const polar = Math.min(Math.max(Math.acos(offset.y / offset.length()) + pitch, 0.02), Math.PI * 0.52);
@@ -826,8 +825,20 @@
         radius * Math.cos(polar),
         radius * Math.sin(polar) * Math.cos(angle),
       );
-      this.camera.position.copy(this.controls.target).add(offset);
-      this.controls.update();
+      this.camera.position.copy(this.target).add(offset);
+      this.camera.lookAt(this.target);
+      this.invalidate();
+    }
+
+    /** Shift the picture by shares of its height. */
+    shift(across, down) {
+      if (this.preset === "eyes") return;
+      const size = 2 * Math.tan((this.camera.fov * Math.PI) / 360) * this.camera.position.distanceTo(this.target);
+      const right = new THREE.Vector3().setFromMatrixColumn(this.camera.matrix, 0);
+      const top = new THREE.Vector3().setFromMatrixColumn(this.camera.matrix, 1);
+      const step = right.multiplyScalar(-across * size).addScaledVector(top, down * size);
+      this.camera.position.add(step);
+      this.target.add(step);
       this.invalidate();
     }
 
@@ -975,7 +986,7 @@
       for (const actor of this._leaving) actor.dispose();
       if (this._asked) cancelAnimationFrame(this._asked);
       this._observer.disconnect();
-      this.controls.dispose();
+      this._letGo();
       free(this.floor);
       this.sun.dispose();
       this.renderer.dispose();

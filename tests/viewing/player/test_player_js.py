@@ -37,11 +37,11 @@ def motion(label: str, speed: float, good: bool, sliding: list[list[int]]) -> do
         label=label,
         kind="recorded" if label == "ground truth" else "method",
         colour="#303030" if label == "ground truth" else "#0072b2",
-        joints=document.millimetres(STANDING + shift[:, None, None] * [0, 0, 1]).tobytes(),
-        head_ray=document.millimetres(np.tile([0, -6.0, 8.0], (N, 1))).tobytes(),
-        gaze=document.millimetres(np.tile([0, 1.6, 0.1, 0, -6, 8], (N, 1))).tobytes(),
-        wrist=document.millimetres(wrist).tobytes(),
-        head=document.millimetres(wrist / 2).tobytes(),
+        joints=document.packed(STANDING + shift[:, None, None] * [0, 0, 1]),
+        head_ray=document.packed(np.tile([0, -6.0, 8.0], (N, 1))),
+        gaze=document.packed(np.tile([0, 1.6, 0.1, 0, -6, 8], (N, 1))),
+        wrist=document.packed(wrist),
+        head=document.packed(wrist / 2),
         on_target=[[20, 40]] if good else [],
         within_reach=[[50, 60]] if good else [],
         sliding=sliding,
@@ -54,8 +54,8 @@ def motion(label: str, speed: float, good: bool, sliding: list[list[int]]) -> do
 
 def sequence(number: int, *, good: bool, speed: float) -> document.PlayerSequence:
     box = [[x, y, z] for z in (1.4, 1.6) for y in (0.8, 1.0) for x in (-0.1, 0.1)]
-    path = document.millimetres(np.linspace([0, 0, 0], [0.5, 0, 0], N)).tobytes()
-    corners = document.millimetres(np.array([(-1.0, 0, -1), (-1, 0, 1), (1, 0, 1)])).tobytes()
+    path = document.packed(np.linspace([0, 0, 0], [0.5, 0, 0], N))
+    corners = document.packed(np.array([(-1.0, 0, -1), (-1, 0, 1), (1, 0, 1)]))
     return document.PlayerSequence(
         sequence_id=f"made/take {number}/cup",
         dataset="made",
@@ -120,7 +120,7 @@ def test_vendored_three_is_the_file_that_its_record_names_and_leaves_room_for_th
     script = (folder / "three.js").read_bytes()
     assert hashlib.sha256(script).hexdigest() == record["sha256"]
     own = sum(len(path.read_bytes()) for path in PLAYER.glob("*.js"))
-    assert len(script) + own <= 700 * 1024
+    assert len(script) + own <= 700_000
 
 
 @pytest.mark.parametrize(
@@ -205,6 +205,25 @@ def test_two_motions_in_lanes_overlaid_and_split_and_one_alone(player: Page) -> 
     assert player.evaluate("() => handle.player.stage.shown.map((actor) => actor.motion.label)") == ["<b>glide</b>"]
     assert "motions=" in player.evaluate("location.hash")
     player.get_by_role("checkbox", name="show ground truth").click()
+
+
+def test_mouse_wheel_and_keys_move_the_camera(player: Page) -> None:
+    place = (
+        "() => { const {camera, target} = handle.player.stage; return camera.position.clone().sub(target).toArray(); }"
+    )
+    before = np.array(player.evaluate(place))
+    player.locator(".prp-stage canvas").hover()
+    player.mouse.down()
+    player.mouse.move(500, 100)
+    player.mouse.up()
+    turned = np.array(player.evaluate(place))
+    player.mouse.wheel(0, -100)
+    nearer = np.array(player.evaluate(place))
+    player.keyboard.press("o")
+    assert np.linalg.norm(turned) == pytest.approx(np.linalg.norm(before))
+    assert np.linalg.norm(turned - before) > 0.5
+    assert np.linalg.norm(nearer) < 0.95 * np.linalg.norm(turned)
+    assert np.linalg.norm(player.evaluate(place)) > np.linalg.norm(nearer)
 
 
 def test_search_filter_and_worst_first(player: Page) -> None:
