@@ -132,12 +132,12 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
             left_out.append(
                 f"{name}: compared on the {len(common)} of {pair[0].sequences} sequences that both methods generated"
             )
-        values = [sequence_scores(path, benchmark, only=common) for path in paths]
+        values = [sequence_scores(path, benchmark, pair[0], only=common) for path in paths]
         if pair[0].content_digest != pair[1].content_digest:
             raise RunError(f"{first} and {second} were run on different tables of {name}.")
         for info in benchmark.compared_metrics:
             try:
-                paired = paired_differences(values[0], values[1], info, benchmark, pair[0])
+                paired = paired_differences(values[0], values[1], info)
             except ValueError as error:
                 raise RunError(
                     f"{first} and {second} were scored on different sequences of {name}"
@@ -182,16 +182,20 @@ def sentence(row: ComparedMetric, first: str, second: str) -> str:
     return f"{row.info.title}: {said}; supported by the data (p = {p_value})."
 
 
-# Maps each metric to the sequences that have it, sorted, and to the mean over the samples of each.
-SequenceScores = dict[str, tuple[list[str], np.ndarray]]
+# Maps each metric to the sequences that have it, sorted, to the unit of each (recording, or participant of merged
+# folds), and to the mean over the samples of each.
+SequenceScores = dict[str, tuple[list[str], np.ndarray, np.ndarray]]
 
 
-def sequence_scores(path: Path, benchmark: Benchmark, *, only: frozenset[str] | None = None) -> SequenceScores:
+def sequence_scores(
+    path: Path, benchmark: Benchmark, table: TableRecord, *, only: frozenset[str] | None = None
+) -> SequenceScores:
     """Read the main metrics of ``scores.parquet``.
 
     Args:
         path: The file.
         benchmark: The benchmark of the run.
+        table: The run's entry for the dataset.
         only: Ids of the sequences to read; None for all.
 
     Raises:
@@ -201,6 +205,7 @@ def sequence_scores(path: Path, benchmark: Benchmark, *, only: frozenset[str] | 
     if only is not None:
         scores = scores.only(only)
     everything = sorted(scores.sequence_ids)
+    units = np.array([table.unit_of(benchmark.recording_key(name)) for name in everything])
     place_of = {name: place for place, name in enumerate(everything)}
     places = np.array([place_of[name] for name in scores.sequence_ids], dtype=np.int64)
     found: SequenceScores = {}
@@ -214,13 +219,11 @@ def sequence_scores(path: Path, benchmark: Benchmark, *, only: frozenset[str] | 
             there = np.flatnonzero(counts)
             # One list for all metrics that all sequences have.
             names = everything if len(there) == len(everything) else [everything[i] for i in there]
-            found[metric] = names, sums[there] / counts[there]
+            found[metric] = names, units[there], sums[there] / counts[there]
     return found
 
 
-def paired_differences(
-    first: SequenceScores, second: SequenceScores, info: MetricInfo, benchmark: Benchmark, table: TableRecord
-) -> ClusteredValues | None:
+def paired_differences(first: SequenceScores, second: SequenceScores, info: MetricInfo) -> ClusteredValues | None:
     """Return the differences of two runs on one table, sequence by sequence; None where one lacks the metric.
 
     Raises:
@@ -228,12 +231,11 @@ def paired_differences(
     """
     if info.id not in first or info.id not in second:
         return None
-    names, values = first[info.id]
-    others, other_values = second[info.id]
+    names, units, values = first[info.id]
+    others, _, other_values = second[info.id]
     if names != others:
         raise ValueError(f"{len(names)} and {len(others)}")
     # Sequences of one recording are not independent, so their spread is that between recordings (or participants).
-    units = [table.unit_of(benchmark.recording_key(name)) for name in names]
     return clustered(values - other_values, units, rate=info.unit == "rate")
 
 
@@ -261,12 +263,12 @@ def separate_by_comparison(rows: Sequence[LeaderboardRow], metrics: Sequence[Met
             raise RunError(
                 f"{row.run}: expected the run's scores beside its summary, found none. Run it again: it resumes."
             )
-        scores.append(sequence_scores(row.scores, row.benchmark, only=row.only))
+        scores.append(sequence_scores(row.scores, row.benchmark, row.table, only=row.only))
     directed = [info for info in metrics if info.higher_is_better is not None]
     pairs: dict[tuple[int, int, MetricInfo], ClusteredValues] = {}
     for (i, first), (j, second) in combinations(enumerate(scores), 2):
         for info in directed:
-            pair = paired_differences(first, second, info, rows[0].benchmark, rows[0].table)
+            pair = paired_differences(first, second, info)
             if pair is not None:
                 pairs[i, j, info] = pair
     better: dict[tuple[int, str], frozenset[int]] = {}

@@ -272,10 +272,17 @@ def as_board(leaderboard: Leaderboard) -> Board:
 
 
 def _as_markdown(leaderboard: Leaderboard) -> str:
-    """Lay out a table a dataset, a table a mean over datasets, and the notes."""
     found = dict.fromkeys(table.benchmark.about.title for table in leaderboard.tables)
-    several = len(found) > 1
-    title = "# Leaderboard" if several else f"# {next(iter(found), default_benchmark().title)} leaderboard"
+    title = "# Leaderboard" if len(found) > 1 else f"# {next(iter(found), default_benchmark().title)} leaderboard"
+    tables = board_tables(leaderboard)
+    if leaderboard.notes:
+        tables.append(Table(title="Notes", notes=leaderboard.notes))
+    return f"{title}\n\n{tables_as_markdown(tables)}"
+
+
+def board_tables(leaderboard: Leaderboard) -> list[Table]:
+    """Lay out a table a dataset, whose rows are those of the leaderboard, and a table a mean over datasets."""
+    several = len({table.benchmark.name for table in leaderboard.tables}) > 1
     keys = [(table.benchmark.name, table.dataset) for table in leaderboard.tables]
     tables = []
     for table in leaderboard.tables:
@@ -310,11 +317,10 @@ def _as_markdown(leaderboard: Leaderboard) -> str:
         columns = _columns(table.benchmark, *costs)
         if any(row.entry.submission for row in table.rows):
             columns += tuple(Column(key=key, title=title, text=True) for key, title in _SUBMITTED.items())
-        tables.append(Table(title=", ".join(about), columns=columns, blocks=blocks, notes=tuple(_legend(table))))
-    tables += [_macro_table(macro, with_benchmark=several) for macro in leaderboard.macro]
-    if leaderboard.notes:
-        tables.append(Table(title="Notes", notes=leaderboard.notes))
-    return f"{title}\n\n{tables_as_markdown(tables)}"
+        notes = tuple(_legend(table))
+        title = ", ".join(about)
+        tables.append(Table(title=title, dataset=table.dataset, columns=columns, blocks=blocks, notes=notes))
+    return tables + [_macro_table(macro, with_benchmark=several) for macro in leaderboard.macro]
 
 
 def part_title(table: DatasetTable) -> str:
@@ -453,6 +459,7 @@ def _macro_table(macro: MacroTable, *, with_benchmark: bool) -> Table:
                 "variant": note_of(row.variant, "unverified" if row.unverified else ""),
                 "missing": ", ".join(row.missing),
                 "kind": row.origin,
+                "training": row.training,
             },
             cells=cells,
         )

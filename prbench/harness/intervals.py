@@ -8,6 +8,7 @@ recordings, or whatever a caller names as independent, such as participants.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeVar
@@ -23,6 +24,7 @@ Name = TypeVar("Name", bound=Hashable)
 # One name a row.
 Ids = Sequence[str] | np.ndarray
 _MANY_RECORDINGS = 10
+_FLIPPED_TOGETHER = 64  # differences, which take 32 MB
 
 
 @dataclass(frozen=True)
@@ -215,7 +217,7 @@ def compare(differences: Mapping[Name, ClusteredValues]) -> dict[Name, Compariso
     Args:
         differences: Differences of pairs of methods, or of one pair on several metrics or datasets, by any name or key.
     """
-    tested = {name: difference_interval(data) for name, data in differences.items()}
+    tested = _difference_intervals(differences)
     adjusted = holm([p_value for _, p_value in tested.values()])
     family = sum(p_value is not None for p_value in adjusted) or len(differences)
     found = {}
@@ -231,15 +233,33 @@ def difference_interval(data: ClusteredValues) -> tuple[Estimate, float | None]:
     Below six units, where not even differences of one sign would be beyond chance, there is no p-value, and the
     interval is that of a mean.
     """
-    method = "sign-flip"
-    p_value = None
-    if len(data.sizes) < clusters.units_needed(1):
-        low, high = clusters.mean_bounds(data.totals, data.sizes, data.variance)
-        method = "student-cr2"
-    else:
-        means = clusters.flipped_means(data.totals, data.sizes, clusters.flips(data.units))
-        low, high = clusters.flip_bounds(means)
-        p_value = float(clusters.flip_test(means))
+    return _difference_intervals({"": data})[""]
+
+
+def _difference_intervals(differences: Mapping[Name, ClusteredValues]) -> dict[Name, tuple[Estimate, float | None]]:
+    """Return what :func:`difference_interval` does of each; those of the same units are flipped together."""
+    alike: dict[tuple, list[Name]] = defaultdict(list)
+    for name, data in differences.items():
+        alike[data.units, tuple(data.sizes.tolist())].append(name)
+    found: dict[Name, tuple[Estimate, float | None]] = {}
+    for (units, sizes), names in alike.items():
+        for start in range(0, len(names), _FLIPPED_TOGETHER):
+            some = names[start : start + _FLIPPED_TOGETHER]
+            totals = np.array([differences[name].totals for name in some])
+            if len(units) < clusters.units_needed(1):
+                for name in some:
+                    data = differences[name]
+                    bounds = clusters.mean_bounds(data.totals, data.sizes, data.variance)
+                    found[name] = _estimated(data, *bounds, "student-cr2"), None
+                continue
+            means = clusters.flipped_means(totals, np.array(sizes), clusters.flips(units))
+            tests = map(np.atleast_1d, (*clusters.flip_bounds(means), clusters.flip_test(means)))
+            for name, low, high, p_value in zip(some, *tests, strict=True):
+                found[name] = _estimated(differences[name], low, high, "sign-flip"), float(p_value)
+    return {name: found[name] for name in differences}
+
+
+def _estimated(data: ClusteredValues, low: PerSet, high: PerSet, method: str) -> Estimate:
     # Units that all agree show no spread, but those that were not seen may differ.
     if data.all_equal or high - low <= EQUAL_WITHIN:
         mean = data.totals.sum() / data.sizes.sum()
@@ -250,7 +270,7 @@ def difference_interval(data: ClusteredValues) -> tuple[Estimate, float | None]:
     if data.rate:
         low = np.maximum(low, -1.0)
         high = np.minimum(high, 1.0)
-    return data.estimate(low, high, method), p_value
+    return data.estimate(low, high, method)
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:

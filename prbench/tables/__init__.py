@@ -19,7 +19,7 @@ import msgspec
 from prbench.errors import UsageError
 from prbench.files.storage import sole_writer, write_text
 from prbench.metrics.registry import MetricInfo, exported_unit, printed_scale, printed_unit
-from prbench.shown import csv_text, latex, markdown
+from prbench.shown import csv_text, html, latex, markdown
 
 DASH = "–"
 Markup = Callable[[str], str]  # of a format
@@ -323,6 +323,53 @@ def as_latex(tables: Sequence[Table]) -> str:
         lines += [rf"\par\footnotesize {latex(note)}" for note in table.notes]
         texts.append("\n".join([*lines, r"\end{table}"]) + "\n")
     return _PACKAGES + "\n".join(texts)
+
+
+def as_html(tables: Sequence[Table]) -> str:
+    """Return a section a table, for pages whose scripts sort and draw it.
+
+    Columns name their key, unit and direction, cells their value, bounds and rank as ``data-`` attributes, and a row
+    its words that stand in no column.
+    """
+    parts = []
+    for table in tables:
+        title = html(table.heading)
+        heads = []
+        for column in table.columns:
+            told = {"key": column.key, "unit": column.unit, "better": column.better, "text": str(column.text).lower()}
+            heads.append(f'<th scope="col"{_data(told)}>{html(column.heading)}</th>')
+        keys = {column.key for column in table.columns}
+        for block in table.blocks:
+            lines = []
+            printed = grid(table, block, escape=html, bold=lambda number: f"<strong>{number}</strong>")
+            for row, texts in zip(block.rows, printed, strict=True):
+                found = {cell.metric: cell for cell in row.cells}
+                cells = []
+                for column, text in zip(table.columns, texts, strict=True):
+                    cell = found.get(column.key)
+                    told = {} if cell is None else {key: getattr(cell, key) for key in ("value", "low", "high", "rank")}
+                    cells.append(f"<td{_data(told)}>{text}</td>")
+                beside = {key: text for key, text in row.text.items() if key not in keys}
+                lines.append(f"<tr{_data(beside)}>{''.join(cells)}</tr>")
+            # The box can be scrolled by the keyboard, too, so it needs a name.
+            parts.append(
+                f'<section class="table"{_data({"dataset": table.dataset})}>\n<h2>{title}</h2>\n<div class="scroll"'
+                f' tabindex="0" role="region" aria-label="{title}"><table>\n<caption>{title}</caption>\n'
+                f"<thead><tr>{''.join(heads)}</tr></thead>\n<tbody>\n" + "\n".join(lines) + "\n</tbody></table></div>"
+            )
+            notes = "".join(f"<li>{html(note)}</li>" for note in table.notes)
+            parts.append(f"<details><summary>Notes</summary><ul>{notes}</ul></details>\n</section>")
+    return "\n".join(parts)
+
+
+def _data(values: Mapping[str, object]) -> str:
+    """Return attributes of an element; what is not known has none."""
+    texts = {
+        key: f"{value:.9g}" if isinstance(value, float) else str(value)
+        for key, value in values.items()
+        if value is not None
+    }
+    return "".join(f' data-{key}="{html(text)}"' for key, text in texts.items())
 
 
 def as_csv(tables: Sequence[Table]) -> str:

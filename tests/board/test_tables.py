@@ -114,14 +114,11 @@ def test_ranks_on_common_sequences_follow_from_these_alone(tmp_path, long_and_sh
     assert {"one": common.common, "two": common.common, "brief": common.common} in seen
     assert {"one": None, "two": None} in seen
     assert {row.entry.method: row.ranks["mpjpe"] for row in common.rows} == {"one": 1, "two": 1, "brief": 1}
-    first, second = (
-        sequence_scores(tmp_path / "runs" / name / "synthetic-adt/scores.parquet", PRIME_AND_REACH, only=common.common)[
-            "mpjpe"
-        ]
-        for name in ("one", "two")
-    )
+    files = (tmp_path / "runs" / name / "synthetic-adt/scores.parquet" for name in ("one", "two"))
+    record = common.rows[0].entry.table
+    first, second = (sequence_scores(file, PRIME_AND_REACH, record, only=common.common)["mpjpe"] for file in files)
     assert set(first[0]) == {name for name, length in lengths.items() if length <= limit}
-    assert np.array_equal(first[1], second[1])
+    assert np.array_equal(first[2], second[2])
     assert of_all_methods(make_leaderboard(collect_runs([tmp_path / "runs"])).tables)[0].common == common.common
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import msgspec
 
-from prbench.board.collect import LeaderboardRow
+from prbench.board.site.numbers import SiteRow, failures_of
 from prbench.errors import PredictionsError, RunError
 from prbench.harness.run_folder.record import CONTROL
 from prbench.sequences.dataset_info import may_pass_on
@@ -16,8 +16,6 @@ from prbench.shown import clean
 from prbench.viewing.player.document import Score, player_sequence, scores_of
 from prbench.viewing.replay.read import RunMotions, scene_of
 from prbench.viewing.replay.scene import METHOD_COLOURS, ShownMotion
-
-FOLDER = "motions"
 
 
 class ShownSequence(msgspec.Struct, frozen=True, kw_only=True):
@@ -59,50 +57,33 @@ def _cleaned(value: object) -> object:
     return clean(value) if isinstance(value, str) else value
 
 
-def chosen_sequences(
-    table: SequenceTable, ids: Collection[str], worst: Mapping[str, Sequence[str]], most: int | None
-) -> dict[str, set[str]]:
-    """Choose the sequences of a table that are shown: the same ones of all runs, and the worst failures of each.
-
-    Args:
-        table: The table.
-        ids: Ids of the scored sequences.
-        worst: Failures of each run by its key, the worst first.
-        most: Number of either kind; None for all sequences of every run.
-
-    Returns:
-        The keys of the runs whose motions are shown, by sequence.
-    """
-    recordings = table.scalars(columns=["sequence_id", "recording_id"]).to_pydict()
-    recording_of = dict(zip(recordings["sequence_id"], recordings["recording_id"], strict=True))
-    known = sorted(set(ids) & recording_of.keys())
-    shared = by_share(known, [recording_of[name] for name in known])[:most]
-    wanted = {name: set(worst) for name in shared}
-    for run, names in worst.items():
-        for name in names[:most]:
-            wanted.setdefault(name, set()).add(run)
-    return wanted
-
-
 def write_motions(
     folder: Path,
     table: SequenceTable,
-    entries: Mapping[str, LeaderboardRow],
-    wanted: Mapping[str, Collection[str]],
+    rows: Mapping[str, SiteRow],
+    most: int | None,
     permitted: Collection[str],
 ) -> tuple[list[ShownSequence], list[str]]:
-    """Write the motions of some sequences of one table.
+    """Write motions of one table: of the same sequences of every run, and of the worst failures of each.
 
     Args:
-        folder: Folder of the table's scripts.
+        folder: Folder of the table's scripts; a list of them is written beside it.
         table: The table.
-        entries: Rows of the runs on it, by the key of each run.
-        wanted: Keys of the runs whose motions are shown, by sequence.
+        rows: The runs on it, by the key of each run.
+        most: Number of sequences of either kind; None for all.
         permitted: Datasets that the user has permission to publish.
 
     Returns:
         What was written, and sentences on what was left out.
     """
+    recordings = table.scalars(columns=["sequence_id", "recording_id"]).to_pydict()
+    recording_of = dict(zip(recordings["sequence_id"], recordings["recording_id"], strict=True))
+    known = sorted(recording_of.keys() & {name for row in rows.values() for name in row.worst})
+    shared = by_share(known, [recording_of[name] for name in known])[:most]
+    wanted = {name: set(rows) for name in shared}
+    for key, row in rows.items():
+        for failure in failures_of(row)[:most]:
+            wanted.setdefault(failure["sequence_id"], set()).add(key)
     shown = may_pass_on(table.info, permitted, published=True)
     left_out = []
     if not shown:
@@ -112,17 +93,19 @@ def write_motions(
             f" (--permission {table.info.dataset})."
         )
     opened = {}
-    for key, entry in entries.items():
-        assert entry.sequences is not None
-        copies = entry.record.method.kind == CONTROL or entry.summary.recorded_motions > 0
-        try:
-            if shown or not copies:
-                opened[key] = RunMotions.open(entry.sequences.run, table.info.dataset, label=key)
-        except (RunError, PredictionsError) as error:
-            left_out.append(f"Motions of {entry.run} on {table.info.dataset}: {error}")
+    for key, row in rows.items():
+        scored = row.entry.sequences
+        copies = row.entry.record.method.kind == CONTROL or row.entry.summary.recorded_motions > 0
+        if scored is not None and (shown or not copies):
+            try:
+                opened[key] = RunMotions.open(scored.run, table.info.dataset, label=key)
+            except (RunError, PredictionsError) as error:
+                left_out.append(f"Motions of {key} on {table.info.dataset}: {error}")
     scores = {key: run.scores(list(wanted)) for key, run in opened.items()}
     # Without the right to show it, nothing recorded is read into the scene.
     info = table.info if shown else msgspec.structs.replace(table.info, redistribution="none")
+    constants = next((run.run.protocol.metrics for run in opened.values() if run.run.protocol), None)
+    folder.mkdir()
     found = []
     for number, chunk in enumerate(table.chunks(ids=frozenset(wanted), rows=1)):
         name = chunk.sequence_ids[0]
@@ -132,7 +115,6 @@ def write_motions(
             if name in run:
                 joints = run.joints(name, int(chunk.n_frames[0]))
                 motions.append(ShownMotion(key, METHOD_COLOURS[0], joints, scores[key][name], run.gaze(name), run.kind))
-        constants = next((run.run.protocol.metrics for run in opened.values() if run.run.protocol), None)
         scene = scene_of(chunk, info, motions, permitted=permitted, constants=constants)
         document = player_sequence(scene)
         own = [motion for motion in document.motions if motion.kind == "recorded"]
@@ -150,4 +132,5 @@ def write_motions(
             runs={motion.label: scores_of(scene, motion) for motion in motions},
         )
         found.append(one)
+    folder.with_name(f"{folder.name}.js").write_bytes(script(folder.name, found))
     return found, left_out

@@ -2,26 +2,74 @@
 // The page of all tables: choose one, sort, filter, draw intervals as bars and methods as points. Every number and
 // every group was computed in Python and stands in the tables; here they are only read.
 (() => {
-  const { make, draw, ticks } = window.prbench.site;
-  const sections = [...document.querySelectorAll("section.board")];
+  const { make, draw, ticks, badges } = window.prbench.site;
+  const sections = [...document.querySelectorAll("#boards section.table")];
   const form = document.getElementById("filters");
   const SHAPES = { none: "circle", text: "square", "goal-pose": "triangle", "goal-loc": "diamond", control: "cross" };
+  const COSTS = ["processor_seconds", "network_passes", "memory_mebibytes", "parameters"];
 
-  const tables = sections.map((section) => {
+  // The tables stand in the page as every export prints them. Words on a row move into the cell of its method, costs but
+  // the seconds to the page of the run, and the group of a row gets a column.
+  const pages = new Map(); // of runs, by what their rows say
+  const laidOut = (section) => {
     const heads = [...section.querySelectorAll("thead th")];
-    const rows = [...section.querySelectorAll("tbody tr")].map((element, place) => ({
-      element,
-      place,
-      cells: element.children,
-      condition: element.dataset.condition,
-      verified: element.dataset.verified,
-      training: element.dataset.training,
-      link: element.querySelector("a"),
-      name: element.querySelector("th").textContent.toLowerCase(),
-    }));
-    const column = Object.fromEntries(heads.map((head, place) => [head.dataset.key, place]));
-    return { section, heads, rows, column, ranked: section.dataset.ranked, body: section.querySelector("tbody") };
-  });
+    const place = Object.fromEntries(heads.map((head, i) => [head.dataset.key, i]));
+    const kept = heads.filter(({ dataset }) => dataset.text === "false" && !COSTS.includes(dataset.key));
+    const rows = [...section.querySelectorAll("tbody tr")].map((element, order) => {
+      const cells = [...element.cells];
+      const word = (key) => (key in place ? cells[place[key]].textContent : element.dataset[key] || "");
+      const variant = word("variant").replace(/(^|; )unverified( \(cost\))?/g, "");
+      const open = element.dataset.status ? element.dataset.status === "unverified" : word("variant").includes("unverified");
+      const same = [word("condition"), word("method").split(" ")[0], variant, word("kind")].join("|");
+      if (element.dataset.run) pages.set(same, element.dataset);
+      const { run, control: marked } = pages.get(same) || {};
+      const control = Boolean(marked) || word("condition") === "control";
+      const name = make(run ? "a" : "span", { href: run && `runs/${run}.html`, text: word("method") });
+      const missing = word("missing") ? `lacks ${word("missing")}` : "";
+      const group = make("td", { class: "group" });
+      const title = make("th", { scope: "row" }, name,
+        make("span", { class: "badges" }, ...badges({ control, open, why: open ? word("verified") : word("verified") || null })),
+        make("span", { class: "variant", text: [variant, missing].filter(Boolean).join("; ") }));
+      const numbers = kept.map(({ dataset }) => {
+        const cell = cells[place[dataset.key]];
+        const [, mean, interval, mark] = cell.textContent.match(/^(\S*)(?: (\[[^\]]*\]))?(.*)$/);
+        const best = Boolean(cell.querySelector("strong"));
+        cell.className = "number";
+        // The rank of a mean in parentheses stands in the column of groups.
+        cell.replaceChildren(make(best ? "strong" : "span", { text: mean + mark.replace(/ \(\d+\)/, "") }));
+        if (interval) cell.append(" ", make("span", { class: "interval", text: interval }));
+        return cell;
+      });
+      element.replaceChildren(group, title, cells[place.condition], ...numbers);
+      return {
+        element, order, name, cells: element.cells, condition: control ? "control" : word("condition"),
+        status: open ? "unverified" : "verified", training: word("training"), split: element.dataset.split || "",
+        text: title.textContent.toLowerCase(),
+      };
+    });
+    const group = make("th", { scope: "col", "data-key": "group", text: "Group" });
+    heads[place.method].textContent = "Method";
+    heads[place.condition].textContent = "Given";
+    for (const head of kept) head.className = "number";
+    if ("seconds" in place) {
+      const head = heads[place.seconds];
+      Object.assign(head.dataset, { unit: "s", better: "lower" });
+      head.textContent = "Seconds a motion ↓";
+    }
+    section.querySelector("thead tr").replaceChildren(group, heads[place.method], heads[place.condition], ...kept);
+    const shown = [...section.querySelectorAll("thead th")];
+    const column = Object.fromEntries(shown.map((head, i) => [head.dataset.key, i]));
+    const metrics = kept.map(({ dataset }) => dataset.key).filter((key) => key !== "seconds");
+    const ranked = metrics.filter((key) => rows.some((row) => row.cells[column[key]].dataset.rank));
+    return {
+      section, heads: shown, rows, column, metrics, ranked: new Set(ranked), first: ranked[0] || metrics[0],
+      dataset: section.dataset.dataset || "all", split: rows.length ? rows[0].split : "", body: section.querySelector("tbody"),
+    };
+  };
+  // Means over datasets come first, but their rows find the pages of runs through those of the datasets.
+  const ofDatasets = sections.filter((section) => section.dataset.dataset).map(laidOut);
+  const tables = [...sections.filter((section) => !section.dataset.dataset).map(laidOut), ...ofDatasets];
+  document.getElementById("boards").prepend(...tables.map(({ section }) => section));
   const number = (row, place) => {
     const text = row.cells[place].dataset.value;
     return text === "" || text === undefined ? null : Number(text);
@@ -31,7 +79,7 @@
   const WIDTH = 84;
   for (const { heads, rows } of tables) {
     heads.forEach((head, place) => {
-      if (!head.dataset.unit && head.dataset.unit !== "") return;
+      if (head.dataset.text !== "false") return;
       const values = rows.flatMap((row) => {
         const { value, low, high } = row.cells[place].dataset;
         return [value, low, high].filter((each) => each).map(Number);
@@ -54,8 +102,8 @@
   }
 
   // --- what is shown, kept in the address so that a link leads back to it ---
-  const state = { dataset: "", split: "", group: "", verified: "", training: "", text: "", without: "", sort: "", up: "" };
-  const fields = ["dataset", "split", "group", "verified", "training", "text"];
+  const state = { dataset: "", split: "", group: "", status: "", training: "", text: "", without: "", sort: "", up: "" };
+  const fields = ["dataset", "split", "group", "status", "training", "text"];
   const uniques = (values) => [...new Set(values)];
   const offer = (name, values, all) => {
     const select = form.elements[name];
@@ -67,37 +115,32 @@
   };
   const conditions = uniques(tables.flatMap((table) => table.rows.map((row) => row.condition)));
   const shownTables = () => {
-    const all = tables.filter(({ section }) => section.dataset.dataset === state.dataset);
-    const ofSplit = all.filter(({ section }) => !state.split || section.dataset.split === state.split);
+    const all = tables.filter(({ dataset }) => dataset === state.dataset);
+    const ofSplit = all.filter(({ split }) => !state.split || split === state.split);
     return ofSplit.length ? ofSplit : all;
   };
   const without = () => new Set(state.without ? state.without.split(",") : []);
 
-  const metricOf = (table) => {
-    const place = table.column[state.sort];
-    const sorted = place !== undefined && table.heads[place].dataset.ranked === "True";
-    return sorted ? state.sort : table.ranked;
-  };
+  // The metric whose groups are shown: that by which the table is sorted, if methods are ranked by it.
+  const metricOf = (table) => (table.ranked.has(state.sort) ? state.sort : table.first);
+
+  const titleOf = (head) => head.textContent.replace(/ [↑↓].*$/, "");
+  const passes = (row) => !without().has(row.condition) && (!state.status || row.status === state.status)
+    && (!state.training || row.training === state.training) && row.text.includes(state.text.toLowerCase());
 
   const show = () => {
-    const hidden = without();
-    const words = state.text.toLowerCase();
     const chosen = shownTables();
     let kept = 0;
     let all = 0;
     for (const table of tables) {
       table.section.hidden = !chosen.includes(table);
       if (table.section.hidden) continue;
-      // The group of a row is that of the metric by which the table is sorted, if methods are ranked by it.
       const by = table.column[metricOf(table)];
-      const title = table.heads[by].textContent.replace(/[↑↓▲▼]/g, "").trim();
-      table.heads[table.column.group].querySelector(".by").textContent = title;
+      table.heads[table.column.group].querySelector(".by").textContent = titleOf(table.heads[by]);
       for (const row of table.rows) {
         row.group = row.cells[by].dataset.rank || "";
         row.cells[table.column.group].textContent = row.group || "–";
-        row.shown = !hidden.has(row.condition) && (!state.group || row.group === state.group)
-          && (!state.verified || row.verified === state.verified)
-          && (!state.training || row.training === state.training) && row.name.includes(words);
+        row.shown = passes(row) && (!state.group || row.group === state.group);
         row.element.hidden = !row.shown;
         kept += row.shown;
         all += 1;
@@ -110,10 +153,10 @@
   };
 
   const sort = (table) => {
-    const key = state.sort in table.column ? state.sort : table.ranked;
+    const key = state.sort in table.column ? state.sort : table.first;
     const place = table.column[key];
     const words = ["method", "condition", "group"].includes(key);
-    const better = table.heads[place].textContent.includes("↓") ? 1 : -1;
+    const better = table.heads[place].dataset.better === "lower" ? 1 : -1;
     const sign = (words ? 1 : better) * (state.up ? -1 : 1);
     const value = (row) => {
       if (key === "group") return row.group ? Number(row.group) : Infinity;
@@ -121,7 +164,7 @@
     };
     const rows = [...table.rows].sort((one, other) => {
       const [a, b] = [value(one), value(other)];
-      if (a === b) return one.place - other.place;
+      if (a === b) return one.order - other.order;
       if (a === null || b === null) return a === null ? 1 : -1;
       return (a < b ? -1 : 1) * sign;
     });
@@ -137,7 +180,7 @@
       const text = head.textContent;
       const key = head.dataset.key;
       const press = () => {
-        const again = state.sort === key || (!state.sort && key === table.ranked);
+        const again = state.sort === key || (!state.sort && key === table.first);
         state.up = again && !state.up ? "1" : "";
         state.sort = key;
         show();
@@ -167,11 +210,12 @@
       const { value, low, high } = row.cells[table.column[key]].dataset;
       return value ? { value: Number(value), low: low ? Number(low) : null, high: high ? Number(high) : null } : null;
     };
-    const title = (key) => table.heads[table.column[key]].textContent.replace(/[↑↓]/g, "").trim();
+    const title = (key) => titleOf(table.heads[table.column[key]]);
     const unit = (key) => table.heads[table.column[key]].dataset.unit;
-    const points = table.rows.filter((row) => row.shown)
+    const points = table.rows.filter((row) => (table.section.hidden ? passes(row) : row.shown))
       .map((row) => ({ row, x: read(row, xKey), y: read(row, yKey) })).filter(({ x, y }) => x && y);
-    const heading = `${title(yKey)} against ${title(xKey)}`;
+    const where = table.section.hidden ? `, ${table.dataset}` : "";
+    const heading = `${title(yKey)} against ${title(xKey)}${where}`;
     const caption = make("figcaption", { text: heading });
     if (!points.length) {
       figure.replaceChildren(caption, make("p", { class: "hint", text: "None of the rows has both numbers." }));
@@ -230,7 +274,7 @@
     const labels = [];
     for (const { row, x, y } of points) {
       const [px, py] = [onX(x.value), onY(y.value)];
-      const full = row.link.textContent;
+      const full = row.name.textContent;
       const short = full.length > 22 ? `${full.slice(0, 21)}…` : full;
       const long = short.length * 6.3 + 4;
       let placed = null;
@@ -249,7 +293,7 @@
         return `${title(key)} ${value.toFixed(digits)}${bounds}`;
       };
       const name = `${full}, ${row.condition}: ${told(yKey, y)}, ${told(xKey, x)}`;
-      const mark = draw("a", { href: row.link.getAttribute("href"), class: `point ${shapeOf(row.condition)}`, "aria-label": name },
+      const mark = draw("a", { href: row.name.getAttribute("href"), class: `point ${shapeOf(row.condition)}`, "aria-label": name },
         draw("title", { text: name }));
       if (y.low !== null) mark.append(draw("line", { class: "bound", x1: px, x2: px, y1: onY(y.low), y2: onY(y.high) }));
       if (x.low !== null) mark.append(draw("line", { class: "bound", x1: onX(x.low), x2: onX(x.high), y1: py, y2: py }));
@@ -277,18 +321,19 @@
   const plotAll = () => {
     const [table] = shownTables();
     if (!table) return;
-    const metrics = table.heads.map((head) => head.dataset.key).filter((key) => !["group", "method", "condition", "seconds"].includes(key));
-    const y = metrics.includes("prime_success") ? "prime_success" : metrics[0];
-    const x = metrics.includes("reach_success") ? "reach_success" : metrics[1];
+    const y = table.metrics.includes("prime_success") ? "prime_success" : table.metrics[0];
+    const x = table.metrics.includes("reach_success") ? "reach_success" : table.metrics[1];
     document.getElementById("plots").hidden = false;
     plot(document.getElementById("plot-rates"), table, x, y, false);
-    plot(document.getElementById("plot-seconds"), table, "seconds", y, true);
+    // A mean over datasets has no seconds of its own: the first dataset stands in, and is named.
+    const timed = "seconds" in table.column ? table : ofDatasets[0];
+    plot(document.getElementById("plot-seconds"), timed, "seconds", y, true);
     const there = uniques(table.rows.filter((row) => row.shown).map((row) => row.condition));
     document.getElementById("legend").replaceChildren(...there.map((condition) => {
       const icon = draw("svg", { viewBox: "0 0 16 16", class: `point ${shapeOf(condition)}`, "aria-hidden": "true" }, shape(shapeOf(condition), 8, 8, 5));
       return make("li", {}, icon, condition);
     }));
-    for (const part of document.querySelectorAll("details.published")) {
+    for (const part of document.querySelectorAll("#printed section.table")) {
       const own = state.dataset.replace(/^synthetic-/, "");
       part.hidden = state.dataset !== "all" && part.dataset.dataset !== own;
     }
@@ -301,13 +346,12 @@
 
   // --- controls ---
   const choices = () => {
-    offer("dataset", uniques(sections.map((section) => section.dataset.dataset)), "");
-    const here = tables.filter(({ section }) => section.dataset.dataset === state.dataset);
-    offer("split", uniques(here.map(({ section }) => section.dataset.split)).filter(Boolean), "all");
+    offer("dataset", uniques(tables.map(({ dataset }) => dataset)), "");
+    const here = tables.filter(({ dataset }) => dataset === state.dataset);
+    offer("split", uniques(here.map(({ split }) => split)).filter(Boolean), "all");
     const groups = uniques(here.flatMap((table) => table.rows.flatMap((row) => [...row.cells].map((cell) => cell.dataset.rank || ""))));
     offer("group", groups.filter(Boolean).sort((one, other) => one - other), "all");
-    offer("training", uniques(here.flatMap((table) => table.rows.map((row) => row.training))), "all");
-    offer("verified", uniques(here.flatMap((table) => table.rows.map((row) => row.verified))), "all");
+    for (const key of ["training", "status"]) offer(key, uniques(here.flatMap(({ rows }) => rows.map((row) => row[key]))), "all");
     form.elements.text.value = state.text;
     const hidden = without();
     document.getElementById("conditions").replaceChildren(...conditions.map((condition) => {
@@ -338,6 +382,13 @@
     // A link to a part of the page is no choice of rows.
     if (location.hash.includes("=")) fromAddress();
   });
+  // Printed tables are long: each folds behind its title.
+  for (const part of document.querySelectorAll("#printed section.table")) {
+    const fold = make("details", {}, make("summary", { text: part.querySelector("h2").textContent }));
+    part.querySelector("h2").remove();
+    fold.append(...part.children);
+    part.append(fold);
+  }
   form.hidden = false;
   const first = location.hash;
   fromAddress();

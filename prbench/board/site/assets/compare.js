@@ -9,7 +9,7 @@
   const result = document.getElementById("result");
   const place = new Map(runs.map(({ run }, i) => [run, i]));
 
-  const bar = ({ mean, low, high, better }, reach) => {
+  const bar = ({ numbers: [mean, low, high], better }, reach) => {
     const width = 150;
     const at = (value) => width / 2 + Math.max(-1, Math.min(1, value / reach)) * (width / 2 - 5);
     const svg = draw("svg", { class: `difference ${better || "open"}`, viewBox: `0 0 ${width} 16`, "aria-hidden": "true" },
@@ -23,16 +23,16 @@
     const words = { first: `${first.label} is better`, second: `${second.label} is better` };
     const rows = metrics.map((metric) => {
       // Rates share the scale of all rates; a length has its own.
-      const rate = metric.difference.endsWith("points");
-      const ends = [metric.mean, metric.low, metric.high].filter((each) => each !== null).map(Math.abs);
-      const reach = rate ? 100 : Math.max(...ends, 1e-9) * 1.15;
+      const [difference, interval, pValue, detectable] = metric.printed;
+      const ends = metric.numbers.filter((each) => each !== null).map(Math.abs);
+      const reach = difference.endsWith("points") ? 100 : Math.max(...ends, 1e-9) * 1.15;
       return make("tr", { class: metric.better || "open" },
         make("th", { scope: "row", text: metric.title }),
-        make("td", { class: "number", text: metric.difference }),
+        make("td", { class: "number", text: difference }),
         make("td", {}, bar(metric, reach)),
-        make("td", { class: "number", text: metric.interval }),
-        make("td", { class: "number", text: metric.p_value }),
-        make("td", { class: "number", text: metric.detectable }),
+        make("td", { class: "number", text: interval }),
+        make("td", { class: "number", text: pValue }),
+        make("td", { class: "number", text: detectable }),
         make("td", { class: "verdict", text: words[metric.better] || metric.conclusion }));
     });
     const heads = ["Metric", "Difference", "", "95 % interval", "p (Holm)", "Detectable", "Supported by the data"].map((text) =>
@@ -64,7 +64,7 @@
     const pairs = await load(`pairs/${one}.js`, `pairs/${one}`);
     if (shown !== asked) return undefined; // another pair was chosen meanwhile
     const metrics = (pairs || {})[other];
-    if (!metrics) return answer.replaceChildren("This pair was not computed for this site; the note above says which were.");
+    if (!metrics) return answer.replaceChildren("This pair is not on this site.");
     const wins = (who) => metrics.filter(({ better }) => better === who).length;
     const words = (run, count) => `${run.label} is better in ${count}`;
     answer.replaceChildren(make("p", { class: "verdict-line", text: `Of ${metrics.length} comparisons ${words(first, wins("first"))}, `

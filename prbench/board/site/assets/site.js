@@ -65,6 +65,12 @@
   site.draw = (tag, attributes, ...children) => fill(document.createElementNS(SVG, tag), attributes, children);
   site.data = () => JSON.parse(document.getElementById("data").textContent);
 
+  // A badge says with a sign and a word, not with colour alone, whether scores were held against the motions.
+  site.badges = ({ control, open, why }) => [
+    ...(control ? [site.make("span", { class: "badge control", text: "control" })] : []),
+    site.make("span", { class: `badge ${open ? "open" : "sure"}`, title: why, text: open ? "unverified" : "verified" }),
+  ];
+
   // --- the part of the address behind #, as names and values ---
   site.address = () => new URLSearchParams(location.hash.slice(1));
   site.setAddress = (values) => {
