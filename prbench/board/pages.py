@@ -26,13 +26,13 @@ from prbench.board.submission import FILE_NAME, RUNS, Submission
 from prbench.board.tables import make_leaderboard
 from prbench.board.verifying import Verification, VerifiedDataset
 from prbench.datasets import SYNTHETIC_PREFIX
-from prbench.errors import PrbenchError, RunError
+from prbench.errors import PrbenchError
 from prbench.files import arrays
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import text_digest
 from prbench.harness.results import CheckedSummary, RunChecker
 from prbench.harness.run_folder.folder import RunFolder
-from prbench.harness.run_folder.record import TableRecord
+from prbench.harness.run_folder.record import TableRecord, read_record
 from prbench.limits import HARMLESS_SIZE
 from prbench.protocol.manifests import dataset_names, load_citations, load_manifest
 from prbench.shown import clean, latex, markdown
@@ -73,12 +73,9 @@ class Standing:
         """
         file = board.submission(name) / FILE_NAME
         path = board.verification(name)
-        stated = Submission.decoded(read_whole(file, largest=HARMLESS_SIZE), file)
-        try:
-            verified = msgspec.json.decode(read_whole(path, largest=HARMLESS_SIZE), type=Verification)
-        except msgspec.DecodeError as error:
-            raise RunError(f"{path}: expected what was verified of the submission, found {error}.") from error
-        return cls(stated, verified)
+        missing = f"{path}: expected what was verified of the submission, found no such file."
+        verified = read_record(path, Verification, missing=missing, remedy="Take it from the repository again.")
+        return cls(Submission.decoded(read_whole(file, largest=HARMLESS_SIZE), file), verified)
 
     @property
     def links(self) -> str:

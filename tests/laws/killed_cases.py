@@ -254,6 +254,7 @@ WRITING = (
     Writing("leaderboard compare --out", "leaderboard compare {run} {run} --out {out}", "c.json"),
     Writing("leaderboard submit --out", SUBMIT, "s.zip"),
     Writing("leaderboard verify --out", "leaderboard verify {submission} --data {table} --out {out}", "v.json"),
+    Writing("leaderboard site --out", "leaderboard site {run} --data {table} --out {out}"),
     Writing("leaderboard init --out", INIT, "board/board.toml", held="board"),
     Writing("leaderboard add --out", ADD, "board/history.jsonl", held="board", before=(INIT,), refuses=True),
     Writing(
