@@ -78,10 +78,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     require_known(options, ("optimise", "prompt", "guidance", "text-path", *noise.KEYFRAME_OPTIONS))
     # The default belongs to another method, which a user may have removed.
     if weights is None and DEFAULT_WEIGHTS not in bundled_names():
-        raise AdapterError(
-            f"dno has no network of its own, and its default '{DEFAULT_WEIGHTS}' (part of the method mdm) is not"
-            " installed. Give --weights of a text-to-motion model."
-        )
+        why = "(part of the method mdm) is not installed. Give --weights of a text-to-motion model."
+        raise AdapterError(f"dno has no network of its own, and its default '{DEFAULT_WEIGHTS}' {why}")
     path = resolve(weights, DEFAULT_WEIGHTS)
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     require_goal(model, path, "none")

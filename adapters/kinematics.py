@@ -76,19 +76,18 @@ def fitted_rotations(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.
         The root's orientation (world from body), and for each other joint the rotation of the bone that ends in it,
         relative to the bone before.
     """
-    tree = _tree(joints.dtype, joints.device)
+    tree = _Tree(joints.dtype, joints.device)
     world = [root_orientation(joints)[..., None, :, :]]
     local = list(world)
     bones = unit(joints[..., 1:, :] - joints[..., PARENTS[1:], :])
-    for level in tree.levels:
-        before = world[-1].index_select(-3, level.parents)
-        seen = (before.mT @ bones.index_select(-2, level.joints - 1)[..., None])[..., 0]
+    for level, parents in tree.levels:
+        before = world[-1].index_select(-3, parents)
+        seen = (before.mT @ bones.index_select(-2, level - 1)[..., None])[..., 0]
         # The rotations by the smallest angle that turn fixed axes onto directions.
-        axes = tree.rest[level.joints]
-        half_turn_midways = tree.half_turns[level.joints]
+        axes = tree.rest[level]
         between = seen + axes
         opposite = between.square().sum(-1, keepdim=True) < _OPPOSITE**2
-        midway = unit(torch.where(opposite, half_turn_midways, between))
+        midway = unit(torch.where(opposite, tree.half_turns[level], between))
         turned = 2 * midway[..., :, None] * midway[..., None, :] - torch.eye(3).to(midway)
         local.append(turned * (2 * axes.abs() - 1)[:, None, :])
         world.append(before @ local[-1])
@@ -129,21 +128,20 @@ def forward_kinematics(
         offsets: Offset of each joint from its parent at rest (:func:`rest_offsets`), metres; broadcasts against
             ``batch``.
     """
-    tree = _tree(rotations.dtype, rotations.device)
+    tree = _Tree(rotations.dtype, rotations.device)
     world = [rotations[..., :1, :, :]]
     joints = [pelvis[..., None, :]]
-    for level in tree.levels:
-        before = world[-1].index_select(-3, level.parents)
-        world.append(before @ rotations.index_select(-3, level.joints))
-        bones = (world[-1] @ offsets.index_select(-2, level.joints)[..., None])[..., 0]
-        joints.append(joints[-1].index_select(-2, level.parents) + bones)
+    for level, parents in tree.levels:
+        world.append(world[-1].index_select(-3, parents) @ rotations.index_select(-3, level))
+        bones = (world[-1] @ offsets.index_select(-2, level)[..., None])[..., 0]
+        joints.append(joints[-1].index_select(-2, parents) + bones)
     return torch.cat(joints, -2).index_select(-2, tree.order)
 
 
 def rest_offsets(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tensor, "*batch 22 3"]:
     """Return the skeleton at rest with the bone lengths of a pose: offset of each joint from its parent, metres."""
     lengths = (joints[..., 1:, :] - joints[..., PARENTS[1:], :]).norm(dim=-1, keepdim=True)
-    return torch.nn.functional.pad(lengths, (0, 0, 1, 0)) * _tree(joints.dtype, joints.device).rest
+    return torch.nn.functional.pad(lengths, (0, 0, 1, 0)) * _Tree(joints.dtype, joints.device).rest
 
 
 def rows_of(matrices: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor, "*batch 6"]:
@@ -161,19 +159,20 @@ def matrices_of(rows: Float[torch.Tensor, "*batch 6"]) -> Float[torch.Tensor, "*
 
 
 @lru_cache(maxsize=8)
-def _tree(dtype: torch.dtype, device: torch.device) -> _Tree:
-    return _Tree(dtype, device)
-
-
 class _Tree:
-    """The skeleton as tensors."""
+    """The skeleton as tensors.
+
+    The joints of a level are equally many bones away from the pelvis; beside them, their parents' places in the level
+    above.
+    """
 
     def __init__(self, dtype: torch.dtype, device: torch.device) -> None:
-        self.levels: list[_Level] = []
+        self.levels: list[tuple[torch.Tensor, torch.Tensor]] = []
         listed = [0]
         above = [0]
         while below := [joint for joint in range(N_JOINTS) if PARENTS[joint] in above]:
-            self.levels.append(_Level(below, above, device))
+            parents = [above.index(PARENTS[joint]) for joint in below]
+            self.levels.append((torch.tensor(below, device=device), torch.tensor(parents, device=device)))
             listed = listed + below
             above = below
         # From the joints level by level to the usual order.
@@ -185,12 +184,3 @@ class _Tree:
         axis = torch.where(rest[:, 2:].abs() > 0, torch.tensor(_Y), torch.tensor(_Z))
         self.rest = rest.to(device, dtype)
         self.half_turns = torch.linalg.cross(axis, rest).to(device, dtype)
-
-
-class _Level:
-    """The joints that are equally many bones away from the pelvis."""
-
-    def __init__(self, joints: list[int], above: list[int], device: torch.device) -> None:
-        self.joints = torch.tensor(joints, device=device)
-        # Their places in the level above.
-        self.parents = torch.tensor([above.index(PARENTS[joint]) for joint in joints], device=device)

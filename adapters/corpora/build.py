@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from prbench.engine import Engine, InProcess, is_out_of_memory
+from prbench.engine import IN_PROCESS, Engine, is_out_of_memory
 from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, PrbenchError
 from prbench.files.storage import require_replaceable, sole_writer, text_digest
@@ -141,7 +141,6 @@ class CorpusJob:
         return read, record
 
 
-_IN_PROCESS = InProcess()
 _DEFAULTS = corpora.CorpusOptions()
 
 Progress = Callable[[int, int, str], None]  # Called with finished recordings, all of them, and what was finished last.
@@ -153,7 +152,7 @@ def build_corpus(
     out: Path | str,
     *,
     options: corpora.CorpusOptions = _DEFAULTS,
-    engine: Engine = _IN_PROCESS,
+    engine: Engine = IN_PROCESS,
     progress: Progress | None = None,
 ) -> BuildReport[CorpusInfo, corpus_tables.CorpusRecord]:
     """Build a corpus.
@@ -191,7 +190,7 @@ def build_corpus_shard(
     shard: Shard,
     *,
     options: corpora.CorpusOptions = _DEFAULTS,
-    engine: Engine = _IN_PROCESS,
+    engine: Engine = IN_PROCESS,
     progress: Progress | None = None,
 ) -> ShardReport[corpus_tables.CorpusRecord]:
     """Make one shard of a build, for :func:`merge_corpus_shards`; goes on where it was interrupted.
@@ -292,8 +291,7 @@ def _write_corpus(
     """Write the corpus of all parts of a build."""
     protocol = load_protocol()
     manifest = corpus.manifest
-    synthetic = dataset.startswith(SYNTHETIC_PREFIX)
-    terms = (manifest or load_manifest("nymeria")).terms(synthetic=synthetic)
+    terms = (manifest or load_manifest("nymeria")).terms(synthetic=dataset.startswith(SYNTHETIC_PREFIX))
     if manifest is None:
         terms["title"] = "Invented people and what they do"
     receipts = [receipt for _, receipt, _ in finished]
@@ -351,8 +349,7 @@ def plan_corpus(name: str, root: Path | str | None, options: corpora.CorpusOptio
     corpus = corpora.corpus_for(name)
     corpus.described(options)  # options that the build would refuse are refused here, too
     root = None if root is None else Path(root)
-    groups = corpora.find_groups(corpus, root, options)
-    recordings = [each for _, members in groups for each in members]
+    recordings = [each for _, members in corpora.find_groups(corpus, root, options) for each in members]
     read = [each for each in recordings if each.skip_reason is None]
     return BuildPlan(
         dataset=name,

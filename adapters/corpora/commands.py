@@ -119,8 +119,7 @@ def _corpus_answer(report: BuildReport) -> Answer:
         if number and outcome != "clip":
             kept -= number
             stages.append((f"without {outcome}", kept, number, _REASONS[outcome]))
-    size = f"of {counts.clips} clips, {counts.frames} frames"
-    stages.append(("captions", counts.captions, 0, size))
+    stages.append(("captions", counts.captions, 0, f"of {counts.clips} clips, {counts.frames} frames"))
 
     def show() -> None:
         builds.print_stages(f"{report.info.title}: from files to clips", stages)

@@ -187,8 +187,7 @@ def _write(index: int, *, layout: str, root: Path, seed: int, noise: float) -> _
     recording = WrittenRecording(motion.recording_id, motion.split, motion.duration, n_texts, 0)
     if layout == "nymeria":
         readings = sense_nymeria(motion, seed=seed, noise=noise)
-        with_trajectory = index % _WITHOUT_TRAJECTORY != _WITHOUT_TRAJECTORY - 1
-        nymeria.write_nymeria(readings, root, trajectory=with_trajectory)
+        nymeria.write_nymeria(readings, root, trajectory=index % _WITHOUT_TRAJECTORY != _WITHOUT_TRAJECTORY - 1)
         return recording, readings.offset, ((motion.recording_id, motion.split),)
     splits = []
     for number, captioned in enumerate(humanml3d.captioned_motions(motion)):

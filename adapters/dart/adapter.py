@@ -81,9 +81,8 @@ def generate(model: DartModel, batch: ConditionBatch, settings: DartSettings) ->
         AdapterError: for another frame rate than the model's, or an initial state that is not finite or has no heading.
     """
     if batch.fps != model.configuration.fps:
-        raise AdapterError(
-            f"adapter 'dart': expected {model.configuration.fps:g} frames per second, found {batch.fps:g}."
-        )
+        problem = f"expected {model.configuration.fps:g} frames per second, found {batch.fps:g}."
+        raise AdapterError(f"adapter 'dart': {problem}")
     # No primitive can start from an initial state without a heading.
     for name in ("previous_joints", "initial_joints"):
         given = getattr(batch, name)

@@ -491,16 +491,11 @@ class DartModel:
         latent_std = float(weights.require("latent.std", (1,)))
         if not latent_std > 0:
             remedy = "The training was stopped while it trained the VAE; go on with the same `prbench train` command."
-            raise InputFileError(
-                path, "latent.std", expected="a positive number", found=f"{latent_std:g}", remedy=remedy
-            )
-        return cls(
-            vae.to(where),
-            denoiser.to(where),
-            scaling=scaling_of(weights),
-            latent_std=latent_std,
-            texts=TextVectors(text_encoder(configuration.text_encoder, text_path)),
-        )
+            found = f"{latent_std:g}"
+            raise InputFileError(path, "latent.std", expected="a positive number", found=found, remedy=remedy)
+        texts = TextVectors(text_encoder(configuration.text_encoder, text_path))
+        scaling = scaling_of(weights)
+        return cls(vae.to(where), denoiser.to(where), scaling=scaling, latent_std=latent_std, texts=texts)
 
     def text_vectors(self, texts: tuple[str, ...]) -> Embedded:
         """One vector a text, on the model's device."""

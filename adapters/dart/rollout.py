@@ -20,6 +20,7 @@ from prbench_adapters.diffusion.generation import Guidance
 from prbench_adapters.diffusion.noise_optimisation import Targets, chosen_wrist, last_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim, sample_ddpm
 
+Numbers = Float[Tensor, " batch"]
 History = Float[Tensor, "batch history 276"]
 Latents = Float[Tensor, "batch 1 latent"]
 Poses = Float[Tensor, "batch 22 3"]  # metres
@@ -129,8 +130,7 @@ class PreparedDenoiser:
         self.project = self.layers[0].self_attention.query_key_value
         context = (denoiser.text_embedding(text)[:, None], denoiser.history_embedding(history))
         self.context = torch.cat(context, dim=1) + self.places[_CONTEXT]
-        times = self.places[: denoiser.configuration.diffusion_steps]
-        self.times = denoiser.time_embedding(times) + self.places[0]
+        self.times = denoiser.time_embedding(self.places[: denoiser.configuration.diffusion_steps]) + self.places[0]
         self.projected_context, self.projected_times = self.project(self.context), self.project(self.times)
 
     def __call__(self, noisy: Latents, step: int) -> Latents:
@@ -251,9 +251,7 @@ def optimise(
         return noise.detach(), motion(noise)
 
 
-def goal_loss(
-    joints: Joints, n_frames: Counts, targets: Targets, settings: dart.DartSettings
-) -> Float[Tensor, " batch"]:
+def goal_loss(joints: Joints, n_frames: Counts, targets: Targets, settings: dart.DartSettings) -> Numbers:
     """Huber loss (δ = 1 m) of the last frame, averaged over the coordinates that are asked for.
 
     Asked for are all joints of a goal pose, or one wrist for a goal location.

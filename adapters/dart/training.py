@@ -24,6 +24,8 @@ from prbench_adapters.training import MotionBatch, SequenceDataset, collate
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import origin_of, read_weights, weights_header
 
+Poses = Float[Tensor, "batch 22 3"]
+
 # Floors of positions and rotations, their deltas, joints, theirs: bones that never turn keep their scale (the original
 # divided 12 such features of a user's data by zero).
 _STD_FLOORS = ((135, 0.01), (9, 0.001), (66, 0.01), (66, 0.001))
@@ -69,8 +71,7 @@ def window(
     last = batch.n_frames[rows]  # its index in these
     length = dart.HISTORY_FRAMES + primitives * configuration.future_frames + 1
     wanted = start[:, None] + torch.arange(length, device=motions.device)
-    places = torch.minimum(wanted, last[:, None])
-    joints = motions[rows[:, None], places]
+    joints = motions[rows[:, None], torch.minimum(wanted, last[:, None])]
     # Where the last delta of each primitive leads to: one frame behind the primitive itself.
     numbers = torch.arange(1, primitives + 1, device=motions.device)
     ends = start[:, None] + dart.HISTORY_FRAMES + configuration.future_frames * numbers
@@ -102,10 +103,8 @@ def feature_scaling(data: SequenceDataset, configuration: dart.DartConfiguration
         squares += features.double().square().sum(dim=0)
         count += len(features)
     if not count:
-        raise UsageError(
-            f"data.max_frames: a motion primitive takes {configuration.primitive_frames} frames, found no motion in the"
-            " training split that has as many. Raise it, or use other tables."
-        )
+        found = "found no motion in the training split that has as many. Raise it, or use other tables."
+        raise UsageError(f"data.max_frames: a motion primitive takes {configuration.primitive_frames} frames, {found}")
     mean = total / count
     floor = torch.cat([torch.full((n,), value) for n, value in _STD_FLOORS]).double()
     std = (squares / count - mean.square()).clamp_min(0.0).sqrt().maximum(floor)
@@ -120,8 +119,7 @@ def primitives_of(
 ) -> Iterator[dart.Frames]:
     """Yield the primitives of some motions, end to end from the first frame, each in its own frame of reference."""
     for first in range(0, len(places), _ITEMS_AT_ONCE):
-        items = [data[place] for place in places[first : first + _ITEMS_AT_ONCE]]
-        batch = collate(items).to(device)
+        batch = collate([data[place] for place in places[first : first + _ITEMS_AT_ONCE]]).to(device)
         primitives = configuration.primitives_for(int(batch.n_frames.max()) + 1)
         rows = torch.arange(len(batch), device=batch.n_frames.device)
         cut = window(batch, rows, torch.zeros_like(rows), primitives, configuration)
@@ -196,9 +194,7 @@ def divergence(mean: Float[Tensor, "batch 1 latent"], log_variance: Float[Tensor
     return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).flatten(1).mean(dim=1)
 
 
-def body_losses(
-    predicted: dart.Frames, recorded: dart.Frames, offsets: Float[Tensor, "batch 22 3"]
-) -> tuple[_PerMotion, _PerMotion]:
+def body_losses(predicted: dart.Frames, recorded: dart.Frames, offsets: Poses) -> tuple[_PerMotion, _PerMotion]:
     """Compare the joints that follow from predicted rotations with the recorded and with the predicted joints.
 
     Args:
@@ -286,10 +282,9 @@ class DartTraining(TrainingModule):
             ``loss`` and its parts, unweighted (:data:`prbench_adapters.dart.training.PARTS`).
         """
         if torch.distributed.is_available() and torch.distributed.is_initialized():
-            raise UsageError(
-                "--devices: dart is trained by one process, because only one of its two networks has gradients at a"
-                " time; leave --devices out. At paper size it fits one GPU."
-            )
+            why = "dart is trained by one process, because only one of its two networks has gradients at a time;"
+            remedy = "leave --devices out. At paper size it fits one GPU."
+            raise UsageError(f"--devices: {why} {remedy}")
         of_vae, _, share_of_own = self.moment(step)
         generator = self.generator(step)
         most = self.objective.vae_batch_size if of_vae else None
@@ -442,8 +437,7 @@ class DartTraining(TrainingModule):
         tensors = {f"vae.{name}": tensor for name, tensor in self.vae.state_dict().items()}
         tensors |= {f"denoiser.{name}": tensor for name, tensor in self.denoiser.state_dict().items()}
         tensors |= {"statistics.mean": self.mean, "statistics.std": self.std, "latent.std": self.latent_std}
-        metadata = weights_header(dart.KIND, self.configuration, dart.REPRESENTATION)
-        return tensors, metadata
+        return tensors, weights_header(dart.KIND, self.configuration, dart.REPRESENTATION)
 
     def hidden_matrices(self) -> tuple[nn.Parameter, ...]:
         """Return the matrices of all transformer layers; those of the other network have no gradient and stay."""
@@ -470,14 +464,7 @@ class DartTask:
     name = "dart"
     configurations = "prbench_adapters.dart"
 
-    def build(
-        self,
-        model: Mapping[str, Any],
-        *,
-        data: TrainingData,
-        initial: Path | None,
-        stage: str,  # noqa: ARG002 - both are trained alike
-    ) -> DartTraining:
+    def build(self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str) -> DartTraining:
         """Make both networks in their state before the first step.
 
         Statistics come from the initial weights where there are some, else from the training split.
@@ -492,12 +479,11 @@ class DartTask:
             UsageError: if the table does not describe such a model, or the data do not fit it.
             InputFileError: if the initial weights do not fit it.
         """
-        configuration, objective = read_model_table(model)
+        del stage  # both are trained alike
+        configuration, objective = split_model_table(model, dart.DartConfiguration, Objective)
         if data.fps != configuration.fps:
-            raise UsageError(
-                f"frames per second of the tables: the model expects {configuration.fps:g}, found {data.fps:g}."
-                " Change one of the two."
-            )
+            problem = f"the model expects {configuration.fps:g}, found {data.fps:g}. Change one of the two."
+            raise UsageError(f"frames per second of the tables: {problem}")
         # A wrong size of text vectors shows before any statistics are computed.
         texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
         start = read_weights(initial, kind=dart.KIND) if initial is not None else None
@@ -509,24 +495,7 @@ class DartTask:
             start.require_same(configuration, apart_from=FREE_TO_CHANGE)
             start.load_into(vae, "vae")
             start.load_into(denoiser, "denoiser")
-        return DartTraining(
-            vae,
-            denoiser,
-            scaling=feature_scaling(data.train, configuration) if start is None else dart.scaling_of(start),
-            texts=texts,
-            objective=objective,
-            data=data.train,
-            latent_std=float(start.require("latent.std", (1,)))
-            if start is not None and objective.vae_share == 0
-            else 0.0,
-            origin=(texts.origin, *origin_of(start)),
-        )
-
-
-def read_model_table(model: Mapping[str, Any]) -> tuple[dart.DartConfiguration, Objective]:
-    """Split the table ``[model]`` into the networks and what they are trained for.
-
-    Raises:
-        UsageError: for an unknown key or an impossible value.
-    """
-    return split_model_table(model, dart.DartConfiguration, Objective)
+        scaling = feature_scaling(data.train, configuration) if start is None else dart.scaling_of(start)
+        latent_std = 0.0 if start is None or objective.vae_share else float(start.require("latent.std", (1,)))
+        about: dict[str, Any] = {"latent_std": latent_std, "origin": (texts.origin, *origin_of(start))}
+        return DartTraining(vae, denoiser, scaling=scaling, texts=texts, objective=objective, data=data.train, **about)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 import torch
@@ -88,10 +88,8 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
         if self.fps <= 0:
             raise ValueError(f"'fps' must be positive, found {self.fps}")
         if (self.architecture == "frames") is not (self.features == "goal-frame"):
-            raise ValueError(
-                f"'architecture' and 'features': expected frames with goal-frame, or neither, found"
-                f" {self.architecture} with {self.features}"
-            )
+            problem = f"expected frames with goal-frame, or neither, found {self.architecture} with {self.features}"
+            raise ValueError(f"'architecture' and 'features': {problem}")
         if self.features == "goal-frame" and (self.goal == "none" or set(self.dropped) - {"text"}):
             raise ValueError("'features': goal-frame needs 'goal' and the initial state; only text can be dropped")
         if self.features == "goal-frame" and self.uniform_skeleton:
@@ -148,7 +146,7 @@ class EncodedCondition:
 
     def rows(self, index: slice | Sequence[int] | torch.Tensor) -> EncodedCondition:
         """Return some of the motions, in the order of ``index``."""
-        return self._each(lambda values: values[index])
+        return self._each(lambda _, values: values[index])
 
     def then(self, other: EncodedCondition) -> EncodedCondition:
         """Return these motions and those of ``other`` as one batch; both have the same number of tokens.
@@ -158,22 +156,15 @@ class EncodedCondition:
         """
         if (self.vector is None) is not (other.vector is None):
             raise ValueError("conditions with and without a vector cannot share a batch")
-        joined: dict[str, Any] = {}
-        for field in fields(self):
-            ours = getattr(self, field.name)
-            joined[field.name] = None if ours is None else torch.cat([ours, getattr(other, field.name)])
-        return EncodedCondition(**joined)
+        return self._each(lambda name, ours: torch.cat([ours, getattr(other, name)]))
 
     def to(self, device: torch.device | str) -> EncodedCondition:
         """Move the conditions to another device."""
-        return self._each(lambda values: values.to(device))
+        return self._each(lambda _, values: values.to(device))
 
-    def _each(self, change: Callable[[torch.Tensor], torch.Tensor]) -> EncodedCondition:
-        changed: dict[str, Any] = {}
-        for field in fields(self):
-            ours = getattr(self, field.name)
-            changed[field.name] = None if ours is None else change(ours)
-        return EncodedCondition(**changed)
+    def _each(self, change: Callable[[str, torch.Tensor], torch.Tensor]) -> EncodedCondition:
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        return replace(self, **{name: change(name, ours) for name, ours in given.items() if ours is not None})
 
 
 def raw_condition(

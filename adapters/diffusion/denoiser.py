@@ -73,8 +73,7 @@ class CrossAttention(nn.Module):
         """Return the result for a memory of one token, equal for every query: softmax over one key is 1."""
         width = memory.shape[-1]
         # The second half of the joint projection makes the values.
-        value = functional.linear(memory, self.key_value.weight[width:], self.key_value.bias[width:])
-        return self.output(value)
+        return self.output(functional.linear(memory, self.key_value.weight[width:], self.key_value.bias[width:]))
 
     def forward(self, stream: Frames, keys_values: KeysValues, visible: Attended | None) -> Frames:
         """Attend to what :meth:`keys_values` has made of the memory."""
@@ -126,8 +125,7 @@ class TransformerLayer(nn.Module):
                 :meth:`CrossAttention.of_one_token`; None in an encoder.
             memory_visible: Which memory tokens may be attended to.
         """
-        attended = self.self_attention(stream, visible)
-        stream = self.self_attention_norm(stream + self.dropout(attended))
+        stream = self.self_attention_norm(stream + self.dropout(self.self_attention(stream, visible)))
         if memory is not None:
             constant = isinstance(memory, Tensor)
             injected = memory if constant else self.cross_attention(stream, memory, memory_visible)
@@ -397,8 +395,7 @@ class _Layer(nn.Module):
         padded = functional.pad(around, (0, 0, _NEIGHBOURS, _NEIGHBOURS))
         for place, weight in enumerate(self.neighbours):
             around = around + weight * padded[:, place : place + around.shape[1]]
-        hidden = functional.gelu(self.expand(around), approximate="tanh")
-        return stream + self.dropout(self.contract(hidden))
+        return stream + self.dropout(self.contract(functional.gelu(self.expand(around), approximate="tanh")))
 
 
 class FrameDenoiser(nn.Module):
@@ -414,11 +411,8 @@ class FrameDenoiser(nn.Module):
         width = configuration.width
         numbers = configuration.n_features * configuration.frames_per_token
         self.frame_embedding = nn.Linear(numbers, width)
-        self.condition_embedding = nn.Sequential(
-            nn.Linear(configuration.condition_size + configuration.text_dimension, 2 * width),
-            nn.SiLU(),
-            nn.Linear(2 * width, width),
-        )
+        told = configuration.condition_size + configuration.text_dimension
+        self.condition_embedding = nn.Sequential(nn.Linear(told, 2 * width), nn.SiLU(), nn.Linear(2 * width, width))
         self.step_embedding = nn.Embedding(configuration.diffusion_steps, width)
         self.time_to_end = nn.Linear(width, width)
         self.layers = nn.ModuleList(

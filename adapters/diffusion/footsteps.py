@@ -68,8 +68,7 @@ def stepped(wanted: Feet, stands: Bool[np.ndarray, "frames 2"], fps: float, *, k
     swings = _swings(wanted[..., ::2], stands, shares, fps)
     if keeps_last:
         swings = _ending_as_wanted(swings, wanted[..., ::2], fps)
-    feet = [_way(wanted[:, foot], swings[foot], fps, keeps_last=keeps_last) for foot in (0, 1)]
-    return np.stack(feet, axis=1)
+    return np.stack([_way(wanted[:, foot], swings[foot], fps, keeps_last=keeps_last) for foot in (0, 1)], axis=1)
 
 
 def _swings(wanted: Heights, stands: np.ndarray, behind: list[float], fps: float) -> list[list[_Swing]]:

@@ -27,8 +27,7 @@ from prbench.contract import ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError, did_you_mean
 from prbench.geometry.skeleton import BONES, N_JOINTS, PARENTS
 from prbench.randomness import sequence_generator
-from prbench.representation import UniformSkeleton
-from prbench.representation.features import N_FEATURES
+from prbench.representation import N_FEATURES, UniformSkeleton
 from prbench_adapters.diffusion.configuration import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser, frame_mask
 from prbench_adapters.diffusion.model import Feet, MotionModel, Reach
@@ -108,16 +107,11 @@ class ModelBodies:
         if not configuration.uniform_skeleton or batch.initial_joints is None:
             return cls(batch, None)
         skeleton = UniformSkeleton.of(batch.initial_joints)
-        changed = {
-            name: convert(getattr(batch, name))
-            for name, convert in (
-                ("initial_joints", skeleton.poses),
-                ("previous_joints", skeleton.poses),
-                ("goal_joints", skeleton.poses),
-                ("goal_location", skeleton.locations),
-            )
-            if getattr(batch, name) is not None
-        }
+        poses = ("initial_joints", "previous_joints", "goal_joints")
+        converters: dict[str, Callable[[np.ndarray], np.ndarray]] = dict.fromkeys(poses, skeleton.poses)
+        converters["goal_location"] = skeleton.locations
+        given = {name: getattr(batch, name) for name in converters}
+        changed = {name: converters[name](value) for name, value in given.items() if value is not None}
         return cls(replace(batch, **changed), skeleton)
 
     def own(self, joints: Float[np.ndarray, "batch frames 22 3"]) -> Float[np.ndarray, "batch frames 22 3"]:
@@ -396,8 +390,6 @@ def sampling_settings(
     Raises:
         ValueError: naming the option with a value that is not possible.
     """
-    return SamplingSettings(
-        guidance=number(options, "guidance", guidance),
-        sampler="ddpm" if choice(options, "sampler", samplers) == "ddpm" else "ddim",
-        steps=whole_number(options, "steps", most=diffusion_steps),
-    )
+    weight = number(options, "guidance", guidance)
+    sampler = "ddpm" if choice(options, "sampler", samplers) == "ddpm" else "ddim"
+    return SamplingSettings(weight, sampler, whole_number(options, "steps", most=diffusion_steps))

@@ -36,9 +36,8 @@ def bundled_weights(name: str, folder: Path | None = None) -> Path:
     names = sorted(found)
     hint = did_you_mean(name, names)
     known = ", ".join(names) or "none in this installation"
-    raise AdapterError(
-        f"weights '{name}': expected a file, a folder, or bundled weights ({known}); found none of these.{hint}"
-    )
+    problem = f"found none of these.{hint}"
+    raise AdapterError(f"weights '{name}': expected a file, a folder, or bundled weights ({known}); {problem}")
 
 
 def resolve(weights: Path | None, default: str, *, folder: Path | None = None) -> Path:
@@ -62,9 +61,8 @@ def resolve(weights: Path | None, default: str, *, folder: Path | None = None) -
         if len(found) == 1:
             return found[0]
         listed = ", ".join(path.name for path in found) or "none"
-        raise AdapterError(
-            f"weights {weights}: expected one {_SUFFIX} file in the folder, found {listed}. Name the file."
-        )
+        remedy = "Name the file."
+        raise AdapterError(f"weights {weights}: expected one {_SUFFIX} file in the folder, found {listed}. {remedy}")
     # A path with a folder or a suffix was meant as a path; only a bare word can be a bundled name.
     if len(weights.parts) > 1 or weights.suffix == _SUFFIX:
         raise AdapterError(f"weights {weights}: expected a file or folder, found neither.")
@@ -86,10 +84,8 @@ def own_weights(method: str, weights: Path | None) -> Path:
     folder = Path(str(files("prbench_adapters"))) / method / "weights"
     default = f"{method}-small"
     if weights is None and default not in bundled_names(folder):
-        raise AdapterError(
-            f"{method}: no weights come with this version of prbench. Train some (`prbench train --method {method}"
-            " --config small --data …`) and give --weights."
-        )
+        remedy = f"Train some (`prbench train --method {method} --config small --data …`) and give --weights."
+        raise AdapterError(f"{method}: no weights come with this version of prbench. {remedy}")
     return resolve(weights, default, folder=folder)
 
 

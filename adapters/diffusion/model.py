@@ -25,6 +25,9 @@ from prbench_adapters.diffusion.goal_frame import GoalFrame, smoothed
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.training.weights import Weights, read_weights
 
+Counts = Int[torch.Tensor, " batch"]
+Tokens = Float[torch.Tensor, "texts tokens dimension"]
+
 # Kept at once; of Nymeria's narrations in DistilBERT's vectors these are about 3 GB.
 _MOST_TEXTS = 65_536
 KIND = "denoiser"
@@ -54,10 +57,8 @@ class TextVectors:
         """
         encoder = text_encoder(name)
         if encoder.dimension != dimension:
-            raise UsageError(
-                f"model.text_dimension: the text encoder '{name}' has vectors of {encoder.dimension} numbers,"
-                f" found {dimension}."
-            )
+            problem = f"the text encoder '{name}' has vectors of {encoder.dimension} numbers, found {dimension}."
+            raise UsageError(f"model.text_dimension: {problem}")
         return cls(encoder)
 
     @property
@@ -65,9 +66,7 @@ class TextVectors:
         """A line for the card of weights that build upon it."""
         return f"text encoder {self.encoder.name} (frozen)"
 
-    def __call__(
-        self, texts: Sequence[str]
-    ) -> tuple[Float[torch.Tensor, "texts tokens dimension"], Bool[torch.Tensor, "texts tokens"]]:
+    def __call__(self, texts: Sequence[str]) -> tuple[Tokens, Bool[torch.Tensor, "texts tokens"]]:
         """Token vectors, zero where there is padding, and the padding itself (True = no token), on the CPU."""
         # Sorted, so that the encoder sees the same batch whatever the order of the rows.
         missing = sorted({text for text in texts if text not in self._known})
@@ -141,14 +140,9 @@ class MotionModel:
         mean, std = stored_statistics(weights, configuration)
         denoiser = network(configuration)
         weights.load_into(denoiser, "denoiser")
-        return cls(
-            denoiser.to(where),
-            mean=mean,
-            std=std,
-            scaling=stored_scaling(weights, configuration),
-            texts=TextVectors(text_encoder(configuration.text_encoder, text_path)),
-            digest=weights.digest,
-        )
+        scaling = stored_scaling(weights, configuration)
+        texts = TextVectors(text_encoder(configuration.text_encoder, text_path))
+        return cls(denoiser.to(where), mean=mean, std=std, scaling=scaling, texts=texts, digest=weights.digest)
 
     def encode(self, batch: ConditionBatch, *, texts: tuple[str, ...] | None = None) -> EncodedCondition:
         """Encode what the network is told about a batch.
@@ -172,7 +166,7 @@ class MotionModel:
         self,
         normalised: Float[torch.Tensor, "batch frames features"],
         condition: EncodedCondition,
-        n_frames: Int[torch.Tensor, " batch"],
+        n_frames: Counts,
         *,
         reach: Reach = "predicted",
         feet: Feet = "steps",
@@ -197,10 +191,7 @@ class MotionModel:
 
 
 def led_to_goal(
-    model: MotionModel,
-    joints: Float[torch.Tensor, "batch frames 22 3"],
-    condition: EncodedCondition,
-    n_frames: Int[torch.Tensor, " batch"],
+    model: MotionModel, joints: Float[torch.Tensor, "batch frames 22 3"], condition: EncodedCondition, n_frames: Counts
 ) -> Float[torch.Tensor, "batch frames 22 3"]:
     """Finished motions of goal-frame features, with the nearer wrist led to the goal within the last half second."""
     return goal_frame(condition, joints).led_to_goal(joints, n_frames, model.configuration.fps)
@@ -224,10 +215,9 @@ def require_goal(model: MotionModel, path: Path, goal: str) -> None:
         AdapterError: naming both.
     """
     if model.configuration.goal != goal:
-        raise AdapterError(
-            f"weights {path}: expected a model of goal '{goal}', found one of goal '{model.configuration.goal}'."
-            " Choose weights that were trained for this method and condition."
-        )
+        found = f"found one of goal '{model.configuration.goal}'."
+        remedy = "Choose weights that were trained for this method and condition."
+        raise AdapterError(f"weights {path}: expected a model of goal '{goal}', {found} {remedy}")
 
 
 def torch_device(name: str) -> torch.device:
@@ -268,5 +258,4 @@ def stored_scaling(weights: Weights, configuration: DenoiserConfiguration) -> Co
         return None
     size = (configuration.condition_size,)
     mean = weights.require("condition.mean", size)
-    std = weights.require("condition.std", size)
-    return ConditionScaling.of(configuration, mean, std)
+    return ConditionScaling.of(configuration, mean, weights.require("condition.std", size))

@@ -90,9 +90,8 @@ class OptimisationSettings:
 
     def __post_init__(self) -> None:
         if min(self.ddim_steps, self.iterations) < 1:
-            raise ValueError(
-                f"'ddim_steps', 'iterations': expected 1 or more, found {self.ddim_steps}, {self.iterations}."
-            )
+            problem = f"expected 1 or more, found {self.ddim_steps}, {self.iterations}."
+            raise ValueError(f"'ddim_steps', 'iterations': {problem}")
 
 
 def paper(diffusion_steps: int) -> OptimisationSettings:
@@ -280,8 +279,7 @@ def _goal_losses(joints: Joints, n_frames: Counts, targets: Targets, hand: Hand)
     if hand != "nearest":
         loss = (chosen_wrist(last, location, hand) - location).square().sum(-1)
         return loss, loss
-    both = last[:, [Joint.LEFT_WRIST, Joint.RIGHT_WRIST]]
-    squared = (both - location[:, None]).square().sum(-1)
+    squared = (last[:, [Joint.LEFT_WRIST, Joint.RIGHT_WRIST]] - location[:, None]).square().sum(-1)
     return squared.amin(dim=1), -_SOFTNESS * torch.logsumexp(-squared / _SOFTNESS, dim=1)
 
 

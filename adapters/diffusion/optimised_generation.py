@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -15,8 +17,10 @@ from prbench_adapters.diffusion.model import MotionModel, led_to_goal
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim
 
 Noise = Float[torch.Tensor, "batch frames features"]
+Counts = Int[torch.Tensor, " batch"]
 
 
+@dataclass
 class UnrolledChain:
     """Noise to joints by ``settings.ddim_steps`` DDIM steps with all gradients kept.
 
@@ -32,53 +36,38 @@ class UnrolledChain:
         counter: Forward passes so far, one number.
     """
 
-    def __init__(
-        self,
-        model: Any,
-        condition: EncodedCondition,
-        n_frames: Int[torch.Tensor, " batch"],
-        settings: noise_optimisation.OptimisationSettings,
-        *,
-        lengths: Float[torch.Tensor, "batch 21"] | None = None,
-        counter: list[int] | None = None,
-    ) -> None:
-        self._model, self._condition, self._n_frames = model, condition, n_frames
-        self._settings, self._lengths, self._counter = settings, lengths, counter or [0]
-        self._schedule = CosineSchedule(model.denoiser.configuration.diffusion_steps)
-        self._guided = generation.Guided(model.denoiser, condition, n_frames, settings.guidance, reuse=True)
+    model: Any
+    condition: EncodedCondition
+    n_frames: Counts
+    settings: noise_optimisation.OptimisationSettings
+    lengths: Float[torch.Tensor, "batch 21"] | None = None
+    counter: list[int] = field(default_factory=lambda: [0])
+
+    def __post_init__(self) -> None:
+        denoiser, guidance = self.model.denoiser, self.settings.guidance
+        self._schedule = CosineSchedule(denoiser.configuration.diffusion_steps)
+        self._guided = generation.Guided(denoiser, self.condition, self.n_frames, guidance, reuse=True)
 
     @property
     def network_passes(self) -> int:
         """Forward passes so far, a sequence: two a step with guidance, and those that are computed again."""
-        return self._counter[0]
+        return self.counter[0]
 
     def __call__(self, noise: Noise) -> noise_optimisation.Joints:
         """Joints of every sequence, canonical frame, metres."""
-        settings = self._settings
-        clean = sample_ddim(
-            self._denoise,
-            self._schedule,
-            noise,
-            steps=settings.ddim_steps,
-            spacing=settings.spacing,
-            checkpointing=settings.checkpointing,
-        )
-        joints = self._model.joints(clean, self._condition, self._n_frames)
-        return joints if self._lengths is None else generation.with_bone_lengths(joints, self._lengths)
+        walk = {name: getattr(self.settings, name) for name in ("spacing", "checkpointing")}
+        clean = sample_ddim(self._denoise, self._schedule, noise, steps=self.settings.ddim_steps, **walk)
+        joints = self.model.joints(clean, self.condition, self.n_frames)
+        return joints if self.lengths is None else generation.with_bone_lengths(joints, self.lengths)
 
     def rows(self, index: Int[torch.Tensor, " kept"]) -> UnrolledChain:
         """Return the chain of some of the sequences; passes are counted together."""
-        return UnrolledChain(
-            self._model,
-            self._condition.rows(index),
-            self._n_frames[index.cpu()],
-            self._settings,
-            lengths=None if self._lengths is None else self._lengths[index],
-            counter=self._counter,
-        )
+        lengths = None if self.lengths is None else self.lengths[index]
+        own = self.condition.rows(index)
+        return replace(self, condition=own, n_frames=self.n_frames[index.cpu()], lengths=lengths)
 
     def _denoise(self, noisy: Noise, step: int) -> Noise:
-        self._counter[0] += 2 if self._guided.doubled else 1
+        self.counter[0] += 2 if self._guided.doubled else 1
         return self._guided(noisy, step)
 
 
@@ -86,8 +75,8 @@ def optimise_noise(
     model: Any,
     condition: EncodedCondition,
     targets: noise_optimisation.Targets,
-    n_frames: Int[torch.Tensor, " batch"],
-    noise: Float[torch.Tensor, "batch frames features"],
+    n_frames: Counts,
+    noise: Noise,
     settings: noise_optimisation.OptimisationSettings,
     *,
     seeds: Sequence[int],
@@ -108,13 +97,9 @@ def optimise_noise(
         watch: Called in every iteration of each part.
     """
     batch, frames = noise.shape[:2]
-    found = noise_optimisation.OptimisedMotions(
-        noise.new_zeros((batch, frames, 22, 3)),
-        noise.clone(),
-        noise.new_zeros(batch),
-        noise.new_zeros(batch),
-        torch.zeros(batch, dtype=torch.int64),
-    )
+    joints, passes = noise.new_zeros((batch, frames, 22, 3)), torch.zeros(batch, dtype=torch.int64)
+    initial, goal = noise.new_zeros(batch), noise.new_zeros(batch)
+    found = noise_optimisation.OptimisedMotions(joints, noise.clone(), initial, goal, passes)
     for rows in generation.parts_of_similar_length(n_frames.numpy(), settings.batch_size):
         own = n_frames[torch.as_tensor(rows)]
         index = torch.as_tensor(rows, device=noise.device)
@@ -157,16 +142,9 @@ def generate_optimised(
     bodies = generation.ModelBodies.of(batch, model.configuration)
     condition = model.encode(bodies.batch, texts=texts)
     n_frames = torch.as_tensor(batch.n_frames)
-    found = optimise_noise(
-        model,
-        condition,
-        targets_of(bodies.batch, model.device),
-        n_frames,
-        generation.start_noise(batch.noise_seed, batch.n_frames, model.device, columns=model.configuration.n_features),
-        settings,
-        seeds=batch.noise_seed,
-        objective=objective,
-    )
+    targets, seeds, columns = targets_of(bodies.batch, model.device), batch.noise_seed, model.configuration.n_features
+    noise = generation.start_noise(seeds, batch.n_frames, model.device, columns=columns)
+    found = optimise_noise(model, condition, targets, n_frames, noise, settings, seeds=seeds, objective=objective)
     joints = found.joints
     if settings.reach == "goal" and batch.goal_location is not None:
         joints = led_to_goal(model, joints, condition, n_frames)
@@ -183,8 +161,6 @@ def targets_of(batch: ConditionBatch, device: torch.device) -> noise_optimisatio
     if batch.initial_joints is None or batch.previous_joints is None:
         raise ValueError(f"noise optimisation cannot use the condition '{batch.condition.value}'")
     names = ("initial_joints", "previous_joints", "goal_joints", "goal_location")
-    given = {name: getattr(batch, name) for name in names}
-    tensors = {
-        name: torch.as_tensor(v, dtype=torch.float32, device=device) for name, v in given.items() if v is not None
-    }
-    return noise_optimisation.Targets(**tensors)
+    given = {name: value for name in names if (value := getattr(batch, name)) is not None}
+    tensor = partial(torch.as_tensor, dtype=torch.float32, device=device)
+    return noise_optimisation.Targets(**{name: tensor(value) for name, value in given.items()})

@@ -59,7 +59,7 @@ class DiffusionTask:
             UsageError: if the table does not describe such a model, or the data do not fit it.
             InputFileError: if the initial weights do not fit it.
         """
-        configuration, objective = read_model_table(model)
+        configuration, objective = split_model_table(model, DenoiserConfiguration, Objective)
         self._require_goal(configuration, stage)
         data.require_fit("the model", configuration)
         # Prime-and-reach tables keep everybody's own bones; HumanML3D alone comes on one skeleton, and has no goals.
@@ -86,31 +86,15 @@ class DiffusionTask:
             start.load_into(trained, "denoiser")
             # Layers of a new condition are missing in the file and keep their start at zero.
             denoiser.load_state_dict(trained.state_dict(), strict=False)
-        return DiffusionTraining(
-            denoiser,
-            statistics=statistics,
-            scaling=scaling,
-            texts=texts,
-            objective=objective,
-            origin=(texts.origin, *origin_of(start)),
-        )
+        origin = (texts.origin, *origin_of(start))
+        about: dict[str, Any] = {"texts": texts, "objective": objective, "origin": origin}
+        return DiffusionTraining(denoiser, statistics=statistics, scaling=scaling, **about)
 
     def _require_goal(self, configuration: DenoiserConfiguration, stage: str) -> None:
         allowed = ("none", *self.goals) if stage == "pretrain" or not self.goals else self.goals
         if configuration.goal not in allowed:
-            raise UsageError(
-                f"--method {self.name} --stage {stage}: expected model.goal to be {' or '.join(allowed)},"
-                f" found '{configuration.goal}'."
-            )
-
-
-def read_model_table(model: Mapping[str, Any]) -> tuple[DenoiserConfiguration, Objective]:
-    """Split the table ``[model]`` into the network and what it is trained for.
-
-    Raises:
-        UsageError: for an unknown key or a value of a wrong kind.
-    """
-    return split_model_table(model, DenoiserConfiguration, Objective)
+            problem = f"expected model.goal to be {' or '.join(allowed)}, found '{configuration.goal}'."
+            raise UsageError(f"--method {self.name} --stage {stage}: {problem}")
 
 
 # Mean and standard deviation.
@@ -135,8 +119,7 @@ def _scales(
             features.append(GoalFrame.of(raw).encode(batch.joints, batch.fps)[~batch.padding])
             conditions.append(seen_condition(raw))
         stacked = torch.cat(features)
-        std = stacked.std(dim=0)
-        std = std.clamp_min(_LEAST_FEATURE_STD)
+        std = stacked.std(dim=0).clamp_min(_LEAST_FEATURE_STD)
         seen = torch.cat(conditions)
         scaling = ConditionScaling.of(configuration, seen.mean(dim=0), seen.std(dim=0).clamp_min(_LEAST_CONDITION_STD))
         return (stacked.mean(dim=0), std), scaling

@@ -27,6 +27,9 @@ from prbench_adapters.training.dataset import Goal
 from prbench_adapters.training.task import TrainingModule
 from prbench_adapters.training.weights import representation_entry, weights_header
 
+Values = Float[torch.Tensor, "batch frames *value"]
+Counts = Int[Tensor, " batch"]
+
 Features = Float[torch.Tensor, "batch frames features"]
 Kept = Bool[Tensor, "batch frames"]
 Positions = Float[torch.Tensor, "batch frames 22 3"]  # metres
@@ -69,9 +72,7 @@ def foot_loss(predicted: Joints, recorded: Joints, valid: Kept, fps: float) -> F
     return (slid * stays).sum() / stays.sum().clamp_min(1)
 
 
-def wrist_loss(
-    predicted: Joints, recorded: Joints, valid: Kept, n_frames: Int[Tensor, " batch"], fps: float
-) -> Float[Tensor, ""]:
+def wrist_loss(predicted: Joints, recorded: Joints, valid: Kept, n_frames: Counts, fps: float) -> Float[Tensor, ""]:
     """Squared distance of the wrists from the recorded ones at the end of the reach."""
     frame = torch.arange(predicted.shape[1], device=predicted.device)
     ending = valid & (frame >= (n_frames[:, None] - _ENDING * fps))
@@ -152,12 +153,9 @@ def losses(
     return {"loss": total, **{name: part.detach() for name, part in parts.items()}}
 
 
-def _squared(
-    error: Float[torch.Tensor, "batch frames *value"], valid: Bool[torch.Tensor, "batch frames"]
-) -> Float[torch.Tensor, " batch"]:
+def _squared(error: Values, valid: Bool[torch.Tensor, "batch frames"]) -> Float[torch.Tensor, " batch"]:
     """Sum of the squares of each sequence over its valid frames."""
-    per_frame = error.square().flatten(2).sum(dim=2)
-    return torch.where(valid, per_frame, 0.0).sum(dim=1)
+    return torch.where(valid, error.square().flatten(2).sum(dim=2), 0.0).sum(dim=1)
 
 
 def scored_losses(objective: Objective, predicted: Positions, batch: MotionBatch) -> dict[str, torch.Tensor]:
@@ -240,8 +238,7 @@ class DiffusionTraining(TrainingModule):
         super().__init__()
         self.denoiser, self.scaling, self.texts = denoiser, scaling, texts
         self.objective, self.origin = objective, origin
-        schedule = CosineSchedule(denoiser.configuration.diffusion_steps)
-        alphas_cumprod = torch.as_tensor(schedule.alphas_cumprod)
+        alphas_cumprod = torch.as_tensor(CosineSchedule(denoiser.configuration.diffusion_steps).alphas_cumprod)
         self.mean: torch.Tensor
         self.std: torch.Tensor
         self.signal: torch.Tensor
@@ -285,9 +282,7 @@ class DiffusionTraining(TrainingModule):
 
     def noisy(self, clean: Features, draw: Draw) -> Features:
         """Standardised features with noise of the strength of each sequence's step."""
-        signal = self.signal[draw.step][:, None, None]
-        noise = self.noise[draw.step][:, None, None]
-        return signal * clean + noise * draw.noise
+        return self.signal[draw.step][:, None, None] * clean + self.noise[draw.step][:, None, None] * draw.noise
 
     def draw(self, batch: MotionBatch, step: int) -> Draw:
         """Draw the random numbers of a step for a batch of this shape: a function of seed, step and rank."""
@@ -296,8 +291,7 @@ class DiffusionTraining(TrainingModule):
         n = len(batch.features)
         t = torch.randint(len(self.signal), (n,), generator=generator)
         without_text = torch.rand(n, generator=generator) < self.objective.text_drop
-        columns = self.denoiser.configuration.n_features
-        noise = torch.randn((*batch.padding.shape, columns), generator=generator)
+        noise = torch.randn((*batch.padding.shape, self.denoiser.configuration.n_features), generator=generator)
         # Drawn last, so that the numbers above are the same with and without it.
         if self.objective.noisiest_share:
             noisiest = len(self.signal) - 1 - torch.randint(-(-len(self.signal) // 6), (n,), generator=generator)
@@ -328,5 +322,4 @@ class DiffusionTraining(TrainingModule):
             tensors |= {"condition.mean": self.scaling.mean, "condition.std": self.scaling.std}
         standard = configuration.features == "humanml3d"
         representation = representation_entry(configuration.representation) if standard else configuration.features
-        metadata = weights_header(KIND, configuration, representation)
-        return tensors, metadata
+        return tensors, weights_header(KIND, configuration, representation)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from prbench.errors import PrbenchError
@@ -35,22 +36,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         epilog=_EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--motion", type=Path, required=True, metavar="FILE.pt", help="checkpoint of the motion model")
-    parser.add_argument(
-        "--trajectory", type=Path, required=True, metavar="FILE.pt", help="checkpoint of the trajectory model"
-    )
-    parser.add_argument(
-        "--statistics",
-        type=Path,
-        required=True,
-        nargs=2,
-        metavar=("MEAN.npy", "STD.npy"),
-        help="of the features with an absolute root",
-    )
-    parser.add_argument(
-        "--projection", type=Path, required=True, metavar="FILE.npy", help="the emphasis projection, not its inverse"
-    )
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.safetensors", help="the weights to write")
+    add = partial(parser.add_argument, type=Path, required=True)
+    add("--motion", metavar="FILE.pt", help="checkpoint of the motion model")
+    add("--trajectory", metavar="FILE.pt", help="checkpoint of the trajectory model")
+    add("--statistics", nargs=2, metavar=("MEAN.npy", "STD.npy"), help="of the features with an absolute root")
+    add("--projection", metavar="FILE.npy", help="the emphasis projection, not its inverse")
+    add("--out", metavar="FILE.safetensors", help="the weights to write")
     given = parser.parse_args(arguments)
     try:
         from prbench_adapters.gmd.public_weights import PublicFiles, import_public  # late: torch

@@ -32,6 +32,10 @@ Matrix = Float[Tensor, "263 263"]
 Channels = Float[Tensor, "batch channels frames"]
 Hidden = Float[Tensor, "batch width frames"]
 Counts = Int[Tensor, " batch"]
+Signal = Float[Tensor, "batch frames channels"]
+Texts = Float[Tensor, "batch dimension"]
+Condition = Float[Tensor, "batch size"]
+Others = Float[Tensor, "batch width others"]
 
 # Half the turn of the heading since the first frame, radians.
 HEADING = slice(0, 1)
@@ -88,12 +92,8 @@ def pose_columns(joints: Float[Tensor, "batch 22 3"], half_turn: Float[Tensor, "
 
 def half_turn_of(joints: Float[Tensor, "batch 22 3"]) -> Float[Tensor, " batch"]:
     """Half the turn of a single pose's heading, by hips and shoulders as the representation takes them, unsmoothed."""
-    across = (
-        joints[:, Joint.LEFT_HIP]
-        - joints[:, Joint.RIGHT_HIP]
-        + joints[:, Joint.RIGHT_SHOULDER]
-        - joints[:, Joint.LEFT_SHOULDER]
-    )
+    hips = joints[:, Joint.LEFT_HIP] - joints[:, Joint.RIGHT_HIP]
+    across = hips + joints[:, Joint.RIGHT_SHOULDER] - joints[:, Joint.LEFT_SHOULDER]
     return 0.5 * torch.atan2(-across[:, 2], -across[:, 0])
 
 
@@ -203,12 +203,10 @@ class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
             raise ValueError(f"'condition_width' must be even and positive, found {self.condition_width}")
         if self.emphasis <= 0 or self.fps <= 0:
             raise ValueError(f"'emphasis' and 'fps' must be positive, found {self.emphasis} and {self.fps}")
+        why = "because the levels of the networks halve the frames"
         for name in ("padded_frames", "padding_step"):
-            if getattr(self, name) < 1 or getattr(self, name) % self.stride:
-                raise ValueError(
-                    f"'{name}' must be a multiple of {self.stride}, because the levels of the networks halve the"
-                    f" frames, found {getattr(self, name)}"
-                )
+            if (found := getattr(self, name)) < 1 or found % self.stride:
+                raise ValueError(f"'{name}' must be a multiple of {self.stride}, {why}, found {found}")
 
     @property
     def stride(self) -> int:
@@ -250,15 +248,7 @@ class TemporalUNet(nn.Module):
         self.register_buffer("sinusoid", sinusoid_table(configuration.diffusion_steps, size), persistent=False)
         self.sinusoid: Tensor
 
-    def forward(
-        self,
-        noisy: Float[Tensor, "batch frames channels"],
-        step: Counts,
-        text: Float[Tensor, "batch dimension"],
-        n_frames: Counts,
-        *,
-        window: int,
-    ) -> Float[Tensor, "batch frames channels"]:
+    def forward(self, noisy: Signal, step: Counts, text: Texts, n_frames: Counts, *, window: int) -> Signal:
         """Predict.
 
         Args:
@@ -291,14 +281,11 @@ class _Level(nn.Module):
 
     def __init__(self, channels: int, width: int, condition_width: int, resample: nn.Module) -> None:
         super().__init__()
-        self.blocks = nn.ModuleList(
-            (_ResidualBlock(channels, width, condition_width), _ResidualBlock(width, width, condition_width))
-        )
+        inner = (channels, width)
+        self.blocks = nn.ModuleList(_ResidualBlock(before, width, condition_width) for before in inner)
         self.resample = resample
 
-    def forward(
-        self, stream: Channels, condition: Float[Tensor, "batch size"]
-    ) -> tuple[Hidden, Float[Tensor, "batch width others"]]:
+    def forward(self, stream: Channels, condition: Condition) -> tuple[Hidden, Others]:
         """Return the stream before and after the change of resolution."""
         for block in self.blocks:
             stream = block(stream, condition)
@@ -319,7 +306,7 @@ class _ResidualBlock(nn.Module):
         self.second = _ConvBlock(width, width, starts_at_zero=True)
         self.skip = nn.Conv1d(channels, width, 1) if channels != width else nn.Identity()
 
-    def forward(self, stream: Channels, condition: Float[Tensor, "batch size"]) -> Hidden:
+    def forward(self, stream: Channels, condition: Condition) -> Hidden:
         """Apply the block; ``condition`` is the vector of step and text."""
         scale, shift = self.condition(nn.functional.mish(condition)).chunk(2, dim=1)
         return self.second(self.first(stream, (scale, shift))) + self.skip(stream)
@@ -401,12 +388,12 @@ class GMDModel:
         texts = TextVectors(text_encoder(configuration.text_encoder, text_path))
         return cls(networks.to(where), space=stored_space(weights), texts=texts)
 
-    def encode(self, captions: tuple[str, ...]) -> Float[torch.Tensor, "batch dimension"]:
+    def encode(self, captions: tuple[str, ...]) -> Texts:
         """One vector a caption."""
         return caption_vectors(self.texts, captions).to(self.device)
 
 
-def caption_vectors(texts: TextVectors, captions: tuple[str, ...]) -> Float[torch.Tensor, "batch dimension"]:
+def caption_vectors(texts: TextVectors, captions: tuple[str, ...]) -> Texts:
     """Return the mean over the word pieces of each caption."""
     tokens, padding = texts(captions)
     return pooled(tokens, padding)[:, 0]

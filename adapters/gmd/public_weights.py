@@ -148,10 +148,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
     numbers = tuple(int(part) for part in re.findall(r"\d+", torch.__version__)[:2])
     if numbers < _SAFE_SINCE:
         least = ".".join(map(str, _SAFE_SINCE))
-        raise UsageError(
-            f"opening a checkpoint safely needs PyTorch {least} or later, found {torch.__version__} (CVE-2025-32434)."
-            f" Run: pip install 'torch>={least}'"
-        )
+        why = f"(CVE-2025-32434). Run: pip install 'torch>={least}'"
+        raise UsageError(f"opening a checkpoint safely needs PyTorch {least} or later, found {torch.__version__} {why}")
     content = _mapping(path, _content(path))
     copy = next((name for name in _COPIES if name in content), "only")
     state = content if copy == "only" else _mapping(path, content[copy])
@@ -347,8 +345,7 @@ def _configuration_of(motion: Checkpoint, trajectory: Checkpoint, emphasis: floa
             uniform_skeleton=True,  # HumanML3D's people share one
         )
     except ValueError as error:
-        expected = "networks of GMD"
-        raise InputFileError(motion.path, "sizes", expected=expected, found=f"others: {error}") from error
+        raise InputFileError(motion.path, "sizes", expected="networks of GMD", found=f"others: {error}") from error
 
 
 def widths_of(checkpoint: Checkpoint) -> tuple[int, ...]:

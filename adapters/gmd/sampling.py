@@ -65,8 +65,7 @@ Imputed = tuple[Columns, Bool[Tensor, "batch frames columns"]]
 def clean_of_noise(chain: Chain, i: int, state: Columns, noise: Columns) -> Columns:
     """Return the clean estimate that belongs to an estimate of the noise, cut at six standard deviations."""
     level = float(chain.alphas_cumprod[i])
-    clean = (state - math.sqrt(1 - level) * noise) / math.sqrt(level)
-    return clean.clamp(-_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+    return ((state - math.sqrt(1 - level) * noise) / math.sqrt(level)).clamp(-_MOST_DEVIATIONS, _MOST_DEVIATIONS)
 
 
 def guided_mean(
@@ -244,17 +243,15 @@ def sample_trajectory(
     at_keyframes, on_line = (imputed_root(goal, space, N_ROOT) for goal in (keyframes, keyframes.line()))
     guided_from = _step(schedule, _GUIDED_FROM)
     line_from = _step(schedule, _LINE_FROM)
+    loss = _root_loss(keyframes, settings, space.restored)
     state = noise.draw(N_ROOT)
     for i in range(len(chain) - 1, -1, -1):
         index = int(chain.indices[i])
-        mean = guided_mean(
-            lambda noisy, step, i=i: clean_of_noise(chain, i, noisy, predict_noise(noisy, step)),
-            chain,
-            i,
-            state,
-            _root_loss(keyframes, settings, space.restored) if index >= guided_from else None,
-            settings.goal_scale,
-        )
+
+        def clean(noisy: Columns, step: int, i: int = i) -> Columns:
+            return clean_of_noise(chain, i, noisy, predict_noise(noisy, step))
+
+        mean = guided_mean(clean, chain, i, state, loss if index >= guided_from else None, settings.goal_scale)
         # No noise is drawn for the last step; the order of draws is part of the result.
         state = noised(chain, i, mean, noise.draw(N_ROOT)) if i else mean
         # Early on the whole straight line is imputed, which leads the trajectory; later its keyframes alone, so that

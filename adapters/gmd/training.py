@@ -22,9 +22,12 @@ from prbench_adapters.training import MotionBatch
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import origin_of, read_weights, representation_entry, weights_header
 
+Signal = Float[torch.Tensor, "batch frames columns"]
+
 # Keys that fine-tuning may set otherwise than the weights that it starts from.
 FREE_TO_CHANGE = frozenset({"max_frames", "smoothed", "uniform_skeleton"})
 _FEATURES_ALONE = DenoiserObjective(joint_loss_weight=0.0)
+_BODY_LOSSES = ("joint_loss_weight", "velocity_loss_weight", "bone_loss_weight", "foot_loss_weight")
 
 
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -118,12 +121,7 @@ class GMDTraining(TrainingModule):
         self, clean: torch.Tensor, projected: torch.Tensor, batch: MotionBatch, space: gmd.FeatureSpace
     ) -> dict[str, torch.Tensor]:
         """Return the motion network's weighted losses: of projected features, and of the joints that they decode to."""
-        objective = DenoiserObjective(
-            joint_loss_weight=self.objective.joint_loss_weight,
-            velocity_loss_weight=self.objective.velocity_loss_weight,
-            bone_loss_weight=self.objective.bone_loss_weight,
-            foot_loss_weight=self.objective.foot_loss_weight,
-        )
+        objective = DenoiserObjective(**{name: getattr(self.objective, name) for name in _BODY_LOSSES})
         if objective == _FEATURES_ALONE:
             loss = _mean_squared(clean - projected, batch.padding)
             return {"loss": loss, "features": loss.detach()}
@@ -133,7 +131,7 @@ class GMDTraining(TrainingModule):
         scored = scored_losses(objective, joints, batch)
         return {**found, **scored, "loss": found["loss"] + scored["loss"]}
 
-    def draw(self, clean: Float[torch.Tensor, "batch frames columns"], generator: torch.Generator) -> Draw:
+    def draw(self, clean: Signal, generator: torch.Generator) -> Draw:
         """Draw for one network; numbers come from the CPU, so they are the same on every device."""
         n = len(clean)
         step = torch.randint(len(self.signal), (n,), generator=generator)
@@ -168,9 +166,7 @@ class GMDTraining(TrainingModule):
         return tensors, metadata
 
 
-def _mean_squared(
-    error: Float[torch.Tensor, "batch frames columns"], padding: Bool[torch.Tensor, "batch frames"]
-) -> Float[torch.Tensor, ""]:
+def _mean_squared(error: Signal, padding: Bool[torch.Tensor, "batch frames"]) -> Float[torch.Tensor, ""]:
     """Over columns and valid frames."""
     summed = torch.where(padding[..., None], 0.0, error.square()).sum()
     return summed / ((~padding).sum() * error.shape[-1]).clamp_min(1)
@@ -182,14 +178,7 @@ class GMDTask:
     name = "gmd"
     configurations = "prbench_adapters.gmd"
 
-    def build(
-        self,
-        model: Mapping[str, Any],
-        *,
-        data: TrainingData,
-        initial: Path | None,
-        stage: str,  # noqa: ARG002
-    ) -> GMDTraining:
+    def build(self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str) -> GMDTraining:
         """Make both networks in their state before the first step.
 
         Statistics and projection come from the initial weights where there are some.
@@ -204,7 +193,8 @@ class GMDTask:
             UsageError: if the table does not describe such networks, or the data do not fit them.
             InputFileError: if the initial weights do not fit them.
         """
-        configuration, objective = read_model_table(model)
+        del stage  # both are trained alike
+        configuration, objective = split_model_table(model, gmd.GMDConfiguration, Objective)
         data.require_fit("the model", configuration)
         texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
         start = read_weights(initial, kind=gmd.KIND) if initial is not None else None
@@ -223,12 +213,3 @@ class GMDTask:
             space = gmd.FeatureSpace.of(torch.as_tensor(found.mean), torch.as_tensor(found.std), projection)
         origin = (texts.origin, *origin_of(start))
         return GMDTraining(networks, space=space, texts=texts, objective=objective, origin=origin)
-
-
-def read_model_table(model: Mapping[str, Any]) -> tuple[gmd.GMDConfiguration, Objective]:
-    """Split the table ``[model]`` into the networks and what they are trained for.
-
-    Raises:
-        UsageError: for an unknown key or a value of a wrong kind.
-    """
-    return split_model_table(model, gmd.GMDConfiguration, Objective)

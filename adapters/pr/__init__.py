@@ -92,10 +92,9 @@ class PR:
         if condition in self.models:
             return self.models[condition]
         other, given = next(iter(self.models.items()))
-        raise AdapterError(
-            f"weights {given.path}: expected a model of goal '{GOALS[condition]}' for '{condition.value}', found one of"
-            f" goal '{GOALS[other]}'. Choose other weights, or --condition {other.value}."
-        )
+        problem = f"expected a model of goal '{GOALS[condition]}' for '{condition.value}',"
+        found = f"found one of goal '{GOALS[other]}'. Choose other weights, or --condition {other.value}."
+        raise AdapterError(f"weights {given.path}: {problem} {found}")
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR:
@@ -152,22 +151,18 @@ def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Co
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     wanted = [GOALS[condition] for condition in allowed]
     if model.configuration.goal not in wanted:
-        raise AdapterError(
-            f"weights {path}: expected a model of goal {' or '.join(wanted)}, found one of goal"
-            f" '{model.configuration.goal}'. Choose weights that `prbench train --method pr --stage finetune` made."
-        )
+        found = f"found one of goal '{model.configuration.goal}'."
+        remedy = "Choose weights that `prbench train --method pr --stage finetune` made."
+        raise AdapterError(f"weights {path}: expected a model of goal {' or '.join(wanted)}, {found} {remedy}")
     idle = [key for key, value in _OF_GOAL_FRAMES.items() if options.get(key) == value]
     if idle and model.configuration.features != "goal-frame":
-        raise AdapterError(
-            f"option '{idle[0]}': weights {path}: expected a model of goal-frame features, found one of"
-            f" {model.configuration.features}. Leave the option out, or choose other weights."
-        )
+        found = f"found one of {model.configuration.features}. Leave the option out, or choose other weights."
+        raise AdapterError(f"option '{idle[0]}': weights {path}: expected a model of goal-frame features, {found}")
     steps = model.configuration.diffusion_steps
     if options.get("sampler") == ONE_PASS and steps > MOST_PASSES:
-        raise AdapterError(
-            f"option 'sampler': one-pass takes 1 to {MOST_PASSES} network passes, but weights {path} need {steps}."
-            " Train some with --set model.diffusion_steps=4, or choose optimise=off."
-        )
+        why = f"one-pass takes 1 to {MOST_PASSES} network passes, but weights {path} need {steps}."
+        advice = "Train some with --set model.diffusion_steps=4, or choose optimise=off."
+        raise AdapterError(f"option 'sampler': {why} {advice}")
     return TrainedFor(model, path, *_settings(options, model.configuration))
 
 
@@ -190,9 +185,8 @@ def _settings(
         # All steps of the weights and no optimisation; an option that would add passes or leave some out is a mistake.
         for key, idle in (("optimise", "off"), ("guidance", "1"), ("steps", None)):
             if key in options and options[key] != idle:
-                raise ValueError(
-                    f"option '{key}': sampler=one-pass takes the passes of the weights alone; leave it out."
-                )
+                remedy = "leave it out."
+                raise ValueError(f"option '{key}': sampler=one-pass takes the passes of the weights alone; {remedy}")
         options = {**options, "optimise": "off"}
     mode = choice(options, "optimise", _MODES)
     if mode == "off":
@@ -209,9 +203,8 @@ def _settings(
         return sampling, own_bones
     idle = [key for key in _SAMPLING_ALONE if key in options]
     if idle:
-        raise ValueError(
-            f"option '{idle[0]}' belongs to sampling without noise optimisation; choose optimise=off, or leave it out."
-        )
+        remedy = "choose optimise=off, or leave it out."
+        raise ValueError(f"option '{idle[0]}' belongs to sampling without noise optimisation; {remedy}")
     quick = finishing if configuration.features == "goal-frame" else fast
     preset = {"fast": quick, "paper": paper}[mode](steps)
     preset = replace(preset, guidance=number(options, "guidance", _GUIDANCE))

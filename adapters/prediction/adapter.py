@@ -157,10 +157,8 @@ def load_predictor(name: str, weights: Path | None, *, options: Mapping[str, str
     else:
         paths = [bundled_weights(each, folder) for each in bundled_names(folder) if each.startswith(f"{name}-small")]
     if not paths:
-        raise AdapterError(
-            f"{name}: no weights come with this version of prbench. Train some (`prbench train --method {name}"
-            " --config small --data WINDOWS… --out DIR`) and give --weights."
-        )
+        why = f"(`prbench train --method {name} --config small --data WINDOWS… --out DIR`) and give --weights."
+        raise AdapterError(f"{name}: no weights come with this version of prbench. Train some {why}")
     loaded = []
     for path in paths:
         file = read_weights(path, kind=name)

@@ -62,10 +62,8 @@ class UNetConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
             raise ValueError(f"'channels' must be a multiple of {_GROUPS} and 'multiples' positive, found {found}")
         stride = 2 ** (len(self.multiples) - 1)
         if min(self.height, self.width) < 1 or self.height % stride or self.width % stride:
-            raise ValueError(
-                f"'height' and 'width' must be multiples of {stride}, because the levels halve them, found"
-                f" {self.height} and {self.width}"
-            )
+            why = f"because the levels halve them, found {self.height} and {self.width}"
+            raise ValueError(f"'height' and 'width' must be multiples of {stride}, {why}")
         if self.head_channels < 1 or self.channels % self.head_channels:
             raise ValueError(f"'head_channels' must divide {self.channels} channels, found {self.head_channels}")
         if self.condition < 1 or self.steps < 1:
@@ -310,8 +308,7 @@ class BehaviourAutoencoder(nn.Module):
 
     def decode_without_context(self, behaviour: Behaviour) -> Motion:
         """Return what the auxiliary decoder can tell of context and future from the behaviour alone."""
-        frames = self.configuration.context + self.configuration.predicted
-        steps = behaviour[:, None].expand(-1, frames, -1)
+        steps = behaviour[:, None].expand(-1, self.configuration.context + self.configuration.predicted, -1)
         return self.auxiliary_pose(self.auxiliary(steps)[0]).unflatten(-1, (-1, 3))
 
     def loss(self, sequence: Motion, noise: Behaviour, *, coupler_alone: bool = False) -> recurrent.Losses:

@@ -110,8 +110,7 @@ def held(observed: Motion, valid: Bool[Tensor, "windows frames"]) -> Motion:
     last = torch.where(valid, frame, -1).cummax(dim=1).values
     first = valid.to(torch.int8).argmax(dim=1, keepdim=True)
     source = torch.where(last < 0, first, last)
-    rows = torch.arange(len(valid), device=valid.device)[:, None]
-    gaze = observed[rows, source, -1]
+    gaze = observed[torch.arange(len(valid), device=valid.device)[:, None], source, -1]
     return torch.cat([observed[:, :, :-1], gaze[:, :, None]], dim=2)
 
 
@@ -425,8 +424,7 @@ class _CrossAttention(nn.Module):
         key, value = both.movedim(-3, 0).transpose(-3, -2)
         # A score is (W h) · k = h · (Wᵀ k): queries, which every sample and step would need, are never made.
         query = self.query.weight.unflatten(0, (self.heads, -1)) / math.sqrt(key.shape[-1])
-        scored = torch.einsum("hdc,whld->wchl", query, key)
-        return scored.flatten(2), value
+        return torch.einsum("hdc,whld->wchl", query, key).flatten(2), value
 
 
 class _Stylisation(nn.Module):
@@ -518,8 +516,7 @@ class CoefficientDiffusion(nn.Module):
         if not samples or any(len(row) != samples for row in seeds):
             raise ValueError("each window needs a seed for each of at least one sample, and as many as the others")
         flat = [seed for row in seeds for seed in row]
-        rows = np.full(len(flat), configuration.coefficients)
-        source = SequenceNoise(flat, rows, observed.device)
+        source = SequenceNoise(flat, np.full(len(flat), configuration.coefficients), observed.device)
 
         def noise() -> Tensor:
             return source.draw(configuration.values).to(observed.dtype).unflatten(0, (-1, samples))
@@ -536,8 +533,7 @@ class CoefficientDiffusion(nn.Module):
         *_, state = self.states(known - offset, condition, noise, kept)
         if self.whitening is not None:
             state = self.whitening.inverse(state)
-        final = state + offset[:, None]
-        return self.transform.inverse(final)[:, :, configuration.observed :]
+        return self.transform.inverse(state + offset[:, None])[:, :, configuration.observed :]
 
     @torch.no_grad()
     def residuals(self, motion: Motion) -> Coefficients:
@@ -593,8 +589,7 @@ class CoefficientDiffusion(nn.Module):
         Steps are 1, 1 + stride, …; the last one leads to index 0, which is not quite free of noise.
         """
         levels = self.schedule.alphas_cumprod
-        stride = len(levels) // self.configuration.sampling_steps
-        steps = list(range(1, len(levels), stride))
+        steps = list(range(1, len(levels), len(levels) // self.configuration.sampling_steps))
         for step, previous in zip(reversed(steps), [*reversed(steps[:-1]), 0], strict=True):
             yield step, float(levels[step]), float(levels[previous])
 

@@ -98,8 +98,7 @@ class RateCourse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     def at(self, progress: float) -> float:
         """Factor on the learning rate after a share of the training, which is below 1."""
-        steps = sum(progress >= place for place in self.milestones)
-        factor = self.factor**steps
+        factor = self.factor ** sum(progress >= place for place in self.milestones)
         if progress > self.linear_from:
             factor *= (1.0 - progress) / (1.0 - self.linear_from)
         return factor
@@ -171,8 +170,7 @@ class PredictorTraining(TrainingModule):
         apart = (predicted - wanted).norm(dim=-1)
         still = (observed[:, -1:, : seen.n_joints].flatten(2) - wanted[:, 0]).norm(dim=-1)
         ade = apart.mean(dim=-1).amin(dim=1).mean()
-        fde = apart[:, :, -1].amin(dim=1).mean()
-        return {"ade": ade, "fde": fde, "still_ade": still.mean()}
+        return {"ade": ade, "fde": apart[:, :, -1].amin(dim=1).mean(), "still_ade": still.mean()}
 
     def shown(self, batch: WindowBatch) -> Motion:
         """Return the windows of a batch, with directions that were not measured replaced by measured ones."""
@@ -248,14 +246,10 @@ def autoencoder_losses(
 
 
 def belfusion_losses(
-    module: PredictorTraining,
-    motion: Motion,
-    generator: torch.Generator,
-    step: int,  # noqa: ARG001
-    *,
-    noises: int,
+    module: PredictorTraining, motion: Motion, generator: torch.Generator, step: int, *, noises: int
 ) -> Losses:
     """BeLFusion's diffusion of behaviours: errors of the best of some noises at one step for each window."""
+    del step
     size = module.network.configuration.behaviour
     count = len(motion)
     index = torch.randint(len(module.network.schedule), (count,), generator=generator).to(motion.device)
@@ -387,8 +381,7 @@ def _belfusion(
     command = "prbench train --method belfusion --stage autoencoders --data WINDOWS… --out DIR"
     what = "BeLFusion's trained autoencoders"
     start, old = _started("belfusion", initial, seen, records.AUTOENCODERS, records.AutoencodersRecord, what, command)
-    table = {**model, "condition": old.network.past}
-    unet, objective = split_model_table(table, UNetConfiguration, BestOfNoises)
+    unet, objective = split_model_table({**model, "condition": old.network.past}, UNetConfiguration, BestOfNoises)
     record = records.BeLFusionRecord(
         windows=seen, network=unet, behaviour=old.network, decoded_weight=objective.decoded_weight
     )

@@ -86,8 +86,7 @@ def load_ablations() -> tuple[Ablation, ...]:
 @cache
 def _published() -> dict[tuple[str, str, str], dict[str, dict[str, float]]]:
     found: dict[tuple[str, str, str], dict[str, dict[str, float]]] = {}
-    lines = _read("prbench_benchmarks.prime_and_reach.published", "ablations.csv").splitlines()
-    for row in csv.DictReader(lines):
+    for row in csv.DictReader(_read("prbench_benchmarks.prime_and_reach.published", "ablations.csv").splitlines()):
         numbers = {info.id: float(row[info.id]) / info.scale for info in METRICS if info.id in row}
         found.setdefault((row["table"], row["condition"], row["variant"]), {})[row["dataset"]] = numbers
     return found

@@ -141,11 +141,9 @@ def collate_windows(items: Sequence[WindowItem]) -> WindowBatch:
     valid = None
     directions = [item.direction for item in items if item.direction is not None]
     if directions:
-        turned = transform_each(rotations_alone(batch_from_room), np.stack(directions))
-        nodes.append(turned[:, :, None])
+        nodes.append(transform_each(rotations_alone(batch_from_room), np.stack(directions))[:, :, None])
         valid = torch.from_numpy(np.stack([item.direction_valid[: shape.observed] for item in items]))
-    motion = np.concatenate(nodes, axis=2).astype(np.float32)
-    return WindowBatch(torch.from_numpy(motion), valid)
+    return WindowBatch(torch.from_numpy(np.concatenate(nodes, axis=2).astype(np.float32)), valid)
 
 
 class WindowsDataset(Dataset[WindowItem]):
@@ -222,10 +220,8 @@ class WindowsDataset(Dataset[WindowItem]):
     def _read(self, table: WindowsTable) -> int:
         """Take up the runs of one table; returns its number of items."""
         if self.choice.condition is Condition.POSE_GAZE and not table.info.has_gaze:
-            raise UsageError(
-                f"{table.folder}: expected recorded gaze for the condition 'pose+gaze', found none in any recording."
-                " Add --set model.windows.condition=pose+head, or pose."
-            )
+            problem = "found none in any recording. Add --set model.windows.condition=pose+head, or pose."
+            raise UsageError(f"{table.folder}: expected recorded gaze for the condition 'pose+gaze', {problem}")
         rows = [row for row, run in enumerate(table.runs.to_pylist()) if self._is_wanted(run)]
         before = len(self._stretches)
         for _, run in table.iterate_runs(rows):

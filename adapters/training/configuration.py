@@ -225,9 +225,8 @@ def _override(key: str, text: str) -> dict[str, Any]:
     """``training.steps``, ``100`` as nested tables."""
     table, _, rest = key.partition(".")
     if table not in TABLES or not rest:
-        raise UsageError(
-            f"--set {key}={text}: expected table.key=value with a table of {', '.join(TABLES)}, found '{key}'."
-        )
+        problem = f"expected table.key=value with a table of {', '.join(TABLES)}, found '{key}'."
+        raise UsageError(f"--set {key}={text}: {problem}")
     try:
         return tomllib.loads(f"{key} = {text}")
     except tomllib.TOMLDecodeError:

@@ -6,20 +6,19 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch.utils.data import Dataset
 
-from prbench.engine import Engine, InProcess
+from prbench.engine import IN_PROCESS, Engine
 from prbench.errors import TableError, UsageError
 from prbench.files.storage import cache_folder
 from prbench.randomness import named_generator
 from prbench.representation import Mode, Statistics, StatisticsAccumulator
-from prbench.sequences import CorpusTable, SequenceTable
-from prbench.sequences.table import SPLITS
+from prbench.sequences import SPLITS, CorpusTable, SequenceTable
 from prbench_adapters.training import store as stores
 from prbench_adapters.training.configuration import DataConfiguration, TrainingConfiguration
 
@@ -141,9 +140,6 @@ def _stacked(arrays: list[np.ndarray]) -> torch.Tensor:
     return torch.from_numpy(np.stack(arrays).astype(np.float32, copy=False))
 
 
-_IN_PROCESS = InProcess()
-
-
 class SequenceDataset(Dataset[MotionItem]):
     """Rows of sequence tables and text-motion corpora as features, joints and conditions.
 
@@ -191,7 +187,7 @@ class SequenceDataset(Dataset[MotionItem]):
         mode: Mode = "continuous",
         seed: int = 0,
         cache: Path | None = None,
-        engine: Engine = _IN_PROCESS,
+        engine: Engine = IN_PROCESS,
     ) -> None:
         for what, value, known in (
             ("split", split, (*SPLITS, stores.REFIT)),
@@ -294,10 +290,8 @@ class SequenceDataset(Dataset[MotionItem]):
             velocity = (item.initial_joints - item.previous_joints) * np.float32(item.fps)
             target = item.goal_joints if goal == "pose" else item.goal_location
             if np.isnan(target).any():
-                raise TableError(
-                    f"{item.sequence_id}: expected a goal location, found none, because it comes from a text-motion"
-                    " corpus. Train a goal-conditioned model on sequence tables."
-                )
+                why = "because it comes from a text-motion corpus. Train a goal-conditioned model on sequence tables."
+                raise TableError(f"{item.sequence_id}: expected a goal location, found none, {why}")
             vectors.append(np.concatenate([np.ravel(part) for part in (item.initial_joints, velocity, target)]))
         stacked = np.stack(vectors).astype(np.float64)
         std = np.maximum(stacked.std(axis=0), _STD_FLOOR)
@@ -305,23 +299,11 @@ class SequenceDataset(Dataset[MotionItem]):
 
 
 def configured_dataset(
-    tables: Iterable[stores.Table | Path],
-    configuration: TrainingConfiguration,
-    *,
-    split: str,
-    engine: Engine = _IN_PROCESS,
+    tables: Iterable[stores.Table | Path], configuration: TrainingConfiguration, *, split: str, engine: Engine
 ) -> SequenceDataset:
     """Return the sequences of a split, as a configuration wants them."""
-    wanted = configuration.data
-    return SequenceDataset(
-        list(tables),
-        split=split,
-        max_frames=wanted.max_frames,
-        crop=wanted.crop,
-        mode=wanted.mode,
-        seed=configuration.training.seed,
-        engine=engine,
-    )
+    wanted: dict[str, Any] = {name: getattr(configuration.data, name) for name in ("max_frames", "crop", "mode")}
+    return SequenceDataset(list(tables), split=split, **wanted, seed=configuration.training.seed, engine=engine)
 
 
 def _common_frame_rate(tables: list[stores.Table], split: str) -> float:
@@ -335,7 +317,6 @@ def _common_frame_rate(tables: list[stores.Table], split: str) -> float:
     rates = {table.folder: stores.frame_rate(table, split) for table in tables}
     if len(set(rates.values())) > 1:
         found = ", ".join(f"{folder}: {rate:g}" for folder, rate in rates.items())
-        raise TableError(
-            f"expected tables of one frame rate, found frames per second of {found}. Build them again with one --fps."
-        )
+        remedy = "Build them again with one --fps."
+        raise TableError(f"expected tables of one frame rate, found frames per second of {found}. {remedy}")
     return next(iter(rates.values()))

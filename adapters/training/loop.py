@@ -65,11 +65,9 @@ def make_fabric(device: str, *, devices: int = 1, precision: str = "32-true", sp
     available = {"cpu": None, "cuda": torch.cuda.device_count(), "mps": int(torch.backends.mps.is_available())}[kind]
     wanted = int(number) + 1 if number else devices
     if available is not None and available < wanted:
-        raise UsageError(
-            f"--device {device}{f' --devices {devices}' if devices > 1 else ''}: torch {torch.__version__} finds"
-            f" {available or 'no'} such device{'s' if available != 1 else ''} here. Use --device cpu, or install a"
-            " build of torch for your GPU and its driver."
-        )
+        why = f"torch {torch.__version__} finds {available or 'no'} such device{'s' if available != 1 else ''} here."
+        remedy = "Use --device cpu, or install a build of torch for your GPU and its driver."
+        raise UsageError(f"--device {device}{f' --devices {devices}' if devices > 1 else ''}: {why} {remedy}")
     plugin = HeldPrecision("bf16-mixed", kind) if precision == "bf16-mixed" else Precision()
     several = "ddp_spawn" if spawn else "ddp"
     chosen: Any = [int(number)] if number else devices
@@ -282,10 +280,9 @@ class _Session:
         means = dict(zip(state.losses, self._reduced(own, "mean")))
         for name, value in means.items():
             if not math.isfinite(value):
-                raise TrainingError(
-                    f"'{name}' is {value} at step {state.step}: the training has diverged. The checkpoints are"
-                    " from before; try a lower learning rate or a gradient_clip in another folder."
-                )
+                why = "the training has diverged. The checkpoints are from before;"
+                reason = "try a lower learning rate or a gradient_clip in another folder."
+                raise TrainingError(f"'{name}' is {value} at step {state.step}: {why} {reason}")
         state.losses, state.batches = {}, 0
         row: Row = {"step": state.step, **means, "learning_rate": self._rate(state.step - 1)}
         state.rows.append(row)

@@ -101,10 +101,8 @@ def require_same_training(out: Path, record: TrainingRecord) -> None:
     remove_leftovers(path)  # of a process that was killed before the file stood there
     if not path.is_file():
         if out.is_file() or (out.is_dir() and any(out.iterdir())):
-            raise StorageError(
-                f"{out}: is not empty and holds no {RECORD}, so it is no training that could go on."
-                " Choose an empty or new folder for --out."
-            )
+            why = "so it is no training that could go on. Choose an empty or new folder for --out."
+            raise StorageError(f"{out}: is not empty and holds no {RECORD}, {why}")
         return
     found = read_json(path)
     if not isinstance(found, Mapping):
@@ -115,10 +113,9 @@ def require_same_training(out: Path, record: TrainingRecord) -> None:
         now = asked.get(key, "nothing")
         then = there.get(key, "nothing")
         if now != then and key not in _MAY_CHANGE:
-            raise TrainingError(
-                f"{out}: holds another training: '{key}' is {then} there, but {now} was asked for."
-                " Repeat the command of that training to go on with it, or choose another folder for --out."
-            )
+            reason = f"holds another training: '{key}' is {then} there, but {now} was asked for."
+            remedy = "Repeat the command of that training to go on with it, or choose another folder for --out."
+            raise TrainingError(f"{out}: {reason} {remedy}")
 
 
 @foreign_input()

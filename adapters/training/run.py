@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 import torch
 
-from prbench.engine import Engine, InProcess, close_engine
+from prbench.engine import IN_PROCESS, Engine, close_engine
 from prbench.errors import TrainingStopped, UsageError
 from prbench.files.storage import sole_writer, write_json
 from prbench.harness.methods.installed import load_task
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from lightning_fabric import Fabric
 
 _DEFAULT_CONFIGURATION = "small"
-_IN_PROCESS = InProcess()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +77,7 @@ class TrainRequest:
 
 
 def train(
-    request: TrainRequest, *, report: Callable[[Progress], None] = silent, engine: Engine = _IN_PROCESS
+    request: TrainRequest, *, report: Callable[[Progress], None] = silent, engine: Engine = IN_PROCESS
 ) -> TrainedNetwork | None:
     """Train, or go on training, to the last step; None in all but the first of several processes.
 
@@ -98,10 +97,8 @@ def train(
     task = load_task(request.method)
     stage, configuration = resolved(task, request.configuration, stage=request.stage, overrides=request.overrides)
     if request.refit and configuration.validation.every:
-        raise UsageError(
-            "--refit: the validation split is learnt from, so measuring on it would say nothing; add"
-            " --set validation.every=0."
-        )
+        why = "the validation split is learnt from, so measuring on it would say nothing; add --set validation.every=0."
+        raise UsageError(f"--refit: {why}")
     torch.set_num_threads(request.threads)
     precision = configuration.training.precision
     if precision == "auto":
@@ -155,7 +152,7 @@ def run(
     fabric: Fabric,
     report: Callable[[Progress], None] = silent,
     *,
-    engine: Engine = _IN_PROCESS,
+    engine: Engine = IN_PROCESS,
 ) -> TrainedNetwork | None:
     """Train in this process, which is one of those that Fabric has launched; the first one holds the folder."""
     settings = configuration.training
@@ -236,10 +233,8 @@ def _data(
     split = REFIT if request.refit else "train"
     if hasattr(task, "window_choice"):
         if request.fold is not None:
-            raise UsageError(
-                "--fold: windows have no folds of participants; leave participants out with"
-                " --set 'model.windows.left_out=[\"P1\"]'."
-            )
+            remedy = "leave participants out with --set 'model.windows.left_out=[\"P1\"]'."
+            raise UsageError(f"--fold: windows have no folds of participants; {remedy}")
         choice = cast(Any, task).window_choice(configuration.model)
         return WindowsDataset(request.data, split=split, choice=choice, seed=configuration.training.seed)
     folders = request.data
@@ -247,8 +242,7 @@ def _data(
         parse_fold(request.fold)
         for folder in folders:
             if not (folder / DATASET_FILE).is_file():
-                raise UsageError(
-                    f"--fold: {folder} holds no {DATASET_FILE}; only built datasets have folds of participants."
-                )
+                why = "only built datasets have folds of participants."
+                raise UsageError(f"--fold: {folder} holds no {DATASET_FILE}; {why}")
         folders = fold_tables(folders, request.fold)
     return configured_dataset(folders, configuration, split=split, engine=engine)

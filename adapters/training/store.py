@@ -21,7 +21,7 @@ import pyarrow as pa
 import pyarrow.ipc
 from jaxtyping import Float, Int
 
-from prbench.engine import Engine, InProcess
+from prbench.engine import IN_PROCESS, Engine
 from prbench.errors import InputFileError, TableError
 from prbench.files.bounded import foreign_input, require_rows, require_size
 from prbench.files.storage import atomic_path, in_turn, read_json, sole_writer, text_digest, write_json
@@ -181,9 +181,8 @@ def frame_rate(table: Table, split: str) -> float:
         raise TableError(f"{table.folder}: expected rows of split '{split}', found {found}.")
     if len(rates) > 1:
         found = ", ".join(f"{rate:g}" for rate in rates)
-        raise TableError(
-            f"{table.folder}: expected one frame rate, found {found} frames per second. Build it again with one --fps."
-        )
+        remedy = "Build it again with one --fps."
+        raise TableError(f"{table.folder}: expected one frame rate, found {found} frames per second. {remedy}")
     return float(rates[0])
 
 
@@ -258,7 +257,6 @@ class FeatureStore:
 
 Crop = Literal["end", "random"]
 
-_IN_PROCESS = InProcess()
 _VERSION = "1"  # of what is kept; raise it when cutting or the columns change
 
 
@@ -276,7 +274,7 @@ class _Notes(msgspec.Struct, frozen=True):
 
 
 def table_store(
-    table: Table, split: str, encoding: DataConfiguration, cache: Path, *, engine: Engine = _IN_PROCESS
+    table: Table, split: str, encoding: DataConfiguration, cache: Path, *, engine: Engine = IN_PROCESS
 ) -> tuple[FeatureStore, tuple[LeftOut, ...]]:
     """Open the store of a table; where there is none yet, or the table has changed, make it.
 
@@ -315,8 +313,7 @@ def table_store(
 def _opened(path: Path) -> tuple[_Notes, FeatureStore] | None:
     """Return a store and its notes; None if there is none, or it is damaged and has to be made again."""
     try:
-        notes = msgspec.convert(read_json(path.with_suffix(".json")), _Notes)
-        return notes, FeatureStore(path)
+        return msgspec.convert(read_json(path.with_suffix(".json")), _Notes), FeatureStore(path)
     except (InputFileError, msgspec.ValidationError, FileNotFoundError, pa.ArrowInvalid):
         return None
 
@@ -342,10 +339,8 @@ def _make(table: Table, split: str, encoding: DataConfiguration, path: Path, eng
             kept += batch.num_rows
         if not kept:
             example = f" The first of them: {left_out[0].reason}" if left_out else ""
-            raise TableError(
-                f"{table.folder}: expected rows of split '{split}' to train on,"
-                f" found {len(left_out)} that cannot be used.{example}"
-            )
+            found = f"found {len(left_out)} that cannot be used.{example}"
+            raise TableError(f"{table.folder}: expected rows of split '{split}' to train on, {found}")
     return tuple(left_out)
 
 

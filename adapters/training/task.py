@@ -63,10 +63,8 @@ class TrainingData:
             if wanted != found:
                 raise UsageError(f"{key}: {model} expects {wanted}, found {found}. Change one of the two.")
         if self.max_frames > configuration.max_frames:
-            raise UsageError(
-                f"data.max_frames: expected at most {model}'s {configuration.max_frames}, found {self.max_frames}."
-                " Lower it, or raise model.max_frames."
-            )
+            problem = f"found {self.max_frames}. Lower it, or raise model.max_frames."
+            raise UsageError(f"data.max_frames: expected at most {model}'s {configuration.max_frames}, {problem}")
 
 
 class TrainingModule(nn.Module):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import torch
 
-from prbench.engine import Engine, InProcess
+from prbench.engine import IN_PROCESS, Engine
 from prbench.errors import UsageError
 from prbench.sequences.table import by_share
 from prbench_adapters.training.batches import WindowsDataset
@@ -24,7 +24,6 @@ from prbench_adapters.training.store import Table
 from prbench_adapters.training.task import TrainingModule
 
 _SPLIT = "validation"
-_IN_PROCESS = InProcess()
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class Validation:
 
     @classmethod
     def prepare(
-        cls, tables: Iterable[Table], configuration: TrainingConfiguration, *, engine: Engine = _IN_PROCESS
+        cls, tables: Iterable[Table], configuration: TrainingConfiguration, *, engine: Engine = IN_PROCESS
     ) -> Validation:
         """Choose the sequences. Tables without validation sequences are left out.
 
@@ -51,10 +50,8 @@ class Validation:
         wanted = configuration.validation
         usable = [table for table in tables if table.scalars(split=_SPLIT, columns=["split"]).num_rows]
         if not usable:
-            raise UsageError(
-                "no table has sequences in split 'validation'. Build more recordings, or train without:"
-                " --set validation.every=0."
-            )
+            remedy = "Build more recordings, or train without: --set validation.every=0."
+            raise UsageError(f"no table has sequences in split 'validation'. {remedy}")
         data = configured_dataset(usable, configuration, split=_SPLIT, engine=engine)
         chosen: set[str] = set()
         for table in usable:

@@ -61,13 +61,10 @@ class Weights:
         try:
             return msgspec.json.decode(self.metadata.get("configuration", ""), type=kind)
         except msgspec.DecodeError as error:  # ValidationError is one of them
-            raise InputFileError(
-                self.path,
-                "configuration",
-                expected=f"a {kind.__name__} as JSON",
-                found=str(error),
-                remedy="The weights were made by another version of prbench or by another program; train them again.",
-            ) from error
+            expected = f"a {kind.__name__} as JSON"
+            remedy = "The weights were made by another version of prbench or by another program; train them again."
+            about = {"expected": expected, "found": str(error), "remedy": remedy}
+            raise InputFileError(self.path, "configuration", **about) from error
 
     def require_same(self, configuration: msgspec.Struct, *, apart_from: Collection[str]) -> None:
         """Refuse to go on from these weights with a network of another configuration.
@@ -253,8 +250,7 @@ def read_weights(path: Path, *, kind: str | None = None) -> Weights:
     if length > min(LARGEST_HEADER, len(content) - 8):
         raise _damaged(path, "no header, or a truncated one")
     try:
-        header = json.loads(content[8 : 8 + length])
-        metadata = header.get("__metadata__", {})
+        metadata = json.loads(content[8 : 8 + length]).get("__metadata__", {})
     except (ValueError, AttributeError, RecursionError) as error:
         raise _damaged(path, "a header that is not JSON") from error
     metadata = metadata if isinstance(metadata, dict) else {}

@@ -214,8 +214,7 @@ def divergence(
     mean: Float[torch.Tensor, "places latent"], log_variance: Float[torch.Tensor, "places latent"], free_bits: float
 ) -> Loss:
     """Mean over dimensions of the divergence from a standard normal distribution, each at least ``free_bits``."""
-    each = 0.5 * (mean.square() + log_variance.exp() - log_variance - 1)
-    return each.clamp_min(free_bits).mean()
+    return (0.5 * (mean.square() + log_variance.exp() - log_variance - 1)).clamp_min(free_bits).mean()
 
 
 class WandrTraining(TrainingModule):
@@ -258,14 +257,9 @@ class WandrTraining(TrainingModule):
     def _single_changes(self, recordings: Recordings, generator: torch.Generator) -> dict[str, torch.Tensor]:
         places = starts(recordings, 1).some(self.objective.frames_per_step, generator)
         before, state, after = (recordings.states(places.later(frames)) for frames in (-1, 0, 1))
-        condition = self._condition(
-            recordings,
-            places,
-            self._goal_frames(recordings, places, generator),
-            state,
-            delta=before.delta_to(state),
-            joints=recordings.joints[places.index],
-        )
+        goals = self._goal_frames(recordings, places, generator)
+        joints = recordings.joints[places.index]
+        condition = self._condition(recordings, places, goals, state, delta=before.delta_to(state), joints=joints)
         wanted = self.network.delta(state.delta_to(after))
         decoded, mean, log_variance = self._reconstructed(wanted, condition, generator)
         following = state.changed(self.network.delta.undone(decoded))
@@ -395,14 +389,7 @@ class WandrTask:
     name: str = "wandr"
     configurations: str = "prbench_adapters.wandr"
 
-    def build(
-        self,
-        model: Mapping[str, Any],
-        *,
-        data: TrainingData,
-        initial: Path | None,
-        stage: str,  # noqa: ARG002 - motions say themselves whether they have goals
-    ) -> WandrTraining:
+    def build(self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str) -> WandrTraining:
         """Make the network in its state before the first step.
 
         Args:
@@ -415,7 +402,8 @@ class WandrTask:
             UsageError: if the table does not describe such a network.
             InputFileError: if the initial weights do not fit it.
         """
-        configuration, objective = read_model_table(model)
+        del stage  # motions say themselves whether they have goals
+        configuration, objective = split_model_table(model, wandr.WandrConfiguration, Objective)
         if initial is not None:
             start = read_weights(initial, kind=wandr.KIND)
             start.require_same(configuration, apart_from=FREE_TO_CHANGE)
@@ -442,15 +430,6 @@ class WandrTask:
         _set(network.seen, torch.cat(seen), _LEAST_SEEN)
         _set(network.delta, torch.cat(deltas), _LEAST_DELTA)
         return WandrTraining(network, objective)
-
-
-def read_model_table(model: Mapping[str, Any]) -> tuple[wandr.WandrConfiguration, Objective]:
-    """Split the table ``[model]`` into the network and what it is trained for.
-
-    Raises:
-        UsageError: for an unknown key or a value of a wrong kind.
-    """
-    return split_model_table(model, wandr.WandrConfiguration, Objective)
 
 
 def _set(into: wandr.Standardisation, values: Float[torch.Tensor, "places size"], least: float) -> None:

@@ -14,9 +14,8 @@ import numpy as np
 from prbench.errors import UsageError
 from prbench.files.storage import sole_writer
 from prbench.geometry.skeleton import head_forward, transform_points
+from prbench.sequences import SequenceChunk, SequenceTable
 from prbench.sequences.dataset_info import Provenance
-from prbench.sequences.sequence import SequenceChunk
-from prbench.sequences.table import SequenceTable
 from prbench_benchmarks.motion_prediction.protocol import AnchoredRules, WindowRules, load_prediction_protocol
 from prbench_benchmarks.motion_prediction.table import SCHEMA_VERSION, Run, Window, WindowsInfo, write_windows
 

@@ -147,9 +147,8 @@ def ask(predictor: Predictor, batch: ObservedBatch, *, n_samples: int, seed: int
         raise UsageError(f"expected one sample or more, found {n_samples}.")
     if batch.condition not in predictor.conditions:
         known = ", ".join(sorted(condition.value for condition in predictor.conditions))
-        raise UsageError(
-            f"{predictor.name} does not accept the condition '{batch.condition.value}'; it takes: {known}."
-        )
+        remedy = f"it takes: {known}."
+        raise UsageError(f"{predictor.name} does not accept the condition '{batch.condition.value}'; {remedy}")
     futures = predictor.predict(batch, n_samples=n_samples, seed=seed)
     return require_futures(futures, batch, n_samples, predictor=predictor.name)
 
@@ -168,18 +167,15 @@ def require_futures(answer: object, batch: ObservedBatch, n_samples: int, *, pre
             past instead of a future.
     """
     if not isinstance(answer, Futures):
-        raise AdapterError(
-            f"{predictor}: expected prbench_benchmarks.motion_prediction.batch.Futures, found"
-            f" {type(answer).__name__}. Return"
-            " Futures(joints=…) with joints of (windows, samples, frames, joints, 3)."
-        )
+        problem = f"expected prbench_benchmarks.motion_prediction.batch.Futures, found {type(answer).__name__}."
+        advice = "Return Futures(joints=…) with joints of (windows, samples, frames, joints, 3)."
+        raise AdapterError(f"{predictor}: {problem} {advice}")
     found = np.shape(answer.joints)
     expected = (len(batch), n_samples, batch.n_future, len(batch.joint_names), 3)
     if found != expected:
-        raise AdapterError(
-            f"{predictor}: expected futures of shape {expected} (windows, samples, frames, joints, 3), found"
-            f" {found}. Return one future a sample, without the observed frames."
-        )
+        problem = f"expected futures of shape {expected} (windows, samples, frames, joints, 3), found {found}."
+        advice = "Return one future a sample, without the observed frames."
+        raise AdapterError(f"{predictor}: {problem} {advice}")
     kind = np.asarray(answer.joints).dtype
     if not np.issubdtype(kind, np.floating):
         raise AdapterError(f"{predictor}: expected positions with decimals, found {kind}. Return float32, metres.")

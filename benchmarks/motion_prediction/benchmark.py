@@ -88,10 +88,9 @@ class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
         protocol = load_prediction_protocol()
         for table in tables:
             if table.info.protocol_version != protocol.version:
-                raise UsageError(
-                    f"{table.folder}: expected windows of version {protocol.version} of the protocol, found version"
-                    f" {table.info.protocol_version}. Build the windows again."
-                )
+                problem = f"expected windows of version {protocol.version} of the protocol,"
+                found = f"found version {table.info.protocol_version}. Build the windows again."
+                raise UsageError(f"{table.folder}: {problem} {found}")
         return protocol
 
     def choose(self, request: RunRequest, tables: Sequence[WindowsTable]) -> list[WindowCases]:
@@ -105,22 +104,14 @@ class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
         del condition
         adapter = spec.load().adapter
         if spec.weights is None and isinstance(adapter, RemoteMethod) and adapter.trainable:
-            raise UsageError(
-                f"--isolate: {adapter.name} learns from the table, which it is not shown at a distance yet; leave it"
-                " out."
-            )
+            why = "which it is not shown at a distance yet; leave it out."
+            raise UsageError(f"--isolate: {adapter.name} learns from the table, {why}")
         if spec.weights is not None or not hasattr(adapter, "fit"):
             return spec
         return replace(spec, fit=fit_to_training_windows, table_folder=table.folder)
 
     def work(
-        self,
-        request: RunRequest,
-        cases: WindowCases,
-        *,
-        method: MethodRecord,
-        condition: StrEnum,
-        rules: PredictionProtocol,
+        self, request: RunRequest, cases: WindowCases, *, method: MethodRecord, condition: StrEnum, rules: Any
     ) -> FutureWork:
         """See :meth:`Benchmark.work`."""
         return FutureWork(request, cases, method=method, condition=Condition(condition), protocol=rules)

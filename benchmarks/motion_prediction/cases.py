@@ -12,8 +12,7 @@ from jaxtyping import Int
 
 from prbench.errors import RunError, UsageError
 from prbench.files.storage import text_digest
-from prbench.harness.run_folder import RunFolder
-from prbench.harness.run_folder.folder import DatasetFolder
+from prbench.harness.run_folder import DatasetFolder, RunFolder
 from prbench.sequences.table import by_share, find_sequence_id
 from prbench_benchmarks.motion_prediction.table import WindowsTable
 
@@ -65,8 +64,7 @@ class WindowCases:
     @cached_property
     def recording_ids(self) -> tuple[str, ...]:
         """The recording of each window."""
-        rows = self.table.windows["row"].take(self.places)
-        return tuple(self.table.runs["recording_id"].take(rows).to_pylist())
+        return tuple(self.table.runs["recording_id"].take(self.table.windows["row"].take(self.places)).to_pylist())
 
     @property
     def digest(self) -> str:

@@ -113,8 +113,7 @@ def build_windows(
         if each.status != "read":
             note(f"{each.recording_id}: {each.status}: {each.message}")
     report = builds.made_shard(done, len(done.records))
-    complete = all(each.status != "failed" for each in done.records)
-    exit_code = 0 if complete else builds.NOT_EVERYTHING
+    exit_code = 0 if all(each.status != "failed" for each in done.records) else builds.NOT_EVERYTHING
     return opt.shard_answer(WindowsReport(shard=report), report, unit="recordings", exit_code=exit_code)
 
 

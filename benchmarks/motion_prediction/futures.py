@@ -158,9 +158,8 @@ def view_futures(request: ViewRequest) -> FuturesReport:
         recordings = table.runs["recording_id"].take(rows).to_pylist()
         chosen = set(by_share(known, recordings)[: request.limit or DEFAULT_LIMIT])
     if not 0 < len(chosen) * len(runs) <= MOST_ROWS:
-        raise UsageError(
-            f"{request.out}: expected 1 to {MOST_ROWS} rows (windows times runs), found {len(chosen) * len(runs)}."
-        )
+        problem = f"expected 1 to {MOST_ROWS} rows (windows times runs), found {len(chosen) * len(runs)}."
+        raise UsageError(f"{request.out}: {problem}")
     places = np.array([place for place, name in enumerate(windows) if name in chosen])
     futures = [_read(files, chosen, len(table.joints.names)) for _, files in runs]
     shown = []

@@ -14,6 +14,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from prbench.errors import UsageError
 
+Poses = Float[np.ndarray, "batch joints 3"]
 Scores = Float[np.ndarray, " batch"]
 Futures = Float[np.ndarray, "batch samples frames joints 3"]  # metres
 Recorded = Float[np.ndarray, "batch frames joints 3"]  # metres
@@ -60,8 +61,7 @@ def diversity(predicted: Futures) -> Scores:
     batch, samples = predicted.shape[:2]
     if samples < 2:
         return np.zeros(batch)
-    flat = predicted.reshape(batch, samples, -1).astype(np.float64)
-    return np.array([pdist(each).mean() for each in flat])
+    return np.array([pdist(each).mean() for each in predicted.reshape(batch, samples, -1).astype(np.float64)])
 
 
 def similar_pasts(
@@ -80,8 +80,7 @@ def similar_pasts(
     flat = last_poses.reshape(len(last_poses), -1).astype(np.float64)
     sets = []
     for start in range(0, len(flat), block):
-        near = cdist(flat[start : start + block], flat) < closer_than
-        sets += [np.flatnonzero(row) for row in near]
+        sets += [np.flatnonzero(row) for row in (cdist(flat[start : start + block], flat) < closer_than)]
     return sets
 
 
@@ -109,15 +108,13 @@ def multimodal_displacements(
     return float(np.concatenate(ade).mean()), float(np.concatenate(fde).mean())
 
 
-def first_frame_jump(predicted: Futures, last_observed: Float[np.ndarray, "batch joints 3"]) -> Scores:
+def first_frame_jump(predicted: Futures, last_observed: Poses) -> Scores:
     """Mean distance of the joints between the last observed and the first predicted frame, over all samples, metres."""
     apart = predicted[:, :, 0].astype(np.float64) - last_observed[:, None]
     return np.linalg.norm(apart, axis=-1).mean(axis=(1, 2))
 
 
-def bone_error(
-    predicted: Futures, last_observed: Float[np.ndarray, "batch joints 3"], bones: Sequence[tuple[int, int]]
-) -> Scores:
+def bone_error(predicted: Futures, last_observed: Poses, bones: Sequence[tuple[int, int]]) -> Scores:
     """Mean deviation of the bones' lengths from those of the last observed pose, percent.
 
     Args:

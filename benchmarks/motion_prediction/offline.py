@@ -25,10 +25,8 @@ from prbench.harness.offline import ExportReport
 from prbench.harness.preparation import PreparedDataset, PreparedRun, run_record
 from prbench.harness.request import ProgressCallback, RunRequest, silent
 from prbench.harness.run import RunPart, scored_parts
-from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder import DatasetSummary, MethodRecord, RunFolder
 from prbench.harness.run_folder.predictions import PredictionRows, write_part
-from prbench.harness.run_folder.record import MethodRecord
-from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.sequences.dataset_info import notice, require_may_pass_on
 from prbench.shown import listed
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, require_futures
@@ -143,8 +141,7 @@ def _windows_of(
     benchmark.rules(asked, tables)
     (cases,) = benchmark.choose(asked, tables)
     protocol = load_prediction_protocol()
-    frame = protocol.evaluation.frame
-    batch = next(cases.table.batches(condition, cases.places, frame=frame, size=len(cases)))[0]
+    batch = next(cases.table.batches(condition, cases.places, frame=protocol.evaluation.frame, size=len(cases)))[0]
     info = WindowsFileInfo(
         condition=condition,
         **drawn,  # seed and samples
@@ -156,8 +153,7 @@ def _windows_of(
         protocol_version=protocol.version,
         table=text_digest("prbench windows", cases.table.identity),
     )
-    order = sorted(range(len(batch)), key=lambda row: batch.key[row])
-    return info, batch.chosen(order), cases.table.info
+    return info, batch.chosen(sorted(range(len(batch)), key=lambda row: batch.key[row])), cases.table.info
 
 
 def read_windows(path: Path) -> tuple[WindowsFileInfo, ObservedBatch]:
@@ -274,8 +270,7 @@ def _require_from_table(info: WindowsFileInfo, batch: ObservedBatch, path: Path,
         PredictionsError: naming what differs.
     """
     condition = info.condition.value
-    asked = {name: getattr(info, name) for name in _ASKED}
-    made, given, _ = _windows_of(data, condition, **asked)
+    made, given, _ = _windows_of(data, condition, **{name: getattr(info, name) for name in _ASKED})
     if made.table != info.table:
         remedy = "Give --data the very table that they were exported from."
         raise PredictionsError(f"{path}: expected windows of {data[0]}, found those of another table. {remedy}")

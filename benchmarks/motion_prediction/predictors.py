@@ -37,8 +37,7 @@ class ZeroVelocity:
 
     def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:  # noqa: ARG002 - a protocol
         """See :class:`prbench_benchmarks.motion_prediction.batch.Predictor`; ``seed`` leaves no trace."""
-        last = batch.observed_joints[:, -1:]
-        return _repeated(np.repeat(last, batch.n_future, axis=1), n_samples)
+        return _repeated(np.repeat(batch.observed_joints[:, -1:], batch.n_future, axis=1), n_samples)
 
 
 @dataclass(frozen=True)
@@ -58,8 +57,7 @@ class ConstantVelocity:
             raise UsageError(f"{self.name}: expected two observed frames or more, found one.")
         last = batch.observed_joints[:, -1].astype(np.float64)
         step = last - batch.observed_joints[:, -2]
-        steps = np.arange(1, batch.n_future + 1)[:, None, None]
-        return _repeated(last[:, None] + steps * step[:, None], n_samples)
+        return _repeated(last[:, None] + np.arange(1, batch.n_future + 1)[:, None, None] * step[:, None], n_samples)
 
 
 @dataclass(frozen=True)
@@ -161,8 +159,7 @@ def _own_frame(batch: ObservedBatch) -> tuple[Float[np.ndarray, "batch 4 4"], Fl
     own_from_batch = invert_each(frames)
     features = [transform_each(own_from_batch, batch.observed_joints).reshape(len(batch), -1)]
     if batch.gaze is not None:
-        turned = transform_each(rotations_alone(own_from_batch), batch.gaze)
-        features.append(turned.reshape(len(batch), -1))
+        features.append(transform_each(rotations_alone(own_from_batch), batch.gaze).reshape(len(batch), -1))
     return frames, np.concatenate(features, axis=1)
 
 

@@ -30,17 +30,9 @@ class RemotePredictor(RemoteMethod):
         ids = tuple(f"{key:016x}" for key in batch.key)
         shape = (len(batch), n_samples, batch.n_future, len(batch.joint_names), 3)
         size = int(np.prod(shape[1:]))
-        header = {
-            "message": "predict",
-            "condition": batch.condition.value,
-            "rows": len(batch),
-            "fps": float(batch.fps),
-            "seed": seed,
-            "n_samples": n_samples,
-            "n_observed": batch.shape[1],
-            "n_future": batch.n_future,
-            "joint_names": list(batch.joint_names),
-        }
+        header = {"message": "predict", "condition": batch.condition.value, "rows": len(batch)}
+        header |= {"fps": float(batch.fps), "seed": seed, "n_samples": n_samples, "n_observed": batch.shape[1]}
+        header |= {"n_future": batch.n_future, "joint_names": list(batch.joint_names)}
 
         def rows(values: np.ndarray, kind: pa.DataType) -> pa.Array:
             return pa.FixedSizeListArray.from_arrays(pa.array(values.reshape(-1), kind), int(np.prod(values.shape[1:])))

@@ -21,6 +21,8 @@ from prbench_benchmarks.motion_prediction.joint_sets import JOINT_SETS, JointSet
 from prbench_benchmarks.motion_prediction.protocol import EvaluationRules, FrameName, load_prediction_protocol
 from prbench_benchmarks.motion_prediction.table import Truth, WindowsTable
 
+Points = Float[np.ndarray, "batch 3"]
+
 GROUND_TRUTH = "ground-truth"
 TRUNCATION_FLOOR = "truncation-floor"
 # Columns beside the scores; Truth holds one value a window of each.
@@ -282,9 +284,7 @@ def score_window(
     return scores
 
 
-def _at_goal(
-    predicted: np.ndarray, actual: np.ndarray, goal: Float[np.ndarray, "batch 3"], joints: JointSet
-) -> dict[str, np.ndarray]:
+def _at_goal(predicted: np.ndarray, actual: np.ndarray, goal: Points, joints: JointSet) -> dict[str, np.ndarray]:
     """Distance of the nearer wrist to the goal, and error of the pelvis, at the event; NaN where it lies beyond."""
     wrists = joints.index(*joints.wrists)
     best, mean = metrics.goal_distances(predicted[:, :, -1][:, :, wrists], goal)

@@ -23,8 +23,7 @@ from prbench.harness.benchmark import load_benchmark
 from prbench.harness.clusters import SIGNIFICANCE
 from prbench.harness.intervals import ClusteredValues, Comparison, Estimate, clustered, compare, metric_interval
 from prbench.harness.methods.loading import load_adapter, require_weights
-from prbench.harness.run_folder import read_scores
-from prbench.harness.run_folder.folder import run_folder_of
+from prbench.harness.run_folder import read_scores, run_folder_of
 from prbench.protocol.manifests import read_toml
 from prbench.sequences.table import by_share
 from prbench.shown import quoted
@@ -158,8 +157,7 @@ def prediction_tables(
     elif limit is not None:
         recordings = table.runs["recording_id"].take(table.windows["row"].take(test)).to_pylist()
         test = test[np.isin(ids[test], by_share(ids[test].tolist(), recordings)[:limit])]
-    closer_than = load_prediction_protocol().evaluation.similar_past
-    similar = SimilarPasts.of(table, everything, closer_than=closer_than)
+    similar = SimilarPasts.of(table, everything, closer_than=load_prediction_protocol().evaluation.similar_past)
     rows = load_tables().rows
     missing = {}
     for done, row in enumerate(rows):
@@ -252,8 +250,7 @@ def _wide(path: Path, table: WindowsTable) -> Scores:
     """One row a window in table order, a column a metric; NaN where a window has no value."""
     long = read_scores(path)
     windows, of_row = np.unique(long["sequence_id"].to_numpy(), return_inverse=True)
-    known = table.windows["window_id"].to_pylist()
-    place = {name: number for number, name in enumerate(known)}
+    place = {name: number for number, name in enumerate(table.windows["window_id"].to_pylist())}
     order = np.argsort([place[name] for name in windows])
     rank = np.argsort(order)
     rows = table.windows.take([place[name] for name in windows[order]])
@@ -319,13 +316,7 @@ def _measured(each: Estimate) -> dict[str, Any]:
 def _cells(row: TableRow, dataset: str, found: Mapping[str, Estimate]) -> tuple[Cell, ...]:
     units = {info.id: info.unit for info in prediction_metrics()}
     return tuple(
-        Cell(
-            dataset=dataset,
-            metric=metric,
-            unit=units[metric],
-            **_of_row(row),
-            **_measured(each),
-        )
+        Cell(dataset=dataset, metric=metric, unit=units[metric], **_of_row(row), **_measured(each))
         for metric, each in found.items()
     )
 

@@ -127,7 +127,8 @@ class Window:
     def of(cls, row: Mapping[str, Any]) -> Window:
         """Return a row of ``windows`` again, as :meth:`row` wrote it."""
         values: dict[str, Any] = {each.name: row[each.name] for each in fields(cls)}
-        return cls(**values | {"goal": None if row["goal"] is None else np.array(row["goal"])})
+        values["goal"] = None if row["goal"] is None else np.array(row["goal"])
+        return cls(**values)
 
 
 # Frames that a window observes, or predicts: at the highest rate 5 s.
@@ -271,9 +272,8 @@ class WindowsTable:
         folder = Path(folder)
         info = WindowsInfo.read(folder)
         if info.schema_version != SCHEMA_VERSION:
-            raise TableError(
-                f"{folder / FILE_NAME}: expected version {SCHEMA_VERSION}, found {info.schema_version}. Build it again."
-            )
+            problem = f"expected version {SCHEMA_VERSION}, found {info.schema_version}. Build it again."
+            raise TableError(f"{folder / FILE_NAME}: {problem}")
         schema = streams_schema(joint_set(info.joint_set))
         for name, expected in (("streams", schema), ("windows", WINDOWS)):
             for path in table_parts(folder, name):
@@ -324,10 +324,9 @@ class WindowsTable:
             wrong = np.flatnonzero((found < least) | (found > most))
             if wrong.size:
                 at = wrong[0]
-                raise TableError(
-                    f"{self.folder}, windows, row {at}, column '{name}': expected {least} to"
-                    f" {np.broadcast_to(most, found.shape)[at]}, found {found[at]}. Build the windows again."
-                )
+                problem = f"expected {least} to {np.broadcast_to(most, found.shape)[at]}, found {found[at]}."
+                remedy = "Build the windows again."
+                raise TableError(f"{self.folder}, windows, row {at}, column '{name}': {problem} {remedy}")
 
     @property
     def identity(self) -> str:
@@ -347,8 +346,7 @@ class WindowsTable:
     @cached_property
     def _columns(self) -> Mapping[str, np.ndarray]:
         row = self.windows["row"].to_numpy()
-        short = ("split", "published_split")
-        columns = {name: np.array(self.runs[name].to_pylist())[row] for name in short}
+        columns = {name: np.array(self.runs[name].to_pylist())[row] for name in ("split", "published_split")}
         own = {name: np.array(self.windows[name].to_pylist()) for name in ("exclusion", "n_gaze_valid", "anchor")}
         return {**columns, **own, "row": row}
 
@@ -381,11 +379,9 @@ class WindowsTable:
             if self.info.has_gaze:
                 keep &= columns["n_gaze_valid"] >= self.info.fewest_gaze_frames
         if not keep.any():
-            raise UsageError(
-                f"{self.folder}: no window of {len(keep)} is left (split {split or published_split or 'any'}, anchor"
-                f" {anchor or 'any'}). The table's runs are of the splits"
-                f" {', '.join(sorted(set(self.runs['split'].to_pylist())))}."
-            )
+            why = f"(split {split or published_split or 'any'}, anchor {anchor or 'any'})."
+            remedy = f"The table's runs are of the splits {', '.join(sorted(set(self.runs['split'].to_pylist())))}."
+            raise UsageError(f"{self.folder}: no window of {len(keep)} is left {why} {remedy}")
         return np.flatnonzero(keep)
 
     def iterate_runs(self, rows: Iterable[int] | None = None) -> Iterator[tuple[int, Run]]:
@@ -423,10 +419,8 @@ class WindowsTable:
             UsageError: for ``pose+gaze`` where nobody's gaze was recorded.
         """
         if condition is Condition.POSE_GAZE and not self.info.has_gaze:
-            raise UsageError(
-                f"{self.folder}: expected recorded gaze for the condition '{condition.value}', found none in any"
-                " recording. Choose pose or pose+head."
-            )
+            found = "found none in any recording. Choose pose or pose+head."
+            raise UsageError(f"{self.folder}: expected recorded gaze for the condition '{condition.value}', {found}")
         rows = self._columns["row"][chosen]
         pending: list[tuple[int, Run]] = []
         for row, run in self.iterate_runs(np.unique(rows)):

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 from prbench.curation.job import NativeSource, PartReceipt, RecordingJob, native_sources, part_receipt
 from prbench.curation.options import BuildOptions
 from prbench.curation.splits import draw_splits
-from prbench.engine import Engine, InProcess
+from prbench.engine import IN_PROCESS, Engine
 from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.files.bounded import require
 from prbench.files.storage import require_replaceable, sole_writer, text_digest
@@ -40,9 +40,9 @@ from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol, Wi
 # ``native``: joints that a study scored, where the reader gives them; ``smpl22``: the 22 joints of every dataset.
 JointChoice = Literal["native", "smpl22"]
 OnError = Literal["skip", "fail"]
+Filled = Bool[np.ndarray, " n"]
 # Called after each recording with how many are done, of how many, and its id.
 Progress = Callable[[int, int, str], None] | None
-_IN_PROCESS = InProcess()
 _ROUNDING = 1e-6  # seconds
 # Share by which a rate may differ from a multiple of the windows' rate: 29.97 is 30, EgoAllo's 30.3 is not.
 _RATE_TOLERANCE = 0.005
@@ -69,10 +69,11 @@ def runs_of_recording(recording: Recording, rules: WindowRules, *, split: str) -
         if stop - first <= rules.length:
             continue
         part = slice(first, stop)
-        run = _run(
+        yield _run(
             recording,
             str(number),
             rules,
+            filled[part],
             split=split,
             start_time=float(times[first]),
             joints=joints[part],
@@ -82,7 +83,6 @@ def runs_of_recording(recording: Recording, rules: WindowRules, *, split: str) -
             gaze_valid=looking[part],
             head_direction=directions[part],
         )
-        yield replace(run, windows=sliding_windows(run, filled[part], rules))
 
 
 def runs_of_tracks(
@@ -101,10 +101,11 @@ def runs_of_tracks(
         directions, _ = head_forward(track.body, recording.head_tilt_deg)
         oldest = rules.largest_gaze_age
         looks, looking = latest_gaze(track.times, track.gaze, track.gaze_measured, track.times, oldest=oldest)
-        run = _run(
+        yield _run(
             recording,
             track.name,
             rules,
+            track.filled,
             split=split,
             published_split=track.published_split or published_split,
             start_time=float(track.times[0]),
@@ -114,22 +115,15 @@ def runs_of_tracks(
             gaze_valid=looking,
             head_direction=directions,
         )
-        yield replace(run, windows=sliding_windows(run, track.filled, rules))
 
 
 def _run(
-    recording: Recording, segment: str, rules: WindowRules, *, published_split: str = "", **frames: Any
+    recording: Recording, segment: str, rules: WindowRules, filled: Filled, *, published_split: str = "", **frames: Any
 ) -> table.Run:
-    return table.Run(
-        run_id=f"{recording.recording_id}/{segment}",
-        recording_id=recording.recording_id,
-        participant_id=recording.participant_id,
-        published_split=published_split,
-        segment=segment,
-        pose_source=recording.pose_source,
-        fps=rules.fps,
-        **frames,
-    )
+    about = {name: getattr(recording, name) for name in ("recording_id", "participant_id", "pose_source")}
+    about |= {"run_id": f"{recording.recording_id}/{segment}", "segment": segment, "published_split": published_split}
+    run = table.Run(**about, fps=rules.fps, **frames)
+    return replace(run, windows=sliding_windows(run, filled, rules))
 
 
 def window_starts(n_frames: int, rules: WindowRules) -> Int[np.ndarray, " n"]:
@@ -137,7 +131,7 @@ def window_starts(n_frames: int, rules: WindowRules) -> Int[np.ndarray, " n"]:
     return np.arange(0, max(n_frames - rules.length, 0), rules.stride)
 
 
-def sliding_windows(run: table.Run, filled: Bool[np.ndarray, " n"], rules: WindowRules) -> tuple[table.Window, ...]:
+def sliding_windows(run: table.Run, filled: Filled, rules: WindowRules) -> tuple[table.Window, ...]:
     """Every window of a run; those that must not be scored say why.
 
     Args:
@@ -153,8 +147,7 @@ def sliding_windows(run: table.Run, filled: Bool[np.ndarray, " n"], rules: Windo
             exclusion = "invalid_body"
         elif filled[border - 1]:
             exclusion = "gap_at_border"
-        looking = int(run.gaze_valid[start:border].sum())
-        windows.append(table.Window(start, looking, rules.future_frames, exclusion))
+        windows.append(table.Window(start, int(run.gaze_valid[start:border].sum()), rules.future_frames, exclusion))
     return tuple(windows)
 
 
@@ -275,9 +268,8 @@ class NativeWindows:
             return row, runs_of_recording(recording, protocol.windows, split=row.split)
         published = protocol.published_splits.get(source.dataset)
         published_split = "" if published is None else published.of(source.recording_id)
-        return row, runs_of_tracks(
-            recording, tracks, protocol.windows, split=row.split, published_split=published_split
-        )
+        rules = protocol.windows
+        return row, runs_of_tracks(recording, tracks, rules, split=row.split, published_split=published_split)
 
     @property
     def _reader(self) -> Reader:
@@ -406,7 +398,7 @@ def build_windows(
     out: Path | str,
     *,
     on_error: OnError = "skip",
-    engine: Engine = _IN_PROCESS,
+    engine: Engine = IN_PROCESS,
     progress: Progress = None,
 ) -> parts.BuildReport[table.WindowsInfo, RecordingRow]:
     """Build a table of windows.
@@ -426,8 +418,7 @@ def build_windows(
     require_replaceable(out, table.FILE_NAME, kind="table of windows")
     with sole_writer(out), parts.working_in_parts(out):
         job = WindowsJob(on_error == "fail", parts.work_folder(out), load_prediction_protocol())
-        finished = job.make_all(plan.sources, engine, progress)
-        return _write_table(plan.settings, finished, out)
+        return _write_table(plan.settings, job.make_all(plan.sources, engine, progress), out)
 
 
 def build_windows_shard(
@@ -450,8 +441,7 @@ def build_windows_shard(
     record = ShardRecord.of("windows", shard, plan.settings, (source.recording_id for source in plan.sources))
     mine = [plan.sources[place] for place in shard.places(len(plan.sources))]
     with parts.making_shard(out, record) as work:
-        job = WindowsJob(on_error == "fail", work, load_prediction_protocol())
-        finished = job.make_all(mine, engine, progress)
+        finished = WindowsJob(on_error == "fail", work, load_prediction_protocol()).make_all(mine, engine, progress)
         parts.finish_shard(out, record, [each.folder for each in finished])
     reused = sum(each.reused for each in finished)
     return parts.ShardReport(out, shard, len(plan.sources), tuple(each.record for each in finished), reused)
@@ -495,8 +485,10 @@ def _write_table(
         terms["citation"] = manifest.citation  # not stripped: earlier tables keep their bytes
     records = [each.record for each in finished]
     read = [each for each in finished if each.record.status == "read"]
+    rules = ("fps", "observed_frames", "future_frames", "fewest_gaze_frames")
     info = table.WindowsInfo(
         **terms,
+        **{name: getattr(protocol.windows, name) for name in rules},
         schema_version=table.SCHEMA_VERSION,
         **begun_with(protocol),
         dataset=dataset,
@@ -505,10 +497,6 @@ def _write_table(
         options=settings["options"],
         outcomes={},
         quarantine=quarantined(records),
-        fps=protocol.windows.fps,
-        observed_frames=protocol.windows.observed_frames,
-        future_frames=protocol.windows.future_frames,
-        fewest_gaze_frames=protocol.windows.fewest_gaze_frames,
         joint_set=settings["joint_set"],
     )
     # Last of all: until here an earlier table stands as it was.

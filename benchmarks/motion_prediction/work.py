@@ -18,10 +18,8 @@ from prbench.harness.benchmark import Answer, CaseWork
 from prbench.harness.methods.loading import LoadedMethod
 from prbench.harness.methods.motions import release_memory, told
 from prbench.harness.request import RunRequest
-from prbench.harness.run_folder.folder import DatasetFolder
+from prbench.harness.run_folder import SCORES, DatasetFolder, MethodRecord
 from prbench.harness.run_folder.predictions import PredictionRows, read_part
-from prbench.harness.run_folder.record import MethodRecord
-from prbench.harness.run_folder.scores import SCORES
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, ask
 from prbench_benchmarks.motion_prediction.cases import WindowCases
 from prbench_benchmarks.motion_prediction.joint_sets import JointSet

@@ -81,10 +81,8 @@ class AblationRequest:
             return
         for row in self.rows:
             if row.pretraining != "none" and row.pretraining not in self.corpora:
-                raise UsageError(
-                    f"table {self.table}, '{row.variant}': is pre-trained on {row.pretraining}; name its folder with"
-                    f" --{row.pretraining} DIR (`prbench build-corpus` builds it)."
-                )
+                remedy = f"name its folder with --{row.pretraining} DIR (`prbench build-corpus` builds it)."
+                raise UsageError(f"table {self.table}, '{row.variant}': is pre-trained on {row.pretraining}; {remedy}")
 
     @property
     def rows(self) -> tuple[Ablation, ...]:
@@ -229,7 +227,6 @@ def training_stamp(row: Ablation, run: TableRow, folder: Path) -> str:
         return f"NOT THE STUDY'S CONFIGURATION: {found.training.steps} steps of {wanted.training.steps}"
     if any(one.synthetic for one in record.data):
         return "TRAINED ON SYNTHETIC DATA"
-    options = run.entry.record.method.options
-    if options != dict(row.options):
+    if run.entry.record.method.options != dict(row.options):
         return "OTHER OPTIONS THAN THE STUDY'S ROW"
     return ""

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.harness.results import RunChecker
-from prbench.harness.run_folder import RunFolder
-from prbench.harness.run_folder.summary import DatasetAgreement
+from prbench.harness.run_folder import DatasetAgreement, RunFolder
 from prbench.tables import Block, Cell, Column, Row, Table, metric_cell
 
 _UNITS = {"bearing": "°", "distance": " m", "height": " m"}

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,9 +21,8 @@ from prbench.harness.intervals import clustered, difference_interval, mean_inter
 from prbench.harness.results import cases_of_run
 from prbench.harness.run_folder import RunFolder
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
-from prbench.sequences import SequenceTable
+from prbench.sequences import SequenceTable, find_sequence_id
 from prbench.sequences.dataset_info import may_pass_on, notice, require_may_pass_on
-from prbench.sequences.table import find_sequence_id
 from prbench.tables import Block, Cell, Column, Row, Table
 from prbench.viewing.fan import Fan, FanGroup
 from prbench.viewing.replay.read import RunMotions, run_labels
@@ -112,14 +112,11 @@ def _require_several(run: RunFolder) -> RunFolder:
     """
     record = run.record
     if record.samples < 2:
-        raise UsageError(
-            f"{run.path}: expected two motions or more of each sequence, found one, which differs from nothing. Run the"
-            " method with --samples 5."
-        )
+        found = "found one, which differs from nothing. Run the method with --samples 5."
+        raise UsageError(f"{run.path}: expected two motions or more of each sequence, {found}")
     if record.control is not None:
-        raise UsageError(
-            f"{run.path}: its motions were given other sequences' goals ({record.control}). Name the run without it."
-        )
+        remedy = "Name the run without it."
+        raise UsageError(f"{run.path}: its motions were given other sequences' goals ({record.control}). {remedy}")
     return run
 
 
@@ -168,7 +165,8 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table
             theirs = np.array([values[spread.id] for values in people])
             estimates["people"] = mean_interval(clustered(theirs, recordings), nonnegative=True)
             estimates["difference"], _ = difference_interval(clustered(own - theirs, recordings))
-        about = {"dataset": info.dataset, "condition": run.record.condition, "method": run.record.method.name}
+        about: dict[str, Any] = {"dataset": info.dataset, "condition": run.record.condition}
+        about["method"] = run.record.method.name
         cells = [
             Cell(
                 metric=name,
@@ -223,8 +221,7 @@ def _pairs(
     tasks = Tasks.read(table)
     row_of = {name: row for row, name in enumerate(tasks.sequence_ids)}
     similar = {name: tasks.most_similar(row_of[name], len(samples) - 1) for name in names}
-    wanted = frozenset(tasks.sequence_ids[row] for rows in similar.values() for row in rows)
-    motions = read_motions(table, wanted)
+    motions = read_motions(table, frozenset(tasks.sequence_ids[row] for rows in similar.values() for row in rows))
     for chunk in table.chunks(columns=_COLUMNS, ids=frozenset(names), rows=1):
         name = chunk.sequence_ids[0]
         row = row_of[name]

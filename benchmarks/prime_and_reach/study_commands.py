@@ -237,6 +237,7 @@ _OF_RUNS = ("data", "with_published", "out", "workers")
 _OF_SCORES = ("data", "numbers", "out", "workers")
 _OF_MOTIONS = ("sequences", "limit", "permission", "out")
 _TRAINING = ("data", "nymeria", "humanml3d", "configuration", "out", "limit", "device", "threads", "seed", "workers")
+_PREDICTED = "motion prediction, Tables 1 to 3 on windows; RUN behind them stand for their rows"
 _PREDICTION = ("weights", "limit", "device", "seed", "out")
 _ABLATIONS = {
     "table-3": "ablation of conditions and optimisation, one by one",
@@ -254,12 +255,7 @@ _ITEMS = {
     "table-s3": _Item("models of one dataset each (weights pr-goal-loc-adt)", "RUN", _OF_RUNS, _methods),
     "table-s8": _Item("files of `prbench evaluate-text`", "FILE", ("with_published", "out"), _evaluations),
     **{name: _Item(title, "DIR", _OF_RUNS, _ablation, trains=True) for name, title in _ABLATIONS.items()},
-    "prediction": _Item(
-        "motion prediction, Tables 1 to 3 on windows; RUN behind them stand for their rows",
-        "DIR",
-        _PREDICTION,
-        _prediction,
-    ),
+    "prediction": _Item(_PREDICTED, "DIR", _PREDICTION, _prediction),
     "figure-1": _Item("recorded sequences with the look that primes the goal", "DIR", _OF_MOTIONS, _motions),
     "figure-2": _Item("recorded sequences of each table", "DIR", _OF_MOTIONS, _motions),
     "figure-4": _Item("scores by what a sequence asks for (--by)", "RUN", (*_OF_SCORES, "by"), _drawn),
@@ -370,8 +366,7 @@ def study(ctx: click.Context, item: str, inputs: Paths, train: bool, **given: An
     if train and not row.trains:
         rows = ", ".join(each for each, about in _ITEMS.items() if about.trains)
         raise UsageError(f"study {item} has nothing to train; --train goes with: {rows}.")
-    taken = _TRAINING if train else row.options
-    chosen = taken_options(ctx, name, given, taken)
+    chosen = taken_options(ctx, name, given, _TRAINING if train else row.options)
     if train:
         return _train(item, inputs, **chosen)
     if not inputs:

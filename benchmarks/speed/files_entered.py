@@ -57,8 +57,7 @@ def trace() -> None:
     """Make recordings in ADT's layout, then build a table of them and run a method over it while calls are traced."""
     with tempfile.TemporaryDirectory() as scratch:
         native, table, run = (f"{scratch}/{name}" for name in ("native", "table", "run"))
-        words = ["synthesize", "adt", "--count", "4", "--seed", "2", "--out", native, "--quiet"]
-        if main(words):
+        if main(["synthesize", "adt", "--count", "4", "--seed", "2", "--out", native, "--quiet"]):
             raise SystemExit("recordings could not be made")
         build = ["build-dataset", "adt", "--root", native, "--out", table, "--quiet"]
         ask = ["run", "--method", "pr", "--condition", "goal-loc", "--data", table, "--out", run, "--quiet"]

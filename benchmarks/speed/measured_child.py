@@ -67,8 +67,7 @@ def _copies(rows: pa.Table, copies: int) -> Iterator[pa.RecordBatch]:
         changed = rows
         for name in names:
             new = pa.array([renamed(value, name, copy) for value in rows[name].to_pylist()], pa.string())
-            place = changed.column_names.index(name)
-            changed = changed.set_column(place, changed.schema.field(name), new)
+            changed = changed.set_column(changed.column_names.index(name), changed.schema.field(name), new)
         yield from changed.to_batches(max_chunksize=256)
 
 
@@ -151,8 +150,7 @@ def main() -> int:
     else:
         code = int(prbench([name, *words]) or 0)
     # Linux only. Not getrusage's, which counts what the parent held when it started this process.
-    peak = Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]
-    megabytes = int(peak) * 1024 / 1e6
+    megabytes = int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) * 1024 / 1e6
     Path(report).write_text(json.dumps({"megabytes": megabytes, "processor_s": time.process_time()}))
     return code
 

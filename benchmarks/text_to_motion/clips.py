@@ -84,9 +84,8 @@ class EvaluatedClips:
         table = open_table(folder)
         rate = frame_rate(table, split)
         if rate != fps:
-            raise TableError(
-                f"{folder}: expected {fps:g} frames per second, as the evaluator was trained, found {rate:g}."
-            )
+            problem = f"expected {fps:g} frames per second, as the evaluator was trained, found {rate:g}."
+            raise TableError(f"{folder}: {problem}")
         allowed = _captions_of(table, kinds) if kinds else None
         clips = []
         left_out = 0
@@ -130,8 +129,7 @@ def draw(clip: Row, taken: Pass, configuration: networks.EvaluatorConfiguration)
     # HumanML3D's own loader shortens one clip in three, so that lengths vary beyond multiples of 4.
     if generator.random() < _SHORTER and n_frames > networks.SNIPPET:
         n_frames -= networks.SNIPPET
-    start = int(generator.integers(clip.motion.n_frames - n_frames + 1))
-    return Draw(caption, start, n_frames)
+    return Draw(caption, int(generator.integers(clip.motion.n_frames - n_frames + 1)), n_frames)
 
 
 def recorded_features(
@@ -149,9 +147,8 @@ def _captions_of(table: SequenceTable | CorpusTable, kinds: frozenset[str]) -> d
     rows = scalars["captions"].to_pylist()
     known = {caption["kind"] for row in rows for caption in row}
     if not kinds & known:
-        raise UsageError(
-            f"{table.folder}: no caption is of kind {', '.join(sorted(kinds))}; there are {', '.join(sorted(known))}."
-        )
+        remedy = f"there are {', '.join(sorted(known))}."
+        raise UsageError(f"{table.folder}: no caption is of kind {', '.join(sorted(kinds))}; {remedy}")
     texts = [tuple(caption["text"] for caption in row if caption["kind"] in kinds) for row in rows]
     return dict(zip(scalars["sequence_id"].to_pylist(), texts))
 
@@ -262,8 +259,7 @@ class Extractor:
                 batch[place, :n] = self.statistics.standardise(features[row][:n])[:, : networks.MOVEMENT_FEATURES]
             counts = torch.from_numpy(snippets[rows]).to(self.device)
             steps = self.movement(torch.from_numpy(batch).to(self.device), counts * networks.SNIPPET)
-            embedded = self.motion(steps, counts)
-            embeddings[rows] = embedded.float().cpu().numpy()
+            embeddings[rows] = self.motion(steps, counts).float().cpu().numpy()
         return embeddings
 
     @torch.inference_mode()
@@ -282,5 +278,4 @@ def cut_tokens(
 ) -> tuple[Float[torch.Tensor, "texts tokens dimension"], Int[torch.Tensor, " texts"]]:
     """Token vectors as tensors, and how many each text has: at most ``most_tokens``."""
     lengths = np.minimum((~encoded.padding).sum(axis=1), configuration.most_tokens)
-    longest = int(lengths.max(initial=1))
-    return torch.from_numpy(encoded.tokens[:, :longest]), torch.from_numpy(lengths)
+    return torch.from_numpy(encoded.tokens[:, : int(lengths.max(initial=1))]), torch.from_numpy(lengths)

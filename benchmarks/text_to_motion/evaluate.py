@@ -304,8 +304,7 @@ def _supported(adapter: Adapter, clips: tuple[Row, ...], configuration: Evaluato
     if declared.max_frames is None:
         return clips
     lengths = np.array([clips_of.longest(clip, configuration) for clip in clips])
-    native_fps = declared.native_fps or configuration.fps
-    native = native_frames(lengths, fps=configuration.fps, native_fps=native_fps)
+    native = native_frames(lengths, fps=configuration.fps, native_fps=declared.native_fps or configuration.fps)
     return tuple(clip for clip, n_frames in zip(clips, native) if n_frames <= declared.max_frames)
 
 

@@ -52,8 +52,7 @@ def fid(real: Float[np.ndarray, "real dimension"], generated: Float[np.ndarray, 
     # The root of a symmetric matrix instead of that of C1 C2: no complex numbers, no jitter.
     values, vectors = np.linalg.eigh(first)
     root = vectors * np.sqrt(np.clip(values, 0.0, None))
-    eigenvalues = np.linalg.eigvalsh(root.T @ second @ root)
-    trace = float(np.sqrt(np.clip(eigenvalues, 0.0, None)).sum())
+    trace = float(np.sqrt(np.clip(np.linalg.eigvalsh(root.T @ second @ root), 0.0, None)).sum())
     return float(means + np.trace(first) + np.trace(second) - 2.0 * trace)
 
 
@@ -179,8 +178,7 @@ class EmbeddedPairs:
 
     def mismatched(self) -> EmbeddedPairs:
         """Every motion with the text of the pair before: what chance scores."""
-        captions = (self.captions[-1], *self.captions[:-1])
-        return EmbeddedPairs(captions, np.roll(self.text, 1, axis=0), self.motion)
+        return EmbeddedPairs((self.captions[-1], *self.captions[:-1]), np.roll(self.text, 1, axis=0), self.motion)
 
 
 class Repeated(msgspec.Struct, frozen=True):

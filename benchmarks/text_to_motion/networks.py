@@ -22,6 +22,11 @@ from prbench.representation import N_FEATURES, Mode
 from prbench.representation.features import FOOT_CONTACTS
 from prbench.text import EncodedText, padded
 
+Steps = Float[torch.Tensor, "batch steps channels"]
+Inputs = Float[torch.Tensor, "batch steps inputs"]
+
+Tokens = Float[torch.Tensor, "batch tokens dimension"]
+
 WORD_DIMENSION = 300
 MOST_WORDS = 20
 # Hand-made lists of words; a word of one of them has that class instead of its part of speech.
@@ -74,8 +79,7 @@ class WordVectors:
             tokens: ``word/POS`` after one another; cut to 20, and framed by markers of start and end.
         """
         pairs = [(word, pos) for word, _, pos in (token.rpartition("/") for token in tokens.split())][:MOST_WORDS]
-        rows = [self._row(word, pos) for word, pos in ((START, OTHER), *pairs, (END, OTHER))]
-        return np.stack(rows)
+        return np.stack([self._row(word, pos) for word, pos in ((START, OTHER), *pairs, (END, OTHER))])
 
     def _row(self, word: str, pos: str) -> Float[np.ndarray, " 315"]:
         if word not in self.index:
@@ -246,9 +250,7 @@ class SequenceEncoder(nn.Module):
             nn.Linear(2 * width, hidden), nn.LayerNorm(hidden), nn.LeakyReLU(_SLOPE), nn.Linear(hidden, outputs)
         )
 
-    def forward(
-        self, steps: Float[torch.Tensor, "batch steps inputs"], lengths: Int[torch.Tensor, " batch"]
-    ) -> Float[torch.Tensor, "batch outputs"]:
+    def forward(self, steps: Inputs, lengths: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, "batch outputs"]:
         """One embedding a row; row i is that of its first ``lengths[i]`` steps alone, wherever it stands."""
         packed = pack_padded_sequence(self.input(steps), lengths.cpu(), batch_first=True, enforce_sorted=False)
         _, last = self.gru(packed, self.initial.expand(-1, len(steps), -1).contiguous())
@@ -276,9 +278,7 @@ class TextEncoder(nn.Module):
         width = configuration.text_width
         self.sequence = SequenceEncoder(words, width, width, width, configuration.embedding)
 
-    def forward(
-        self, tokens: Float[torch.Tensor, "batch tokens dimension"], lengths: Int[torch.Tensor, " batch"]
-    ) -> Float[torch.Tensor, "batch outputs"]:
+    def forward(self, tokens: Tokens, lengths: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, "batch outputs"]:
         """One embedding a text."""
         if self.classes is not None:
             tokens = tokens[..., :WORD_DIMENSION] + self.classes(tokens[..., WORD_DIMENSION:])
@@ -291,9 +291,7 @@ def _halving(inputs: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(convolution, nn.Dropout(_DROPOUT), nn.LeakyReLU(_SLOPE))
 
 
-def _ended(
-    steps: Float[torch.Tensor, "batch steps channels"], lengths: Int[torch.Tensor, " batch"]
-) -> Float[torch.Tensor, "batch steps channels"]:
+def _ended(steps: Steps, lengths: Int[torch.Tensor, " batch"]) -> Steps:
     """Zero from each row's length on."""
     beyond = torch.arange(steps.shape[1], device=steps.device) >= lengths[:, None]
     return steps.masked_fill(beyond[..., None], 0.0)

@@ -24,6 +24,8 @@ from prbench_adapters.training.weights import Weights, read_weights, representat
 from prbench_benchmarks.text_to_motion import networks as nets
 from prbench_benchmarks.text_to_motion.clips import Extractor, cut_tokens, token_vectors
 
+Features = Float[torch.Tensor, "batch frames 263"]
+
 Stage = Literal["full", "autoencoder", "contrastive"]
 STAGES: tuple[Stage, ...] = ("full", "autoencoder", "contrastive")
 EVALUATOR_KIND = "t2m-evaluator"
@@ -260,19 +262,15 @@ class EvaluatorTraining(TrainingModule):
         networks = (self.movement, self.decoder, self.motion, self.text)
         return tuple(tuple(network.parameters()) for network in networks)
 
-    def _standardised(
-        self, features: Float[torch.Tensor, "batch frames 263"]
-    ) -> Float[torch.Tensor, "batch frames 259"]:
+    def _standardised(self, features: Features) -> Float[torch.Tensor, "batch frames 259"]:
         return ((features - self.mean) / self.std)[..., : nets.MOVEMENT_FEATURES]
 
 
 def _require_snippets(counts: Int[torch.Tensor, " batch"], batch: MotionBatch) -> None:
     if int(counts.min()) < 1:
         row = int(counts.argmin())
-        raise TableError(
-            f"{batch.sequence_id[row]}: an evaluator needs motions of {nets.SNIPPET} frames or more,"
-            f" found {int(batch.n_frames[row])}."
-        )
+        problem = f"an evaluator needs motions of {nets.SNIPPET} frames or more, found {int(batch.n_frames[row])}."
+        raise TableError(f"{batch.sequence_id[row]}: {problem}")
 
 
 # Fields of the configuration that describe the movement encoder, which stage ``contrastive`` takes over.

@@ -154,10 +154,8 @@ def build_dataset(
     from prbench.curation.options import build_options
 
     if dataset == "all":
-        raise UsageError(
-            "dataset 'all' builds several tables: name one dataset, or run `prbench build-dataset all --root DIR --out"
-            " DIR`."
-        )
+        remedy = "name one dataset, or run `prbench build-dataset all --root DIR --out DIR`."
+        raise UsageError(f"dataset 'all' builds several tables: {remedy}")
     args.require_positive(max_recordings=max_recordings)
     if on_error not in ("skip", "fail"):
         raise UsageError(f"on_error: expected skip or fail, found '{on_error}'.")

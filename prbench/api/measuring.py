@@ -184,10 +184,8 @@ def measure(
         # Motions of different lengths cannot be compared (docs/specification/metrics.md#length-contract).
         for row, (motion, other) in enumerate(zip(motions, others, strict=True)):
             if len(motion) != len(other):
-                raise UsageError(
-                    f"motion {row}: expected as many predicted as recorded frames, found {len(motion)} and"
-                    f" {len(other)}. Give every motion the length of the recorded one."
-                )
+                problem = f"found {len(motion)} and {len(other)}. Give every motion the length of the recorded one."
+                raise UsageError(f"motion {row}: expected as many predicted as recorded frames, {problem}")
         reference = scoring.MotionBatch.from_motions(others)
     if goal_location is not None and goal_box is not None:
         raise UsageError("goal_location and goal_box: give one of them; of a box the centre counts.")
@@ -320,8 +318,7 @@ def measure_futures(
             raise UsageError(f"{name}: expected the shape ({words}), found {array.shape}.")
     if fps is not None and not 0 < fps < np.inf:
         raise UsageError(f"fps: expected frames per second above 0, found {fps}.")
-    poses = {"predicted": futures, "recorded": happened, **given}
-    for name, array in poses.items():
+    for name, array in {"predicted": futures, "recorded": happened, **given}.items():
         if array is None or not array.size:
             continue
         if not np.isfinite(array).all():
@@ -369,9 +366,8 @@ def _motions(name: str, value: Any, n_frames: Any) -> tuple[list[Float[np.ndarra
             raise UsageError(f"n_frames: expected {len(motions)} numbers, one a motion, found {len(lengths)}.")
         for row, (motion, length) in enumerate(zip(motions, lengths, strict=True)):
             if not 1 <= length <= len(motion):
-                raise UsageError(
-                    f"n_frames[{row}]: expected 1 to {len(motion)}, the frames of the array, found {length:g}."
-                )
+                found = f"found {length:g}."
+                raise UsageError(f"n_frames[{row}]: expected 1 to {len(motion)}, the frames of the array, {found}")
             motions[row] = motion[: int(length)]
     for row, motion in enumerate(motions):
         if problem := coordinate_problem(motion):

@@ -277,10 +277,8 @@ class Run:
             RunError: naming the benchmark.
         """
         if not find_benchmark(self.record.benchmark).default:
-            raise RunError(
-                f"{self.folder}: is a run of {self.record.benchmark}, whose answers cannot be shown here yet; its"
-                " scores can."
-            )
+            why = f"is a run of {self.record.benchmark}, whose answers cannot be shown here yet; its scores can."
+            raise RunError(f"{self.folder}: {why}")
 
     def __repr__(self) -> str:
         if not all(self._folder.dataset(name).finished for name in self.datasets):
@@ -289,8 +287,7 @@ class Run:
 
     def _repr_html_(self) -> str:
         shown = scores_for_notebook(self.summaries, motionless=self.record.method.motionless)
-        lines = [*self.notes, f"run folder: {self.folder}"]
-        return shown + "".join(f"<p>{html(line)}</p>" for line in lines)
+        return shown + "".join(f"<p>{html(line)}</p>" for line in [*self.notes, f"run folder: {self.folder}"])
 
 
 def open_run(path: args.PathLike) -> Run:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from prbench.board.comparison import RunComparison
+    from prbench.harness.request import Progress
     from prbench.harness.score_request import ScoreReport
 
 
@@ -166,12 +167,11 @@ def score(
         args.engine_of(workers, reads=read) as engine,
         progress("scoring") as show,
     ):
-        reports = score_predictions(
-            replace(request, out=folder),
-            given=given,
-            engine=engine,
-            progress=lambda step: show(step.done, step.total, step.dataset),
-        )
+
+        def told(step: Progress) -> None:
+            show(step.done, step.total, step.dataset)
+
+        reports = score_predictions(replace(request, out=folder), given=given, engine=engine, progress=told)
     return Scores(reports, folder)
 
 
@@ -184,9 +184,8 @@ def _given(motions: Mapping[str, ArrayLike]) -> tuple[Predictions, str]:
     from prbench.harness.run_folder.npz import ArrayMotions, as_float32
 
     if not motions:
-        raise PredictionsError(
-            "motions: expected a dictionary from sequence_id to arrays (n, 22, 3), found none in it."
-        )
+        problem = "expected a dictionary from sequence_id to arrays (n, 22, 3), found none in it."
+        raise PredictionsError(f"motions: {problem}")
     ids: list[str] = []
     samples: list[int] = []
     arrays: list[np.ndarray] = []

@@ -252,8 +252,7 @@ class Events(_Records[Event]):
 
     def _counted(self) -> str:
         """Return how many events have each outcome, the most frequent first."""
-        counts = Counter(self._rows["outcome"].to_pylist())
-        ordered = sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))
+        ordered = sorted(Counter(self._rows["outcome"].to_pylist()).items(), key=lambda pair: (-pair[1], pair[0]))
         return ", ".join(f"{count} {name}" for name, count in ordered) or "none"
 
 

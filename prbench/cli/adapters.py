@@ -149,8 +149,7 @@ def new(*, benchmark: str | None, **given: Any) -> Answer:
     """
     from prbench.checking.scaffold import ScaffoldRequest, new_adapter
 
-    request = ScaffoldRequest(benchmark=benchmark or default_benchmark().name, **given)
-    made = new_adapter(request)
+    made = new_adapter(ScaffoldRequest(benchmark=benchmark or default_benchmark().name, **given))
 
     def show() -> None:
         print(f"{made.folder}: {len(made.files)} files. Next:")

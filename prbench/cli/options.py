@@ -269,8 +269,7 @@ def scores_options(function: Callable) -> Callable:
 def limit_option(default: str = "all") -> Callable:
     """Add ``--limit N`` sequences of each dataset; equal limits mean the same sequences in every command."""
     share = "of every recording its share, for every command the same"
-    help = f"At most N sequences of each dataset, {share} (default: {default})."
-    return number_option("--limit", help)
+    return number_option("--limit", f"At most N sequences of each dataset, {share} (default: {default}).")
 
 
 def root_option(
@@ -288,8 +287,7 @@ def count_option(help: str) -> Callable:
 def recordings_options(function: Callable) -> Callable:
     """Add ``--recordings GLOB`` and ``--max-recordings N``, which choose recordings of a copy of a dataset."""
     glob = "Only recordings whose name matches (default: all)."
-    most = "At most N recordings: the first by name."
-    limited = number_option("--max-recordings", most)(function)
+    limited = number_option("--max-recordings", "At most N recordings: the first by name.")(function)
     return click.option("--recordings", default="*", metavar="GLOB", help=glob)(limited)
 
 

@@ -6,6 +6,8 @@ An engine is anything with :meth:`Engine.map`; builds, runs and scoring take one
 
 from prbench.engine.pool import Engine, Full, InProcess, ProcessPool, answer, call, end_with_parent, is_out_of_memory
 
+IN_PROCESS = InProcess()
+
 
 def capacity(engine: Engine) -> int:
     """Items that an engine works on at a time."""

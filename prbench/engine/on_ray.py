@@ -232,8 +232,7 @@ class RayCluster:
             unfit: dict[str, list[str]] = {}
             in_vain: set[str] = set()
             while waiting:
-                left = max(0.0, until - time.monotonic())
-                due, waiting = self.ray.wait(waiting, num_returns=1, timeout=left)
+                due, waiting = self.ray.wait(waiting, num_returns=1, timeout=max(0.0, until - time.monotonic()))
                 if not due:
                     break
                 name = tickets[due[0]]["NodeID"]
@@ -307,9 +306,8 @@ class RayCluster:
         """
         if self.told_to_stop.is_set():
             self.told_to_stop.clear()  # the workers still have to be ended
-            raise WorkStopped(
-                "asked to stop by SIGTERM; finished parts are kept, the same command goes on where it resumes."
-            )
+            why = "finished parts are kept, the same command goes on where it resumes."
+            raise WorkStopped(f"asked to stop by SIGTERM; {why}")
         due, rest = self.ray.wait(list(tickets), num_returns=1, timeout=seconds)
         if due and rest:
             due += self.ray.wait(rest, num_returns=len(rest), timeout=0)[0]
@@ -361,10 +359,9 @@ def _connect(ray: ModuleType, address: str | None, undo: contextlib.ExitStack) -
         ray.init(**settings)
     except Exception as error:  # Ray raises ConnectionError, RuntimeError, ValueError and its own
         where = f"at {quoted(wanted)}" if wanted else "on this machine"
-        raise ClusterError(
-            f"--engine ray: no Ray could be used {where} ({type(error).__name__}: {_first_line(error)})."
-            " Start one by `ray start --head`, or leave --address out for this machine alone."
-        ) from error
+        why = f"no Ray could be used {where} ({type(error).__name__}: {_first_line(error)})."
+        remedy = "Start one by `ray start --head`, or leave --address out for this machine alone."
+        raise ClusterError(f"--engine ray: {why} {remedy}") from error
     undo.callback(ray.shutdown)
     # Of dead workers and nodes Ray prints pages of its logs to standard output, which belongs to reports; what a user
     # needs of it is told by the rules of spreading. There is no setting for this; where a later version names its
@@ -395,10 +392,8 @@ def _require_listening(address: str) -> None:
     try:
         socket.create_connection((host, port), timeout=_ANSWERS_WITHIN_S).close()
     except OSError as error:
-        raise ClusterError(
-            f"--address {quoted(address)}: no Ray answers there ({error.strerror or error}). `ray start --head` on that"
-            " machine starts one and prints its address."
-        ) from error
+        why = f"({error.strerror or error}). `ray start --head` on that machine starts one and prints its address."
+        raise ClusterError(f"--address {quoted(address)}: no Ray answers there {why}") from error
 
 
 def _host_and_port(address: str) -> tuple[str, int | None]:

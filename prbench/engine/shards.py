@@ -122,16 +122,13 @@ class ShardRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         try:
             record = msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=cls)
         except (FileNotFoundError, NotADirectoryError) as error:
-            raise ShardError(
-                f"{folder}: expected a shard (a folder with {FILE_NAME}, from --shard K/N), found no such file in it."
-            ) from error
+            problem = f"expected a shard (a folder with {FILE_NAME}, from --shard K/N), found no such file in it."
+            raise ShardError(f"{folder}: {problem}") from error
         except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
             raise ShardError(f"{path}: not a valid {FILE_NAME}: {error}. Make the shard again.") from error
         if record.schema_version != _SCHEMA_VERSION:
-            raise ShardError(
-                f"{path}, schema_version: expected {_SCHEMA_VERSION}, found {record.schema_version}. Make the shard"
-                " again, with the version of prbench that merges it."
-            )
+            found = f"found {record.schema_version}. Make the shard again, with the version of prbench that merges it."
+            raise ShardError(f"{path}, schema_version: expected {_SCHEMA_VERSION}, {found}")
         if not 1 <= record.number <= record.count:
             raise ShardError(f"{path}: expected a shard K/N with K from 1 to N, found {record.shard}.")
         return record
@@ -151,9 +148,8 @@ class ShardRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             return msgspec.convert(self.settings[name] if name else self.settings, kind)
         except (KeyError, msgspec.ValidationError) as error:
             where = f"{folder / FILE_NAME}, settings{name and f'.{name}'}"
-            raise ShardError(
-                f"{where}: expected those of a {self.kind}, found: {error}. Make the shard again."
-            ) from error
+            remedy = "Make the shard again."
+            raise ShardError(f"{where}: expected those of a {self.kind}, found: {error}. {remedy}") from error
 
     def difference(self, other: ShardRecord) -> str | None:
         """Name the first thing in which another shard is of something else; None where both are of the same."""
@@ -189,10 +185,8 @@ def begin_shard(folder: Path, wanted: ShardRecord) -> None:
         if difference is None and found.number != wanted.number:
             difference = f"shard: expected {wanted.shard}, found {found.shard}"
         if difference is not None:
-            raise ShardError(
-                f"{folder / FILE_NAME}, {difference}. The folder belongs to another shard; choose another folder for"
-                " --out, or delete this one."
-            )
+            remedy = "The folder belongs to another shard; choose another folder for --out, or delete this one."
+            raise ShardError(f"{folder / FILE_NAME}, {difference}. {remedy}")
     # Also where it is there: the tables may have moved.
     wanted.write(folder)
 
@@ -217,18 +211,15 @@ def require_whole(folders: Sequence[Path]) -> list[tuple[Path, ShardRecord]]:
                 " with the same prbench on the same data; make the shard that is wrong again."
             )
         if record.number in by_number:
-            raise ShardError(
-                f"{folder}: is shard {record.shard}, and so is {by_number[record.number][0]}. Name each shard once."
-            )
+            why = f"is shard {record.shard}, and so is {by_number[record.number][0]}. Name each shard once."
+            raise ShardError(f"{folder}: {why}")
         by_number[record.number] = (folder, record)
     missing = [number for number in range(1, first.count + 1) if number not in by_number]
     if missing:
         named = ", ".join(f"{number}/{first.count}" for number in missing[:_SHOWN])
         more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
-        raise ShardError(
-            f"expected all {first.count} shards, found {len(by_number)}: {named}{more} missing. Make them with the"
-            " command of the others and their --shard."
-        )
+        remedy = "Make them with the command of the others and their --shard."
+        raise ShardError(f"expected all {first.count} shards, found {len(by_number)}: {named}{more} missing. {remedy}")
     if first.prbench_version != prbench.__version__ or first.code_digest != code_digest():
         raise ShardError(
             f"{first_folder / FILE_NAME}: the shards were made by prbench {clean(first.prbench_version)} (source files"

@@ -82,11 +82,8 @@ def read_header(stream: IO[bytes], path: Path, where: str, *, remedy: str = "") 
         first = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
         raise InputFileError(path, where, expected=_SAVED, found=first, remedy=remedy) from error
     is_array = all(0 <= size <= LONGEST_AXIS for size in shape) and dtype.itemsize > 0
-    require(
-        path,
-        (not dtype.hasobject, where, "numbers or text", "Python objects", remedy or _NO_OBJECTS),
-        (is_array, where, _SAVED, f"the shape {shape} of {dtype}", remedy),
-    )
+    require(path, (not dtype.hasobject, where, "numbers or text", "Python objects", remedy or _NO_OBJECTS))
+    require(path, (is_array, where, _SAVED, f"the shape {shape} of {dtype}", remedy))
     return ArrayHeader(shape, dtype, fortran_order, stream.tell())
 
 
@@ -316,10 +313,9 @@ def require_times(stream: str, times: Float[np.ndarray, " n"]) -> None:
         row = int(np.argmax(beyond))
         raise _unusable(stream, row, f"a time within {limits.LATEST_TIME:.0e} s", f"{times[row]:g} s")
     if len(times) and np.ptp(times) > limits.LONGEST_RECORDING:
-        raise RecordingUnusable(
-            f"{stream}: expected at most {limits.LONGEST_RECORDING:,.0f} s from first to last, found"
-            f" {times.min():.1f} … {times.max():.1f} s. {_REMEDY}"
-        )
+        problem = f"expected at most {limits.LONGEST_RECORDING:,.0f} s from first to last,"
+        found = f"found {times.min():.1f} … {times.max():.1f} s. {_REMEDY}"
+        raise RecordingUnusable(f"{stream}: {problem} {found}")
 
 
 def require_near(

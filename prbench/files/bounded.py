@@ -215,11 +215,8 @@ def require_unpackable(path: Path, member: zipfile.ZipInfo, *, where: str = "") 
     packing = f"compression number {member.compress_type}"
     expected = f"at most {most:,} bytes in {member.compress_size:,} packed ones"
     remedy = "The archive is damaged, or made to fill the memory; download it again from its origin."
-    require(
-        path,
-        (member.compress_type in _WELL_KNOWN, where, "a member stored or deflated", packing, ""),
-        (member.file_size <= most, where, expected, f"{member.file_size:,} declared", remedy),
-    )
+    require(path, (member.compress_type in _WELL_KNOWN, where, "a member stored or deflated", packing, ""))
+    require(path, (member.file_size <= most, where, expected, f"{member.file_size:,} declared", remedy))
 
 
 def read_toml(path: Path, expected: str = "a TOML file", remedy: str = "") -> dict[str, Any]:

@@ -208,10 +208,8 @@ def require_replaceable(folder: Path, marker: str, *, kind: str) -> None:
     if folder.is_file():
         raise StorageError(f"{folder}: is a file. Choose an empty or new folder for --out.")
     if folder.is_dir() and any(folder.iterdir()) and not (folder / marker).is_file():
-        raise StorageError(
-            f"{folder}: is not empty and holds no {marker}, so it is no {kind} that may be replaced."
-            " Choose an empty or new folder for --out."
-        )
+        why = f"so it is no {kind} that may be replaced. Choose an empty or new folder for --out."
+        raise StorageError(f"{folder}: is not empty and holds no {marker}, {why}")
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -19,16 +19,17 @@ from prbench.harness.conditions import is_solid
 from prbench.harness.intervals import CONFIDENCE, metric_interval
 from prbench.harness.planning import Selection
 from prbench.harness.results import differences
-from prbench.harness.run_folder.folder import DatasetFolder
-from prbench.harness.run_folder.scores import CodedScores
+from prbench.harness.run_folder import CodedScores, DatasetFolder
 from prbench.harness.run_folder.summary import AGREEMENT_FILE, BinRate, DatasetAgreement, RateAgreement, SceneOfPeople
 from prbench.harness.scoring import score_recorded
 from prbench.metrics import METRICS, MetricInfo
 from prbench.protocol.manifests import BenchmarkProtocol
 
+Numbers = Float[np.ndarray, " n"]
+
 RATES: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.unit == "rate")
 # One outcome a sequence: 0 or 1, or the share of its samples that succeed.
-Outcomes = Float[np.ndarray, " n"]
+Outcomes = Numbers
 _SCENE_METRICS = ("scene_penetration", "scene_depth")
 _PERFECT = 1 - 1e-12  # beyond which Fisher's scale has no finite value
 _ONE_OUTCOME = "{} the same outcome in every sequence"
@@ -79,8 +80,7 @@ def agreement_with_people(
                 chosen = inside[sequence]
                 estimate = None
                 if inside.any():
-                    own = sequence[chosen]
-                    estimate = metric_interval(info, value[chosen], recordings[own], texts[chosen])
+                    estimate = metric_interval(info, value[chosen], recordings[sequence[chosen]], texts[chosen])
                 bounds: dict[str, Any] = {name: getattr(estimate, name, None) for name in ("mean", "low", "high")}
                 found = BinRate(
                     metric=info.id,
@@ -116,10 +116,9 @@ def require_agreement(files: DatasetFolder, made: DatasetAgreement) -> None:
         return
     stored = DatasetAgreement.read(files.path)
     for name, expected, found in differences(msgspec.to_builtins(made), msgspec.to_builtins(stored)):
-        raise RunError(
-            f"{files.agreement}, {name}: expected {expected}, which follows from {files.scores.name} and the table,"
-            f" found {found}. One of them was edited. Delete {AGREEMENT_FILE} and run the same command again."
-        )
+        problem = f"expected {expected}, which follows from {files.scores.name} and the table, found {found}."
+        remedy = f"One of them was edited. Delete {AGREEMENT_FILE} and run the same command again."
+        raise RunError(f"{files.agreement}, {name}: {problem} {remedy}")
 
 
 def _agreement(
@@ -150,22 +149,20 @@ def _agreement(
     )
 
 
-def phi_coefficient(method: Float[np.ndarray, " n"], people: Float[np.ndarray, " n"]) -> float | None:
+def phi_coefficient(method: Numbers, people: Numbers) -> float | None:
     """Return the correlation of two columns of outcomes (phi for zeros and ones); None where one is constant."""
     if len(method) < 2 or np.ptp(method) == 0 or np.ptp(people) == 0:
         return None
     return float(np.corrcoef(method, people)[0, 1])
 
 
-def rarest_pair(method: Float[np.ndarray, " n"], people: Float[np.ndarray, " n"]) -> float:
+def rarest_pair(method: Numbers, people: Numbers) -> float:
     """Return the sequences expected in the rarest of the four pairs of outcomes, if the two sides were unrelated."""
     rarer = [min(side.mean(), 1 - side.mean()) for side in (method, people)]
     return float(len(method) * rarer[0] * rarer[1])
 
 
-def phi_interval(
-    method: Float[np.ndarray, " n"], people: Float[np.ndarray, " n"], recordings: np.ndarray
-) -> tuple[float, float] | None:
+def phi_interval(method: Numbers, people: Numbers, recordings: np.ndarray) -> tuple[float, float] | None:
     """Student's 95 % interval of phi from the jackknife over recordings, on Fisher's scale.
 
     Args:
@@ -192,7 +189,7 @@ def _fisher(phi: float | None) -> float | None:
     return None if phi is None or abs(phi) > _PERFECT else float(np.arctanh(phi))
 
 
-def goal_places(goals: Float[np.ndarray, "n 3"]) -> Mapping[str, Float[np.ndarray, " n"]]:
+def goal_places(goals: Float[np.ndarray, "n 3"]) -> Mapping[str, Numbers]:
     """Measure where goals are, seen from the first pose.
 
     Args:

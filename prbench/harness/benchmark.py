@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -27,10 +27,7 @@ from prbench.errors import UsageError, did_you_mean
 from prbench.harness.methods.loading import MethodSpec
 from prbench.harness.methods.remote import MethodGroup
 from prbench.harness.request import RunRequest
-from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
-from prbench.harness.run_folder.predictions import PredictionRows
-from prbench.harness.run_folder.record import MethodRecord
-from prbench.harness.run_folder.scores import CodedScores
+from prbench.harness.run_folder import CodedScores, DatasetFolder, MethodRecord, PredictionRows, RunFolder
 from prbench.metrics import MetricInfo
 from prbench.protocol.manifests import AboutBenchmark, BenchmarkProtocol, find_benchmark
 
@@ -64,7 +61,7 @@ class Answer:
 class CaseWork(ABC):
     """The work of a run on the cases of one table."""
 
-    @property
+    @cached_property
     @abstractmethod
     def plan(self) -> list[Int[np.ndarray, "_"]]:
         """Return the places of the cases of each batch; floating-point results may depend on them."""
@@ -158,10 +155,8 @@ class Benchmark(ABC, Generic[Table, Chosen]):
         """
         known = [condition.value for condition in self.conditions]
         if name not in known:
-            raise UsageError(
-                f"--condition {name}: expected one of the benchmark {self.name}: {', '.join(known)}."
-                f"{did_you_mean(name, known)}"
-            )
+            problem = f"expected one of the benchmark {self.name}: {', '.join(known)}.{did_you_mean(name, known)}"
+            raise UsageError(f"--condition {name}: {problem}")
         return self.conditions(name)
 
     @property

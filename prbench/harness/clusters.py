@@ -143,8 +143,7 @@ def _errors_found(sizes: tuple[int, ...], correlation: float, level: float) -> f
     number = np.array(sizes)
     deviation = np.sqrt(number * (1 + (number - 1) * correlation))
     totals = named_generator("smallest-difference").normal(size=(800, len(sizes))) * deviation
-    means = flipped_means(totals, number, flips(tuple(map(str, range(len(sizes)))), 2**12))
-    low, _ = flip_bounds(means, level)
+    low, _ = flip_bounds(flipped_means(totals, number, flips(tuple(map(str, range(len(sizes)))), 2**12)), level)
     return float(np.quantile(-low / np.roll(standard_error(totals, number), 1), POWER))
 
 

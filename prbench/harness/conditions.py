@@ -45,8 +45,7 @@ def solid_boxes(table: SequenceTable) -> dict[str, Boxes] | None:
         places.setdefault(scenes["recording_id"][place].as_py(), []).append(place)
     found = {}
     for name in sorted(places):
-        rows = scenes.take(pa.array(places[name])).combine_chunks()
-        columns = SequenceChunk(rows.to_batches()[0])
+        columns = SequenceChunk(scenes.take(pa.array(places[name])).combine_chunks().to_batches()[0])
         rotation = Rotation.from_quat(columns.vectors("rotation"), scalar_first=True).as_matrix()
         ends = np.array([0, len(columns)])
         found[name] = Boxes(columns.vectors("centre"), rotation, columns.vectors("half_extents"), ends)
@@ -55,8 +54,7 @@ def solid_boxes(table: SequenceTable) -> dict[str, Boxes] | None:
 
 def boxes_around(chunk: SequenceChunk, boxes: Mapping[str, Boxes]) -> Boxes:
     """Return the solid boxes of each sequence of a chunk with :data:`SCENE_COLUMNS`, in its canonical frame."""
-    world_from_canonical = chunk.vectors("world_from_canonical").reshape(-1, 4, 4)
-    pairs = zip(chunk.strings("recording_id"), world_from_canonical, strict=True)
+    pairs = zip(chunk.strings("recording_id"), chunk.vectors("world_from_canonical").reshape(-1, 4, 4), strict=True)
     return Boxes.joined([boxes.get(name, _NONE).placed(invert_rigid(place)) for name, place in pairs])
 
 
@@ -122,18 +120,12 @@ class ConditionSource:
             sample: Index of the motion drawn for each sequence.
         """
         ids = [self.sequence_ids[row] for row in rows]
-        given: dict[str, Any] = {}
+        given: dict[str, Any] = {"condition": condition, "fps": self.fps, "n_frames": self.n_frames[rows]}
+        given["noise_seed"] = tuple(noise_seed(seed, name, sample) for name in ids)
         for name in GIVEN[condition]:
             values = getattr(self, name)
             given[name] = tuple(values[row] for row in rows) if isinstance(values, tuple) else values[rows]
-        return ConditionBatch(
-            condition=condition,
-            n_frames=self.n_frames[rows],
-            fps=self.fps,
-            opaque_id=tuple(opaque_ids(ids, salt)),
-            noise_seed=tuple(noise_seed(seed, name, sample) for name in ids),
-            **given,
-        )
+        return ConditionBatch(opaque_id=tuple(opaque_ids(ids, salt)), **given)
 
     def redrawn(
         self, batch: ConditionBatch, rows: Int[np.ndarray, " rows"], *, seed: int, sample: int
@@ -174,20 +166,21 @@ class ConditionStream:
 def _sources(selection: Selection) -> Iterator[tuple[slice, ConditionSource]]:
     """Yield the makings of the conditions of each window, with its places in the selection."""
     for place, chunk in selection.windows(_COLUMNS):
-        joints = chunk.joints
-        offsets = chunk.offsets
-        source = ConditionSource(
-            selection.sequence_ids[place],
-            selection.n_frames[place],
-            selection.fps,
-            tuple(chunk.strings("text")),
-            initial_joints=joints[offsets[:-1]],
-            previous_joints=chunk.poses("previous_joints").copy(),
-            goal_joints=joints[offsets[1:] - 1],
-            goal_location=chunk.vectors("goal_location").copy(),
-            head_tilt_deg=chunk.numbers("head_tilt_deg").copy(),
+        joints, offsets = chunk.joints, chunk.offsets
+        yield (
+            place,
+            ConditionSource(
+                selection.sequence_ids[place],
+                selection.n_frames[place],
+                selection.fps,
+                tuple(chunk.strings("text")),
+                initial_joints=joints[offsets[:-1]],
+                previous_joints=chunk.poses("previous_joints").copy(),
+                goal_joints=joints[offsets[1:] - 1],
+                goal_location=chunk.vectors("goal_location").copy(),
+                head_tilt_deg=chunk.numbers("head_tilt_deg").copy(),
+            ),
         )
-        yield place, source
 
 
 def run_salt(seed: int, table_identity: str) -> bytes:
@@ -210,10 +203,8 @@ def derangement(selection: Selection, *, seed: int) -> Int[np.ndarray, " n"]:
     """
     n = len(selection)
     if n < 2:
-        raise UsageError(
-            f"shuffled goals need two sequences or more, found {n} in split '{selection.split}' of"
-            f" {selection.table.folder}. Raise --limit or choose another split."
-        )
+        found = f"found {n} in split '{selection.split}' of {selection.table.folder}"
+        raise UsageError(f"shuffled goals need two sequences or more, {found}. Raise --limit or choose another split.")
     # The digest of the choice is part of the seed: with another --limit the goals are dealt anew.
     generator = named_generator("shuffled-goal", seed, text_digest(selection.table.identity, selection.digest))
     order = np.arange(n)

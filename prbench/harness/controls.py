@@ -39,9 +39,11 @@ from prbench.harness.planning import WINDOW, Selection, select
 from prbench.harness.scripted import SCRIPTED_CONTROLS, SWAYING, ScriptedStart, altered_joints
 from prbench.metrics import MotionBatch
 from prbench.representation import decode, encode
-from prbench.sequences.sequence import SequenceChunk
-from prbench.sequences.table import SequenceTable
+from prbench.sequences import SequenceTable
 from prbench.synthetic.people.kinematics import turn
+
+Plan = list[Int[np.ndarray, "_"]]
+Motion = Float[np.ndarray, "frames 22 3"]
 
 # Metres between two goals that count like one second between two lengths; our choice.
 LENGTH_WEIGHT = 0.5
@@ -60,16 +62,11 @@ class Tasks:
     @classmethod
     def read(cls, table: SequenceTable) -> Tasks:
         """Read the tasks of all splits: nothing is learnt from them."""
-        ids: list[str] = []
-        recordings: list[str] = []
-        goals: list[np.ndarray] = []
-        seconds: list[np.ndarray] = []
-        for chunk in table.chunks(columns=["recording_id", "goal_location", "fps"]):
-            ids += chunk.sequence_ids
-            recordings += chunk.strings("recording_id")
-            goals.append(chunk.vectors("goal_location").astype(np.float64))
-            seconds.append(chunk.n_frames / chunk.numbers("fps"))
-        return cls(tuple(ids), np.array(recordings, dtype=object), np.concatenate(goals), np.concatenate(seconds))
+        chunks = list(table.chunks(columns=["recording_id", "goal_location", "fps"]))
+        ids = tuple(name for chunk in chunks for name in chunk.sequence_ids)
+        recordings = np.array([name for chunk in chunks for name in chunk.strings("recording_id")], dtype=object)
+        goals = np.concatenate([chunk.vectors("goal_location").astype(np.float64) for chunk in chunks])
+        return cls(ids, recordings, goals, np.concatenate([chunk.n_frames / chunk.numbers("fps") for chunk in chunks]))
 
     def most_similar(self, row: int, count: int) -> Int[np.ndarray, " found"]:
         """Rows of the most similar tasks of other recordings, the most similar first; fewer where there are fewer.
@@ -88,12 +85,11 @@ def read_motions(
     """Map some sequences to their recorded joints; canonical frame, metres."""
     motions = {}
     for chunk in table.chunks(split=split, columns=["joints"], ids=ids):
-        parts = np.split(chunk.joints, chunk.offsets[1:-1])
-        motions |= dict(zip(chunk.sequence_ids, parts, strict=True))
+        motions |= dict(zip(chunk.sequence_ids, np.split(chunk.joints, chunk.offsets[1:-1]), strict=True))
     return motions
 
 
-def at_length(motion: Float[np.ndarray, "frames 22 3"], n_frames: int) -> Float[np.ndarray, "n_frames 22 3"]:
+def at_length(motion: Motion, n_frames: int) -> Float[np.ndarray, "n_frames 22 3"]:
     """Return the whole motion in another number of frames, interpolated linearly."""
     place = np.linspace(0.0, len(motion) - 1, n_frames)
     left = np.minimum(place.astype(np.int64), len(motion) - 2)
@@ -101,9 +97,7 @@ def at_length(motion: Float[np.ndarray, "frames 22 3"], n_frames: int) -> Float[
     return motion[left].astype(np.float64) * (1 - share) + motion[left + 1] * share
 
 
-def laid_on_goal(
-    motion: Float[np.ndarray, "frames 22 3"], its_goal: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "frames 22 3"]:
+def laid_on_goal(motion: Motion, its_goal: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]) -> Motion:
     """Return the motion turned about the vertical through the origin, and moved over the ground, until the goals agree.
 
     In a canonical frame the first pelvis stands over the origin, so this keeps the distance to the goal's direction.
@@ -165,7 +159,7 @@ CONTROLS = (
 
 
 def control_motions(
-    name: str, selection: Selection, source: ConditionSource | ConditionStream, plan: list[Int[np.ndarray, "_"]]
+    name: str, selection: Selection, source: ConditionSource | ConditionStream, plan: Plan
 ) -> Iterator[Motions]:
     """Yield the motions of a control for each planned batch, in order.
 
@@ -204,16 +198,16 @@ def control_motions(
         yield Motions(joints.astype(np.float32), own.n_frames[places])
 
 
-def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]], *, through_features: bool) -> Iterator[Motions]:
+def _recorded(selection: Selection, plan: Plan, *, through_features: bool) -> Iterator[Motions]:
     """Yield recorded joints; a batch never crosses a window, so one window at a time is in memory."""
     # plan_batches forms batches within windows, so no batch ever needs two of them.
     waiting = iter(plan)
     for place, chunk in selection.windows(["joints", "next_joints"]):
-        joints = chunk.joints
-        offsets = chunk.offsets
+        recorded = np.split(chunk.joints, chunk.offsets[1:-1])
+        if through_features:  # as many frames as recorded: the last step is led by the true next one
+            places = zip(chunk.sequence_ids, recorded, chunk.poses("next_joints"))
+            recorded = [decode(encode(own, next_joints=n, source=name, upright=False)) for name, own, n in places]
         n_frames = chunk.n_frames
-        if through_features:
-            joints = recorded_through_features(chunk)
         taken = 0
         while taken < len(chunk):
             rows = next(waiting) - place.start
@@ -221,29 +215,15 @@ def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]], *, through
             assert rows.max() < len(chunk)
             padded = np.zeros((len(rows), int(n_frames[rows].max()), N_JOINTS, 3), dtype=np.float32)
             for i, row in enumerate(rows):
-                padded[i, : n_frames[row]] = joints[offsets[row] : offsets[row + 1]]
+                padded[i, : n_frames[row]] = recorded[row]
             yield Motions(padded, n_frames[rows])
             taken += len(rows)
-
-
-def recorded_through_features(chunk: SequenceChunk) -> Float[np.ndarray, "total 22 3"]:
-    """All motions of a chunk, encoded and decoded: as many frames as recorded, the last step led by the true next one.
-
-    Raises:
-        InputFileError: if a motion cannot be encoded; names sequence, frame and joint.
-    """
-    next_joints = chunk.poses("next_joints")
-    motions = zip(chunk.sequence_ids, np.split(chunk.joints, chunk.offsets[1:-1]), next_joints)
-    features = (encode(own, next_joints=after, source=name, upright=False) for name, own, after in motions)
-    return np.concatenate([decode(rows) for rows in features])
 
 
 _TRAINING = "train"
 
 
-def retrieved_motions(
-    selection: Selection, source: ConditionSource, plan: list[Int[np.ndarray, "_"]]
-) -> Iterator[Motions]:
+def retrieved_motions(selection: Selection, source: ConditionSource, plan: Plan) -> Iterator[Motions]:
     """Yield the motions of each planned batch, in order.
 
     Args:
@@ -256,10 +236,9 @@ def retrieved_motions(
     """
     table = selection.table
     if not table.scalars(split=_TRAINING, columns=["split"]).num_rows:
-        raise TableError(
-            f"{table.folder}: expected training sequences, which nearest-neighbour retrieves from, found none in split"
-            f" '{_TRAINING}'. Build more recordings, or leave this control out."
-        )
+        expected = "expected training sequences, which nearest-neighbour retrieves from"
+        found = f"found none in split '{_TRAINING}'. Build more recordings, or leave this control out."
+        raise TableError(f"{table.folder}: {expected}, {found}")
     training = select(table, split=_TRAINING, limit=None)
     known = ConditionSource.read(training)
     # Row of the most similar task of another recording.
@@ -271,10 +250,9 @@ def retrieved_motions(
         distance = np.where(recordings == recording, np.inf, poses + goals)
         nearest[row] = distance.argmin()
         if not np.isfinite(distance[nearest[row]]):
-            raise TableError(
-                f"{table.folder}: expected training sequences of another recording than {recording}, found none."
-                " Build more recordings, or leave nearest-neighbour out."
-            )
+            remedy = "Build more recordings, or leave nearest-neighbour out."
+            expected = f"expected training sequences of another recording than {recording}"
+            raise TableError(f"{table.folder}: {expected}, found none. {remedy}")
     place = -1
     motions: dict[str, np.ndarray] = {}
     for rows in plan:
@@ -282,8 +260,7 @@ def retrieved_motions(
             # Only the motions of one window are held in memory.
             place = int(rows[0]) // WINDOW
             window = nearest[place * WINDOW : (place + 1) * WINDOW]
-            ids = frozenset(training.sequence_ids[row] for row in window)
-            motions = read_motions(table, ids, split=_TRAINING)
+            motions = read_motions(table, frozenset(training.sequence_ids[row] for row in window), split=_TRAINING)
         n_frames = source.n_frames[rows]
         joints = np.zeros((len(rows), int(n_frames.max()), N_JOINTS, 3), dtype=np.float32)
         for i, row in enumerate(rows):

@@ -101,19 +101,15 @@ def timing(motions: MotionsToGoal, constants: MetricConstants) -> Timing:
     # The farthest of the frames that a stay is made of, for each frame in which it may begin.
     stay = np.stack([distance[:, k : last + k] for k in range(min(hold + 1, distance.shape[1] - last + 1))]).max(axis=0)
     on_goal = stay <= constants.prime_distance + constants.threshold_tolerance
-    pelvis = motions.joints[:, :, Joint.PELVIS]
-    steps = np.linalg.norm(np.diff(pelvis[..., [0, 2]], axis=1), axis=-1)
+    steps = np.linalg.norm(np.diff(motions.joints[:, :, Joint.PELVIS][..., [0, 2]], axis=1), axis=-1)
     covered = np.cumsum(steps, axis=1)
     wrist = motions.reaching_wrist
     away = np.linalg.norm(wrist - wrist[:, -1:], axis=-1) > constants.reach_distance
     # The frame behind the last one away; 0 for a wrist that never leaves.
     arrival = np.where(away.any(axis=1), wrist.shape[1] - away[:, ::-1].argmax(axis=1), 0).astype(np.float64)
-    return Timing(
-        prime=np.where(on_goal.any(axis=1), on_goal.argmax(axis=1), stay.argmin(axis=1)).astype(np.float64)
-        / motions.fps,
-        half_way=(1.0 + (covered >= covered[:, -1:] / 2 - _ROUNDING).argmax(axis=1)) / motions.fps,
-        wrist_arrival=arrival / motions.fps,
-    )
+    prime = np.where(on_goal.any(axis=1), on_goal.argmax(axis=1), stay.argmin(axis=1)).astype(np.float64)
+    half_way = 1.0 + (covered >= covered[:, -1:] / 2 - _ROUNDING).argmax(axis=1)
+    return Timing(prime / motions.fps, half_way / motions.fps, arrival / motions.fps)
 
 
 def spreads(motions: MotionsToGoal, constants: MetricConstants) -> dict[str, float]:
@@ -127,8 +123,7 @@ def spreads(motions: MotionsToGoal, constants: MetricConstants) -> dict[str, flo
         The value of each of :data:`SPREADS` by its id.
     """
     joints = motions.joints.astype(np.float64)
-    frames = joints.shape[1]
-    per_joint = np.sqrt(frames * N_JOINTS)
+    per_joint = np.sqrt(joints.shape[1] * N_JOINTS)
     poses = joints - joints[:, :, [Joint.PELVIS]]
     ground = joints[:, :, Joint.PELVIS][..., [0, 2]]
     speed = np.linalg.norm(np.diff(motions.reaching_wrist.astype(np.float64), axis=1), axis=-1) * motions.fps

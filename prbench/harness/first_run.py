@@ -104,14 +104,9 @@ def default_folder() -> Path:
     Another version of prbench, generator, protocol or schema gets another one.
     """
     # Everything that the tables' bytes depend on, so that no version reads the tables of another.
-    key = text_digest(
-        prbench.__version__,
-        str(GENERATOR_VERSION),
-        str(SCHEMA_VERSION),
-        load_protocol().digest,
-        *(digest_of(load_manifest(layout)) for layout in LAYOUTS),
-        *(f"{split} {number}" for split, number in PEOPLE.items()),
-    )
+    versions = (prbench.__version__, str(GENERATOR_VERSION), str(SCHEMA_VERSION), load_protocol().digest)
+    people = (f"{split} {number}" for split, number in PEOPLE.items())
+    key = text_digest(*versions, *(digest_of(load_manifest(layout)) for layout in LAYOUTS), *people)
     return cache_folder() / "tables" / f"synthetic-{key[:12]}"
 
 
@@ -149,10 +144,9 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
     find = table_finder(data)
     named = {table.info.dataset: table for table in (SequenceTable.open(folder) for folder in data)}
     if data and not shared & set(named):
-        raise RunError(
-            f"{runs[0].path}: the run is of {', '.join(sorted(shared))}; --data names {', '.join(named)}. Name the"
-            " table that it was made on."
-        )
+        why = f"the run is of {', '.join(sorted(shared))}; --data names {', '.join(named)}."
+        remedy = "Name the table that it was made on."
+        raise RunError(f"{runs[0].path}: {why} {remedy}")
     tables = {}
     for first in runs[0].record.tables:
         if first.dataset not in (shared & set(named) if data else shared):
@@ -163,16 +157,13 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
             if table is None or record.content_digest != first.content_digest:
                 digest = f"{record.content_digest[:_SHOWN]}…"
                 if first.dataset not in named:
-                    raise TableError(
-                        f"{run.path}: was made on a table of {record.dataset} with content digest {digest}, which is"
-                        " not among the embedded ones. Name its folder with --data DIR."
-                    )
+                    why = f"was made on a table of {record.dataset} with content digest {digest},"
+                    reason = "which is not among the embedded ones. Name its folder with --data DIR."
+                    raise TableError(f"{run.path}: {why} {reason}")
                 other = named[first.dataset]
-                raise RunError(
-                    f"{other.folder}: expected the table that {run.path} was made on (content digest {digest}), found"
-                    f" another one ({other.info.content_digest[:_SHOWN]}…). Name that table with --data DIR, or run the"
-                    " method again on this one."
-                )
+                why = f"(content digest {digest}), found another one ({other.info.content_digest[:_SHOWN]}…)."
+                remedy = "Name that table with --data DIR, or run the method again on this one."
+                raise RunError(f"{other.folder}: expected the table that {run.path} was made on {why} {remedy}")
             tables[first.dataset] = table
     return [table.with_sequences() for table in tables.values()]
 
@@ -212,8 +203,7 @@ def table_finder(data: Sequence[Path], *, same_values: bool = True) -> Callable[
         tables = cache_folder() / "tables"
         earlier = sorted(path.parent for depth in ("*", "*/*") for path in tables.glob(f"{depth}/{FILE_NAME}"))
         for folder in dict.fromkeys([*default_table_folders(), *earlier]):
-            there = (folder / FILE_NAME).is_file()
-            if there and DatasetInfo.read(folder).content_digest == record.content_digest:
+            if (folder / FILE_NAME).is_file() and DatasetInfo.read(folder).content_digest == record.content_digest:
                 opened.append(SequenceTable.open(folder))
                 return opened[-1]
         for table in opened:
@@ -260,10 +250,9 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
         found = None if table.units else find(table)
         folder = found.folder if found is not None else whole.get(table.whole_table or "")
         if folder is None:
-            raise RunError(
-                f"{run.path}: the run was made on a table of {table.dataset} with content digest"
-                f" {table.content_digest[:12]}…, which is neither named with --data nor embedded. Name its folder."
-            )
+            why = f"the run was made on a table of {table.dataset} with content digest {table.content_digest[:12]}…,"
+            reason = "which is neither named with --data nor embedded. Name its folder."
+            raise RunError(f"{run.path}: {why} {reason}")
         folders.append(str(folder))
     about: dict[str, Any] = {"options": dict(record.method.options), "control": record.control}
     about["weights"] = None if weights is None else str(weights)

@@ -141,8 +141,7 @@ def clustered(
     first = np.flatnonzero(np.concatenate([[True], (np.diff(pairs) != 0).any(axis=0)]))
     if len(first) != sequence.max() + 1:
         raise ValueError("a sequence belongs to two recordings")
-    samples = np.diff(np.append(first, len(values)))
-    means = np.add.reduceat(values[order].astype(np.float64), first) / samples
+    means = np.add.reduceat(values[order].astype(np.float64), first) / np.diff(np.append(first, len(values)))
     sizes = np.bincount(pairs[0, first])
     totals = np.add.reduceat(means, np.cumsum(sizes) - sizes)
     return ClusteredValues(means, sizes, totals, tuple(map(str, units)), rate)

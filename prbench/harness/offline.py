@@ -130,8 +130,7 @@ def write_conditions(conditions: ConditionsFile, path: Path) -> None:
         StorageError: if the file cannot be written.
     """
     _require_suffix(path)
-    text = msgspec.json.encode(conditions.info, order="sorted").decode()
-    arrays: dict[str, Any] = {METADATA_KEY: np.array(text)}
+    arrays: dict[str, Any] = {METADATA_KEY: np.array(msgspec.json.encode(conditions.info, order="sorted").decode())}
     for name in (*_ALWAYS, *conditions.given):
         arrays[name] = np.asarray(getattr(conditions, name)).astype(_FORMS[name][0])
     with atomic_path(path) as temporary:
@@ -293,10 +292,8 @@ def conditions_of(
         chosen = select(table, split=request.split, limit=request.limit)
         selection = supported(chosen, max_frames=request.max_frames, native_fps=request.native_fps)
         if not len(selection):
-            raise AdapterError(
-                f"--max-frames {request.max_frames}: all {len(chosen)} chosen sequences of {table.info.dataset} are"
-                " longer."
-            )
+            why = f"all {len(chosen)} chosen sequences of {table.info.dataset} are longer."
+            raise AdapterError(f"--max-frames {request.max_frames}: {why}")
         selections.append(selection)
         left_out.append(len(chosen) - len(selection))
     same = ("condition", "seed", "samples", "split", "limit", "max_frames", "native_fps")

@@ -18,8 +18,7 @@ from jaxtyping import Int
 from prbench.errors import TableError, UsageError
 from prbench.files.storage import text_digest
 from prbench.harness.methods.motions import native_frames
-from prbench.sequences.sequence import SequenceChunk
-from prbench.sequences.table import SPLITS, SequenceTable, by_share, find_sequence_id
+from prbench.sequences import SPLITS, SequenceChunk, SequenceTable, by_share, find_sequence_id
 
 # Sequences, in table order, among which batches of similar length are formed, and which are scored together: small
 # enough for memory, large enough that little is padded.
@@ -141,19 +140,15 @@ def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
     if not ids:
         splits = table.scalars(columns=["split"])["split"].to_pylist()
         counts = ", ".join(f"{name} {splits.count(name)}" for name in SPLITS)
-        raise TableError(
-            f"{table.folder}: expected sequences in split '{split}', found none ({counts})."
-            " Build more recordings, or choose another split with --split."
-        )
+        remedy = "Build more recordings, or choose another split with --split."
+        raise TableError(f"{table.folder}: expected sequences in split '{split}', found none ({counts}). {remedy}")
     # Sorted ids make batches, and so the bytes of a run, independent of how the table was built.
     if any(first >= second for first, second in itertools.pairwise(ids)):
         raise TableError(f"{table.folder}: expected rows sorted by a unique sequence_id. Build the dataset again.")
     n_frames = np.concatenate(lengths)
     if (n_frames < _FEWEST_FRAMES).any():
-        raise TableError(
-            f"{table.folder}, {ids[int(n_frames.argmin())]}: expected {_FEWEST_FRAMES} frames or more, found"
-            f" {n_frames.min()}. Build the dataset again."
-        )
+        found = f"expected {_FEWEST_FRAMES} frames or more, found {n_frames.min()}"
+        raise TableError(f"{table.folder}, {ids[int(n_frames.argmin())]}: {found}. Build the dataset again.")
     if len(rates) > 1:
         raise TableError(f"{table.folder}: expected one frame rate, found {sorted(rates)}. Build the dataset again.")
     everything = Selection(table, split, tuple(ids), n_frames, tuple(recordings), rates.pop())

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -29,9 +30,7 @@ from prbench.harness.methods.motions import generate_checked
 from prbench.harness.methods.remote import MOTIONS
 from prbench.harness.planning import Selection, open_tables, plan_batches, select, select_sequences, supported
 from prbench.harness.request import RunRequest
-from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
-from prbench.harness.run_folder.predictions import PredictionRows, Predictions
-from prbench.harness.run_folder.record import CONTROL, MethodRecord
+from prbench.harness.run_folder import CONTROL, DatasetFolder, MethodRecord, PredictionRows, Predictions, RunFolder
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.scoring import ScoringRules, score_selection
 from prbench.metrics import METRICS
@@ -89,30 +88,25 @@ def _rows(motions: Motions) -> PredictionRows:
     return PredictionRows.from_padded(motions.joints, motions.n_frames, gaze=rays)
 
 
+@dataclass(eq=False)
 class MotionWork(CaseWork):
     """See :class:`prbench.harness.benchmark.CaseWork`."""
 
-    def __init__(
-        self,
-        request: RunRequest,
-        selection: Selection,
-        *,
-        method: MethodRecord,
-        condition: Condition,
-        protocol: BenchmarkProtocol,
-    ) -> None:
-        self._request = request
-        self._selection = selection
-        self._method = method
-        self._condition = condition
-        self._protocol = protocol
-        self._source: ConditionSource | ConditionStream = ConditionStream(selection)
+    request: RunRequest
+    selection: Selection
+    method: MethodRecord
+    condition: Condition
+    protocol: BenchmarkProtocol
+
+    def __post_init__(self) -> None:
+        request = self.request
+        self._source: ConditionSource | ConditionStream = ConditionStream(self.selection)
         self._scored_goals: Float[np.ndarray, "n 3"] | None = None
         # These put conditions of sequences together that lie anywhere in the table.
         if request.control == controls.SHUFFLED_GOAL or request.method == controls.NEAREST_NEIGHBOUR:
-            whole = ConditionSource.read(selection)
+            whole = ConditionSource.read(self.selection)
             if request.control == controls.SHUFFLED_GOAL:
-                whole = whole.with_goals_of(derangement(selection, seed=request.seed))
+                whole = whole.with_goals_of(derangement(self.selection, seed=request.seed))
                 if request.method in controls.RECORDED_MOTION:
                     self._scored_goals = whole.goal_location
             self._source = whole
@@ -120,31 +114,27 @@ class MotionWork(CaseWork):
     @property
     def holds_recordings(self) -> bool:
         """See :attr:`CaseWork.holds_recordings`."""
-        return self._request.method in controls.HOLDS_RECORDINGS
-
-    @property
-    def plan(self) -> list[Int[np.ndarray, "_"]]:
-        """See :attr:`CaseWork.plan`; batches are of similar length."""
-        return self._batches
+        return self.request.method in controls.HOLDS_RECORDINGS
 
     @cached_property
-    def _batches(self) -> list[Int[np.ndarray, "_"]]:
-        return plan_batches(self._selection.n_frames, self._request.batch_size)
+    def plan(self) -> list[Int[np.ndarray, "_"]]:
+        """See :attr:`CaseWork.plan`; batches are of similar length."""
+        return plan_batches(self.selection.n_frames, self.request.batch_size)
 
     def questions(self, wanted: frozenset[int]) -> Iterator[tuple[int, MotionQuestion]]:
         """See :meth:`CaseWork.questions`."""
-        request = self._request
-        salt = run_salt(request.seed, self._selection.table.identity)
+        request = self.request
+        salt = run_salt(request.seed, self.selection.table.identity)
         given = None
         if request.is_control:
-            given = controls.control_motions(request.method, self._selection, self._source, self.plan)
+            given = controls.control_motions(request.method, self.selection, self._source, self.plan)
         for index, rows in enumerate(self.plan):
             # Controls come in order: those of finished batches are made and passed over.
             motions = next(given) if given is not None else None
             if index not in wanted:
                 continue
             source, places = self._source.around(rows)
-            first = source.batch(places, self._condition, seed=request.seed, salt=salt, sample=0)
+            first = source.batch(places, self.condition, seed=request.seed, salt=salt, sample=0)
             samples = range(1, request.samples)
             others = (source.redrawn(first, places, seed=request.seed, sample=sample) for sample in samples)
             yield index, MotionQuestion((first, *others), motions)
@@ -152,30 +142,30 @@ class MotionWork(CaseWork):
     def scores(self, files: DatasetFolder, engine: Engine) -> Iterator[pa.Table]:
         """See :meth:`CaseWork.scores`."""
         rules = ScoringRules(
-            self._protocol.metrics,
-            recorded_motion=self._request.method in controls.RECORDED_MOTION,
+            self.protocol.metrics,
+            recorded_motion=self.request.method in controls.RECORDED_MOTION,
             other_goals=self._scored_goals,
             # Controls know the first pose under any condition; the nearest motion begins with a pose of its own.
-            pose_given="initial_joints" in GIVEN[Condition(self._condition)]
-            or (self._method.kind == CONTROL and self._method.name != NEAREST_NEIGHBOUR),
-            run_of=self._method.name,
+            pose_given="initial_joints" in GIVEN[Condition(self.condition)]
+            or (self.method.kind == CONTROL and self.method.name != NEAREST_NEIGHBOUR),
+            run_of=self.method.name,
         )
-        samples = range(self._request.samples)
-        yield from score_selection(self._selection, files.predictions, samples=samples, rules=rules, engine=engine)
+        samples = range(self.request.samples)
+        yield from score_selection(self.selection, files.predictions, samples=samples, rules=rules, engine=engine)
 
     def findings(self, files: DatasetFolder) -> tuple[Diagnosis, ...]:
         """Examine the motions of a method; those of controls are the harness's own."""
-        if self._method.kind == CONTROL:
+        if self.method.kind == CONTROL:
             return ()
-        return certain_faults(self._selection, Predictions.open(files.predictions), condition=self._condition.value)
+        return certain_faults(self.selection, Predictions.open(files.predictions), condition=self.condition.value)
 
     def write_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
         """Write the agreement with recorded people."""
-        agreement_with_people(self._selection, scores, protocol=self._protocol).write(files.path)
+        agreement_with_people(self.selection, scores, protocol=self.protocol).write(files.path)
 
     def require_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
         """Compare the agreement with what follows from the scores."""
-        require_agreement(files, agreement_with_people(self._selection, scores, protocol=self._protocol))
+        require_agreement(files, agreement_with_people(self.selection, scores, protocol=self.protocol))
 
 
 class PrimeAndReach(Benchmark[SequenceTable, Selection]):
@@ -226,10 +216,8 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
         del request
         selection = supported(cases, max_frames=method.max_frames, native_fps=method.native_fps)
         if not len(selection):
-            raise AdapterError(
-                f"adapter '{method.name}' generates at most {method.max_frames} frames; all {len(cases)} chosen"
-                f" sequences of {cases.table.info.dataset} are longer."
-            )
+            why = f"all {len(cases)} chosen sequences of {cases.table.info.dataset} are longer."
+            raise AdapterError(f"adapter '{method.name}' generates at most {method.max_frames} frames; {why}")
         return selection
 
     def fitted(self, spec: MethodSpec, table: SequenceTable, condition: StrEnum) -> MethodSpec:
@@ -241,13 +229,7 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
         return spec
 
     def work(
-        self,
-        request: RunRequest,
-        cases: Selection,
-        *,
-        method: MethodRecord,
-        condition: StrEnum,
-        rules: BenchmarkProtocol,
+        self, request: RunRequest, cases: Selection, *, method: MethodRecord, condition: StrEnum, rules: Any
     ) -> MotionWork:
         """See :meth:`Benchmark.work`."""
         return MotionWork(request, cases, method=method, condition=Condition(condition), protocol=rules)

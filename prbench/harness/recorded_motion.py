@@ -201,8 +201,7 @@ def _is_copy(motion: np.ndarray, original: np.ndarray, part: _Part, noise: float
             return True
     floor = left / window
     # A quick look at a few postures spares nearly all motions the close one.
-    some = motion[:: max(1, len(motion) // 8)]
-    if _distance(some, original) ** 2 > (2 * part.farthest) ** 2 + floor:
+    if _distance(motion[:: max(1, len(motion) // 8)], original) ** 2 > (2 * part.farthest) ** 2 + floor:
         return False
     own_way = max(_distance(motion, motion[[0, -1]]) ** 2 - floor, 0.0)
     departure = min(_distance(original, original[[0, -1]]), np.sqrt(own_way))
@@ -224,5 +223,4 @@ def _distance(poses: np.ndarray, path: np.ndarray) -> float:
     share = np.clip(along / lengths, 0.0, 1.0)  # where on each step of the path a pose is nearest
     squared = (points**2).sum(axis=1)[:, None] - 2 * points @ starts.T + (starts**2).sum(axis=1)
     squared = squared - 2 * share * along + share**2 * lengths
-    nearest = np.maximum(squared.min(axis=1), 0.0)
-    return float(np.sqrt(nearest / poses.shape[1]).mean())
+    return float(np.sqrt(np.maximum(squared.min(axis=1), 0.0) / poses.shape[1]).mean())

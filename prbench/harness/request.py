@@ -115,11 +115,8 @@ class RunRequest:
             raise UsageError(f"--split {self.split}: --fold says already who is tested on; leave --split out.")
         if self.sequences and self.limit is not None:
             raise UsageError("--sequence names the sequences already; leave --limit out.")
-        require_settings(
-            {"--samples": self.samples, "--batch-size": self.batch_size, "--threads": self.threads},
-            seed=self.seed,
-            control=self.control,
-        )
+        counts = {"--samples": self.samples, "--batch-size": self.batch_size, "--threads": self.threads}
+        require_settings(counts, seed=self.seed, control=self.control)
         if self.is_control and (self.weights is not None or self.options):
             raise UsageError(f"--method {self.method} takes neither --weights nor --option.")
         if self.is_control and (self.isolate or self.timeout is not None):
@@ -275,10 +272,8 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
                     parts.append(f"seed{request.seed}")
                 name = "-".join(str(part) for part in parts if part).replace(" ", "_")
                 if name in taken:
-                    raise UsageError(
-                        f"two runs of the experiment are called '{name}': run methods that differ only in weights or"
-                        " options from files of their own."
-                    )
+                    remedy = "run methods that differ only in weights or options from files of their own."
+                    raise UsageError(f"two runs of the experiment are called '{name}': {remedy}")
                 taken.add(name)
                 request = replace(request, out=Path(self.out or DEFAULT_PARENT) / name)
             yield request

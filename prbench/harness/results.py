@@ -27,13 +27,11 @@ from prbench.harness import claims
 from prbench.harness.benchmark import CaseTable, CaseWork, load_benchmark
 from prbench.harness.intervals import CONFIDENCE, clustered, metric_interval
 from prbench.harness.request import RunRequest
+from prbench.harness.run_folder import DatasetFolder, DatasetSummary, MetricSummary, RunFolder, RunRecord, TableRecord
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder import summary as run_summary
-from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.predictions import Predictions
-from prbench.harness.run_folder.record import RunRecord, TableRecord
 from prbench.harness.run_folder.scores import PIECE, SCORES, CodedScores
-from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
 from prbench.metrics import MetricInfo
 from prbench.metrics.registry import LENGTH_MISMATCH
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
@@ -86,10 +84,9 @@ def cases_of_run(
     for key, found in digests.items():
         expected = getattr(recorded, key)
         if expected != found:
-            raise RunError(
-                f"{run.path / run_record.FILE_NAME}, tables.{recorded.dataset}.{key}: the run is of table"
-                f" {expected[:12]}…, but {table.folder} is {found[:12]}…. Score it on the table that it was run on."
-            )
+            why = f"the run is of table {expected[:12]}…, but {table.folder} is {found[:12]}…."
+            remedy = "Score it on the table that it was run on."
+            raise RunError(f"{run.path / run_record.FILE_NAME}, tables.{recorded.dataset}.{key}: {why} {remedy}")
     benchmark = load_benchmark(record.benchmark)
     changes: dict[str, Any] = {} if limit is None else {"limit": limit, "sequences": ()}
     if record.sequences and limit is None:
@@ -130,10 +127,8 @@ def require_summary(files: DatasetFolder, made: DatasetSummary, *, grouped: bool
     for key, expected, found in differences(tree_of(made), tree_of(DatasetSummary.read(files.path))):
         if not grouped and _OF_RECORDINGS.intersection(key.partition("[")[0].split(".")):
             continue
-        raise RunError(
-            f"{files.path / run_summary.FILE_NAME}, {key}: expected {expected}, which follows from"
-            f" {files.scores.name}, found {found}. One of the two was edited. {_AGAIN}"
-        )
+        why = f"which follows from {files.scores.name}, found {found}. One of the two was edited. {_AGAIN}"
+        raise RunError(f"{files.path / run_summary.FILE_NAME}, {key}: expected {expected}, {why}")
 
 
 class MetricDrift(msgspec.Struct, frozen=True, kw_only=True):
@@ -206,10 +201,9 @@ def require_scores(
             continue
         rows = itertools.zip_longest(one.to_pylist(), other.to_pylist())
         row = number * PIECE + next(place for place, (first, second) in enumerate(rows) if first != second)
-        raise RunError(
-            f"{files.scores}, row {row}: expected {_row(made, row)} from the motions and their table, found"
-            f" {_row(stored, row)} ({len(made)} and {len(stored)} rows). The file was edited. {_AGAIN}"
-        )
+        problem = f"expected {_row(made, row)} from the motions and their table, found {_row(stored, row)}"
+        why = f"({len(made)} and {len(stored)} rows). The file was edited. {_AGAIN}"
+        raise RunError(f"{files.scores}, row {row}: {problem} {why}")
     if drifting is not None:
         _require_little_drift(files, metric_drifts(stored, made, drifting))
         return
@@ -453,9 +447,8 @@ class RunChecker:
             request, chosen, cases = cases_of_run(run, table, same_values=exact)
             unknown = sorted(set(names) - set(cases.sequence_ids))
             if unknown:
-                raise RunError(
-                    f"{files.scores}: expected sequences that the run was made on, found {quoted(unknown[0])}."
-                )
+                problem = f"expected sequences that the run was made on, found {quoted(unknown[0])}."
+                raise RunError(f"{files.scores}: {problem}")
             work = work_of_run(run, request, cases, rules)
             if has_motions:
                 require_motions(files, cases.sequence_ids, run.record.samples)

@@ -32,11 +32,10 @@ from prbench.harness.methods.programs import runs_in_container
 from prbench.harness.preparation import PreparedDataset, PreparedRun, prepare_run
 from prbench.harness.request import DEFAULT_PARENT, Progress, ProgressCallback, RunRequest, reported, silent
 from prbench.harness.results import require_scores, require_summary, summary_of
-from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
+from prbench.harness.run_folder import DatasetFolder, DatasetSummary, RunFolder
 from prbench.harness.run_folder.predictions import write_part
 from prbench.harness.run_folder.record import PACKAGE, RunCost, total_cost
 from prbench.harness.run_folder.scores import CodedScores, write_scores
-from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.sequences.dataset_info import run_notice
 
 

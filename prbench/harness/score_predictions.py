@@ -22,13 +22,11 @@ from prbench.harness.planning import Selection, open_tables, select, supported
 from prbench.harness.preparation import table_record
 from prbench.harness.request import ProgressCallback, reported, silent
 from prbench.harness.results import cases_of_run, differences, require_scores, summary_of, tree_of, work_of_run
+from prbench.harness.run_folder import DatasetFolder, DatasetSummary, Predictions, RunFolder
 from prbench.harness.run_folder import record as run_record
-from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
-from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.record import FILE, MethodRecord, RunCost, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION, CodedScores
 from prbench.harness.run_folder.summary import FILE_NAME as SUMMARY_FILE
-from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.harness.score_request import ScoreReport, ScoreRequest, require_complete, settled_by_conditions
 from prbench.harness.scoring import ScoringRules, score_selection
 from prbench.protocol.manifests import BenchmarkProtocol
@@ -43,11 +41,7 @@ _STATED_BY_THE_RUN = ("conditions", "condition", "control", "seed", "split", "ma
 
 
 def score_predictions(
-    request: ScoreRequest,
-    *,
-    given: InMemory = None,
-    engine: Engine | None = None,
-    progress: ProgressCallback = silent,
+    request: ScoreRequest, *, given: InMemory = None, engine: Engine | None = None, progress: ProgressCallback = silent
 ) -> tuple[ScoreReport, ...]:
     """Score predictions against tables.
 
@@ -81,9 +75,8 @@ def score_predictions(
             if path == base or any(path in (part.path, part.predictions) for part in parts):
                 run = there
     if run is not None and run.record.method.kind == run_record.FILE:
-        raise RunError(
-            f"{run.path}: holds the scores of {run.record.method.package}, not its motions. Score that file again."
-        )
+        remedy = "Score that file again."
+        raise RunError(f"{run.path}: holds the scores of {run.record.method.package}, not its motions. {remedy}")
     with nullcontext() if request.out is None else sole_writer(request.out):
         if run is not None:
             protocol, reports = _score_run(run, tables, request, engine, progress)
@@ -115,8 +108,7 @@ def _score_run(
         work = work_of_run(run, asked, selection, protocol)
         scores = CodedScores.of(reported(work.scores(files, engine), table.info.dataset, len(selection), progress))
         table_entry = table_record(chosen, selection)
-        findings = work.findings(files)
-        report = _report(record, table_entry, selection, scores, findings, protocol)
+        report = _report(record, table_entry, selection, scores, work.findings(files), protocol)
         reports.append(replace(report, changed=_changed(files, report)) if request.limit is None else report)
     return protocol, reports
 
@@ -158,10 +150,8 @@ def _score_file(
     selections = [supported(each, max_frames=request.max_frames, native_fps=request.native_fps) for each in chosen]
     for each, selection in zip(chosen, selections, strict=True):
         if not len(selection):
-            raise UsageError(
-                f"--max-frames {request.max_frames}: all {len(each)} chosen sequences of {each.table.info.dataset} are"
-                " longer."
-            )
+            why = f"all {len(each)} chosen sequences of {each.table.info.dataset} are longer."
+            raise UsageError(f"--max-frames {request.max_frames}: {why}")
     predictions = Predictions.open(path) if given is None else given[0]
     found = require_complete(predictions, request, selections, seed=seed, samples=samples)
     digest = ""  # takes long, and nobody asks for it where nothing is written

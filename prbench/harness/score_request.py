@@ -19,11 +19,8 @@ from prbench.harness.methods.installed import SHUFFLED_GOAL, name_problem
 from prbench.harness.offline import GOALS, ConditionsFile, ExportRequest, conditions_of, fingerprints, given_columns
 from prbench.harness.planning import Selection, select
 from prbench.harness.request import require_settings
+from prbench.harness.run_folder import CodedScores, DatasetAgreement, DatasetSummary, Predictions, run_folder_of
 from prbench.harness.run_folder import record as run_record
-from prbench.harness.run_folder.folder import run_folder_of
-from prbench.harness.run_folder.predictions import Predictions
-from prbench.harness.run_folder.scores import CodedScores
-from prbench.harness.run_folder.summary import DatasetAgreement, DatasetSummary
 from prbench.sequences import SequenceTable
 from prbench.shown import listed
 
@@ -127,9 +124,8 @@ def settled_by_conditions(
             raise UsageError(f"{flag} {asked}: {path} was exported with {shown}. Leave {flag} out.")
     samples = int(conditions.sample.max(initial=-1)) + 1
     if info.samples != samples:
-        raise PredictionsError(
-            f"{path}: expected rows of {info.samples} samples, found {samples}. It was changed; export it again."
-        )
+        remedy = "It was changed; export it again."
+        raise PredictionsError(f"{path}: expected rows of {info.samples} samples, found {samples}. {remedy}")
     listed = ", ".join(str(table.folder) for table in tables)
     # Fingerprints instead of names: the file must not tell a method which data it is asked about.
     if info.tables != fingerprints(table.identity for table in tables):

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,8 +20,7 @@ from prbench.harness.conditions import SCENE_COLUMNS, boxes_around, opaque_ids, 
 from prbench.harness.methods import motions
 from prbench.harness.planning import WINDOW, Selection
 from prbench.harness.recorded_motion import is_recorded_motion, length_problem
-from prbench.harness.run_folder.predictions import PredictionRows, Predictions
-from prbench.harness.run_folder.scores import SCORES
+from prbench.harness.run_folder import SCORES, PredictionRows, Predictions
 from prbench.harness.run_folder.summary import RECORDED_MOTION
 from prbench.limits import FARTHEST_COORDINATE
 from prbench.metrics import (
@@ -220,15 +220,8 @@ def _score_together(part: _Part) -> pa.Table:
             direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
             rays = GazeRays(rows.gaze[:, 0].astype(np.float64), direction, np.ones(len(direction), dtype=bool))
             shown = replace(targets, gaze=rays)
-        scored = score(
-            predicted,
-            recorded,
-            shown,
-            rules.constants,
-            metrics=metrics,
-            allow_length_mismatch=rules.allow_length_mismatch,
-        )
-        values = list(scored.values())
+        about: dict[str, Any] = {"metrics": metrics, "allow_length_mismatch": rules.allow_length_mismatch}
+        values = list(score(predicted, recorded, shown, rules.constants, **about).values())
         if not rules.recorded_motion:
             # Motions that are the recorded ones are marked in the metrics that carry the remark.
             copies = is_recorded_motion(predicted, recorded)
@@ -258,11 +251,8 @@ def _score_together(part: _Part) -> pa.Table:
 
 def recorded_gaze(chunk: SequenceChunk) -> GazeRays:
     """Return the recorded gaze of the sequences of a chunk."""
-    return GazeRays(
-        chunk.frames("gaze_origin").astype(np.float64),
-        chunk.frames("gaze_direction").astype(np.float64),
-        chunk.frames("gaze_valid"),
-    )
+    origin, direction = (chunk.frames(name).astype(np.float64) for name in ("gaze_origin", "gaze_direction"))
+    return GazeRays(origin, direction, chunk.frames("gaze_valid"))
 
 
 def targets_of(

@@ -255,8 +255,7 @@ def body_joints(start: ScriptedStart, n_frames: Int[np.ndarray, " batch"], fps: 
     joints = joints + gone[..., None, None] * way[:, None, None]
     if body.step or body.ankle or body.toe or body.crouch:
         joints[..., 1] -= (crouch[:, None] * gone)[..., None]
-        feet = _feet(initial, (1.0 - body.twist) * yaw, way, turned, gone, body)
-        _stand(joints, feet, initial, risen, body)
+        _stand(joints, _feet(initial, (1.0 - body.twist) * yaw, way, turned, gone, body), initial, risen, body)
     if body.reach:
         joints = reaching(joints, goal, body.reach * gone, stretch=body.stretch)
     joints[..., 1] += body.rise * risen
@@ -353,8 +352,7 @@ def reaching(body: np.ndarray, goal: np.ndarray, progress: np.ndarray, *, stretc
     The arm is the one whose wrist is nearer in the first frame; once the body faces the goal, both are about as near.
     The hand's way is a straight line as seen from the body, so that the arm never lags behind while the body glides.
     """
-    distances = [np.linalg.norm(body[:, 0, wrist] - goal, axis=1) for _, _, wrist in _ARMS]
-    nearer = np.argmin(distances, axis=0)
+    nearer = np.argmin([np.linalg.norm(body[:, 0, wrist] - goal, axis=1) for _, _, wrist in _ARMS], axis=0)
     moved = body.copy()
     for side, (shoulder, elbow, wrist) in enumerate(_ARMS):
         rows = np.flatnonzero(nearer == side)

@@ -19,8 +19,7 @@ from prbench.harness.preparation import PreparedRun, prepare_run
 from prbench.harness.request import ProgressCallback, RunRequest, silent
 from prbench.harness.results import request_of
 from prbench.harness.run import RunPart, RunReport, generate_all, prepared_folder, scored_parts, tidied
-from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
-from prbench.harness.run_folder.record import RunRecord
+from prbench.harness.run_folder import DatasetFolder, RunFolder, RunRecord
 from prbench.object_stores.inputs import fetched
 from prbench.object_stores.store import is_url
 from prbench.protocol.own_protocol import write_protocol
@@ -145,10 +144,9 @@ def merge_run_shards(
         folder, shard = found[name]
         part = RunFolder(folder, prepared.record).dataset(dataset).part(index)
         if not part.is_file():
-            raise ShardError(
-                f"{folder}: shard {shard.shard} is not finished: expected {part.name} of {dataset}, found no file."
-                f" Run its command (--shard {shard.shard}) again."
-            )
+            problem = f"expected {part.name} of {dataset}, found no file."
+            advice = f"Run its command (--shard {shard.shard}) again."
+            raise ShardError(f"{folder}: shard {shard.shard} is not finished: {problem} {advice}")
     with sole_writer(prepared.out):
         merged = prepared_folder(prepared)
         parts = [

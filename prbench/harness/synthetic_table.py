@@ -12,7 +12,7 @@ import numpy as np
 
 from prbench.curation import BuildOptions, BuildReport, build_from_sources
 from prbench.curation.options import NO_OPTIONS
-from prbench.engine import Engine, InProcess
+from prbench.engine import IN_PROCESS, Engine
 from prbench.errors import UsageError
 from prbench.files.storage import text_digest
 from prbench.readers import SYNTHETIC_PREFIX
@@ -28,7 +28,6 @@ Progress = Callable[[int, int, str], None]
 World = Literal["default", "large"]
 # Recordings a preset of size ``large`` (docs/specification/synthetic-recordings.md#determinism-splits-sizes).
 LARGE_RECORDINGS = 480
-_IN_PROCESS = InProcess()
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ def build_synthetic_table(
     seed: int,
     out: Path,
     *,
-    engine: Engine = _IN_PROCESS,
+    engine: Engine = IN_PROCESS,
     world: World = "default",
     n_events: int = 10,
     noise: float = 1.0,

@@ -12,6 +12,8 @@ from jaxtyping import Bool, Float, Int
 from prbench.geometry.shapes import Boxes
 from prbench.geometry.skeleton import N_JOINTS, WRISTS
 
+Points = Float[np.ndarray, "n 3"]
+
 
 @dataclass(frozen=True, eq=False)
 class MotionBatch:
@@ -32,9 +34,8 @@ class MotionBatch:
         if self.values.shape[1:] != (N_JOINTS, 3):
             raise ValueError(f"expected joints of shape (frames, {N_JOINTS}, 3), found {self.values.shape}")
         if self.offsets[0] != 0 or self.offsets[-1] != len(self.values):
-            raise ValueError(
-                f"offsets must run from 0 to {len(self.values)}, found {self.offsets[0]} to {self.offsets[-1]}"
-            )
+            found = f"found {self.offsets[0]} to {self.offsets[-1]}"
+            raise ValueError(f"offsets must run from 0 to {len(self.values)}, {found}")
         empty = np.flatnonzero(np.diff(self.offsets) < 1)
         if empty.size:
             raise ValueError(f"sequence {empty[0]} has no frames")
@@ -90,8 +91,7 @@ class MotionBatch:
     def part(self, start: int, stop: int) -> MotionBatch:
         """Sequences ``start`` to ``stop - 1``, without copying."""
         begin = self.offsets[start]
-        end = self.offsets[stop]
-        return MotionBatch(self.values[begin:end], self.offsets[start : stop + 1] - begin)
+        return MotionBatch(self.values[begin : self.offsets[stop]], self.offsets[start : stop + 1] - begin)
 
     def shortened(self, n_frames: Int[np.ndarray, " n"]) -> MotionBatch:
         """Return the first ``n_frames[i]`` frames of each sequence."""
@@ -215,7 +215,7 @@ class ScoringTargets:
         ValueError: if goal, prime time, head tilt or frame rate is not finite, or a hand is none of 0, 1 and -1.
     """
 
-    goal_location: Float[np.ndarray, "n 3"]
+    goal_location: Points
     prime_time: Float[np.ndarray, " n"]
     hand: Int[np.ndarray, " n"]
     head_tilt_deg: Float[np.ndarray, " n"]
@@ -277,11 +277,8 @@ class ScoringPair:
         return ScoringPair(self.predicted.part(start, stop), self.recorded.part(start, stop), part)
 
 
-def final_reaching_wrist(
-    recorded: MotionBatch, goal_location: Float[np.ndarray, "n 3"], hand: Int[np.ndarray, " n"]
-) -> Float[np.ndarray, "n 3"]:
+def final_reaching_wrist(recorded: MotionBatch, goal_location: Points, hand: Int[np.ndarray, " n"]) -> Points:
     """Return recorded wrist of the reaching hand at the last frame; if unknown, the wrist nearer to the goal there."""
     wrists = recorded.values[recorded.last][:, WRISTS].astype(np.float64)  # (n, 2, 3)
     distance = np.linalg.norm(wrists - goal_location[:, None], axis=-1)
-    side = np.where(hand == UNKNOWN_HAND, distance.argmin(axis=1), hand)
-    return wrists[np.arange(len(wrists)), side]
+    return wrists[np.arange(len(wrists)), np.where(hand == UNKNOWN_HAND, distance.argmin(axis=1), hand)]

@@ -41,8 +41,7 @@ def foot_skating(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> F
         fps: Frames per second.
         constants: Thresholds of the protocol; ``foot_window`` is 5 frames at 20 fps and another odd number elsewhere.
     """
-    steps = toe_steps(motion, fps, constants)
-    return _share_of_transitions(_sliding(steps, constants), motion)
+    return _share_of_transitions(_sliding(toe_steps(motion, fps, constants), constants), motion)
 
 
 def contact_share(motion: MotionBatch, constants: MetricConstants) -> Float[np.ndarray, " n"]:
@@ -101,8 +100,7 @@ def _sliding(steps: ToeSteps, constants: MetricConstants) -> np.ndarray:
 
 def _share_of_transitions(of_toes: np.ndarray, motion: MotionBatch) -> np.ndarray:
     motion.require_frames(2)
-    either = (of_toes[0] | of_toes[1]).astype(np.int64)
-    return np.add.reduceat(either, motion.first) / (motion.n_frames - 1)
+    return np.add.reduceat((of_toes[0] | of_toes[1]).astype(np.int64), motion.first) / (motion.n_frames - 1)
 
 
 def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, MetricValues]:

@@ -11,6 +11,8 @@ from prbench.geometry.skeleton import TOES, Joint
 from prbench.metrics.batch import MotionBatch, ScoringPair, moving_sum, odd_window
 from prbench.protocol.manifests import MetricConstants
 
+Feet = Bool[np.ndarray, "2 frames"]
+
 # Ankle and toe of the left foot, then of the right one.
 _FEET = (Joint.LEFT_ANKLE, TOES[0], Joint.RIGHT_ANKLE, TOES[1])
 _HIGHEST_ANKLE = 0.10  # metres above the sole of a flat foot; measured people have at most 0.09 (Gordon et al. 2014)
@@ -159,9 +161,7 @@ def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, 
     }
 
 
-def _shortest_swing(
-    motion: MotionBatch, lifted: Bool[np.ndarray, "2 frames"], landed: Bool[np.ndarray, "2 frames"]
-) -> Float[np.ndarray, " n"]:
+def _shortest_swing(motion: MotionBatch, lifted: Feet, landed: Feet) -> Float[np.ndarray, " n"]:
     """Fewest frames from where a foot is lifted to where it lands, for toes that go ``_SWING`` metres meanwhile."""
     shortest = np.full(motion.n_sequences, np.inf)
     for side, toe in enumerate(TOES):

@@ -21,8 +21,7 @@ def goal_mpjpe(predicted: MotionBatch, recorded: MotionBatch) -> Float[np.ndarra
     """
     # float64, because the mean of 22 float32 norms would depend on the order of the sum.
     predicted_goal = predicted.values[predicted.last].astype(np.float64)
-    recorded_goal = recorded.values[recorded.last].astype(np.float64)
-    return np.linalg.norm(predicted_goal - recorded_goal, axis=-1).mean(axis=-1)
+    return np.linalg.norm(predicted_goal - recorded.values[recorded.last].astype(np.float64), axis=-1).mean(axis=-1)
 
 
 def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:

@@ -18,11 +18,13 @@ from prbench.metrics.posture import posture_numbers
 from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
 from prbench.protocol.manifests import Limit, MetricConstants
 
+Numbers = Float[np.ndarray, " n"]
+
 _TRUNK = (Joint.PELVIS, Joint.SPINE3)
 _FEET = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, *TOES)
 
 
-def largest_speed(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
+def largest_speed(motion: MotionBatch, fps: Fps) -> Numbers:
     """Largest speed of a joint from one frame to the next, m/s (docs/specification/metrics.md#largest-speed).
 
     Args:
@@ -33,14 +35,12 @@ def largest_speed(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
     return _largest_difference(motion, 1) * np.asarray(fps)
 
 
-def largest_acceleration(
-    motion: MotionBatch, fps: Fps, joints: Sequence[int] = tuple(Joint)
-) -> Float[np.ndarray, " n"]:
+def largest_acceleration(motion: MotionBatch, fps: Fps, joints: Sequence[int] = tuple(Joint)) -> Numbers:
     """Largest norm of the second difference over frames and joints times fps², m/s²; 0 for fewer than three frames."""
     return _largest_difference(motion, 2, joints) * np.asarray(fps) ** 2
 
 
-def largest_jerk(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
+def largest_jerk(motion: MotionBatch, fps: Fps) -> Numbers:
     """Largest norm of the third difference over frames and joints times fps³, m/s³; 0 for fewer than four frames.
 
     Source: docs/specification/metrics.md#largest-jerk.
@@ -48,9 +48,7 @@ def largest_jerk(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
     return _largest_difference(motion, 3) * np.asarray(fps) ** 3
 
 
-def _largest_difference(
-    motion: MotionBatch, order: int, joints: Sequence[int] = tuple(Joint)
-) -> Float[np.ndarray, " n"]:
+def _largest_difference(motion: MotionBatch, order: int, joints: Sequence[int] = tuple(Joint)) -> Numbers:
     # The norm of the difference that starts at each row; 0 for the last rows of a sequence.
     norms = np.zeros((len(joints), len(motion.values)))
     difference = np.diff(motion.columns[list(joints)], n=order, axis=-1)
@@ -60,27 +58,25 @@ def _largest_difference(
     return np.maximum.reduceat(norms.max(axis=0), motion.first)
 
 
-def floating(motion: MotionBatch) -> Float[np.ndarray, " n"]:
+def floating(motion: MotionBatch) -> Numbers:
     """Greatest height of the lower foot: max over frames of the lowest ankle or toe, at least 0; metres.
 
     Args:
         motion: Canonical frame, metres.
     """
-    lowest_foot = motion.columns[list(_FEET), 1].min(axis=0)
-    return np.maximum(np.maximum.reduceat(lowest_foot, motion.first), 0.0)
+    return np.maximum(np.maximum.reduceat(motion.columns[list(_FEET), 1].min(axis=0), motion.first), 0.0)
 
 
-def penetration(motion: MotionBatch) -> Float[np.ndarray, " n"]:
+def penetration(motion: MotionBatch) -> Numbers:
     """Greatest depth of a joint below the floor in any frame, at least 0; metres.
 
     Args:
         motion: Canonical frame, metres.
     """
-    lowest_joint = motion.columns[:, 1].min(axis=0)
-    return np.maximum(-np.minimum.reduceat(lowest_joint, motion.first), 0.0)
+    return np.maximum(-np.minimum.reduceat(motion.columns[:, 1].min(axis=0), motion.first), 0.0)
 
 
-def lowest_pelvis(motion: MotionBatch) -> Float[np.ndarray, " n"]:
+def lowest_pelvis(motion: MotionBatch) -> Numbers:
     """Smallest height of the pelvis above the floor in any frame, metres.
 
     Args:
@@ -89,7 +85,7 @@ def lowest_pelvis(motion: MotionBatch) -> Float[np.ndarray, " n"]:
     return np.minimum.reduceat(motion.columns[Joint.PELVIS, 1], motion.first)
 
 
-def largest_trunk_tilt(motion: MotionBatch) -> Float[np.ndarray, " n"]:
+def largest_trunk_tilt(motion: MotionBatch) -> Numbers:
     """Largest angle between the line from pelvis to neck and the vertical in any frame, degrees.
 
     Args:
@@ -103,10 +99,10 @@ def largest_trunk_tilt(motion: MotionBatch) -> Float[np.ndarray, " n"]:
     return np.maximum.reduceat(tilt, motion.first)
 
 
-Measure = Callable[[ScoringPair, MetricConstants], Float[np.ndarray, " n"]]
+Measure = Callable[[ScoringPair, MetricConstants], Numbers]
 
 
-def _bone_change(pair: ScoringPair, poses: Float[np.ndarray, "n 22 3"] | None = None) -> Float[np.ndarray, " n"]:
+def _bone_change(pair: ScoringPair, poses: Float[np.ndarray, "n 22 3"] | None = None) -> Numbers:
     change, missing = bone_length_change(pair.predicted, poses)
     return np.where(missing, np.inf, change)
 
@@ -137,7 +133,7 @@ MEASURES: Mapping[str, Measure] = MappingProxyType(
 )
 
 
-def body_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, Float[np.ndarray, " n"]]:
+def body_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, Numbers]:
     """Measure what decides whether the predicted motions are plausible (docs/specification/metrics.md#plausible).
 
     Args:
@@ -152,7 +148,7 @@ def body_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, Flo
 
 
 def broken_limits(
-    numbers: Mapping[str, Float[np.ndarray, " n"]], limits: Mapping[str, Limit], tolerance: float
+    numbers: Mapping[str, Numbers], limits: Mapping[str, Limit], tolerance: float
 ) -> dict[str, Bool[np.ndarray, " n"]]:
     """Return which motions break which limit; a motion is plausible if it breaks none.
 
@@ -180,14 +176,8 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
         if judge == "plausible" and not pair.targets.pose_given:
             broken[OWN_FIRST_FRAME] = np.ones(len(kept), dtype=bool)
         judged.append(MetricValues(judge, kept, broken))
-    return (
-        *judged,
-        MetricValues("floating", numbers["floating"], {}),
-        MetricValues("penetration", numbers["penetration"], {}),
-        MetricValues("slow_slides", numbers["slow_slides"], {}),
-        MetricValues("largest_jerk", numbers["jerk"], {}),
-        MetricValues("largest_speed", numbers["speed"], {}),
-    )
+    names = ("floating", "penetration", "slow_slides", "largest_jerk", "largest_speed")
+    return (*judged, *(MetricValues(name, numbers[name.removeprefix("largest_")], {}) for name in names))
 
 
 _METRICS = (

@@ -12,12 +12,14 @@ from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frame
 from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
 from prbench.protocol.manifests import MetricConstants
 
+Numbers = Float[np.ndarray, " n"]
+
 Variant = Literal["equation", "arrival", "onset", "angle"]
 
 
 def prime_success(
     motion: MotionBatch, targets: ScoringTargets, constants: MetricConstants, *, variant: Variant = "equation"
-) -> Float[np.ndarray, " n"]:
+) -> Numbers:
     """1 where the head primes the goal (*Prime and Reach*, eq. 3; docs/specification/metrics.md#prime-success).
 
     There must be a frame t within ``prime_window`` of the recorded prime time such that the head-forward ray stays
@@ -42,9 +44,7 @@ def prime_success(
     return primed(track, candidates, constants, variant)
 
 
-def primed(
-    track: RayTrack, candidates: CandidateFrames, constants: MetricConstants, variant: Variant
-) -> Float[np.ndarray, " n"]:
+def primed(track: RayTrack, candidates: CandidateFrames, constants: MetricConstants, variant: Variant) -> Numbers:
     """Apply the conditions of :func:`prime_success` to the track of any ray.
 
     Args:
@@ -70,8 +70,7 @@ def primed(
         earliest = track.row_of_frame_0[sequence] + np.maximum(frame - candidates.before[sequence], 0)
         away_from = constants.prime_distance + constants.arrival_margin + constants.threshold_tolerance
         # Where the ray is not defined, nobody can say that it was elsewhere.
-        away = track.usable & (track.distance > away_from)
-        left = _last(away, candidates.hold + 1, track)
+        left = _last(track.usable & (track.distance > away_from), candidates.hold + 1, track)
         stayed = _last(on_target, candidates.hold + 1, track)
         chosen &= (left[row] >= earliest) & (stayed[np.maximum(left[row], 0)] < earliest)
     row = row[chosen]
@@ -124,16 +123,12 @@ def _evidence(
     motion.require_frames(2)
     fps = targets.fps_of_sequence
     candidates = candidate_frames(motion.n_frames, targets.prime_time, fps, constants)
-    track = head_track(motion, candidates, targets.goal_location, targets.head_tilt_deg, fps, constants)
-    return candidates, track
+    return candidates, head_track(motion, candidates, targets.goal_location, targets.head_tilt_deg, fps, constants)
 
 
 def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, ...]:
     candidates, track = _evidence(pair.predicted, pair.targets, constants)
-    flags = {
-        "no_candidate_frames": candidates.count == 0,
-        "degenerate_head_frames": untrusted(track, candidates),
-    }
+    flags = {"no_candidate_frames": candidates.count == 0, "degenerate_head_frames": untrusted(track, candidates)}
     return (
         MetricValues("prime_success", primed(track, candidates, constants, "equation"), flags),
         MetricValues("prime_success_arrival", primed(track, candidates, constants, "arrival"), flags),

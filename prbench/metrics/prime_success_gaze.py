@@ -43,10 +43,7 @@ def _evidence(
 
 def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, ...]:
     candidates, track = _evidence(pair.predicted, pair.targets, constants)
-    flags = {
-        "no_candidate_frames": candidates.count == 0,
-        INVALID: untrusted(track, candidates),
-    }
+    flags = {"no_candidate_frames": candidates.count == 0, INVALID: untrusted(track, candidates)}
     return (
         MetricValues("prime_success_gaze", primed(track, candidates, constants, "equation"), flags),
         MetricValues("prime_success_gaze_arrival", primed(track, candidates, constants, "arrival"), flags),

@@ -191,8 +191,7 @@ def _rows_looked_at(motion: MotionBatch, candidates: CandidateFrames) -> tuple[n
     begin = np.maximum(candidates.first - before, 0)
     count = np.where(candidates.count > 0, candidates.last + candidates.hold + 1 - begin, 0)
     rows = ranges(motion.first + begin, count)
-    sequence = np.repeat(np.arange(motion.n_sequences), count)
-    return rows, sequence, np.cumsum(count) - count - begin
+    return rows, np.repeat(np.arange(motion.n_sequences), count), np.cumsum(count) - count - begin
 
 
 def untrusted(track: RayTrack, candidates: CandidateFrames) -> Bool[np.ndarray, " n"]:

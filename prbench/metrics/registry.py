@@ -229,10 +229,8 @@ def _check(pair: ScoringPair, minimum: int, allow_length_mismatch: bool) -> None
     recorded = pair.recorded
     targets = pair.targets
     if not len(targets) == predicted.n_sequences == recorded.n_sequences:
-        raise ValueError(
-            f"expected as many predicted as recorded motions and targets, found {predicted.n_sequences},"
-            f" {recorded.n_sequences} and {len(targets)}"
-        )
+        found = f"found {predicted.n_sequences}, {recorded.n_sequences} and {len(targets)}"
+        raise ValueError(f"expected as many predicted as recorded motions and targets, {found}")
     if not allow_length_mismatch:
         require_equal_lengths(predicted, recorded)
     if targets.gaze is not None and len(targets.gaze.valid) != len(predicted.values):

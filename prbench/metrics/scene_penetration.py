@@ -15,10 +15,10 @@ from prbench.metrics.batch import MotionBatch, ScoringPair, ScoringTargets
 from prbench.metrics.registry import MetricFamily, MetricValues, detail
 from prbench.protocol.manifests import MetricConstants, load_scene_constants
 
+Numbers = Float[np.ndarray, " n"]
 
-def scene_penetration(
-    motion: MotionBatch, targets: ScoringTargets, *, depth: float
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+
+def scene_penetration(motion: MotionBatch, targets: ScoringTargets, *, depth: float) -> tuple[Numbers, Numbers]:
     """Share of the frames in which a joint lies deeper than ``depth`` in a box, and the largest depth of any joint.
 
     Args:
@@ -40,8 +40,7 @@ def scene_penetration(
         joints = motion.values[motion.offsets[row] : motion.offsets[row + 1]].astype(np.float64)
         boxes = targets.scene.part(row, row + 1)
         # A box in which the goal lies is open.
-        around = boxes.chosen(boxes.depth(targets.goal_location[row][None])[0] <= 0)
-        in_frame = deepest(joints, around)
+        in_frame = deepest(joints, boxes.chosen(boxes.depth(targets.goal_location[row][None])[0] <= 0))
         share[row] = (in_frame > depth).mean()
         largest[row] = in_frame.max()
     return share, largest

@@ -41,6 +41,8 @@ from prbench.representation.features import (
     Mode,
 )
 
+Poses = Float[np.ndarray, "batch 22 3"]
+
 _TALLEST_BODY = 20.0  # metres; larger ones are in millimetres or centimetres
 _STEEPEST_LEAN = 60.0  # degrees between ankle-to-head and +y
 _SHORTEST_BONE = 1e-6  # metres
@@ -213,8 +215,7 @@ def _headings(motion: np.ndarray, mode: Mode) -> tuple[np.ndarray, np.ndarray, n
     """
     if mode == "reference":
         # Headings through quaternions (w, y) of positive w and in single precision, to the rounding of the original.
-        forward = _forward(motion.astype(np.float32))
-        x, z = forward.T
+        x, z = _forward(motion.astype(np.float32)).T
         w = np.sqrt(x**2 + z**2) + z
         y = -x
         length = np.sqrt(w**2 + y**2)
@@ -234,8 +235,7 @@ def _forward(motion: np.ndarray) -> np.ndarray:
     from scipy.ndimage import correlate1d  # late: 0.3 s that a run and its workers do not need
 
     hips = motion[:, Joint.LEFT_HIP] - motion[:, Joint.RIGHT_HIP]
-    shoulders = motion[:, Joint.RIGHT_SHOULDER] - motion[:, Joint.LEFT_SHOULDER]
-    across = _unit(hips + shoulders)
+    across = _unit(hips + (motion[:, Joint.RIGHT_SHOULDER] - motion[:, Joint.LEFT_SHOULDER]))
     forward = np.stack([across[:, 2], -across[:, 0]], axis=1)
     forward = _unit(correlate1d(forward, HEADING_KERNEL, axis=0, mode="nearest"))
     forward[~forward.any(axis=1)] = 0.0, 1.0
@@ -372,9 +372,7 @@ class UniformSkeleton:
     offsets: Float[np.ndarray, "22 3"]
 
     @classmethod
-    def of(
-        cls, initial_joints: Float[np.ndarray, "batch 22 3"], offsets: Float[np.ndarray, "22 3"] = REST_OFFSETS
-    ) -> UniformSkeleton:
+    def of(cls, initial_joints: Poses, offsets: Float[np.ndarray, "22 3"] = REST_OFFSETS) -> UniformSkeleton:
         """Return the change of skeleton for bodies whose first frames are given.
 
         Raises:

@@ -173,8 +173,7 @@ class StatisticsAccumulator:
             return False
         rows = features.astype(np.float64)
         mean = rows.mean(axis=0)
-        squares = ((rows - mean) ** 2).sum(axis=0)
-        self._merge(len(rows), mean, squares)
+        self._merge(len(rows), mean, ((rows - mean) ** 2).sum(axis=0))
         return True
 
     def result(self) -> Statistics:
@@ -184,9 +183,8 @@ class StatisticsAccumulator:
             UsageError: if nothing was added.
         """
         if not self._count:
-            raise UsageError(
-                f"statistics: expected motions to take them from, found none ({self.skipped} left out for NaN)."
-            )
+            problem = f"expected motions to take them from, found none ({self.skipped} left out for NaN)."
+            raise UsageError(f"statistics: {problem}")
         each = np.sqrt(self._squares / self._count)
         std = np.empty(N_FEATURES)
         for block in BLOCKS.values():

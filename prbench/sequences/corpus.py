@@ -174,8 +174,7 @@ def check_corpus_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) 
 
 def corpus_batch(table: str, rows: Iterable[Clip | Annotation | CorpusRecord]) -> pa.RecordBatch:
     """Return Arrow rows of a corpus table (``clips``, ``annotations`` or ``recordings``), in the order given."""
-    counted = ANNOTATION_OUTCOMES if table == "recordings" else ()
-    return row_batch(rows, CORPUS_TABLES[table], counted=counted)
+    return row_batch(rows, CORPUS_TABLES[table], counted=ANNOTATION_OUTCOMES if table == "recordings" else ())
 
 
 class CorpusTable(BuiltTable[CorpusInfo]):
@@ -196,10 +195,9 @@ class CorpusTable(BuiltTable[CorpusInfo]):
         """
         table = super().open(folder)
         if table.n_rows == 0:
-            raise TableError(
-                f"{folder}: the corpus has no clips. `{table.folder / CORPUS_FILE}` holds the counts that say why;"
-                " the table 'annotations' tells it of every text."
-            )
+            why = f"the corpus has no clips. `{table.folder / CORPUS_FILE}` holds the counts that say why;"
+            reason = "the table 'annotations' tells it of every text."
+            raise TableError(f"{folder}: {why} {reason}")
         return table
 
     def _is_short(self, field: pa.Field) -> bool:

@@ -129,10 +129,8 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
         try:
             info = msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=cls)
         except (FileNotFoundError, NotADirectoryError) as error:
-            raise TableError(
-                f"{folder}: expected a built {cls.described} (a folder with {cls.file_name}), found {_found(folder)}."
-                f" {cls._remedy(folder)}"
-            ) from error
+            why = f"(a folder with {cls.file_name}), found {_found(folder)}. {cls._remedy(folder)}"
+            raise TableError(f"{folder}: expected a built {cls.described} {why}") from error
         except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
             raise TableError(f"{path}: not a valid {path.name}: {error}. Build the {cls.described} again.") from error
         if not is_path_part(info.dataset):  # folders are named after it, and nothing is made before this is known
@@ -296,11 +294,9 @@ def require_may_pass_on(
     """
     if not may_pass_on(terms, permitted, published=published):
         kept = "be passed on" if _known(terms.redistribution) == "none" else "be published for any purpose"
-        raise RedistributionError(
-            f"{terms.title} ({terms.dataset}): its licence does not let recorded motion and goal poses {kept},"
-            f" and {what} would hold them. If the licensor has given you permission, say so:"
-            f" --permission {terms.dataset}"
-        )
+        why = f"its licence does not let recorded motion and goal poses {kept}, and {what} would hold them."
+        remedy = f"If the licensor has given you permission, say so: --permission {terms.dataset}"
+        raise RedistributionError(f"{terms.title} ({terms.dataset}): {why} {remedy}")
 
 
 def notice(terms: _HasTerms, permitted: Collection[str] = ()) -> str:

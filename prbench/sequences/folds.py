@@ -96,10 +96,8 @@ def participant_folds(table: SequenceTable, folds: int) -> dict[str, int]:
     unit_of = participant_units(table)
     counts = Counter(unit_of[name] for name in table.scalars(columns=["participant_id"])["participant_id"].to_pylist())
     if len(counts) < folds:
-        raise TableError(
-            f"{table.folder}: expected at least {folds} participants who were recorded apart, found {len(counts)}."
-            f" Choose fewer folds: --fold 1/{max(len(counts), 2)}."
-        )
+        found = f"found {len(counts)}. Choose fewer folds: --fold 1/{max(len(counts), 2)}."
+        raise TableError(f"{table.folder}: expected at least {folds} participants who were recorded apart, {found}")
     load = [0] * folds
     fold_of: dict[str, int] = {}
     for unit in sorted(counts, key=lambda unit: (-counts[unit], unit)):

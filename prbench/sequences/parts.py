@@ -218,10 +218,8 @@ def shard_parts(shards: Iterable[tuple[Path, ShardRecord]]) -> list[tuple[Path, 
                 file = storage.inside(place, name)
                 there = storage.file_digest(file) if file.is_file() else "no file"
                 if there != digest:
-                    raise ShardError(
-                        f"{file}: expected the file that shard {record.shard} has written (SHA-256 {digest[:12]}…),"
-                        f" found {there[:12]}. Copy the shard again; or {again.lower()}"
-                    )
+                    why = f"(SHA-256 {digest[:12]}…), found {there[:12]}. Copy the shard again; or {again.lower()}"
+                    raise ShardError(f"{file}: expected the file that shard {record.shard} has written {why}")
             receipt = read_receipt(place)
             if receipt is None:
                 raise ShardError(f"{place}: expected a finished part, found one without receipt. Make its shard again.")

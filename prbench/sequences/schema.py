@@ -83,8 +83,7 @@ def check_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None
     Raises:
         TableError: naming the file, what was expected and what was found.
     """
-    metadata = schema.metadata or {}
-    version = metadata.get(b"prbench_schema_version", b"").decode() or "none"
+    version = (schema.metadata or {}).get(b"prbench_schema_version", b"").decode() or "none"
     if version not in ("3", str(SCHEMA_VERSION)):
         remedy = "Build the dataset again with `prbench build-dataset`, or update prbench."
         raise TableError(f"{source}: expected schema version 3 or {SCHEMA_VERSION}, found {version}. {remedy}")

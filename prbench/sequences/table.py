@@ -66,11 +66,9 @@ def require_unchanged(
         if found != info.file_digests.get(path):
             known = info.file_digests.get(path)
             described = "no such file" if known is None else f"SHA-256 {quoted(known[:12])}…"
-            raise TableError(
-                f"{folder / path}: expected the file that {info.file_name} describes ({described}), found"
-                f" another one ({found[:12]}…). It was changed after the build: copy the folder again, or build"
-                " it again."
-            )
+            why = f"({described}), found another one ({found[:12]}…)."
+            remedy = "It was changed after the build: copy the folder again, or build it again."
+            raise TableError(f"{folder / path}: expected the file that {info.file_name} describes {why} {remedy}")
     paths = table_schema.table_parts(folder, main)
     digest = table_schema.ContentDigest(columns.names)
     for path in paths:
@@ -83,11 +81,9 @@ def require_unchanged(
     told = (("content", digest.hexdigest(), info.content_digest), ("identity", ids, info.identity_digest))
     for kind, found, expected in told:
         if found != expected:
-            raise TableError(
-                f"{paths[0]}: the values are not the ones that {info.file_name} describes ({kind} digest"
-                f" {found[:12]}…, expected {quoted(expected[:12])}…). A file was changed after the build; build the"
-                f" {info.described} again."
-            )
+            why = f"({kind} digest {found[:12]}…, expected {quoted(expected[:12])}…)."
+            remedy = f"A file was changed after the build; build the {info.described} again."
+            raise TableError(f"{paths[0]}: the values are not the ones that {info.file_name} describes {why} {remedy}")
 
 
 def require_told(info: Provenance, folder: Path, key: str, found: object, expected: object) -> None:
@@ -104,10 +100,8 @@ def require_told(info: Provenance, folder: Path, key: str, found: object, expect
         TableError: if they differ.
     """
     if found != expected:
-        raise TableError(
-            f"{folder / info.file_name}, {key}: expected {expected}, as the table has it, found {found}. The file was"
-            f" changed after the build; build the {info.described} again."
-        )
+        problem = f"found {found}. The file was changed after the build; build the {info.described} again."
+        raise TableError(f"{folder / info.file_name}, {key}: expected {expected}, as the table has it, {problem}")
 
 
 @dataclass(frozen=True)
@@ -364,11 +358,9 @@ def find_sequence_id(wanted: str, known: SequenceOf[str], *, among: str, what: s
     if fitting:
         shown = "\n".join(f"  {name}" for name in fitting[:_SHOWN])
         more = f"\n  … and {len(fitting) - _SHOWN} more" if len(fitting) > _SHOWN else ""
-        raise UsageError(
-            f"'{quoted(wanted)}' fits {len(fitting)} {what}s of {among}; give a longer part of one:\n{shown}{more}"
-        )
-    near = difflib.get_close_matches(wanted, known, n=3, cutoff=0.0)
-    hint = "".join(f"\n  {name}" for name in near)
+        remedy = f"give a longer part of one:\n{shown}{more}"
+        raise UsageError(f"'{quoted(wanted)}' fits {len(fitting)} {what}s of {among}; {remedy}")
+    hint = "".join(f"\n  {name}" for name in difflib.get_close_matches(wanted, known, n=3, cutoff=0.0))
     hint = f" Near it:{hint}" if hint else ""
     raise UsageError(f"no {what} '{quoted(wanted)}' among the {len(known)} of {among}.{hint}")
 

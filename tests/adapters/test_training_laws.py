@@ -6,6 +6,7 @@ import dataclasses
 import json
 import re
 import signal
+from functools import partial
 from importlib import resources
 from pathlib import Path
 
@@ -22,15 +23,13 @@ from prbench.harness.methods.loading import load_adapter
 from prbench.protocol.manifests import load_protocol
 from prbench_adapters.dart.model import DartConfiguration, LatentDenoiser, PrimitiveVAE
 from prbench_adapters.dart.training import Objective as DartObjective
-from prbench_adapters.dart.training import read_model_table as dart_table
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.method import bundled_weights
 from prbench_adapters.diffusion.model import network
 from prbench_adapters.diffusion.tasks import FREE_TO_CHANGE
-from prbench_adapters.diffusion.tasks import read_model_table as denoiser_table
 from prbench_adapters.diffusion.training import Objective as DenoiserObjective
-from prbench_adapters.gmd.model import GMDNetworks
-from prbench_adapters.gmd.training import read_model_table as gmd_table
+from prbench_adapters.gmd.model import GMDConfiguration, GMDNetworks
+from prbench_adapters.gmd.training import Objective as GMDObjective
 from prbench_adapters.training import collate
 from prbench_adapters.training.configuration import (
     OptimisationConfiguration,
@@ -39,13 +38,18 @@ from prbench_adapters.training.configuration import (
     load_configuration,
 )
 from prbench_adapters.training.loop import fit
-from prbench_adapters.training.task import TrainingTask
+from prbench_adapters.training.task import TrainingTask, split_model_table
 from prbench_adapters.wandr.network import WandrConfiguration, WandrNetwork
-from prbench_adapters.wandr.training import read_model_table as wandr_table
+from prbench_adapters.wandr.training import Objective as WandrObjective
 from tests.adapters import trained
 from tests.adapters.diffusion.goal_batches import conditions
 from tests.adapters.diffusion.tiny import text_batch
 from tests.adapters.trained import batch_of, build, saved, sequences
+
+denoiser_table = partial(split_model_table, networks=DenoiserConfiguration, objective=DenoiserObjective)
+dart_table = partial(split_model_table, networks=DartConfiguration, objective=DartObjective)
+gmd_table = partial(split_model_table, networks=GMDConfiguration, objective=GMDObjective)
+wandr_table = partial(split_model_table, networks=WandrConfiguration, objective=WandrObjective)
 
 METHODS = ("mdm", "pr", "gmd", "dart", "wandr")
 TURNS = {"dart": (40, 90)}  # a step of each phase

@@ -212,11 +212,8 @@ class HumanML3DCorpus(corpora.Corpus):
         held = f"{len(features)} files of features" if features else "no motions at all"
         packed = f"{layout.TEXTS_ARCHIVE}, not unpacked" if (root / layout.TEXTS_ARCHIVE).is_file() else "none"
         unpack = "Unpack texts.zip of the dataset's repository here."
-        require(
-            root,
-            (joints, f"{layout.JOINTS_FOLDER}/", "joint files of HumanML3D", held, _MAKE_JOINTS),
-            (texts, f"{layout.TEXTS_FOLDER}/", "text files of HumanML3D", packed, unpack),
-        )
+        require(root, (joints, f"{layout.JOINTS_FOLDER}/", "joint files of HumanML3D", held, _MAKE_JOINTS))
+        require(root, (texts, f"{layout.TEXTS_FOLDER}/", "text files of HumanML3D", packed, unpack))
         # The official lists.
         splits: dict[str, str] = {}
         for split, file in layout.SPLIT_FILES.items():

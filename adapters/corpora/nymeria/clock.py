@@ -85,8 +85,7 @@ def offset_by_correlation(
     rate = thresholds["correlation_rate"]
     piece = max(clean.pieces, key=lambda piece: len(piece.joints))
     head = clean.head_rotation[piece.first : piece.stop]
-    suit_times = piece.start + np.arange(len(head)) / SUIT_RATE
-    suit = angular_speed(suit_times, head, rate)
+    suit = angular_speed(piece.start + np.arange(len(head)) / SUIT_RATE, head, rate)
     glasses = angular_speed(time_us.astype(np.float64) / 1e6, rotation, rate)
     if suit is None or glasses is None or len(suit[1]) + len(glasses[1]) > _LONGEST_OF_CORRELATION:
         return None, "the glasses' trajectory is too short or too broken to compare head movements"

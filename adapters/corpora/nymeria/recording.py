@@ -244,12 +244,10 @@ def plan_windows(
         InputFileError: as there.
     """
     if joints == "native":
-        raise UsageError(
-            f"--joints native: no study of prediction published joints of {dataset}; leave the option out."
-        )
+        remedy = "leave the option out."
+        raise UsageError(f"--joints native: no study of prediction published joints of {dataset}; {remedy}")
     wanted = CorpusOptions(source=reader, recordings=recordings)
-    found = CORPUS.find(root, wanted)
-    chosen = cast(list[NymeriaSource], chosen_recordings(found, wanted, where=root))
+    chosen = cast(list[NymeriaSource], chosen_recordings(CORPUS.find(root, wanted), wanted, where=root))
     chosen = sorted(chosen, key=lambda each: f"{each.identity.recording_id}/")[:limit]
     options = {"joints": SMPL22.name, "recordings": recordings, "limit": str(limit or "all")}
     options |= {f"reader.{name}": text for name, text in described_options(chosen[0].options).items()}

@@ -131,8 +131,7 @@ def clean_suit(suit: Suit, manifest: Manifest, *, path: Path | str, pose_source:
     """
     thresholds = manifest.thresholds
     # Not "less than": a comparison with NaN is false, and NaN has to count as missing.
-    smallest = thresholds["smallest_quaternion"]
-    missing = ~(np.einsum("nsk,nsk->ns", suit.rotation, suit.rotation) >= smallest**2)
+    missing = ~(np.einsum("nsk,nsk->ns", suit.rotation, suit.rotation) >= thresholds["smallest_quaternion"] ** 2)
     rotations = []
     for segment in (XSENS_SEGMENTS.index("Pelvis"), XSENS_SEGMENTS.index("Head")):
         # A missing quaternion repeats the last one before it, or is the identity at the beginning.

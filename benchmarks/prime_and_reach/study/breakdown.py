@@ -7,6 +7,7 @@ neither their means nor their intervals are a comparison of methods.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pyarrow.compute as pc
@@ -56,13 +57,9 @@ def breakdown_table(runs: Sequence[GenuineRun], by: str) -> Table:
     if any(run.record.synthetic for run in runs):
         notes.append(ON_SYNTHETIC_DATA)
     counts = Column(key="counts", title="Sequences (recordings)")
-    return Table(
-        number="of Figure 4",
-        title=f"scores by {by}",
-        columns=(Column(key="group", title=by, text=True), counts, *METRIC_COLUMNS),
-        blocks=tuple(blocks),
-        notes=tuple(notes),
-    )
+    columns = (Column(key="group", title=by, text=True), counts, *METRIC_COLUMNS)
+    about = {"number": "of Figure 4", "title": f"scores by {by}"}
+    return Table(**about, columns=columns, blocks=tuple(blocks), notes=tuple(notes))
 
 
 def _scored_groups(run: GenuineRun, by: str) -> dict[str, list[Cell]]:
@@ -75,8 +72,8 @@ def _scored_groups(run: GenuineRun, by: str) -> dict[str, list[Cell]]:
     recording_of = dict(zip(ids, rows["recording_id"].to_pylist(), strict=True))
     scores = read_scores(run.run.dataset(run.record.dataset).scores)
     method = run.run.record.method
-    about = {"dataset": run.record.dataset, "condition": run.run.record.condition, "method": method.name}
-    about["origin"] = origin_of(synthetic=run.record.synthetic)
+    about: dict[str, Any] = {"dataset": run.record.dataset, "condition": run.run.record.condition}
+    about |= {"method": method.name, "origin": origin_of(synthetic=run.record.synthetic)}
     found: dict[str, list[Cell]] = {name: [] for name in names}
     for info in MAIN_METRICS:
         if method.motionless and info.irrelevant_if_motionless:

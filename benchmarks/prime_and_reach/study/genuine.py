@@ -10,8 +10,7 @@ from prbench.engine import Engine
 from prbench.errors import RunError, UsageError
 from prbench.harness.first_run import tables_of_runs
 from prbench.harness.results import RunChecker
-from prbench.harness.run_folder import RunFolder
-from prbench.harness.run_folder.record import TableRecord
+from prbench.harness.run_folder import RunFolder, TableRecord
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.shown import clean

@@ -278,8 +278,7 @@ def _why_not_beside_notes(table: DatasetTable) -> Iterable[str]:
 
 def condition_title(condition: str) -> str:
     """Return the study's title of a condition; other words as they are."""
-    titles = {block.condition.value: block.title for block in load_table_two().blocks}
-    return titles.get(condition, condition)
+    return {block.condition.value: block.title for block in load_table_two().blocks}.get(condition, condition)
 
 
 # Measured beside published: which run may stand where, the difference, its interval, and what could explain it.

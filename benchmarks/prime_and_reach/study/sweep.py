@@ -15,9 +15,7 @@ from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.engine import Engine
 from prbench.errors import RunError
 from prbench.harness.planning import Selection, select
-from prbench.harness.run_folder.predictions import Predictions
-from prbench.harness.run_folder.record import CONTROL
-from prbench.harness.run_folder.scores import read_scores
+from prbench.harness.run_folder import CONTROL, Predictions, read_scores
 from prbench.metrics import MotionBatch
 from prbench.metrics.prime_success import primed
 from prbench.metrics.ray_track import candidate_frames, head_track
@@ -66,8 +64,7 @@ def sweep(run: GenuineRun, *, engine: Engine) -> Sweep:
     if run.run.record.control is not None and run.run.record.method.kind == CONTROL:
         raise RunError(f"{run.run.path}: was made with --control; its sweep would be of other goals than its scores.")
     windows = WINDOWS
-    count = round(LARGEST_DISTANCE / DISTANCE_STEP)
-    distances = tuple(round(k * DISTANCE_STEP, 6) for k in range(count + 1))
+    distances = tuple(round(k * DISTANCE_STEP, 6) for k in range(round(LARGEST_DISTANCE / DISTANCE_STEP) + 1))
     # The sequences of a run that have motions.
     record = run.run.record
     chosen = select(run.table, split=record.split, limit=record.limit)
@@ -85,8 +82,7 @@ def sweep(run: GenuineRun, *, engine: Engine) -> Sweep:
     # Where both have the same limits, the sweep has to give the stored scores.
     if constants.prime_window in windows and constants.prime_distance in distances:
         found = rates[windows.index(constants.prime_window), distances.index(constants.prime_distance)]
-        of_metric = np.array(scores["metric"].to_pylist()) == _METRIC
-        stored = scores["value"].to_numpy()[of_metric].mean()
+        stored = scores["value"].to_numpy()[np.array(scores["metric"].to_pylist()) == _METRIC].mean()
         if abs(stored - found) > 1e-9:
             raise RunError(
                 f"{run.run.path}: expected a Prime Success of {stored:.6f} at the protocol's limits, as its scores"

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
@@ -173,17 +173,15 @@ class TableRequest:
         load_table_two().chosen(self.method, self.condition)
         if self.weights is not None and not any(self.user_weights(name) for name in load_table_two().weights):
             found = "a folder without any" if self.weights.is_dir() else "no folder"
-            raise UsageError(
-                f"--weights {self.weights}: expected a folder of weights for a table, found {found}. It holds NAME or"
-                f" NAME.safetensors for one or more of: {', '.join(load_table_two().weights)}."
-            )
+            problem = f"expected a folder of weights for a table, found {found}."
+            remedy = f"It holds NAME or NAME.safetensors for one or more of: {', '.join(load_table_two().weights)}."
+            raise UsageError(f"--weights {self.weights}: {problem} {remedy}")
         for key in self.options:
             method = key.partition(".")[0] if "." in key else self.method
             if method is None or method not in load_table_two().methods:
-                raise UsageError(
-                    f"--option {key}=…: expected METHOD.{key.rpartition('.')[2]}=… for a table of several methods;"
-                    f" these are: {', '.join(load_table_two().methods)}."
-                )
+                problem = f"expected METHOD.{key.rpartition('.')[2]}=… for a table of several methods;"
+                why = f"these are: {', '.join(load_table_two().methods)}."
+                raise UsageError(f"--option {key}=…: {problem} {why}")
 
     @property
     def rows(self) -> tuple[StudyRow, ...]:
@@ -299,14 +297,10 @@ def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> li
     planned = []
     for row in request.rows:
         own = request.user_weights(row.weights)
-        run = replace(
-            base,
-            method=row.method,
-            condition=row.condition,
-            weights=Path(row.bundled) if own is None and row.bundled else own,
-            options=request.options_of(row.method),
-            out=folder / "rows" / row.name,
-        )
+        weights = Path(row.bundled) if own is None and row.bundled else own
+        about: dict[str, Any] = {"weights": weights, "options": request.options_of(row.method)}
+        out = folder / "rows" / row.name
+        run = replace(base, method=row.method, condition=row.condition, out=out, **about)
         reason = f"no method '{row.method}' is installed"
         if row.method in installed:
             # The user's own weights are not opened here: what is wrong with them is a failure of the row.

@@ -24,8 +24,7 @@ from prbench.harness.planning import select
 from prbench.harness.request import ProgressCallback, silent
 from prbench.harness.results import CheckedSummary, RunChecker
 from prbench.harness.run import run_method
-from prbench.harness.run_folder import RunFolder
-from prbench.harness.run_folder.record import TableRecord
+from prbench.harness.run_folder import RunFolder, TableRecord
 from prbench.tables import Table, write_tables
 from prbench_benchmarks.prime_and_reach.study.methods import methods_table
 from prbench_benchmarks.prime_and_reach.table_two.request import PlannedRow, TableRequest, plan_rows
@@ -150,7 +149,5 @@ def _require_same(folder: Path, asked: Mapping[str, str]) -> None:
         else:
             differences.append(f"{key} is {'new' if was is None else 'missing'}")
     if differences:
-        raise RunError(
-            f"{path}: the folder holds another table: {'; '.join(differences)}. Choose another folder for --out, or"
-            " delete this one."
-        )
+        remedy = "Choose another folder for --out, or delete this one."
+        raise RunError(f"{path}: the folder holds another table: {'; '.join(differences)}. {remedy}")

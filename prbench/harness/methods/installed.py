@@ -73,8 +73,7 @@ def name_problem(name: object, *, own: Collection[str] = ()) -> str | None:
     """
     if not has_form(name):
         return f"expected a name of {NAME_FORM}, found {quoted(repr(name))}"
-    owners = _OWNERS | {_bare(each): _OWN_METHOD for each in own}
-    owner = owners.get(_bare(str(name)))
+    owner = (_OWNERS | {_bare(each): _OWN_METHOD for each in own}).get(_bare(str(name)))
     return None if owner is None else f"'{name}' is {owner}; only prbench itself may use this name"
 
 
@@ -224,10 +223,9 @@ def find_python_method(method: str) -> InstalledEntry:
         elif isinstance(statement, ast.Import | ast.ImportFrom):
             names |= {alias.asname or alias.name for alias in statement.names}
     if name not in names:
-        raise AdapterError(
-            f"{path}: expected a function '{name}(weights, *, options, device)' that makes the method, found none in"
-            f" this file. A program is given by its command, as 'cmd:python {path.name}'."
-        )
+        problem = f"expected a function '{name}(weights, *, options, device)' that makes the method,"
+        found = f"found none in this file. A program is given by its command, as 'cmd:python {path.name}'."
+        raise AdapterError(f"{path}: {problem} {found}")
     return InstalledEntry(method, path.name, file_digest(path)[:_SHOWN_DIGEST], f"{path}:{name}")
 
 

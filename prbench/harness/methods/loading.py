@@ -65,10 +65,8 @@ def find_adapter(name: str, *, also_known: Iterable[str] = (), entry_points: str
     if found:
         return found[0]
     if claims:
-        raise AdapterError(
-            f"adapter '{name}' (package {claims[0].package}): {claims[0].problem}."
-            " Repair the entry point, or reinstall the package."
-        )
+        remedy = "Repair the entry point, or reinstall the package."
+        raise AdapterError(f"adapter '{name}' (package {claims[0].package}): {claims[0].problem}. {remedy}")
     for other in benchmarks().values():
         elsewhere = {adapter.name for adapter in list_adapters(other.entry_points) if not adapter.problem}
         if other.entry_points != entry_points and name in elsewhere:
@@ -101,9 +99,8 @@ def load_adapter(
     try:
         load = import_python_method(name) if is_python_method(name) else point.load()
     except (Exception, SystemExit) as error:
-        raise AdapterError(
-            f"{origin}: cannot be imported: {_cause(error)}. Repair or reinstall the package."
-        ) from error
+        remedy = "Repair or reinstall the package."
+        raise AdapterError(f"{origin}: cannot be imported: {_cause(error)}. {remedy}") from error
     try:
         adapter = load(weights, options=dict(options), device=device)
     except PrbenchError:
@@ -302,10 +299,9 @@ def _loaded_program(spec: MethodSpec, program: Program) -> LoadedMethod:
     try:
         # Leaderboards show the name, so it has to be the program's own.
         if program.expected_name not in (None, adapter.name):
-            raise AdapterError(
-                f"method '{program.expected_name}': expected the program to introduce itself by this name, found"
-                f" '{adapter.name}'. Correct method.name in the TOML file, or start the right program."
-            )
+            problem = f"expected the program to introduce itself by this name, found '{adapter.name}'."
+            advice = "Correct method.name in the TOML file, or start the right program."
+            raise AdapterError(f"method '{program.expected_name}': {problem} {advice}")
         remedy = "Let it introduce itself by another name in its hello."
         _require_own_name(adapter.name, spec, f"program '{spec.name}'", remedy)
     except AdapterError:
@@ -402,16 +398,13 @@ def method_spec(
     known = METHOD_CONTROLS if group is MOTIONS else ()
     installed = find_adapter(method, also_known=known, entry_points=group.entry_points)
     if isolate and is_python_method(method):
-        raise UsageError(
-            f"--isolate: {installed.package} is no package that another process could load. Install it as a package"
-            " (`prbench adapters new`), or write it as a program."
-        )
+        remedy = "Install it as a package (`prbench adapters new`), or write it as a program."
+        raise UsageError(f"--isolate: {installed.package} is no package that another process could load. {remedy}")
     if isolate:
         return replace(spec, program=worker_program(spec, installed.target))
     if timeout is not None:
-        raise UsageError(
-            f"--timeout: '{method}' runs in this process, which cannot be stopped in mid-batch. Add --isolate."
-        )
+        why = "which cannot be stopped in mid-batch. Add --isolate."
+        raise UsageError(f"--timeout: '{method}' runs in this process, {why}")
     return spec
 
 

@@ -125,10 +125,8 @@ def _is_fixed(kind: pa.DataType) -> bool:
 
 def _record_batch(payload: bytes) -> pa.RecordBatch:
     if payload.startswith(_FILE_MAGIC):
-        raise ValueError(
-            "expected an Arrow IPC stream as payload, found an Arrow file (it begins with ARROW1). Write the stream"
-            " format: RecordBatchStreamWriter, new_stream"
-        )
+        why = "(it begins with ARROW1). Write the stream format: RecordBatchStreamWriter, new_stream"
+        raise ValueError(f"expected an Arrow IPC stream as payload, found an Arrow file {why}")
     source = pa.BufferReader(payload)
     try:
         with pa.ipc.open_stream(source) as reader:

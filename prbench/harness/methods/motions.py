@@ -24,6 +24,11 @@ from prbench.errors import AdapterError, InputFileError, PrbenchError
 from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.limits import FARTHEST_COORDINATE, FARTHEST_EYES
 
+Poses = Float[np.ndarray, "*frames 22 3"]
+Vectors = Float[np.ndarray, "frames 3"]
+
+Motion = Float[np.ndarray, "frames 22 3"]
+
 
 @dataclass(frozen=True)
 class Declared:
@@ -104,9 +109,7 @@ _FASTEST = 1e300  # frames per second: a whole number beyond what a float holds 
 _UNIT_WITHIN = 0.01  # by which a direction's length may differ from 1, such as after rounding to half precision
 
 
-def impossible_frames(
-    joints: Float[np.ndarray, "*frames 22 3"], farthest: float = FARTHEST_COORDINATE
-) -> Bool[np.ndarray, "*frames"]:
+def impossible_frames(joints: Poses, farthest: float = FARTHEST_COORDINATE) -> Bool[np.ndarray, "*frames"]:
     """Return True for each frame with a coordinate that is not finite, or farther out than any motion goes.
 
     Args:
@@ -116,7 +119,7 @@ def impossible_frames(
     return np.logical_not(_possible(joints, farthest).all(axis=(-2, -1)))
 
 
-def coordinate_problem(motion: Float[np.ndarray, "frames 22 3"], farthest: float = FARTHEST_COORDINATE) -> str | None:
+def coordinate_problem(motion: Motion, farthest: float = FARTHEST_COORDINATE) -> str | None:
     """Say where a motion holds an impossible coordinate, and what its numbers look like.
 
     Args:
@@ -132,10 +135,8 @@ def coordinate_problem(motion: Float[np.ndarray, "frames 22 3"], farthest: float
     frame = int(frames[0])
     joint = int(np.flatnonzero(~_possible(motion[frame], farthest).all(axis=1))[0])
     found = ", ".join(f"{value:.6g}" for value in motion[frame, joint])
-    if not np.isfinite(motion[frame, joint]).all():
-        expected = "finite positions"
-    else:
-        expected = f"coordinates within {farthest:g} m of the origin"
+    finite = np.isfinite(motion[frame, joint]).all()
+    expected = f"coordinates within {farthest:g} m of the origin" if finite else "finite positions"
     name = Joint(joint).name.lower().replace("_", " ")
     problem = f"frame {frame}: expected {expected}, found [{found}] at joint {joint} ({name})."
     # Which unit the size of the body looks like.
@@ -146,11 +147,7 @@ def coordinate_problem(motion: Float[np.ndarray, "frames 22 3"], farthest: float
     return f"{problem} {evidence[0].upper()}{evidence[1:]}: {unit[0].cause}. {unit[0].remedy}"
 
 
-def gaze_problem(
-    motion: Float[np.ndarray, "frames 22 3"],
-    origin: Float[np.ndarray, "frames 3"],
-    direction: Float[np.ndarray, "frames 3"],
-) -> str | None:
+def gaze_problem(motion: Motion, origin: Vectors, direction: Vectors) -> str | None:
     """Say where gaze is no ray from a head.
 
     Args:
@@ -171,13 +168,10 @@ def gaze_problem(
         return None
     frame = int(wrong[0])
     if elsewhere[frame]:
-        return (
-            f"frame {frame}: expected eyes within {FARTHEST_EYES:g} m of the head joint, found them {away[frame]:.3g} m"
-            " away. Gaze stands in the frame of the joints, in metres."
-        )
-    return (
-        f"frame {frame}: expected a gaze direction of length 1, found {length[frame]:.4g}. Divide each by its length."
-    )
+        found = f"found them {away[frame]:.3g} m away. Gaze stands in the frame of the joints, in metres."
+        return f"frame {frame}: expected eyes within {FARTHEST_EYES:g} m of the head joint, {found}"
+    found = f"found {length[frame]:.4g}. Divide each by its length."
+    return f"frame {frame}: expected a gaze direction of length 1, {found}"
 
 
 def _possible(values: np.ndarray, farthest: float) -> np.ndarray:
@@ -221,10 +215,8 @@ def generate_checked(
     # A run is marked before it begins, so gaze must be announced.
     if declared.gaze is not (motions.gaze is not None):
         expected, found = ("gaze with its motions", "none") if declared.gaze else ("motions without gaze", "some")
-        raise AdapterError(
-            f"method '{method}': expected {expected}, as it declares, found {found}. Return Motions(…,"
-            " gaze=Gaze(origin, direction)) and set gaze = True on the adapter, or leave both out."
-        )
+        remedy = "Return Motions(…, gaze=Gaze(origin, direction)) and set gaze = True on the adapter, or leave both"
+        raise AdapterError(f"method '{method}': expected {expected}, as it declares, found {found}. {remedy} out.")
     if native_fps is not None:
         # The last native frame lies at or after the end, so nothing is extrapolated.
         motions = resampled(motions, batch.n_frames, step=native_fps / batch.fps)
@@ -241,10 +233,8 @@ def at_native_rate(batch: ConditionBatch, native_fps: float) -> ConditionBatch:
 
     The frame before the first lies one native frame before it: its offset, a velocity, is scaled with the rate.
     """
-    changed: dict[str, object] = {
-        "fps": native_fps,
-        "n_frames": native_frames(batch.n_frames, fps=batch.fps, native_fps=native_fps),
-    }
+    n_frames = native_frames(batch.n_frames, fps=batch.fps, native_fps=native_fps)
+    changed: dict[str, object] = {"fps": native_fps, "n_frames": n_frames}
     if batch.initial_joints is not None and batch.previous_joints is not None:
         step = (batch.previous_joints - batch.initial_joints) * (batch.fps / native_fps)
         changed["previous_joints"] = (batch.initial_joints + step).astype(batch.previous_joints.dtype)
@@ -298,10 +288,8 @@ def _generate(
         if not is_out_of_memory(error):
             raise AdapterError(f"method '{method}' failed: {told(error)}.{asked_for(ids)}") from error
         if len(batch) == 1:
-            raise AdapterError(
-                f"method '{method}' ran out of memory on the single sequence {ids[0]}"
-                f" ({batch.n_frames[0]} frames). Use a device with more memory."
-            ) from error
+            single = f"the single sequence {ids[0]} ({batch.n_frames[0]} frames). Use a device with more memory."
+            raise AdapterError(f"method '{method}' ran out of memory on {single}") from error
     else:
         return well_formed(motions, batch, method=method, sequence_ids=ids, farthest=farthest), 0
     # Outside of the handler: its traceback would hold the tensors of the failed batch.
@@ -349,11 +337,8 @@ def well_formed(
     is_cost = motions.cost is None or isinstance(motions.cost, Cost)
     require(is_cost, "cost as prbench.contract.Cost or None", f"{motions.cost!r}")
     fits = joints.ndim == 4 and joints.shape[0] == len(batch) and joints.shape[2:] == (N_JOINTS, 3)
-    require(
-        fits and np.issubdtype(joints.dtype, np.floating),
-        f"joints of shape ({len(batch)}, {longest} or more, {N_JOINTS}, 3) with decimals",
-        f"{joints.shape} of {joints.dtype}",
-    )
+    expected = f"joints of shape ({len(batch)}, {longest} or more, {N_JOINTS}, 3) with decimals"
+    require(fits and np.issubdtype(joints.dtype, np.floating), expected, f"{joints.shape} of {joints.dtype}")
     try:
         n_frames = np.asarray(motions.n_frames)
     except (TypeError, ValueError, RuntimeError):  # such as a tensor on another device, or a ragged list
@@ -364,9 +349,8 @@ def well_formed(
         raise AdapterError(f"{origin}, sequence {ids[row]}: expected {batch.n_frames[row]} frames, found {found}.")
     if joints.shape[1] < longest:
         row = int(batch.n_frames.argmax())
-        raise AdapterError(
-            f"{origin}, sequence {ids[row]}: expected {longest} frames, found {joints.shape[1]} in joints."
-        )
+        found = f"{joints.shape[1]} in joints"
+        raise AdapterError(f"{origin}, sequence {ids[row]}: expected {longest} frames, found {found}.")
     with np.errstate(over="ignore"):
         joints = joints[:, :longest].astype(np.float32)
     # Refuse coordinates that are not finite or far beyond any room; what the padding holds does not matter.
@@ -383,11 +367,10 @@ def well_formed(
     for name in ("origin", "direction"):
         values = getattr(motions.gaze, name)
         fits = isinstance(values, np.ndarray) and values.ndim == 3 and values.shape[::2] == (len(batch), 3)
-        require(
-            fits and values.shape[1] >= longest and np.issubdtype(values.dtype, np.floating),
-            f"gaze.{name} as a NumPy array of shape ({len(batch)}, {longest} or more, 3) with decimals",
-            f"{values.shape} of {values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__,
-        )
+        fits = fits and values.shape[1] >= longest and np.issubdtype(values.dtype, np.floating)
+        expected = f"gaze.{name} as a NumPy array of shape ({len(batch)}, {longest} or more, 3) with decimals"
+        found = f"{values.shape} of {values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
+        require(fits, expected, found)
         with np.errstate(over="ignore"):
             rays.append(values[:, :longest].astype(np.float32))
     for row, frames in enumerate(batch.n_frames):
@@ -399,10 +382,8 @@ def well_formed(
 
 def own_copy(batch: ConditionBatch) -> ConditionBatch:
     """Copy all arrays: a method that writes into its batch changes neither its next sample nor our checks."""
-    arrays = {field.name: getattr(batch, field.name) for field in dataclasses.fields(batch)}
-    return dataclasses.replace(
-        batch, **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)}
-    )
+    arrays = {name: value.copy() for name, value in vars(batch).items() if isinstance(value, np.ndarray)}
+    return dataclasses.replace(batch, **arrays)
 
 
 def _with_names(message: str, batch: ConditionBatch, ids: Sequence[str]) -> str:

@@ -467,8 +467,7 @@ def _new_log(name: str) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:  # a cache that cannot be written must not stop the program
         folder = Path(tempfile.gettempdir())
-    logs = sorted(folder.glob("*.log"), key=lambda path: path.stat().st_mtime, reverse=True)
-    for path in logs[_KEPT_LOGS:]:
+    for path in sorted(folder.glob("*.log"), key=lambda path: path.stat().st_mtime, reverse=True)[_KEPT_LOGS:]:
         path.unlink(missing_ok=True)
     without_folders = re.sub(r"[^\s'\"]*[/\\]", "", name)
     shown = re.sub(r"[^A-Za-z0-9._-]+", "-", without_folders).strip("-.")[:60] or "program"

@@ -245,13 +245,10 @@ def program_of(
         folder = below(file, table.virtual_environment)
         programs = folder / _BIN
         if shutil.which("python", path=str(programs)) is None:
-            raise InputFileError(
-                file,
-                "environment.virtual-environment",
-                expected=f"a virtual environment at {folder}",
-                found=f"no python in {programs}",
-                remedy=f"Make it: python -m venv {folder}",
-            )
+            where = "environment.virtual-environment"
+            expected = f"a virtual environment at {folder}"
+            remedy = f"Make it: python -m venv {folder}"
+            raise InputFileError(file, where, expected=expected, found=f"no python in {programs}", remedy=remedy)
         variables["PATH"] = os.pathsep.join([str(programs), variables.get("PATH", os.defpath)])
         variables["VIRTUAL_ENV"] = str(folder)
         # It would send the environment's own interpreter to another library.

@@ -82,10 +82,8 @@ def answer_in(
     found = header.get("batch")
     if (type(found) is not int or found != number) and not (found is None and kind == "error"):
         answered = "without the number of a batch" if found is None else f"batch {shown_json(found)}"
-        raise Fault(
-            f"answered {answered}, where batch {number} was due: every request has exactly one answer, which repeats"
-            " its number"
-        )
+        why = "every request has exactly one answer, which repeats its number"
+        raise Fault(f"answered {answered}, where batch {number} was due: {why}")
     if kind == "error":
         text = error_text(header)
         out_of_memory = header.get("out_of_memory")
@@ -147,18 +145,15 @@ class Introduction:
             AdapterError: naming the key that is not what the protocol asks for.
         """
         if header["message"] != "hello":
-            raise AdapterError(
-                f"{origin}: expected it to answer 'hello' with 'hello', found the message {header['message'][:80]!r}."
-            )
+            problem = f"expected it to answer 'hello' with 'hello', found the message {header['message'][:80]!r}."
+            raise AdapterError(f"{origin}: {problem}")
         wire = header.get("wire")
         if type(wire) is not int or wire != WIRE_VERSION:
             remedy = f"Send the whole number {WIRE_VERSION}"
             if type(wire) is int:
                 remedy = "Update prbench" if wire > WIRE_VERSION else "Update the program"
-            raise AdapterError(
-                f"{origin}: expected version {WIRE_VERSION} of the wire protocol ('wire' in its hello),"
-                f" found {_shown(wire)}. {remedy}."
-            )
+            why = f"('wire' in its hello), found {_shown(wire)}. {remedy}."
+            raise AdapterError(f"{origin}: expected version {WIRE_VERSION} of the wire protocol {why}")
         version = header.get("version")
         is_text = isinstance(version, str) and version.strip() and version.isprintable()
         fits_version = is_text and len(str(version)) <= _TEXT_LIMIT
@@ -343,13 +338,8 @@ class RemoteAdapter(RemoteMethod):
             AdapterError: see :meth:`RemoteMethod.exchange`.
             MemoryError: see :meth:`RemoteMethod.exchange`.
         """
-        header = {
-            "message": "generate",
-            "condition": batch.condition.value,
-            "rows": len(batch),
-            "fps": float(batch.fps),
-            "seed": seed,
-        }
+        header = {"message": "generate", "condition": batch.condition.value, "rows": len(batch)}
+        header |= {"fps": float(batch.fps), "seed": seed}
         return self.exchange(
             header,
             conditions_payload(batch),

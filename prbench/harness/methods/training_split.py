@@ -15,9 +15,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from prbench.errors import AdapterError
-from prbench.sequences import SequenceTable
+from prbench.sequences import SequenceChunk, SequenceTable
 from prbench.sequences.schema import DATASET_TABLES, SEQUENCES
-from prbench.sequences.sequence import SequenceChunk
 from prbench.sequences.write import write_table
 
 # Seed of a method that a run fits by itself; the run's own seed varies what is generated, not what is learnt

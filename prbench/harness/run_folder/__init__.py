@@ -1,7 +1,7 @@
 """The run folder: what a run is, its predictions, scores, summary and cost on disk."""
 
-from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
-from prbench.harness.run_folder.predictions import Predictions
-from prbench.harness.run_folder.record import RunCost, RunRecord
-from prbench.harness.run_folder.scores import read_scores
-from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
+from prbench.harness.run_folder.folder import DatasetFolder, RunFolder, run_folder_of
+from prbench.harness.run_folder.predictions import PredictionRows, Predictions
+from prbench.harness.run_folder.record import CONTROL, MethodRecord, RunCost, RunRecord, TableRecord
+from prbench.harness.run_folder.scores import SCORES, CodedScores, read_scores
+from prbench.harness.run_folder.summary import DatasetAgreement, DatasetSummary, MetricSummary

@@ -106,9 +106,8 @@ class DatasetFolder:
         unplanned = sorted(path for path in self.predictions.glob("*.parquet") if path not in planned)
         unplanned = [path for path in unplanned if not path.name.startswith(".")]
         if unplanned:
-            raise RunError(
-                f"{unplanned[0]}: expected the {batches} parts of this run only, found another file. Move it elsewhere."
-            )
+            problem = f"expected the {batches} parts of this run only, found another file. Move it elsewhere."
+            raise RunError(f"{unplanned[0]}: {problem}")
 
     def forget_batch_costs(self) -> None:
         """Remove the measurements of single batches."""

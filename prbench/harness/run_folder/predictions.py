@@ -56,8 +56,7 @@ class PredictionRows:
     ) -> PredictionRows:
         """Leave out what stands behind the last frame of each row."""
         valid = np.arange(joints.shape[1]) < n_frames[:, None]
-        offsets = np.concatenate(([0], np.cumsum(n_frames)))
-        return cls(joints[valid], offsets, None if gaze is None else gaze[valid])
+        return cls(joints[valid], np.concatenate(([0], np.cumsum(n_frames))), None if gaze is None else gaze[valid])
 
 
 def write_part(
@@ -85,8 +84,7 @@ def write_part(
     batches = []
     for sample, motions in enumerate(samples):
         offsets = pa.array(motions.offsets.astype(np.int32))
-        n_joints = motions.values.shape[1]
-        schema = predictions_schema(n_joints, gaze=motions.gaze is not None)
+        schema = predictions_schema(motions.values.shape[1], gaze=motions.gaze is not None)
         columns = [
             pa.array(sequence_ids, pa.string()),
             pa.array([sample] * len(sequence_ids), pa.int32()),
@@ -135,8 +133,7 @@ def read_part(
     values = found.flatten().flatten().to_numpy()
     if (lengths != lengths[0]).any() or not np.isfinite(values).all():
         raise PredictionsError(f"{path}: expected finite motions of one length, found others. {remedy}")
-    shape = (samples, len(sequence_ids), int(lengths[0]), joints, 3)
-    return np.swapaxes(values.reshape(shape), 0, 1)
+    return np.swapaxes(values.reshape((samples, len(sequence_ids), int(lengths[0]), joints, 3)), 0, 1)
 
 
 _CACHED_BYTES = 64 * 1024**2
@@ -230,19 +227,16 @@ class ParquetMotions:
                 starts, items, _, leaves = _flattened(column)
                 is_number = pa.types.is_floating(leaves.type) and not pa.types.is_float16(leaves.type)
                 if (items[starts] % 3).any() or not is_number:
-                    raise PredictionsError(
-                        f"{path}, column '{name}': expected x y z for each frame, found {column.type}."
-                    )
+                    problem = f"expected x y z for each frame, found {column.type}."
+                    raise PredictionsError(f"{path}, column '{name}': {problem}")
                 columns.append(_numbers(leaves).reshape(-1, 3))
                 offsets = items[starts] // 3
                 other = np.flatnonzero(np.diff(offsets) != np.diff(rows.offsets))
                 if other.size:
                     row = int(other[0])
                     frames, found = np.diff(rows.offsets)[row], np.diff(offsets)[row]
-                    raise PredictionsError(
-                        f"{path}, row {first_row + row}, column '{name}': expected gaze in each of its {frames} frames,"
-                        f" found {found}."
-                    )
+                    problem = f"expected gaze in each of its {frames} frames, found {found}."
+                    raise PredictionsError(f"{path}, row {first_row + row}, column '{name}': {problem}")
             rows = PredictionRows(rows.values, rows.offsets, np.stack(columns, axis=1))
         # The sequences of a window are asked for in parts, and lie in the same row groups.
         if sum(kept.values.nbytes for kept in self._cache.values()) > _CACHED_BYTES:
@@ -291,10 +285,8 @@ def _as_rows(column: pa.Array, path: Path, *, first_row: int) -> PredictionRows:
     wrong = np.flatnonzero(np.diff(frames) != POSE_SIZE)
     if wrong.size:
         row = int(np.searchsorted(rows, wrong[0], side="right")) - 1
-        raise PredictionsError(
-            f"{where}, row {first_row + row}, frame {wrong[0] - rows[row]}: expected {_JOINTS_FORM}, found"
-            f" {np.diff(frames)[wrong[0]]} numbers."
-        )
+        problem = f"expected {_JOINTS_FORM}, found {np.diff(frames)[wrong[0]]} numbers."
+        raise PredictionsError(f"{where}, row {first_row + row}, frame {wrong[0] - rows[row]}: {problem}")
     return PredictionRows(values.reshape(-1, N_JOINTS, 3), rows)
 
 
@@ -320,10 +312,9 @@ def _naming(path: Path) -> Iterator[None]:
         if isinstance(error, MemoryError):
             raise
         first = str(error).splitlines()[0] if str(error) else "damaged"
-        raise PredictionsError(
-            f"{path}: expected a readable Parquet file, found another form or a damaged one ({first})."
-            " Write it again as Parquet; parts of a run are made again by the same `prbench run`."
-        ) from error
+        found = f"found another form or a damaged one ({first})."
+        remedy = "Write it again as Parquet; parts of a run are made again by the same `prbench run`."
+        raise PredictionsError(f"{path}: expected a readable Parquet file, {found} {remedy}") from error
 
 
 def open_part(path: Path) -> pq.ParquetFile:
@@ -414,10 +405,9 @@ class Predictions:
         if path.suffix.lower() != ".parquet" and path.is_file():
             with open_regular(path) as file:
                 if file.read(4) != b"PAR1":
-                    raise PredictionsError(
-                        f"{path}: expected Parquet, .npz, or a folder of Parquet files, found a file of another kind."
-                        " Pickles and torch files are never loaded: save the arrays with np.savez."
-                    )
+                    problem = "expected Parquet, .npz, or a folder of Parquet files, found a file of another kind."
+                    remedy = "Pickles and torch files are never loaded: save the arrays with np.savez."
+                    raise PredictionsError(f"{path}: {problem} {remedy}")
         return cls(*index_parquet((path,)))
 
     def only(self, ids: Sequence[str], samples: Sequence[int]) -> Predictions:
@@ -446,10 +436,9 @@ class Predictions:
         place = self._place_of.get((name, sample))
         if place is None:
             where = self.paths[0] if len(self.paths) == 1 else self.paths[0].parent
-            raise PredictionsError(
-                f"{where}: expected a motion of {quoted(name)} (sample {sample}), found none: the row was lost after"
-                " the motions were written. Write them again; of a run, delete the file and run the command again."
-            )
+            found = "found none: the row was lost after the motions were written."
+            remedy = "Write them again; of a run, delete the file and run the command again."
+            raise PredictionsError(f"{where}: expected a motion of {quoted(name)} (sample {sample}), {found} {remedy}")
         return place
 
     def _row(self, name: str, sample: int) -> int:

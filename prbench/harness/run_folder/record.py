@@ -244,8 +244,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
             RunError: if the folder holds none, or it is damaged or of another version.
         """
         missing = f"{folder}: expected a run folder (with {FILE_NAME}), found no such file in it."
-        remedy = "Choose another folder for --out."
-        record = read_record(folder / FILE_NAME, cls, missing=missing, remedy=remedy)
+        record = read_record(folder / FILE_NAME, cls, missing=missing, remedy="Choose another folder for --out.")
         # A record of prbench 0.5 or older, which told neither own methods from foreign ones nor called a file a file.
         method = record.method
         if method.kind == "adapter":
@@ -271,11 +270,9 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         # In the order of the record, so that the first difference named is the most telling one.
         for key in wanted | found:
             if wanted.get(key) != found.get(key):
-                raise RunError(
-                    f"{folder / FILE_NAME}, {key}: expected {_shown(wanted.get(key))} for this run, found"
-                    f" {_shown(found.get(key))}. The folder belongs to another run; choose another folder for --out, or"
-                    " delete this one."
-                )
+                problem = f"expected {_shown(wanted.get(key))} for this run, found {_shown(found.get(key))}."
+                remedy = "The folder belongs to another run; choose another folder for --out, or delete this one."
+                raise RunError(f"{folder / FILE_NAME}, {key}: {problem} {remedy}")
 
 
 def read_record(

@@ -130,14 +130,12 @@ class CodedScores:
             file = open_parquet(path)
             columns = file.schema_arrow
             if not columns.equals(SCORES, check_metadata=False):
-                raise RunError(
-                    f"{path}: expected the columns {', '.join(SCORES.names)}, found {', '.join(columns.names)}."
-                )
+                problem = f"expected the columns {', '.join(SCORES.names)}, found {', '.join(columns.names)}."
+                raise RunError(f"{path}: {problem}")
             scores = cls.of(file.iter_batches(batch_size=PIECE))
         except FileNotFoundError as error:
-            raise RunError(
-                f"{path}: expected the scores of a run, found no file. Run the method again: it resumes."
-            ) from error
+            remedy = "Run the method again: it resumes."
+            raise RunError(f"{path}: expected the scores of a run, found no file. {remedy}") from error
         except (pa.ArrowInvalid, OSError) as error:
             raise RunError(f"{path}: not a readable Parquet file ({error}).") from error
         # Repeated rows would enter a mean twice.
@@ -145,9 +143,8 @@ class CodedScores:
         if len(counts) < len(scores):
             row = counts.filter(pc.field("count_all") > 1).slice(0, 1).to_pylist()[0]
             name = f"{row['dataset']}, {row['sequence_id']}, sample {row['sample']}, {row['metric']}"
-            raise RunError(
-                f"{path}: expected one value for each sequence, sample and metric, found more: {quoted(name)}."
-            )
+            problem = f"expected one value for each sequence, sample and metric, found more: {quoted(name)}."
+            raise RunError(f"{path}: {problem}")
         return scores
 
     @cached_property

@@ -90,10 +90,8 @@ def require_signed(runs: Iterable[RunFolder], public_key: Path) -> str:
     signer = _key_id(key.to_base64())
     wrong = [f"{run.path}: {reason}" for run in runs if (reason := _why_not_signed(run, key, signer))]
     if wrong:
-        raise RunError(
-            f"expected runs signed by {signer} ({public_key}), found {len(wrong)} that are not. {'; '.join(wrong)}."
-            " Leave them out, or ask the signer for the runs as they were signed."
-        )
+        remedy = f"{'; '.join(wrong)}. Leave them out, or ask the signer for the runs as they were signed."
+        raise RunError(f"expected runs signed by {signer} ({public_key}), found {len(wrong)} that are not. {remedy}")
     return signer
 
 

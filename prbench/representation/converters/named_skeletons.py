@@ -67,18 +67,14 @@ def parse_expression(text: str, known: Iterable[str], *, where: str) -> Expressi
         elif name in _AXES:
             axes.append((name, 1.0 if weight is None else weight))
         else:
-            raise UsageError(
-                f"{where}: unknown joint '{name}'.{did_you_mean(name, [*names, *_AXES])} The source has: "
-                f"{', '.join(names)}."
-            )
+            why = f"unknown joint '{name}'.{did_you_mean(name, [*names, *_AXES])} The source has: {', '.join(names)}."
+            raise UsageError(f"{where}: {why}")
     given = [weight for _, weight in joints if weight is not None]
     if joints and not given:
         return Expression(tuple((name, 1 / len(joints)) for name, _ in joints), tuple(axes))
     if not joints or len(given) != len(joints) or abs(sum(given) - 1) > _SUM_TOLERANCE:
-        raise UsageError(
-            f"{where}: expected weights of all joints, which add up to 1, or of none, found '{text}'"
-            f" ({sum(given):g} in all)."
-        )
+        found = f"found '{text}' ({sum(given):g} in all)."
+        raise UsageError(f"{where}: expected weights of all joints, which add up to 1, or of none, {found}")
     return Expression(tuple((name, weight) for (name, _), weight in zip(joints, given)), tuple(axes))
 
 
@@ -122,8 +118,7 @@ def trunk_axes(joints: Float[np.ndarray, "*batch 22 3"]) -> dict[str, Float[np.n
         joints: Y up, metres; joints that are still missing may be NaN.
     """
     hips = (joints[..., Joint.LEFT_HIP, :] + joints[..., Joint.RIGHT_HIP, :]) / 2
-    shoulders = (joints[..., Joint.LEFT_SHOULDER, :] + joints[..., Joint.RIGHT_SHOULDER, :]) / 2
-    trunk = shoulders - hips
+    trunk = (joints[..., Joint.LEFT_SHOULDER, :] + joints[..., Joint.RIGHT_SHOULDER, :]) / 2 - hips
     length = np.linalg.norm(trunk, axis=-1, keepdims=True)
     up = _unit(trunk)
     across = joints[..., Joint.LEFT_HIP, :] - joints[..., Joint.RIGHT_HIP, :]
@@ -198,10 +193,8 @@ class JointMap:
         }
         for joint in _TRUNK:
             if expressions[joint].axes:
-                raise UsageError(
-                    f"joint map '{name}', {joint.name.lower()}: hips and shoulders give the trunk its axes and cannot"
-                    " themselves be offset along them."
-                )
+                why = "hips and shoulders give the trunk its axes and cannot themselves be offset along them."
+                raise UsageError(f"joint map '{name}', {joint.name.lower()}: {why}")
         return cls(name, names, expressions)
 
     @property

@@ -37,6 +37,8 @@ from prbench.representation.encoding import (
 )
 from prbench.representation.features import FRAME_RATE
 
+Motion = Float[np.ndarray, "frames 22 3"]
+
 # Maps each axis that may point up to source column and sign of x, y and z: rotations by a quarter or half turn.
 _TURNS: Mapping[str, tuple[tuple[int, int], ...]] = MappingProxyType(
     {
@@ -174,7 +176,7 @@ _TINIEST_BODY = 1e-9
 _LIMB_RATIO = 1.6  # between a left limb and the right one
 
 
-def check_limbs(joints: Float[np.ndarray, "frames 22 3"], *, source: Path | str = IN_MEMORY) -> None:
+def check_limbs(joints: Motion, *, source: Path | str = IN_MEMORY) -> None:
     """Refuse thighs, shins, upper arms and forearms that no person has.
 
     Args:
@@ -221,7 +223,7 @@ def check_limbs(joints: Float[np.ndarray, "frames 22 3"], *, source: Path | str 
 _LIMB_PAIRS = tuple((Joint[f"LEFT_{end}"], Joint[f"RIGHT_{end}"]) for end in ("KNEE", "ANKLE", "ELBOW", "WRIST"))
 
 
-def front_of_legs(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True) -> float | None:
+def front_of_legs(joints: Motion, *, feet: bool = True) -> float | None:
     """Measure how far feet and bent knees point to the front that hips and shoulders give.
 
     Args:
@@ -237,17 +239,13 @@ def front_of_legs(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True
     front = np.stack([-across[:, 2], across[:, 0]], axis=-1)
     # Sum over both legs of the knee's offset from the line between hip and ankle (frames, 3).
     bends = np.zeros((len(joints), 3))
-    for hip, knee, ankle in (
-        (Joint.LEFT_HIP, Joint.LEFT_KNEE, Joint.LEFT_ANKLE),
-        (Joint.RIGHT_HIP, Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE),
-    ):
-        leg = joints[:, ankle] - joints[:, hip]
-        part = ((joints[:, knee] - joints[:, hip]) * leg).sum(axis=-1) / np.maximum((leg**2).sum(axis=-1), 1e-12)
-        bends += joints[:, knee] - joints[:, hip] - part[:, None] * leg
     pointers = [bends]
-    if feet:
-        pointers += [joints[:, Joint.LEFT_FOOT] - joints[:, Joint.LEFT_ANKLE]]
-        pointers += [joints[:, Joint.RIGHT_FOOT] - joints[:, Joint.RIGHT_ANKLE]]
+    for side in ("LEFT", "RIGHT"):
+        hip, knee, ankle, toe = (joints[:, Joint[f"{side}_{name}"]] for name in ("HIP", "KNEE", "ANKLE", "FOOT"))
+        leg = ankle - hip
+        part = ((knee - hip) * leg).sum(axis=-1) / np.maximum((leg**2).sum(axis=-1), 1e-12)
+        bends += knee - hip - part[:, None] * leg
+        pointers += [toe - ankle] if feet else []
     pointing = np.stack(pointers)[..., ::2]  # (pointers, frames, 2)
     length = np.linalg.norm(pointing, axis=-1)
     size = length * np.linalg.norm(front, axis=-1)
@@ -258,7 +256,7 @@ def front_of_legs(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True
     return float((cosine * length)[decisive].sum() / length[decisive].sum())
 
 
-def check_sides(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True, source: Path | str = IN_MEMORY) -> None:
+def check_sides(joints: Motion, *, feet: bool = True, source: Path | str = IN_MEMORY) -> None:
     """Refuse a body whose feet and knees point to its back.
 
     Args:
@@ -282,7 +280,7 @@ Height = Literal["pelvis", "floor"]
 
 
 def to_canonical(
-    joints: Float[np.ndarray, "frames 22 3"],
+    joints: Motion,
     fps: float,
     *,
     n_frames: int | None = None,
@@ -327,12 +325,12 @@ def to_canonical(
 
 
 def placed_on(
-    joints: Float[np.ndarray, "frames 22 3"],
+    joints: Motion,
     initial_joints: Float[np.ndarray, "22 3"],
     *,
     height: Height = "pelvis",
     source: Path | str = IN_MEMORY,
-) -> Float[np.ndarray, "frames 22 3"]:
+) -> Motion:
     """Return the motion turned about the vertical and moved, so that its first pose stands where the initial pose does.
 
     The whole motion moves as one; no joint is bent and no bone stretched. What is left between the two first poses is
@@ -364,12 +362,7 @@ def placed_on(
     return placed.astype(joints.dtype)
 
 
-def on_body_of(
-    joints: Float[np.ndarray, "frames 22 3"],
-    initial_joints: Float[np.ndarray, "22 3"],
-    *,
-    source: Path | str = IN_MEMORY,
-) -> Float[np.ndarray, "frames 22 3"]:
+def on_body_of(joints: Motion, initial_joints: Float[np.ndarray, "22 3"], *, source: Path | str = IN_MEMORY) -> Motion:
     """Return the motion with the bone lengths of the initial pose; every bone keeps its direction.
 
     The path of the pelvis is scaled by the ratio of the right legs, so that feet do not slide; place the motion
@@ -387,16 +380,14 @@ def on_body_of(
     return retarget(joints, offsets=rest_offsets(initial_joints.astype(np.float64)), source=source, upright=False)
 
 
-def on_floor(joints: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "frames 22 3"]:
+def on_floor(joints: Motion) -> Motion:
     """Return the motion with its lowest joint at Y = 0, over all joints and frames."""
     lowered = joints.copy()
     lowered[..., 1] -= joints[..., 1].min()
     return lowered
 
 
-def in_frame_of(
-    joints: Float[np.ndarray, "frames 22 3"], reference: Float[np.ndarray, "others 22 3"]
-) -> Float[np.ndarray, "frames 22 3"]:
+def in_frame_of(joints: Motion, reference: Float[np.ndarray, "others 22 3"]) -> Motion:
     """Return the motion in the canonical frame of another one that lies in the same world.
 
     For models that generate on from a few given frames: ``reference`` is what they were given.

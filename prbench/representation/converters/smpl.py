@@ -232,11 +232,8 @@ class SmplParameters:
         enough = flat.shape[1] >= N_JOINTS * numbers and flat.shape[1] % numbers == 0
         remedy = "Name the form of the rotations, and give global_orient and body_pose both."
         moves = len(transl) > 0 and transl.shape[1:] == (3,) and np.isfinite(transl).all()
-        require(
-            source,
-            (enough, "poses", expected, f"{flat.shape[1]} numbers", remedy),
-            (moves, "transl", "finite (frames, 3)", transl.shape, ""),
-        )
+        require(source, (enough, "poses", expected, f"{flat.shape[1]} numbers", remedy))
+        require(source, (moves, "transl", "finite (frames, 3)", transl.shape, ""))
         if betas is not None:
             shaped = betas.ndim in (1, 2) and betas.size > 0 and np.isfinite(betas).all()
             require(source, (shaped, "betas", "finite (shapes,) or (frames, shapes)", betas.shape, ""))
@@ -343,11 +340,8 @@ def read_rest_joints(path: Path, *, joints: int | None = None, how_to_get: str =
         InputFileError: if the file is missing, a pickle, no archive of plain arrays, or its arrays do not fit together.
     """
     path = path.expanduser()
-    require(
-        path,
-        (path.exists(), "", "your own body model", "no such file", how_to_get),
-        (path.suffix != ".pkl", "", "an .npz archive", "a pickle", HOW_TO_CONVERT),
-    )
+    require(path, (path.exists(), "", "your own body model", "no such file", how_to_get))
+    require(path, (path.suffix != ".pkl", "", "an .npz archive", "a pickle", HOW_TO_CONVERT))
     archive = Archive(path, remedy=HOW_TO_CONVERT)
     archive.require((REGRESSOR, TEMPLATE, SHAPES))
     arrays = archive.load((REGRESSOR, TEMPLATE, SHAPES))
@@ -382,8 +376,7 @@ def pose_body(
         pelvis: Position of the pelvis joint in the world, metres.
         rotations: Unit quaternions, w x y z: of the pelvis in the world, of the others in their parents.
     """
-    offsets = rest - rest[list(PARENTS)]
-    return forward_kinematics(offsets, pelvis, rotation_matrices(rotations), PARENTS)
+    return forward_kinematics(rest - rest[list(PARENTS)], pelvis, rotation_matrices(rotations), PARENTS)
 
 
 def smpl_joints(parameters: SmplParameters, rest: RestJoints) -> Float[np.ndarray, "frames 22 3"]:

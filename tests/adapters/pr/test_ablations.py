@@ -9,14 +9,15 @@ import pytest
 import torch
 
 from prbench.contract import Condition
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.generation import SamplingSettings, generate
 from prbench_adapters.diffusion.model import MotionModel
-from prbench_adapters.diffusion.tasks import read_model_table
+from prbench_adapters.diffusion.training import Objective
 from prbench_adapters.pr import load, training_task
 from prbench_adapters.training import SequenceDataset, collate
 from prbench_adapters.training.ablations import Ablation, load_ablations
 from prbench_adapters.training.configuration import load_configuration
-from prbench_adapters.training.task import TrainingData
+from prbench_adapters.training.task import TrainingData, split_model_table
 from prbench_adapters.training.weights import write_weights
 from tests.adapters.diffusion import tiny
 from tests.adapters.diffusion.goal_batches import conditions
@@ -86,7 +87,9 @@ def _module(row: Ablation, data: SequenceDataset, folder: Path):
 @pytest.mark.parametrize("name", BY_NAME)
 def test_every_row_changes_what_its_table_is_about(name):
     paper = load_configuration("paper", package="prbench_adapters.pr", task="pr", stage="finetune").model
-    own, base = (read_model_table({**paper, **change}) for change in (BY_NAME[name].model, {}))
+    own, base = (
+        split_model_table({**paper, **change}, DenoiserConfiguration, Objective) for change in (BY_NAME[name].model, {})
+    )
     differing = {
         field
         for ours, theirs in zip(own, base, strict=True)
