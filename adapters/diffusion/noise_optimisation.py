@@ -258,11 +258,9 @@ def keyframes(joints: Joints, n_frames: Counts, targets: Targets, settings: Opti
     else:
         location = _location(targets)
         errors.append((chosen_wrist(last, location, settings.hand) - location).abs())
-    return Losses(
-        minimised=torch.cat(errors, dim=1).mean(dim=1),
-        initial=_squared_distance(joints[:, 0], targets.initial_joints).detach(),
-        goal=_goal_losses(joints, n_frames, targets, settings.hand)[0].detach(),
-    )
+    initial = _squared_distance(joints[:, 0], targets.initial_joints)
+    goal, _ = _goal_losses(joints, n_frames, targets, settings.hand)
+    return Losses(torch.cat(errors, dim=1).mean(dim=1), initial.detach(), goal.detach())
 
 
 def _goal_losses(joints: Joints, n_frames: Counts, targets: Targets, hand: Hand) -> tuple[_PerSequence, _PerSequence]:

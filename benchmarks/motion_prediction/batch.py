@@ -89,13 +89,9 @@ class ObservedBatch:
     def chosen(self, rows: Sequence[int]) -> ObservedBatch:
         """Return some rows of the batch, in the order given."""
         places = np.asarray(rows, dtype=np.int64)
-        return replace(
-            self,
-            observed_joints=self.observed_joints[places],
-            key=tuple(self.key[place] for place in places),
-            gaze=None if self.gaze is None else self.gaze[places],
-            gaze_valid=None if self.gaze_valid is None else self.gaze_valid[places],
-        )
+        arrays = {name: getattr(self, name) for name in ("observed_joints", "gaze", "gaze_valid")}
+        chosen = {name: values[places] for name, values in arrays.items() if values is not None}
+        return replace(self, key=tuple(self.key[place] for place in places), **chosen)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -140,15 +140,10 @@ def _train(item: str, folders: Paths, *, data: Paths, out: Paths, workers: int, 
     if folders or len(out) > 1 or not data:
         raise UsageError(f"study {item} --train: expected --data DIR... and at most one --out DIR, and no DIR else.")
     session().resumes = True
-    corpora = {name: settings.pop(name) for name in ("nymeria", "humanml3d")}
-    request = AblationRequest(
-        table=_number(item),
-        data=data,
-        out=out[0] if out else Path("ablations"),
-        corpora={name: folder for name, folder in corpora.items() if folder is not None},
-        configuration=str(settings.pop("configuration")),
-        **settings,
-    )
+    named = {name: settings.pop(name) for name in ("nymeria", "humanml3d")}
+    settings["corpora"] = {name: folder for name, folder in named.items() if folder is not None}
+    settings |= {"out": out[0] if out else Path("ablations"), "configuration": str(settings["configuration"])}
+    request = AblationRequest(table=_number(item), data=data, **settings)
     runs, failed = run_ablation(request, engine=engine_for(workers), say=note)
     tables = []
     files = []

@@ -187,34 +187,17 @@ def workers_option(default: int | None = 1, *, help: str = "") -> Callable:
     return click.option("--workers", type=POSITIVE, default=default, metavar="N", help=help)
 
 
+_SPILL_LIMIT = "With ray: work that may wait in Ray's memory, and be spilled to its disk, at a time"
+_GPUS = "With ray: GPUs that a worker occupies, for example 0.5 (default 0)."
+_ADDRESS = "With ray: the cluster's head, or auto (default: RAY_ADDRESS, else a Ray on this machine alone)."
+_ENGINE = "Where to work: here (default), or on a Ray cluster, such as --engine ray --address 10.0.0.1:6379"
+_LIMIT = f"{_SPILL_LIMIT} (default {DEFAULT_SPILL_LIMIT_GB:g})."
+_WHERE = f"{_ENGINE} (docs/cluster.md#ray); changes no result."
 _RAY_OPTIONS = (
-    click.option(
-        "--spill-limit",
-        type=SECONDS,
-        default=DEFAULT_SPILL_LIMIT_GB,
-        metavar="GB",
-        help="With ray: work that may wait in Ray's memory, and be spilled to its disk, at a time"
-        f" (default {DEFAULT_SPILL_LIMIT_GB:g}).",
-    ),
-    click.option(
-        "--gpus-per-worker",
-        type=NumberRange(min=0),
-        default=0.0,
-        metavar="N",
-        help="With ray: GPUs that a worker occupies, for example 0.5 (default 0).",
-    ),
-    click.option(
-        "--address",
-        metavar="HOST:PORT",
-        help="With ray: the cluster's head, or auto (default: RAY_ADDRESS, else a Ray on this machine alone).",
-    ),
-    click.option(
-        "--engine",
-        type=click.Choice([LOCAL, RAY]),
-        default=LOCAL,
-        help="Where to work: here (default), or on a Ray cluster, such as --engine ray --address 10.0.0.1:6379"
-        " (docs/cluster.md#ray); changes no result.",
-    ),
+    click.option("--spill-limit", type=SECONDS, default=DEFAULT_SPILL_LIMIT_GB, metavar="GB", help=_LIMIT),
+    click.option("--gpus-per-worker", type=NumberRange(min=0), default=0.0, metavar="N", help=_GPUS),
+    click.option("--address", metavar="HOST:PORT", help=_ADDRESS),
+    click.option("--engine", type=click.Choice([LOCAL, RAY]), default=LOCAL, help=_WHERE),
 )
 
 

@@ -148,13 +148,10 @@ def read_conditions_file(path: Path) -> ConditionsFile:
     _require_suffix(path)
     archive = Archive(path)
     if METADATA_KEY not in archive.members:
-        raise InputFileError(
-            path,
-            "",
-            expected=f"a conditions file (with an array '{METADATA_KEY}')",
-            found=f"the arrays {', '.join(sorted(archive.members)[:10])} without it",
-            remedy="Export it with `prbench export-conditions`.",
-        )
+        expected = f"a conditions file (with an array '{METADATA_KEY}')"
+        found = f"the arrays {', '.join(sorted(archive.members)[:10])} without it"
+        remedy = "Export it with `prbench export-conditions`."
+        raise InputFileError(path, "", expected=expected, found=found, remedy=remedy)
     text = str(archive.read(METADATA_KEY, largest=1024**2))
     try:
         version = msgspec.json.decode(text, type=dict[str, Any]).get("format_version")

@@ -183,13 +183,10 @@ def _score_part(part: _Part) -> pa.Table:
     tables = []
     for start in range(0, len(part.names), _SCORED_TOGETHER):
         rows = np.arange(len(part.names))[start : start + _SCORED_TOGETHER]
-        some = replace(
-            part,
-            recorded=part.recorded.slice(start, len(rows)),
-            goals=part.goals[rows],
-            names=tuple(part.names[row] for row in rows),
-            scene=None if part.scene is None else part.scene.of_rows(rows),
-        )
+        names = tuple(part.names[row] for row in rows)
+        scene = None if part.scene is None else part.scene.of_rows(rows)
+        recorded = part.recorded.slice(start, len(rows))
+        some = replace(part, recorded=recorded, goals=part.goals[rows], names=names, scene=scene)
         tables.append(_score_together(some))
     return pa.concat_tables(tables)
 

@@ -170,12 +170,8 @@ def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> Dat
     names = table.schemas[table.main].names
     options = {**table.info.options, OPTION: f"{fold}/{folds}", WHOLE_TABLE: table.info.content_digest}
     info = msgspec.structs.replace(table.info, options=options)
+    sequences = (split(chunk.batch.select(names)) for chunk in table.chunks(columns=names))
+    recordings = map(split, table.recordings().to_batches())
+    events, scenes = table.events().to_batches(), table.scenes().to_batches()
     with sole_writer(out):
-        return write_dataset(
-            out,
-            info,
-            sequences=(split(chunk.batch.select(names)) for chunk in table.chunks(columns=names)),
-            events=table.events().to_batches(),
-            recordings=map(split, table.recordings().to_batches()),
-            scenes=table.scenes().to_batches(),
-        )
+        return write_dataset(out, info, sequences=sequences, events=events, recordings=recordings, scenes=scenes)

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.files.bounded import foreign_input, read_toml
+from prbench.files.bounded import foreign_input, read_toml, require
 from prbench.harness.methods.installed import (
     PREFIX,
     is_command,
@@ -310,14 +310,9 @@ def _container(
     """Return the words before the command, and the name of the container."""
     engines = (table.engine,) if table.engine else ("podman", "docker")
     engine, program = next(((name, at) for name in engines if (at := shutil.which(name, path=path))), ("", ""))
-    if not program:
-        raise InputFileError(
-            file,
-            "environment.engine" if table.engine else "environment.container",
-            expected=f"the program {' or '.join(engines)}",
-            found="none in PATH",
-            remedy="Install it, or name the other one with engine.",
-        )
+    key = "environment.engine" if table.engine else "environment.container"
+    remedy = "Install it, or name the other one with engine."
+    require(file, (bool(program), key, f"the program {' or '.join(engines)}", "none in PATH", remedy))
     mounts = [(directory, _METHOD_FOLDER)]
     for text in table.volumes:
         drive = 2 if text[1:2] == ":" and text[:1].isalpha() else 0  # C: of Windows is no separator

@@ -261,12 +261,9 @@ class FoldRun(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     def of(cls, run: RunFolder) -> FoldRun:
         """Describe a finished run on one dataset."""
         table = run.record.tables[0]
-        return cls(
-            fold=table.fold or "",
-            run=run.path.resolve().name,
-            record_sha256=file_digest(run.path / record.FILE_NAME),
-            scores_sha256=file_digest(run.dataset(table.dataset).scores),
-        )
+        made = file_digest(run.path / record.FILE_NAME)
+        scores = file_digest(run.dataset(table.dataset).scores)
+        return cls(fold=table.fold or "", run=run.path.resolve().name, record_sha256=made, scores_sha256=scores)
 
     @property
     def key(self) -> tuple[str, str]:
