@@ -1,13 +1,14 @@
 """Time three tasks in the player, in rerun and in viser with the same motions (docs/viewing.md#beside-rerun-and-viser).
 
 ``python docs/looking.py tasks motions.html`` does them in the player, in a headless Chromium, and checks each answer;
-``python docs/looking.py rerun motions.html out.rrd`` and ``… viser motions.html out.viser`` write the same motions,
+``python docs/looking.py rerun motions.html FOLDER`` and ``… viser motions.html out.viser`` write the same motions,
 distances, spans and scores for the others.
 """
 
 from __future__ import annotations
 
 import base64
+import importlib
 import json
 import re
 import shutil
@@ -93,9 +94,8 @@ def require(right: bool, found: str) -> None:
 
 
 def write_rerun(page: Path, out: Path) -> None:
-    """Write a recording a sequence: bodies, goal, distances, sliding feet, and scores as text."""
-    import rerun as rr
-
+    """Write a recording a sequence: bodies, goal, distances, sliding feet, and scores as text; needs rerun 0.41."""
+    rr: Any = importlib.import_module("rerun")
     out.mkdir(parents=True, exist_ok=True)
     for number, document in enumerate(documents(page)):
         stream = rr.RecordingStream("prbench", recording_id=document["sequence_id"])
@@ -121,8 +121,7 @@ def write_rerun(page: Path, out: Path) -> None:
 
 def write_viser(page: Path, out: Path) -> None:
     """Write the bodies, goals and scores of all sequences as one recording of viser, one after another."""
-    import viser
-
+    viser: Any = importlib.import_module("viser")
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     recording = server.get_scene_serializer()
     for document in documents(page):

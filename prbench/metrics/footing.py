@@ -95,7 +95,8 @@ def sliding_steps(
 
 
 def _sliding(feet: Footing, constants: MetricConstants) -> Bool[np.ndarray, " frames"]:
-    return (feet.contact & (feet.speed > constants.slide_speed + constants.foot_tolerance)).any(axis=0)
+    slides = feet.contact & (feet.speed > constants.slide_speed + constants.foot_tolerance)
+    return np.logical_or.reduce(slides, axis=0)
 
 
 def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, Float[np.ndarray, " n"]]:

@@ -32,7 +32,7 @@ from prbench.viewing.replay.scene import METHOD_COLOURS, Progress, Scene, score_
 from prbench.viewing.replay.sheet import MOST_SCENES, draw_sheet
 
 DEFAULT_LIMIT = 4
-LARGEST_PAGE = 40_000_000  # bytes of motions; a browser opens such a page in about a second
+LARGEST_PAGE = 40_000_000  # bytes of motions: about 1,000 sequences of two motions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,14 +167,14 @@ def _view_page(request: ViewRequest, out: Path, progress: Progress) -> ViewRepor
     total = sum(map(len, chosen))
     if request.root is not None and len(shown) > 1:
         raise UsageError("--root: holds the recordings of one dataset; name its table with --data DIR.")
+    if request.root is not None:
+        require_may_pass_on(shown[0][0].info, "the objects and the scene in the page", request.permitted)
     sequences: list[PlayerSequence] = []
     for (table, motions), ids in zip(shown, chosen, strict=True):
         room = LARGEST_PAGE // len(shown)
-
         documents = _documents(_scenes(request, table, motions, ids), len(sequences), total, progress)
         held = within(documents, room)
         if request.root is not None:
-            require_may_pass_on(table.info, "the objects and the scene in the page", request.permitted)
             held = within(surrounded(held, table, request.root, request.mesh, request.option, progress), room)
         sequences += held
     write_page(sequences, out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from typing import Any
 from urllib.parse import parse_qs
 
 import pyarrow as pa
@@ -10,7 +11,7 @@ from prbench.harness.run_folder.scores import SCORES, CodedScores
 from prbench.viewing.player.links import motion_link, sequence_scores, told_rates, worst_first
 
 
-def scores(**values: dict[str, float]) -> CodedScores:
+def scores(**values: dict[str, Any]) -> CodedScores:
     rows = [
         {"sequence_id": name, "dataset": "d", "sample": sample, "metric": metric, "value": value, "flag": None}
         for name, metrics in values.items()
