@@ -18,7 +18,7 @@ from prbench.files.bounded import foreign_input
 from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.claims import DECLARED, origin_of
 from prbench.harness.methods.installed import name_problem
-from prbench.harness.results import CheckedSummary, RunChecker, ScoredSequences
+from prbench.harness.results import CheckedSummary, RunChecker, ScoredSequences, tree_of
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder.folder import FOLDS_FILE, MERGED, FoldRun, RunFolder, read_folds, run_folder_of
 from prbench.harness.run_folder.record import RunCost, RunRecord, TableRecord, total_cost
@@ -297,8 +297,10 @@ def _why_unverified(merged: RunFolder, named: Sequence[tuple[LeaderboardRow, Run
         return "the runs that it was merged from are not among those named; name them, too"
     again = merge_folds([run.path for _, run in found])
     table = again.record.tables[0]
-    stored = read_scores(merged.dataset(table.dataset).scores)
-    if again.record != merged.record or not again.scores.equals(stored.cast(again.scores.schema)):
+    files = merged.dataset(table.dataset)
+    stored = read_scores(files.scores)
+    same_faults = tree_of(again.summary)["findings"] == tree_of(DatasetSummary.read(files.path))["findings"]
+    if again.record != merged.record or not again.scores.equals(stored.cast(again.scores.schema)) or not same_faults:
         raise RunError(
             f"{merged.path}: does not follow from the runs that {FOLDS_FILE} names. It was edited; merge them again"
             " into another folder: `prbench merge RUN … --out DIR`."

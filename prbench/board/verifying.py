@@ -16,7 +16,7 @@ from prbench.errors import PredictionsError, RunError
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.first_run import table_finder
 from prbench.harness.results import CheckedSummary, MetricDrift, RunChecker
-from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder.folder import FOLDS_FILE, RunFolder
 from prbench.harness.run_folder.record import CONTROL, TableRecord
 from prbench.harness.run_folder.summary import FILE_NAME as SUMMARY_FILE
 from prbench.harness.run_folder.summary import DatasetSummary
@@ -119,6 +119,11 @@ def verify_submission(
         reason = str(error).replace(f"{os.path.realpath(folder)}/", "")
         raise type(error)(f"submission {submission.id} is refused: {reason}") from error
     problems = [*collected.left_out, *(f"{row.run}: {row.unverified}" for row in collected.rows if row.unverified)]
+    expected = {(name, table.dataset) for name, run in submission.runs.items() for table in run.tables}
+    # What was merged of folds has no motions of its own; it was held against theirs.
+    expected -= {pair for pair in expected if (folder / RUNS / pair[0] / FOLDS_FILE).is_file()}
+    for name, dataset in sorted(expected - {(each.run, each.dataset) for each in found}):
+        problems.append(f"{name}: expected a run on {dataset}, found none")
     if problems:
         raise RunError(f"submission {submission.id} cannot be verified: {'; '.join(problems)}.")
     return Verification(

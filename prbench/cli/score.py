@@ -66,6 +66,7 @@ class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
 @opt.flag("--allow-length-mismatch", "Score motions of another length than the recorded one, too.")
 @opt.protocol_option("the numbers of the metrics; the table must have been built by the same rules.")
 @opt.out_folder_option("Write scores.parquet, summary.json … into this folder.")
+@opt.flag("--keep-motions", "Keep the motions there, too, so that `prbench leaderboard submit` can pack them.")
 @opt.signed_option
 @opt.engine_options()
 @opt.benchmark_option

@@ -22,7 +22,7 @@ from prbench.harness.methods.motions import Declared
 from prbench.harness.preparation import table_record
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.predictions import QUESTION, Predictions, open_part
-from prbench.harness.run_folder.record import BUILT_IN, CONTROL, FILE_NAME, RunRecord, TableRecord
+from prbench.harness.run_folder.record import BUILT_IN, CONTROL, FILE, FILE_NAME, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import GAZE_COLUMNS, CodedScores
 from prbench.shown import clean, quoted
 
@@ -155,6 +155,8 @@ def require_questions(
         RunError: naming the key that differs.
     """
     method = run.record.method
+    if method.kind == FILE:
+        return DECLARED  # prbench asked nobody
     made_again = method.kind == CONTROL and method.version == prbench.__version__
     files.require_no_other_parts(len(work.plan))
     for index, question in work.questions(frozenset(range(len(work.plan)))):

@@ -437,6 +437,8 @@ class RunChecker:
         unverified = ""
         if not has_motions:
             unverified = "its folder holds no motions"
+            if run.record.method.kind == run_record.FILE:
+                unverified += "; `prbench score FILE --keep-motions --out DIR` keeps them"
         elif rules is None:
             unverified = _OTHER_PROTOCOL
         elif table is None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import prbench
@@ -15,6 +17,7 @@ from prbench.engine.pool import give_back
 from prbench.errors import RunError, StorageError, UsageError
 from prbench.files.storage import file_digest, remove_half_written, sole_writer, text_digest
 from prbench.harness.agreement import agreement_with_people
+from prbench.harness.conditions import opaque_ids, run_salt
 from prbench.harness.faults import certain_faults
 from prbench.harness.methods.installed import name_problem
 from prbench.harness.offline import read_conditions_file
@@ -24,11 +27,12 @@ from prbench.harness.request import ProgressCallback, reported, silent
 from prbench.harness.results import cases_of_run, differences, require_scores, summary_of, tree_of, work_of_run
 from prbench.harness.run_folder import DatasetFolder, DatasetSummary, Predictions, RunFolder
 from prbench.harness.run_folder import record as run_record
+from prbench.harness.run_folder.predictions import write_part
 from prbench.harness.run_folder.record import FILE, MethodRecord, RunCost, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION, CodedScores
 from prbench.harness.run_folder.summary import FILE_NAME as SUMMARY_FILE
 from prbench.harness.score_request import ScoreReport, ScoreRequest, require_complete, settled_by_conditions
-from prbench.harness.scoring import ScoringRules, score_selection
+from prbench.harness.scoring import ScoringRules, at_table_rate, score_selection
 from prbench.protocol.manifests import BenchmarkProtocol
 from prbench.protocol.own_protocol import FILE_NAME, protocol_for, write_protocol
 from prbench.sequences import SequenceTable
@@ -37,6 +41,7 @@ from prbench.shown import clean
 # Condition of motions of which nobody said what they were made from; never ranked.
 UNSTATED = "unstated"
 InMemory = tuple[Predictions, str] | None
+KeepMotions = Callable[[DatasetFolder], None]
 _STATED_BY_THE_RUN = ("conditions", "condition", "control", "seed", "split", "max_frames", "native_fps", "name")
 
 
@@ -77,12 +82,14 @@ def score_predictions(
     if run is not None and run.record.method.kind == run_record.FILE:
         remedy = "Score that file again."
         raise RunError(f"{run.path}: holds the scores of {run.record.method.package}, not its motions. {remedy}")
+    if request.keep_motions and (run is not None or request.out is None):
+        raise UsageError("--keep-motions: keeps finished motions from a file, in the folder of --out.")
     with nullcontext() if request.out is None else sole_writer(request.out):
         if run is not None:
             protocol, reports = _score_run(run, tables, request, engine, progress)
             return _written(request.out, reports, protocol, record=None)
-        record, protocol, reports = _score_file(tables, request, given, engine, progress)
-        return _written(request.out, reports, protocol, record=record)
+        record, protocol, reports, keep = _score_file(tables, request, given, engine, progress)
+        return _written(request.out, reports, protocol, record=record, keep=keep if request.keep_motions else ())
 
 
 def _score_run(
@@ -131,7 +138,7 @@ def _changed(files: DatasetFolder, now: ScoreReport) -> str:
 
 def _score_file(
     tables: list[SequenceTable], request: ScoreRequest, given: InMemory, engine: Engine, progress: ProgressCallback
-) -> tuple[RunRecord, BenchmarkProtocol, list[ScoreReport]]:
+) -> tuple[RunRecord, BenchmarkProtocol, list[ScoreReport], list[KeepMotions]]:
     path = request.predictions
     name = request.name or path.absolute().stem
     if problem := name_problem(name):
@@ -190,14 +197,37 @@ def _score_file(
         id_seed=seed,
     )
     reports = []
+    keep: list[KeepMotions] = []
     for table, selection in zip(record.tables, selections, strict=True):
+        keep.append(partial(_keep_motions, selection, predictions, found, rules, protocol.version))
         windows = score_selection(selection, predictions, samples=found, rules=rules, engine=engine)
         scores = CodedScores.of(reported(windows, table.dataset, len(selection), progress))
         findings = certain_faults(
             selection, predictions, condition=record.condition, id_seed=seed, native_fps=request.native_fps
         )
         reports.append(_report(record, table, selection, scores, findings, protocol))
-    return record, protocol, reports
+    return record, protocol, reports, keep
+
+
+def _keep_motions(
+    selection: Selection,
+    predictions: Predictions,
+    samples: list[int],
+    rules: ScoringRules,
+    version: int,
+    files: DatasetFolder,
+) -> None:
+    """Write motions as a run has them: under the ids of the table, at its rate."""
+    salt = run_salt(rules.id_seed, selection.table.identity)
+    for number, (place, chunk) in enumerate(selection.windows(["n_frames"])):
+        ids = chunk.sequence_ids
+        names = opaque_ids(ids, salt) if predictions.id_column == "opaque_id" else ids
+        motions = [predictions.motions(names, sample) for sample in samples]
+        if rules.native_fps is not None:
+            step = rules.native_fps / selection.fps
+            motions = [at_table_rate(each, selection.n_frames[place], step=step) for each in motions]
+        seeds = [[rules.id_seed] * len(ids)] * len(samples)
+        write_part(files.part(number), ids, seeds, motions, protocol_version=version)
 
 
 def _report(
@@ -217,7 +247,12 @@ def _report(
 
 
 def _written(
-    folder: Path | None, reports: list[ScoreReport], protocol: BenchmarkProtocol, *, record: RunRecord | None
+    folder: Path | None,
+    reports: list[ScoreReport],
+    protocol: BenchmarkProtocol,
+    *,
+    record: RunRecord | None,
+    keep: Sequence[KeepMotions] = (),
 ) -> tuple[ScoreReport, ...]:
     """Write scores as a leaderboard reads them; those of a run beside what it has itself, without its ``run.json``.
 
@@ -235,6 +270,8 @@ def _written(
     else:
         run = RunFolder.prepare(folder, record, protocol)
         parts = [run.dataset(one.summary.dataset).path for one in reports]
+    for part, keep_motions in zip(parts, keep):
+        keep_motions(DatasetFolder(part))
     for part, one in zip(parts, reports, strict=True):
         one.coded.write(part / "scores.parquet")
         if record is not None:

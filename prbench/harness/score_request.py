@@ -47,6 +47,7 @@ class ScoreRequest:
         protocol: The user's own protocol; by default that of the run, else prbench's.
         out: Folder that gets ``<dataset>/scores.parquet``, ``<dataset>/summary.json`` and what a leaderboard needs
             beside them; nothing is written without it.
+        keep_motions: The motions of a file are kept there, too, so that they can be submitted.
 
     Raises:
         UsageError: if parts of it do not fit together.
@@ -66,6 +67,7 @@ class ScoreRequest:
     allow_length_mismatch: bool = False
     protocol: Path | None = None
     out: Path | None = None
+    keep_motions: bool = False
 
     def __post_init__(self) -> None:
         turn_into_paths(self, "predictions", "data", "conditions", "protocol", "out")

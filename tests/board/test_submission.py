@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from prbench.board.submission import FILE_NAME, RUNS, TrainingData, open_submission, pack, read_submission, trained_on
@@ -72,6 +73,29 @@ def test_all_folds_of_a_run_are_submitted_and_verified_together(tmp_path):
     assert main(["leaderboard", "verify", file, "--data", str(table)]) == 0
     assert main(["leaderboard", "submit", str(out / "merged"), "--out", str(tmp_path / "b.zip"), "--name", "F"]) == 7
     assert not (tmp_path / "b.zip").exists()
+
+
+@pytest.mark.parametrize("rate", [[], ["--native-fps", "30"]])
+def test_motions_from_a_file_are_submitted_where_scoring_has_kept_them(tmp_path, capsys, rate):
+    table = str(made() / "table")
+    file = tmp_path / "conditions.npz"
+    words = ["--condition", "goal-loc", *rate, "--data", table, "--out", str(file), "-q"]
+    assert main(["export-conditions", *words]) == 0
+    given = np.load(file)
+    n_frames = given["n_frames"]
+    moved = np.linspace(0, 1, n_frames.max())[None, :, None, None] * np.array([0.1, 0.0, 0.5])
+    motions = {"joints": given["initial_joints"][:, None] + moved, "n_frames": n_frames}
+    np.savez(tmp_path / "mine.npz", opaque_id=given["opaque_id"], **motions)
+    score = ["score", str(tmp_path / "mine.npz"), "--conditions", str(file), "--data", table, "-q"]
+    submit = ["leaderboard", "submit", str(tmp_path / "mine"), "--out", str(tmp_path / "a.zip"), "--name", "Mine"]
+    assert main([*score, "--keep-motions"]) == 2
+    assert main([*score, "--out", str(tmp_path / "mine")]) == 0
+    assert main(submit) == 7
+    assert "its folder holds no motions; `prbench score FILE --keep-motions" in capsys.readouterr().err
+    assert main([*score, "--out", str(tmp_path / "mine"), "--keep-motions"]) == 0
+    assert main([*submit, "--data", table]) == 0
+    assert main(["leaderboard", "verify", str(tmp_path / "a.zip"), "--data", table]) == 0
+    assert "verified on tables of the same values: 1 run, 8 sequences" in capsys.readouterr().out
 
 
 def break_sums(run: Path) -> None:

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
+from prbench.board.submission import Submission, open_submission
+from prbench.board.verifying import verify_submission
 from prbench.checking.inspection import inspect_folder
 from prbench.cli import main
 from prbench.curation.corrections import read_corrections
@@ -298,6 +300,24 @@ synthetic-adt/two/jug/put/4,rename,bowl,"it is one, clearly",me
 """
 
 
+def _submission(folder: Path) -> None:
+    _run(folder)
+    (folder / "input").rename(folder / "run")
+    _ran(folder, "leaderboard", "submit", "FOLDER/run", "--out", "FOLDER/input/mine.prbench.zip", "--name", "Mine")
+
+
+def _unpacked(folder: Path) -> None:
+    _submission(folder)
+    (folder / "input").rename(folder / "packed")
+    open_submission(folder / "packed" / "mine.prbench.zip", folder / "input")
+
+
+def _verify_again(folder: Path) -> Seen:
+    """Damage that the list of files does not tell, because whoever made it has listed it."""
+    submission = Submission.decoded((folder / "input" / "submission.json").read_bytes(), folder)
+    return Seen(digest_of(repr(verify_submission(submission, folder / "input", [folder / "table"]).datasets)))
+
+
 def _windows(folder: Path) -> None:
     _table(folder, "table")
     _ran(folder, "build-windows", "--data", "FOLDER/table", "--out", "FOLDER/input")
@@ -328,6 +348,7 @@ READERS = (
         look=lambda folder: Seen(digest_of(repr(read_protocol(folder / "input" / "mine.toml")))),
     ),
     Door("method-description", _description, _look_at_description, knows_whole=False),
+    Door("submission", _unpacked, _verify_again, spared=("submission.json", "cost.json"), optional=("agreement.json",)),
 )  # fmt: skip
 """Functions that read."""
 
@@ -345,6 +366,7 @@ COMMANDS = (
     _command("board", _run, "leaderboard", "export", "FOLDER/input", "--format", "md"),
     _command("import-release", _release, "import-release", "FOLDER/input", "--out", "FOLDER/tables", out="tables"),
     _command("board-data", _run, "leaderboard", "export", "FOLDER/input", "--data", "FOLDER/table", "--format", "md"),
+    _command("verify", _submission, "leaderboard", "verify", "FOLDER/input/mine.prbench.zip", "--data", "FOLDER/table"),
     _command("score-run", _run, "score", "FOLDER/input", "--data", "FOLDER/table"),
     _command("doctor", _motions, "doctor", "FOLDER/input/motions.npz", "--data", "FOLDER/table"),
     _command("windows", _windows, "run", "--benchmark", "motion-prediction", "--method", "zero-velocity",
