@@ -279,7 +279,13 @@ def pack(
     for name, run in sorted(named.items()):
         require_unchanged(run)
         files |= {f"{RUNS}/{name}/{path.relative_to(run.path).as_posix()}": path for path in _files_of(run)}
-    first = next(iter(named.values())).record
+    rules = {(run.record.benchmark, run.record.protocol_digest) for run in named.values()}
+    if len(rules) > 1:
+        found = ", ".join(f"{benchmark} {digest[:12]}…" for benchmark, digest in sorted(rules))
+        raise RunError(
+            f"expected runs of one benchmark and protocol, found {found}. Submit them in files of their own."
+        )
+    ((benchmark, protocol_digest),) = rules
     if training is not None:
         tables = (checker.find_table(table) for run in named.values() for table in run.record.tables)
         training = training.with_digests(table for table in tables if table is not None)
@@ -288,14 +294,13 @@ def pack(
         "prbench_version": prbench.__version__,
         "training": training,
         "permission": permitted,
-        "benchmark": first.benchmark,
-        "protocol_digest": first.protocol_digest,
+        "benchmark": benchmark,
+        "protocol_digest": protocol_digest,
         "runs": {name: msgspec.to_builtins(run.record) for name, run in sorted(named.items())},
         "members": {name: file_digest(path) for name, path in files.items()},
     }
     content = json.dumps(msgspec.to_builtins(values), indent=1, sort_keys=True).encode() + b"\n"
     submission = Submission.decoded(content, out)
-    _require_one_protocol(submission, out)
     with sole_writer(out):
         write_archive(out, {FILE_NAME: content, **files})
     return submission
@@ -306,15 +311,6 @@ def _files_of(run: RunFolder) -> list[Path]:
     beside = [run.path / SUMS, run.path / SIGNATURE]
     beside += [run.dataset(table.dataset).notice for table in run.record.tables]
     return [*run.files, *(path for path in beside if path.is_file())]
-
-
-def _require_one_protocol(submission: Submission, path: Path) -> None:
-    for name, record in submission.runs.items():
-        for key in ("benchmark", "protocol_digest"):
-            expected = f"{getattr(submission, key)}, as the submission has it"
-            same = getattr(record, key) == getattr(submission, key)
-            remedy = "Submit runs of different benchmarks or protocols in files of their own."
-            require(path, (same, f"run {name}, {key}", expected, getattr(record, key), remedy))
 
 
 def open_submission(path: Path, folder: Path) -> Submission:
@@ -328,59 +324,56 @@ def open_submission(path: Path, folder: Path) -> Submission:
         InputFileError: if it is no such archive, is damaged or hostile, or holds other files than it lists.
         StorageError: if the folder cannot be written.
     """
-    with open_archive(path) as archive:
-        sizes = {entry.filename: entry.file_size for entry in archive.infolist()}
-        found = f"{sizes.get(FILE_NAME, 'none')}"
-        fits = FILE_NAME in sizes and sizes[FILE_NAME] <= HARMLESS_SIZE
-        require(path, (fits, FILE_NAME, f"a list of at most {HARMLESS_SIZE:,} bytes", found, _AGAIN))
-        submission = Submission.decoded(archive.read(FILE_NAME), path)
-        _require_listed(path, submission, sizes)
-        with atomic_folder(folder) as temporary:
-            for name in sizes:
-                target = temporary / name  # every name was found to stay inside, and to be there once
-                target.parent.mkdir(parents=True, exist_ok=True)
-                with archive.open(name) as source, open(target, "xb") as file:
-                    shutil.copyfileobj(source, file)
-            _require_whole(path, submission, temporary)
-    return submission
+    with open_archive(path) as archive, atomic_folder(folder) as temporary:
+        for name in archive.namelist():
+            target = temporary / name  # every name was found to stay inside, and to be there once
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with archive.open(name) as source, open(target, "xb") as file:
+                shutil.copyfileobj(source, file)
+        return read_submission(temporary, shown=path)
 
 
-def read_submission(folder: Path) -> Submission:
-    """Read an unpacked submission and compare every file with its digest.
+@foreign_input()
+def read_submission(folder: Path, *, shown: Path | None = None) -> Submission:
+    """Read an unpacked submission and hold every file against its digest, every run against its description.
+
+    Args:
+        folder: The folder.
+        shown: Its name in messages; its own by default.
 
     Raises:
-        InputFileError: if a file is missing, changed, or not listed, or is no plain file.
+        InputFileError: if a file is missing, changed, not listed, no file of a run, or no plain file.
+        RunError: if a run is damaged.
     """
-    with foreign_input(folder):
-        submission = Submission.decoded(read_whole(folder / FILE_NAME, largest=HARMLESS_SIZE), folder)
-        there = [path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()]
-        for path in there:
-            require(path, (not path.is_symlink(), "", "a plain file", "a link", _AGAIN))
-        _require_listed(folder, submission, [path.relative_to(folder).as_posix() for path in there])
-        _require_whole(folder, submission, folder)
-    return submission
-
-
-def _require_listed(path: Path, submission: Submission, names: Iterable[str]) -> None:
-    there = set(names) - {FILE_NAME}
-    for name in sorted(there ^ set(submission.members)):
-        expected = "only files" if name in there else "every file"
-        found = "this one" if name in there else "no such file"
-        require(path, (False, name, f"{expected} that {FILE_NAME} lists", found, _AGAIN))
-
-
-def _require_whole(path: Path, submission: Submission, folder: Path) -> None:
-    """Refuse changed files, files that no run has, and runs that are not those that the list describes."""
+    path = shown or folder
+    there = [file for file in folder.rglob("*") if file.is_symlink() or not file.is_dir()]
+    names = {file.relative_to(folder).as_posix() for file in there}
+    links = sorted(file.name for file in there if file.is_symlink())
+    require(
+        path,
+        (not links, ", ".join(links), "plain files", "a link", _AGAIN),
+        (FILE_NAME in names, "", f"a submission (with {FILE_NAME})", "none", _AGAIN),
+    )
+    content = read_whole(folder / FILE_NAME, largest=HARMLESS_SIZE)
+    submission = Submission.decoded(content, path)
+    for name in sorted((names - {FILE_NAME}) ^ set(submission.members)):
+        found = "one more" if name in names else "no such file"
+        require(path, (False, name, f"the files that {FILE_NAME} lists", found, _AGAIN))
     for name, digest in submission.members.items():
-        found = file_digest(folder / name)
         expected = f"the SHA-256 {digest[:12]}…, as {FILE_NAME} lists it"
+        found = file_digest(folder / name)
         require(path, (found == digest, name, expected, f"{found[:12]}…: the file was changed", _AGAIN))
-    _require_one_protocol(submission, path)
     known: set[str] = set()
     for name, record in submission.runs.items():
         run = RunFolder.open(folder / RUNS / name, any_benchmark=True)
         same = run.record == record and run.path == folder / RUNS / name
-        require(path, (same, f"run {name}", f"the run.json that {FILE_NAME} holds", "another", _AGAIN))
+        rules = (record.benchmark, record.protocol_digest) == (submission.benchmark, submission.protocol_digest)
+        require(
+            path,
+            (same, f"run {name}", f"the run.json that {FILE_NAME} holds", "another", _AGAIN),
+            (rules, f"run {name}", "the benchmark and protocol of the submission", "others", _AGAIN),
+        )
         known.update(file.relative_to(folder).as_posix() for file in _files_of(run))
     for name in submission.members:
         require(path, (name in known, name, "files of runs", "a file that no run has", _AGAIN))
+    return submission

@@ -180,22 +180,22 @@ STILL = f"{RUNS}/still"
 HOSTILE = {
     "a changed file": (lambda folder: (folder / STILL / "run.json").write_bytes(b"{}"), "the file was changed"),
     "a file that is not listed": (
-        lambda folder: (folder / STILL / "more.json").write_bytes(b"{}"), "more.json: expected only files that",
+        lambda folder: (folder / STILL / "more.json").write_bytes(b"{}"), "more.json: .* found one more",
     ),
     "a file that is missing": (lambda folder: (folder / STILL / DATASET / "cost.json").unlink(), "found no such file"),
     "an archive in it": (added(f"{STILL}/inner.zip"), "inner.zip: .* found a file that no run has"),
     "a program": (added(f"{STILL}/{DATASET}/run.py"), "a file that no run has"),
     "a run that is not described": (added(f"{RUNS}/other/run.json", b"{}"), "a file that no run has"),
-    "no list": (lambda folder: (folder / FILE_NAME).unlink(), "a list of at most"),
+    "no list": (lambda folder: (folder / FILE_NAME).unlink(), "a submission .with submission.json., found none"),
     "no JSON": (lambda folder: (folder / FILE_NAME).write_bytes(b"{"), "the form of a submission"),
     "deep JSON": (lambda folder: (folder / FILE_NAME).write_bytes(b"[" * 10**6), "the form of a submission"),
-    "huge JSON": (lambda folder: (folder / FILE_NAME).write_bytes(b" " * (2**26 + 1)), "a list of at most 67,108,864"),
+    "huge JSON": (lambda folder: (folder / FILE_NAME).write_bytes(b" " * (2**26 + 1)), "at most 67,108,864 bytes"),
     "another version": (listing(lambda values: values.update(schema_version=2)), "schema_version"),
     "a key too many": (listing(lambda values: values.update(note="x")), "note"),
     "a run elsewhere": (listing(lambda values: values["runs"].update({"../../x": values["runs"]["still"]})), "runs"),
     "no run": (listing(lambda values: values.update(runs={})), "runs"),
     "another run": (listing(lambda values: values["runs"]["still"].update(seed=5)), "run still: expected the run.json"),
-    "two protocols": (listing(lambda values: values.update(protocol_digest="0" * 64)), "protocol_digest"),
+    "two protocols": (listing(lambda values: values.update(protocol_digest="0" * 64)), "protocol of the submission"),
     "a script as address": (listing(lambda values: values.update(url="javascript:alert(1)")), "url"),
 }  # fmt: skip
 
@@ -211,9 +211,8 @@ def test_a_file_that_does_not_hold_what_it_lists_leaves_nothing_behind(tmp_path,
     with pytest.raises(InputFileError, match=message):
         open_submission(tmp_path / "forged.zip", tmp_path / "out" / "unpacked")
     assert not list(tmp_path.glob("out/*"))
-    if name not in ("no list", "huge JSON"):
-        with pytest.raises(InputFileError, match=message):
-            read_submission(folder)
+    with pytest.raises(InputFileError, match=message):
+        read_submission(folder)
 
 
 def test_a_link_in_an_unpacked_submission_is_refused(tmp_path):
@@ -221,7 +220,7 @@ def test_a_link_in_an_unpacked_submission_is_refused(tmp_path):
     path = tmp_path / "folder" / STILL / "run.json"
     path.rename(tmp_path / "run.json")
     path.symlink_to(tmp_path / "run.json")
-    with pytest.raises(InputFileError, match="expected a plain file, found a link"):
+    with pytest.raises(InputFileError, match=r"run.json: expected plain files, found a link"):
         read_submission(tmp_path / "folder")
 
 
