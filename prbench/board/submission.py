@@ -30,7 +30,7 @@ from prbench.harness.run_folder.folder import MERGED, RunFolder
 from prbench.harness.run_folder.record import CONTROL, RunRecord
 from prbench.harness.run_folder.signature import SIGNATURE, SUMS, require_unchanged
 from prbench.limits import HARMLESS_SIZE
-from prbench.sequences.dataset_info import require_may_pass_on
+from prbench.sequences.dataset_info import require_may_pass_on, run_notice
 from prbench.shown import quoted
 
 FILE_NAME = "submission.json"
@@ -367,12 +367,20 @@ def read_submission(folder: Path, *, shown: Path | None = None) -> Submission:
     for name, record in submission.runs.items():
         run = RunFolder.open(folder / RUNS / name, any_benchmark=True)
         same = run.record == record and run.path == folder / RUNS / name
+        once = len({table.dataset for table in record.tables}) == len(record.tables)
         rules = (record.benchmark, record.protocol_digest) == (submission.benchmark, submission.protocol_digest)
         require(
             path,
             (same, f"run {name}", f"the run.json that {FILE_NAME} holds", "another", _AGAIN),
+            (once, f"run {name}", "each dataset once", "one twice", _AGAIN),
             (rules, f"run {name}", "the benchmark and protocol of the submission", "others", _AGAIN),
         )
+        require_unchanged(run)
+        for table in record.tables:
+            notice = run.dataset(table.dataset).notice
+            texts = [run_notice(table, recorded_motion=each).encode() for each in (False, True)]
+            plain = not notice.is_file() or read_whole(notice, largest=HARMLESS_SIZE) in texts
+            require(path, (plain, f"run {name}, {notice.name}", "the notice of prbench", "another text", _AGAIN))
         known.update(file.relative_to(folder).as_posix() for file in _files_of(run))
     for name in submission.members:
         require(path, (name in known, name, "files of runs", "a file that no run has", _AGAIN))

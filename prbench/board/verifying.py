@@ -94,6 +94,7 @@ def verify_submission(
             return checked
         _require_own_motions(run, record, checked)
         table = checker.find_table(record)
+        assert table is not None, "else it would be unverified"
         if submission.training is not None and checked.scored is not None:
             recording_of = load_benchmark(run.record.benchmark).recordings_of(table)
             tested = {recording_of[name] for name in checked.scored.ids}

@@ -164,7 +164,8 @@ def _require_plain_file(path: Path, entry: zipfile.ZipInfo) -> None:
     name = entry.orig_filename
     where = quoted(name)
     inside = not (name.startswith("/") or "\\" in name or ":" in name or ".." in PurePosixPath(name).parts)
-    is_file = not name.endswith("/") and stat.S_IFMT(entry.external_attr >> 16) in (0, stat.S_IFREG)
+    attributes = entry.external_attr  # of Unix above, of MS-DOS below, where 16 is a folder
+    is_file = not (name.endswith("/") or attributes & 16) and stat.S_IFMT(attributes >> 16) in (0, stat.S_IFREG)
     plain = not (entry.flag_bits & ~_HARMLESS_FLAGS or entry.extra or entry.comment)
     stored = entry.compress_type != zipfile.ZIP_STORED or entry.file_size == entry.compress_size
     require(

@@ -30,8 +30,8 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run_folder import DatasetFolder, DatasetSummary, MetricSummary, RunFolder, RunRecord, TableRecord
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder import summary as run_summary
-from prbench.harness.run_folder.predictions import Predictions
-from prbench.harness.run_folder.scores import PIECE, SCORES, CodedScores
+from prbench.harness.run_folder.predictions import Predictions, open_part
+from prbench.harness.run_folder.scores import PIECE, SCORES, CodedScores, predictions_schema
 from prbench.metrics import MetricInfo
 from prbench.metrics.registry import LENGTH_MISMATCH
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
@@ -205,7 +205,7 @@ def require_scores(
         why = f"({len(made)} and {len(stored)} rows). The file was edited. {_AGAIN}"
         raise RunError(f"{files.scores}, row {row}: {problem} {why}")
     if drifting is not None:
-        _require_little_drift(files, metric_drifts(stored, made, drifting))
+        _require_little_drift(files, stored, made, metric_drifts(stored, made, drifting))
         return
     expected = made.value
     found = stored.value
@@ -220,7 +220,13 @@ def require_scores(
         )
 
 
-def _require_little_drift(files: DatasetFolder, drifts: Sequence[MetricDrift]) -> None:
+def _require_little_drift(
+    files: DatasetFolder, stored: CodedScores, made: CodedScores, drifts: Sequence[MetricDrift]
+) -> None:
+    remarks = [scores.long_form()["flag"].fill_null("").to_numpy() for scores in (stored, made)]
+    differ = int((remarks[0] != remarks[1]).sum())
+    if differ > 1 + 5e-3 * len(stored):
+        raise RunError(f"{files.scores}: expected the remarks that the motions earn, found others in {differ} rows.")
     for each in drifts:
         if not each.drift <= each.accepted:  # NaN differs, too
             raise RunError(
@@ -479,8 +485,14 @@ def require_motions(files: DatasetFolder, sequence_ids: Sequence[str], samples: 
         PredictionsError: naming sequences that are missing, repeated or unknown.
     """
     there = Predictions.open(files.predictions)
+    for part in there.paths:
+        more = sorted(set(open_part(part).schema_arrow.names) - set(predictions_schema(gaze=True).names))
+        if more:
+            raise PredictionsError(f"{part}: expected the columns of motions alone, found {quoted(more[0])}, too.")
     counts = Counter(zip(there.ids, there.samples, strict=True))
-    wanted = {(name, sample) for name in sequence_ids for sample in range(samples)}
+    # A number of samples that nothing stands behind is not counted out.
+    each = range(min(samples, len(there.ids) + 1))
+    wanted = {(name, sample) for name in sequence_ids for sample in each}
     repeated = {key for key, count in counts.items() if count > 1}
     kinds = {"missing": wanted - counts.keys(), "repeated": repeated, "unknown": counts.keys() - wanted}
     if any(kinds.values()):

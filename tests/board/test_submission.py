@@ -177,6 +177,15 @@ def added(name: str, content: bytes = b"PK\x05\x06") -> Callable[[Path], None]:
 
 
 STILL = f"{RUNS}/still"
+
+
+def twice(folder: Path) -> None:
+    record = json.loads((folder / STILL / "run.json").read_text())
+    edit_json(folder / STILL / "run.json", tables=record["tables"] * 2)
+    with open_archive(repacked(folder, folder.parent / "unused.zip")) as archive:
+        (folder / FILE_NAME).write_bytes(archive.read(FILE_NAME))
+
+
 HOSTILE = {
     "a changed file": (lambda folder: (folder / STILL / "run.json").write_bytes(b"{}"), "the file was changed"),
     "a file that is not listed": (
@@ -184,6 +193,9 @@ HOSTILE = {
     ),
     "a file that is missing": (lambda folder: (folder / STILL / DATASET / "cost.json").unlink(), "found no such file"),
     "an archive in it": (added(f"{STILL}/inner.zip"), "inner.zip: .* found a file that no run has"),
+    "a notice that is none": (added(f"{STILL}/{DATASET}/NOTICE.txt", b"Buy this!"), "NOTICE.txt: expected the notice"),
+    "sums that do not fit": (added(f"{STILL}/SHA256SUMS", b"0  run.json"), "was changed, added or removed"),
+    "a dataset twice": (twice, "each dataset once"),
     "a program": (added(f"{STILL}/{DATASET}/run.py"), "a file that no run has"),
     "a run that is not described": (added(f"{RUNS}/other/run.json", b"{}"), "a file that no run has"),
     "no list": (lambda folder: (folder / FILE_NAME).unlink(), "a submission .with submission.json., found none"),
@@ -208,10 +220,10 @@ def test_a_file_that_does_not_hold_what_it_lists_leaves_nothing_behind(tmp_path,
     forge(folder)
     files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
     write_archive(tmp_path / "forged.zip", files)
-    with pytest.raises(InputFileError, match=message):
+    with pytest.raises(PrbenchError, match=message):
         open_submission(tmp_path / "forged.zip", tmp_path / "out" / "unpacked")
     assert not list(tmp_path.glob("out/*"))
-    with pytest.raises(InputFileError, match=message):
+    with pytest.raises(PrbenchError, match=message):
         read_submission(folder)
 
 

@@ -87,6 +87,11 @@ def with_frame(value: float) -> Callable[[list[dict]], list[dict]]:
     return change
 
 
+def add_column(run: Path) -> None:
+    rows = pq.read_table(run / PREDICTIONS)
+    pq.write_table(rows.append_column("recorded", rows["joints"]), run / PREDICTIONS)
+
+
 def take_people(run: Path) -> None:
     """The method hands in recorded motion; everything follows from it."""
     rows = {
@@ -130,6 +135,8 @@ FORGERIES = {
         motions(lambda rows: [*rows, rows[0] | {"sequence_id": "made/up"}]), r"unknown 1 \(made/up, sample 0\)",
     ),
     "another sample": (motions(lambda rows: [*rows, rows[0] | {"sample": 1}]), "unknown 1"),
+    "samples without end": (lambda run: edit_json(run / "run.json", samples=10**12), "missing 64 "),
+    "recorded motion beside the method's": (add_column, "expected the columns of motions alone, found recorded"),
     "not finite": (motions(with_frame(float("nan"))), "frame 5.*nan"),
     "far away": (motions(with_frame(1e6)), "frame 5"),
     "too short": (
@@ -154,6 +161,20 @@ def test_a_forgery_is_refused_with_its_reason(tmp_path, name):
     forge, message = FORGERIES[name]
     with pytest.raises(PrbenchError, match=message):
         verified(forged(tmp_path, forge))
+
+
+def forget_remarks(run: Path) -> None:
+    """Nothing says any more why motions are implausible."""
+    path = run / DATASET / "scores.parquet"
+    scores = read_scores(path)
+    write_scores(path, [scores.set_column(scores.schema.get_field_index("flag"), "flag", pa.nulls(len(scores)))])
+    summary = json.loads((run / DATASET / "summary.json").read_text())
+    edit_json(run / DATASET / "summary.json", metrics=[each | {"flags": {}} for each in summary["metrics"]])
+
+
+def test_remarks_are_not_lost_in_the_drift_of_another_table(tmp_path):
+    with pytest.raises(PrbenchError, match="expected the remarks that the motions earn, found others in"):
+        verified(forged(tmp_path, forget_remarks), moved_table(tmp_path / "moved", 2e-4))
 
 
 @pytest.mark.parametrize("name", ["scores of other sequences", "changed motions", "copies of recorded motion"])

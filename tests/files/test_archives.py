@@ -103,6 +103,7 @@ HOSTILE = {
     "device": (members(entry(mode=stat.S_IFBLK | 0o600)), "a device"),
     "pipe": (members(entry(mode=stat.S_IFIFO | 0o600)), "expected a plain file"),
     "folder": (members("runs/"), "found a folder"),
+    "folder of MS-DOS": (members(entry(external_attr=16)), "found a folder"),
     "control character": (members("runs/a\x1b[31m.json"), "every system can store"),
     "line break": (members("runs/a\n.json"), "every system can store"),
     "name with a zero": (named(b"run.json\0.exe"), "every system can store"),
