@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -38,7 +38,8 @@ RUNS = "runs"
 _AGAIN = "Ask its authors for a file as `prbench leaderboard submit` writes it."
 _PEOPLE = ("recording_id", "participant_id", "split")
 
-Digest = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
+_HEX = re.compile("[0-9a-f]{64}")
+Digest = Annotated[str, msgspec.Meta(pattern=f"^{_HEX.pattern}$")]
 # Text that people write about themselves, and that pages show.
 Words = Annotated[str, msgspec.Meta(min_length=1, max_length=300, pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028-\u202e]+$")]
 RunName = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9-]{1,80}$")]
@@ -116,40 +117,32 @@ def _recording_digest(dataset: str, recording: str) -> str:
     return bytes_digest(f"{dataset}/{recording}".encode())
 
 
-def read_training(path: Path) -> TrainingData:
-    """Read a declaration of training data from TOML; ``recordings`` may name them as ``dataset/recording_id``, too.
+def declared_training(texts: Sequence[str]) -> TrainingData:
+    """Return the declaration that ``--trained-on`` makes.
+
+    Args:
+        texts: ``none``, or datasets, each with a split or participants behind a colon; or one TOML file, whose keys
+            are those of :class:`TrainingData`, and in which ``recordings`` may name them as ``dataset/recording_id``.
 
     Raises:
-        InputFileError: if the file is missing, no TOML, or holds other keys or values.
+        UsageError: if ``none`` stands beside a dataset, a dataset is unknown, or the file holds other keys or values.
+        InputFileError: if the file is missing or no TOML.
     """
-    values = read_toml(path, "a declaration of training data")
-    names = values.get("recordings")
-    if isinstance(names, list) and all(isinstance(name, str) for name in names):
-        digests = {name if re.fullmatch("[0-9a-f]{64}", name) else bytes_digest(name.encode()) for name in names}
-        values["recordings"] = sorted(digests)
-    try:
-        return _declared(values)
-    except UsageError as error:
-        raise InputFileError(path, "", expected="a declaration (docs/leaderboard.md)", found=str(error)) from error
-
-
-def trained_on(texts: Iterable[str]) -> TrainingData:
-    """Return the declaration that ``--trained-on`` makes: ``none``, or datasets, each with a split or participants.
-
-    Raises:
-        UsageError: if ``none`` stands beside a dataset, or a dataset is unknown.
-    """
-    entries = []
+    if list(texts) == ["none"]:
+        return TrainingData()
+    values: dict[str, Any] = {"datasets": []}
+    if len(texts) == 1 and texts[0].endswith(".toml"):
+        values = read_toml(Path(texts[0]), "a declaration of training data")
+        if isinstance(names := values.get("recordings"), list):
+            digests = (name if _HEX.fullmatch(name) else bytes_digest(name.encode()) for name in map(str, names))
+            values["recordings"] = sorted(set(digests))
+        texts = ()
     for text in texts:
         dataset, _, detail = text.partition(":")
+        entry = {"dataset": dataset, "participants": detail.split(",")}
         if detail in ("", "train", "validation", "test", "all"):
-            entries.append({"dataset": dataset, "split": detail or "train"})
-        else:
-            entries.append({"dataset": dataset, "participants": detail.split(",")})
-    return TrainingData() if list(texts) == ["none"] else _declared({"datasets": entries})
-
-
-def _declared(values: dict[str, Any]) -> TrainingData:
+            entry = {"dataset": dataset, "split": detail or "train"}
+        values["datasets"].append(entry)
     try:
         training = msgspec.convert(values, TrainingData)
     except msgspec.ValidationError as error:
@@ -159,7 +152,7 @@ def _declared(values: dict[str, Any]) -> TrainingData:
         if name.removeprefix(SYNTHETIC_PREFIX) not in known:
             raise UsageError(
                 f"training data: expected datasets among {', '.join(known)}, found {quoted(name)}."
-                f"{did_you_mean(name, known)} Name other data in `corpora` of a --training file."
+                f"{did_you_mean(name, known)} Name other data in `corpora` of a TOML file."
             )
     return training
 

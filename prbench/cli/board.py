@@ -16,7 +16,6 @@ import click
 from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, note, session
 from prbench.cli.terminal import print_table
-from prbench.errors import UsageError
 from prbench.protocol.manifests import default_benchmark
 
 if TYPE_CHECKING:
@@ -36,13 +35,12 @@ if TYPE_CHECKING:
 @click.option("--url", help="Page of the method.")
 @click.option("--paper", help="Address of the paper.")
 @click.option("--code", help="Address of the code.")
-@opt.path_option("--training", "TOML file that declares what the methods learned from (docs/leaderboard.md).")
 @click.option(
     "--trained-on",
     multiple=True,
     metavar="DATASET[:DETAIL]",
-    help="Declares it in short: `none`, or a dataset with a split (default train), `all`, or participants separated by"
-    " commas; repeatable.",
+    help="What the methods learned from: `none`; a dataset with a split (default train), `all`, or participants"
+    " separated by commas, repeatable; or a TOML file (docs/leaderboard.md).",
 )
 @opt.permission_option
 @opt.tables_option
@@ -52,7 +50,6 @@ def submit(
     out: Path,
     data: tuple[Path, ...],
     workers: int,
-    training: Path | None,
     trained_on: tuple[str, ...],
     permission: tuple[str, ...],
     **about: Any,
@@ -62,16 +59,9 @@ def submit(
     RUN are run folders, or folders that hold some. With --data their scores are held against the motions first, and
     the recordings that training used are listed by their digests.
     """
-    from prbench.board.submission import pack, read_training
-    from prbench.board.submission import trained_on as declared_on
+    from prbench.board.submission import declared_training, pack
 
-    if training is not None and trained_on:
-        raise UsageError("--trained-on: --training says the same. Leave one of the two out.")
-    declared = None
-    if training is not None:
-        declared = read_training(training)
-    elif trained_on:
-        declared = declared_on(trained_on)
+    declared = declared_training(trained_on) if trained_on else None
     checker = opt.run_checker(data, workers)
     submission = pack(runs, out, checker=checker, permitted=permission, training=declared, **about)
 

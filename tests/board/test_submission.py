@@ -10,7 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.board.submission import FILE_NAME, RUNS, TrainingData, open_submission, pack, read_submission, trained_on
+from prbench.board.submission import (
+    FILE_NAME,
+    RUNS,
+    TrainingData,
+    declared_training,
+    open_submission,
+    pack,
+    read_submission,
+)
 from prbench.cli.main import main
 from prbench.errors import InputFileError, PrbenchError, RedistributionError, UsageError
 from prbench.files.archives import open_archive, write_archive
@@ -245,13 +253,13 @@ def test_a_link_in_an_unpacked_submission_is_refused(tmp_path):
     ],
 )
 def test_training_data_are_declared_in_short(texts, words):
-    assert trained_on(texts).words == words
+    assert declared_training(texts).words == words
 
 
 @pytest.mark.parametrize("texts", [["none", "adt"], [""], ["adt:,"], ["atd"]])
 def test_a_contradictory_declaration_is_refused(texts):
     with pytest.raises(UsageError, match="training data: "):
-        trained_on(texts)
+        declared_training(texts)
 
 
 def test_training_data_are_declared_in_a_file_that_names_recordings_by_digests_alone(tmp_path, capsys):
@@ -260,19 +268,18 @@ def test_training_data_are_declared_in_a_file_that_names_recordings_by_digests_a
     path.write_text("\n".join(lines))
     out = tmp_path / "a.zip"
     words = ["leaderboard", "submit", str(made() / "runs/still"), "--out", str(out), "--name", "M"]
-    assert main([*words, "--training", str(path)]) == 0
+    assert main([*words, "--trained-on", str(path)]) == 0
     with open_archive(out) as archive:
         assert b"secret" not in archive.read(FILE_NAME)
     assert main(["leaderboard", "verify", str(out), "--data", str(made() / "table")]) == 0
     assert "training data: overlaps 1 test recordings" in capsys.readouterr().out
     path.write_text("corpus = ['AMASS']")
-    assert main([*words, "--training", str(path)]) == 3
-    assert main([*words, "--training", str(path), "--trained-on", "none"]) == 2
+    assert main([*words, "--trained-on", str(path)]) == 2
 
 
 def test_the_recordings_of_a_declared_split_are_listed_by_their_digests(tmp_path):
     checker = RunChecker(lambda _: fake_dataset(tmp_path / "table", 32, recordings=16))
-    training = trained_on([DATASET])
+    training = declared_training([DATASET])
     found = pack([made() / "runs/still"], tmp_path / "a.zip", checker=checker, training=training, name="M").training
     assert isinstance(found, TrainingData)
     expected = sorted(bytes_digest(f"{DATASET}/rec{number:03d}".encode()) for number in range(0, 16, 2))

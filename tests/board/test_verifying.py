@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from prbench.board.submission import RUNS, TrainingData, TrainingDataset, open_submission, trained_on
+from prbench.board.submission import RUNS, TrainingData, TrainingDataset, declared_training, open_submission
 from prbench.board.verifying import verify_submission
 from prbench.cli.main import main
 from prbench.errors import PrbenchError
@@ -207,10 +207,10 @@ def test_without_the_table_of_a_dataset_nothing_is_called_verified(tmp_path):
     ("training", "said"),
     [
         (None, "not declared"),
-        (trained_on(["none"]), "declared none"),
-        (trained_on([DATASET]), "declared synthetic-adt (train split)"),
-        (trained_on([f"{DATASET}:P0,P4"]), "overlaps 2 test recordings"),
-        (trained_on([f"{DATASET}:all"]), "overlaps 4 test recordings"),
+        (declared_training(["none"]), "declared none"),
+        (declared_training([DATASET]), "declared synthetic-adt (train split)"),
+        (declared_training([f"{DATASET}:P0,P4"]), "overlaps 2 test recordings"),
+        (declared_training([f"{DATASET}:all"]), "overlaps 4 test recordings"),
         (
             TrainingData(corpora=("AMASS",), datasets=(TrainingDataset(dataset="gimo"),)),
             "declared gimo (train split), AMASS",
