@@ -16,7 +16,7 @@ import pytest
 
 from prbench.board.folder import BoardFolder
 from prbench.board.pages import PAGES, ROWS
-from prbench.board.submission import trained_on
+from prbench.board.submission import declared_training
 from prbench.board.upkeep import add_submission, begin_board, build_board, check_board, withdraw_submission
 from prbench.cli.main import main
 from prbench.contract import Condition
@@ -50,7 +50,9 @@ def board(path: Path) -> Path:
     """A board with one submission, of a method and of recorded people."""
 
     def make(folder: Path) -> None:
-        file = submitted(folder.with_name("first.zip"), "still", "people", name="First", training=trained_on(["none"]))
+        file = submitted(
+            folder.with_name("first.zip"), "still", "people", name="First", training=declared_training(["none"])
+        )
         add_submission(begun(folder), file, [table()], **DAY)
 
     return Path(shutil.copytree(made_once("board", make), path))
@@ -180,7 +182,7 @@ def test_the_history_only_grows_and_rules_do_not_change_with_it(tmp_path):
 def test_duplicates_are_refused_and_leave_the_board_as_it_was(tmp_path, names, name, told):
     path = board(tmp_path / "b")
     before = files_of(path)
-    file = submitted(tmp_path / "s.zip", *names, name=name, training=trained_on(["none"]))
+    file = submitted(tmp_path / "s.zip", *names, name=name, training=declared_training(["none"]))
     with pytest.raises(StorageError, match=told):
         add_submission(path, file, [table()], **DAY)
     assert files_of(path) == before
@@ -301,7 +303,7 @@ def test_recorded_motion_that_a_licence_keeps_needs_the_authors_word(tmp_path, c
 )
 def test_training_data_are_a_column_and_a_filter(tmp_path, capsys, declared, told, kinds):
     path = begun(tmp_path / "b")
-    file = submitted(tmp_path / "s.zip", "still", "people", training=trained_on(declared) if declared else None)
+    file = submitted(tmp_path / "s.zip", "still", "people", training=declared_training(declared) if declared else None)
     add_submission(path, file, [table()], **DAY)
     assert f"| {told} |" in (path / "leaderboard.md").read_text()
     found = set()
