@@ -174,7 +174,8 @@ class BoardFolder:
         except msgspec.ValidationError as error:
             raise InputFileError(path / INFO, "", expected="the keys of a board", found=str(error)) from error
         file = path / HISTORY
-        lines = read_text(file).splitlines() if file.exists() else []
+        # Not splitlines, which also splits at signs that a reason may hold.
+        lines = list(filter(None, read_text(file).split("\n"))) if file.exists() else []
         entries: list[HistoryEntry] = []
         standing: dict[str, HistoryEntry] = {}
         withdrawn: dict[str, tuple[HistoryEntry, HistoryEntry]] = {}

@@ -52,7 +52,7 @@ _FIRST_FILES = {
     ".github/ISSUE_TEMPLATE/submission.yml": "submission.yml",
 }
 # All files at the top of a board.
-_KNOWN = frozenset({INFO, HISTORY, *PAGES, *_FIRST_FILES, "LICENSE", "CITATION.cff", ".gitignore"})
+_KNOWN = frozenset({INFO, HISTORY, *PAGES, *_FIRST_FILES, "LICENSE", "CITATION.cff", ".gitignore", ".git"})
 
 
 def begin_board(path: Path, data: Sequence[Path], *, benchmark: str, **about: Any) -> BoardFolder:

@@ -162,7 +162,7 @@ def test_a_history_that_contradicts_itself_is_refused_with_the_line(tmp_path, ch
 
 def test_the_history_only_grows_and_rules_do_not_change_with_it(tmp_path):
     base, path = board(tmp_path / "base"), board(tmp_path / "b")
-    withdraw_submission(path, "First", reason="an error", **DAY)
+    withdraw_submission(path, "First", reason="an error\u2028of <mine>\n| x", **DAY)
     assert check_board(path, against=base).problems == check_board(path, against=base).believed == ()
     (problem,) = check_board(base, against=path).problems
     assert "expected every line of" in problem
