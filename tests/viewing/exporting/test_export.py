@@ -21,7 +21,13 @@ from scipy.spatial.transform import Rotation
 
 from prbench.cli import main
 from prbench.geometry.skeleton import PARENTS, Joint
-from prbench.representation.converters.smpl import read_amass, read_rest_joints, smpl_joints
+from prbench.representation.converters.smpl import (
+    from_axis_angle,
+    pose_body,
+    read_amass,
+    read_rest_joints,
+    smpl_joints,
+)
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.viewing.exporting import smpl
 from prbench.viewing.exporting.export import ExportRequest, file_name
@@ -112,6 +118,7 @@ def test_another_reader_of_gltf_finds_our_joints_our_times_and_the_terms(place, 
         assert joint in gltf.nodes[PARENTS[joint]].children
         place_of[:, joint] = place_of[:, PARENTS[joint]] + turned[PARENTS[joint]].apply(node.translation)
         turned.append(turned[PARENTS[joint]] * local)
+    assert gltf.scenes[0].nodes == [0, 22, 23]
     assert [node.name for node in gltf.nodes] == [*NAMES, "body", "goal"]
     np.testing.assert_allclose(place_of, joints, atol=0.002)
     for primitive in gltf.meshes[0].primitives:
@@ -158,24 +165,38 @@ def test_npz_holds_what_the_page_names_as_plain_arrays(place, joints, tmp_path):
     assert again.read_bytes() == (tmp_path / "a.npz").read_bytes()
 
 
-@pytest.mark.parametrize("model_joints", [24, 55])
-def test_the_parameters_of_a_body_model_give_its_joints_back(model_joints, tmp_path):
-    model = tmp_path / "model.npz"
+def _fitted(joints: np.ndarray, folder: Path, model_joints: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distances, metres, and rotation vectors of a fit; parameters, model and distances agree."""
+    model = folder / "model.npz"
     write_body_model(model, joints=model_joints)
-    joints = person_rotations(20)[0]
-    request = ExportRequest(form="smpl", body_model=model, data=(tmp_path,), out=tmp_path / "a.npz")
-    scene = a_scene(n_frames=20)
+    request = ExportRequest(form="smpl", body_model=model, data=(folder,), out=folder / "a.npz")
+    scene = a_scene(n_frames=len(joints))
     error = smpl.write(replace(scene, motions=(replace(scene.motions[0], joints=joints),)), request.out, {}, request)
-    parameters = read_amass(tmp_path / "a.npz")
+    parameters = read_amass(request.out)
     found = smpl_joints(parameters, read_rest_joints(model))
     np.testing.assert_allclose(np.linalg.norm(found - joints, axis=2), error, atol=1e-9)
-    assert error.mean() < 0.0005
     assert parameters.fps == 20.0
-    poses = np.load(tmp_path / "a.npz")["poses"].reshape(20, model_joints, 3)
-    knees = np.rad2deg(poses[:, [Joint.LEFT_KNEE, Joint.RIGHT_KNEE]])
-    assert knees[..., 0].min() > -10  # they bend backwards
-    assert np.abs(knees[..., 1:]).max() < 20
+    return error, np.load(request.out)["poses"].reshape(len(joints), model_joints, 3)
+
+
+@pytest.mark.parametrize("model_joints", [24, 55])
+def test_the_parameters_of_a_body_model_give_its_joints_back(model_joints, tmp_path):
+    error, poses = _fitted(person_rotations(20)[0], tmp_path, model_joints)
+    assert error.mean() < 0.0005
     assert not poses[:, 22:].any()
+
+
+def test_a_knee_bends_as_a_hinge_though_positions_leave_the_thighs_twist_open(tmp_path):
+    write_body_model(tmp_path / "model.npz", joints=24)
+    rest = read_rest_joints(tmp_path / "model.npz").template
+    vectors = np.zeros((4, 22, 3))
+    vectors[:, Joint.LEFT_HIP, 1] = 0.7  # radians, about the thigh
+    vectors[:, Joint.LEFT_KNEE, 0] = 1.5
+    joints, _ = pose_body(rest, np.zeros((4, 3)), from_axis_angle(vectors))
+    error, poses = _fitted(joints, tmp_path, 24)
+    assert error.max() < 0.003
+    assert np.abs(poses[:, Joint.LEFT_KNEE, 1:]).max() < 0.4  # 1.0 by the shortest turn
+    assert poses[:, Joint.LEFT_HIP, 1].min() > 0.3
 
 
 def test_several_motions_become_a_folder_that_is_replaced_whole(place, tmp_path, capsys):
