@@ -456,6 +456,8 @@
       this.notice.textContent = [this._what(sequence), sequence.notice].filter(Boolean).join(" ");
       this.root.classList.toggle("prp-single", sequence.motions.length < 2);
       this._fillScores();
+      // Each motion has a room of its own where there is one; beside it the others would walk through walls.
+      if (!this._choseLayout) this._arrange(sequence.mesh && this.stage.canvas ? "views" : "lanes");
       this.stage.show(sequence, this.chosen);
       this._describe();
       this._paintMotions();
@@ -764,11 +766,16 @@
       this._describe();
     }
 
-    _setLayout(layout) {
-      if (!this.sequence || this.sequence.motions.length < 2) return;
+    _arrange(layout) {
       this.layout = layout;
       this._press(this.layoutButtons, layout);
       this.stage.setLayout(layout);
+    }
+
+    _setLayout(layout) {
+      if (!this.sequence || this.sequence.motions.length < 2) return;
+      this._choseLayout = true;
+      this._arrange(layout);
       this._describe();
       this._announce(LAYOUTS.find(([name]) => name === layout)[2]);
     }

@@ -153,6 +153,43 @@
     return mesh;
   }
 
+  // Where the rooms of all stages are cut open: set before each picture is drawn.
+  const cut = { middle: { value: null }, towards: { value: null }, depth: { value: 0 }, height: { value: 0 } };
+
+  /** Return the material of a scene's mesh: what stands between camera and bodies is cut away, and so is the ceiling. */
+  function roomMaterial() {
+    const material = new THREE.MeshStandardMaterial({
+      color: "#b9bdc4",
+      roughness: 0.95,
+      flatShading: true,
+      side: THREE.DoubleSide,
+    });
+    material.onBeforeCompile = (shader) => {
+      Object.assign(shader.uniforms, {
+        cutMiddle: cut.middle,
+        cutTowards: cut.towards,
+        cutDepth: cut.depth,
+        cutHeight: cut.height,
+      });
+      shader.vertexShader = shader.vertexShader
+        .replace("#include <common>", "#include <common>\nvarying vec3 vRoom;")
+        .replace(
+          "#include <begin_vertex>",
+          "#include <begin_vertex>\nvRoom = (modelMatrix * vec4(position, 1.0)).xyz;",
+        );
+      shader.fragmentShader = shader.fragmentShader
+        .replace(
+          "#include <common>",
+          "#include <common>\nvarying vec3 vRoom; uniform vec3 cutMiddle, cutTowards; uniform float cutDepth, cutHeight;",
+        )
+        .replace(
+          "#include <clipping_planes_fragment>",
+          "if (vRoom.y > cutHeight || (vRoom.y > 0.12 && dot(vRoom - cutMiddle, cutTowards) > cutDepth)) discard;",
+        );
+    };
+    return material;
+  }
+
   /** Return the path of one joint, metres. */
   function pathOf(motion, n, joint, height = null) {
     const path = new Float32Array(3 * n);
@@ -260,7 +297,7 @@
         const geometry = new THREE.BufferGeometry();
         geometry.setAttribute("position", new THREE.BufferAttribute(mesh.vertices, 3));
         geometry.setIndex(new THREE.BufferAttribute(mesh.triangles, 1));
-        const material = new THREE.MeshStandardMaterial({ color: "#b9bdc4", roughness: 0.95, flatShading: true });
+        const material = roomMaterial();
         const room = new THREE.Mesh(geometry, material);
         room.receiveShadow = true;
         this.scenery.add(room);
@@ -549,6 +586,7 @@
     /** Lay the motions out: "lanes" side by side, "overlay" at one place, or "views", each in a picture of its own. */
     setLayout(layout) {
       this.layout = layout;
+      if (!this.actors.length) return;
       this.arrange();
       this.setTime(this.time);
       this.look(this.preset, false);
@@ -894,16 +932,34 @@
         this.camera.updateProjectionMatrix();
         if (tiles.length > 1) this.renderer.shadowMap.needsUpdate = true;
         const seer = this.preset === "eyes" ? tile.actors[this.eyes % tile.actors.length] : null;
+        this._cutRooms(Boolean(seer));
         // The own head ray would fill the eyes' picture: only its end is seen.
         if (seer) {
           this._standIn(seer);
           seer.headRay.visible = false;
+          // Bodies that stand at one place would stand in each other's eyes.
+          for (const actor of this.actors)
+            actor.group.visible = actor.group.visible && (this.layout !== "overlay" || actor === seer);
         }
         this.renderer.render(this.scene, this.camera);
         if (seer) seer.headRay.visible = this.layers.head !== false;
       }
       this.renderer.setScissorTest(false);
       for (const actor of this.actors) actor.group.visible = actor.shown;
+    }
+
+    /** Say where rooms are cut open for the camera; nowhere for the eyes of a body. */
+    _cutRooms(through) {
+      const { low, high, middle } = this._bounds;
+      const towards = this.camera.position.clone().sub(middle).setY(0);
+      const flat = towards.length() / Math.max(this.camera.position.distanceTo(middle), 1e-3);
+      towards.normalize();
+      cut.middle.value = middle;
+      cut.towards.value = towards;
+      // Bodies keep what is within 40 cm of them; from above nothing but the ceiling is in the way.
+      const half = (Math.abs(towards.x) * (high.x - low.x) + Math.abs(towards.z) * (high.z - low.z)) / 2;
+      cut.depth.value = through || flat < 0.2 ? 1e6 : half + 0.4;
+      cut.height.value = through ? 1e6 : 2.1;
     }
 
     /** Draw farther translucent bodies first, so that they show through the nearer ones. */
