@@ -242,7 +242,7 @@
         make(
           "span",
           { class: "prp-jumps" },
-          button("Prime", "Jump to the prime (P)", () => this._goTo(this.sequence.primeTime, "prime")),
+          button("Prime", "Jump to the prime (P)", () => this._toPrime()),
           button("Event", "Jump to the event (E)", () => this._goTo(this.sequence.eventTime, "event")),
         ),
         this.clock,
@@ -386,7 +386,7 @@
         arrowright: () => this._step(step),
         home: () => this._goTo(0, "start"),
         end: () => this._goTo(this.sequence.duration, "end"),
-        p: () => this._goTo(this.sequence.primeTime, "prime"),
+        p: () => this._toPrime(),
         e: () => this._goTo(this.sequence.eventTime, this.sequence.action || "event"),
         n: () => this._jump(1),
         b: () => this._jump(-1),
@@ -918,6 +918,11 @@
     }
 
     /** Say something on the stage for two seconds. */
+    _toPrime() {
+      if (parts.reading.hasPrime(this.sequence)) this._goTo(this.sequence.primeTime, "prime");
+      else this._flash("No prime lies within this motion.");
+    }
+
     _flash(text) {
       this._say(text);
       clearTimeout(this._flashing);

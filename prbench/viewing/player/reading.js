@@ -143,13 +143,21 @@
     return spans.some(([first, last]) => frame >= first && frame <= last);
   }
 
+  /** Return true if the prime lies within the motion; around the event of a review it may lie before, or be none. */
+  function hasPrime(sequence) {
+    return sequence.primeTime >= 0 && sequence.primeTime <= sequence.duration + 0.5 / sequence.fps;
+  }
+
   /** Name what happens at a time: before or after the prime, the prime itself, the event. */
   function phase(sequence, time) {
     const half = 0.5 / sequence.fps;
-    if (time >= sequence.eventTime - half) return sequence.action || "event";
+    const event = sequence.action || "event";
+    if (time > sequence.eventTime + half) return `after ${event}`;
+    if (time >= sequence.eventTime - half) return event;
+    if (!hasPrime(sequence)) return `before ${event}`;
     if (Math.abs(time - sequence.primeTime) <= half) return "prime";
     return time < sequence.primeTime ? "before prime" : "after prime";
   }
 
-  parts.reading = { read, inSpans, phase, N_JOINTS };
+  parts.reading = { read, inSpans, hasPrime, phase, N_JOINTS };
 })();

@@ -228,7 +228,7 @@
         );
       };
       const close = Math.abs(this._x(primeTime) - this._x(eventTime)) < 150;
-      mark(primeTime, "prime", "M0 5L-5 -1L5 -1Z");
+      if (parts.reading.hasPrime(this.sequence)) mark(primeTime, "prime", "M0 5L-5 -1L5 -1Z");
       mark(eventTime, close ? action.slice(0, 4) : action || "event", "M-4 -2H4V4H-4Z");
       return group;
     }
@@ -337,10 +337,8 @@
     /** Return the times to which one jumps: prime, event, and the start of every span, in order. */
     stops() {
       const { primeTime, eventTime, fps, action } = this.sequence;
-      const list = [
-        { time: primeTime, words: "prime" },
-        { time: eventTime, words: action || "event" },
-      ];
+      const list = [{ time: eventTime, words: action || "event" }];
+      if (parts.reading.hasPrime(this.sequence)) list.push({ time: primeTime, words: "prime" });
       for (const { motion } of this.motions) {
         for (const { name, title } of SPANS) {
           for (const [first, last] of motion[name]) {
