@@ -150,7 +150,7 @@
       // A page without a title of its own gets one.
       this.heading = make(document.querySelector("h1") ? "h2" : "h1", { class: "prp-title" });
       this.subtitle = make("p", { class: "prp-subtitle" });
-      this.place = make("div", { class: "prp-stage" });
+      this.place = make("div", { class: "prp-stage", tabindex: -1 }); // a click into it brings the keys here
       this.tags = make("div", { class: "prp-tags", "aria-hidden": "true" });
       this.status = make("p", { class: "prp-status", role: "status" });
       this.live = make("p", { class: "prp-hidden", role: "status", "aria-live": "polite" });
@@ -434,8 +434,8 @@
       const token = (this._token += 1);
       this.pause();
       if (!entry) {
-        this._say(`This page has no sequence '${id}'. Choose one of the list.`);
         if (!this.sequence && this.entries.length) await this.show(this.entries[0].sequence_id, null);
+        this._say(`This page has no sequence '${id}'. Choose one of the list.`);
         return;
       }
       this._say(entry.load ? "Loading the sequence …" : "");
@@ -800,8 +800,9 @@
       const several = this.sequence && this.sequence.motions.length > 1;
       [...this.tags.children].forEach((tag, number) => {
         const label = labels[number];
-        tag.hidden = !label || !several;
+        tag.hidden = !label || !(several || label.quiet);
         if (!label) return;
+        tag.classList.toggle("prp-quiet", Boolean(label.quiet));
         tag.textContent = label.label;
         tag.style.transform = `translate(${label.x}px, ${label.y}px) translate(-50%, -100%)`;
       });
@@ -940,7 +941,7 @@
       if (!this.stage.picture) throw new Error("Without WebGL there is no picture to save.");
       return parts.saving.picture(this.stage, {
         background,
-        labels: this.withNames.checked && this.sequence.motions.length > 1,
+        labels: this.withNames.checked,
         caption: this.withNames.checked ? this._caption(this.time) : "",
         notice: this.sequence.notice,
       });

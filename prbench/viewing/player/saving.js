@@ -42,7 +42,7 @@
       context.fillStyle = ink;
       context.fillText(text, x, y);
     };
-    for (const { label, x, y } of labels) write(label, x, y, 14, "center", "600");
+    for (const { label, x, y, quiet } of labels) write(label, x, y, quiet ? 11 : 14, "center", quiet ? "" : "600");
     if (caption) write(caption, 14, 24, 15, "left", "600");
     if (notice) write(notice, 14, height - 12, 11, "left");
   }

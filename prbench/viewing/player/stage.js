@@ -1002,7 +1002,24 @@
           });
         }
       }
-      return apart(labels, width, top);
+      return apart([...labels, ...this._objectLabels(width, height)], width, top);
+    }
+
+    /** Return the names of the objects beside the first motion, where they are few enough to be read. */
+    _objectLabels(width, height) {
+      const [actor] = this.shown;
+      const objects = this.sequence ? this.sequence.objects : [];
+      if (!actor || this.layers.objects === false || objects.length > 12 || this.preset === "eyes") return [];
+      const [tile] = this._tiles(width, height);
+      return objects.flatMap(({ name, box }, number) => {
+        const place = new THREE.Vector3();
+        for (const corner of box) place.add(new THREE.Vector3(...corner).divideScalar(box.length));
+        place.add(actor.objects.children[number].position).add(actor.group.position).project(this.camera);
+        const x = tile.x + ((place.x + 1) / 2) * tile.width;
+        const y = tile.y + ((1 - place.y) / 2) * tile.height + 24;
+        const seen = place.z < 1 && x > tile.x && x < tile.x + tile.width && y > 0 && y < tile.y + tile.height;
+        return seen ? [{ label: name, x, y, quiet: true }] : [];
+      });
     }
 
     /**
