@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from prbench.errors import UsageError
+from prbench.errors import InputFileError, UsageError
 from prbench.files.bounded import require
 from prbench.geometry.cameras import MODELS, Points
 from prbench.geometry.skeleton import transform_points
@@ -77,7 +77,11 @@ def write(scene: Scene, path: Path, about: Mapping[str, Any], request: ExportReq
     expected = f"{_CAMERA} with a model of {', '.join(MODELS)}"
     require(request.calibration, (usable, "cameras", expected, "another or none", ""))
     assert camera is not None
-    meta = next(imageio_ffmpeg.read_frames(str(video)))
+    try:
+        meta = next(imageio_ffmpeg.read_frames(str(video)))
+    except (OSError, RuntimeError) as error:
+        found = str(error).splitlines()[-1]
+        raise InputFileError(video, "", expected="a video", found=found, remedy="Copy it again.") from error
     expected = f"pictures of {camera.image_size[1]} x {camera.image_size[0]}, as the calibration has them turned"
     require(video, (meta["size"] == camera.image_size[::-1], "", expected, meta["size"], ""))
     marks = _marks(scene, request, seconds[inside], camera)

@@ -74,6 +74,13 @@ def test_without_gaze_and_behind_the_camera_nothing_is_drawn(request_, monkeypat
     assert np.ptp(_pictures(request_.out)[5][20:-20, 20:-20], axis=-1).max() < 12
 
 
+@pytest.mark.parametrize("kept", [0, 100])
+def test_a_damaged_video_is_told(kept, request_):
+    request_.video.write_bytes(request_.video.read_bytes()[:kept])
+    with pytest.raises(InputFileError, match="expected a video"):
+        mp4.write(SCENE, request_.out, {}, request_)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
