@@ -216,13 +216,22 @@ def compare(differences: Mapping[Name, ClusteredValues]) -> dict[Name, Compariso
     Args:
         differences: Differences of pairs of methods, or of one pair on several metrics or datasets, by any name or key.
     """
-    tested = _difference_intervals(differences)
-    adjusted = holm([p_value for _, p_value in tested.values()])
-    family = sum(p_value is not None for p_value in adjusted) or len(differences)
+    return compare_families({"": differences})[""]
+
+
+def compare_families(families: Mapping[str, Mapping[Name, ClusteredValues]]) -> dict[str, dict[Name, Comparison]]:
+    """Return what :func:`compare` does of each of several families, whose differences are flipped together."""
+    everything = {(key, name): data for key, differences in families.items() for name, data in differences.items()}
+    tested = _difference_intervals(everything)
     found = {}
-    for (name, data), adjusted_p_value in zip(differences.items(), adjusted, strict=True):
-        needed = clusters.units_needed(family)
-        found[name] = Comparison(*tested[name], adjusted_p_value, data.detectable(family), needed)
+    for key, differences in families.items():
+        adjusted = holm([tested[key, name][1] for name in differences])
+        family = sum(p_value is not None for p_value in adjusted) or len(differences)
+        needed = clusters.units_needed(family) if differences else 0
+        found[key] = {
+            name: Comparison(*tested[key, name], adjusted_p_value, data.detectable(family), needed)
+            for (name, data), adjusted_p_value in zip(differences.items(), adjusted, strict=True)
+        }
     return found
 
 

@@ -21,6 +21,7 @@ from prbench.harness.intervals import (
     Estimate,
     clustered,
     compare,
+    compare_families,
     difference_interval,
     holm,
     metric_interval,
@@ -416,3 +417,15 @@ def test_the_direction_of_a_supported_difference_is_told() -> None:
     assert (found["up"].conclusion, found["down"].conclusion) == ("higher", "lower")
     assert found["up"].adjusted_p_value == pytest.approx(2 * found["up"].p_value)
     assert found["up"].difference.mean == -found["down"].difference.mean
+
+
+def test_a_family_is_compared_alike_alone_and_among_others_of_any_units():
+    rng = np.random.default_rng(5)
+    families = {
+        str(n): {k: clustered(rng.normal(0.1, 1.0, 2 * units), names(*[2] * units)) for k, units in enumerate(sizes)}
+        for n, sizes in enumerate(((12, 20, 4), (20, 12), (12,) * 70))
+    }
+    together = compare_families(families)
+    assert together == {key: compare(differences) for key, differences in families.items()}
+    assert list(together["0"]) == [0, 1, 2]
+    assert together["0"][2].p_value is None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,12 +14,12 @@ from prbench.board.comparison import ComparedMetric, SequenceScores, difference_
 from prbench.board.export import BoardRow
 from prbench.geometry.skeleton import Joint, head_forward
 from prbench.harness.benchmark import Benchmark
-from prbench.harness.intervals import compare
+from prbench.harness.intervals import ClusteredValues, compare_families
 from prbench.harness.results import cases_of_run
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.scoring import COLUMNS
-from prbench.metrics import MotionBatch
+from prbench.metrics import MetricInfo, MotionBatch
 from prbench.metrics.ray_track import ray_distance
 from prbench.sequences.table import SequenceTable
 
@@ -131,37 +131,39 @@ def prime_timing(run: RunFolder, table: SequenceTable) -> dict[str, Any]:
     return {"edges": _EDGES.tolist(), "counts": counts.tolist(), "never": never, "already": already, "text": text}
 
 
-def compared(
-    first: SiteRun, second: SiteRun, tables: Iterable[str], datasets: Mapping[str, str]
-) -> list[dict[str, Any]]:
-    """Compare two runs on all their common tables, by the rules of ``prbench leaderboard compare``.
+def compared(first: SiteRun, others: Sequence[SiteRun], datasets: Mapping[str, str]) -> dict[str, list[dict[str, Any]]]:
+    """Compare a run with others on all tables that both stand in, by the rules of ``prbench leaderboard compare``.
 
     Args:
         first: The first run.
-        second: The second run.
-        tables: Names of the tables in which both stand.
+        others: The runs that it is compared with.
         datasets: Maps names of tables to their datasets.
 
     Returns:
-        One entry for each dataset and metric: numbers of the difference first - second in printed units, the same as
-        printed, which run is ``better`` by a supported difference, if one is, and all of it as a ``sentence``.
+        For each other run's key one entry for each dataset and metric: numbers of the difference first - second in
+        printed units, the same as printed, which run is ``better`` by a supported difference, if one is, and all of it
+        as a ``sentence``.
     """
-    differences = {}
-    for name in tables:
-        for info in first.rows[name].entry.benchmark.compared_metrics:
-            paired = paired_differences(first.rows[name].scores, second.rows[name].scores, info)
-            # The first table of a dataset holds all sequences, another one those that every method generated.
-            if paired is not None:
-                differences.setdefault((datasets[name], info), paired)
-    told = []
-    for (dataset, info), comparison in compare(differences).items():
-        row = ComparedMetric(dataset, info, comparison, comparison.conclusion)
-        better = ""
-        if row.conclusion in ("higher", "lower"):
-            better = "first" if (row.conclusion == "higher") == info.higher_is_better else "second"
-        found = comparison.difference
-        numbers = [None if each is None else info.scale * each for each in (found.mean, found.low, found.high)]
-        one = {"dataset": dataset, "title": info.title, "printed": difference_texts(row), "numbers": numbers}
-        one |= {"better": better, "conclusion": row.conclusion}
-        told.append(one | {"sentence": sentence(row, first.label, second.label)})
+    differences: dict[str, dict[tuple[str, MetricInfo], ClusteredValues]] = {other.key: {} for other in others}
+    for other in others:
+        for name in (name for name in first.rows if name in other.rows):
+            for info in first.rows[name].entry.benchmark.compared_metrics:
+                paired = paired_differences(first.rows[name].scores, other.rows[name].scores, info)
+                # The first table of a dataset holds all sequences, another one those that every method generated.
+                if paired is not None:
+                    differences[other.key].setdefault((datasets[name], info), paired)
+    labels = {other.key: other.label for other in others}
+    told: dict[str, list[dict[str, Any]]] = {}
+    for key, metrics in compare_families(differences).items():
+        told[key] = []
+        for (dataset, info), comparison in metrics.items():
+            row = ComparedMetric(dataset, info, comparison, comparison.conclusion)
+            better = ""
+            if row.conclusion in ("higher", "lower"):
+                better = "first" if (row.conclusion == "higher") == info.higher_is_better else "second"
+            found = comparison.difference
+            numbers = [None if each is None else info.scale * each for each in (found.mean, found.low, found.high)]
+            one = {"dataset": dataset, "title": info.title, "printed": difference_texts(row), "numbers": numbers}
+            one |= {"better": better, "conclusion": row.conclusion}
+            told[key].append(one | {"sentence": sentence(row, first.label, labels[key])})
     return told

@@ -46,17 +46,16 @@ def index_page(
     about: About, board: Leaderboard, tables: Mapping[str, DatasetTable], runs: Sequence[SiteRun], left_out: list[str]
 ) -> str:
     """Return the page of all tables, with what the study printed apart from them."""
-    shown = []
-    for (name, own), table in zip(tables.items(), board_tables(board), strict=False):
-        keys = [
-            next(run.key for run in runs if name in run.rows and run.rows[name].entry is row.entry) for row in own.rows
-        ]
+    key_of = {id(row.entry): run.key for run in runs for row in run.rows.values()}
+    shown = board_tables(board)
+    for number, own in enumerate(tables.values()):
         rows = []
-        for key, row, entry in zip(keys, table.blocks[0].rows, (row.entry for row in own.rows), strict=True):
-            told = {"run": key, "status": "unverified" if entry.unverified else "verified", "split": own.split}
-            rows.append(replace(row, text=row.text | told | {"control": "control" if entry.is_control else ""}))
-        shown.append(replace(table, blocks=(Block(rows=tuple(rows)),)))
-    shown += board_tables(board)[len(tables) :]
+        for row, printed in zip(own.rows, shown[number].blocks[0].rows, strict=True):
+            told = {"run": key_of[id(row.entry)], "split": own.split}
+            told |= {"status": "unverified" if row.entry.unverified else "verified"}
+            told |= {"control": "control" if row.entry.is_control else ""}
+            rows.append(replace(printed, text={**printed.text, **told}))
+        shown[number] = replace(shown[number], blocks=(Block(rows=tuple(rows)),))
     versions = dict.fromkeys(str(table.rows[0].entry.record.protocol_version) for table in tables.values())
     benchmarks = dict.fromkeys(table.benchmark.about.title for table in tables.values())
     facts = [*benchmarks, f"protocol version {', '.join(versions)}", f"{len(runs)} runs", f"{len(tables)} tables"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Callable, Collection, Sequence
-from itertools import combinations
 from pathlib import Path
 
 import msgspec
@@ -70,7 +69,7 @@ def write_site(
         motions_of_each: Sequences of each dataset that every run shows, and failures that each run shows beside them;
             None for all sequences, 0 for none.
         permitted: Datasets whose recorded motion the user has permission to publish.
-        progress: Called after each run and each pair.
+        progress: Called after each page of a run and each of its comparisons.
 
     Raises:
         StorageError: if ``out`` holds something else, or cannot be written.
@@ -79,7 +78,6 @@ def write_site(
     tables = dict(zip(names_of([each.dataset for each in board.tables]), board.tables, strict=True))
     datasets = {name: table.dataset for name, table in tables.items()}
     runs = runs_of(board, list(tables))
-    pairs = [(one, other) for one, other in combinations(runs, 2) if one.rows.keys() & other.rows.keys()]
     at_hand: dict[str, SequenceTable] = {}
     for name, table in tables.items():
         scored = table.rows[0].entry.sequences
@@ -106,14 +104,14 @@ def write_site(
                 left_out += kept
             for done, run in enumerate(runs, start=1):
                 _write(folder / "runs" / f"{run.key}.html", pages.run_page(about, run, tables, at_hand, shown))
-                progress(done, len(runs) + len(pairs), run.key)
-            told: dict[str, dict[str, list]] = {run.key: {} for run in runs}
-            for done, (one, other) in enumerate(pairs, start=len(runs) + 1):
-                common = [name for name in one.rows if name in other.rows]
-                told[one.key][other.key] = numbers.compared(one, other, common, datasets)
-                progress(done, len(runs) + len(pairs), f"{one.key}, {other.key}")
-            for key, of_run in told.items():
-                _write(folder / "pairs" / f"{key}.js", motions.script(f"pairs/{key}", of_run))
+                progress(done, 2 * len(runs), run.key)
+            pairs = 0
+            for done, run in enumerate(runs, start=1):
+                others = [other for other in runs[done:] if run.rows.keys() & other.rows.keys()]
+                told = numbers.compared(run, others, datasets)
+                _write(folder / "pairs" / f"{run.key}.js", motions.script(f"pairs/{run.key}", told))
+                pairs += len(others)
+                progress(len(runs) + done, 2 * len(runs), f"pairs of {run.key}")
             _write(folder / "index.html", pages.index_page(about, board, tables, runs, left_out))
             _write(folder / "compare.html", pages.compare_page(about, runs, list(shown)))
             player = player_assets()
@@ -127,7 +125,7 @@ def write_site(
                 title=about.title,
                 tables=list(tables),
                 runs=[run.key for run in runs],
-                pairs=len(pairs),
+                pairs=pairs,
                 motions=sum(len(each.runs) for of_table in shown.values() for each in of_table),
                 left_out=left_out,
             )
