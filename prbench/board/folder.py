@@ -52,7 +52,7 @@ class BoardInfo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     Attributes:
         title: Title of the board.
-        url: Where it can be read; empty for nowhere yet.
+        url: Address at which it can be read; empty if there is none yet.
         contact: Whom to write to.
         maintainers: Their names, for citations.
         licence: Licence under which submissions are published.

@@ -1,33 +1,25 @@
 """What a board shows, made from its folder alone: rows, pages, and what is to be cited.
 
 Text is the same on every machine. Means of the same scores may differ in their last digits between processors, so
-pages print fewer digits. The bytes of Parquet depend on the version of Arrow that wrote them: ``rows.parquet`` is
-compared by content, and left as it is where that is the same.
+pages print fewer digits. No page is Parquet, whose bytes depend on the version of Arrow that wrote them.
 """
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import msgspec
-import pyarrow as pa
-import pyarrow.csv
-import pyarrow.parquet as pq
 
 import prbench
-from prbench.board.collect import COSTS, CollectedRuns, LeaderboardRow, collect_runs
+from prbench.board.collect import CollectedRuns, LeaderboardRow, collect_runs
 from prbench.board.export import as_board, export, licence_note
 from prbench.board.folder import BoardFolder
 from prbench.board.submission import FILE_NAME, RUNS, Submission
 from prbench.board.tables import make_leaderboard
 from prbench.board.verifying import Verification, VerifiedDataset
 from prbench.datasets import SYNTHETIC_PREFIX
-from prbench.errors import PrbenchError
-from prbench.files import arrays
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import text_digest
 from prbench.harness.results import CheckedSummary, RunChecker
@@ -38,9 +30,7 @@ from prbench.protocol.manifests import dataset_names, load_citations, load_manif
 from prbench.shown import clean, latex, markdown
 from prbench.tables import Block, Column, Row, Table, as_markdown
 
-CSV = "leaderboard.csv"
-ROWS = "rows.parquet"
-PAGES = ("leaderboard.md", CSV, "leaderboard.json", ROWS)
+PAGES = ("leaderboard.md", "leaderboard.csv", "leaderboard.json")
 _SUBMISSIONS = {
     "name": "Submission",
     "id": "Id",
@@ -149,11 +139,10 @@ def pages_of(board: BoardFolder) -> dict[str, bytes]:
     tables = export(leaderboard, "md").partition("\n\n")[2]
     value = msgspec.to_builtins(as_board(leaderboard)) | msgspec.to_builtins({"board": info, "history": board.history})
     rounded = json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.6g}"))
-    csv = export(leaderboard, "csv")
     page = f"# {markdown(info.title)}\n\n{as_markdown([head])}\n{tables}"
-    texts = (page.rstrip("\n") + "\n", csv, json.dumps(rounded, indent=2, sort_keys=True, ensure_ascii=False) + "\n")
-    pages = {name: text.encode() for name, text in zip(PAGES, texts)}
-    return pages | {ROWS: _parquet(csv, board.path / ROWS)}
+    written = json.dumps(rounded, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+    texts = (page.rstrip("\n") + "\n", export(leaderboard, "csv"), written)
+    return {name: text.encode() for name, text in zip(PAGES, texts)}
 
 
 def _submission_rows(board: BoardFolder) -> Iterator[Row]:
@@ -175,23 +164,6 @@ def _data_lines(board: BoardFolder) -> Iterator[str]:
         yield licence_note(each.title, each.redistribution)
         for name in (name for name, datasets in permissions.items() if each.dataset in datasets):
             yield f"{name} may hold recorded motion of {each.dataset}, by a permission that its authors state."
-
-
-def _parquet(csv: str, path: Path) -> bytes:
-    """Return the rows of a CSV as Parquet, or the bytes of the file that holds them already."""
-    numbers = ("value", "low", "high", "detectable", *(column for _, column in COSTS.values()))
-    kinds = dict.fromkeys(csv.partition("\n")[0].split(","), pa.string()) | dict.fromkeys(numbers, pa.float64())
-    kinds |= dict.fromkeys(("sequences", "recordings", "rank"), pa.int64())
-    options = pyarrow.csv.ConvertOptions(column_types=kinds)
-    rows = pyarrow.csv.read_csv(io.BytesIO(csv.encode()), convert_options=options)
-    try:
-        if arrays.read_parquet(path).equals(rows):
-            return read_whole(path)
-    except (OSError, pa.ArrowException, PrbenchError):
-        pass  # no such file, or another one: it is written anew
-    content = io.BytesIO()
-    pq.write_table(rows, content)
-    return content.getvalue()
 
 
 def cited_with(datasets: Iterable[str]) -> list[str]:
