@@ -293,7 +293,10 @@ def pack(
         "members": {name: file_digest(path) for name, path in files.items()},
     }
     content = json.dumps(msgspec.to_builtins(values), indent=1, sort_keys=True).encode() + b"\n"
-    submission = Submission.decoded(content, out)
+    try:
+        submission = Submission.decoded(content, out)
+    except InputFileError as error:  # the rest of it is prbench's own
+        raise UsageError(f"what authors say of a submission: {error.found}.") from error
     with sole_writer(out):
         write_archive(out, {FILE_NAME: content, **files})
     return submission

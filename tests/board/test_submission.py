@@ -142,7 +142,7 @@ def test_a_broken_run_is_not_packed_and_nothing_is_written(tmp_path, runs, name)
     ],
 )
 def test_what_authors_say_has_a_form(tmp_path, about, message):
-    with pytest.raises(InputFileError, match=message):
+    with pytest.raises(UsageError, match=message):
         submitted(tmp_path / "a.zip", **about)
 
 

@@ -74,6 +74,20 @@ def overlapping(content: bytearray) -> None:
     struct.pack_into("<L", content, second + 42, 0)
 
 
+def nested(path: Path) -> Path:
+    """The second member lies inside the first one, and as many bytes lie idle behind it, so that the sums are right."""
+    one = members("b")(path).read_bytes()
+    inner, listed, _ = one[: one.find(b"PK\x01\x02")], one[one.find(b"PK\x01\x02") : -22], one[-22:]
+    outer = members("a", content=inner)(path).read_bytes()
+    start = outer.find(b"PK\x01\x02")
+    listed = listed[:42] + struct.pack("<L", 31) + listed[46:]  # behind the header of the first
+    table = outer[start:-22] + listed
+    behind = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 2, 2, len(table), start + len(inner), 0)
+    path.write_bytes(outer[:start] + bytes(len(inner)) + table + behind)
+    assert zipfile.ZipFile(path).read("b") == b"{}"
+    return path
+
+
 def million(path: Path, *, told: int) -> Path:
     """A table of contents of a million members, of which the end of the archive tells so many."""
     one = struct.pack("<4s6H3L5H2L", b"PK\x01\x02", 20, 20, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0) + b"a"
@@ -138,6 +152,7 @@ HOSTILE = {
     "cut": (edited(lambda content: content[:-30]), "a ZIP archive"),
     "cut in front": (edited(lambda content: content[30:]), "missing or hidden"),
     "overlapping": (edited(overlapping), HIDDEN),
+    "one inside another": (nested, HIDDEN),
     "another name inside": (edited(lambda content: content.replace(b"runs/a/b", b"runs/a/c", 1)), HIDDEN),
     "second disk": (edited(lambda content: end(content, 4, "<H", 1)), "missing or hidden"),
     "empty": (lambda path: (path.write_bytes(b"") and path) or path, "a ZIP archive"),
