@@ -238,5 +238,5 @@
     }
   }
 
-  parts.menu = { Menu, badness };
+  parts.menu = { Menu };
 })();

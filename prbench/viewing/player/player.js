@@ -174,7 +174,7 @@
         make(
           "div",
           { class: "prp-tools" },
-          button("link", "Copy a link to this moment (C)", () => this._copy()),
+          button("Link", "Copy a link to this moment (C)", () => this._copy()),
           this._saveMenu(),
           this._layerMenu(),
           options.compact ? null : button("theme", "Light or dark (T)", () => this._switchTheme()),

@@ -159,5 +159,5 @@
     return time < sequence.primeTime ? "before prime" : "after prime";
   }
 
-  parts.reading = { read, inSpans, hasPrime, phase, N_JOINTS };
+  parts.reading = { read, inSpans, hasPrime, phase };
 })();

@@ -195,5 +195,5 @@
     };
   }
 
-  parts.saving = { download, fileName, picture, film, filmFormat };
+  parts.saving = { download, fileName, picture, film };
 })();

@@ -979,7 +979,7 @@
       const labels = [];
       for (const tile of this._tiles(width, height)) {
         for (const actor of tile.actors) {
-          const { label, colour } = actor.motion;
+          const { label } = actor.motion;
           if (this.layout === "views" || this.preset === "eyes") {
             if (
               this.preset === "eyes" &&
@@ -987,7 +987,7 @@
               actor !== tile.actors[this.eyes % tile.actors.length]
             )
               continue;
-            labels.push({ label, colour, x: tile.x + tile.width / 2, y: tile.y + 26 });
+            labels.push({ label, x: tile.x + tile.width / 2, y: tile.y + 26 });
             continue;
           }
           const place = new THREE.Vector3(...actor.joints[HEAD]).add(actor.group.position);
@@ -996,7 +996,6 @@
           if (place.z > 1) continue;
           labels.push({
             label,
-            colour,
             x: tile.x + ((place.x + 1) / 2) * tile.width,
             y: tile.y + ((1 - place.y) / 2) * tile.height,
           });
@@ -1069,5 +1068,5 @@
   }
   Stage.prototype.eyes = 0; // number of the motion through whose eyes the camera looks
 
-  parts.stage = { Stage, paintOf, GAZE_COLOUR, GOAL_COLOUR };
+  parts.stage = { Stage, paintOf };
 })();

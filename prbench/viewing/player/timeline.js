@@ -355,5 +355,5 @@
     }
   }
 
-  parts.timeline = { Timeline, DASHES, centimetres };
+  parts.timeline = { Timeline, centimetres };
 })();
