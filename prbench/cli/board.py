@@ -45,15 +45,7 @@ if TYPE_CHECKING:
 @opt.permission_option
 @opt.tables_option
 @opt.workers_option()
-def submit(
-    runs: tuple[Path, ...],
-    out: Path,
-    data: tuple[Path, ...],
-    workers: int,
-    trained_on: tuple[str, ...],
-    permission: tuple[str, ...],
-    **about: Any,
-) -> Answer:
+def submit(runs: tuple[Path, ...], out: Path, data: tuple[Path, ...], workers: int, **given: Any) -> Answer:
     """Pack finished runs into one file that anybody with the data can verify.
 
     RUN are run folders, or folders that hold some. With --data their scores are held against the motions first, and
@@ -61,9 +53,9 @@ def submit(
     """
     from prbench.board.submission import declared_training, pack
 
-    declared = declared_training(trained_on) if trained_on else None
-    checker = opt.run_checker(data, workers)
-    submission = pack(runs, out, checker=checker, permitted=permission, training=declared, **about)
+    texts = given.pop("trained_on")
+    given |= {"training": declared_training(texts) if texts else None, "permitted": given.pop("permission")}
+    submission = pack(runs, out, checker=opt.run_checker(data, workers), **given)
 
     def show() -> None:
         print(

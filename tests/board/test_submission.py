@@ -106,6 +106,19 @@ def test_motions_from_a_file_are_submitted_where_scoring_has_kept_them(tmp_path,
     assert "verified on tables of the same values: 1 run, 8 sequences" in capsys.readouterr().out
 
 
+def test_runs_of_another_benchmark_are_submitted_in_a_file_of_their_own(tmp_path, capsys):
+    windows = str(tmp_path / "windows")
+    run = str(tmp_path / "run")
+    assert main(["build-windows", "--data", str(made() / "table"), "--out", windows, "-q"]) == 0
+    words = ["--benchmark", "motion-prediction", "--method", "zero-velocity", "--condition", "pose", "--data", windows]
+    assert main(["run", *words, "--out", run, "-q"]) == 0
+    submit = ["leaderboard", "submit", run, "--out", str(tmp_path / "a.zip"), "--name", "W", "--trained-on"]
+    assert main([*submit, f"{DATASET}:all"]) == 0
+    assert main(["leaderboard", "verify", str(tmp_path / "a.zip"), "--data", windows]) == 0
+    assert "overlaps 4 test recordings" in capsys.readouterr().out
+    assert main([*submit, "none", str(made() / "runs/still")]) == 7
+
+
 def break_sums(run: Path) -> None:
     (run / SUMS).write_text(f"{'0' * 64}  run.json\n")
     (run / SIGNATURE).write_text("not looked at without a key")

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
@@ -57,22 +56,27 @@ def test_other_values_of_the_same_sequences_drift_and_say_by_how_much(tmp_path):
     assert "largest drift 0.000" in found.verdict
 
 
-def forge_value(run: Path) -> None:
-    """Every MPJPE becomes a third of it; the summary stays."""
-    path = run / DATASET / "scores.parquet"
-    scores = read_scores(path)
-    better = pc.if_else(pc.equal(scores["metric"], "mpjpe"), pc.divide(scores["value"], 3.0), scores["value"])
-    write_scores(path, [scores.set_column(scores.schema.get_field_index("value"), "value", better)])
+def edited_scores(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    """Change every MPJPE; the summary stays."""
+
+    def forge(run: Path) -> None:
+        path = run / DATASET / "scores.parquet"
+        scores = read_scores(path)
+        values = scores["value"].to_numpy().copy()
+        chosen = np.flatnonzero(np.array(scores["metric"].to_pylist()) == "mpjpe")
+        values[chosen] = change(values[chosen])
+        write_scores(path, [scores.set_column(scores.schema.get_field_index("value"), "value", pa.array(values))])
+
+    return forge
 
 
-def forge_mean(run: Path) -> None:
-    """Scores are exchanged between sequences, so that every mean and the summary stay."""
-    path = run / DATASET / "scores.parquet"
-    scores = read_scores(path)
-    values = scores["value"].to_numpy().copy()
-    chosen = np.flatnonzero(np.array(scores["metric"].to_pylist()) == "mpjpe")
-    values[chosen] = np.roll(values[chosen], 2)
-    write_scores(path, [scores.set_column(scores.schema.get_field_index("value"), "value", pa.array(values))])
+def thirds(values: np.ndarray) -> np.ndarray:
+    return values / 3
+
+
+def exchanged(values: np.ndarray) -> np.ndarray:
+    """Every mean and the summary stay right."""
+    return np.roll(values, 2)
 
 
 def motions(change: Callable[[list[dict]], list[dict]]) -> Callable[[Path], None]:
@@ -130,8 +134,8 @@ def method_of(run: Path, **values: object) -> None:
 
 
 FORGERIES = {
-    "changed scores": (forge_value, "summary.json, mpjpe.* follows from"),
-    "scores of other sequences": (forge_mean, "scores.parquet.*expected .* which the motion"),
+    "changed scores": (edited_scores(thirds), "summary.json, mpjpe.* follows from"),
+    "scores of other sequences": (edited_scores(exchanged), "scores.parquet.*expected .* which the motion"),
     "changed summary": (lambda run: edit_json(run / DATASET / "summary.json", recordings=99), "recordings: expected"),
     "changed motions": (motions(with_frame(0.5)), "scores.parquet, row .* from the motions and their table, found"),
     "a missing sequence": (motions(lambda rows: rows[1:]), r"missing 1 \(synthetic-adt/.*, sample 0\), repeated 0"),
@@ -232,6 +236,6 @@ def test_verify_tells_the_result_and_the_exit_code(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["report"]["training"] == "not declared"
     assert main(["leaderboard", "verify", str(file), "--data", str(moved_table(tmp_path / "moved", 3e-4))]) == 0
     assert "MPJPE m" in capsys.readouterr().out
-    file = forged(tmp_path, forge_value)
+    file = forged(tmp_path, edited_scores(thirds))
     assert main(["leaderboard", "verify", str(file), "--data", str(made() / "table")]) == 7
     assert list((tmp_path / "unpacked" / RUNS).iterdir()) == [tmp_path / "unpacked" / RUNS / "still"]

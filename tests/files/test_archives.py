@@ -8,6 +8,7 @@ import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -53,7 +54,7 @@ def named(raw: bytes, flag: int = 0) -> Callable[[Path], Path]:
     return make
 
 
-def edited(change: Callable[[bytearray], object], *names: str) -> Callable[[Path], Path]:
+def edited(change: Callable[[bytearray], Any], *names: str) -> Callable[[Path], Path]:
     """Write an archive and change its bytes."""
 
     def make(path: Path) -> Path:
