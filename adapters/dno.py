@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
-from prbench_adapters.diffusion.method import SingleModelMethod, require_goals_within_reach
+from prbench_adapters.diffusion.method import SingleModelMethod, bundled_names, require_goals_within_reach, resolve
 
 if TYPE_CHECKING:
     from prbench_adapters.diffusion.model import MotionModel
@@ -72,7 +72,6 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     """
     from prbench_adapters.diffusion import noise_optimisation as noise
     from prbench_adapters.diffusion.generation import choice, number, require_known
-    from prbench_adapters.diffusion.method import bundled_names, resolve
     from prbench_adapters.diffusion.model import MotionModel, require_goal
 
     require_known(options, ("optimise", "prompt", "guidance", "text-path", *noise.KEYFRAME_OPTIONS))

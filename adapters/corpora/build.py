@@ -41,6 +41,7 @@ class GroupReceipt(msgspec.Struct, frozen=True, kw_only=True):
     frames: int
 
 
+_COUNTED = ("clips", "captions", "approximate_clips", "frames")  # what a receipt counts, and the corpus adds up
 # A part, where it lies, and True if an earlier, interrupted build had made it.
 _Finished = tuple[Path, GroupReceipt, bool]
 
@@ -80,11 +81,8 @@ class CorpusJob:
         clips = [clip for read, _ in done for clip in sorted(read.clips, key=lambda clip: clip.sequence_id)]
         annotations = [row for read, _ in done for row in read.annotations]
         records = tuple(record for _, record in done)
-        batches = {
-            "clips": corpus_tables.corpus_batch("clips", clips),
-            "annotations": corpus_tables.corpus_batch("annotations", annotations),
-            "recordings": corpus_tables.corpus_batch("recordings", records),
-        }
+        rows = {"clips": clips, "annotations": annotations, "recordings": records}
+        batches = {table: corpus_tables.corpus_batch(table, each) for table, each in rows.items()}
         receipt = GroupReceipt(
             name=name,
             input_digest=digest,
@@ -125,25 +123,24 @@ class CorpusJob:
                 raise PrbenchError(f"{identity.recording_id}: {message}") from error
             status = "failed"
             message = recording.without_places(message)
-        record = corpus_tables.CorpusRecord(
-            recording_id=identity.recording_id,
-            participant_id=identity.participant_id,
-            split=identity.split,
-            split_group=identity.split_group,
-            duration=read.duration,
-            outcomes=dict(Counter(row.outcome for row in read.annotations)),
-            clock_method=read.clock_method,
-            clock_quality=read.clock_quality,
-            status=status,
-            message=message,
-            measured=dict(read.measured),
-        )
-        return read, record
+        whose = (identity.recording_id, identity.participant_id, identity.split, identity.split_group)
+        outcomes = dict(Counter(row.outcome for row in read.annotations))
+        found = (outcomes, read.clock_method, read.clock_quality, status, message, dict(read.measured))
+        return read, corpus_tables.CorpusRecord(*whose, read.duration, *found)
 
 
 _DEFAULTS = corpora.CorpusOptions()
 
 Progress = Callable[[int, int, str], None]  # Called with finished recordings, all of them, and what was finished last.
+
+
+def _found(
+    name: str, root: Path | str | None, options: corpora.CorpusOptions
+) -> tuple[corpora.Corpus, tuple[corpora.RecordingGroup, ...]]:
+    """Return a corpus and the groups of its recordings; unknown options are refused before anything is searched."""
+    corpus = corpora.corpus_for(name)
+    corpus.described(options)
+    return corpus, corpora.find_groups(corpus, None if root is None else Path(root), options)
 
 
 def build_corpus(
@@ -175,9 +172,7 @@ def build_corpus(
     """
     out = Path(out).expanduser().absolute()
     require_replaceable(out, CORPUS_FILE, kind="corpus")
-    corpus = corpora.corpus_for(name)
-    corpus.described(options)  # refuses unknown options before anything is searched
-    groups = corpora.find_groups(corpus, None if root is None else Path(root), options)
+    corpus, groups = _found(name, root, options)
     with sole_writer(out), parts.working_in_parts(out):
         finished = _make_parts(corpus, groups, parts.work_folder(out), options, engine, progress)
         return _write_corpus(groups[0][1][0].identity.dataset, corpus, finished, out, options)
@@ -208,9 +203,7 @@ def build_corpus_shard(
         ShardError: if ``out`` holds another shard.
     """
     out = Path(out).expanduser().absolute()
-    corpus = corpora.corpus_for(name)
-    corpus.described(options)
-    groups = corpora.find_groups(corpus, None if root is None else Path(root), options)
+    corpus, groups = _found(name, root, options)
     settings = _shard_settings(corpus, groups[0][1][0].identity.dataset, options)
     record = ShardRecord.of("corpus", shard, settings, (name for name, _ in groups))
     mine = [groups[place] for place in shard.places(len(groups))]
@@ -317,10 +310,7 @@ def _write_corpus(
             recordings_failed=statuses["failed"],
             recordings_skipped=statuses["skipped"],
             annotations=sum(outcomes.values()),
-            clips=sum(receipt.clips for receipt in receipts),
-            captions=sum(receipt.captions for receipt in receipts),
-            approximate_clips=sum(receipt.approximate_clips for receipt in receipts),
-            frames=sum(receipt.frames for receipt in receipts),
+            **{name: sum(getattr(receipt, name) for receipt in receipts) for name in _COUNTED},
         ),
         outcomes={outcome: outcomes[outcome] for outcome in corpus_tables.ANNOTATION_OUTCOMES},
         quarantine=quarantined(records),
@@ -346,14 +336,11 @@ def plan_corpus(name: str, root: Path | str | None, options: corpora.CorpusOptio
         UsageError: for an unknown corpus or option.
         InputFileError: if there is nothing to read.
     """
-    corpus = corpora.corpus_for(name)
-    corpus.described(options)  # options that the build would refuse are refused here, too
-    root = None if root is None else Path(root)
-    recordings = [each for _, members in corpora.find_groups(corpus, root, options) for each in members]
+    recordings = [each for _, members in _found(name, root, options)[1] for each in members]
     read = [each for each in recordings if each.skip_reason is None]
     return BuildPlan(
         dataset=name,
-        root=root,
+        root=None if root is None else Path(root),
         recordings=tuple(each.identity.recording_id for each in recordings),
         skipped=tuple(each.identity.recording_id for each in recordings if each.skip_reason is not None),
         input_bytes=sum(each.input_bytes for each in read),

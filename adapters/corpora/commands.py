@@ -91,8 +91,7 @@ def build_corpus(
         report = build_corpus_shard(corpus, root, out, part, options=chosen, engine=where, progress=tell)
     builds.note_unread(report.records, reused=report.reused)
     complete = all(record.status != "failed" for record in report.records)
-    made_of = len(part.places(report.planned))
-    return builds.shard_answer(report, made_of, unit="groups of recordings", complete=complete)
+    return builds.shard_answer(report, len(part.places(report.planned)), unit="groups of recordings", complete=complete)
 
 
 def merge_corpus(shards: Sequence[tuple[Path, ShardRecord]], out: Path, *, replace: bool) -> Answer:

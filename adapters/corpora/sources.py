@@ -232,9 +232,8 @@ def find_groups(corpus: Corpus, root: Path | None, options: CorpusOptions) -> tu
     Raises:
         InputFileError: if there is no recording, or none that matches the glob.
     """
-    found = corpus.find(root, options)
     groups: dict[str, list[CorpusRecording]] = {}
-    for recording in chosen_recordings(found, options, where=root or "invented people"):
+    for recording in chosen_recordings(corpus.find(root, options), options, where=root or "invented people"):
         groups.setdefault(corpus.group_of(recording.identity.recording_id), []).append(recording)
     return tuple((name, tuple(members)) for name, members in groups.items())
 

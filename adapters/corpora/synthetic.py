@@ -76,8 +76,7 @@ class SyntheticSource(CorpusRecording):
         motion = narrated_recording(self.options.seed, self.index)
         readings = sense_nymeria(motion, seed=self.options.seed, noise=self.options.noise)
         kinds = NymeriaOptions(kinds=self.options.kinds).chosen_kinds
-        manifest = load_manifest("nymeria")
-        body = clean_suit(readings.suit, manifest, path=motion.recording_id, pose_source=POSE_SOURCE)
+        body = clean_suit(readings.suit, load_manifest("nymeria"), path=motion.recording_id, pose_source=POSE_SOURCE)
         texts = tuple(row for row in readings.narrations if row.kind in kinds)
         return recording_clips(self.identity, body, texts, ClockOffset("known", readings.offset), self.limits)
 

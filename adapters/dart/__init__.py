@@ -2,26 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING
+from prbench_adapters.diffusion.method import late
 
-if TYPE_CHECKING:
-    from prbench_adapters.dart.adapter import DartControl
-    from prbench_adapters.dart.training import DartTask
-
-__all__ = ["load", "training_task"]
+load = late("dart.adapter:load")
 
 
-def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DartControl:
-    """Entry point ``dart`` (:func:`prbench_adapters.dart.adapter.load`)."""
-    from prbench_adapters.dart.adapter import load as load_adapter
-
-    return load_adapter(weights, options=options, device=device)
-
-
-def training_task() -> DartTask:
+def training_task() -> object:
     """Make the task that ``prbench train --method dart`` trains."""
-    from prbench_adapters.dart.training import DartTask
-
-    return DartTask()
+    return late("dart.training:DartTask")()

@@ -22,8 +22,8 @@ from prbench_adapters.diffusion.method import SingleModelMethod, own_weights, re
 from prbench_adapters.diffusion.optimised_generation import targets_of
 from prbench_adapters.kinematics import DART
 
-_LARGEST_PART = {"cpu": 320}  # primitives, of all sequences side by side; all passes are kept for the gradient
-_LARGEST_PART_ELSEWHERE = 960
+# Primitives of all sequences side by side, on a processor and elsewhere; all passes are kept for the gradient.
+_LARGEST_PARTS = (320, 960)
 _SHORTEST_ACROSS = 1e-6  # metres between the hips, along the ground
 
 
@@ -100,7 +100,7 @@ def generate(model: DartModel, batch: ConditionBatch, settings: DartSettings) ->
     joints = np.zeros((len(batch), int(batch.n_frames.max()), N_JOINTS, 3), dtype=np.float32)
     passes = 0
     primitives = _primitives(model, batch)
-    for rows in parts_of_similar_cost(primitives, _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)):
+    for rows in parts_of_similar_cost(primitives, _LARGEST_PARTS[model.device.type != "cpu"]):
         part = {}
         for field in fields(bodies.batch):
             value = getattr(bodies.batch, field.name)
@@ -170,8 +170,7 @@ def _sampled(
         done = rollout.roll_out(model, history, placement, sample, len(going_on), going_on=going_on)
         # Primitives of sequences that have ended have fewer rows; zeros keep the batch rectangular.
         rows = [pad(each.joints, (0, 0) * 3 + (0, len(batch) - len(each.joints))) for each in done]
-        future = DART.to_y_up(torch.cat(rows, dim=1))
-        return torch.cat((targets.initial_joints[:, None], future), dim=1)[:, :n_frames]
+        return torch.cat((targets.initial_joints[:, None], DART.to_y_up(torch.cat(rows, dim=1))), dim=1)[:, :n_frames]
 
     def from_noise(noise: Float[Tensor, "primitives batch 1 latent"]) -> Float[Tensor, "batch frames 22 3"]:
         return rolled(rollout.by_ddim(denoiser, model.schedule, noise, steps=settings.ddim_steps))

@@ -7,7 +7,7 @@ are those of ``--option key=value``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -25,7 +25,8 @@ from prbench_adapters.diffusion.model import TextVectors, torch_device
 from prbench_adapters.diffusion.noise_optimisation import Hand
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.kinematics import fitted_rotations, matrices_of, rows_of, unit
-from prbench_adapters.training.configuration import require_counts
+from prbench_adapters.tensors import TensorRecord
+from prbench_adapters.training.configuration import require_within
 from prbench_adapters.training.weights import Weights, read_weights
 
 Latents = Float[Tensor, "batch 1 latent"]
@@ -39,7 +40,7 @@ _SIZES = (3, 6, 6 * (N_JOINTS - 1), 3, 6, 3 * N_JOINTS, 3 * N_JOINTS)
 
 
 @dataclass(frozen=True)
-class Placement:
+class Placement(TensorRecord):
     """Placement of a primitive's frame of reference in another: points there are ``rotation @ p + origin``."""
 
     rotation: Float[Tensor, "batch 3 3"]
@@ -51,7 +52,7 @@ class Placement:
 
     def first(self, n: int) -> Placement:
         """Placements of the first motions."""
-        return Placement(self.rotation[:n], self.origin[:n])
+        return self.each(lambda values: values[:n])
 
     def then(self, inner: Placement) -> Placement:
         """Return the placement of a frame of reference that is placed here by ``inner``."""
@@ -61,7 +62,7 @@ class Placement:
 
 
 @dataclass(frozen=True)
-class Frames:
+class Frames(TensorRecord):
     """Frames of B motions in one frame of reference each; deltas lead to the next frame.
 
     Attributes:
@@ -85,46 +86,28 @@ class Frames:
         rotations = fitted_rotations(joints)
         orientation = rotations[:, :, 0]
         pelvis = joints[:, :, Joint.PELVIS]
-        return cls(
-            translation=pelvis[:, :-1],
-            orientation=orientation[:, :-1],
-            body=rows_of(rotations[:, :-1, 1:]),
-            translation_delta=pelvis.diff(dim=1),
-            orientation_delta=orientation[:, 1:] @ orientation[:, :-1].mT,
-            joints=joints[:, :-1],
-            joints_delta=joints.diff(dim=1),
-        )
+        turn = orientation[:, 1:] @ orientation[:, :-1].mT
+        body = rows_of(rotations[:, :-1, 1:])
+        moves = (pelvis.diff(dim=1), turn, joints[:, :-1], joints.diff(dim=1))
+        return cls(pelvis[:, :-1], orientation[:, :-1], body, *moves)
 
     @classmethod
     def unpack(cls, features: Float[Tensor, "batch frames 276"]) -> Frames:
         """Read features in metres; orientations that are no rotation become one (Gram-Schmidt)."""
         # In the order of the fields, which is that of the original's 276 numbers.
         translation, orientation, body, step, turn, joints, moves = features.split(_SIZES, dim=-1)
-        return cls(
-            translation=translation,
-            orientation=matrices_of(orientation),
-            body=body.unflatten(-1, (N_JOINTS - 1, 6)),
-            translation_delta=step,
-            orientation_delta=matrices_of(turn),
-            joints=joints.unflatten(-1, (N_JOINTS, 3)),
-            joints_delta=moves.unflatten(-1, (N_JOINTS, 3)),
-        )
+        body = body.unflatten(-1, (N_JOINTS - 1, 6))
+        places = (each.unflatten(-1, (N_JOINTS, 3)) for each in (joints, moves))
+        return cls(translation, matrices_of(orientation), body, step, matrices_of(turn), *places)
 
     def pack(self) -> Float[Tensor, "batch frames 276"]:
         """Write features, metres: translation 3, rotations 132, delta 3, orientation's delta 6, joints 66, deltas 66.
 
         Rotations are the first two *rows* of their matrices.
         """
-        parts = (
-            self.translation,
-            rows_of(self.orientation),
-            self.body.flatten(2),
-            self.translation_delta,
-            rows_of(self.orientation_delta),
-            self.joints.flatten(2),
-            self.joints_delta.flatten(2),
-        )
-        return torch.cat(parts, dim=-1)
+        before = (self.translation, rows_of(self.orientation), self.body.flatten(2))
+        moves = (self.translation_delta, rows_of(self.orientation_delta))
+        return torch.cat((*before, *moves, self.joints.flatten(2), self.joints_delta.flatten(2)), dim=-1)
 
     def rotations(self) -> Float[Tensor, "batch frames 22 3 3"]:
         """Return the root's orientation and the joints' rotations, for forward kinematics."""
@@ -132,24 +115,20 @@ class Frames:
 
     def part(self, start: int, stop: int) -> Frames:
         """Return some of the frames."""
-        return Frames(*(getattr(self, field.name)[:, start:stop] for field in fields(self)))
+        return self.each(lambda values: values[:, start:stop])
 
     def canonical(self) -> tuple[Frames, Placement]:
         """Return the frames in the frame of reference of the first one, and where that stands."""
         placement = canonical_placement(self.joints[:, 0])
         back = placement.rotation.mT
-        origin = placement.origin
-        seen = Frames(
-            translation=_turned(back, self.translation - _broadcast(origin, self.translation)),
-            orientation=back[:, None] @ self.orientation,
-            body=self.body,
-            translation_delta=_turned(back, self.translation_delta),
-            # A turn between two world orientations is changed on both sides; an orientation on the left alone.
-            orientation_delta=back[:, None] @ self.orientation_delta @ placement.rotation[:, None],
-            joints=_turned(back, self.joints - _broadcast(origin, self.joints)),
-            joints_delta=_turned(back, self.joints_delta),
+        translation, joints = (
+            _turned(back, points - _broadcast(placement.origin, points)) for points in (self.translation, self.joints)
         )
-        return seen, placement
+        # A turn between two world orientations is changed on both sides; an orientation on the left alone.
+        orientation = back[:, None] @ self.orientation
+        turn = back[:, None] @ self.orientation_delta @ placement.rotation[:, None]
+        step, moves = (_turned(back, vectors) for vectors in (self.translation_delta, self.joints_delta))
+        return Frames(translation, orientation, self.body, step, turn, joints, moves), placement
 
 
 def canonical_placement(joints: Float[Tensor, "batch 22 3"]) -> Placement:
@@ -159,8 +138,7 @@ def canonical_placement(joints: Float[Tensor, "batch 22 3"]) -> Placement:
     up[:, 2] = 1.0
     # Along the ground, so that the frame of reference stays upright however the body leans.
     right = unit(across * (1.0 - up))
-    front = torch.linalg.cross(up, right)
-    return Placement(torch.stack((right, front, up), dim=-1), joints[:, Joint.PELVIS])
+    return Placement(torch.stack((right, torch.linalg.cross(up, right), up), dim=-1), joints[:, Joint.PELVIS])
 
 
 def _turned(rotation: Float[Tensor, "batch 3 3"], vectors: Joints) -> Joints:
@@ -212,8 +190,9 @@ class DartConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     uniform_skeleton: bool = False
 
     def __post_init__(self) -> None:
-        require_counts(self, "future_frames", "latent", "vae_width", "vae_heads", "vae_layers", "vae_feed_forward")
-        require_counts(self, "width", "heads", "layers", "feed_forward", "text_dimension", "diffusion_steps")
+        require_within(self, "at least 1", "future_frames", "latent", "vae_width", "vae_heads", "vae_layers")
+        require_within(self, "at least 1", "vae_feed_forward", "width", "heads", "layers", "feed_forward")
+        require_within(self, "at least 1", "text_dimension", "diffusion_steps")
         # Skips join each layer in front of the middle one to a layer behind it.
         if self.vae_layers % 2 == 0:
             raise ValueError(f"'vae_layers' must be odd, found {self.vae_layers}")
@@ -223,10 +202,8 @@ class DartConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
             # Even, because the table of sinusoids pairs sines with cosines.
             if getattr(self, width) % getattr(self, heads) or getattr(self, width) % 2:
                 raise ValueError(f"'{width}' must be even and a multiple of '{heads}', found {getattr(self, width)}")
-        if not 0 <= self.dropout < 1:
-            raise ValueError(f"'dropout' must be in [0, 1), found {self.dropout}")
-        if self.fps <= 0:
-            raise ValueError(f"'fps' must be positive, found {self.fps}")
+        require_within(self, "at least 0 and below 1", "dropout")
+        require_within(self, "above 0", "fps")
 
     @property
     def primitive_frames(self) -> int:
@@ -494,8 +471,7 @@ class DartModel:
             found = f"{latent_std:g}"
             raise InputFileError(path, "latent.std", expected="a positive number", found=found, remedy=remedy)
         texts = TextVectors(text_encoder(configuration.text_encoder, text_path))
-        scaling = scaling_of(weights)
-        return cls(vae.to(where), denoiser.to(where), scaling=scaling, latent_std=latent_std, texts=texts)
+        return cls(vae.to(where), denoiser.to(where), scaling=scaling_of(weights), latent_std=latent_std, texts=texts)
 
     def text_vectors(self, texts: tuple[str, ...]) -> Embedded:
         """One vector a text, on the model's device."""

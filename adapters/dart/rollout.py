@@ -183,8 +183,7 @@ class GuidedDenoiser(Guidance):
         """
         # Rows stand longest first, so the sequences that go on are always the first rows.
         text = self.text[: len(history)]
-        texts = self.both(text, torch.zeros_like(text))
-        prepared = PreparedDenoiser(self.denoiser, texts, self.both(history, history))
+        prepared = PreparedDenoiser(self.denoiser, self.both(text, torch.zeros_like(text)), self.both(history, history))
         return lambda noisy, step: self.estimate(lambda rows: prepared(rows, step), noisy)
 
 
@@ -192,11 +191,9 @@ def by_ddim(
     denoiser: GuidedDenoiser, schedule: CosineSchedule, noise: Noise, *, steps: int | None = None
 ) -> SampleLatent:
     """Return a fixed, differentiable map from each primitive's noise to its latent: η = 0, all steps unless given."""
-
-    def sample(number: int, history: Tensor) -> Tensor:
-        return sample_ddim(denoiser.under(history), schedule, noise[number, : len(history)], steps=steps)
-
-    return sample
+    return lambda number, history: sample_ddim(
+        denoiser.under(history), schedule, noise[number, : len(history)], steps=steps
+    )
 
 
 def by_ddpm(denoiser: GuidedDenoiser, schedule: CosineSchedule, draw: Callable[[], Latents]) -> SampleLatent:

@@ -21,6 +21,7 @@ from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddpm
 from prbench_adapters.kinematics import DART, forward_kinematics, rest_offsets
 from prbench_adapters.training import MotionBatch, SequenceDataset, collate
+from prbench_adapters.training.configuration import require_within
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import origin_of, read_weights, weights_header
 
@@ -83,8 +84,7 @@ def drawn_starts(
 ) -> Int[Tensor, " batch"]:
     """Return a uniformly drawn first frame for each motion, from which the whole window fits where it can."""
     latest = (n_frames - dart.HISTORY_FRAMES - primitives * configuration.future_frames).clamp_min(0)
-    drawn = torch.rand(len(n_frames), generator=generator, dtype=torch.float64)
-    return (drawn * (latest + 1)).long().clamp_max(latest)
+    return (torch.rand(len(n_frames), generator=generator, dtype=torch.float64) * (latest + 1)).long().clamp_max(latest)
 
 
 def feature_scaling(data: SequenceDataset, configuration: dart.DartConfiguration) -> dart.FeatureScaling:
@@ -127,7 +127,7 @@ def primitives_of(
             inside = cut.valid[:, number]
             if bool(inside.any()):
                 frames = cut.primitive(number, configuration.future_frames)
-                yield dart.Frames(**{name: value[inside] for name, value in vars(frames).items()})
+                yield frames.each(lambda values, inside=inside: values[inside])
 
 
 _PerMotion = Float[Tensor, " batch"]
@@ -172,16 +172,14 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     text_drop: float = 0.1
 
     def __post_init__(self) -> None:
-        if not 0 <= self.vae_share < 1:
-            raise ValueError(f"'vae_share' must be at least 0 and below 1, found {self.vae_share}")
+        require_within(self, "at least 0 and below 1", "vae_share")
         for name in ("vae_stages", "denoiser_stages"):
             shares = getattr(self, name)
             if min(shares) < 0 or abs(sum(shares) - 1) > 1e-6:
                 raise ValueError(f"'{name}' must be three shares that sum to 1, found {shares}")
-        if self.primitives < 1 or self.windows < 1 or (self.vae_batch_size is not None and self.vae_batch_size < 1):
-            raise ValueError("'primitives', 'windows' and 'vae_batch_size' must be at least 1")
-        if not 0 <= self.text_drop <= 1:
-            raise ValueError(f"'text_drop' must be between 0 and 1, found {self.text_drop}")
+        optional = () if self.vae_batch_size is None else ("vae_batch_size",)
+        require_within(self, "at least 1", "primitives", "windows", *optional)
+        require_within(self, "from 0 to 1", "text_drop")
 
 
 def huber(predicted: Float[Tensor, "batch *values"], wanted: Float[Tensor, "batch *values"]) -> _PerMotion:
@@ -373,7 +371,7 @@ class DartTraining(TrainingModule):
                     }
                     # Gradients do not run through the history: each primitive learns for itself.
                     ended = next_history(predicted)[0]
-                    own = dart.Frames(**{name: value.detach() for name, value in vars(ended).items()})
+                    own = ended.each(torch.Tensor.detach)
                 else:
                     losses = {
                         "latent": (weights.latent_weight, huber(latent.float(), clean.float())),

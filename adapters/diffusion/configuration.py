@@ -8,8 +8,8 @@ second. :attr:`DenoiserConfiguration.condition_parts` tells where each part stan
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import msgspec
@@ -19,7 +19,8 @@ from jaxtyping import Bool, Float
 from prbench.contract import ConditionBatch
 from prbench.representation.features import N_FEATURES
 from prbench_adapters.diffusion.goal_frame import N_GOAL_FRAME_FEATURES, seen_condition, seen_size
-from prbench_adapters.training.configuration import require_counts
+from prbench_adapters.tensors import TensorRecord
+from prbench_adapters.training.configuration import require_within
 
 _ConditionPart = Literal["initial_pose", "initial_velocity", "goal", "text"]
 
@@ -78,15 +79,13 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     uniform_skeleton: bool = False
 
     def __post_init__(self) -> None:
-        require_counts(self, "width", "heads", "layers", "feed_forward")
-        require_counts(self, "frames_per_token", "text_dimension", "diffusion_steps", "max_frames")
+        require_within(self, "at least 1", "width", "heads", "layers", "feed_forward", "frames_per_token")
+        require_within(self, "at least 1", "text_dimension", "diffusion_steps", "max_frames")
         # Even, because the table of sinusoids pairs sines with cosines.
         if self.width % self.heads or self.width % 2:
             raise ValueError(f"'width' must be even and a multiple of 'heads' ({self.heads}), found {self.width}")
-        if not 0 <= self.dropout < 1:
-            raise ValueError(f"'dropout' must be in [0, 1), found {self.dropout}")
-        if self.fps <= 0:
-            raise ValueError(f"'fps' must be positive, found {self.fps}")
+        require_within(self, "at least 0 and below 1", "dropout")
+        require_within(self, "above 0", "fps")
         if (self.architecture == "frames") is not (self.features == "goal-frame"):
             problem = f"expected frames with goal-frame, or neither, found {self.architecture} with {self.features}"
             raise ValueError(f"'architecture' and 'features': {problem}")
@@ -120,7 +119,7 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
 
 
 @dataclass(frozen=True)
-class EncodedCondition:
+class EncodedCondition(TensorRecord):
     """Conditions of B motions.
 
     Attributes:
@@ -146,7 +145,7 @@ class EncodedCondition:
 
     def rows(self, index: slice | Sequence[int] | torch.Tensor) -> EncodedCondition:
         """Return some of the motions, in the order of ``index``."""
-        return self._each(lambda _, values: values[index])
+        return self.each(lambda values: values[index])
 
     def then(self, other: EncodedCondition) -> EncodedCondition:
         """Return these motions and those of ``other`` as one batch; both have the same number of tokens.
@@ -156,15 +155,8 @@ class EncodedCondition:
         """
         if (self.vector is None) is not (other.vector is None):
             raise ValueError("conditions with and without a vector cannot share a batch")
-        return self._each(lambda name, ours: torch.cat([ours, getattr(other, name)]))
-
-    def to(self, device: torch.device | str) -> EncodedCondition:
-        """Move the conditions to another device."""
-        return self._each(lambda _, values: values.to(device))
-
-    def _each(self, change: Callable[[str, torch.Tensor], torch.Tensor]) -> EncodedCondition:
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
-        return replace(self, **{name: change(name, ours) for name, ours in given.items() if ours is not None})
+        theirs = iter(other.tensors().values())
+        return self.each(lambda ours: torch.cat([ours, next(theirs)]))
 
 
 def raw_condition(
@@ -247,5 +239,4 @@ class ConditionScaling:
     def __call__(self, raw: Float[torch.Tensor, "batch raw"]) -> Float[torch.Tensor, "batch size"]:
         """Scale a batch, on its own device."""
         mean, std, kept = (values.to(raw.device) for values in (self.mean, self.std, self.kept))
-        seen = seen_condition(raw) if self.from_goal else raw
-        return (seen - mean) / std * kept
+        return ((seen_condition(raw) if self.from_goal else raw) - mean) / std * kept

@@ -127,8 +127,7 @@ class TransformerLayer(nn.Module):
         """
         stream = self.self_attention_norm(stream + self.dropout(self.self_attention(stream, visible)))
         if memory is not None:
-            constant = isinstance(memory, Tensor)
-            injected = memory if constant else self.cross_attention(stream, memory, memory_visible)
+            injected = memory if isinstance(memory, Tensor) else self.cross_attention(stream, memory, memory_visible)
             stream = self.cross_attention_norm(stream + self.dropout(injected))
         return self.feed_forward_norm(stream + self.dropout(self.feed_forward(stream)))
 
@@ -388,8 +387,7 @@ class _Layer(nn.Module):
         # Written out: for so few tokens it takes a third of the time of the fused kernels of processors.
         scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
         scores = scores.masked_fill(~visible[:, None, None], -math.inf)
-        attended = self.output((scores.softmax(dim=-1) @ value).transpose(1, 2).flatten(2))
-        stream = stream + self.dropout(attended)
+        stream = stream + self.dropout(self.output((scores.softmax(dim=-1) @ value).transpose(1, 2).flatten(2)))
         # Each token beside its neighbours.
         around = self.feed_forward_norm(stream) * visible[..., None]
         padded = functional.pad(around, (0, 0, _NEIGHBOURS, _NEIGHBOURS))
@@ -428,8 +426,7 @@ class FrameDenoiser(nn.Module):
 
     def forward(self, noisy: Inputs, step: Counts, condition: EncodedCondition, n_frames: Counts) -> Inputs:
         """Estimate the clean features; the arguments are those of :class:`~.denoiser.Denoiser`."""
-        visible = frame_mask(n_frames, noisy.shape[1], noisy.device)
-        return self.denoise(noisy, self.prepare(condition, step), visible)
+        return self.denoise(noisy, self.prepare(condition, step), frame_mask(n_frames, noisy.shape[1], noisy.device))
 
     def prepare(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> Float[Tensor, "batch width"]:
         """Return the part of :meth:`forward` that depends on condition and step; ``step`` has one entry, or one a row.
@@ -463,5 +460,4 @@ class FrameDenoiser(nn.Module):
         """Join the frames of each token; padded frames are zeros."""
         together = self.configuration.frames_per_token
         values = values.masked_fill(~visible[..., None], 0)
-        missing = -values.shape[1] % together
-        return functional.pad(values, (0, 0, 0, missing)).unflatten(1, (-1, together)).flatten(2)
+        return functional.pad(values, (0, 0, 0, -values.shape[1] % together)).unflatten(1, (-1, together)).flatten(2)

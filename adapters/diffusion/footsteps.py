@@ -63,8 +63,7 @@ def stepped(wanted: Feet, stands: Bool[np.ndarray, "frames 2"], fps: float, *, k
     for toe in np.moveaxis(wanted, 1, 0):
         step = toe[min(1, len(toe) - 1)] - toe[0]
         flies = toe[0, 1] > toe[:, 1].min() + _HIGH or np.hypot(step[0], step[2]) * fps > _QUICK
-        share = _RISING if step[1] > 0 else _FALLING
-        shares.append(share if flies else 0.0)
+        shares.append((_RISING if step[1] > 0 else _FALLING) if flies else 0.0)
     swings = _swings(wanted[..., ::2], stands, shares, fps)
     if keeps_last:
         swings = _ending_as_wanted(swings, wanted[..., ::2], fps)

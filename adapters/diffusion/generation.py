@@ -50,8 +50,7 @@ def parts_of_similar_length(n_frames: Lengths, largest: int) -> list[Int[np.ndar
     parts: list[list[int]] = []
     # Stable, so that equal lengths keep their order and a run can be repeated.
     for row in np.argsort(n_frames, kind="stable").tolist():
-        room = bool(parts) and len(parts[-1]) < largest
-        if room and n_frames[row] <= (1 + _MOST_PADDING) * n_frames[parts[-1][0]]:
+        if parts and len(parts[-1]) < largest and n_frames[row] <= (1 + _MOST_PADDING) * n_frames[parts[-1][0]]:
             parts[-1].append(row)
         else:
             parts.append([row])
@@ -156,8 +155,8 @@ def on_own_bones(motions: Motions, batch: ConditionBatch) -> Motions:
     return replace(motions, joints=joints.numpy())
 
 
-_LARGEST_PART = {"cpu": 16}  # sequences in one pass; more do not run faster on a processor, but need more memory
-_LARGEST_PART_ELSEWHERE = 256
+# Sequences in one pass, on a processor, where more run no faster and need more memory, and elsewhere.
+_LARGEST_PARTS = (16, 256)
 
 
 class Guidance:
@@ -280,9 +279,8 @@ def generate(model: MotionModel, batch: ConditionBatch, settings: SamplingSettin
     condition = model.encode(bodies.batch)
     joints = np.zeros((len(batch), int(batch.n_frames.max()), N_JOINTS, 3), dtype=np.float32)
     passes = 0
-    largest = _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)
     columns = model.configuration.n_features
-    for rows in parts_of_similar_length(batch.n_frames, largest):
+    for rows in parts_of_similar_length(batch.n_frames, _LARGEST_PARTS[model.device.type != "cpu"]):
         own = condition.rows(rows.tolist())
         noise = SequenceNoise([batch.noise_seed[row] for row in rows], batch.n_frames[rows], model.device)
         lengths = torch.as_tensor(batch.n_frames[rows])

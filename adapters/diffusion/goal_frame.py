@@ -213,11 +213,9 @@ class GoalFrame:
         It stops :data:`_TOUCH` before the goal. Where the arm is too short, the pelvis makes up for the rest.
         """
         last = n_frames.to(pose.device) - 1
-        frame = torch.arange(pose.shape[1], device=pose.device)
-        fade = _fade((last[:, None] - frame).clamp_min(0) / fps)[..., None]
+        fade = _fade((last[:, None] - torch.arange(pose.shape[1], device=pose.device)).clamp_min(0) / fps)[..., None]
         pose = self._moved(pose, fade[..., None] * self._missing(pose, last)[:, None], first=len(TOES))
-        rest = self._missing(pose, last).sum(dim=1)
-        return pose + functional.pad(fade * rest[:, None], (0, N_POSE_FEATURES - 3))
+        return pose + functional.pad(fade * self._missing(pose, last).sum(dim=1)[:, None], (0, N_POSE_FEATURES - 3))
 
     def _moved(self, pose: Flat, moves: Float[Tensor, "batch frames 2 3"], *, first: int) -> Flat:
         """Move two neighbouring ankles or wrists, and turn the way in which their limbs bend with them.
@@ -265,9 +263,8 @@ class GoalFrame:
         if self.last is None:
             return kept
         last = n_frames.to(features.device) - 1
-        rows = torch.arange(len(features), device=features.device)
         fade = _fade((last[:, None] - frame).abs() / fps)[..., None]
-        return kept + fade * (self.last - kept[rows, last])[:, None]
+        return kept + fade * (self.last - kept[torch.arange(len(features), device=features.device), last])[:, None]
 
     def _turned(self, vectors: Float[Tensor, "batch n m 3"], *, back: bool = False) -> Float[Tensor, "batch n m 3"]:
         """Vectors turned into the frame of the goal, or back."""
@@ -383,5 +380,4 @@ def still_steps(joints: Joints, fps: float) -> Bool[Tensor, "batch steps 2"]:
     """Return True where a toe stays low and in its place from one frame to the next."""
     toes = joints[:, :, TOES]
     low = toes[..., 1] < LOW
-    steps = _length(toes[..., ::2].diff(dim=1))
-    return (steps * fps < STILL) & low[:, 1:] & low[:, :-1]
+    return (_length(toes[..., ::2].diff(dim=1)) * fps < STILL) & low[:, 1:] & low[:, :-1]

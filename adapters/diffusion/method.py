@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,16 @@ from prbench.errors import AdapterError, did_you_mean
 from prbench.geometry.skeleton import Joint
 
 _SUFFIX = ".safetensors"
+
+
+def late(name: str) -> Callable[..., Any]:
+    """Return a function that imports another, ``module:function`` of this package, when it is first called."""
+
+    def imported(*given: Any, **named: Any) -> Any:
+        module, _, function = name.partition(":")
+        return getattr(importlib.import_module(f"prbench_adapters.{module}"), function)(*given, **named)
+
+    return imported
 
 
 def bundled_names(folder: Path | None = None) -> list[str]:

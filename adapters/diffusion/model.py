@@ -186,8 +186,7 @@ class MotionModel:
         if self.configuration.features == "humanml3d":
             return decode(smoothed(features, n_frames) if self.configuration.smoothed else features)
         frame = goal_frame(condition, features)
-        fps = self.configuration.fps
-        return frame.decode(features, n_frames, fps, steps=feet == "steps", reach=reach == "goal")
+        return frame.decode(features, n_frames, self.configuration.fps, steps=feet == "steps", reach=reach == "goal")
 
 
 def led_to_goal(

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
@@ -25,6 +25,7 @@ from prbench.randomness import named_generator
 from prbench_adapters.diffusion.generation import choice, number, whole_number
 from prbench_adapters.diffusion.model import Reach
 from prbench_adapters.diffusion.sampling import Spacing
+from prbench_adapters.tensors import TensorRecord
 
 Counts = Int[torch.Tensor, " batch"]
 Poses = Float[torch.Tensor, "batch 22 3"]  # metres
@@ -207,7 +208,7 @@ class Losses:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Targets:
+class Targets(TensorRecord):
     """Initial states and goals of B motions, canonical frame, metres; exactly one of the two goals is given."""
 
     initial_joints: Poses
@@ -221,8 +222,7 @@ class Targets:
 
     def rows(self, index: Int[torch.Tensor, " kept"]) -> Targets:
         """Return the targets of some of the sequences."""
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Targets(**{name: value[index] for name, value in given.items() if value is not None})
+        return self.each(lambda tensor: tensor[index])
 
 
 # Losses of motions against targets of the same batch.
@@ -256,8 +256,9 @@ def keyframes(joints: Joints, n_frames: Counts, targets: Targets, settings: Opti
     if targets.goal_joints is not None:
         errors.append((last - targets.goal_joints).abs().flatten(1))
     else:
-        location = _location(targets)
-        errors.append((chosen_wrist(last, location, settings.hand) - location).abs())
+        assert targets.goal_location is not None
+        wrist = chosen_wrist(last, targets.goal_location, settings.hand)
+        errors.append((wrist - targets.goal_location).abs())
     initial = _squared_distance(joints[:, 0], targets.initial_joints)
     goal, _ = _goal_losses(joints, n_frames, targets, settings.hand)
     return Losses(torch.cat(errors, dim=1).mean(dim=1), initial.detach(), goal.detach())
@@ -273,7 +274,8 @@ def _goal_losses(joints: Joints, n_frames: Counts, targets: Targets, hand: Hand)
     if targets.goal_joints is not None:
         loss = _squared_distance(last, targets.goal_joints)
         return loss, loss
-    location = _location(targets)
+    location = targets.goal_location
+    assert location is not None
     if hand != "nearest":
         loss = (chosen_wrist(last, location, hand) - location).square().sum(-1)
         return loss, loss
@@ -334,12 +336,6 @@ def jerk_norm(joints: Joints, n_frames: Counts, power: float) -> _PerSequence:
     return largest * (lengths / largest[:, None]).pow(power).sum(dim=1).clamp_min(1e-12).pow(1.0 / power)
 
 
-def _location(targets: Targets) -> Float[torch.Tensor, "batch 3"]:
-    if targets.goal_location is None:
-        raise ValueError("no goal location was given")
-    return targets.goal_location
-
-
 _BETAS = (0.9, 0.999)
 _EPSILON = 1e-8
 _SHORTEST_GRADIENT = 1e-12
@@ -398,8 +394,7 @@ def padded_decorrelation(noise: Latent, n_frames: Counts, generators: Sequence[n
         index = torch.as_tensor(rows, device=noise.device)
         given = noise[index, : int(size)]
         given = torch.nn.functional.pad(given, (0, 0, 0, int(size) - given.shape[1]))
-        padded = torch.where(own, given, torch.as_tensor(filling).to(noise))
-        total = total.index_put((index,), decorrelation(padded))
+        total = total.index_put((index,), decorrelation(torch.where(own, given, torch.as_tensor(filling).to(noise))))
     return total
 
 

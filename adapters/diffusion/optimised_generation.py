@@ -63,8 +63,7 @@ class UnrolledChain:
     def rows(self, index: Int[torch.Tensor, " kept"]) -> UnrolledChain:
         """Return the chain of some of the sequences; passes are counted together."""
         lengths = None if self.lengths is None else self.lengths[index]
-        own = self.condition.rows(index)
-        return replace(self, condition=own, n_frames=self.n_frames[index.cpu()], lengths=lengths)
+        return replace(self, condition=self.condition.rows(index), n_frames=self.n_frames[index.cpu()], lengths=lengths)
 
     def _denoise(self, noisy: Noise, step: int) -> Noise:
         self.counter[0] += 2 if self._guided.doubled else 1

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -33,6 +32,8 @@ MOST_PASSES = 4
 # Index in the training schedule; factors of the clean estimate and of the state in the next state.
 _Move = tuple[int, float, float]
 _Factors = tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]
+_Levels = Float[np.ndarray, " steps"]
+_Indices = Int[np.ndarray, " steps"]
 
 
 class Chain:
@@ -41,38 +42,26 @@ class Chain:
     Args:
         indices: The index of each state in the training schedule, which is what the denoiser is told.
         alphas_cumprod: ᾱ of each state.
+        betas: Variance of the noise that leads from the next cleaner state to each; derived from ᾱ unless given.
+
+    Attributes:
+        alphas_cumprod_previous: ᾱ of the next cleaner state; 1 beyond the last.
+        posterior_variance: β̃: the small variance, 0 at the first state.
+        posterior_mean_clean: Factor c1 of the clean features in the posterior mean.
+        posterior_mean_noisy: Factor c2 of the noisy features in the posterior mean.
     """
 
-    def __init__(self, indices: Int[np.ndarray, " steps"], alphas_cumprod: Float[np.ndarray, " steps"]) -> None:
+    def __init__(self, indices: _Indices, alphas_cumprod: _Levels, betas: _Levels | None = None) -> None:
         self.indices, self.alphas_cumprod = indices, alphas_cumprod
+        before = np.concatenate([[1.0], alphas_cumprod[:-1]])
+        self.alphas_cumprod_previous = before
+        self.betas = 1.0 - alphas_cumprod / before if betas is None else betas
+        self.posterior_variance = self.betas * (1.0 - before) / (1.0 - alphas_cumprod)
+        self.posterior_mean_clean = self.betas * np.sqrt(before) / (1.0 - alphas_cumprod)
+        self.posterior_mean_noisy = (1.0 - before) * np.sqrt(1.0 - self.betas) / (1.0 - alphas_cumprod)
 
     def __len__(self) -> int:
         return len(self.indices)
-
-    @cached_property
-    def alphas_cumprod_previous(self) -> Float[np.ndarray, " steps"]:
-        """ᾱ of the next cleaner state; 1 beyond the last."""
-        return np.concatenate([[1.0], self.alphas_cumprod[:-1]])
-
-    @cached_property
-    def betas(self) -> Float[np.ndarray, " steps"]:
-        """Variance of the noise that leads from the next cleaner state to this one."""
-        return 1.0 - self.alphas_cumprod / self.alphas_cumprod_previous
-
-    @cached_property
-    def posterior_variance(self) -> Float[np.ndarray, " steps"]:
-        """β̃: the small variance, 0 at the first state."""
-        return self.betas * (1.0 - self.alphas_cumprod_previous) / (1.0 - self.alphas_cumprod)
-
-    @cached_property
-    def posterior_mean_clean(self) -> Float[np.ndarray, " steps"]:
-        """Factor c1 of the clean features in the posterior mean."""
-        return self.betas * np.sqrt(self.alphas_cumprod_previous) / (1.0 - self.alphas_cumprod)
-
-    @cached_property
-    def posterior_mean_noisy(self) -> Float[np.ndarray, " steps"]:
-        """Factor c2 of the noisy features in the posterior mean."""
-        return (1.0 - self.alphas_cumprod_previous) * np.sqrt(1.0 - self.betas) / (1.0 - self.alphas_cumprod)
 
 
 class CosineSchedule(Chain):
@@ -85,13 +74,8 @@ class CosineSchedule(Chain):
     def __init__(self, n_steps: int) -> None:
         # The offset keeps the first betas from vanishing (Nichol and Dhariwal's schedule).
         level = [math.cos((i / n_steps + _OFFSET) / (1.0 + _OFFSET) * math.pi / 2.0) ** 2 for i in range(n_steps + 1)]
-        self._betas = np.minimum(1.0 - np.array(level[1:]) / np.array(level[:-1]), _LARGEST_BETA)
-        super().__init__(np.arange(n_steps), np.cumprod(1.0 - self._betas))
-
-    @cached_property
-    def betas(self) -> Float[np.ndarray, " steps"]:
-        """The betas as defined above, not re-derived from ᾱ."""
-        return self._betas
+        betas = np.minimum(1.0 - np.array(level[1:]) / np.array(level[:-1]), _LARGEST_BETA)
+        super().__init__(np.arange(n_steps), np.cumprod(1.0 - betas), betas)
 
     def kept_steps(self, n: int, spacing: Spacing = "leading") -> Int[np.ndarray, " n"]:
         """Return the indices of a chain of ``n`` steps: equal integer stride from 0 (10 of 50 are 0, 5, …, 45).
@@ -176,8 +160,7 @@ def sample_ddim(
     if checkpointing < 1 or not torch.is_grad_enabled():
         return _walk(denoise, state, moves)
     for first in range(0, len(moves), checkpointing):
-        block = moves[first : first + checkpointing]
-        state = checkpoint(_walk, denoise, state, block, use_reentrant=False)
+        state = checkpoint(_walk, denoise, state, moves[first : first + checkpointing], use_reentrant=False)
     return state
 
 

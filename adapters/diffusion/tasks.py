@@ -86,8 +86,7 @@ class DiffusionTask:
             start.load_into(trained, "denoiser")
             # Layers of a new condition are missing in the file and keep their start at zero.
             denoiser.load_state_dict(trained.state_dict(), strict=False)
-        origin = (texts.origin, *origin_of(start))
-        about: dict[str, Any] = {"texts": texts, "objective": objective, "origin": origin}
+        about: dict[str, Any] = {"texts": texts, "objective": objective, "origin": (texts.origin, *origin_of(start))}
         return DiffusionTraining(denoiser, statistics=statistics, scaling=scaling, **about)
 
     def _require_goal(self, configuration: DenoiserConfiguration, stage: str) -> None:
@@ -119,10 +118,9 @@ def _scales(
             features.append(GoalFrame.of(raw).encode(batch.joints, batch.fps)[~batch.padding])
             conditions.append(seen_condition(raw))
         stacked = torch.cat(features)
-        std = stacked.std(dim=0).clamp_min(_LEAST_FEATURE_STD)
         seen = torch.cat(conditions)
         scaling = ConditionScaling.of(configuration, seen.mean(dim=0), seen.std(dim=0).clamp_min(_LEAST_CONDITION_STD))
-        return (stacked.mean(dim=0), std), scaling
+        return (stacked.mean(dim=0), stacked.std(dim=0).clamp_min(_LEAST_FEATURE_STD)), scaling
     if start is not None:
         features = stored_statistics(start, configuration)
     else:

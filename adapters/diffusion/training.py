@@ -68,14 +68,12 @@ def ray_loss(
 def foot_loss(predicted: Joints, recorded: Joints, valid: Kept, fps: float) -> Float[Tensor, ""]:
     """Squared steps of the toes between frames in which the recorded ones are planted."""
     stays = still_steps(recorded, fps) & valid[:, 1:, None]
-    slid = predicted[:, :, TOES].diff(dim=1).square().sum(dim=-1)
-    return (slid * stays).sum() / stays.sum().clamp_min(1)
+    return (predicted[:, :, TOES].diff(dim=1).square().sum(dim=-1) * stays).sum() / stays.sum().clamp_min(1)
 
 
 def wrist_loss(predicted: Joints, recorded: Joints, valid: Kept, n_frames: Counts, fps: float) -> Float[Tensor, ""]:
     """Squared distance of the wrists from the recorded ones at the end of the reach."""
-    frame = torch.arange(predicted.shape[1], device=predicted.device)
-    ending = valid & (frame >= (n_frames[:, None] - _ENDING * fps))
+    ending = valid & (torch.arange(predicted.shape[1], device=predicted.device) >= (n_frames[:, None] - _ENDING * fps))
     missed = (predicted - recorded)[:, :, WRISTS].square().sum(dim=-1).mean(dim=-1)
     return (missed * ending).sum() / ending.sum()
 
@@ -134,12 +132,11 @@ def losses(
     """
     valid = ~padding
     error = predicted_joints - joints
-    bones = error[:, :, _CHILDREN] - error[:, :, _PARENTS]
     sums = {
         "features": _squared(predicted - clean, valid),
         "joints": _squared(error, valid),
         "velocities": _squared(error.diff(dim=1), valid[:, 1:]),
-        "bones": _squared(bones, valid),
+        "bones": _squared(error[:, :, _CHILDREN] - error[:, :, _PARENTS], valid),
     }
     # The divisor of the features for joints as well, which keeps the study's ratio of the two losses.
     count = clean.shape[-1] * valid.sum(dim=1).sum()

@@ -22,8 +22,8 @@ from prbench_adapters.gmd.model import GMDModel, decode_absolute
 from prbench_adapters.gmd.sampling import Ends, GMDSettings, GuidedNetwork, Keyframes, sample_motion, sample_trajectory
 
 _OPTIONS = ("guidance", "goal-scale", "keyframes", "steps", "bones", "text-path")
-_LARGEST_PART = {"cpu": 16}  # sequences in one pass; their activations are kept for the gradient
-_LARGEST_PART_ELSEWHERE = 64
+# Sequences in one pass, on a processor and elsewhere; their activations are kept for the gradient.
+_LARGEST_PARTS = (16, 64)
 
 
 class GMD(SingleModelMethod):
@@ -92,7 +92,7 @@ def generate(model: GMDModel, batch: ConditionBatch, settings: GMDSettings) -> M
     assert given.text is not None
     joints = np.zeros((len(batch), int(batch.n_frames.max()), N_JOINTS, 3), dtype=np.float32)
     passes = 0
-    largest = _LARGEST_PART.get(model.device.type, _LARGEST_PART_ELSEWHERE)
+    largest = _LARGEST_PARTS[model.device.type != "cpu"]
     windows = np.array([model.configuration.window(int(n)) for n in batch.n_frames])
     # Parts of one padded length, which group normalisation sees, and of similar true length.
     parts = []

@@ -47,8 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from prbench_adapters.gmd.public_weights import PublicFiles, import_public  # late: torch
 
         mean, std = given.statistics
-        files = PublicFiles(given.motion, given.trajectory, mean, std, given.projection)
-        imported = import_public(files, given.out)
+        imported = import_public(PublicFiles(given.motion, given.trajectory, mean, std, given.projection), given.out)
     except PrbenchError as error:
         print(f"import_public: {error}", file=sys.stderr)  # noqa: T201 - a command
         return error.exit_code

@@ -25,7 +25,8 @@ from prbench.text import text_encoder
 from prbench_adapters.diffusion.denoiser import pooled, sinusoid_table
 from prbench_adapters.diffusion.model import TextVectors, torch_device
 from prbench_adapters.diffusion.sampling import CosineSchedule
-from prbench_adapters.training.configuration import require_counts
+from prbench_adapters.tensors import TensorRecord
+from prbench_adapters.training.configuration import require_within
 from prbench_adapters.training.weights import Weights, read_weights
 
 Matrix = Float[Tensor, "263 263"]
@@ -98,7 +99,7 @@ def half_turn_of(joints: Float[Tensor, "batch 22 3"]) -> Float[Tensor, " batch"]
 
 
 @dataclass(frozen=True)
-class FeatureSpace:
+class FeatureSpace(TensorRecord):
     """Leads from raw features to what the networks see and back: statistics, projection and its inverse.
 
     Attributes:
@@ -115,10 +116,6 @@ class FeatureSpace:
         """Compute the inverse in float64, because A is badly conditioned."""
         inverse = torch.linalg.inv(projection.double().cpu()).to(projection)
         return cls(mean.to(projection), std.to(projection), projection, inverse)
-
-    def to(self, device: torch.device | str) -> FeatureSpace:
-        """Move the space to a device."""
-        return FeatureSpace(*(part.to(device) for part in (self.mean, self.std, self.projection, self.inverse)))
 
     def standardised(self, raw: Float[Tensor, "*batch columns"]) -> Float[Tensor, "*batch columns"]:
         """Standardise the first columns, as many as there are."""
@@ -198,11 +195,10 @@ class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
             widths = getattr(self, name)
             if not widths or any(width < GROUPS or width % GROUPS for width in widths):
                 raise ValueError(f"'{name}' must be one or more positive multiples of {GROUPS}, found {list(widths)}")
-        require_counts(self, "text_dimension", "diffusion_steps", "max_frames")
+        require_within(self, "at least 1", "text_dimension", "diffusion_steps", "max_frames")
         if self.condition_width < 2 or self.condition_width % 2:
             raise ValueError(f"'condition_width' must be even and positive, found {self.condition_width}")
-        if self.emphasis <= 0 or self.fps <= 0:
-            raise ValueError(f"'emphasis' and 'fps' must be positive, found {self.emphasis} and {self.fps}")
+        require_within(self, "above 0", "emphasis", "fps")
         why = "because the levels of the networks halve the frames"
         for name in ("padded_frames", "padding_step"):
             if (found := getattr(self, name)) < 1 or found % self.stride:

@@ -145,16 +145,14 @@ def read_checkpoint(path: Path) -> Checkpoint:
         UsageError: if this version of PyTorch cannot be trusted to open it.
     """
     # Before this version ``weights_only`` does not keep its promise.
-    numbers = tuple(int(part) for part in re.findall(r"\d+", torch.__version__)[:2])
-    if numbers < _SAFE_SINCE:
+    if tuple(int(part) for part in re.findall(r"\d+", torch.__version__)[:2]) < _SAFE_SINCE:
         least = ".".join(map(str, _SAFE_SINCE))
         why = f"(CVE-2025-32434). Run: pip install 'torch>={least}'"
         raise UsageError(f"opening a checkpoint safely needs PyTorch {least} or later, found {torch.__version__} {why}")
     content = _mapping(path, _content(path))
     copy = next((name for name in _COPIES if name in content), "only")
-    state = content if copy == "only" else _mapping(path, content[copy])
     tensors = {}
-    for name, value in state.items():
+    for name, value in (content if copy == "only" else _mapping(path, content[copy])).items():
         if not isinstance(value, Tensor):
             found = f"a {type(value).__name__}"
             raise InputFileError(path, f"'{name}'", expected="a tensor", found=found, remedy=_saving_anew(path))

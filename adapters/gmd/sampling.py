@@ -47,9 +47,8 @@ class RootGoal:
         """
         frames = self.wanted.shape[1]
         frame = torch.arange(frames, device=self.wanted.device).expand_as(self.wanted)
-        anchored = self.wanted | (frame == 0)
         # For each frame the last anchor before it and the next wanted frame after it, without a loop over keyframes.
-        before = torch.where(anchored, frame, 0).cummax(dim=1).values
+        before = torch.where(self.wanted | (frame == 0), frame, 0).cummax(dim=1).values
         after = torch.where(self.wanted, frame, frames).flip(1).cummin(dim=1).values.flip(1)
         reached = after.clamp_max(frames - 1)
         progress = ((frame - before) / (reached - before).clamp_min(1)).to(self.xz)
@@ -92,8 +91,7 @@ def guided_mean(
         leaf = state.detach().requires_grad_()
         clean = clean_estimate(leaf, index)
         (gradient,) = torch.autograd.grad(loss(clean).sum(), leaf)
-    mean = of_clean * clean.detach() + of_noisy * state
-    return mean - float(chain.posterior_variance[i]) * scale * gradient
+    return of_clean * clean.detach() + of_noisy * state - float(chain.posterior_variance[i]) * scale * gradient
 
 
 def noised(chain: Chain, i: int, mean: Tensor, noise: Tensor) -> Tensor:

@@ -108,9 +108,8 @@ class GMDTraining(TrainingModule):
             error = noise - trajectory.noise
             path = _mean_squared(error, batch.padding)
             steps = _mean_squared(error.diff(dim=1), batch.padding[:, 1:])
-        total = found.pop("loss") + path + self.objective.path_step_weight * steps
         return {
-            "loss": total,
+            "loss": found.pop("loss") + path + self.objective.path_step_weight * steps,
             "motion": found.pop("features"),
             "trajectory": path.detach(),
             "path_steps": steps.detach(),
@@ -144,8 +143,7 @@ class GMDTraining(TrainingModule):
     ) -> torch.Tensor:
         noisy = self.signal[draw.step][:, None, None] * clean + self.noise[draw.step][:, None, None] * draw.noise
         text = text.masked_fill(draw.without_text[:, None], 0.0)
-        window = self.configuration.window(clean.shape[1])
-        return network(noisy, draw.step, text, batch.n_frames, window=window).float()
+        return network(noisy, draw.step, text, batch.n_frames, window=self.configuration.window(clean.shape[1])).float()
 
     def space(self, device: torch.device) -> gmd.FeatureSpace:
         """Statistics and projection on a device; a resumed run makes them anew, so no checkpoint holds them."""

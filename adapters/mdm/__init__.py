@@ -8,13 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from prbench.contract import Condition, ConditionBatch, Motions
-from prbench_adapters.diffusion.method import TEXT_GUIDANCE, SingleModelMethod
-
-if TYPE_CHECKING:
-    from prbench_adapters.diffusion.tasks import DiffusionTask
+from prbench_adapters.diffusion.method import TEXT_GUIDANCE, SingleModelMethod, late, resolve
 
 DEFAULT_WEIGHTS = "mdm-small"
 
@@ -49,7 +45,6 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> MD
         ValueError: for options that are unknown or have impossible values.
     """
     from prbench_adapters.diffusion.generation import SAMPLING_OPTIONS, require_known, sampling_settings
-    from prbench_adapters.diffusion.method import resolve
     from prbench_adapters.diffusion.model import MotionModel, require_goal
 
     require_known(options, (*SAMPLING_OPTIONS, "text-path"))
@@ -60,8 +55,6 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> MD
     return MDM(model, path, sampling_settings(options, guidance=TEXT_GUIDANCE, diffusion_steps=steps))
 
 
-def training_task() -> DiffusionTask:
+def training_task() -> object:
     """Make the task of ``prbench train --method mdm``: text to motion, in pre-training and fine-tuning alike."""
-    from prbench_adapters.diffusion.tasks import DiffusionTask
-
-    return DiffusionTask("mdm", goals=(), configurations="prbench_adapters.mdm")
+    return late("diffusion.tasks:DiffusionTask")("mdm", goals=(), configurations="prbench_adapters.mdm")

@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, cast, get_args
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
-from prbench_adapters.diffusion.method import GOALS, require_goals_within_reach
+from prbench_adapters.diffusion.method import GOALS, late, require_goals_within_reach, resolve
 
 if TYPE_CHECKING:
     from prbench_adapters.diffusion.configuration import DenoiserConfiguration
     from prbench_adapters.diffusion.generation import SamplingSettings
     from prbench_adapters.diffusion.model import MotionModel
     from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
-    from prbench_adapters.diffusion.tasks import DiffusionTask
 
 DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_POSE: "pr-small-goal-pose"}
 
@@ -121,7 +120,6 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
         ValueError: for options that are unknown or have impossible values.
     """
     from prbench_adapters.diffusion.generation import SAMPLING_OPTIONS, require_known
-    from prbench_adapters.diffusion.method import resolve
     from prbench_adapters.diffusion.noise_optimisation import PRIME_AND_REACH_OPTIONS
 
     own = ("optimise", "text-path", "feet", "noise-scale")
@@ -136,11 +134,10 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     return PR(models)
 
 
-def training_task() -> DiffusionTask:
+def training_task() -> object:
     """Make the task of ``prbench train --method pr``: text, initial state and goal. Pre-training may be ``mdm``'s."""
-    from prbench_adapters.diffusion.tasks import DiffusionTask
-
-    return DiffusionTask("pr", goals=("pose", "location"), configurations="prbench_adapters.pr")
+    goals = ("pose", "location")
+    return late("diffusion.tasks:DiffusionTask")("pr", goals=goals, configurations="prbench_adapters.pr")
 
 
 def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Condition, ...]) -> TrainedFor:
@@ -193,19 +190,15 @@ def _settings(
         idle = [key for key in PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", "reach")]
         if idle:
             raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
-        samplers = (*SAMPLERS, ONE_PASS)
-        sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=steps, samplers=samplers)
+        sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=steps, samplers=(*SAMPLERS, ONE_PASS))
         reach = cast(Reach, choice(options, "reach", get_args(Reach)))
         feet = cast(Feet, choice(options, "feet", get_args(Feet)))
-        noise_scale = number(options, "noise-scale", 1.0)
-        own_bones = choice(options, "bones", _BONES) == "initial"
-        sampling = replace(sampling, reach=reach, feet=feet, noise_scale=noise_scale)
-        return sampling, own_bones
+        sampling = replace(sampling, reach=reach, feet=feet, noise_scale=number(options, "noise-scale", 1.0))
+        return sampling, choice(options, "bones", _BONES) == "initial"
     idle = [key for key in _SAMPLING_ALONE if key in options]
     if idle:
         remedy = "choose optimise=off, or leave it out."
         raise ValueError(f"option '{idle[0]}' belongs to sampling without noise optimisation; {remedy}")
-    quick = finishing if configuration.features == "goal-frame" else fast
-    preset = {"fast": quick, "paper": paper}[mode](steps)
+    preset = {"fast": finishing if configuration.features == "goal-frame" else fast, "paper": paper}[mode](steps)
     preset = replace(preset, guidance=number(options, "guidance", _GUIDANCE))
     return optimisation_settings(options, preset, diffusion_steps=steps), False

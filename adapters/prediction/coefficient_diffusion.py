@@ -61,9 +61,8 @@ class Whitening(nn.Module):
         """Measure directions and spread on coefficients of training windows."""
         flat = coefficients.flatten(0, 1).double()
         directions = torch.linalg.eigh(flat.T @ flat / len(flat)).eigenvectors.flip(1)
-        spread = (coefficients.double() @ directions).square().mean(dim=0).sqrt()
         self.directions.copy_(directions)
-        self.spread.copy_(spread.clamp_min(_SMALLEST))
+        self.spread.copy_((coefficients.double() @ directions).square().mean(dim=0).sqrt().clamp_min(_SMALLEST))
 
     def forward(self, coefficients: Float[Tensor, "*batch coefficients values"]) -> Tensor:
         """Whiten coefficients."""
@@ -106,10 +105,8 @@ def held(observed: Motion, valid: Bool[Tensor, "windows frames"]) -> Motion:
     if not bool(valid.any(dim=1).all()):
         window = int((~valid.any(dim=1)).nonzero()[0])
         raise ValueError(f"window {window} of the batch has no valid gaze in any observed frame")
-    frame = torch.arange(valid.shape[1], device=valid.device)
-    last = torch.where(valid, frame, -1).cummax(dim=1).values
-    first = valid.to(torch.int8).argmax(dim=1, keepdim=True)
-    source = torch.where(last < 0, first, last)
+    last = torch.where(valid, torch.arange(valid.shape[1], device=valid.device), -1).cummax(dim=1).values
+    source = torch.where(last < 0, valid.to(torch.int8).argmax(dim=1, keepdim=True), last)
     gaze = observed[torch.arange(len(valid), device=valid.device)[:, None], source, -1]
     return torch.cat([observed[:, :, :-1], gaze[:, :, None]], dim=2)
 
@@ -528,9 +525,8 @@ class CoefficientDiffusion(nn.Module):
             chosen = torch.tensor(draws, device=observed.device) < configuration.condition_kept_sampling
             kept = chosen.unflatten(0, (-1, samples))
         known = self.transform(padded(observed, configuration.frames))
-        condition = self.condition(known)
         offset = known if configuration.residual else torch.zeros_like(known)
-        *_, state = self.states(known - offset, condition, noise, kept)
+        *_, state = self.states(known - offset, self.condition(known), noise, kept)
         if self.whitening is not None:
             state = self.whitening.inverse(state)
         return self.transform.inverse(state + offset[:, None])[:, :, configuration.observed :]

@@ -9,9 +9,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from prbench_adapters.training.configuration import require_counts
-
-_SHARES = ("dropout", "encoder_dropout", "fusion_dropout")
+from prbench_adapters.training.configuration import require_within
 
 
 class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -76,14 +74,11 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     guidance: float = 1.0
 
     def __post_init__(self) -> None:
-        require_counts(self, "n_joints", "observed", "predicted", "coefficients", "width", "heads", "feed_forward")
-        require_counts(self, "diffusion_steps", "sampling_steps", "encoder_width", "encoder_heads", "fusion_blocks")
-        for name in _SHARES:
-            if not 0.0 <= getattr(self, name) < 1.0:
-                raise ValueError(f"'{name}' must be at least 0 and below 1, found {getattr(self, name)}")
-        for name in ("condition_kept", "condition_kept_sampling"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"'{name}' must be from 0 to 1, found {getattr(self, name)}")
+        sizes = ("n_joints", "observed", "predicted", "coefficients", "width", "heads", "feed_forward")
+        require_within(self, "at least 1", *sizes, "diffusion_steps", "sampling_steps")
+        require_within(self, "at least 1", "encoder_width", "encoder_heads", "fusion_blocks")
+        require_within(self, "at least 0 and below 1", "dropout", "encoder_dropout", "fusion_dropout")
+        require_within(self, "from 0 to 1", "condition_kept", "condition_kept_sampling")
         if self.layers < 2 or self.layers % 2:
             raise ValueError(f"'layers' must be even and at least 2, as halves are joined, found {self.layers}")
         if self.width % 2 or self.width % self.heads:

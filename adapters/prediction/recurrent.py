@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from prbench.randomness import sequence_generator
-from prbench_adapters.training.configuration import require_counts
+from prbench_adapters.training.configuration import require_within
 
 Observed = Float[Tensor, "windows observed joints 3"]
 Future = Float[Tensor, "windows predicted joints 3"]
@@ -64,7 +64,7 @@ def require_sizes(configuration: msgspec.Struct, *names: str) -> None:
     Raises:
         ValueError: naming the size.
     """
-    require_counts(configuration, *names)
+    require_within(configuration, "at least 1", *names)
     mlp = getattr(configuration, "mlp", (1,))
     if not mlp or min(mlp) < 1:
         raise ValueError(f"'mlp' must be one or more positive widths, found {list(mlp)}")
@@ -120,8 +120,7 @@ class CVAEConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
     def __post_init__(self) -> None:
         require_sizes(self, "n_joints", "predicted", "state", "latent")
-        if self.first_frame < 0 or self.beta < 0:
-            raise ValueError(f"'first_frame' and 'beta' must not be negative: {self.first_frame}, {self.beta}")
+        require_within(self, "at least 0", "first_frame", "beta")
 
     @property
     def values(self) -> int:
@@ -159,8 +158,7 @@ class CVAE(nn.Module):
         flat = observed.flatten(2)
         past = last_state(self.past, flat).repeat_interleave(samples, dim=0)
         pose = flat[:, -1].repeat_interleave(samples, dim=0)
-        code = torch.cat([past, latent.flatten(0, 1)], dim=1)
-        poses = self.decoder(code, past, pose, self.configuration.predicted)
+        poses = self.decoder(torch.cat([past, latent.flatten(0, 1)], dim=1), past, pose, self.configuration.predicted)
         return poses.unflatten(-1, (-1, 3)).unflatten(0, (-1, samples))
 
     @torch.no_grad()
@@ -212,8 +210,7 @@ class DLowConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         require_sizes(self, "state")
         if self.n_samples < 2:
             raise ValueError(f"'n_samples' must be at least 2, so that samples can differ, found {self.n_samples}")
-        if not self.scale > 0:
-            raise ValueError(f"'scale' must be positive, found {self.scale}")
+        require_within(self, "above 0", "scale")
 
 
 class DLow(nn.Module):

@@ -26,8 +26,6 @@ from prbench_adapters.training.task import TrainingModule, split_model_table
 from prbench_adapters.training.weights import Weights, origin_of, read_weights
 from prbench_benchmarks.motion_prediction.batch import Condition
 
-TRAIN = "train"
-STAGES_OF_BELFUSION = ("autoencoders", "diffusion")
 # Whole windows: joints in metres, and the direction as the last node if there is one.
 Motion = Float[Tensor, "windows frames nodes 3"]
 _Struct = TypeVar("_Struct", bound=msgspec.Struct)
@@ -69,8 +67,7 @@ def augmented(
         mirrored: Which windows are mirrored at the plane x = 0 before they are turned; left and right joints are
             exchanged, so that the body in the mirror has its labels right.
     """
-    order = [*partners, *range(len(partners), motion.shape[2])]
-    flipped = motion[:, :, order] * motion.new_tensor([-1.0, 1.0, 1.0])
+    flipped = motion[:, :, [*partners, *range(len(partners), motion.shape[2])]] * motion.new_tensor([-1.0, 1.0, 1.0])
     motion = torch.where(mirrored[:, None, None, None], flipped, motion)
     cosine, sine = turn.cos()[:, None, None], turn.sin()[:, None, None]
     x, y, z = motion.unbind(-1)
@@ -285,7 +282,7 @@ class PredictorTask:
     """A training task that is fed windows (:class:`prbench_adapters.training.task.TrainingTask`)."""
 
     name: str
-    stages: tuple[str, ...] = (TRAIN,)
+    stages: tuple[str, ...] = ("train",)
     configurations: str = "prbench_adapters.prediction"
 
     def window_choice(self, model: Mapping[str, Any]) -> WindowChoice:
@@ -316,7 +313,7 @@ class PredictorTask:
         seen = data.shape
         if self.name == "dlow":
             return _dlow(sizes, seen, course, initial)
-        if self.name == "belfusion" and stage == STAGES_OF_BELFUSION[0]:
+        if self.name == "belfusion" and stage == "autoencoders":
             own = {"n_joints": seen.nodes, "observed": seen.observed, "predicted": seen.predicted}
             network, phases = split_model_table({**sizes, **own}, BehaviourConfiguration, Phases)
             record = records.AutoencodersRecord(windows=seen, network=network)
@@ -367,8 +364,7 @@ def _dlow(
     """DLow's sampler for a trained CVAE, which ``--init`` names."""
     command = "prbench train --method cvae --data WINDOWS… --out DIR"
     start, old = _started("dlow", initial, seen, "cvae", records.CVAERecord, "a trained CVAE", command)
-    network = _converted(model, DLowConfiguration, "model")
-    record = records.DLowRecord(windows=seen, network=network, cvae=old.network)
+    record = records.DLowRecord(windows=seen, network=_converted(model, DLowConfiguration, "model"), cvae=old.network)
     sampler = record.build()
     start.load_into(sampler.cvae, "network")
     return PredictorTraining("dlow", record, sampler, latent_losses, course, origin_of(start))

@@ -20,6 +20,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from prbench.errors import TableError, UsageError
 from prbench.randomness import hash_fraction, named_generator
+from prbench_adapters.tensors import TensorRecord
 from prbench_adapters.training.dataset import MotionBatch, SequenceDataset
 from prbench_adapters.training.store import REFIT, parts_of
 from prbench_benchmarks.motion_prediction.batch import Condition
@@ -103,7 +104,7 @@ class WindowItem:
 
 
 @dataclass(frozen=True)
-class WindowBatch:
+class WindowBatch(TensorRecord):
     """B windows in the frame that the network works in; metres, Y up.
 
     Attributes:
@@ -116,17 +117,6 @@ class WindowBatch:
 
     def __len__(self) -> int:
         return len(self.motion)
-
-    def to(self, device: torch.device | str, *, non_blocking: bool = False) -> WindowBatch:
-        """Return the batch on a device."""
-        valid = self.direction_valid
-        moved = None if valid is None else valid.to(device, non_blocking=non_blocking)
-        return WindowBatch(self.motion.to(device, non_blocking=non_blocking), moved)
-
-    def pin_memory(self) -> WindowBatch:
-        """Return the batch in page-locked memory, from where a copy to a GPU overlaps with its work."""
-        valid = self.direction_valid
-        return WindowBatch(self.motion.pin_memory(), None if valid is None else valid.pin_memory())
 
 
 def collate_windows(items: Sequence[WindowItem]) -> WindowBatch:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -21,15 +21,30 @@ from prbench.files.bounded import foreign_input, read_toml
 DEFAULT_STAGES = ("pretrain", "finetune")
 
 
-def require_counts(settings: msgspec.Struct, *names: str) -> None:
-    """Refuse settings below 1.
+# Ranges of settings, in words; NaN lies in none.
+_RANGES: dict[str, Callable[[float], bool]] = {
+    "at least 1": lambda value: value >= 1,
+    "at least 0": lambda value: value >= 0,
+    "above 0": lambda value: value > 0,
+    "from 0 to 1": lambda value: 0 <= value <= 1,
+    "at least 0 and below 1": lambda value: 0 <= value < 1,
+}
+
+
+def require_within(settings: msgspec.Struct, allowed: str, *names: str) -> None:
+    """Refuse settings outside of a range.
+
+    Args:
+        settings: The settings.
+        allowed: Key of :data:`_RANGES`.
+        names: Which of them.
 
     Raises:
-        ValueError: naming the setting.
+        ValueError: naming the setting, its range, and what was found.
     """
     for name in names:
-        if getattr(settings, name) < 1:
-            raise ValueError(f"'{name}' must be at least 1, found {getattr(settings, name)}")
+        if not _RANGES[allowed](getattr(settings, name)):
+            raise ValueError(f"'{name}' must be {allowed}, found {getattr(settings, name)}")
 
 
 class DataConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -80,15 +95,11 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
     weights_dtype: Literal["float32", "float16"] = "float32"
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch_size", "save_every", "log_every"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"`{name}` must be 1 or more")
+        require_within(self, "at least 1", "steps", "batch_size", "save_every", "log_every")
         if not 0 <= self.warmup_steps <= self.steps:
             raise ValueError("`warmup_steps` must lie between 0 and `steps`")
-        if not 0 <= self.ema < 1:
-            raise ValueError("`ema` must be at least 0 and below 1")
-        if self.learning_rate <= 0:
-            raise ValueError("`learning_rate` must be above 0")
+        require_within(self, "at least 0 and below 1", "ema")
+        require_within(self, "above 0", "learning_rate")
         if self.gradient_clip is not None and self.gradient_clip <= 0:
             raise ValueError("`gradient_clip` must be above 0; leave it out for none")
 

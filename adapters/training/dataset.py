@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -19,6 +19,7 @@ from prbench.files.storage import cache_folder
 from prbench.randomness import named_generator
 from prbench.representation import Mode, Statistics, StatisticsAccumulator
 from prbench.sequences import SPLITS, CorpusTable, SequenceTable
+from prbench_adapters.tensors import TensorRecord
 from prbench_adapters.training import store as stores
 from prbench_adapters.training.configuration import DataConfiguration, TrainingConfiguration
 
@@ -63,7 +64,7 @@ class MotionItem:
 
 
 @dataclass(frozen=True)
-class MotionBatch:
+class MotionBatch(TensorRecord):
     """B motions. Canonical frame of each one's first frame, metres; frames from ``n_frames[i]`` on are zeros.
 
     Attributes:
@@ -90,18 +91,6 @@ class MotionBatch:
     def __len__(self) -> int:
         return len(self.n_frames)
 
-    def to(self, device: torch.device | str, *, non_blocking: bool = False) -> MotionBatch:
-        """Return the batch on a device."""
-        return self._each(lambda tensor: tensor.to(device, non_blocking=non_blocking))
-
-    def pin_memory(self) -> MotionBatch:
-        """Return the batch in page-locked memory, from where a copy to a GPU overlaps with its work."""
-        return self._each(lambda tensor: tensor.pin_memory())
-
-    def _each(self, change: Callable[[torch.Tensor], torch.Tensor]) -> MotionBatch:
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return replace(self, **{k: change(v) for k, v in values.items() if isinstance(v, torch.Tensor)})
-
 
 def collate(items: Sequence[MotionItem]) -> MotionBatch:
     """Stack items, padded with zeros to the longest of them; give it to a DataLoader as ``collate_fn``.
@@ -113,31 +102,21 @@ def collate(items: Sequence[MotionItem]) -> MotionBatch:
     if len(rates) != 1:
         raise ValueError(f"a batch needs items of one frame rate, got {sorted(rates)}")
     n_frames = torch.tensor([item.n_frames for item in items], dtype=torch.int64)
-    return MotionBatch(
-        features=_padded([item.features for item in items]),
-        joints=_padded([item.joints for item in items]),
-        padding=torch.arange(int(n_frames.max())) >= n_frames[:, None],
-        n_frames=n_frames,
-        text=tuple(item.text for item in items),
-        initial_joints=_stacked([item.initial_joints for item in items]),
-        previous_joints=_stacked([item.previous_joints for item in items]),
-        goal_joints=_stacked([item.goal_joints for item in items]),
-        goal_location=_stacked([item.goal_location for item in items]),
-        fps=rates.pop(),
-        sequence_id=tuple(item.sequence_id for item in items),
+    features, joints = (_padded([getattr(item, name) for item in items]) for name in ("features", "joints"))
+    padding = torch.arange(int(n_frames.max())) >= n_frames[:, None]
+    conditions = (
+        torch.from_numpy(np.stack([getattr(item, name) for item in items]).astype(np.float32, copy=False))
+        for name in ("initial_joints", "previous_joints", "goal_joints", "goal_location")
     )
+    texts, names = (tuple(getattr(item, name) for item in items) for name in ("text", "sequence_id"))
+    return MotionBatch(features, joints, padding, n_frames, texts, *conditions, rates.pop(), names)
 
 
 def _padded(arrays: list[np.ndarray]) -> torch.Tensor:
-    longest = max(len(array) for array in arrays)
-    whole = np.empty((len(arrays), longest, *arrays[0].shape[1:]), dtype=np.float32)
+    whole = np.empty((len(arrays), max(map(len, arrays)), *arrays[0].shape[1:]), dtype=np.float32)
     for row, array in zip(whole, arrays):
         row[: len(array)], row[len(array) :] = array, 0
     return torch.from_numpy(whole)
-
-
-def _stacked(arrays: list[np.ndarray]) -> torch.Tensor:
-    return torch.from_numpy(np.stack(arrays).astype(np.float32, copy=False))
 
 
 class SequenceDataset(Dataset[MotionItem]):
@@ -294,8 +273,7 @@ class SequenceDataset(Dataset[MotionItem]):
                 raise TableError(f"{item.sequence_id}: expected a goal location, found none, {why}")
             vectors.append(np.concatenate([np.ravel(part) for part in (item.initial_joints, velocity, target)]))
         stacked = np.stack(vectors).astype(np.float64)
-        std = np.maximum(stacked.std(axis=0), _STD_FLOOR)
-        return stacked.mean(axis=0).astype(np.float32), std.astype(np.float32)
+        return stacked.mean(axis=0).astype(np.float32), np.maximum(stacked.std(axis=0), _STD_FLOOR).astype(np.float32)
 
 
 def configured_dataset(

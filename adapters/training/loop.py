@@ -69,9 +69,8 @@ def make_fabric(device: str, *, devices: int = 1, precision: str = "32-true", sp
         remedy = "Use --device cpu, or install a build of torch for your GPU and its driver."
         raise UsageError(f"--device {device}{f' --devices {devices}' if devices > 1 else ''}: {why} {remedy}")
     plugin = HeldPrecision("bf16-mixed", kind) if precision == "bf16-mixed" else Precision()
-    several = "ddp_spawn" if spawn else "ddp"
     chosen: Any = [int(number)] if number else devices
-    strategy = "auto" if devices == 1 else several
+    strategy = "auto" if devices == 1 else ("ddp_spawn" if spawn else "ddp")
     return Fabric(accelerator=kind, devices=chosen, strategy=strategy, plugins=[plugin])
 
 

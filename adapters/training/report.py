@@ -77,17 +77,9 @@ def table_record(table: SequenceTable | CorpusTable | WindowsTable, sequences: i
         table: That is learnt from.
         sequences: Rows of the split, or stretches that windows are drawn from.
     """
-    info = table.info
-    return TableRecord(
-        dataset=info.dataset,
-        title=info.title,
-        synthetic=info.synthetic,
-        licence=info.licence,
-        identity_digest=info.identity_digest,
-        content_digest=info.content_digest,
-        sequences=sequences,
-        fold=table.info.options.get(OPTION) if isinstance(table, SequenceTable) else None,
-    )
+    fold = table.info.options.get(OPTION) if isinstance(table, SequenceTable) else None
+    own: dict[str, Any] = {name: getattr(table.info, name) for name in TableRecord.__struct_fields__[:-2]}
+    return TableRecord(sequences=sequences, fold=fold, **own)
 
 
 def require_same_training(out: Path, record: TrainingRecord) -> None:
@@ -154,14 +146,13 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
         device: Device of the training.
         threads: Torch's threads, on which the last bits depend on a CPU.
     """
-    steps = record.configuration.training.steps
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else platform.machine()
     return {
         "card_version": _CARD_VERSION,
         "prbench": prbench.__version__,
         "method": record.method,
         "stage": record.stage,
-        "finished": state.step >= steps,
+        "finished": state.step >= record.configuration.training.steps,
         "steps": state.step,
         "parameters": sum(parameter.numel() for parameter in state.average.parameters.values()),
         "averaged": record.configuration.training.ema > 0,

@@ -160,14 +160,11 @@ def run(
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
         data = _data(request, task, configuration, engine)
         if isinstance(data, WindowsDataset):
-            records = [
-                reports.table_record(table, count) for table, count in zip(data.tables, data.counts, strict=True)
-            ]
+            counts = data.counts
         else:
             rows = [table.scalars(columns=["split"])["split"].to_pylist() for table in data.tables]
-            parts = parts_of(data.split)
-            counts = [sum(split in parts for split in splits) for splits in rows]
-            records = [reports.table_record(table, count) for table, count in zip(data.tables, counts, strict=True)]
+            counts = [sum(split in parts_of(data.split) for split in splits) for splits in rows]
+        records = [reports.table_record(table, count) for table, count in zip(data.tables, counts, strict=True)]
         record = reports.TrainingRecord(
             method=request.method,
             stage=stage,

@@ -347,7 +347,7 @@ def _make(table: Table, split: str, encoding: DataConfiguration, path: Path, eng
 def _encoded_rows(rows: list[Row], encoding: DataConfiguration) -> tuple[pa.RecordBatch, list[LeftOut]]:
     """Return the rows of the store for some rows of a table, and those that cannot be used."""
     left_out: list[LeftOut] = []
-    columns: dict[str, list] = {name: [] for name in _COLUMNS}
+    stored: list[tuple] = []  # in the order of the columns
     longest = encoding.max_frames
     for row in rows:
         name = row.sequence_id
@@ -364,17 +364,8 @@ def _encoded_rows(rows: list[Row], encoding: DataConfiguration) -> tuple[pa.Reco
         except InputFileError as error:
             left_out.append(LeftOut(name, str(error)))
             continue
-        stored = {
-            "sequence_id": name,
-            "texts": list(row.texts),
-            "n_frames": motion.n_frames,
-            "joints": motion.joints.reshape(motion.n_frames, -1),
-            "previous_joints": motion.previous_joints,
-            "next_joints": motion.next_joints,
-            "goal_location": motion.goal_location,
-            "features": features,
-        }
-        for key, value in stored.items():
-            columns[key].append(value)
-    arrays = [column(columns[name], kind) for name, kind in _COLUMNS.items()]
+        joints = motion.joints.reshape(motion.n_frames, -1)
+        beside = (motion.previous_joints, motion.next_joints, motion.goal_location)
+        stored.append((name, list(row.texts), motion.n_frames, joints, *beside, features))
+    arrays = [column([row[place] for row in stored], kind) for place, kind in enumerate(_COLUMNS.values())]
     return pa.RecordBatch.from_arrays(arrays, schema=_SCHEMA), left_out

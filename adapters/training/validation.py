@@ -59,8 +59,7 @@ class Validation:
             names = by_share(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist())
             chosen.update(names[: wanted.sequences])
         places = [place for place, name in enumerate(data.sequence_ids) if name in chosen]
-        by_length = sorted(places, key=lambda place: (int(data.lengths[place]), place))
-        return cls(data, tuple(by_length), wanted.batch_size)
+        return cls(data, tuple(sorted(places, key=lambda place: (int(data.lengths[place]), place))), wanted.batch_size)
 
     @classmethod
     def of_windows(cls, train: WindowsDataset, configuration: TrainingConfiguration) -> Validation:

@@ -61,9 +61,8 @@ class Weights:
         try:
             return msgspec.json.decode(self.metadata.get("configuration", ""), type=kind)
         except msgspec.DecodeError as error:  # ValidationError is one of them
-            expected = f"a {kind.__name__} as JSON"
             remedy = "The weights were made by another version of prbench or by another program; train them again."
-            about = {"expected": expected, "found": str(error), "remedy": remedy}
+            about = {"expected": f"a {kind.__name__} as JSON", "found": str(error), "remedy": remedy}
             raise InputFileError(self.path, "configuration", **about) from error
 
     def require_same(self, configuration: msgspec.Struct, *, apart_from: Collection[str]) -> None:
@@ -173,8 +172,7 @@ def write_weights(
         ValueError: if a value is not finite, or too large for float16.
     """
     stored = {name: _stored(name, tensor, dtype) for name, tensor in tensors.items()}
-    header = {**metadata, "format": _FORMAT, "format_version": FORMAT_VERSION}
-    content = safetensors.torch.save(stored, metadata=header)
+    content = safetensors.torch.save(stored, metadata={**metadata, "format": _FORMAT, "format_version": FORMAT_VERSION})
     # The library writes the entries of the header in another order every time; they are sorted here.
     (length,) = struct.unpack("<Q", content[:8])
     found = json.loads(content[8 : 8 + length])

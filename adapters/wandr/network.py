@@ -15,7 +15,7 @@ from torch import nn
 
 from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench_adapters.kinematics import fitted_rotations, forward_kinematics, matrices_of, rows_of, unit
-from prbench_adapters.training.configuration import require_counts
+from prbench_adapters.training.configuration import require_within
 from prbench_adapters.training.weights import Weights, weights_header
 
 Latents = Float[torch.Tensor, "*batch latent"]
@@ -82,8 +82,7 @@ class BodyState:
     def delta_to(self, following: BodyState) -> Float[torch.Tensor, "*batch 135"]:
         """Return the change that leads to another state: :meth:`changed` undoes it."""
         step = self.yaw.mT @ (following.pelvis - self.pelvis)[..., None]
-        turns = self.rotations.mT @ following.rotations
-        return torch.cat((step[..., 0], rows_of(turns).flatten(-2)), -1)
+        return torch.cat((step[..., 0], rows_of(self.rotations.mT @ following.rotations).flatten(-2)), -1)
 
 
 def clean_delta(delta: Float[torch.Tensor, "*batch 135"]) -> Float[torch.Tensor, "*batch 135"]:
@@ -140,8 +139,7 @@ def intentions(
     heading = heading_of(yaw)
     if goal_heading is None:
         to_goal = (goal - pelvis) * goal.new_tensor((1.0, 1.0, 0.0))
-        above = to_goal.norm(dim=-1, keepdim=True) < _ABOVE
-        goal_heading = torch.where(above, heading, unit(to_goal))
+        goal_heading = torch.where(to_goal.norm(dim=-1, keepdim=True) < _ABOVE, heading, unit(to_goal))
     # The velocity that would bring the wrist to the goal just in time.
     velocity = _turned(yaw, goal - wrist) / (frames_left / fps + _SECONDS)
     if most_speed < math.inf:
@@ -190,13 +188,10 @@ class WandrConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     most_speed: float = 0.0
 
     def __post_init__(self) -> None:
-        require_counts(self, "layers", "widest", "latent")
-        if not 0 <= self.dropout < 1:
-            raise ValueError(f"'dropout' must be in [0, 1), found {self.dropout}")
-        if not self.fps > 0:
-            raise ValueError(f"'fps' must be positive, found {self.fps}")
-        if self.most_speed < 0:
-            raise ValueError(f"'most_speed' must be at least 0, found {self.most_speed}")
+        require_within(self, "at least 1", "layers", "widest", "latent")
+        require_within(self, "at least 0 and below 1", "dropout")
+        require_within(self, "above 0", "fps")
+        require_within(self, "at least 0", "most_speed")
 
     @property
     def speed_limit(self) -> float:

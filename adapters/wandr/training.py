@@ -18,7 +18,7 @@ from prbench.representation.encoding import MIRRORED_JOINTS
 from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.kinematics import rest_offsets, root_orientation
 from prbench_adapters.training import MotionBatch, collate
-from prbench_adapters.training.configuration import require_counts
+from prbench_adapters.training.configuration import require_within
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import origin_of, read_weights
 from prbench_adapters.wandr import network as wandr
@@ -191,12 +191,9 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     pseudo_goals: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("kl_weight", "free_bits", "joint_loss_weight", "frames_per_step"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"'{name}' must be at least 0, found {getattr(self, name)}")
-        require_counts(self, "longest_chunk", "steps_per_chunk_frame", "frames_back")
-        if not 0 <= self.pseudo_goals <= 1:
-            raise ValueError(f"'pseudo_goals' must be between 0 and 1, found {self.pseudo_goals}")
+        require_within(self, "at least 0", "kl_weight", "free_bits", "joint_loss_weight", "frames_per_step")
+        require_within(self, "at least 1", "longest_chunk", "steps_per_chunk_frame", "frames_back")
+        require_within(self, "from 0 to 1", "pseudo_goals")
 
 
 def delta_loss(decoded: Float[torch.Tensor, "places 135"], wanted: Float[torch.Tensor, "places 135"]) -> Loss:
@@ -262,8 +259,7 @@ class WandrTraining(TrainingModule):
         condition = self._condition(recordings, places, goals, state, delta=before.delta_to(state), joints=joints)
         wanted = self.network.delta(state.delta_to(after))
         decoded, mean, log_variance = self._reconstructed(wanted, condition, generator)
-        following = state.changed(self.network.delta.undone(decoded))
-        moved = following.joints(recordings.offsets[places.row])
+        moved = state.changed(self.network.delta.undone(decoded)).joints(recordings.offsets[places.row])
         return {
             "changes": delta_loss(decoded, wanted),
             "divergence": divergence(mean, log_variance, self.objective.free_bits),

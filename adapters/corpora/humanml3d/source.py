@@ -20,6 +20,8 @@ from prbench_adapters.corpora import sources as corpora
 from prbench_adapters.corpora.humanml3d import files as layout
 from prbench_adapters.corpora.humanml3d.files import TextLine, read_joints, read_texts, remark_on
 
+_SAME_CLOCK = {"clock_method": "same", "clock_offset": 0.0, "clock_quality": None, "approximate": False}
+
 
 def clips_of(
     identity: corpora.RecordingIdentity,
@@ -43,11 +45,10 @@ def clips_of(
     clips = []
     annotations = []
     # Lines of one span together, whole motions first.
-    duration = len(joints) / layout.RATE
     spans: dict[tuple[float, float], list[tuple[int, Caption]]] = {}
     numbered = [(number, *line) for number, line in enumerate(lines, start=1)]
     for number, caption, start, end in sorted(numbered, key=lambda item: (item[1].kind != layout.WHOLE, item[0])):
-        span = (0.0, duration) if caption.kind == layout.WHOLE else (start, end)
+        span = (0.0, len(joints) / layout.RATE) if caption.kind == layout.WHOLE else (start, end)
         spans.setdefault(span, []).append((number, caption))
     for (start, end), members in spans.items():
         kind = members[0][1].kind
@@ -56,23 +57,17 @@ def clips_of(
         captions = tuple(dict.fromkeys(replace(caption, kind=kind) for _, caption in members if caption.text))
         first = int(start * layout.RATE)
         available = min(int(end * layout.RATE), len(joints)) - first
-        outcome = "clip"
-        value: float | None = None
-        threshold: float | None = None
+        # The outcome, the number that decided, and the threshold that it was compared with.
+        fate: tuple[str, float | None, float | None] = ("clip", None, None)
         if not captions:
-            outcome = "no_text"
+            fate = ("no_text", None, None)
         elif end <= start:
-            outcome = "end_before_start"
-            value = end - start
-            threshold = 0.0
+            fate = ("end_before_start", end - start, 0.0)
         elif available <= 0 or start < 0.0:
-            outcome = "outside_motion"
-            value = float(available) / limits.fps
-            threshold = 0.0
+            fate = ("outside_motion", available / limits.fps, 0.0)
         elif available < limits.shortest:
-            outcome = "too_short"
-            value = available / limits.fps
-            threshold = limits.shortest / limits.fps
+            fate = ("too_short", available / limits.fps, limits.shortest / limits.fps)
+        outcome, *decisive = fate
         if outcome == "clip":
             n_frames = min(available, limits.longest)
             clip = corpora.cut_clip(
@@ -91,10 +86,7 @@ def clips_of(
                 # Cut only where a whole frame more was described; less than one is lost by rounding down.
                 cut=end * layout.RATE - first >= n_frames + 1,
                 mirrored=identity.recording_id.startswith(layout.MIRROR_PREFIX),
-                clock_method="same",
-                clock_offset=0.0,
-                clock_quality=None,
-                approximate=False,
+                **_SAME_CLOCK,
                 pose_source=manifest.body.pose_source,
                 head_tilt_deg=manifest.body.head_tilt_deg,
             )
@@ -108,19 +100,9 @@ def clips_of(
             elif caption.text in seen:
                 own = "duplicate"
             seen.add(caption.text)
-            annotation = Annotation(
-                annotation_id=f"{recording}/{number}",
-                recording_id=identity.recording_id,
-                sequence_id=sequence_id if own == "clip" else None,
-                kind=kind,
-                text=caption.text,
-                text_start=start,
-                text_end=end,
-                outcome=own,
-                value=value if own == outcome else None,
-                threshold=threshold if own == outcome else None,
-            )
-            annotations.append(annotation)
+            whose = (f"{recording}/{number}", identity.recording_id, sequence_id if own == "clip" else None)
+            why = (own, *decisive) if own == outcome else (own,)
+            annotations.append(Annotation(*whose, kind, caption.text, start, end, *why))
     return tuple(clips), tuple(annotations)
 
 
@@ -171,11 +153,9 @@ class HumanML3DSource(corpora.CorpusRecording):
         if self.joints is None:
             name = f"{self.identity.recording_id}.npy"
             assert self.root is not None  # of files
-            features = (self.root / layout.FEATURES_FOLDER / name).exists()
-            found = "its 263 features only" if features else "no such file"
-            expected = "the joints of this motion"
+            found = "its 263 features only" if (self.root / layout.FEATURES_FOLDER / name).exists() else "no such file"
             path = self.root / layout.JOINTS_FOLDER / name
-            raise InputFileError(path, "", expected=expected, found=found, remedy=_MAKE_JOINTS)
+            raise InputFileError(path, "", expected="the joints of this motion", found=found, remedy=_MAKE_JOINTS)
         joints = read_joints(self.joints)
         lines = read_texts(self.texts)
         clips, annotations = clips_of(self.identity, joints, lines, self.limits, load_manifest("humanml3d"))

@@ -80,7 +80,4 @@ def participant_of(name: str) -> str:
 
     ``20230607_s0_james_johnson_act0_e72nhq`` is of ``james_johnson``, whatever the session.
     """
-    parts = name.split("_")
-    if not SEQUENCE_NAME.fullmatch(name) or len(parts) < 5:
-        return name
-    return "_".join(parts[2:-2])
+    return "_".join(name.split("_")[2:-2]) if SEQUENCE_NAME.fullmatch(name) else name

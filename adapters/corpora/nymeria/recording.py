@@ -62,8 +62,7 @@ def head_from_device(
         return None, "gaze: the clocks of suit and glasses are not known well enough"
     piece = max(clean.pieces, key=lambda each: len(each.joints))
     head = clean.head_rotation[piece.first : piece.stop]
-    step = round(_STEP * SUIT_RATE)
-    frames = np.arange(0, len(head), step)
+    frames = np.arange(0, len(head), round(_STEP * SUIT_RATE))
     at = piece.start + frames / SUIT_RATE - offset.seconds
     seen = (at >= times[0]) & (at <= times[-1])
     if seen.sum() < 2:
@@ -180,22 +179,12 @@ class NymeriaWindows:
         gaze, message = self._gaze(motion)
         nowhere = PoseStream(body.times[:1], body.joints[:1, Joint.HEAD], np.array([[1.0, 0, 0, 0]]), np.zeros(1, bool))
         identity = self.source.identity
-        return Recording(
-            dataset=identity.dataset,
-            recording_id=identity.recording_id,
-            participant_id=identity.participant_id,
-            pose_source=motion.pose_source,
-            head_tilt_deg=motion.head_tilt_deg,
-            span=(float(body.times[0]), float(body.times[-1])),
-            gaze=gaze,
-            camera=nowhere,
-            head=nowhere,
-            body=body,
-            hands=(),
-            objects=(),
-            split_group=identity.split_group,
-            messages=tuple(text for text in (*motion.messages, message) if text),
-        )
+        whose = (identity.dataset, identity.recording_id, identity.participant_id)
+        whole = (float(body.times[0]), float(body.times[-1]))
+        streams = (gaze, nowhere, nowhere, body)  # neither camera nor head
+        messages = tuple(text for text in (*motion.messages, message) if text)
+        about = {"hands": (), "objects": (), "split_group": identity.split_group, "messages": messages}
+        return Recording(*whose, motion.pose_source, motion.head_tilt_deg, whole, *streams, **about)
 
     def _gaze_file(self) -> Path | None:
         trajectory = self.source.found.path(TRAJECTORY)

@@ -107,19 +107,9 @@ def clips_of(
                 clips.append(clip)
         for number, (caption, own) in enumerate(texts):
             decided = outcome if own == "clip" else own
-            annotation = Annotation(
-                annotation_id=f"{name}/{number}",
-                recording_id=identity.recording_id,
-                sequence_id=sequence_id if decided == "clip" else None,
-                kind=caption.kind,
-                text=caption.text,
-                text_start=rows[0].start,
-                text_end=rows[0].end,
-                outcome=decided,
-                value=value if own == "clip" else None,
-                threshold=threshold if own == "clip" else None,
-            )
-            annotations.append(annotation)
+            whose = (f"{name}/{number}", identity.recording_id, sequence_id if decided == "clip" else None)
+            why = (decided, value, threshold) if own == "clip" else (decided,)
+            annotations.append(Annotation(*whose, caption.kind, caption.text, rows[0].start, rows[0].end, *why))
     return tuple(clips), tuple(annotations)
 
 
@@ -311,8 +301,7 @@ class NymeriaCorpus(corpora.Corpus):
             participant = nymeria.participant_of(found.recording_id)
             split = found.split or split_by_participant(manifest, participant)
             identity = corpora.RecordingIdentity(found.dataset, found.recording_id, participant, split, participant)
-            skip_reason = manifest.why_bad(found.recording_id)
-            sources.append(NymeriaSource(identity, limits, root, skip_reason, found, chosen))
+            sources.append(NymeriaSource(identity, limits, root, manifest.why_bad(found.recording_id), found, chosen))
         require_one_origin(root, (source.identity.dataset for source in sources))
         return tuple(sources)
 

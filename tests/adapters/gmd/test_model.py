@@ -167,7 +167,7 @@ def test_motions_are_padded_to_one_length_and_longer_ones_as_little_as_possible(
         ({"padded_frames": 100}, "'padded_frames' must be a multiple of 8"),
         ({"padding_step": 4}, "'padding_step' must be a multiple of 8"),
         ({"condition_width": 7}, "'condition_width' must be even"),
-        ({"emphasis": 0.0}, "'emphasis' and 'fps' must be positive"),
+        ({"emphasis": 0.0}, "'emphasis' must be above 0"),
         ({"diffusion_steps": 0}, "'diffusion_steps' must be at least 1"),
     ],
 )
