@@ -67,7 +67,9 @@ def spread_of(scores: SequenceScores, benchmark: Benchmark) -> dict[str, list[tu
         of_unit: dict[str, list[float]] = defaultdict(list)
         for unit, value in zip(units, values, strict=True):
             of_unit[str(unit)].append(float(value))
-        spread[info.id] = [(unit, info.scale * float(np.mean(own)), len(own)) for unit, own in sorted(of_unit.items())]
+        spread[info.id] = [
+            (unit, round(info.scale * float(np.mean(own)), 4), len(own)) for unit, own in sorted(of_unit.items())
+        ]
     return spread
 
 

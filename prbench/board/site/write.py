@@ -88,7 +88,8 @@ def write_site(
     left_out = list(board.notes)
     left_out += [
         f"{name}: no motions and no timing of primes, as no table of it was at hand."
-        for name in tables.keys() - at_hand
+        for name in tables
+        if name not in at_hand
     ]
     with sole_writer(out):
         require_replaceable(out, MARKER, kind="site")
