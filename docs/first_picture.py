@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from prbench.geometry.skeleton import Joint
-from prbench.viewing.bodies import draw_bodies
 from prbench.viewing.explain import explain_event
-from prbench.viewing.figures import horizontal_direction, new_figure, styled, write_figure
+from prbench.viewing.figures import draw_bodies, horizontal_direction, new_figure, styled, write_figure
 from prbench.viewing.replay.scene import BOX_COLOUR, GAZE_COLOUR, GOAL_COLOUR, METHOD_COLOURS, Scene, side_view
 
 EVENT = "6351551216726642/pick/54170553560"

@@ -229,7 +229,7 @@ def _scenes(
     # Every view shows the recorded motion anyway; a shuffled control of it shows other motions and stays.
     made = [(each.run.record.method.name, each.run.record.control) for each in motions]
     generated = [each for each, how in zip(motions, made, strict=True) if how != (GROUND_TRUTH, None)]
-    return read_scenes(table, ids, generated, permitted=request.permitted) if ids else iter(())
+    return read_scenes(table, ids, generated, request.permitted) if ids else iter(())
 
 
 def _chosen(request: ViewRequest, shown: Shown, most: int | None = DEFAULT_LIMIT) -> list[list[str]]:

@@ -16,7 +16,6 @@ from jaxtyping import Float
 from prbench.geometry.skeleton import Joint, head_forward
 from prbench.shown import figure_text
 from prbench.viewing import figures
-from prbench.viewing.bodies import draw_bodies
 from prbench.viewing.replay.scene import GAZE_COLOUR, GOAL_COLOUR, Scene, ShownMotion
 
 if TYPE_CHECKING:
@@ -147,7 +146,7 @@ def _draw_pose(axes: Axes, scene: Scene, joints: Float[np.ndarray, "22 3"], *, c
         return _flat(scene, points.reshape(-1, 3)).reshape(*points.shape[:-1], 2)
 
     towards = np.cross(_way(scene), [0.0, 1.0, 0.0])
-    draw_bodies(axes, joints[None], colour, flat, towards, head_tilt_deg=scene.head_tilt_deg)
+    figures.draw_bodies(axes, joints[None], colour, flat, towards, head_tilt_deg=scene.head_tilt_deg)
 
 
 def _draw_gaze(axes: Axes, scene: Scene, frame: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -168,30 +169,20 @@ def player_sequence(scene: replay.Scene) -> PlayerSequence:
     goal = None
     if scene.goal is not None:
         goal = PlayerGoal(location=metres(scene.goal.location), box=metres(scene.goal.box_corners))
-    return PlayerSequence(
-        sequence_id=scene.sequence_id,
-        dataset=scene.dataset,
-        title=scene.title,
-        action=scene.action,
-        fps=scene.fps,
-        n_frames=scene.n_frames,
-        prime_time=round(scene.prime_time, 4),
-        event_time=round(scene.event_time, 4),
-        notice=scene.notice,
-        goal=goal,
-        limits=PlayerLimits(
-            prime_distance=limits.prime_distance,
-            reach_distance=limits.reach_distance,
-            window=[int(window.first[0]), int(window.last[0])] if window.count[0] else [],
-        ),
-        motions=[_motion(scene, motion) for motion in scene.motions],
-    )
+    frames = [int(window.first[0]), int(window.last[0])] if window.count[0] else []
+    same = ("sequence_id", "dataset", "title", "action", "fps", "n_frames", "notice")
+    told: dict[str, Any] = {name: getattr(scene, name) for name in same}
+    told |= {name: round(getattr(scene, name), 4) for name in ("prime_time", "event_time")}
+    distances = {name: getattr(limits, name) for name in ("prime_distance", "reach_distance")}
+    told["motions"] = [_motion(scene, motion) for motion in scene.motions]
+    return PlayerSequence(goal=goal, limits=PlayerLimits(window=frames, **distances), **told)
 
 
 def _motion(scene: replay.Scene, motion: replay.ShownMotion) -> PlayerMotion:
     limits = scene.thresholds
     forward, _ = head_forward(motion.joints, scene.head_tilt_deg)
-    told = {}
+    told: dict[str, Any] = {name: getattr(motion, name) for name in ("label", "kind", "colour")}
+    told |= {"joints": packed(motion.joints), "head_ray": packed(forward, _UNIT), "scores": scores_of(scene, motion)}
     if motion.gaze is not None:
         # Where the gaze is not valid its numbers mean nothing and may be NaN.
         rays = np.concatenate([MILLIMETRES * motion.gaze.origin, _UNIT * motion.gaze.direction], axis=1)
@@ -203,20 +194,10 @@ def _motion(scene: replay.Scene, motion: replay.ShownMotion) -> PlayerMotion:
         told["head"] = packed(measured.head_distance)
         told["on_target"] = spans(measured.head_distance <= limits.prime_distance + limits.threshold_tolerance)
         told["within_reach"] = spans(measured.wrist_distance <= limits.reach_distance + limits.threshold_tolerance)
-    sliding = []
     if scene.n_frames > 1:  # a single frame has no step
         batch = MotionBatch(motion.joints, np.array([0, scene.n_frames]))
-        sliding = spans(sliding_steps(batch, np.array([scene.fps]), limits))
-    return PlayerMotion(
-        label=motion.label,
-        kind=motion.kind,
-        colour=motion.colour,
-        joints=packed(motion.joints),
-        head_ray=packed(forward, _UNIT),
-        scores=scores_of(scene, motion),
-        sliding=sliding,
-        **told,
-    )
+        told["sliding"] = spans(sliding_steps(batch, np.array([scene.fps]), limits))
+    return PlayerMotion(**told)
 
 
 def scores_of(scene: replay.Scene, motion: replay.ShownMotion) -> list[Score]:

@@ -6,18 +6,17 @@ Still parts of a picture are drawn once, moving parts are drawn over them.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from prbench.errors import MissingExtraError, StorageError
 from prbench.files.storage import sole_file
 from prbench.shown import figure_text
-from prbench.viewing.bodies import body_lines, draw_bodies
-from prbench.viewing.figures import new_figure, styled
+from prbench.viewing.figures import Flatten, Vector, body_lines, draw_bodies, new_figure, styled
 from prbench.viewing.replay import scene as replay
 from prbench.viewing.replay.sheet import UP, draw_curves, draw_way
 
@@ -56,14 +55,10 @@ def film_scenes(scenes: Sequence[replay.Scene], path: Path, progress: replay.Pro
         try:
             done = 0
             for scene, plan in zip(scenes, plans, strict=True):
-                stage = FilmStage(scene)
-                picture = b""
-                shown = -1
-                for frame in plan:
-                    if frame != shown:  # a slow sequence shows a frame in several pictures; drawing takes the time
-                        picture = stage.picture(int(frame))
-                        shown = frame
-                    writer.send(picture)
+                # A slow sequence shows a frame in several pictures; drawing takes the time.
+                picture = lru_cache(maxsize=1)(FilmStage(scene).picture)
+                for frame in plan.tolist():
+                    writer.send(picture(frame))
                     done += 1
                     progress(done, sum(map(len, plans)), scene.sequence_id)
         except OSError as error:
@@ -82,16 +77,10 @@ def film_writer(path: Path, size: tuple[int, int], fps: float) -> Generator[None
         import imageio_ffmpeg
     except ModuleNotFoundError as error:
         raise MissingExtraError("imageio-ffmpeg", "view", "writing MP4") from error
-    writer = imageio_ffmpeg.write_frames(
-        str(path),
-        size,
-        fps=fps,  # pyright: ignore[reportArgumentType] # fractions are taken, too
-        quality=_QUALITY,
-        macro_block_size=2,
-        ffmpeg_log_level="error",
-        # The index in front, so that a browser can begin to play; bitexact, so that equal scenes are equal bytes.
-        output_params=["-movflags", "+faststart", "-fflags", "+bitexact", "-flags:v", "+bitexact"],
-    )
+    # The index in front, so that a browser can begin to play; bitexact, so that equal scenes are equal bytes.
+    how = ["-movflags", "+faststart", "-fflags", "+bitexact", "-flags:v", "+bitexact"]
+    options: Any = {"fps": fps, "quality": _QUALITY, "macro_block_size": 2, "ffmpeg_log_level": "error"}
+    writer = imageio_ffmpeg.write_frames(str(path), size, output_params=how, **options)
     writer.send(None)  # starts the generator
     return writer
 
@@ -123,11 +112,28 @@ class FilmStage:
         write(0.02, 0.962, figure_text(scene.title), fontsize=13, weight="bold")
         write(0.02, 0.935, figure_text(scene.sequence_id), fontsize=7.5, color="0.35", family="monospace")
         write(0.02, 0.012, figure_text(scene.notice), fontsize=8, color=replay.METHOD_COLOURS[1])
-        self._add_side_views()
+        # The bodies from the side, a panel a motion.
+        flat = partial(replay.side_view, axis=scene.picture_axis)
+        height = max(2.0, max(float(motion.joints[..., 1].max()) for motion in scene.motions) + 0.1)
+        low, high = replay.extent(scene, flat)
+        columns = 1 + (len(scene.motions) > 2) + (len(scene.motions) > 6)
+        rows = -(-len(scene.motions) // columns)
+        place = {"left": 0.04, "right": 0.6, "bottom": 0.07, "top": 0.88, "hspace": 0.3, "wspace": 0.1}
+        grid = self._figure.add_gridspec(rows, columns, **place)
+        for number, motion in enumerate(scene.motions):
+            panel = self._figure.add_subplot(grid[number])
+            panel.set(xlim=(low[0] - _FOOTPRINT, high[0] + _FOOTPRINT), ylim=(-0.05, height))
+            panel.set_aspect("equal", adjustable="box")
+            panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
+            panel.tick_params(labelbottom=False)
+            title = figure_text(f"{motion.label}\n{replay.verdict(scene, motion)}")
+            panel.set_title(title, fontsize=8.5, color=motion.colour, loc="left")
+            if scene.goal is not None:
+                replay.draw_goal(panel, scene.goal, flat, linewidth=1.0, markersize=4.0, zorder=1)
+            self._add_body(panel, motion, flat, np.cross(scene.picture_axis, UP))
         # The sheet's view from above and its curves, in which bodies and the moment move.
-        grid = self._figure.add_gridspec(
-            3, 1, left=0.66, right=0.98, bottom=0.08, top=0.9, height_ratios=(3.0, 1, 1), hspace=0.45
-        )
+        place = {"left": 0.66, "right": 0.98, "bottom": 0.08, "top": 0.9, "hspace": 0.45}
+        grid = self._figure.add_gridspec(3, 1, height_ratios=(3.0, 1, 1), **place)
         above, *curves = (self._figure.add_subplot(place) for place in grid)
         draw_way(above, scene)
         for motion in scene.motions:
@@ -156,53 +162,26 @@ class FilmStage:
         pixels = np.asarray(self._canvas.buffer_rgba())
         return np.ascontiguousarray(pixels[..., :3]).tobytes()
 
-    def _add_side_views(self) -> None:
-        scene = self._scene
-        flat = partial(replay.side_view, axis=scene.picture_axis)
-        height = max(2.0, max(float(motion.joints[..., 1].max()) for motion in scene.motions) + 0.1)
-        low, high = replay.extent(scene, flat)
-        columns = 1 + (len(scene.motions) > 2) + (len(scene.motions) > 6)
-        rows = -(-len(scene.motions) // columns)
-        grid = self._figure.add_gridspec(
-            rows, columns, left=0.04, right=0.6, bottom=0.07, top=0.88, hspace=0.3, wspace=0.1
-        )
-        for number, motion in enumerate(scene.motions):
-            panel = self._figure.add_subplot(grid[number])
-            panel.set(xlim=(low[0] - _FOOTPRINT, high[0] + _FOOTPRINT), ylim=(-0.05, height))
-            panel.set_aspect("equal", adjustable="box")
-            panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
-            panel.tick_params(labelbottom=False)
-            panel.set_title(
-                figure_text(f"{motion.label}\n{replay.verdict(scene, motion)}"),
-                fontsize=8.5,
-                color=motion.colour,
-                loc="left",
-            )
-            if scene.goal is not None:
-                replay.draw_goal(panel, scene.goal, flat, linewidth=1.0, markersize=4.0, zorder=1)
-            self._add_body(panel, motion, flat, np.cross(scene.picture_axis, UP))
-
-    def _add_body(self, panel: Axes, motion: replay.ShownMotion, flat: replay.Flatten, towards: replay.Vector) -> None:
+    def _add_body(self, panel: Axes, motion: replay.ShownMotion, flat: Flatten, towards: Vector) -> None:
         scene = self._scene
         goal = scene.goal_location
         head_segments = flat(replay.head_rays(motion.joints, scene.head_tilt_deg, goal, _LONGEST_RAY))
-        self._add_ray(panel, head_segments, {"color": motion.colour, "linewidth": 1.2, "linestyle": (0, (4, 2))})
+        seen = [(head_segments, {"color": motion.colour, "linewidth": 1.2, "linestyle": (0, (4, 2))})]
         if motion.gaze is not None:
             segments = flat(replay.rays(motion.gaze.origin, motion.gaze.direction, goal, _LONGEST_RAY))
             # A line to NaN is not drawn, which hides the ray where the gaze is not valid.
             segments = np.where(motion.gaze.valid[:, None, None], segments, np.nan)
-            self._add_ray(panel, segments, {"color": replay.GAZE_COLOUR, "linewidth": 1.6})
+            seen.append((segments, {"color": replay.GAZE_COLOUR, "linewidth": 1.6}))
+        for segments, style in seen:
+            (line,) = panel.plot([], [], zorder=2, **style)
+            self._add(panel, line, lambda frame, line=line, ends=segments: line.set_data(*ends[frame].T))
         drawn: dict[str, Any] = {"flat": flat, "towards": towards, "head_tilt_deg": scene.head_tilt_deg}
         lines = draw_bodies(panel, motion.joints[:1], motion.colour, **drawn)
-        self._add(
-            panel,
-            lines,
-            lambda frame: lines.set(**body_lines(panel, motion.joints[[frame]], motion.colour, **drawn)),
-        )
 
-    def _add_ray(self, panel: Axes, segments: Float[np.ndarray, "n 2 2"], style: dict[str, Any]) -> None:
-        (line,) = panel.plot([], [], zorder=2, **style)
-        self._add(panel, line, lambda frame: line.set_data(*segments[frame].T))
+        def move(frame: int) -> None:
+            lines.set(**body_lines(panel, motion.joints[[frame]], motion.colour, **drawn))
+
+        self._add(panel, lines, move)
 
     def _add(self, panel: Axes, artist: Artist, update: _Update) -> None:
         # matplotlib leaves animated artists out of an ordinary drawing, so they are not part of the background.

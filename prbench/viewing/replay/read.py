@@ -111,18 +111,12 @@ def run_labels(paths: Sequence[Path], records: Sequence[RunRecord]) -> list[str]
     for record in records:
         control = f", {record.control}" if record.control else ""
         labels.append(f"{record.method.name}, {record.condition}{control}")
-    return [
-        f"{label} ({path.name})" if labels.count(label) > 1 else label
-        for path, label in zip(paths, labels, strict=True)
-    ]
+    named = zip(paths, labels, strict=True)
+    return [f"{label} ({path.name})" if labels.count(label) > 1 else label for path, label in named]
 
 
 def read_scenes(
-    table: SequenceTable,
-    sequence_ids: Sequence[str],
-    runs: Sequence[RunMotions] = (),
-    *,
-    permitted: Collection[str] = (),
+    table: SequenceTable, sequence_ids: Sequence[str], runs: Sequence[RunMotions], permitted: Collection[str]
 ) -> Iterator[Scene]:
     """Read sequences with each run's motions of them, in the order given.
 
@@ -191,31 +185,28 @@ def scene_of(
         scores = {name: float(column.value[0]) for name, column in score(motion, motion, targets, constants).items()}
     eyes = gaze if gaze.valid.any() else None
     recorded = ShownMotion(RECORDED, RECORDED_COLOUR, chunk.joints.astype(np.float64), scores, eyes, "recorded")
+    world_from_canonical = chunk.vectors("world_from_canonical").reshape(4, 4)
+    goal = None
+    if shown and placed:
+        sides = zip(chunk.vectors("goal_box_world_min")[0], chunk.vectors("goal_box_world_max")[0], strict=True)
+        corners = transform_points(
+            invert_rigid(world_from_canonical), np.array(list(itertools.product(*sides)), dtype=np.float64)
+        )
+        goal = Goal(chunk.vectors("goal_location")[0].astype(np.float64), corners)
     action, name, hand, split = (chunk.strings(column)[0] for column in ("action", "object_name", "hand", "split"))
     return Scene(
         sequence_id=chunk.sequence_ids[0],
         dataset=info.dataset,
         title=f"{action} of {name}, {f'{hand} hand' if hand else 'hand unknown'} ({split})",
-        action=chunk.strings("action")[0],
-        fps=float(chunk.numbers("fps")[0]),
+        action=action,
         n_frames=int(chunk.n_frames[0]),
         prime_time=float(chunk.numbers("prime_time")[0] - chunk.numbers("start_time")[0]),
-        head_tilt_deg=float(chunk.numbers("head_tilt_deg")[0]),
         motions=(recorded, *motions) if shown else tuple(motions),
         thresholds=constants,
-        goal=goal_of(chunk) if shown and placed else None,
+        goal=goal,
         notice=notice(info, permitted),
         info=info,
         recording_id=chunk.strings("recording_id")[0],
-        start_time=float(chunk.numbers("start_time")[0]),
-        world_from_canonical=chunk.vectors("world_from_canonical").reshape(4, 4).astype(np.float64),
+        world_from_canonical=world_from_canonical.astype(np.float64),
+        **{name: float(chunk.numbers(name)[0]) for name in ("fps", "head_tilt_deg", "start_time")},
     )
-
-
-def goal_of(chunk: SequenceChunk) -> Goal:
-    """Return the place of the object of one row, with the corners of its box in the canonical frame."""
-    low = chunk.vectors("goal_box_world_min")[0]
-    high = chunk.vectors("goal_box_world_max")[0]
-    corners = np.array(list(itertools.product(*zip(low, high, strict=True))), dtype=np.float64)
-    canonical_from_world = invert_rigid(chunk.vectors("world_from_canonical").reshape(4, 4))
-    return Goal(chunk.vectors("goal_location")[0].astype(np.float64), transform_points(canonical_from_world, corners))

@@ -14,12 +14,11 @@ from prbench.metrics import STUDY_METRICS, GazeRays, MetricInfo
 from prbench.metrics.ray_track import ray_distance
 from prbench.protocol.manifests import MetricConstants
 from prbench.sequences import DatasetInfo
-from prbench.viewing.figures import BOX_EDGES, horizontal_direction
+from prbench.viewing.figures import BOX_EDGES, Flatten, Vector, horizontal_direction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Vector = Float[np.ndarray, "3"]
 Vectors = Float[np.ndarray, "n 3"]
 Arrows = Float[np.ndarray, "n 2 3"]
 
@@ -28,7 +27,6 @@ RECORDED = "ground truth"
 
 # Called with finished steps, all steps, and the sequence that was worked on last.
 Progress = Callable[[int, int, str], None]
-Flatten = Callable[[np.ndarray], np.ndarray]  # maps points (..., 3) to a picture's coordinates
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,13 +140,8 @@ class Scene:
 _SHOWN = sorted((info for info in STUDY_METRICS if info.unit in ("rate", "m")), key=lambda i: i.unit != "rate")
 _OF_ONE_MOTION = tuple(info for info in _SHOWN if not info.compares_with_recorded)
 _OF_TWO_MOTIONS = tuple(info for info in _SHOWN if info.compares_with_recorded)
-# Header of the table of scores; "nearest wrist" is the smallest distance between a wrist and the goal.
-HEADER = (
-    "",
-    *(info.title.replace(" ", "\n") for info in _OF_ONE_MOTION),
-    "nearest\nwrist",
-    *(info.title.replace(" ", "\n") for info in _OF_TWO_MOTIONS),
-)
+# Titles of the scores; "nearest wrist" is the smallest distance between a wrist and the goal.
+TITLES = (*(info.title for info in _OF_ONE_MOTION), "nearest wrist", *(info.title for info in _OF_TWO_MOTIONS))
 _UNKNOWN = "–"
 
 
@@ -164,11 +157,6 @@ class Measures:
     head_distance: Float[np.ndarray, " n"]
     wrist_distance: Float[np.ndarray, " n"]
 
-    @property
-    def reach_distance(self) -> float:
-        """The smallest distance of a wrist, metres; Reach Success compares it with its threshold."""
-        return float(self.wrist_distance.min())
-
 
 def measure(motion: ShownMotion, goal: Goal, head_tilt_deg: float) -> Measures:
     """Measure one motion.
@@ -179,10 +167,7 @@ def measure(motion: ShownMotion, goal: Goal, head_tilt_deg: float) -> Measures:
     head = motion.joints[:, Joint.HEAD]
     forward, _ = head_forward(motion.joints, head_tilt_deg)
     wrists = np.linalg.norm(motion.joints[:, list(WRISTS)] - goal.location, axis=2)
-    return Measures(
-        head_distance=ray_distance(head, forward, goal.location[None]),
-        wrist_distance=wrists.min(axis=1),
-    )
+    return Measures(ray_distance(head, forward, goal.location[None]), wrists.min(axis=1))
 
 
 def gaze_distance(gaze: GazeRays, goal: Goal) -> Float[np.ndarray, " n"]:
@@ -192,24 +177,21 @@ def gaze_distance(gaze: GazeRays, goal: Goal) -> Float[np.ndarray, " n"]:
 
 
 def score_row(scene: Scene, motion: ShownMotion) -> tuple[str, ...]:
-    """Return one row of the table, in the order of :data:`HEADER`; an en dash stands for an unknown value.
+    """Return the scores in the order of :data:`TITLES`; an en dash stands for an unknown value.
 
     The recorded motion gets no scores that would compare it with itself.
     """
-    wrist = None if scene.goal is None else measure(motion, scene.goal, scene.head_tilt_deg).reach_distance
+    wrist = None
+    if scene.goal is not None:
+        wrist = float(measure(motion, scene.goal, scene.head_tilt_deg).wrist_distance.min())
     recorded = motion is scene.motions[0] and scene.shows_recorded
-    return (
-        motion.label,
-        *(_cell(info, motion) for info in _OF_ONE_MOTION),
-        _length(wrist),
-        *(_UNKNOWN if recorded else _cell(info, motion) for info in _OF_TWO_MOTIONS),
-    )
+    compared = [_UNKNOWN if recorded else _cell(info, motion) for info in _OF_TWO_MOTIONS]
+    return (*(_cell(info, motion) for info in _OF_ONE_MOTION), _length(wrist), *compared)
 
 
 def known_scores(scene: Scene, motion: ShownMotion) -> list[tuple[str, str]]:
     """Return the title and value of each known score of a motion."""
-    cells = zip(HEADER[1:], score_row(scene, motion)[1:], strict=True)
-    return [(name.replace("\n", " "), value) for name, value in cells if value != _UNKNOWN]
+    return [pair for pair in zip(TITLES, score_row(scene, motion), strict=True) if pair[1] != _UNKNOWN]
 
 
 def score_sentence(scene: Scene, motion: ShownMotion) -> str:
@@ -219,7 +201,7 @@ def score_sentence(scene: Scene, motion: ShownMotion) -> str:
 
 def verdict(scene: Scene, motion: ShownMotion) -> str:
     """Return the two main scores in a few words."""
-    _, *cells = score_row(scene, motion)
+    cells = score_row(scene, motion)
     if cells[0] == _UNKNOWN:
         return "not scored"
     scores = ", ".join(f"{info.title} {cell}" for info, cell in zip(_OF_ONE_MOTION, cells))

@@ -13,8 +13,7 @@ from jaxtyping import Float, Int
 
 from prbench.geometry.skeleton import Joint
 from prbench.shown import figure_text
-from prbench.viewing.bodies import draw_bodies
-from prbench.viewing.figures import new_figure, styled, write_figure
+from prbench.viewing.figures import draw_bodies, new_figure, styled, write_figure
 from prbench.viewing.replay import scene as replay
 
 if TYPE_CHECKING:
@@ -163,9 +162,8 @@ def draw_curves(panels: tuple[Axes, Axes], scene: replay.Scene, goal: replay.Goa
     # One method with large errors must not flatten the curves of the others.
     limits = (min(highest[0] * 1.08, _HIGHEST), highest[1] * 1.08)
     window = thresholds.prime_window
-    for panel, title, top, limit in zip(
-        panels, titles, limits, (thresholds.prime_distance, thresholds.reach_distance), strict=True
-    ):
+    lines = (thresholds.prime_distance, thresholds.reach_distance)
+    for panel, title, top, limit in zip(panels, titles, limits, lines, strict=True):
         panel.axhline(limit, color=replay.MARK_COLOUR, linewidth=0.7, linestyle=":")
         panel.axvspan(scene.prime_time - window, scene.prime_time + window, color="0.92", zorder=0, linewidth=0)
         panel.axvline(scene.prime_time, color=replay.MARK_COLOUR, linewidth=0.8, linestyle="--", zorder=1)
@@ -177,7 +175,7 @@ def draw_curves(panels: tuple[Axes, Axes], scene: replay.Scene, goal: replay.Goa
 
 def block_height(n_motions: int) -> float:
     """Return the height, inches, of a block with this number of motions."""
-    table = 0.0 if n_motions <= _BESIDE else (len(replay.HEADER) - 1) * _ROW + 0.3 * _GAP
+    table = 0.0 if n_motions <= _BESIDE else len(replay.TITLES) * _ROW + 0.3 * _GAP
     return table + _TITLE + n_motions * _STRIP + _TIMES + _GAP / 2 + _WAY + 2 * _GAP + _CURVES + _GAP + _GAP / 2
 
 
@@ -197,21 +195,13 @@ class Block:
     def text(self, down: float, text: str, **style: Any) -> None:
         """Write lines whose upper edge is ``down`` inches under the top of the block."""
         width, height = self.figure.get_size_inches()
-        place = ((self.left + _EDGE) / width, (self.top - down) / height)
-        self.figure.text(*place, figure_text(text), va="top", **style)
+        self.figure.text((self.left + _EDGE) / width, (self.top - down) / height, figure_text(text), va="top", **style)
 
     def panel(self, left: float, down: float, width: float, height: float) -> Axes:
         """Add a panel whose upper left corner is so many inches from the left, and down from the top of the block."""
-        figure_width, figure_height = self.figure.get_size_inches()
-        bottom = self.top - down - height
         # Layout is reckoned in inches from the top; matplotlib takes shares of the figure from the bottom.
-        place = (
-            (self.left + left) / figure_width,
-            bottom / figure_height,
-            width / figure_width,
-            height / figure_height,
-        )
-        return self.figure.add_axes(place)
+        place = np.array([self.left + left, self.top - down - height, width, height])
+        return self.figure.add_axes(tuple(place / np.tile(self.figure.get_size_inches(), 2)))
 
 
 @styled
@@ -273,16 +263,16 @@ def draw_scene(block: Block, scene: replay.Scene) -> None:
     left, width = (2.0, 1.44) if n <= _BESIDE else (_EDGE, COLUMN - 2 * _EDGE)
     if n > _BESIDE:
         down += _WAY + _GAP * 1.3
-    lines = len(replay.HEADER) - 1
+    lines = len(replay.TITLES)
     axes = block.panel(left, down, width, lines * _ROW)
     axes.set_axis_off()
-    for line, title in enumerate(replay.HEADER[1:]):
+    for line, title in enumerate(replay.TITLES):
         height = 1.0 - (line + 0.5) / lines
-        axes.text(0.0, height, title.replace("\n", " "), va="center", fontsize=6.2, color="0.25")
+        axes.text(0.0, height, title, va="center", fontsize=6.2, color="0.25")
         for number, motion in enumerate(scene.motions):
             right = 1.0 - (n - 1 - number) * 0.33 / width
             style: dict[str, Any] = {"ha": "right", "va": "center", "fontsize": 6.2, "color": motion.colour}
-            axes.text(right, height, replay.score_row(scene, motion)[1:][line], **style)
+            axes.text(right, height, replay.score_row(scene, motion)[line], **style)
     down += lines * _ROW + _GAP if n > _BESIDE else _WAY + 2 * _GAP
     if scene.goal is not None:
         one, two = (block.panel(left, down, 1.4, _CURVES) for left in (0.28, 2.02))

@@ -14,8 +14,7 @@ from matplotlib.text import Text
 
 from prbench.errors import StorageError
 from prbench.geometry.skeleton import Joint
-from prbench.viewing.bodies import body_lines
-from prbench.viewing.figures import styled
+from prbench.viewing.figures import body_lines, styled
 from prbench.viewing.replay.scene import GAZE_COLOUR, GOAL_COLOUR, METHOD_COLOURS, RECORDED_COLOUR, rgb
 from prbench.viewing.replay.sheet import (
     COLUMN,
