@@ -139,8 +139,7 @@ class Motions:
 
     def ragged(self) -> Shaped[np.ndarray, "total 22 3"]:
         """Return the valid frames of all rows after one another."""
-        valid = np.arange(self.joints.shape[1]) < self.n_frames[:, None]
-        return self.joints[valid]
+        return self.joints[np.arange(self.joints.shape[1]) < self.n_frames[:, None]]
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ def named_generator(*parts: str | int) -> np.random.Generator:
     ambiguous = [name for name in names if not name or "/" in name]
     if ambiguous:
         raise ValueError(f"parts of a generator's name: expected text without slashes, found {ambiguous[0]!r}")
-    digest = hashlib.sha256("/".join(names).encode()).digest()
-    return np.random.default_rng(int.from_bytes(digest[:16], "little"))
+    return np.random.default_rng(int.from_bytes(hashlib.sha256("/".join(names).encode()).digest()[:16], "little"))
 
 
 def hash_fraction(*parts: str) -> float:
@@ -34,8 +33,7 @@ def hash_fraction(*parts: str) -> float:
 
 def noise_seed(run_seed: int, sequence_id: str, sample: int) -> int:
     """Return the seed of one generated motion: 63 bits that depend on nothing but run seed, sequence and sample."""
-    digest = hashlib.sha256(f"{run_seed}/{sequence_id}/{sample}".encode()).digest()
-    return int.from_bytes(digest[:8], "big") >> 1
+    return int.from_bytes(hashlib.sha256(f"{run_seed}/{sequence_id}/{sample}".encode()).digest()[:8], "big") >> 1
 
 
 def sequence_generator(seed: int) -> np.random.Generator:

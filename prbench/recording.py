@@ -399,8 +399,7 @@ def plausible_body_frames(
         times: Strictly increasing, seconds.
         joints: World frame, metres; may hold NaN.
     """
-    finite = np.isfinite(joints).all(axis=(1, 2))
-    shaped = finite & ~(np.nan_to_num(joints) == 0).all(axis=(1, 2))
+    shaped = np.isfinite(joints).all(axis=(1, 2)) & ~(np.nan_to_num(joints) == 0).all(axis=(1, 2))
     if not shaped.any():
         return shaped
     lengths = bone_lengths(joints[shaped])

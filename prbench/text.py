@@ -306,8 +306,7 @@ class Clip(_Pretrained):
 
     def _vectors_of(self, model: Any, pieces: Any) -> Any:
         ids = pieces["input_ids"]
-        states = model(input_ids=ids).last_hidden_state[0]
-        return model.text_projection(states[int(ids[0].argmax())])[None]
+        return model.text_projection(model(input_ids=ids).last_hidden_state[0][int(ids[0].argmax())])[None]
 
     def _classes(self) -> tuple[Any, Any]:
         from transformers import (
@@ -343,5 +342,4 @@ def text_encoder(name: str, path: Path | str | None = None) -> TextEncoder:
         return DistilBert(path)
     if name == CLIP:
         return Clip(path)
-    hint = did_you_mean(name, NAMES)
-    raise UsageError(f"there is no text encoder '{name}'.{hint} Known: {', '.join(NAMES)}.")
+    raise UsageError(f"there is no text encoder '{name}'.{did_you_mean(name, NAMES)} Known: {', '.join(NAMES)}.")

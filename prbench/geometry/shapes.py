@@ -122,8 +122,7 @@ def near_miss(origins: Points, directions: Points, box_min: Corners, box_max: Co
     # The ray from the centre towards the closest point leaves the box after min_i half_i / |d_i|; an axis along which
     # it does not move is no constraint.
     component = np.abs(to_centre)
-    moving = component > 0
-    ratio = np.divide(half[None], component, out=np.full_like(component, np.inf), where=moving).min(axis=-1)
+    ratio = np.divide(half[None], component, out=np.full_like(component, np.inf), where=component > 0).min(axis=-1)
     inside_length = np.where(np.isfinite(ratio), ratio, 0.0) * length
     # Equation 7; a closest point inside the box is at distance 0.
     return NearMisses(np.maximum(length - inside_length, 0.0), along)
@@ -201,16 +200,14 @@ class Boxes:
         Args:
             points: Points in the frame of the boxes.
         """
-        away = points[:, None] - self.centre
-        local = np.einsum("pbi,bij->pbj", away, self.rotation)
+        local = np.einsum("pbi,bij->pbj", points[:, None] - self.centre, self.rotation)
         return (self.half_extents - np.abs(local)).min(axis=-1)
 
     def reached(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " boxes"]:
         """Return the boxes that come into the space that the points span along the axes; no other one holds a point."""
         reach = (np.abs(self.rotation) * self.half_extents[:, None]).sum(axis=-1)
         low = points.min(axis=0)
-        high = points.max(axis=0)
-        return ((self.centre + reach >= low) & (self.centre - reach <= high)).all(axis=1)
+        return ((self.centre + reach >= low) & (self.centre - reach <= points.max(axis=0))).all(axis=1)
 
 
 def deepest(points: Float[np.ndarray, "frames joints 3"], boxes: Boxes) -> Float[np.ndarray, " frames"]:

@@ -226,8 +226,7 @@ def _normalised(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _orthogonal_part(vectors: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return unit part of ``vectors`` orthogonal to the unit ``axis``, and the sine of the angle between them."""
     unit, _ = _normalised(vectors)
-    part = unit - (unit * axis).sum(axis=-1, keepdims=True) * axis
-    return _normalised(part)
+    return _normalised(unit - (unit * axis).sum(axis=-1, keepdims=True) * axis)
 
 
 # The 23 segments of an Xsens suit in file order; a segment's position is its joint nearest to the pelvis.
@@ -259,13 +258,11 @@ def match_names(joints: Sequence[str]) -> tuple[tuple[int, ...], tuple[str, ...]
     for convention, table in _NAME_TABLES.items():
         columns: list[int] = []
         for names in table:
-            found = (known[name] for name in names if name in known and known[name] not in columns)
-            columns.append(next(found, -1))
+            columns.append(next((known[name] for name in names if name in known and known[name] not in columns), -1))
         if not best or columns.count(-1) < best.count(-1):
             best = columns
             best_convention = convention
-    others = tuple(name for index, name in enumerate(joints) if index not in best)
-    return tuple(best), others, best_convention
+    return tuple(best), tuple(name for index, name in enumerate(joints) if index not in best), best_convention
 
 
 _SIDES = {"l": "left", "r": "right"}

@@ -82,8 +82,7 @@ def slerp(times: Times, quaternions: Float[np.ndarray, "n 4"], query: Query) -> 
     from scipy.spatial.transform import Rotation, Slerp  # late: 0.3 s that a run and its workers do not need
 
     rotations = Rotation.from_quat(quaternions, scalar_first=True)
-    inside = np.clip(query, times[0], times[-1])
-    return Slerp(times, rotations)(inside).as_quat(scalar_first=True)
+    return Slerp(times, rotations)(np.clip(query, times[0], times[-1])).as_quat(scalar_first=True)
 
 
 @dataclass(frozen=True)

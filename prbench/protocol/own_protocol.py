@@ -56,8 +56,7 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
     for key in sorted(given - wanted):
         hint = did_you_mean(key, wanted)
         raise InputFileError(path, key, expected="a key of the protocol", found="an unknown one", remedy=hint.strip())
-    missing = sorted(wanted - given)
-    require(path, *((False, key, "every key of the protocol", "no such key", _START) for key in missing))
+    require(path, *((False, key, "every key of the protocol", "no such key", _START) for key in sorted(wanted - given)))
     try:
         protocol = msgspec.convert(values, BenchmarkProtocol)
     except msgspec.ValidationError as error:

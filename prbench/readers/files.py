@@ -86,8 +86,7 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
             bounded.require_unpackable(name, member)
             file = cast(io.BufferedIOBase, stack.enter_context(archive.open(member)))
         except KeyError as error:
-            expected = f"the file {source.member} in it"
-            raise InputFileError(source.path, "", expected=expected, found="none") from error
+            raise InputFileError(source.path, "", expected=f"the file {source.member} in it", found="none") from error
         except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError) as error:  # the latter two: encrypted
             raise damaged(found=str(error)) from error
         try:
@@ -449,13 +448,11 @@ def read_triangles(path: Path, *, expected: str = "a mesh of triangles", remedy:
         content = bounded.read_whole(path)
         if kind == "glb":
             # Refuse arrays that declare more entries than the file has bytes, before the parser makes room for them.
-            length = int.from_bytes(content[12:16], "little")
-            description = msgspec.json.decode(content[20 : 20 + length])
+            description = msgspec.json.decode(content[20 : 20 + int.from_bytes(content[12:16], "little")])
             largest = max((accessor["count"] for accessor in description.get("accessors", ())), default=0)
             entries = f"at most {len(content):,} entries, one a byte of the file"
             bounded.require(path, (largest <= len(content), "accessors", entries, f"{largest:,}", remedy))
-        scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
-        mesh = scene.to_mesh()
+        mesh = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, skip_materials=True).to_mesh()
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
         triangles = np.asarray(mesh.faces, dtype=np.int64)
     except FileNotFoundError as error:

@@ -230,8 +230,7 @@ def read_objects(
     if not incomplete:
         return tuple(objects), (), unreadable
     named = ", ".join(str(key) for key in incomplete[:5]) + (" …" if len(incomplete) > 5 else "")
-    remark = f"{len(incomplete)} objects without name, box or pose are left out: {named}"
-    return tuple(objects), (remark,), unreadable
+    return tuple(objects), (f"{len(incomplete)} objects without name, box or pose are left out: {named}",), unreadable
 
 
 def _box(cells: tuple[str, ...]) -> tuple[int, Float[np.ndarray, "2 3"]]:

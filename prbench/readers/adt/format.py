@@ -84,8 +84,7 @@ def body_joints(joints: Float[np.ndarray, "n 51 3"], mapping: Sequence[str]) -> 
     """
     named = [entry.split("+") for entry in mapping]
     first = [JOINT_NAMES.index(names[0]) for names in named]
-    second = [JOINT_NAMES.index(names[-1]) for names in named]
-    return (joints[:, first] + joints[:, second]) / 2
+    return (joints[:, first] + joints[:, [JOINT_NAMES.index(names[-1]) for names in named]]) / 2
 
 
 @dataclass(frozen=True)

@@ -213,16 +213,14 @@ def _sense_suit(
     scale = sensing.strength("body_losses")
     rng = sensing.generator(f"body-losses-{number}")
     bad = np.flatnonzero(rng.random(len(times)) < _BODY_LOSS * scale)
-    thrown = rng.integers(adt.N_NATIVE_JOINTS, size=len(times))[bad]
-    native[bad, thrown] += (0.0, _THROW, 0.0)
+    native[bad, rng.integers(adt.N_NATIVE_JOINTS, size=len(times))[bad]] += (0.0, _THROW, 0.0)
     native[bad[::2]] = 0.0  # every other bad frame is lost as a whole: the suit writes zeros
     markers[rng.random(markers.shape[:2]) < _MARKER_LOSS * scale] = 0.0
-    since_start = np.rint((times - performance.times[0]) * 1e9).astype(np.int64)
     return adt.AdtSkeleton(
         name=f"Skeleton_{participant_id}",
         skeleton_id=native_object_id(f"skeleton {participant_id}"),
         serial=_glasses_serial(performance, number),
-        time_ns=device_start_us(performance) * 1000 + since_start,
+        time_ns=device_start_us(performance) * 1000 + np.rint((times - performance.times[0]) * 1e9).astype(np.int64),
         joints=np.round(native, _METRES),
         markers=np.round(markers, _METRES),
     )
@@ -249,16 +247,14 @@ def suit_joints(joints: Joints, finger_bases: FingerBases) -> SuitJoints:
         aside = unit(np.cross(np.where(is_bent, plane, UP), along))
         for finger, (beside, places) in _FINGERS.items():
             for number, place in enumerate(places, start=1):
-                index = adt.JOINT_NAMES.index(f"{letter}{finger}{number}")
-                native[:, index] = base + beside * aside + place * along
+                native[:, adt.JOINT_NAMES.index(f"{letter}{finger}{number}")] = base + beside * aside + place * along
     return native
 
 
 def suit_segments() -> Int[np.ndarray, "51"]:
     """Return which joints the suit shifts together: pelvis, chest and hands are rigid, every other joint is alone."""
     names = adt.JOINT_NAMES
-    owner = [names.index(_RIGID_WITH.get(name, name)) for name in names]
-    return np.unique(owner, return_inverse=True)[1]
+    return np.unique([names.index(_RIGID_WITH.get(name, name)) for name in names], return_inverse=True)[1]
 
 
 def with_rigid_bones(joints: SuitJoints, shifts: Float[np.ndarray, "n segments 3"]) -> SuitJoints:

@@ -82,8 +82,7 @@ def recording_from_adt(
         large = (entry.box_max - entry.box_min).max() > adt.ROOM_SIZE and gaze.valid.any()
         if large and entry.object_id != adt.SCENE_BOX_ID:
             position, rotation = track.pose_at(gaze.times[gaze.valid])
-            turned = Rotation.from_quat(rotation, scalar_first=True)
-            local = turned.inv().apply(gaze.origin[gaze.valid] - position)
+            local = Rotation.from_quat(rotation, scalar_first=True).inv().apply(gaze.origin[gaze.valid] - position)
             large = ((local >= entry.box_min) & (local <= entry.box_max)).all(axis=1).any()
         if large or entry.object_id == adt.SCENE_BOX_ID:
             rooms.add(track.object_id)
@@ -199,8 +198,7 @@ def prepared_trajectory(glasses: AriaTrajectory) -> AriaTrajectory:
     first, last = (int(glasses.time_us[usable][end]) for end in (0, -1))
     time_us = np.arange(first, last + 1, _STEP_US)
     position, rotation = device.pose_at(time_us / 1e6)
-    up = np.array([0.0, 0.0, 1.0])
-    return AriaTrajectory(time_us, position, rotation, np.ones(len(time_us)), up, (_GRAPH_UID,))
+    return AriaTrajectory(time_us, position, rotation, np.ones(len(time_us)), np.array([0.0, 0.0, 1.0]), (_GRAPH_UID,))
 
 
 def turned_to_z_up(glasses: AriaTrajectory) -> streams.PoseStream:

@@ -166,8 +166,7 @@ def device_poses(sensing: Sensing, times: Numbers, size: mps.GlassesSize) -> tup
     """Return noise-free positions (metres) and rotations of the glasses' device frame in the performance's world."""
     cpf = sensing.head(times)
     cpf_from_device = invert_rigid(mps.device_from_cpf(size))
-    position = sensing.eye(times) + cpf.apply(cpf_from_device[:3, 3])
-    return position, cpf * Rotation.from_matrix(cpf_from_device[:3, :3])
+    return sensing.eye(times) + cpf.apply(cpf_from_device[:3, 3]), cpf * Rotation.from_matrix(cpf_from_device[:3, :3])
 
 
 def graph_uid(performance: Performance) -> str:
@@ -213,8 +212,7 @@ def _sense_hands(sensing: Sensing, start_us: int) -> mps.WristPositions:
     # 1 straight ahead, less towards the edge of the view, -1 beyond it; always 1 without losses.
     scale = sensing.strength("hand_losses")
     away = wrist - sensing.eye(times)[:, None]
-    forward = sensing.head(times).apply((0.0, 0.0, 1.0))
-    ahead = np.einsum("nhk,nk->nh", away, forward) / np.linalg.norm(away, axis=2)
+    ahead = np.einsum("nhk,nk->nh", away, sensing.head(times).apply((0.0, 0.0, 1.0))) / np.linalg.norm(away, axis=2)
     angle = np.arccos(np.clip(ahead, -1.0, 1.0)) / _FIELD_OF_VIEW
     doubt = np.abs(sensing.generator("mps-hand-confidence").normal(0.0, 0.03, angle.shape))
     confidence = np.round(np.clip(1.0 - scale * (0.5 * angle**4 + doubt), 0.01, 1.0), _METRES)
@@ -227,8 +225,7 @@ def _sense_hands(sensing: Sensing, start_us: int) -> mps.WristPositions:
 def _in_device(sensing: Sensing, times: Numbers, points: EyePoints) -> EyePoints:
     """Return points of the performance's world in the true device frame."""
     position, rotation = _native_poses(sensing, times)
-    native = points @ Y_UP_FROM_Z_UP[:3, :3] - position[:, None]
-    return np.einsum("nji,nhj->nhi", rotation.as_matrix(), native)
+    return np.einsum("nji,nhj->nhi", rotation.as_matrix(), points @ Y_UP_FROM_Z_UP[:3, :3] - position[:, None])
 
 
 def _steps(performance: Performance, first_us: int, rate: int) -> Microseconds:
@@ -376,9 +373,8 @@ def pose_columns(bodies: Mapping[Any, Any]) -> dict[str, object]:
         for name in ("time_ns", "position", "rotation")
     )
     order = np.argsort(times, kind="stable")
-    ids = np.concatenate([np.full(len(rows.time_ns), body) for body, rows in bodies.items()])
     return {
-        mps.OBJECT_ID: ids[order],
+        mps.OBJECT_ID: np.concatenate([np.full(len(rows.time_ns), body) for body, rows in bodies.items()])[order],
         mps.OBJECT_TIME: times[order],
         **mps.split_columns(mps.OBJECT_POSITION, position[order]),
         **mps.split_columns(mps.OBJECT_ROTATION, rotation[order]),

@@ -120,8 +120,7 @@ def read_own_output(path: Path, cpf: PoseStream) -> ego.EgoAlloOutput:
     if not posed.any():
         return output  # all of it lies in a gap of the trajectory: nothing tells, and its frames become invalid
     expected, _ = cpf.pose_at(times[posed])
-    points = output.world_from_cpf[posed, 4:].astype(np.float64)
-    distance = float(np.median(np.linalg.norm(points - expected, axis=1)))
+    distance = float(np.median(np.linalg.norm(output.world_from_cpf[posed, 4:].astype(np.float64) - expected, axis=1)))
     expected = f"head poses of this recording at the same times, to {ego.LARGEST_CPF_ERROR * 100:.0f} cm"
     found = f"a median distance of {distance * 100:.1f} cm: the output belongs to another recording or world"
     require(path, (distance <= ego.LARGEST_CPF_ERROR, ego.WORLD_FROM_CPF, expected, found, _ELSEWHERE))

@@ -86,8 +86,7 @@ def body_extent(found: RecordingFiles) -> tuple[Extent, ...]:
     latest = max(times, key=lambda path: times[path][1])
     first = min(begin for begin, _ in times.values())
     last = times[latest][1]
-    body = Extent("body by EgoAllo", latest.name, first / 1e9, last / 1e9, tells_span=False, slack=SEVERAL_SENSORS)
-    return (body,)
+    return (Extent("body by EgoAllo", latest.name, first / 1e9, last / 1e9, tells_span=False, slack=SEVERAL_SENSORS),)
 
 
 POINT_FILES = ("semidense_points.csv.gz", "global_points.csv.gz")

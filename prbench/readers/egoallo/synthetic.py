@@ -108,8 +108,7 @@ def shape_of(performance: Performance) -> Float[np.ndarray, "16"]:
 
 def _bones_of(joints: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "22 3"]:
     """Return each joint minus its parent; zero for the pelvis."""
-    parents = np.maximum(np.array(PARENTS), 0)
-    return joints - joints[parents]
+    return joints - joints[np.maximum(np.array(PARENTS), 0)]
 
 
 def model_rotations(segments: Float[np.ndarray, "n 22 4"]) -> Float[np.ndarray, "n 22 4"]:
@@ -174,8 +173,7 @@ def sense_egoallo(
     every = np.arange(ego.INPUT_STEP, len(trajectory.time_us), ego.INPUT_STEP)  # the first has no predecessor
     # The first and last frame of each window, in output frames; the last one ends with the recording.
     n_frames = len(every)
-    stride = ego.WINDOW_FRAMES - ego.WINDOW_OVERLAP
-    starts = range(0, max(n_frames - ego.WINDOW_OVERLAP, 1), stride)
+    starts = range(0, max(n_frames - ego.WINDOW_OVERLAP, 1), ego.WINDOW_FRAMES - ego.WINDOW_OVERLAP)
     windows = [(first, min(first + ego.WINDOW_FRAMES, n_frames)) for first in starts]
     windows = [(first, last) for first, last in windows if last - first >= _SHORTEST_WINDOW]
     frames = np.concatenate([np.arange(*window) for window in windows]) if windows else np.zeros(0, dtype=np.int64)
@@ -184,10 +182,9 @@ def sense_egoallo(
     times = performance.times[0] + since_start
     number = np.repeat(np.arange(len(windows)), [last - first for first, last in windows])
     # The truth at some times; rotations are interpolated, so that bones keep their lengths.
-    n = len(times)
     segments = np.stack(
         [slerp(performance.times, performance.rotations[:, joint], times) for joint in Joint], axis=1
-    ).reshape(n, len(Joint), 4)
+    ).reshape(len(times), len(Joint), 4)
     rotations = model_rotations(segments)
     pelvis = interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
     rest = synthetic_smplh().of(shape_of(performance))

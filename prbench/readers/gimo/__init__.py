@@ -38,16 +38,14 @@ class GimoReader:
     @property
     def native_joints(self) -> str:
         """See :class:`prbench.readers.PublishedForPrediction`; the jaw needs a body model (option smplx_model)."""
-        has_jaw = self.options.route == "smplx"
-        return gimo.GIMO23 if has_jaw else "smpl22"
+        return gimo.GIMO23 if self.options.route == "smplx" else "smpl22"
 
     @foreign_input()
     def read_published(self, found: RecordingFiles, *, native: bool) -> tuple[Recording, tuple[PublishedTrack, ...]]:
         """See :class:`prbench.readers.PublishedForPrediction`."""
         readings, recording = self._read(found)
         has_jaw = native and self.native_joints == gimo.GIMO23
-        track = published_track(readings, recording, load_manifest("gimo"), with_jaw=has_jaw)
-        return recording, (track,)
+        return recording, (published_track(readings, recording, load_manifest("gimo"), with_jaw=has_jaw),)
 
     def _read(self, found: RecordingFiles) -> tuple[gimo.GimoReadings, Recording]:
         manifest = load_manifest("gimo")

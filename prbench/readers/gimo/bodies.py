@@ -72,8 +72,7 @@ def read_rest_joints(path: Path) -> Float[np.ndarray, "joints 3"]:
     fits = template.ndim == 2 and template.shape[1] == 3
     fits = fits and regressor.shape[0] >= N_JOINTS and regressor.shape[1] == len(template)
     expected = "v_template (v, 3) and J_regressor (at least 22, v)"
-    found = f"{template.shape} and {regressor.shape}"
-    require(path, (fits, "", expected, found, "This is the model of another body."))
+    require(path, (fits, "", expected, f"{template.shape} and {regressor.shape}", "This is the model of another body."))
     rest = regressor[:N_JOINTS] @ template
     return rest if len(regressor) == N_JOINTS else np.vstack([rest, regressor[N_JOINTS] @ template])
 
@@ -138,8 +137,7 @@ def read_poses(files: Mapping[int, Path]) -> gimo.SmplxPoses:
         path = files[frame]
         tensors = load_tensors(path)
         for key, size in _SIZES.items():
-            present = ", ".join(sorted(tensors)) or "no keys"
-            require(path, (key in tensors, "", f"the key '{key}'", present, ""))
+            require(path, (key in tensors, "", f"the key '{key}'", ", ".join(sorted(tensors)) or "no keys", ""))
             values = tensors[key].astype(np.float32).ravel()
             require(
                 path,

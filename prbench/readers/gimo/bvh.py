@@ -96,8 +96,7 @@ def _read_hierarchy(path: Path, text: str) -> tuple[BvhJoint, ...]:
     name: str | None = ""
     for line in text.replace("{", "\n{\n").replace("}", "\n}\n").splitlines():
         where = f"HIERARCHY, at {joints[-1].name if joints else 'the root'}"
-        words = line.split()
-        match words:
+        match line.split():
             case []:
                 continue
             case ["ROOT" | "JOINT", *parts]:  # some programs put spaces into names

@@ -101,8 +101,7 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[listing.Recor
             reason = "training = 2, left out by the option training_2"
         if not folder.is_dir():
             reason = f"{segment.scene}/{segment.sequence}: its folder is missing; unpack or download it"
-        in_tree = tree is not None and segment.sequence in tree.split
-        name = segment.sequence if in_tree else segment.name
+        name = segment.sequence if tree is not None and segment.sequence in tree.split else segment.name
         files = listing.FilesOnDemand(partial(_files, root, options, events_path, segment, folder, by_frame))
         split = "test" if segment.training == gimo.TEST else "train"
         found.append(listing.RecordingFiles(dataset, name, folder, files, split, reason))
@@ -213,8 +212,7 @@ def read_readings(found: listing.RecordingFiles, options: GimoOptions) -> gimo.G
     """
     row, rows = row_of(found)
     expected = f"the folder of {row.segment.scene}/{row.segment.sequence}"
-    is_there = found.folder.is_dir()
-    require(found.folder, (is_there, "", expected, "no such folder", "Unpack or download this sequence."))
+    require(found.folder, (found.folder.is_dir(), "", expected, "no such folder", "Unpack or download this sequence."))
     table = _events_in(found.path(EVENTS))
     events, event_remarks, _ = tables.events_of(row, table, hints=options.hints)
     odd = (event.unreadable for event in table if event.segment == row.segment.key)

@@ -91,11 +91,10 @@ def read_vertices(path: Path) -> Float[np.ndarray, "v 3"]:
             properties.append((words[2], _TYPES[words[1]]))
     names = [name for name, _ in properties]
     listed = ", ".join(names) or "none"
-    counted = count.isdecimal() and len(count) <= _MOST_DIGITS
     require(
         path,
         (form in _ORDERS, "header", "a binary PLY format", f"'{form}'", ""),
-        (counted, "header", "a number of vertices", f"'{count}'", ""),
+        (count.isdecimal() and len(count) <= _MOST_DIGITS, "header", "a number of vertices", f"'{count}'", ""),
         (len(set(names)) == len(names), "header", "each vertex property once", listed, ""),
     )
     if int(count) == 0:
@@ -122,8 +121,7 @@ def read_transform(info: Path, norm: Path) -> gimo.SceneTransform:
         InputFileError: if a file is missing or no 4x4 rigid transform, or there is no positive scale.
     """
     content = decode_json(info, _TransformInfo)
-    is_scale = 0 < content.scale < np.inf
-    require(info, (is_scale, "scale", "a positive number", content.scale, ""))
+    require(info, (0 < content.scale < np.inf, "scale", "a positive number", content.scale, ""))
     try:
         with must_exist(norm):
             words = read_text(norm, largest=HARMLESS_SIZE).replace(",", " ").split()
@@ -131,13 +129,11 @@ def read_transform(info: Path, norm: Path) -> gimo.SceneTransform:
     except ValueError as error:
         raise InputFileError(norm, "", expected="a 4x4 matrix of numbers", found=str(error)) from error
     flat = np.array([number for row in content.transformation for number in row], dtype=np.float64)
-    body = _rigid(info, "transformation", flat)
-    return gimo.SceneTransform(content.scale, body, _rigid(norm, "", numbers))
+    return gimo.SceneTransform(content.scale, _rigid(info, "transformation", flat), _rigid(norm, "", numbers))
 
 
 def _rigid(path: Path, where: str, numbers: Float[np.ndarray, " n"]) -> Float[np.ndarray, "4 4"]:
-    found = f"{numbers.size} numbers"
-    require(path, (numbers.size == 16, where, "a 4x4 matrix", found, "Copy the file again."))
+    require(path, (numbers.size == 16, where, "a 4x4 matrix", f"{numbers.size} numbers", "Copy the file again."))
     matrix = numbers.reshape(4, 4)
     rotation = matrix[:3, :3]
     keeps_lengths = np.isfinite(matrix).all() and np.abs(rotation @ rotation.T - np.eye(3)).max() <= _ROTATION_TOLERANCE

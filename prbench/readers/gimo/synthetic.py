@@ -142,8 +142,7 @@ def first_frame(performance: Performance) -> int:
 
 def event_frame(performance: Performance, event: TrueEvent) -> int:
     """Return the frame that an annotator would name."""
-    since = event.event_time - float(performance.times[0])
-    return first_frame(performance) + round(since * gimo.FRAME_RATE)
+    return first_frame(performance) + round((event.event_time - float(performance.times[0])) * gimo.FRAME_RATE)
 
 
 def picks(performance: Performance) -> tuple[TrueEvent, ...]:
@@ -265,8 +264,7 @@ def write_sequence(readings: gimo.GimoReadings, folder: Path) -> None:
         folder.mkdir(parents=True)
         around = np.linspace(-0.05, 0.05, _CONE_POINTS)[:, None] * np.ones(3)
         for frame, point in zip(readings.gaze.frames, readings.gaze.points, strict=True):
-            centre = np.stack([point, point + 0.001])
-            (folder / f"{frame}{gimo.GAZE_CENTRE_SUFFIX}.ply").write_bytes(ply_bytes(centre))
+            (folder / f"{frame}{gimo.GAZE_CENTRE_SUFFIX}.ply").write_bytes(ply_bytes(np.stack([point, point + 0.001])))
             (folder / f"{frame}.ply").write_bytes(ply_bytes(point + around))
         write_bvh(readings.body.motion, target / gimo.SKELETON_FILE)
 
@@ -378,11 +376,9 @@ def _events(performance: Performance) -> tuple[TrueEvent, ...]:
     shown = replace(performance, eye=head, gaze=apart / np.linalg.norm(apart, axis=1, keepdims=True))
     known = []
     for event in picks(performance):
-        frame = event_frame(shown, event) - first_frame(shown)
-        instant = np.array([shown.times[0] + frame / gimo.FRAME_RATE])
+        instant = np.array([shown.times[0] + (event_frame(shown, event) - first_frame(shown)) / gimo.FRAME_RATE])
         wrist = interpolate(shown.times, shown.joints[:, WRISTS[event.hand == "right"]], instant)[0]
-        seen = seen_again(event, shown, wrist, wrist, gaze_period=1 / gimo.FRAME_RATE)
-        known.append(replace(seen, goal=wrist))
+        known.append(replace(seen_again(event, shown, wrist, wrist, gaze_period=1 / gimo.FRAME_RATE), goal=wrist))
     return tuple(known)
 
 

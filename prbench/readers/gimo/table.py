@@ -82,8 +82,7 @@ def read_segments(path: Path) -> tuple[tuple[Row, ...], list[UnreadableEntry]]:
         InputFileError: for a missing column, or a table without any segment.
     """
     header, lines = _read_lines(path, gimo.TABLE_COLUMNS, "This is another file, or another version of the table.")
-    unnamed = ("", f"Unnamed: {gimo.HINT_INDEX}")
-    has_hints = len(header) <= gimo.HINT_INDEX or header[gimo.HINT_INDEX] in unnamed
+    has_hints = len(header) <= gimo.HINT_INDEX or header[gimo.HINT_INDEX] in ("", f"Unnamed: {gimo.HINT_INDEX}")
 
     def read_segment(cells: list[str]) -> gimo.Segment:
         # Of two columns of one name the first counts, so the cells are looked up from the last to the first.
@@ -117,8 +116,7 @@ def read_segments(path: Path) -> tuple[tuple[Row, ...], list[UnreadableEntry]]:
             unreadable.append(UnreadableEntry(path.name, key, expected, f"training {said[0]}, {said[1]}"))
         elif first.line != line:
             rows[segment.key] = Row(first.line, first.segment, (*first.repeated, line))
-    found = unreadable[0] if unreadable else "a header alone"
-    require(path, (len(rows) > 0, "", "segments, one a line", found, ""))
+    require(path, (len(rows) > 0, "", "segments, one a line", unreadable[0] if unreadable else "a header alone", ""))
     return tuple(rows.values()), unreadable
 
 
@@ -192,8 +190,7 @@ def _event_row(path: Path, line: int, cells: dict[str, str]) -> EventRow:
         if not holds:
             entry = UnreadableEntry(path.name, f"line {line}, column '{name}'", good, found)
             return EventRow(line, segment, None, "", None, confirmed=False, unreadable=entry)
-    side = cast(Side, hand) if hand else None
-    return EventRow(line, segment, None if no_frame else frame, action, side, confirmed)
+    return EventRow(line, segment, None if no_frame else frame, action, cast(Side, hand) if hand else None, confirmed)
 
 
 def _is_frame(text: str) -> bool:
@@ -247,8 +244,7 @@ def require_one_split(path: Path, rows: Sequence[Row], table: Sequence[EventRow]
         line, was_test = seen.setdefault((segment.scene, segment.sequence, event.event_frame), (event.line, is_test))
         found = f"frame {event.event_frame} of {segment.sequence} in a training and in a test segment"
         found += f" (the other is line {line})"
-        remedy = "Remove one of the two lines."
-        require(path, (was_test == is_test, where, "an event in one split only", found, remedy))
+        require(path, (was_test == is_test, where, "an event in one split only", found, "Remove one of the two lines."))
 
 
 def lines_of_no_segment(path: Path, rows: Sequence[Row], table: Sequence[EventRow]) -> list[UnreadableEntry]:

@@ -107,8 +107,7 @@ def filled(
     known = frames.astype(np.float64)
     asked = wanted.astype(np.float64)
     valid = covered(known, np.ones(len(known), dtype=bool), asked, max_gap=longest + 1.0)
-    values = interpolate(known, joints, asked)
-    return streams.hold_neighbours(values, valid), valid
+    return streams.hold_neighbours(interpolate(known, joints, asked), valid), valid
 
 
 def _events(
@@ -179,8 +178,7 @@ def published_track(
             found = "a body without one"
             remedy = "Build the windows on the 22 joints (--joints smpl22)."
             raise InputFileError(readings.recording_id, "", expected=expected, found=found, remedy=remedy)
-        longest = round(manifest.thresholds["longest_filled_gap"])
-        jaw, _ = filled(posed, fitted.jaw[:, None], frames, longest=longest)
+        jaw, _ = filled(posed, fitted.jaw[:, None], frames, longest=round(manifest.thresholds["longest_filled_gap"]))
         joints = np.concatenate([joints, transform_points(readings.transform.room_from_body(), jaw)], axis=1)
     return streams.PublishedTrack(
         name=readings.segment.name,

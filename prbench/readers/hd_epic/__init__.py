@@ -43,8 +43,7 @@ class HdEpicReader:
         if self.options.events_only:  # what a video lacks beside its annotations does not matter
             return recording_from_hd_epic(files.read_annotations(found), manifest, dataset=found.dataset)
         found.require_usable(found.skip_reason or manifest.why_bad(found.recording_id))
-        readings = read_readings(found)
-        return recording_from_hd_epic(readings, manifest, dataset=found.dataset)
+        return recording_from_hd_epic(read_readings(found), manifest, dataset=found.dataset)
 
     @foreign_input()
     def annotation_counts(self, recordings: Sequence[RecordingFiles]) -> AnnotationCounts | None:

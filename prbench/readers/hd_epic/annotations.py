@@ -339,6 +339,5 @@ def slam_number(path: Path) -> dict[str, str]:
     Raises:
         InputFileError: if the file is missing or damaged.
     """
-    entries = decode_json(path, dict[str, Any])
-    numbers = {key: str(value).removesuffix(".0") for key, value in entries.items()}
+    numbers = {key: str(value).removesuffix(".0") for key, value in decode_json(path, dict[str, Any]).items()}
     return {key.rpartition("/")[2].removesuffix(".vrs"): text for key, text in numbers.items() if text.isdecimal()}

@@ -149,8 +149,7 @@ def _annotation_files(given: Path | None, places: Iterable[Path]) -> list[InputF
         if folder is None:
             return []
     movements = (folder / hd_epic.MOVEMENTS_FOLDER, folder)
-    around = (folder, folder.parent)
-    priming = [place / name for place in around for name in hd_epic.PRIMING_FOLDERS] + [folder]
+    priming = [place / name for place in (folder, folder.parent) for name in hd_epic.PRIMING_FOLDERS] + [folder]
     return [
         *_present(ASSOCIATIONS, [place / hd_epic.ASSOCIATIONS_FILE for place in movements]),
         *_present(MASKS, [place / hd_epic.MASKS_FILE for place in movements]),
@@ -266,8 +265,7 @@ def read_readings(found: RecordingFiles) -> hd_epic.HdEpicReadings:
     times = found.require(TIME, f"{video}{hd_epic.TIME_SUFFIX}")
     clock, clock_remarks = annotating.read_video_clock(times, found.path(LOG))
     glasses = _read_mps(found)
-    head = mps_streams(replace(glasses, wrists=None), world_from_source=np.eye(4)).head
-    body = read_bodies(found, cpf=head)
+    body = read_bodies(found, cpf=mps_streams(replace(glasses, wrists=None), world_from_source=np.eye(4)).head)
     return replace(
         annotations,
         clock=clock,

@@ -108,8 +108,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     published.sort(key=lambda side: (int(side.key.split("/")[0]), not side.is_start))
     identity = (performance.recording_id, performance.person.participant_id)
     readings = hd_epic.HdEpicReadings(*identity, clock, tracks, tuple(published), glasses, None)
-    bodies = egoallo.sense_egoallo(performance, glasses.trajectory, **measured)
-    return SensedVideo(readings, bodies)
+    return SensedVideo(readings, egoallo.sense_egoallo(performance, glasses.trajectory, **measured))
 
 
 def sense_video_clock(sensing: Sensing) -> hd_epic.VideoClock:
@@ -186,8 +185,7 @@ def masks_of(sensing: Sensing, track: hd_epic.ObjectTrack, ends: tuple[TrueEvent
     if has_middle and track.end - track.start > 1.0 and len(masks) == 2:
         # Draw a mask somewhere in between, in the hand.
         frame = round((track.start + track.end) / 2 * hd_epic.FPS)
-        known = [mask.location for mask in masks if mask.location is not None]
-        place = np.round(np.mean(known, axis=0), _METRES)
+        place = np.round(np.mean([mask.location for mask in masks if mask.location is not None], axis=0), _METRES)
         box = _box(performance, ends[0], frame)
         masks.append(hd_epic.ObjectMask(_identifier(f"{track.track_id} middle"), frame, place, box, None))
     return dataclasses.replace(track, masks=tuple(masks[::-1] if is_reversed else masks))
@@ -225,10 +223,8 @@ def _first_look(performance: Performance, mask: hd_epic.ObjectMask, first: int) 
         row = _row(performance, frame)
         towards = goal - performance.eye[row]
         along = float(towards @ performance.gaze[row])
-        beside = float(np.linalg.norm(towards - along * performance.gaze[row]))
-        if along > 0 and beside <= _NEAR:
-            at_once = frame == first and mask.frame - first == _WINDOW
-            return hd_epic.EXCLUDED if at_once else frame
+        if along > 0 and float(np.linalg.norm(towards - along * performance.gaze[row])) <= _NEAR:
+            return hd_epic.EXCLUDED if frame == first and mask.frame - first == _WINDOW else frame
     return hd_epic.NOT_PRIMED
 
 
@@ -328,14 +324,13 @@ def _share(readings: hd_epic.HdEpicReadings) -> dict[str, object]:
         tracks.setdefault(track.object_id, []).append(track)
     associations = {}
     for key, own in tracks.items():
-        is_unordered = hashlib.sha256(key.encode()).digest()[0] % _UNORDERED == 0
         listed = [
             {
                 "track_id": track.track_id,
                 "time_segment": [track.start, track.end],
                 "masks": [mask.mask_id for mask in track.masks],
             }
-            for track in (own[::-1] if is_unordered else own)
+            for track in (own[::-1] if hashlib.sha256(key.encode()).digest()[0] % _UNORDERED == 0 else own)
         ]
         associations[key] = {"name": own[0].name, "tracks": listed}
     masks = {

@@ -37,8 +37,7 @@ class Hot3dReader:
         """See :class:`prbench.readers.Reader`."""
         manifest = load_manifest("hot3d")
         found.require_usable(manifest.why_bad(found.recording_id) or found.skip_reason)
-        readings = read_readings(found)
-        return recording_from_hot3d(readings, manifest, dataset=found.dataset, meshes=self.options.meshes)
+        return recording_from_hot3d(read_readings(found), manifest, dataset=found.dataset, meshes=self.options.meshes)
 
 
 READER = Hot3dReader()

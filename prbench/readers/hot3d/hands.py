@@ -133,8 +133,7 @@ def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], list[Unreadab
     unreadable = native.told_together(odd)
     expected = "hand poses, one JSON object a line"
     remedy = "metadata.json says that this ground truth is there; download the recording again."
-    found = f"{len(odd)} lines that are none" if odd else "an empty file"
-    require(path, (len(lines) > 0, "", expected, found, remedy))
+    require(path, (len(lines) > 0, "", expected, f"{len(odd)} lines that are none" if odd else "an empty file", remedy))
     times = np.array([line.timestamp_ns for line in lines.values()], dtype=np.int64)
     native.require_increasing(path, times, unit="ns", place="record", first=1)
     hands = []

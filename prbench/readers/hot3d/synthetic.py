@@ -170,8 +170,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     """
     sensing = Sensing(performance, noise, switches or Switches())
     since = frame_times(performance)
-    drift = clock_drift(sensing)
-    time_ns = round(clock_start(performance) * 1e9) + np.rint(since * 1e9 * (1 + drift)).astype(np.int64)
+    time_ns = round(clock_start(performance) * 1e9) + np.rint(since * 1e9 * (1 + clock_drift(sensing))).astype(np.int64)
     start_us = device_start_us(performance)
     mps = sense_mps(performance, start_us=start_us, noise=noise, switches=switches, hands=False)
     outputs = egoallo.sense_egoallo(performance, mps.trajectory, noise=noise, switches=switches, start_us=start_us)
@@ -180,8 +179,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     trajectory = mps.trajectory
     query = start_us + np.rint(since * 1e6).astype(np.int64)
     right = np.clip(np.searchsorted(trajectory.time_us, query), 1, len(trajectory.time_us) - 1)
-    before = query - trajectory.time_us[right - 1] <= trajectory.time_us[right] - query
-    row = np.where(before, right - 1, right)
+    row = np.where(query - trajectory.time_us[right - 1] <= trajectory.time_us[right] - query, right - 1, right)
     hand_length = float(np.linalg.norm(performance.finger_bases[0, 0] - performance.joints[0, Joint.LEFT_WRIST]))
     # Flags of the RGB frames.
     rgb = time_ns[::2]
@@ -247,8 +245,7 @@ def _sense_objects(sensing: Sensing, times: Times, time_ns: Nanoseconds) -> tupl
         position, rotation = tracked(sensing, motion.object_id, position, rotation, size=_OBJECT_NOISE, scale=scale)
         # Runs of missing rows.
         rng = sensing.generator(f"object-gaps-{motion.object_id}")
-        share = _GAP_SHARE * sensing.strength("object_gaps")
-        count = rng.poisson(share * performance.duration / np.mean(_GAP_LENGTH))
+        count = rng.poisson(_GAP_SHARE * sensing.strength("object_gaps") * performance.duration / np.mean(_GAP_LENGTH))
         starts = rng.uniform(times[0], times[-1], count)
         gaps = within(times, np.column_stack([starts, starts + rng.uniform(*_GAP_LENGTH, count)]))
         seen = ~(untracked(performance, motion, times) | gaps)
@@ -291,8 +288,7 @@ def _sense_hand(sensing: Sensing, side: int, times: Times, time_ns: Nanoseconds)
     window = max(1, round(_CLOSING * performance.rate))
     closed = uniform_filter1d(np.broadcast_to(held, performance.times.shape).astype(float), window)
     angles = finger_angles(interpolate(performance.times, closed, times[seen]))
-    name = ("left", "right")[side]
-    return hot3d.HandRows(name, rows.time_ns, rows.position, rows.rotation, np.round(angles, _ANGLE))
+    return hot3d.HandRows(("left", "right")[side], rows.time_ns, rows.position, rows.rotation, np.round(angles, _ANGLE))
 
 
 def _native_rows(
@@ -348,8 +344,7 @@ def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
                     "hand_confidence": 1.0,
                 }
         records = [{"timestamp_ns": time, "hand_poses": poses} for time, poses in lines.items()]
-        content = b"".join(msgspec.json.encode(record) + b"\n" for record in records)
-        write_bytes(target / hot3d.UMETRACK_FILE, content)
+        write_bytes(target / hot3d.UMETRACK_FILE, b"".join(msgspec.json.encode(record) + b"\n" for record in records))
         if readings.hand_model is not None:
             write_json(target / hot3d.PROFILE_FILE, {"hand_model": profile(readings.hand_model)})
         rgb = readings.headset.time_ns[::2]

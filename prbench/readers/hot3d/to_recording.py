@@ -61,8 +61,7 @@ class ClockMatch:
 
     def truth_ns(self, device_ns: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
         """Return times of the ground truth's clock, in integers: device times may exceed what a float holds."""
-        shift = round(self.offset_ns) + self.origin_ns
-        since = device_ns - shift
+        since = device_ns - (round(self.offset_ns) + self.origin_ns)
         if self.drift == 0.0:
             return since + self.origin_ns
         # The equation above, solved for truth: since = (1 + drift) * (truth - origin).
@@ -187,8 +186,7 @@ def recording_from_hot3d(
     glasses = hot3d.PoseRows(device.time_us * 1000, device.position, device.rotation)
     clock = match_clocks(headset, glasses, recording=readings.recording_id)
     # All poses were needed to align the clocks; from here on those around the gaze times suffice.
-    mps = _on_truth_clock(thinned(readings.mps), clock)
-    streams = mps_streams(mps, world_from_source=Y_UP_FROM_Z_UP)
+    streams = mps_streams(_on_truth_clock(thinned(readings.mps), clock), world_from_source=Y_UP_FROM_Z_UP)
     checked = len(readings.masks.get("qa_pass", ((),))[0]) > 0
     skipped_start = 0.0 if checked else manifest.thresholds["skipped_start_without_qa"]
     # Seconds without use at the start, where no mask tells that the hands are right from the first frame.

@@ -259,8 +259,7 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
         except (InputFileError, KeyError):
             continue  # reading says what is wrong with it
         seconds = None if last is None else last / mogaze.RATE
-        tells_span = file.role != segments
-        extents.append(Extent(streams[file.role], file.path.name, 0.0, seconds, tells_span=tells_span))
+        extents.append(Extent(streams[file.role], file.path.name, 0.0, seconds, tells_span=file.role != segments))
     return tuple(extents)
 
 
@@ -380,8 +379,7 @@ def _read_poses(path: Path) -> tuple[dict[int, Float[np.ndarray, "n 7"]], list[U
             require(path, (number >= 0 and number not in poses, key, expected, f"'{key}'", _OTHER_FILE))
             poses[number] = numbers(path, dataset(path, bodies, key), columns=7)[:, :7]
 
-        keys = {f"{mogaze.OBJECT_GROUP}/{key}": str(key) for key in bodies}
-        _, unreadable = read_entries(path, keys, read_body)
+        _, unreadable = read_entries(path, {f"{mogaze.OBJECT_GROUP}/{key}": str(key) for key in bodies}, read_body)
     return poses, unreadable
 
 
@@ -393,8 +391,7 @@ def _body(
         box_min = vertices.min(axis=0)
         box_max = vertices.max(axis=0)
     else:
-        point = ((0.0, 0.0),) * 3
-        box_min, box_max = np.array(manifest.object_extents.get(mogaze.kind_of_body(name), point)).T
+        box_min, box_max = np.array(manifest.object_extents.get(mogaze.kind_of_body(name), ((0.0, 0.0),) * 3)).T
     return mogaze.MogazeBody(
         body_id=key, name=name, position=rows[:, :3], rotation=rows[:, 3:], box_min=box_min, box_max=box_max
     )

@@ -72,8 +72,7 @@ def gaze_directions(
     Returns:
         NaN where an input is NaN or the point is the origin.
     """
-    ahead = np.where(points[:, 2:] < 0, -points, points)
-    aimed = (goggles @ calibration @ ahead[:, :, None])[:, :, 0]
+    aimed = (goggles @ calibration @ np.where(points[:, 2:] < 0, -points, points)[:, :, None])[:, :, 0]
     length = np.linalg.norm(aimed, axis=1, keepdims=True)
     return np.divide(aimed, length, out=np.full_like(aimed, np.nan), where=length > 0)
 
@@ -230,8 +229,7 @@ def body_joints(positions: Float[np.ndarray, "n 21 3"], mapping: Sequence[str]) 
         mapping: Source of each of the 22 joints: a link (``torso``), the mean of some (``pelvis+torso``), or a
             weighted sum (``0.63 pelvis + 0.37 torso``).
     """
-    weights = np.stack([_weights(entry) for entry in mapping])
-    return np.einsum("jl,nlk->njk", weights, positions)
+    return np.einsum("jl,nlk->njk", np.stack([_weights(entry) for entry in mapping]), positions)
 
 
 def _weights(entry: str) -> Float[np.ndarray, "21"]:

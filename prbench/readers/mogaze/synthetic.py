@@ -120,8 +120,7 @@ def _tipped(frames: Rotation, axis: str, towards: Float[np.ndarray, "n 3"]) -> R
     wanted = towards / np.linalg.norm(towards, axis=1, keepdims=True)
     about = np.cross(present, wanted)
     sine = np.linalg.norm(about, axis=1, keepdims=True)
-    cosine = np.einsum("ni,ni->n", present, wanted)[:, None]
-    angle = np.arctan2(sine, cosine)
+    angle = np.arctan2(sine, np.einsum("ni,ni->n", present, wanted)[:, None])
     return Rotation.from_rotvec(about * np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-12)) * frames
 
 
@@ -242,11 +241,10 @@ def _sense_object(sensing: sensors.Sensing, motion: ObjectMotion, name: str, tim
     low, high, upright_from_body = _shape(motion, name)
     track = performance.times[: len(motion.position)]
     turned = Rotation.from_quat(_turned(performance, motion.rotation, times), scalar_first=True) * upright_from_body
-    origin = interpolate(track, motion.position, times) - turned.apply((low + high) / 2)
     position, rotation = sensors.tracked(
         sensing,
         motion.object_id,
-        _TO_NATIVE.apply(origin),
+        _TO_NATIVE.apply(interpolate(track, motion.position, times) - turned.apply((low + high) / 2)),
         _TO_NATIVE * turned,
         size=_OBJECT_NOISE,
         scale=sensing.strength("object_noise") if motion.movable else 0.0,
@@ -338,8 +336,7 @@ def write(readings: mogaze.MogazeReadings, root: Path) -> None:
 
 def box_mesh(low: Size, high: Size) -> str:
     """Return a box of twelve triangles as Wavefront OBJ; its numbers survive the text bit for bit."""
-    corners = np.where(_CORNERS, high, low).tolist()
-    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners]
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in np.where(_CORNERS, high, low).tolist()]
     return "\n".join([*lines, *(f"f {a + 1} {b + 1} {c + 1}" for a, b, c in _FACES), ""])
 
 

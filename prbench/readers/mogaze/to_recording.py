@@ -100,8 +100,7 @@ def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *
 
 def seen(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, " n"]:
     """Return True for frames in which a body was tracked: finite, with a quaternion of about unit length."""
-    length = np.linalg.norm(rotation, axis=1)
-    return np.isfinite(position).all(axis=1) & (np.abs(length - 1) < _UNIT_TOLERANCE)
+    return np.isfinite(position).all(axis=1) & (np.abs(np.linalg.norm(rotation, axis=1) - 1) < _UNIT_TOLERANCE)
 
 
 def _gaze(
@@ -127,11 +126,9 @@ def _gaze(
     frames = np.arange(len(measured))
     last = np.maximum.accumulate(np.where(measured, frames, -1))
     source = np.maximum(last, 0)
-    longest = int(manifest.thresholds["gaze_hold"] * mogaze.RATE + _ROUNDING)
-    recent = (last >= 0) & (frames - last <= longest)
+    recent = (last >= 0) & (frames - last <= int(manifest.thresholds["gaze_hold"] * mogaze.RATE + _ROUNDING))
     usable = measured[source]
-    held = native[source] @ _TO_WORLD.T
-    return np.where(usable[:, None], held, (0.0, 0.0, 1.0)), recent & tracked, bool(in_metres)
+    return np.where(usable[:, None], native[source] @ _TO_WORLD.T, (0.0, 0.0, 1.0)), recent & tracked, bool(in_metres)
 
 
 def _track(
@@ -234,8 +231,7 @@ def annotated_events(
             centre = (low[0] + high[0]) / 2
             hand, source = streams.reaching_hand(streams.wrists_at((), body, frame / RATE), centre)
             about = (f"{number}/{action}", action, track.object_id, track.name, frame / RATE)
-            event = streams.AnnotatedEvent(*about, centre, low[0], high[0], hand, hand_source=source)
-            events.append(event)
+            events.append(streams.AnnotatedEvent(*about, centre, low[0], high[0], hand, hand_source=source))
     return tuple(events), tuple(remarks), unusable
 
 
