@@ -183,8 +183,6 @@ class _SkeletonFile(msgspec.Struct):
     frames: list[msgspec.Raw]
 
 
-_INSTANCE = msgspec.json.Decoder(_Instance)
-_ASSOCIATION = msgspec.json.Decoder(_Association)
 _FRAME = msgspec.json.Decoder(_Frame)
 _WIDTH = 3 * adt.N_NATIVE_JOINTS
 _NUMBERS = re.compile(rb"[-+.,0-9eEnul]*")  # null stands for NaN
@@ -203,7 +201,10 @@ def read_objects(
     """
     expected = "an object with its instance_id, names, category, motion_type and instance_type"
     entries, unreadable = native.read_entries(
-        instances_path, native.decode_json(instances_path, dict[str, msgspec.Raw]), _INSTANCE.decode, expected
+        instances_path,
+        native.decode_json(instances_path, dict[str, msgspec.Raw]),
+        msgspec.json.Decoder(_Instance).decode,
+        expected,
     )
     instances: dict[int, _Instance] = {}
     for key, instance in entries.items():
@@ -293,7 +294,7 @@ def associated_people(found: RecordingFiles) -> tuple[list[tuple[_Association, P
     listed = enumerate(native.decode_json(association, _Associations).people)
     entries = {f"SkeletonMetadata[{number}]": raw for number, raw in listed}
     expected = "a person with AssociatedDeviceSerial, SkeletonId and SkeletonName"
-    people, unreadable = native.read_entries(association, entries, _ASSOCIATION.decode, expected)
+    people, unreadable = native.read_entries(association, entries, msgspec.json.Decoder(_Association).decode, expected)
     named = [person for person in people.values() if person.name != adt.NOBODY]
     paths = [found.require(f"{SKELETON_PREFIX}{person.name}", f"{person.name}.json") for person in named]
     return list(zip(named, paths, strict=True)), unreadable
@@ -340,20 +341,10 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
     if options.poses == "egoallo":
         # The glasses' central pupil frame, which EgoAllo's outputs refer to.
         body = read_bodies(found, cpf=part_poses(turned_to_z_up(trajectory), mps.device_from_cpf(size or ASSUMED_SIZE)))
-    return adt.AdtReadings(
-        recording_id=found.recording_id,
-        serial=metadata.serial or "",
-        concurrent="" if concurrent.upper() == adt.NOBODY else concurrent,
-        glasses_size=size,
-        device_from_rgb=device_from_rgb,
-        glasses=trajectory,
-        gaze=read_gaze(found.require(GAZE, adt.GAZE_FILE)),
-        objects=objects,
-        skeletons=skeletons,
-        estimated_body=body,
-        messages=(*remarks, *trajectory.remarks),
-        unreadable=(*unreadable, *odd),
-    )
+    names = (found.recording_id, metadata.serial or "", "" if concurrent.upper() == adt.NOBODY else concurrent)
+    gaze = read_gaze(found.require(GAZE, adt.GAZE_FILE))
+    told = ((*remarks, *trajectory.remarks), (*unreadable, *odd))
+    return adt.AdtReadings(*names, size, device_from_rgb, trajectory, gaze, objects, skeletons, body, *told)
 
 
 def read_gaze(path: Path) -> mps.GazeAngles:

@@ -166,20 +166,12 @@ def _sense_objects(
         quaternion = rotation.as_quat(canonical=True, scalar_first=True)
         height = 2 * motion.half_extents[1]
         x, _, z = motion.half_extents
-        objects.append(
-            adt.AdtObject(
-                object_id=native_object_id(motion.object_id),
-                name=motion.name,
-                prototype=re.sub(r"_\d+$", "", motion.name),
-                category="door" if motion.hinged else motion.category,
-                dynamic=motion.movable,
-                box_min=np.round(np.array([-x, 0.0, -z]), _METRES),
-                box_max=np.round(np.array([x, height, z]), _METRES),
-                time_ns=time_ns[seen] if motion.movable else np.array([adt.STATIC_TIME]),
-                position=np.round(position, _METRES)[seen],
-                rotation=np.round(quaternion, _QUATERNION)[seen],
-            )
-        )
+        category = "door" if motion.hinged else motion.category
+        names = (native_object_id(motion.object_id), motion.name, re.sub(r"_\d+$", "", motion.name), category)
+        box = (np.round(np.array([-x, 0.0, -z]), _METRES), np.round(np.array([x, height, z]), _METRES))
+        stamps = time_ns[seen] if motion.movable else np.array([adt.STATIC_TIME])
+        pose = (stamps, np.round(position, _METRES)[seen], np.round(quaternion, _QUATERNION)[seen])
+        objects.append(adt.AdtObject(*names, motion.movable, *box, *pose))
     return tuple(sorted(objects, key=lambda entry: entry.object_id))
 
 
@@ -216,14 +208,10 @@ def _sense_suit(
     native[bad, rng.integers(adt.N_NATIVE_JOINTS, size=len(times))[bad]] += (0.0, _THROW, 0.0)
     native[bad[::2]] = 0.0  # every other bad frame is lost as a whole: the suit writes zeros
     markers[rng.random(markers.shape[:2]) < _MARKER_LOSS * scale] = 0.0
-    return adt.AdtSkeleton(
-        name=f"Skeleton_{participant_id}",
-        skeleton_id=native_object_id(f"skeleton {participant_id}"),
-        serial=_glasses_serial(performance, number),
-        time_ns=device_start_us(performance) * 1000 + np.rint((times - performance.times[0]) * 1e9).astype(np.int64),
-        joints=np.round(native, _METRES),
-        markers=np.round(markers, _METRES),
-    )
+    time_ns = device_start_us(performance) * 1000 + np.rint((times - performance.times[0]) * 1e9).astype(np.int64)
+    names = (f"Skeleton_{participant_id}", native_object_id(f"skeleton {participant_id}"))
+    points = (np.round(native, _METRES), np.round(markers, _METRES))
+    return adt.AdtSkeleton(*names, _glasses_serial(performance, number), time_ns, *points)
 
 
 def suit_joints(joints: Joints, finger_bases: FingerBases) -> SuitJoints:

@@ -114,25 +114,17 @@ def sense_mps(
     gaze_times = performance.times[0] + gaze_since_start / 1e6
     depth = sensing.generator("mps-gaze-depth").uniform(*_DEPTH, len(gaze_times))
     gaze = gaze_rows(sensing, gaze_times, start_us + gaze_since_start, depth, gaze_kind)
-    readings = mps.MpsReadings(
-        trajectory=mps.AriaTrajectory(
-            time_us=start_us + since_start,
-            position=np.round(position + shift, _METRES),
-            rotation=np.round(turned.as_quat(canonical=True, scalar_first=True), _QUATERNION),
-            quality=np.where(np.arange(n) < _STARTING_ROWS, _STARTING_QUALITY, 1.0),
-            up=-np.array(GRAVITY) / np.linalg.norm(GRAVITY),
-            graph_uids=(graph_uid(performance),),
-            left_out=0,
-        ),
-        # The files hold the yaws of two equal eyes: combining them costs the last bit.
-        gaze=replace(
-            gaze, yaw=mps.combined_yaw(gaze.yaw, gaze.yaw), yaw_range=mps.combined_yaw(gaze.yaw_range, gaze.yaw_range)
-        ),
-        gaze_kind=gaze_kind,
-        wrists=_sense_hands(sensing, start_us) if hands else None,
-        glasses_size=GLASSES_SIZE,
-        device_from_rgb=device_from_rgb(),
-    )
+    position = np.round(position + shift, _METRES)
+    quaternion = np.round(turned.as_quat(canonical=True, scalar_first=True), _QUATERNION)
+    quality = np.where(np.arange(n) < _STARTING_ROWS, _STARTING_QUALITY, 1.0)
+    up = -np.array(GRAVITY) / np.linalg.norm(GRAVITY)
+    world = (up, (graph_uid(performance),))
+    trajectory = mps.AriaTrajectory(start_us + since_start, position, quaternion, quality, *world)
+    # The files hold the yaws of two equal eyes: combining them costs the last bit.
+    yaw_range = mps.combined_yaw(gaze.yaw_range, gaze.yaw_range)
+    gaze = replace(gaze, yaw=mps.combined_yaw(gaze.yaw, gaze.yaw), yaw_range=yaw_range)
+    wrists = _sense_hands(sensing, start_us) if hands else None
+    readings = mps.MpsReadings(trajectory, gaze, gaze_kind, wrists, GLASSES_SIZE, device_from_rgb())
     spans = [(start_us + round(begin * 1e6), start_us + round(end * 1e6)) for begin, end in slam_gaps]
     return with_slam_gaps(readings, spans)
 
@@ -218,14 +210,12 @@ def _sense_hands(sensing: Sensing, start_us: int) -> mps.WristPositions:
     confidence = np.round(np.clip(1.0 - scale * (0.5 * angle**4 + doubt), 0.01, 1.0), _METRES)
     confidence = np.where((angle > 1.0) & (scale > 0), -1.0, confidence)
     seen = (confidence > 0)[..., None]
-    sensed = (np.round(_in_device(sensing, times, part + error), _METRES) for part in (wrist, palm))
-    return mps.WristPositions(start_us + since_start, confidence, *(np.where(seen, part, np.nan) for part in sensed))
-
-
-def _in_device(sensing: Sensing, times: Numbers, points: EyePoints) -> EyePoints:
-    """Return points of the performance's world in the true device frame."""
+    # Points of the performance's world in the true device frame.
     position, rotation = _native_poses(sensing, times)
-    return np.einsum("nji,nhj->nhi", rotation.as_matrix(), points @ Y_UP_FROM_Z_UP[:3, :3] - position[:, None])
+    axes = rotation.as_matrix()
+    local = ((part + error) @ Y_UP_FROM_Z_UP[:3, :3] - position[:, None] for part in (wrist, palm))
+    sensed = (np.round(np.einsum("nji,nhj->nhi", axes, points), _METRES) for points in local)
+    return mps.WristPositions(start_us + since_start, confidence, *(np.where(seen, part, np.nan) for part in sensed))
 
 
 def _steps(performance: Performance, first_us: int, rate: int) -> Microseconds:

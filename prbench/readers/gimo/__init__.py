@@ -24,6 +24,7 @@ class GimoReader:
     dataset: str = "gimo"
     options: GimoOptions = GimoOptions()  # noqa: RUF009 (frozen)
     extents = staticmethod(extents)
+    annotation_columns = gimo.CANDIDATE_COLUMNS
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
@@ -57,27 +58,13 @@ class GimoReader:
         """See :class:`prbench.readers.NamesFurtherFiles`."""
         open_route(found, self.options)
 
-    @property
-    def annotation_columns(self) -> tuple[str, ...]:
-        """See :class:`prbench.readers.AnnotatedByHand`."""
-        return gimo.CANDIDATE_COLUMNS
-
     def annotation_line(self, found: RecordingFiles) -> AnnotationLine:
         """See :class:`prbench.readers.AnnotatedByHand`."""
         segment = row_of(found)[0].segment
-        return AnnotationLine(
-            recording_id=segment.name,
-            cells={
-                "scene": segment.scene,
-                "sequence_path": segment.sequence,
-                "start_frame": segment.start_frame,
-                "end_frame": segment.end_frame,
-                "activity": segment.activity,
-                gimo.CONFIRMED_COLUMN: "",
-            },
-            frame_rate=gimo.FRAME_RATE,
-            hint=None if segment.hint is None else segment.hint / gimo.FRAME_RATE,
-        )
+        cells = {"scene": segment.scene, "sequence_path": segment.sequence, "start_frame": segment.start_frame}
+        cells |= {"end_frame": segment.end_frame, "activity": segment.activity, gimo.CONFIRMED_COLUMN: ""}
+        hint = None if segment.hint is None else segment.hint / gimo.FRAME_RATE
+        return AnnotationLine(segment.name, cells, gimo.FRAME_RATE, hint)
 
 
 READER = GimoReader()

@@ -86,16 +86,11 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     start = first_frame(performance)
     known = [event_frame(performance, event) for event in picks(performance)]
     train = gimo.TRAIN_LATER if performance.index % 3 == 2 else gimo.TRAIN
-    segment = gimo.Segment(
-        scene=performance.room_id,
-        sequence=performance.recording_id,
-        start_frame=start,
-        end_frame=start + int((performance.duration + 1e-9) * gimo.FRAME_RATE),
-        transformation=_TRANSFORMATION,
-        training=gimo.TEST if performance.split == "test" else train,
-        activity=_ACTIVITY,
-        hint=known[0] if known and performance.index % 2 else None,
-    )
+    training = gimo.TEST if performance.split == "test" else train
+    hint = known[0] if known and performance.index % 2 else None
+    ends = (start, start + int((performance.duration + 1e-9) * gimo.FRAME_RATE))
+    names = (performance.room_id, performance.recording_id)
+    segment = gimo.Segment(*names, *ends, _TRANSFORMATION, training, _ACTIVITY, hint)
     # Draw how suit and scan lie in the room. The scan, with its scale, belongs to the room: others share it.
     seed = (performance.seed, performance.preset, performance.world)
     room = named_generator("prbench-synth", GENERATOR_VERSION, *seed, "room", performance.room_id, "scan")
@@ -121,18 +116,11 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     points = looked_at(sensing.performance, sensing.eye(times), directions)
     lost = sensing.generator("gaze-losses").random(len(times)) < _GAZE_LOSS * sensing.strength("gaze_losses")
     scan_from_room = np.linalg.inv(transform.room_from_scan())
-    return gimo.GimoReadings(
-        recording_id=performance.recording_id,
-        segment=segment,
-        transform=transform,
-        body=gimo.LocalSkeleton(
-            _sense_skeleton(sensing, body_from_room), _sense_poses(sensing, segment.frames, times, body_from_room)
-        ),
-        gaze=gimo.GazePoints(segment.frames[~lost], transform_points(scan_from_room, points)[~lost]),
-        events=tuple(
-            gimo.EventFrame(frame, event.hand) for frame, event in zip(known, picks(performance), strict=True)
-        ),
-    )
+    poses = _sense_poses(sensing, segment.frames, times, body_from_room)
+    body = gimo.LocalSkeleton(_sense_skeleton(sensing, body_from_room), poses)
+    seen = gimo.GazePoints(segment.frames[~lost], transform_points(scan_from_room, points)[~lost])
+    events = tuple(gimo.EventFrame(frame, event.hand) for frame, event in zip(known, picks(performance), strict=True))
+    return gimo.GimoReadings(performance.recording_id, segment, transform, body, seen, events)
 
 
 def first_frame(performance: Performance) -> int:
@@ -192,12 +180,9 @@ def _sense_poses(sensing: Sensing, frames: np.ndarray, times: np.ndarray, body_f
     pelvis = pelvis + noise * sensing.strength("body_noise")
     turned = slerp(performance.times, performance.rotations[:, Joint.PELVIS], times)
     orient = Rotation.from_matrix(body_from_room[:3, :3]) * Rotation.from_quat(turned, scalar_first=True)
-    return gimo.SmplxPoses(
-        frames=frames,
-        orient=orient.as_rotvec().astype(np.float32),
-        trans=(pelvis - np.array(gimo.REST_PELVIS)).astype(np.float32),
-        latent=np.zeros((len(times), gimo.N_LATENT), dtype=np.float32),
-    )
+    trans = (pelvis - np.array(gimo.REST_PELVIS)).astype(np.float32)
+    latent = np.zeros((len(times), gimo.N_LATENT), dtype=np.float32)
+    return gimo.SmplxPoses(frames, orient.as_rotvec().astype(np.float32), trans, latent)
 
 
 def _sense_skeleton(sensing: Sensing, body_from_room: Transform) -> BvhMotion:

@@ -134,20 +134,10 @@ def _events(
             remarks.append(f"hand of frame {event.frame} not annotated: the {hand} one moves more before it")
         if event.source == "hint":
             remarks.append(f"event frame {event.frame} is the table's hint, nobody has confirmed it")
-        events.append(
-            streams.AnnotatedEvent(
-                native_key=str(event.frame),
-                action="pick",
-                object_id=gimo.OBJECT_ID,
-                object_name=readings.segment.activity or gimo.OBJECT_ID,
-                event_time=event.frame / gimo.FRAME_RATE,
-                location=place,
-                box_min=place,
-                box_max=place,
-                hand=hand,
-                hand_source="annotated" if event.hand is not None else "movement",
-            )
-        )
+        names = (gimo.OBJECT_ID, readings.segment.activity or gimo.OBJECT_ID)
+        places = (event.frame / gimo.FRAME_RATE, place, place, place)
+        source = "annotated" if event.hand is not None else "movement"
+        events.append(streams.AnnotatedEvent(str(event.frame), "pick", *names, *places, hand, None, source))
     return tuple(events), remarks
 
 

@@ -67,10 +67,6 @@ class _Log(msgspec.Struct):
 
 
 _ENTRIES = msgspec.json.Decoder(dict[str, msgspec.Raw])
-_TRACK = msgspec.json.Decoder(_Track)
-_ASSOCIATION = msgspec.json.Decoder(_Association)
-_MASK = msgspec.json.Decoder(_Mask)
-_SIDE = msgspec.json.Decoder(_Side)
 
 
 def annotated_videos(associations: Path) -> tuple[str, ...]:
@@ -124,13 +120,15 @@ def read_tracks(associations: Path, masks: Path | None, video: str) -> Movements
     unreadable += odd
     shown = {}
     if masks is not None:
-        forms, odd = read_entries(masks, listed or {}, _MASK.decode, "a mask with frame_number and 3d_location")
+        forms, odd = read_entries(
+            masks, listed or {}, msgspec.json.Decoder(_Mask).decode, "a mask with frame_number and 3d_location"
+        )
         unreadable += odd
         shown = {
             key: hd_epic.ObjectMask(key, int(mask.frame_number), _point(mask.location)) for key, mask in forms.items()
         }
     expected = "an object with its name and its list of tracks"
-    named, odd = read_entries(associations, objects, _ASSOCIATION.decode, expected)
+    named, odd = read_entries(associations, objects, msgspec.json.Decoder(_Association).decode, expected)
     unreadable += odd
     tracks = []
     n_masks = 0
@@ -138,7 +136,7 @@ def read_tracks(associations: Path, masks: Path | None, video: str) -> Movements
     for key, association in named.items():
         entries = {f"{key}/tracks[{number}]": raw for number, raw in enumerate(association.tracks)}
         expected = "a track with track_id, time_segment [start, end] in seconds and masks"
-        movements, odd = read_entries(associations, entries, _TRACK.decode, expected)
+        movements, odd = read_entries(associations, entries, msgspec.json.Decoder(_Track).decode, expected)
         unreadable += odd
         name = association.name if isinstance(association.name, str) and association.name.strip() else key
         used: set[str] = set()
@@ -213,7 +211,7 @@ def read_priming(path: Path, video: str) -> tuple[tuple[hd_epic.PublishedSide, .
         if name in ("start", "end") and not _is_empty(raw)
     }
     expected = "frame, 3d_location and prime_stats with frame_primed"
-    readable, odd_sides = read_entries(path, sides, _SIDE.decode, expected)
+    readable, odd_sides = read_entries(path, sides, msgspec.json.Decoder(_Side).decode, expected)
     published = (
         hd_epic.PublishedSide(
             key, key.endswith("/start"), int(side.frame), _point(side.location), int(side.prime_stats.frame_primed)

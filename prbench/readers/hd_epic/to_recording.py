@@ -133,21 +133,10 @@ def annotated_events(
         if side.mask is not None and side.mask.location is not None:
             location = transform_points(Y_UP_FROM_Z_UP, side.mask.location)
             hand, source = recorded.reaching_hand(recorded.wrists_at(wrists, body, time), location)
-        events.append(
-            recorded.AnnotatedEvent(
-                native_key=f"{side.track.object_id}/{side.track.track_id}/{'start' if side.is_start else 'end'}",
-                action="pick" if side.is_start else "put",
-                object_id=side.track.object_id,
-                object_name=side.track.name,
-                event_time=time,
-                location=location,
-                box_min=None,
-                box_max=None,
-                hand=hand,
-                hand_source=source,
-                published_priming=priming,
-            )
-        )
+        track = side.track
+        key = f"{track.object_id}/{track.track_id}/{'start' if side.is_start else 'end'}"
+        about = (key, "pick" if side.is_start else "put", track.object_id, track.name, time, location)
+        events.append(recorded.AnnotatedEvent(*about, None, None, hand, priming, source))
     events.sort(key=lambda event: (event.event_time, event.native_key))
     counts = Counter(side.unplaced for side in sides if side.unplaced)
     unplaced = ()

@@ -181,9 +181,6 @@ class _Instance(msgspec.Struct):
     instance_type: str
 
 
-_INSTANCE = msgspec.json.Decoder(_Instance)
-
-
 def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], tuple[str, ...], list[UnreadableEntry]]:
     """Read all objects that a recording tracks, by uid, remarks, and entries of the names that cannot be read.
 
@@ -197,7 +194,7 @@ def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], 
     names = found.require(INSTANCES, f"../assets/{hot3d.INSTANCES_FILE}")
     expected = "an object with instance_name and instance_type"
     instances, unreadable = native.read_entries(
-        names, native.decode_json(names, dict[str, msgspec.Raw]), _INSTANCE.decode, expected
+        names, native.decode_json(names, dict[str, msgspec.Raw]), msgspec.json.Decoder(_Instance).decode, expected
     )
     held = [uid for uid in sorted(rows) if uid not in instances or instances[uid].instance_type == hot3d.LIBRARY_OBJECT]
     if not held:
@@ -267,19 +264,10 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
     remedy = "This trajectory belongs to another dataset; download the recording's own."
     require_up(found.folder / hot3d.MPS_FOLDER, mps.trajectory, (0.0, 0.0, 1.0), within=1e-3, remedy=remedy)
     body = read_bodies(found, cpf=mps_streams(mps, world_from_source=np.eye(4)).head)
-    return hot3d.Hot3dReadings(
-        recording_id=found.recording_id,
-        participant_id=metadata.participant_id,
-        headset=next(iter(headsets.values())),
-        objects=objects,
-        hands=hands,
-        hand_model=None if profile is None else read_profile(profile),
-        masks=masks,
-        mps=mps,
-        body=body,
-        messages=(*remarks, *(() if body is not None else (NO_OUTPUTS,))),
-        unreadable=(*unreadable, *odd_hands),
-    )
+    known = (found.recording_id, metadata.participant_id, next(iter(headsets.values())), objects, hands)
+    model = None if profile is None else read_profile(profile)
+    messages = (*remarks, *(() if body is not None else (NO_OUTPUTS,)))
+    return hot3d.Hot3dReadings(*known, model, masks, mps, body, (), messages, (*unreadable, *odd_hands))
 
 
 def read_mask(path: Path) -> tuple[hot3d.Mask, list[UnreadableEntry]]:

@@ -53,10 +53,6 @@ class _UmeTrackLine(msgspec.Struct):
     hand_poses: dict[str, msgspec.Raw]
 
 
-_UMETRACK_LINE = msgspec.json.Decoder(_UmeTrackLine)
-_UMETRACK_HAND = msgspec.json.Decoder(_UmeTrackHand)
-
-
 class _Model(msgspec.Struct):
     mesh_vertices: list[tuple[float, float, float]]
     dense_bone_weights: list[list[float]]
@@ -129,7 +125,9 @@ def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], list[Unreadab
     with native.must_exist(path), open_regular(path) as file:
         numbered = enumerate(whole_lines(file, path), start=1)
         entries = {f"line {number}": line for number, line in numbered if line.strip()}
-    lines, odd = native.read_entries(path, entries, _UMETRACK_LINE.decode, "timestamp_ns and hand_poses")
+    lines, odd = native.read_entries(
+        path, entries, msgspec.json.Decoder(_UmeTrackLine).decode, "timestamp_ns and hand_poses"
+    )
     unreadable = native.told_together(odd)
     expected = "hand poses, one JSON object a line"
     remedy = "metadata.json says that this ground truth is there; download the recording again."
@@ -142,7 +140,7 @@ def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], list[Unreadab
             f"{place}, {side} hand": line.hand_poses[key] for place, line in lines.items() if key in line.hand_poses
         }
         expected = f"finite numbers, {N_ANGLES} joint angles and a quaternion of length 1"
-        poses, odd = native.read_entries(path, seen, _UMETRACK_HAND.decode, expected)
+        poses, odd = native.read_entries(path, seen, msgspec.json.Decoder(_UmeTrackHand).decode, expected)
         unreadable += native.told_together(odd)
         time_ns = np.array([lines[place.partition(",")[0]].timestamp_ns for place in poses], dtype=np.int64)
         wrists = [pose.wrist_xform for pose in poses.values()]
@@ -183,9 +181,6 @@ def read_profile(path: Path) -> hot3d.HandModel:
         # Points far from any hand are refused; weights and axes are far smaller.
         if not (np.abs(np.array(found)) * METRES_A_UNIT <= _FARTHEST).all():
             raise InputFileError(path, name, expected=f"points within {_FARTHEST:g} m of the wrist", found="others")
-    return hot3d.HandModel(
-        vertices=np.array(model.mesh_vertices) * METRES_A_UNIT,
-        weights=np.array(model.dense_bone_weights, dtype=np.float64),
-        joint_positions=np.array(model.joint_rest_positions) * METRES_A_UNIT,
-        joint_axes=np.array(model.joint_rotation_axes),
-    )
+    placed, joints = (np.array(points) * METRES_A_UNIT for points in (model.mesh_vertices, model.joint_rest_positions))
+    shares = np.array(model.dense_bone_weights, dtype=np.float64)
+    return hot3d.HandModel(placed, shares, joints, np.array(model.joint_rotation_axes))

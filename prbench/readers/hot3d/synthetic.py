@@ -104,15 +104,9 @@ def synthetic_hand(length: float) -> HandModel:
         np.round(shares * length / umetrack.METRES_A_UNIT, _DECIMALS) * umetrack.METRES_A_UNIT
         for shares in (vertices, joints, landmarks)
     )
-    return HandModel(
-        vertices=placed,
-        weights=np.concatenate(weights),
-        joint_positions=rest,
-        joint_axes=np.array([*_THUMB_AXES, *_FINGER_AXES * 4, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]),
-        landmarks=marks,
-        landmark_weights=one_hot[[*fixed, _WRIST]],
-        triangles=np.concatenate([corners + np.array(face) for face in ((0, 1, 2), (0, 2, 3))]),
-    )
+    axes = np.array([*_THUMB_AXES, *_FINGER_AXES * 4, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+    triangles = np.concatenate([corners + np.array(face) for face in ((0, 1, 2), (0, 2, 3))])
+    return HandModel(placed, np.concatenate(weights), rest, axes, marks, one_hot[[*fixed, _WRIST]], triangles)
 
 
 def wrist_rotation(segment: Rotation, side: int) -> Rotation:
@@ -193,18 +187,12 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     if sensing.performance.index % 2 == 0:
         passed = good if not _has_wrong_start(sensing) else rgb - rgb[0] >= round(_WRONG_START * 1e9)
         masks["qa_pass"] = rgb, passed
-    return hot3d.Hot3dReadings(
-        recording_id=performance.recording_id,
-        participant_id=performance.person.participant_id,
-        headset=hot3d.PoseRows(time_ns, trajectory.position[row], trajectory.rotation[row]),
-        objects=_sense_objects(sensing, times, time_ns),
-        hands=hands,
-        hand_model=synthetic_hand(hand_length),
-        masks=masks,
-        mps=mps,
-        body=body_from_outputs(outputs, egoallo.synthetic_smplh()),
-        egoallo_outputs=outputs,
-    )
+    identity = (performance.recording_id, performance.person.participant_id)
+    headset = hot3d.PoseRows(time_ns, trajectory.position[row], trajectory.rotation[row])
+    objects = _sense_objects(sensing, times, time_ns)
+    body = body_from_outputs(outputs, egoallo.synthetic_smplh())
+    model = synthetic_hand(hand_length)
+    return hot3d.Hot3dReadings(*identity, headset, objects, hands, model, masks, mps, body, outputs)
 
 
 def clock_start(performance: Performance) -> float:
@@ -250,14 +238,9 @@ def _sense_objects(sensing: Sensing, times: Times, time_ns: Nanoseconds) -> tupl
         gaps = within(times, np.column_stack([starts, starts + rng.uniform(*_GAP_LENGTH, count)]))
         seen = ~(untracked(performance, motion, times) | gaps)
         uid = native_object_id(motion.object_id)
-        objects.append(
-            hot3d.Hot3dObject(
-                object_id=uid,
-                name=f"{motion.name}_{uid[-4:]}",  # the library finds uids by name, too
-                rows=_native_rows(time_ns, position, rotation, seen),
-                mesh=box_mesh(motion.half_extents),
-            )
-        )
+        name = f"{motion.name}_{uid[-4:]}"  # the library finds uids by name, too
+        rows = _native_rows(time_ns, position, rotation, seen)
+        objects.append(hot3d.Hot3dObject(uid, name, rows, box_mesh(motion.half_extents)))
     return tuple(sorted(objects, key=lambda entry: entry.object_id))
 
 
@@ -494,14 +477,7 @@ def _events(performance: Performance) -> tuple[TrueEvent, ...]:
     )
 
 
+_GAZE_BIAS = GAZE_BIAS["personalized"]
 LAYOUT = Layout(
-    dataset="hot3d",
-    sense=sense,
-    to_recording=recording_from_hot3d,
-    write=_write_below,
-    finish=_finish,
-    events=_events,
-    clock_start=clock_start,
-    object_id=native_object_id,
-    gaze_bias=GAZE_BIAS["personalized"],
+    "hot3d", sense, recording_from_hot3d, _write_below, _events, clock_start, native_object_id, _GAZE_BIAS, _finish
 )

@@ -339,16 +339,9 @@ def object_track(
     # An invalid sample in the middle of a gap keeps everybody from interpolating across it.
     gaps = np.flatnonzero(np.diff(times) > longest_gap)
     vertices = np.zeros((1, 3)) if entry.mesh is None else entry.mesh[0]
-    return ObjectTrack(
-        object_id=entry.object_id,
-        name=entry.name,
-        category=entry.name,
-        times=np.insert(times, gaps + 1, (times[gaps] + times[gaps + 1]) / 2 if len(gaps) else []),
-        position=np.insert(position, gaps + 1, position[gaps], axis=0),
-        rotation=np.insert(rotation, gaps + 1, rotation[gaps], axis=0),
-        valid=np.insert(valid, gaps + 1, False),
-        box_min=vertices.min(axis=0),
-        box_max=vertices.max(axis=0),
-        movable=True,
-        surface=entry.mesh if meshes else None,
-    )
+    times = np.insert(times, gaps + 1, (times[gaps] + times[gaps + 1]) / 2 if len(gaps) else [])
+    position, rotation = (np.insert(rows, gaps + 1, rows[gaps], axis=0) for rows in (position, rotation))
+    poses = (times, position, rotation, np.insert(valid, gaps + 1, False))
+    box = (vertices.min(axis=0), vertices.max(axis=0))
+    surface = entry.mesh if meshes else None
+    return ObjectTrack(entry.object_id, entry.name, entry.name, *poses, *box, movable=True, surface=surface)

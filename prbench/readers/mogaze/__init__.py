@@ -34,6 +34,7 @@ class MogazeReader:
     dataset: str = "mogaze"
     options: MogazeOptions = MogazeOptions()  # noqa: RUF009 (frozen)
     extents = staticmethod(extents)
+    native_joints = "mogaze21"
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
@@ -44,11 +45,6 @@ class MogazeReader:
     def read(self, found: RecordingFiles) -> Recording:
         """See :class:`prbench.readers.Reader`."""
         return self._read(found)[1]
-
-    @property
-    def native_joints(self) -> str:
-        """See :class:`prbench.readers.PublishedForPrediction`."""
-        return "mogaze21"
 
     @foreign_input()
     def read_published(self, found: RecordingFiles, *, native: bool) -> tuple[Recording, tuple[PublishedTrack, ...]]:

@@ -351,19 +351,11 @@ def read_readings(found: RecordingFiles, manifest: Manifest) -> mogaze.MogazeRea
         messages.append(f"cut to {n} frames of {short}; {long} has {lengths[long]}")
     segments, odd_segments = _read_segments(segmentations)
     match = _PARTICIPANT.fullmatch(found.recording_id)
-    return mogaze.MogazeReadings(
-        recording_id=found.recording_id,
-        participant_id=match[1] if match else participant or found.recording_id,
-        state=state[:n],
-        fixed=fixed,
-        bodies=tuple(_body(key, poses[key][:n], *body, manifest) for key, body in sorted(bodies.items())),
-        gaze_points=gaze_rows[:n, mogaze.GAZE_POINT],
-        gaze_confidence=gaze_rows[:n, -1],
-        calibration=calibration,
-        segments=segments,
-        messages=tuple(messages),
-        unreadable=(*unreadable, *odd_bodies, *odd_segments),
-    )
+    names = (found.recording_id, match[1] if match else participant or found.recording_id)
+    placed = tuple(_body(key, poses[key][:n], *body, manifest) for key, body in sorted(bodies.items()))
+    sensed = (gaze_rows[:n, mogaze.GAZE_POINT], gaze_rows[:n, -1], calibration)
+    told = (tuple(messages), (*unreadable, *odd_bodies, *odd_segments))
+    return mogaze.MogazeReadings(*names, state[:n], fixed, placed, *sensed, segments, *told)
 
 
 def _read_poses(path: Path) -> tuple[dict[int, Float[np.ndarray, "n 7"]], list[UnreadableEntry]]:
@@ -392,9 +384,7 @@ def _body(
         box_max = vertices.max(axis=0)
     else:
         box_min, box_max = np.array(manifest.object_extents.get(mogaze.kind_of_body(name), ((0.0, 0.0),) * 3)).T
-    return mogaze.MogazeBody(
-        body_id=key, name=name, position=rows[:, :3], rotation=rows[:, 3:], box_min=box_min, box_max=box_max
-    )
+    return mogaze.MogazeBody(key, name, rows[:, :3], rows[:, 3:], box_min, box_max)
 
 
 def _read_segments(path: Path) -> tuple[tuple[mogaze.Segment, ...], list[UnreadableEntry]]:

@@ -196,17 +196,10 @@ def sense(
         free_from = end + int(rng.integers(2))
     if free_from < n_frames - 1:
         segments.append(mogaze.Segment(free_from, n_frames - 1, mogaze.NULL_LABEL))
-    return mogaze.MogazeReadings(
-        recording_id=performance.recording_id,
-        participant_id=performance.person.participant_id,
-        state=state,
-        fixed=fixed,
-        bodies=tuple(sorted(bodies, key=lambda body: body.body_id)),
-        gaze_points=points,
-        gaze_confidence=confidence,
-        calibration=tracker.as_quat(canonical=True),
-        segments=tuple(segments),
-    )
+    identity = (performance.recording_id, performance.person.participant_id)
+    bodies.sort(key=lambda body: body.body_id)
+    sensed = (points, confidence, tracker.as_quat(canonical=True))
+    return mogaze.MogazeReadings(*identity, state, fixed, tuple(bodies), *sensed, tuple(segments))
 
 
 def events(performance: Performance) -> tuple[TrueEvent, ...]:
@@ -369,14 +362,7 @@ def _finish(root: Path) -> None:
     write_text(root / mogaze.SCENE_FILE, "\n".join([*lines, "</scene>", ""]))
 
 
+# The clock starts at 0 with the first frame, and objects keep their ids.
 LAYOUT = Layout(
-    dataset="mogaze",
-    sense=sense,
-    to_recording=recording_from_mogaze,
-    write=_write_below,
-    finish=_finish,
-    events=events,
-    clock_start=lambda _: 0.0,  # the first frame is time 0
-    object_id=lambda object_id: object_id,
-    gaze_bias=GAZE_BIAS,
+    "mogaze", sense, recording_from_mogaze, _write_below, events, lambda _: 0.0, str, GAZE_BIAS, finish=_finish
 )

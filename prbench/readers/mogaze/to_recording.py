@@ -138,18 +138,12 @@ def _track(
     # x y z w, as in the files; unseen rows, which hold no rotation, become the identity.
     native = Rotation.from_quat(np.where(valid[:, None], body.rotation, (0.0, 0.0, 0.0, 1.0)))
     rotation = (Rotation.from_matrix(_TO_WORLD) * native).as_quat(canonical=True, scalar_first=True)
-    return streams.ObjectTrack(
-        object_id=str(body.body_id),
-        name=body.name,
-        category=mogaze.kind_of_body(body.name),
-        times=times,
-        position=streams.hold_neighbours(transform_points(world_from_source, body.position), valid),
-        rotation=streams.hold_neighbours(rotation, valid) if valid.any() else rotation,
-        valid=valid,
-        box_min=body.box_min,
-        box_max=body.box_max,
-        movable=not mogaze.is_furniture(body.name),
-    )
+    rotation = streams.hold_neighbours(rotation, valid) if valid.any() else rotation
+    position = streams.hold_neighbours(transform_points(world_from_source, body.position), valid)
+    names = (str(body.body_id), body.name, mogaze.kind_of_body(body.name))
+    box = (body.box_min, body.box_max)
+    movable = not mogaze.is_furniture(body.name)
+    return streams.ObjectTrack(*names, times, position, rotation, valid, *box, movable)
 
 
 def annotated_events(
@@ -294,17 +288,9 @@ def published_tracks(
             continue
         first, last = np.flatnonzero(measured)[[0, -1]]
         kept = frames[first : last + 1]
-        tracks.append(
-            streams.PublishedTrack(
-                name=f"{'pick' if segment.label == NULL_LABEL else 'place'}_{number:03d}",
-                published_split="",
-                times=kept / mogaze.RATE,
-                joints=joints[kept],
-                valid=body.valid[kept],
-                filled=np.zeros(len(kept), dtype=bool),
-                body=body.joints[kept],
-                gaze=recording.gaze.direction[kept],
-                gaze_measured=confident[kept],
-            )
-        )
+        name = f"{'pick' if segment.label == NULL_LABEL else 'place'}_{number:03d}"
+        filled = np.zeros(len(kept), dtype=bool)
+        poses = (joints[kept], body.valid[kept], filled, body.joints[kept])
+        gaze = (recording.gaze.direction[kept], confident[kept])
+        tracks.append(streams.PublishedTrack(name, "", kept / mogaze.RATE, *poses, *gaze))
     return tuple(tracks)
