@@ -182,6 +182,7 @@ class Adapter(Protocol):
                 batch size nor order changes a motion.
             seed: The run's seed, for the record only.
         """
+        ...
 
 
 @runtime_checkable
@@ -194,6 +195,7 @@ class Trainable(Adapter, Protocol):
         Leave what was learnt in ``run.folder``, and take it from there if it already holds a finished fit: every
         process of a run calls this once. A run fits a method by itself if it was given no weights.
         """
+        ...
 
 
 @runtime_checkable
@@ -209,6 +211,7 @@ class LoadAdapter(Protocol):
             options: ``--option key=value`` as given; unknown keys must be refused with a ``ValueError``.
             device: ``cpu``, ``cuda``, ``cuda:1`` …
         """
+        ...
 
 
 @contextmanager

@@ -53,13 +53,16 @@ class TextEncoder(Protocol):
     @property
     def name(self) -> str:
         """Name by which weights that were trained with these vectors call them."""
+        ...
 
     @property
     def dimension(self) -> int:
         """Length of a token vector."""
+        ...
 
     def encode(self, texts: Sequence[str]) -> EncodedText:
         """Return the token vectors of some texts (at least one)."""
+        ...
 
 
 def padded(texts: Sequence[Float[np.ndarray, "_ dimension"]], dimension: int) -> EncodedText:

@@ -157,5 +157,5 @@ def points_beside(found: RecordingFiles) -> Source | None:
     members = archive_members(trajectory.path)
     folder = PurePosixPath(trajectory.member).parent
     names = (str(folder / name) for name in POINT_FILES)
-    found = (InputFile("points", trajectory.path, members[name], name) for name in names if name in members)
-    return next(found, None)
+    clouds = (InputFile("points", trajectory.path, members[name], name) for name in names if name in members)
+    return next(clouds, None)

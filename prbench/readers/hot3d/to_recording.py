@@ -158,8 +158,8 @@ def _with_drift(
     ones = np.ones_like(seconds)
     above = np.column_stack([-ones, -seconds, ones])
     below = np.column_stack([ones, seconds, ones])
-    limits = {"A_ub": np.concatenate([above, below]), "b_ub": np.concatenate([-low, high])}
-    solved = linprog([0.0, 0.0, -1.0], **limits, bounds=[(None, None)] * 3)
+    rows = np.concatenate([above, below])
+    solved = linprog([0.0, 0.0, -1.0], A_ub=rows, b_ub=np.concatenate([-low, high]), bounds=[(None, None)] * 3)
     if not solved.success:
         return 0.0, 0.0, -1.0
     offset, slope, margin = solved.x
