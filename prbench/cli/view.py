@@ -78,14 +78,8 @@ def view(*, permission: tuple[str, ...], options: opt.Pairs, open: bool, **given
     request = ViewRequest(permitted=permission, option=options, **given)
     with progress(f"drawing {(request.out or Path(PAGE)).name}") as show:
         drawn = draw(request, show)
-    report = ViewReport(
-        out=drawn.out,
-        sequences=[scene.sequence_id for scene in drawn.scenes],
-        links=drawn.links,
-        left_out=drawn.left_out,
-        notices=list(drawn.notices),
-        caption=drawn.caption,
-    )
+    told = {name: getattr(drawn, name) for name in ("out", "links", "left_out", "caption")}
+    report = ViewReport(sequences=[scene.sequence_id for scene in drawn.scenes], notices=list(drawn.notices), **told)
     if drawn.left_out:
         note(f"the page has no room for {drawn.left_out} more sequences; --sequence or --limit choose others.")
 
@@ -143,12 +137,10 @@ def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ..
 
     EVENT is an event id, or any part of it that fits one event only.
     """
-    from prbench.viewing.explain import explain_event
+    from prbench.viewing.explain import draw_event_story, explain_event
 
     story = explain_event(data, event, permitted=permission)
     if draw is not None:
-        from prbench.viewing.explain import draw_event_story
-
         draw_event_story(story, draw)
     # The report takes the fields that it names; the others, such as places, stay out of it.
     told = {name: getattr(story.event, name) for name in ("event_id", "sequence_id", "recording_id", "outcome")}
@@ -173,9 +165,7 @@ def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ..
 @click.option("--outcome", "outcomes", multiple=True, metavar="NAME", help="Only events with this outcome; repeatable.")
 @click.option("--recording", "recordings", default="*", metavar="GLOB", help="Only recordings whose name matches.")
 @click.option("--object", "objects", default="", metavar="TEXT", help="Only objects with this in their name or id.")
-@opt.option(
-    "--max-confidence", "Only events that are at most so sure, from 0 to 1.", type=opt.NumberRange(0, 1), metavar="X"
-)
+@opt.option("--max-confidence", "Only events at most so sure, from 0 to 1.", type=opt.NumberRange(0, 1), metavar="X")
 @opt.number_option("--limit", "Only the N most doubtful events (default: all).")
 @opt.reader_options(remark="of the table's own options only those that name files or folders have to be said again")
 @opt.permission_option

@@ -45,11 +45,15 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path) -> str:
     # The published band belongs to one dataset; behind several it would be read as that of all.
     only = statistics[0] if len(statistics) == 1 else None
     published = None if only is None else load_table_one().get(only.dataset.removeprefix("synthetic-"))
-    _histogram(panels[0], statistics, "goal_distance", "a  goal distance (m)")
-    _histogram(panels[1], statistics, "goal_elevation_deg", "b  goal elevation (deg)")
-    _histogram(panels[2], statistics, "goal_azimuth_deg", "c  goal azimuth (deg, left positive)")
-    band = None if published is None else published.body_movement
-    _histogram(panels[3], statistics, "body_movement", "d  body movement (m)", band)
+    for panel, quantity, title in (
+        (0, "goal_distance", "a  goal distance (m)"),
+        (1, "goal_elevation_deg", "b  goal elevation (deg)"),
+        (2, "goal_azimuth_deg", "c  goal azimuth (deg, left positive)"),
+        (3, "body_movement", "d  body movement (m)"),
+        (5, "prime_gap", "f  prime gap (s)"),
+    ):
+        # The table holds no other quantity than body movement and prime gap.
+        _histogram(panels[panel], statistics, quantity, title, getattr(published, quantity, None))
     for colour, each in zip(_COLOURS, statistics, strict=False):
         low, median, high = each.gaze_shift_deg.T
         panels[4].fill_between(each.gaze_shift_times, low, high, color=colour, alpha=0.2)
@@ -57,14 +61,17 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path) -> str:
     panels[4].axvline(0.0, color="0.6", linewidth=0.8)
     panels[4].set_ylim(bottom=0.0)
     panels[4].set_title("e  gaze off the goal (deg), around the prime")
-    band = None if published is None else published.prime_gap
-    _histogram(panels[5], statistics, "prime_gap", "f  prime gap (s)", band)
     for colour, each in zip(_COLOURS, statistics, strict=False):
-        panels[0].plot(
-            [], [], color=colour, linewidth=4, label=figure_text(f"{each.dataset}, {each.sequences} sequences")
-        )
+        label = figure_text(f"{each.dataset}, {each.sequences} sequences")
+        panels[0].plot([], [], color=colour, linewidth=4, label=label)
     panels[0].legend(fontsize=6)
-    caption = _caption(statistics, with_published=published is not None)
+    tables = ", ".join(f"{each.dataset} ({each.sequences} sequences)" for each in statistics)
+    grey = "" if published is None else " Grey: published mean and standard deviation."
+    caption = (
+        f"Sequences of {tables}: a to c, place of the goal from the first pose; d, how far the body moves; e, angle"
+        " between gaze and goal around the prime time, median and quartiles; f, time from the prime to the event."
+        f" Densities; vertical lines are means.{grey}"
+    )
     write_figure(figure, path, caption)
     return caption
 
@@ -80,8 +87,7 @@ def _histogram(
     edges = np.linspace(low, high, _BINS + 1) if low < high else np.linspace(low - 0.5, low + 0.5, _BINS + 1)
     if published is not None:
         synthetic = statistics[0].dataset.startswith(SYNTHETIC_PREFIX)
-        whose = "published mean of real people" if synthetic else "published mean"
-        label = f"{whose}, sd shaded"
+        label = f"published mean{' of real people' if synthetic else ''}, sd shaded"
         axes.axvspan(published.mean - published.sd, published.mean + published.sd, color="0.92")
         axes.axvline(published.mean, color="0.4", linewidth=1.0, label=label)
         axes.legend(fontsize=6)
@@ -91,13 +97,3 @@ def _histogram(
     axes.set_title(title)
     axes.set_yticks([])
     axes.set_ylim(top=_HEADROOM * axes.get_ylim()[1])
-
-
-def _caption(statistics: Sequence[TableStatistics], *, with_published: bool) -> str:
-    tables = ", ".join(f"{each.dataset} ({each.sequences} sequences)" for each in statistics)
-    published = " Grey: published mean and standard deviation." if with_published else ""
-    return (
-        f"Sequences of {tables}: a to c, place of the goal from the first pose; d, how far the body moves; e, angle"
-        " between gaze and goal around the prime time, median and quartiles; f, time from the prime to the event."
-        f" Densities; vertical lines are means.{published}"
-    )

@@ -9,7 +9,6 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Literal
 
-import pyarrow as pa
 import pyarrow.compute as pc
 
 from prbench.curation.priming import PUBLISHED_STAGE
@@ -143,9 +142,20 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
     """
     table = SequenceTable.open(folder)
     events = table.events()
-    row = _find_event(events, event, table.info.dataset)
+    ids = events["event_id"].to_pylist()
+    # A whole id wins over parts: one id may be the beginning of another.
+    exact = [
+        row for row, names in enumerate(zip(ids, events["sequence_id"].to_pylist(), strict=True)) if event in names
+    ]
+    # Else ``recording/object name/action/time``: what a person would type.
+    columns = (events[name].to_pylist() for name in ("recording_id", "object_name", "action"))
+    names = ("/".join((*parts, event_id.rsplit("/", 1)[-1])) for *parts, event_id in zip(*columns, ids, strict=True))
+    known = [clean(f"{event_id}  ({name})") for event_id, name in zip(ids, names, strict=True)]
+    among = f"{table.info.dataset}; events.parquet lists them"
+    row = exact[0] if exact else known.index(find_sequence_id(event, known, among=among, what="event"))
     record = event_of(events, row)
-    if record.corrected and not may_pass_on(table.info, permitted):
+    shown = may_pass_on(table.info, permitted)
+    if record.corrected and not shown:
         told = re.sub(r"\bgoal [-+.0-9e ]+", "goal (left out: the licence keeps goals)", record.corrected)
         record = dataclasses.replace(record, corrected=told)
     recordings = table.recordings()
@@ -157,36 +167,12 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
             named = f"the events name a sequence {record.sequence_id} that the sequences do not hold."
             raise TableError(f"{table.folder}: {named}")
     motion = None
-    if chunk is not None and may_pass_on(table.info, permitted):
+    if chunk is not None and shown:
         motion = scene_of(chunk, table.info, permitted=permitted)
     protocol = table.described_protocol.protocol() or load_protocol()
-    return EventStory(
-        event=record,
-        dataset=table.info.dataset,
-        split=recordings["split"][index].as_py() if index >= 0 else "unknown",
-        stages=_stages(record, chunk, protocol, table.info.options, shown=may_pass_on(table.info, permitted)),
-        motion=motion,
-        notice=notice(table.info, permitted),
-    )
-
-
-def _find_event(events: pa.Table, wanted: str, among: str) -> int:
-    """Return the row of the one event that fits.
-
-    Raises:
-        UsageError: if none or several fit.
-    """
-    ids = events["event_id"].to_pylist()
-    sequences = events["sequence_id"].to_pylist()
-    # A whole id wins over parts: one id may be the beginning of another.
-    exact = [row for row, names in enumerate(zip(ids, sequences, strict=True)) if wanted in names]
-    if exact:
-        return exact[0]
-    # ``recording/object name/action/time``: what a person would type.
-    columns = (events[name].to_pylist() for name in ("recording_id", "object_name", "action"))
-    names = ["/".join((*parts, event_id.rsplit("/", 1)[-1])) for *parts, event_id in zip(*columns, ids, strict=True)]
-    known = [clean(f"{event_id}  ({name})") for event_id, name in zip(ids, names, strict=True)]
-    return known.index(find_sequence_id(wanted, known, among=f"{among}; events.parquet lists them", what="event"))
+    split = recordings["split"][index].as_py() if index >= 0 else "unknown"
+    stages = _stages(record, chunk, protocol, table.info.options, shown=shown)
+    return EventStory(record, table.info.dataset, split, stages, motion, notice(table.info, permitted))
 
 
 def _stages(
@@ -197,19 +183,15 @@ def _stages(
     asked = (*STAGES, "confidence") if event.stage == "confidence" else asked
     decided = asked.index("priming" if event.stage in _PART_OF_PRIMING else event.stage)
     constants = protocol.curation
-    texts = {
-        "correction": "dropped by a person",
-        "in_hand": _in_hand(event, options),
-        "location": _location(event, shown=shown),
-        "priming": _priming(event, protocol),
-        "clipping": _clipping(event, chunk, protocol),
-        "body": f"no gap of more than {constants.largest_interpolated_gap:g} s in the body",
-    }
+    texts = {"correction": "dropped by a person", "in_hand": _in_hand(event, options)}
+    texts |= {"location": _location(event, shown=shown), "priming": _priming(event, protocol)}
+    texts["clipping"] = _clipping(event, chunk, protocol)
+    texts["body"] = f"no gap of more than {constants.largest_interpolated_gap:g} s in the body"
     if event.outcome == "no_body":
         texts["body"] = "no body pose"
     elif event.stage == "body":
-        longest = f"at most {constants.largest_interpolated_gap:g} s is interpolated"
-        texts["body"] = f"a gap of {event.value:.2f} s in the body ({longest})"
+        limit = constants.largest_interpolated_gap
+        texts["body"] = f"a gap of {event.value:.2f} s in the body (at most {limit:g} s is interpolated)"
     if event.stage == "confidence":
         texts["confidence"] = f"{event.value:.2f}, and --min-confidence asked for {event.threshold:g}"
     elif event.value is not None and event.threshold is not None:
@@ -272,10 +254,8 @@ def _priming(event: Event, protocol: BenchmarkProtocol) -> str:
         return f"by what the dataset itself publishes: {event.outcome.replace('_', ' ')}"
     if event.value is None:
         return f"no valid gaze in the {constants.priming_window:g} s before"
-    return (
-        f"gaze came no nearer to the box than {_cm(event.value)} in the {constants.priming_window:g} s before"
-        f" (near miss: at most {_cm(constants.near_miss_distance)})"
-    )
+    near = f"(near miss: at most {_cm(constants.near_miss_distance)})"
+    return f"gaze came no nearer to the box than {_cm(event.value)} in the {constants.priming_window:g} s before {near}"
 
 
 def _clipping(event: Event, chunk: SequenceChunk | None, protocol: BenchmarkProtocol) -> str:
@@ -286,9 +266,8 @@ def _clipping(event: Event, chunk: SequenceChunk | None, protocol: BenchmarkProt
         return f"the recording, or the body in it, lacks {missing:.2f} s of {needed}"
     if chunk is None:
         return f"the recording covers it {interval}"
-    n = int(chunk.n_frames[0])
-    start = float(chunk.numbers("start_time")[0])
-    return f"{n} frames at {float(chunk.numbers('fps')[0]):g} Hz from {start:.3f} s"
+    fps, start = (float(chunk.numbers(name)[0]) for name in ("fps", "start_time"))
+    return f"{int(chunk.n_frames[0])} frames at {fps:g} Hz from {start:.3f} s"
 
 
 def _cm(metres: float | None) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Int
 
 from prbench.geometry.skeleton import CHAINS, Joint, head_forward
 from prbench.harness.diversity import MotionsToGoal, timing
@@ -29,7 +30,6 @@ _MOMENTS = ("first frame", "prime", "last frame")
 _SPACING = 0.5  # metres between the bodies of two moments
 _FARTHEST = 2.0  # metres; a head ray farther from the goal is off target, however far
 _FASTEST = 4.0  # m/s; a wrist that jumps would flatten all other curves
-_LINE = 140  # characters of the note below the panels
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,20 +75,19 @@ def draw_fan(fan: Fan, path: Path) -> str:
     height = 1.5 * len(fan.groups) + 0.75
     figure = figures.new_figure(7.0, height)
     # A fixed layout: that of matplotlib's solver differs in its last digits from call to call, and so do ids in an SVG.
-    grid = {"left": 0.005, "right": 0.995, "top": 1 - 0.4 / height, "bottom": 0.55 / height, "wspace": 0.2}
-    rows = figure.subplots(
-        len(fan.groups), 4, squeeze=False, width_ratios=(2.0, 1.2, 1.2, 1.2), gridspec_kw={**grid, "hspace": 0.3}
-    )
+    place = {"left": 0.005, "right": 0.995, "top": 1 - 0.4 / height, "bottom": 0.55 / height}
+    grid = {**place, "wspace": 0.2, "hspace": 0.3, "width_ratios": (2.0, 1.2, 1.2, 1.2)}
+    rows = figure.subplots(len(fan.groups), 4, squeeze=False, gridspec_kw=grid)
     # The same square for all groups, so that rows compare: limits of x and z, metres.
     points = [group.motions.joints[:, :, [Joint.PELVIS, Joint.HEAD]].reshape(-1, 3)[:, [0, 2]] for group in fan.groups]
     if fan.shows_goal:
         points.append(fan.groups[0].motions.goal[None, [0, 2]])
     seen_from_above = figures.square_limits(np.concatenate(points), margin=_MARGIN)
     for group, (bodies, above, looks, wrists) in zip(fan.groups, rows, strict=True):
-        _draw_bodies(bodies, fan, group)
-        # Draw the ways of the pelvis from above, and where each head points at its prime time.
         motions = group.motions
         primes = np.round(timing(motions, fan.constants).prime * motions.fps).astype(int)
+        _draw_bodies(bodies, fan, group, primes)
+        # Draw the ways of the pelvis from above, and where each head points at its prime time.
         forward, _ = head_forward(motions.joints, motions.head_tilt_deg)
         for number, colour in reversed(list(enumerate(_shades(group)))):
             pelvis = motions.joints[number, :, Joint.PELVIS]
@@ -100,10 +99,8 @@ def draw_fan(fan: Fan, path: Path) -> str:
             above.plot(head[0], head[2], "o", color=colour, markersize=2.5)
         if fan.shows_goal:
             above.plot(motions.goal[0], motions.goal[2], "s", color=GOAL_COLOUR, markersize=4)
-        above.set_title("from above (m)")
+        above.set(title="from above (m)", xlim=seen_from_above[0], ylim=seen_from_above[1])
         above.set_aspect("equal")
-        above.set_xlim(*seen_from_above[0])
-        above.set_ylim(*seen_from_above[1])
         distance = motions.head_distance
         _draw_curves(looks, group, distance, "head ray (m)", _FARTHEST)
         for number, colour in reversed(list(enumerate(_shades(group)))):
@@ -123,20 +120,18 @@ def draw_fan(fan: Fan, path: Path) -> str:
 
 def _foot(fan: Fan) -> str:
     said = [
-        "A shade is a motion, the same in all panels of a row; a line from a head shows where it points. Dots: prime"
+        "A shade is a motion, the same in all panels of a row; a line from a head shows where it points. Dots: prime",
+        "time (first look of the head that stays, else its best look).",
+        f"Curves are cut at {_FARTHEST:g}\u00a0m and {_FASTEST:g}\u00a0m/s.",
     ]
-    said.append("time (first look of the head that stays, else its best look).")
-    said.append(f"Curves are cut at {_FARTHEST:g}\u00a0m and {_FASTEST:g}\u00a0m/s.")
     if fan.shows_goal:
         said.append("Light blue: the goal.")
     if len(fan.groups) > 1:
-        said.append(
-            "Recorded people: the sequence itself and similar tasks of other recordings, laid on its goal and stretched"
-            " to its length."
-        )
+        said.append("Recorded people: the sequence itself and similar tasks of other recordings, laid on its goal and")
+        said.append("stretched to its length.")
     if fan.synthetic:
         said.append("Synthetic people.")
-    return "\n".join((*textwrap.wrap(" ".join(said), _LINE), fan.notice)).strip()
+    return "\n".join((*textwrap.wrap(" ".join(said), 140), fan.notice)).strip()
 
 
 def _shades(group: FanGroup) -> list[tuple[float, float, float]]:
@@ -144,14 +139,12 @@ def _shades(group: FanGroup) -> list[tuple[float, float, float]]:
     return figures.shades(group.colour, len(group.motions.joints))
 
 
-def _draw_bodies(axes: Axes, fan: Fan, group: FanGroup) -> None:
+def _draw_bodies(axes: Axes, fan: Fan, group: FanGroup, primes: Int[np.ndarray, " motions"]) -> None:
     """Draw all bodies at three moments, each moment at a place of its own along the way."""
     motions = group.motions
     start = motions.joints[0, 0, Joint.PELVIS]
     sideways = figures.horizontal_direction(motions.goal - start)
-    primes = np.round(timing(motions, fan.constants).prime * motions.fps).astype(int)
-    last = motions.joints.shape[1] - 1
-    frames = (np.zeros_like(primes), primes, np.full_like(primes, last))
+    frames = (np.zeros_like(primes), primes, np.full_like(primes, motions.joints.shape[1] - 1))
     bodies = [motions.joints[np.arange(len(chosen)), chosen] for chosen in frames]
     clouds = [figures.flattened(poses.reshape(-1, 3), start, sideways, 0.0) for poses in bodies]
     goal = figures.flattened(motions.goal[None], start, sideways, 0.0)
@@ -169,8 +162,7 @@ def _draw_bodies(axes: Axes, fan: Fan, group: FanGroup) -> None:
             axes.plot(*flat[Joint.HEAD], "o", color=colour, markersize=2.5)
         if fan.shows_goal and moment != _MOMENTS[0]:
             axes.plot(goal[0, 0] + shift, goal[0, 1], "s", color=GOAL_COLOUR, markersize=4, zorder=4)
-        centre = float(points[:, 0].mean()) + shift
-        axes.text(centre, -0.12, moment, fontsize=6, ha="center", va="top", color="0.35")
+        axes.text(float(points[:, 0].mean()) + shift, -0.12, moment, fontsize=6, ha="center", va="top", color="0.35")
     everything = np.concatenate([points + np.array([shift, 0.0]) for points, shift in zip(clouds, shifts, strict=True)])
     axes.set_xlim(everything[:, 0].min() - _MARGIN, everything[:, 0].max() + _MARGIN)
     axes.set_ylim(-0.32, everything[:, 1].max() + 0.15)

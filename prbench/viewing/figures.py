@@ -126,8 +126,7 @@ def legend_below(figure: Figure, axes: Axes, note: str, *, columns: int) -> None
     """
     handles, labels = axes.get_legend_handles_labels()
     # The note is the legend's title, because a note of its own at the lower edge would be drawn over the legend.
-    columns = min(len(labels), columns)
-    figure.legend(handles, labels, ncols=columns, title=figure_text(note), loc="outside lower center")
+    figure.legend(handles, labels, ncols=min(len(labels), columns), title=figure_text(note), loc="outside lower center")
 
 
 def horizontal_direction(offset: Vector) -> Vector:
@@ -181,10 +180,8 @@ def square_limits(points: Flat, *, margin: float) -> tuple[tuple[float, float], 
 
 def without_frame(axes: Axes) -> None:
     """Take ticks and frame from a panel."""
-    axes.set_xticks([])
-    axes.set_yticks([])
-    for side in ("top", "right", "left", "bottom"):
-        axes.spines[side].set_visible(False)
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set_visible(False)
 
 
 def flattened(points: Float[np.ndarray, "n 3"], pelvis: Vector, sideways: Vector, at: float) -> Flat:

@@ -128,10 +128,9 @@ def write_review(
     require_may_pass_on(info, "the page", permitted)
     rows = table.events()
     columns = [row_values(rows[name].combine_chunks()) for name in EVENTS.names]
-    everything = [Event(**dict(zip(EVENTS.names, values, strict=True))) for values in zip(*columns, strict=True)]
     chosen = [
         event
-        for event in everything
+        for event in (Event(**dict(zip(EVENTS.names, values, strict=True))) for values in zip(*columns, strict=True))
         if math.isfinite(event.event_time)
         and (not outcomes or event.outcome in outcomes)
         and fnmatch.fnmatchcase(event.recording_id, recordings)
@@ -143,31 +142,33 @@ def write_review(
         raise UsageError(f"{data}: expected events that the options choose, found none among {len(rows)}.")
 
     sources, mends = native_recordings(info, root, option)
-    work = [
-        (each, sources.get(each), [event for event in events if event.recording_id == each])
-        for each in dict.fromkeys(event.recording_id for event in events)
-    ]
-    if not any(source for _, source, _ in work):
-        raise InputFileError(root, "", expected=f"recordings of {data}, such as {work[0][0]}", found="others")
+    of_recording: dict[str, list[Event]] = {}
+    for event in events:
+        of_recording.setdefault(event.recording_id, []).append(event)
+    work = [(sources.get(name), own) for name, own in of_recording.items()]
+    if not any(source for source, _ in work):
+        expected = f"recordings of {data}, such as {events[0].recording_id}"
+        raise InputFileError(root, "", expected=expected, found="others")
     name = info.dataset.removeprefix(SYNTHETIC_PREFIX)
     protocol = table.described_protocol.protocol() or load_protocol()
     said = info.options.get("in_hand_rule", "none")
     rule = None if said == "none" else load_manifest(name).in_hand_rule(None if said == "default" else said)
     before = protocol.curation.priming_window + _BEFORE
-    origin = info.options.get("ray_origin", "eye")
     terms = notice(info, permitted)
     act = partial(event_motion, dataset=info.dataset, constants=protocol.metrics, terms=terms)
-    draw = partial(_pictures, mends=mends, rule=rule, origin=origin, before=before, act=act)
+    numbers = partial(picture, rule=rule, before=before)
+    draw = partial(_pictures, mends=mends, origin=info.options.get("ray_origin", "eye"), numbers=numbers, act=act)
     pictures: dict[str, dict[str, Any]] = {}
     bodies: dict[str, bytes] = {}
     problems: dict[str, str] = {}
-    for number, (found, moved, problem) in enumerate(engine.map(draw, work)):
+    read = zip(engine.map(draw, work), of_recording, strict=True)
+    for number, ((found, moved, problem), recording) in enumerate(read, 1):
         pictures |= found
         bodies |= moved
         if problem:
-            problems[work[number][0]] = problem
+            problems[recording] = problem
         if progress is not None:
-            progress(number + 1, len(work), work[number][0])
+            progress(number, len(work), recording)
     motions = []
     room = LARGEST_MOTIONS
     for place, event in enumerate(events):
@@ -187,14 +188,11 @@ def write_review(
         "near": round(protocol.curation.near_miss_distance * 1000),
         "held": None if rule is None else round(rule.distance * 1000),
         "moving": None if rule is None else round(rule.moving_speed * 1000),
-        "events": [
-            _told(event, pictures.get(event.event_id), problems.get(event.recording_id, "")) for event in events
-        ],
+        "events": [_told(each, pictures.get(each.event_id), problems.get(each.recording_id, "")) for each in events],
     }
-    # Nothing in a name may end the element that holds the numbers.
-    text = msgspec.json.encode(page).decode().replace("<", "\\u003c")
     assets = player_assets()
-    parts = {"STYLE": assets.style, "DATA": text, "MOTIONS": "\n".join(motions), "PLAYER": assets.scripts}
+    parts = {"STYLE": assets.style, "DATA": encoded(page).decode()}
+    parts |= {"MOTIONS": "\n".join(motions), "PLAYER": assets.scripts}
     with sole_writer(out):
         write_text(out, filled(Path(__file__).with_name("review.html"), parts))
     return Review(out, len(events), problems, len(motions))
@@ -221,6 +219,20 @@ def native_recordings(
     mends = (stream_numbers(told("shift."), "shift"), stream_numbers(told("scale."), "scale"))
     sources = native_sources(name, root, BuildOptions(reader=(*reader.items(),)))
     return {each.recording_id: each for each in sources}, mends
+
+
+def recording_of(scene: Scene, root: Path) -> Recording:
+    """Read the recording of a sequence as its table's build read it.
+
+    Raises:
+        InputFileError: if it is not below ``root``, or cannot be read.
+    """
+    assert scene.info is not None, "the scene was read from a table"
+    sources, mends = native_recordings(scene.info, root)
+    if scene.recording_id not in sources:
+        found = ", ".join(list(sources)[:3])
+        raise InputFileError(root, "", expected=f"the recording {scene.recording_id}", found=f"others, such as {found}")
+    return mended(sources[scene.recording_id].read(), *mends)
 
 
 def doubt(event: Event) -> tuple[float, float, str]:
@@ -261,16 +273,15 @@ def _uncorrected(event: Event) -> float:
 
 
 def _pictures(
-    work: tuple[str, NativeSource | None, Sequence[Event]],
+    work: tuple[NativeSource | None, Sequence[Event]],
     *,
     mends: tuple[Numbers, Numbers],
-    rule: InHandRule | None,
     origin: str,
-    before: float,
+    numbers: Callable[[Recording, Event, Rays], dict[str, Any]],
     act: Callable[[Recording, Event], bytes],
 ) -> tuple[dict[str, dict[str, Any]], dict[str, bytes], str]:
     """Read one recording and return the numbers of its events' pictures and motions, or why there are none."""
-    _, source, events = work
+    source, events = work
     if source is None:
         return {}, {}, "this recording is not below --root"
     try:
@@ -278,7 +289,7 @@ def _pictures(
     except PrbenchError as error:
         return {}, {}, source.without_places(str(error))
     rays = gaze_rays(recording, origin)
-    pictures = {event.event_id: picture(recording, event, rays, rule, before) for event in events}
+    pictures = {event.event_id: numbers(recording, event, rays) for event in events}
     return pictures, {event.event_id: act(recording, event) for event in events}, ""
 
 
@@ -306,21 +317,11 @@ def event_motion(recording: Recording, event: Event, *, dataset: str, constants:
     corners = np.array(list(itertools.product(*zip(event.box_min, event.box_max, strict=True))))
     eyes = GazeRays(origin - shift, direction, valid) if valid.any() else None
     motion = ShownMotion(RECORDED, RECORDED_COLOUR, joints - shift, {}, eyes, "recorded")
-    scene = Scene(
-        sequence_id=event.event_id,
-        dataset=dataset,
-        title=f"{event.action} of {event.object_name}",
-        action=event.action,
-        fps=_MOTION_FPS,
-        n_frames=len(times),
-        # An event that was not primed, or long before, has no prime within these seconds.
-        prime_time=_NEVER if event.prime_time is None else float(event.prime_time - times[0]),
-        head_tilt_deg=recording.head_tilt_deg,
-        motions=(motion,),
-        thresholds=constants,
-        goal=Goal(event.location - shift, corners - shift),
-        notice=terms,
-    )
+    # An event that was not primed, or long before, has no prime within these seconds.
+    prime = _NEVER if event.prime_time is None else float(event.prime_time - times[0])
+    title = f"{event.action} of {event.object_name}"
+    said = (event.event_id, dataset, title, event.action, _MOTION_FPS, len(times), prime, recording.head_tilt_deg)
+    scene = Scene(*said, (motion,), constants, Goal(event.location - shift, corners - shift), terms)
     return encoded(msgspec.structs.replace(player_sequence(scene), event_time=_MOTION_BEFORE))
 
 

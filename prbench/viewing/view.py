@@ -6,6 +6,7 @@ import itertools
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from prbench.viewing.player.links import PAGE, motion_link, worst_first
 from prbench.viewing.player.page import write_page
 from prbench.viewing.player.surroundings import surrounded
 from prbench.viewing.replay.read import RunMotions, read_scenes, run_labels
-from prbench.viewing.replay.scene import METHOD_COLOURS, Progress, Scene, score_sentence
+from prbench.viewing.replay.scene import METHOD_COLOURS, Progress, Scene, known_scores
 from prbench.viewing.replay.sheet import MOST_SCENES, draw_sheet
 
 DEFAULT_LIMIT = 4
@@ -40,7 +41,7 @@ class ViewRequest:
     """The sequences and runs that a user wants to see.
 
     Attributes:
-        out: The file; its suffix chooses the kind. None for a page in the run's folder (:func:`page_place`).
+        out: The file; its suffix chooses the kind. None for a page in the run's folder.
         runs: Run folders whose motions stand beside one another; none for recorded motion alone.
         data: Tables; where none is given, the tables in prbench's own cache are tried.
         sequences: Ids, or parts of ids that fit one sequence only.
@@ -103,7 +104,7 @@ class ViewReport:
         """Return the scores of a motion in one line."""
         if isinstance(motion, PlayerMotion):
             return ", ".join(f"{score.title} {score.text}" for score in motion.scores) or "not scored"
-        return score_sentence(scene, motion) or "not scored"
+        return ", ".join(" ".join(score) for score in known_scores(scene, motion)) or "not scored"
 
     @property
     def links(self) -> list[str]:
@@ -137,27 +138,19 @@ def view(request: ViewRequest, progress: Progress = lambda *_: None) -> ViewRepo
         benchmark = RunFolder.open(request.runs[0], any_benchmark=True).record.benchmark
         if benchmark != default_benchmark().name:
             if request.out is None:
-                raise UsageError(
-                    f"--out FILE: a run of {benchmark} is drawn as a picture (.png, .svg, .pdf); name the file."
-                )
+                kinds = "(.png, .svg, .pdf)"
+                raise UsageError(f"--out FILE: a run of {benchmark} is drawn as a picture {kinds}; name the file.")
             return load_benchmark(benchmark).view(request)
-    out = request.out or page_place(request.runs)
+    out = request.out or Path(PAGE)
+    # A page that nobody named a file for goes into the folder of a single run, so that it moves along; where that
+    # folder cannot be written, and for anything else, into the present folder.
+    if request.out is None and len(request.runs) == 1 and os.access(request.runs[0], os.W_OK):
+        out = request.runs[0] / PAGE
     kind = file_kind(out)
     if kind == "html":
         return _view_page(request, out, progress)
     scenes = scenes_of(request)
-    caption = write_view(scenes, out, kind, progress)
-    return ViewReport(out, scenes, caption=caption)
-
-
-def page_place(runs: Sequence[Path]) -> Path:
-    """Return where the page goes that nobody named a file for: into the folder of a single run, so that it moves along.
-
-    Where that folder cannot be written, and for anything else, it goes into the present folder.
-    """
-    if len(runs) == 1 and os.access(runs[0], os.W_OK):
-        return runs[0] / PAGE
-    return Path(PAGE)
+    return ViewReport(out, scenes, caption=write_view(scenes, out, kind, progress))
 
 
 def _view_page(request: ViewRequest, out: Path, progress: Progress) -> ViewReport:
@@ -165,26 +158,25 @@ def _view_page(request: ViewRequest, out: Path, progress: Progress) -> ViewRepor
     shown = _shown(request)
     chosen = _chosen(request, shown, most=None)
     total = sum(map(len, chosen))
-    if request.root is not None and len(shown) > 1:
-        raise UsageError("--root: holds the recordings of one dataset; name its table with --data DIR.")
     if request.root is not None:
+        if len(shown) > 1:
+            raise UsageError("--root: holds the recordings of one dataset; name its table with --data DIR.")
         require_may_pass_on(shown[0][0].info, "the objects and the scene in the page", request.permitted)
+
+    def documents(scenes: Iterator[Scene], done: int) -> Iterator[PlayerSequence]:
+        for number, scene in enumerate(scenes, done + 1):
+            yield player_sequence(scene)
+            progress(number, total, scene.sequence_id)
+
     sequences: list[PlayerSequence] = []
     for (table, motions), ids in zip(shown, chosen, strict=True):
         room = LARGEST_PAGE // len(shown)
-        documents = _documents(_scenes(request, table, motions, ids), len(sequences), total, progress)
-        held = within(documents, room)
+        held = within(documents(_scenes(request, table, motions, ids), len(sequences)), room)
         if request.root is not None:
             held = within(surrounded(held, table, request.root, request.mesh, request.option, progress), room)
         sequences += held
     write_page(sequences, out)
     return ViewReport(out, tuple(sequences), left_out=total - len(sequences))
-
-
-def _documents(scenes: Iterator[Scene], done: int, total: int, progress: Progress) -> Iterator[PlayerSequence]:
-    for number, scene in enumerate(scenes, done + 1):
-        yield player_sequence(scene)
-        progress(number, total, scene.sequence_id)
 
 
 Shown = Sequence[tuple[SequenceTable, list[RunMotions]]]
@@ -193,10 +185,8 @@ Shown = Sequence[tuple[SequenceTable, list[RunMotions]]]
 def scenes_of(request: ViewRequest) -> tuple[Scene, ...]:
     """Read what is to be shown, table after table."""
     shown = _shown(request)
-    scenes: list[Scene] = []
-    for (table, motions), ids in zip(shown, _chosen(request, shown), strict=True):
-        scenes += _scenes(request, table, motions, ids)
-    return tuple(scenes)
+    chosen = zip(shown, _chosen(request, shown), strict=True)
+    return tuple(scene for (table, motions), ids in chosen for scene in _scenes(request, table, motions, ids))
 
 
 def _shown(request: ViewRequest) -> Shown:
@@ -213,14 +203,9 @@ def _shown(request: ViewRequest) -> Shown:
             record = next(record for record in run.record.tables if record.dataset == table.info.dataset)
             if run.dataset(record.dataset).finished:
                 RunChecker(lambda _, table=table: table).check(run, record)
-    shown = []
-    for table in tables:
-        motions = [
-            RunMotions.open(run, table.info.dataset, label=label, sample=request.sample)
-            for run, label in zip(runs, labels, strict=True)
-        ]
-        shown.append((table, motions))
-    return shown
+    named = list(zip(runs, labels, strict=True))
+    opened = partial(RunMotions.open, sample=request.sample)
+    return [(table, [opened(run, table.info.dataset, label=label) for run, label in named]) for table in tables]
 
 
 def _scenes(
@@ -257,22 +242,16 @@ def _chosen(request: ViewRequest, shown: Shown, most: int | None = DEFAULT_LIMIT
     among = ", ".join(table.info.dataset for table, _ in shown)
     wanted = list(dict.fromkeys(find_sequence_id(name, everything, among=among) for name in request.sequences))
     for (_, runs), ids in zip(shown, known, strict=True):
-        own = [name for name in wanted if name in ids]
-        for run in runs:
-            for name in own:
-                if name not in run:
-                    record = run.run.record
-                    limited = "" if record.limit is None else f" with --limit {record.limit}"
-                    raise UsageError(
-                        f"{run.run.path}: holds no motion of {name}; the run was of split '{record.split}'{limited}."
-                        " Run this sequence alone: prbench run … --sequence ID"
-                    )
-        chosen.append(own)
+        chosen.append([name for name in wanted if name in ids])
+        for motions, name in itertools.product(runs, chosen[-1]):
+            if name not in motions:
+                run = motions.run
+                limited = "" if run.record.limit is None else f" with --limit {run.record.limit}"
+                raise UsageError(
+                    f"{run.path}: holds no motion of {name}; the run was of split '{run.record.split}'{limited}."
+                    " Run this sequence alone: prbench run … --sequence ID"
+                )
     return chosen
-
-
-# The kinds of files, and the package that each needs beside the required ones.
-_PACKAGES = {".html": "", **dict.fromkeys(FORMATS, ""), ".mp4": "imageio-ffmpeg"}
 
 
 def file_kind(path: Path) -> str:
@@ -286,17 +265,15 @@ def file_kind(path: Path) -> str:
         MissingExtraError: if a package is needed that is not installed.
     """
     suffix = path.suffix.lower()
-    if suffix not in _PACKAGES:
+    if suffix not in (".html", *FORMATS, ".mp4"):
         found = f"'{suffix}'" if suffix else "no suffix"
         raise UsageError(f"{path}: expected a file that ends in .html, .png, .svg, .pdf or .mp4, found {found}.")
     if path.is_dir():
         raise StorageError(f"{path}: is a folder. Choose a file for --out.")
-    kind = suffix[1:]
-    package = _PACKAGES[suffix]
     # Only looked for, not imported: whether it is there is all that is asked yet.
-    if package and find_spec(package.replace("-", "_")) is None:
-        raise MissingExtraError(package, "view", f"writing {kind.upper()}")
-    return kind
+    if suffix == ".mp4" and find_spec("imageio_ffmpeg") is None:
+        raise MissingExtraError("imageio-ffmpeg", "view", "writing MP4")
+    return suffix[1:]
 
 
 def write_view(scenes: Sequence[Scene], path: Path, kind: str, progress: Progress) -> str:

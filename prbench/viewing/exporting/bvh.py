@@ -48,6 +48,5 @@ def write(scene: Scene, path: Path, about: Mapping[str, Any], request: ExportReq
             warnings.simplefilter("ignore", UserWarning)
             angles = Rotation.from_matrix(posed.local[:, joint]).as_euler(_ORDER, degrees=True)
         columns.append(np.unwrap(angles, period=360.0, axis=0))  # tools that draw between frames turn the short way
-    motion = BvhMotion(tuple(joints), 1.0 / scene.fps, np.concatenate(columns, axis=1))
-    write_bvh(motion, path, tip=_TIP * scale)
+    write_bvh(BvhMotion(tuple(joints), 1.0 / scene.fps, np.concatenate(columns, axis=1)), path, tip=_TIP * scale)
     return posed.error

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -115,8 +114,27 @@ def export_motion(request: ExportRequest, progress: Progress = lambda *_: None) 
             raise UsageError(f"{option}: belongs to --format {needed}; leave it out for {form}.")
     if form == "mp4":
         file_kind(Path("film.mp4"))  # says what to install before minutes of reading
-    scenes, left_out = _permitted(request)
-    work = [each for scene in scenes for each in _parts(request, scene)]
+    work = []
+    kept = set()
+    for scene in scenes_of(request):
+        info: Any = scene.info
+        # A file is made to be passed on, so that terms such as non-commercial need the user's word, too.
+        if info.redistribution != "yes" and scene.dataset not in request.permitted:
+            methods = tuple(motion for motion in scene.motions if motion.kind == "method")
+            if not methods or request.recorded or request.recordings is not None:
+                raise RedistributionError(
+                    f"{info.title} ({scene.dataset}): its licence ({info.licence}) says to whom recorded motion and"
+                    " goals may be given, and the files would hold them. If you keep to it, or have the licensor's"
+                    f" permission, say so: --permission {scene.dataset}"
+                )
+            kept.add(scene.dataset)
+            scene = replace(scene, motions=methods, goal=None)
+        # Recorded motion gets a file of its own where it is asked for, or where there is no other.
+        generated = tuple(motion for motion in scene.motions if motion.kind != "recorded")
+        motions = scene.motions if request.recorded or not generated else generated
+        parts = [motions] if form in _SHOWS_SEVERAL else [(motion,) for motion in motions]
+        work += [replace(scene, motions=part) for part in parts]
+    left_out = sorted(kept)
     out = request.out
     suffix = SUFFIXES[form]
     if (out.suffix.lower() == suffix) != (len(work) == 1):
@@ -137,36 +155,6 @@ def export_motion(request: ExportRequest, progress: Progress = lambda *_: None) 
     return ExportReport(out=out, motions=motions, left_out=left_out)
 
 
-def _permitted(request: ExportRequest) -> tuple[list[Scene], list[str]]:
-    """Read the sequences without what their licences keep, and name the datasets of which something is left out."""
-    scenes = []
-    left_out = set()
-    for scene in scenes_of(request):
-        info: Any = scene.info
-        # A file is made to be passed on, so that terms such as non-commercial need the user's word, too.
-        if info.redistribution != "yes" and scene.dataset not in request.permitted:
-            methods = tuple(motion for motion in scene.motions if motion.kind == "method")
-            if not methods or request.recorded or request.recordings is not None:
-                raise RedistributionError(
-                    f"{info.title} ({scene.dataset}): its licence ({info.licence}) says to whom recorded motion and"
-                    " goals may be given, and the files would hold them. If you keep to it, or have the licensor's"
-                    f" permission, say so: --permission {scene.dataset}"
-                )
-            left_out.add(scene.dataset)
-            scene = replace(scene, motions=methods, goal=None)
-        scenes.append(scene)
-    return scenes, sorted(left_out)
-
-
-def _parts(request: ExportRequest, scene: Scene) -> Sequence[Scene]:
-    """Return what gets a file of its own: recorded motion where it is asked for, or where there is no other."""
-    generated = tuple(motion for motion in scene.motions if motion.kind != "recorded")
-    motions = scene.motions if request.recorded or not generated else generated
-    if request.form in _SHOWS_SEVERAL:
-        return [replace(scene, motions=motions)]
-    return [replace(scene, motions=(motion,)) for motion in motions]
-
-
 def file_name(sequence_id: str, suffix: str, *, recorded: bool = False) -> str:
     """Return a name that every file system takes: the id's letters and digits, and eight of its digest."""
     words = re.sub(r"[^A-Za-z0-9]+", "-", sequence_id)[:_LONGEST_NAME].strip("-")
@@ -176,18 +164,15 @@ def file_name(sequence_id: str, suffix: str, *, recorded: bool = False) -> str:
 def _write(request: ExportRequest, scene: Scene, path: Path, name: str) -> ExportedMotion:
     """Write one file, and say what is in it."""
     info: Any = scene.info
-    said = ExportedMotion(
-        file=name, sequence_id=scene.sequence_id, dataset=scene.dataset, fps=scene.fps, n_frames=scene.n_frames,
-        motion=", ".join(motion.label for motion in scene.motions),
-        notice=scene.notice, licence=info.licence, citation=info.citation,
-    )  # fmt: skip
-    of_files = ("file", "error_mm", "largest_error_mm")
-    about: dict[str, Any] = {key: value for key, value in msgspec.to_builtins(said).items() if key not in of_files}
+    about: dict[str, Any] = {"sequence_id": scene.sequence_id, "dataset": scene.dataset}
+    about |= {"motion": ", ".join(motion.label for motion in scene.motions), "fps": scene.fps}
+    about |= {"n_frames": scene.n_frames, "notice": scene.notice, "licence": info.licence, "citation": info.citation}
+    said = ExportedMotion(file=name, **about)
     about |= {"prime_time": scene.prime_time, "event_time": scene.event_time, "homepage": info.homepage}
-    module = importlib.import_module(f"prbench.viewing.exporting.{request.form}")  # torch and rerun take seconds
-    error = module.write(scene, path, about, request)
+    # Imported here, because torch and rerun take seconds.
+    error = import_module(f"prbench.viewing.exporting.{request.form}").write(scene, path, about, request)
     if error is None:
         return said
     means = (1000 * error.mean(axis=0)).round(3).tolist()
-    per_joint = {joint.name.lower(): mean for joint, mean in zip(Joint, means, strict=True)}
+    per_joint = dict(zip((joint.name.lower() for joint in Joint), means, strict=True))
     return msgspec.structs.replace(said, error_mm=per_joint, largest_error_mm=round(1000 * float(error.max()), 3))

@@ -46,8 +46,7 @@ class _Gltf:
         accessor: dict[str, Any] = {"bufferView": len(self.views), "count": len(values)}
         accessor |= {"componentType": _TYPES[values.dtype.name], "type": _SHAPES[values.shape[1:]]}
         if values.ndim < 3:  # demanded of positions and times, allowed for all
-            accessor |= {"min": np.atleast_1d(values.min(axis=0)).tolist()}
-            accessor |= {"max": np.atleast_1d(values.max(axis=0)).tolist()}
+            accessor |= {name: np.atleast_1d(getattr(values, name)(axis=0)).tolist() for name in ("min", "max")}
         self.accessors.append(accessor)
         self.views.append({"buffer": 0, "byteOffset": len(self.data), "byteLength": values.nbytes})
         self.data += values.astype(values.dtype.newbyteorder("<")).tobytes()
@@ -106,7 +105,7 @@ def write(scene: Scene, path: Path, about: dict[str, Any], _: object) -> Float[n
         box = gltf.primitive(trimesh.convex.convex_hull(corners), _linear(GOAL_COLOUR), 0.4)
         meshes.append({"name": "goal", "primitives": [box]})
         nodes.append({"name": "goal", "mesh": 1, "translation": scene.goal.location.tolist()})
-    document = {
+    document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "prbench", "copyright": about["notice"] or about["licence"]},
         "scene": 0,
         "scenes": [{"name": scene.sequence_id, "nodes": [0, *range(N_JOINTS, len(nodes))], "extras": about}],
@@ -114,11 +113,9 @@ def write(scene: Scene, path: Path, about: dict[str, Any], _: object) -> Float[n
         "meshes": meshes,
         "skins": [skin],
         "animations": [{"name": scene.motions[0].label, "samplers": samplers, "channels": channels}],
-        "materials": gltf.materials,
-        "accessors": gltf.accessors,
-        "bufferViews": gltf.views,
-        "buffers": [{"byteLength": len(gltf.data)}],
     }
+    document |= {"materials": gltf.materials, "accessors": gltf.accessors, "bufferViews": gltf.views}
+    document["buffers"] = [{"byteLength": len(gltf.data)}]
     text = msgspec.json.encode(document)
     text += b" " * (-len(text) % 4)
     chunks = ((b"JSON", text), (b"BIN\0", bytes(gltf.data)))
@@ -135,8 +132,7 @@ def _body(gltf: _Gltf, rest: Float[np.ndarray, "22 3"], colour: str) -> list[dic
         size = _HEAD_RADIUS if child == Joint.HEAD else _RADII[child]
         parts = [trimesh.creation.icosphere(subdivisions=1, radius=size).apply_translation(rest[child])]
         if np.linalg.norm(rest[child] - rest[parent]) > _SHORTEST:
-            segment = [rest[parent], rest[child]]
-            parts.append(trimesh.creation.cylinder(radius=_RADII[child], segment=segment, sections=12))
+            parts.append(trimesh.creation.cylinder(_RADII[child], segment=rest[[parent, child]], sections=12))
         is_left = Joint(child).name.startswith("LEFT")
         pieces[is_left] += parts
         bones[is_left] += [parent] * sum(len(part.vertices) for part in parts)

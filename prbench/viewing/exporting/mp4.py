@@ -13,16 +13,16 @@ from jaxtyping import Float, UInt8
 from prbench.errors import InputFileError, UsageError
 from prbench.files.bounded import require
 from prbench.geometry.cameras import MODELS, Points
-from prbench.geometry.skeleton import transform_points
+from prbench.geometry.skeleton import rotation_matrices, transform_points
 from prbench.geometry.timelines import covered, nearest_index
 from prbench.readers.files import decode_json
 from prbench.readers.hd_epic.annotations import read_video_clock
 from prbench.readers.hd_epic.format import TIME_SUFFIX
 from prbench.recording import PoseStream
-from prbench.viewing.exporting.rrd import recording_of
 from prbench.viewing.figures import BOX_EDGES
 from prbench.viewing.replay.film import film_scenes, film_writer
 from prbench.viewing.replay.scene import BOX_COLOUR, GAZE_COLOUR, Scene, rgb
+from prbench.viewing.review import recording_of
 
 if TYPE_CHECKING:
     from prbench.viewing.exporting.export import ExportRequest
@@ -122,19 +122,15 @@ def _marks(
     tips = gaze.origin[sample] + far * gaze.direction[sample]
     stream = recording.camera
     posed = covered(stream.times, stream.valid, seconds, max_gap=_LONGEST_STEP)
-    return [
-        (
-            _seen(edges[: len(edges) * known], stream, second, camera),
-            _seen(tip[None][: int(known & look)], stream, second, camera),
-        )
-        for second, tip, look, known in zip(seconds, tips, looks, posed, strict=True)
-    ]
+    marks = []
+    for second, tip, look, known in zip(seconds, tips, looks, posed, strict=True):
+        box = _seen(edges[: len(edges) * known], stream, second, camera)
+        marks.append((box, _seen(tip[None][: int(known & look)], stream, second, camera)))
+    return marks
 
 
 def _seen(points: Points, stream: PoseStream, second: float, camera: _Camera) -> Places:
     """Return the pixels (x, y) of world points in the upright picture of one moment, those outside left out."""
-    from prbench.geometry.skeleton import rotation_matrices
-
     position, rotation = stream.pose_at(np.array([second]))
     local = (points - position[0]) @ rotation_matrices(rotation)[0]
     local = local[local[:, 2] >= np.cos(_LARGEST_ANGLE) * np.linalg.norm(local, axis=1)]

@@ -21,17 +21,11 @@ def write(scene: Scene, path: Path, about: dict[str, Any], _: object) -> None:
         about: What is said of the motion, written as JSON.
     """
     motion = scene.motions[0]
-    arrays: dict[str, Any] = {
-        "joints": motion.joints.astype(np.float32),
-        "joint_names": [joint.name.lower() for joint in Joint],
-        "parents": PARENTS,
-        "fps": scene.fps,
-        "times": scene.times,
-        "prime_time": scene.prime_time,
-        "event_time": scene.event_time,
-        "units": "metres, seconds; canonical frame: Y up, the first pose faces +Z",
-        "about": msgspec.json.encode(about, order="sorted").decode(),
-    }
+    names = [joint.name.lower() for joint in Joint]
+    arrays: dict[str, Any] = {"joints": motion.joints.astype(np.float32), "joint_names": names, "parents": PARENTS}
+    arrays |= {name: getattr(scene, name) for name in ("fps", "times", "prime_time", "event_time")}
+    arrays["units"] = "metres, seconds; canonical frame: Y up, the first pose faces +Z"
+    arrays["about"] = msgspec.json.encode(about, order="sorted").decode()
     if scene.goal is not None:
         arrays |= {"goal_location": scene.goal.location, "goal_box_corners": scene.goal.box_corners}
         arrays["world_from_canonical"] = scene.world_from_canonical

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from prbench.curation.mending import mended
-from prbench.errors import InputFileError, MissingExtraError
+from prbench.errors import MissingExtraError
 from prbench.geometry.skeleton import invert_rigid, transform_points
 from prbench.recording import Recording
 from prbench.viewing.figures import BOX_EDGES
 from prbench.viewing.replay.scene import BOX_COLOUR, GAZE_COLOUR, Scene, bone_segments, head_rays, rays, rgb
-from prbench.viewing.review import native_recordings
+from prbench.viewing.review import recording_of
 
 if TYPE_CHECKING:
     from prbench.viewing.exporting.export import ExportRequest
@@ -54,8 +53,7 @@ def write(scene: Scene, path: Path, about: dict[str, Any], request: ExportReques
             stream.set_time(TIMELINE, duration=seconds)
 
     stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
-    text = msgspec.json.format(msgspec.json.encode(about)).decode()
-    stream.log("about", rr.TextDocument(text), static=True)
+    stream.log("about", rr.TextDocument(msgspec.json.format(msgspec.json.encode(about)).decode()), static=True)
     if scene.goal is not None:
         edges = scene.goal.box_corners[np.array(BOX_EDGES)]
         stream.log("goal/box", rr.LineStrips3D(edges, colors=rgb(BOX_COLOUR)), static=True)
@@ -88,20 +86,6 @@ def write(scene: Scene, path: Path, about: dict[str, Any], request: ExportReques
     stream.disconnect()
 
 
-def recording_of(scene: Scene, root: Path) -> Recording:
-    """Read the recording of a sequence as its table's build read it.
-
-    Raises:
-        InputFileError: if it is not below ``root``, or cannot be read.
-    """
-    assert scene.info is not None, "the scene was read from a table"
-    sources, mends = native_recordings(scene.info, root)
-    if scene.recording_id not in sources:
-        found = ", ".join(list(sources)[:3])
-        raise InputFileError(root, "", expected=f"the recording {scene.recording_id}", found=f"others, such as {found}")
-    return mended(sources[scene.recording_id].read(), *mends)
-
-
 def _streams(scene: Scene, recording: Recording) -> list[tuple[str, float, np.ndarray]]:
     """Return the entity, the time after the first frame and the points of every sample of the sensors around a scene.
 
@@ -124,7 +108,6 @@ def _streams(scene: Scene, recording: Recording) -> list[tuple[str, float, np.nd
         # Of each sixtieth of a second the first sample.
         _, first = np.unique(np.floor(times[inside] * _STREAM_RATE), return_index=True)
         for row in inside[first]:
-            samples.append(
-                (f"recording/{name}", float(times[row]), transform_points(canonical_from_world, points[row]))
-            )
+            placed = transform_points(canonical_from_world, points[row])
+            samples.append((f"recording/{name}", float(times[row]), placed))
     return samples

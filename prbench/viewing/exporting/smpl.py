@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from prbench.errors import UsageError
 from prbench.files.arrays import Archive
 from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint, bone_lengths
-from prbench.representation.converters.smpl import REGRESSOR, RestJoints, from_axis_angle, pose_body, read_rest_joints
+from prbench.representation.converters.smpl import REGRESSOR, from_axis_angle, pose_body, read_rest_joints
 from prbench.viewing.exporting.skeleton import pose_skeleton
 from prbench.viewing.replay.scene import Scene
 
@@ -67,7 +67,15 @@ def write(scene: Scene, path: Path, about: dict[str, Any], request: ExportReques
         raise UsageError("--format smpl: name your own copy of SMPL, SMPL-H or SMPL-X with --body-model FILE.npz.")
     model = read_rest_joints(body_model)
     n_joints = len(Archive(body_model.expanduser()).load([REGRESSOR])[REGRESSOR])
-    betas = _fit_shape(joints, model)
+    # The shape whose bones are nearest to the mean ones in length; unlikely bodies cost.
+    lengths = bone_lengths(joints.astype(np.float64)).mean(axis=0)
+    betas = np.zeros(min(_SHAPES, model.directions.shape[-1]))
+
+    def residual(betas: np.ndarray) -> np.ndarray:
+        return np.concatenate([bone_lengths(model.of(betas)) - lengths, _SHAPE_WEIGHT * betas])
+
+    if len(betas):
+        betas = least_squares(residual, betas).x
     rest = model.of(betas)
     vectors, pelvis = _fit_pose(joints, rest)
     fitted, _ = pose_body(rest, pelvis, from_axis_angle(vectors))
@@ -83,17 +91,6 @@ def write(scene: Scene, path: Path, about: dict[str, Any], request: ExportReques
     with open(path, "wb") as file:
         np.savez(file, **arrays)
     return error
-
-
-def _fit_shape(joints: Float[np.ndarray, "n 22 3"], model: RestJoints) -> Float[np.ndarray, " shapes"]:
-    """Return the shape whose bones are nearest to the mean ones in length; unlikely bodies cost."""
-    lengths = bone_lengths(joints.astype(np.float64)).mean(axis=0)
-    start = np.zeros(min(_SHAPES, model.directions.shape[-1]))
-
-    def residual(betas: np.ndarray) -> np.ndarray:
-        return np.concatenate([bone_lengths(model.of(betas)) - lengths, _SHAPE_WEIGHT * betas])
-
-    return least_squares(residual, start).x if len(start) else start
 
 
 def _fit_pose(

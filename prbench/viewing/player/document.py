@@ -189,11 +189,10 @@ def _motion(scene: replay.Scene, motion: replay.ShownMotion) -> PlayerMotion:
         told["gaze"] = packed(np.nan_to_num(rays), 1)
         told["gaze_valid"] = motion.gaze.valid.astype(np.uint8).tobytes()
     if scene.goal is not None:
-        measured = replay.measure(motion, scene.goal, scene.head_tilt_deg)
-        told["wrist"] = packed(measured.wrist_distance)
-        told["head"] = packed(measured.head_distance)
-        told["on_target"] = spans(measured.head_distance <= limits.prime_distance + limits.threshold_tolerance)
-        told["within_reach"] = spans(measured.wrist_distance <= limits.reach_distance + limits.threshold_tolerance)
+        head, wrist = replay.measure(motion, scene.goal, scene.head_tilt_deg)
+        told |= {"wrist": packed(wrist), "head": packed(head)}
+        told["on_target"] = spans(head <= limits.prime_distance + limits.threshold_tolerance)
+        told["within_reach"] = spans(wrist <= limits.reach_distance + limits.threshold_tolerance)
     if scene.n_frames > 1:  # a single frame has no step
         batch = MotionBatch(motion.joints, np.array([0, scene.n_frames]))
         told["sliding"] = spans(sliding_steps(batch, np.array([scene.fps]), limits))
@@ -235,9 +234,9 @@ def packed(values: Float[np.ndarray, "*n"], scale: int = MILLIMETRES) -> bytes:
     return np.clip(np.rint(values * scale), -_LARGEST, _LARGEST).astype("<i2").tobytes()
 
 
-def encoded(sequence: PlayerSequence) -> bytes:
-    """Return the JSON of a sequence; nothing in a name can end the script element that holds it."""
-    return msgspec.json.encode(sequence).replace(b"<", b"\\u003c")
+def encoded(told: Any) -> bytes:
+    """Return JSON, such as that of a sequence; nothing in a name can end the script element that holds it."""
+    return msgspec.json.encode(told).replace(b"<", b"\\u003c")
 
 
 def within(sequences: Iterable[PlayerSequence], largest: int) -> Sequence[PlayerSequence]:

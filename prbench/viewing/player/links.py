@@ -109,13 +109,8 @@ def sequence_scores(scores: CodedScores, dataset: str, tables: Iterable[Path], *
     place = {name: row for row, name in enumerate(scores.sequence_ids)}
     found = []
     for name in worst_first([scores]):
-        values = {metric: float(column[place[name]]) for metric, column in means.items()}
-        found.append(
-            SequenceScores(
-                dataset=dataset,
-                sequence_id=name,
-                scores={metric: value for metric, value in values.items() if np.isfinite(value)},
-                motion=motion_link(name, primes.get(name, 0.0)) if linked else None,
-            )
-        )
+        values = ((metric, float(column[place[name]])) for metric, column in means.items())
+        known = {metric: value for metric, value in values if np.isfinite(value)}
+        motion = motion_link(name, primes.get(name, 0.0)) if linked else None
+        found.append(SequenceScores(dataset=dataset, sequence_id=name, scores=known, motion=motion))
     return found

@@ -76,6 +76,5 @@ def write_page(sequences: Iterable[PlayerSequence], out: Path, title: str = "prb
     Raises:
         StorageError: if the file cannot be written.
     """
-    text = page_text(sequences, title)
     with sole_writer(out):
-        write_text(out, text)
+        write_text(out, page_text(sequences, title))

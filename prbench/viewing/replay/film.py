@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 FPS = 20
 SIZE = (1280, 720)
 _HOLD = 1.0  # seconds that the last picture of a sequence stays
-_QUALITY = 7  # of 10, as the encoder's wrapper counts
 _DPI = 100
 _LONGEST_RAY = 6.0  # metres
 _FOOTPRINT = 0.5  # metres beside what must be seen
@@ -77,9 +76,10 @@ def film_writer(path: Path, size: tuple[int, int], fps: float) -> Generator[None
         import imageio_ffmpeg
     except ModuleNotFoundError as error:
         raise MissingExtraError("imageio-ffmpeg", "view", "writing MP4") from error
-    # The index in front, so that a browser can begin to play; bitexact, so that equal scenes are equal bytes.
+    # Quality is of 10. The index in front, so that a browser can begin to play; bitexact, so that equal scenes are
+    # equal bytes.
     how = ["-movflags", "+faststart", "-fflags", "+bitexact", "-flags:v", "+bitexact"]
-    options: Any = {"fps": fps, "quality": _QUALITY, "macro_block_size": 2, "ffmpeg_log_level": "error"}
+    options: Any = {"fps": fps, "quality": 7, "macro_block_size": 2, "ffmpeg_log_level": "error"}
     writer = imageio_ffmpeg.write_frames(str(path), size, output_params=how, **options)
     writer.send(None)  # starts the generator
     return writer
@@ -159,8 +159,7 @@ class FilmStage:
             update(frame)
         for axes, artist in self._moving:
             axes.draw_artist(artist)
-        pixels = np.asarray(self._canvas.buffer_rgba())
-        return np.ascontiguousarray(pixels[..., :3]).tobytes()
+        return np.asarray(self._canvas.buffer_rgba())[..., :3].tobytes()
 
     def _add_body(self, panel: Axes, motion: replay.ShownMotion, flat: Flatten, towards: Vector) -> None:
         scene = self._scene

@@ -72,12 +72,11 @@ class RunMotions:
             PredictionsError: if it has another length than the recorded one, or holds NaN.
         """
         joints = self.predictions.motions([sequence_id], self.sample).values.astype(np.float64)
+        place = f"{self.files.predictions}, {sequence_id}"
         if len(joints) != n_frames:
-            raise PredictionsError(
-                f"{self.files.predictions}, {sequence_id}: expected {n_frames} frames, found {len(joints)}."
-            )
+            raise PredictionsError(f"{place}: expected {n_frames} frames, found {len(joints)}.")
         if not np.isfinite(joints).all():
-            raise PredictionsError(f"{self.files.predictions}, {sequence_id}: expected finite positions, found NaN.")
+            raise PredictionsError(f"{place}: expected finite positions, found NaN.")
         return joints
 
     def gaze(self, sequence_id: str) -> GazeRays | None:
@@ -107,10 +106,8 @@ class RunMotions:
 
 def run_labels(paths: Sequence[Path], records: Sequence[RunRecord]) -> list[str]:
     """Return a short label for each run: method and condition, and the folder's name where two would be equal."""
-    labels = []
-    for record in records:
-        control = f", {record.control}" if record.control else ""
-        labels.append(f"{record.method.name}, {record.condition}{control}")
+    words = [(record.method.name, record.condition, record.control) for record in records]
+    labels = [", ".join(filter(None, parts)) for parts in words]
     named = zip(paths, labels, strict=True)
     return [f"{label} ({path.name})" if labels.count(label) > 1 else label for path, label in named]
 
@@ -189,24 +186,14 @@ def scene_of(
     goal = None
     if shown and placed:
         sides = zip(chunk.vectors("goal_box_world_min")[0], chunk.vectors("goal_box_world_max")[0], strict=True)
-        corners = transform_points(
-            invert_rigid(world_from_canonical), np.array(list(itertools.product(*sides)), dtype=np.float64)
-        )
-        goal = Goal(chunk.vectors("goal_location")[0].astype(np.float64), corners)
+        corners = np.array(list(itertools.product(*sides)), dtype=np.float64)
+        place = chunk.vectors("goal_location")[0].astype(np.float64)
+        goal = Goal(place, transform_points(invert_rigid(world_from_canonical), corners))
     action, name, hand, split = (chunk.strings(column)[0] for column in ("action", "object_name", "hand", "split"))
-    return Scene(
-        sequence_id=chunk.sequence_ids[0],
-        dataset=info.dataset,
-        title=f"{action} of {name}, {f'{hand} hand' if hand else 'hand unknown'} ({split})",
-        action=action,
-        n_frames=int(chunk.n_frames[0]),
-        prime_time=float(chunk.numbers("prime_time")[0] - chunk.numbers("start_time")[0]),
-        motions=(recorded, *motions) if shown else tuple(motions),
-        thresholds=constants,
-        goal=goal,
-        notice=notice(info, permitted),
-        info=info,
-        recording_id=chunk.strings("recording_id")[0],
-        world_from_canonical=world_from_canonical.astype(np.float64),
-        **{name: float(chunk.numbers(name)[0]) for name in ("fps", "head_tilt_deg", "start_time")},
-    )
+    title = f"{action} of {name}, {f'{hand} hand' if hand else 'hand unknown'} ({split})"
+    fps, tilt, start = (float(chunk.numbers(name)[0]) for name in ("fps", "head_tilt_deg", "start_time"))
+    prime = float(chunk.numbers("prime_time")[0] - chunk.numbers("start_time")[0])
+    said = (chunk.sequence_ids[0], info.dataset, title, action, fps, int(chunk.n_frames[0]), prime, tilt)
+    shown_motions = (recorded, *motions) if shown else tuple(motions)
+    place = (chunk.strings("recording_id")[0], start, world_from_canonical.astype(np.float64))
+    return Scene(*said, shown_motions, constants, goal, notice(info, permitted), info, *place)

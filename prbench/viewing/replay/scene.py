@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Vectors = Float[np.ndarray, "n 3"]
 Arrows = Float[np.ndarray, "n 2 3"]
+Distances = Float[np.ndarray, " n"]
 
 # Label of the recorded motion.
 RECORDED = "ground truth"
@@ -145,21 +146,8 @@ TITLES = (*(info.title for info in _OF_ONE_MOTION), "nearest wrist", *(info.titl
 _UNKNOWN = "–"
 
 
-@dataclass(frozen=True, eq=False)
-class Measures:
-    """Measurements of one motion against the goal, one value a frame.
-
-    Attributes:
-        head_distance: Distance from the goal to the head-forward ray, metres, as Prime Success measures it.
-        wrist_distance: Distance from the goal to the nearer wrist, metres.
-    """
-
-    head_distance: Float[np.ndarray, " n"]
-    wrist_distance: Float[np.ndarray, " n"]
-
-
-def measure(motion: ShownMotion, goal: Goal, head_tilt_deg: float) -> Measures:
-    """Measure one motion.
+def measure(motion: ShownMotion, goal: Goal, head_tilt_deg: float) -> tuple[Distances, Distances]:
+    """Return the distances of the goal from the head-forward ray and from the nearer wrist in each frame, metres.
 
     Sources: docs/specification/humanml3d.md#head-forward-vector, docs/specification/metrics.md#prime-success and
     docs/specification/metrics.md#reach-success.
@@ -167,13 +155,12 @@ def measure(motion: ShownMotion, goal: Goal, head_tilt_deg: float) -> Measures:
     head = motion.joints[:, Joint.HEAD]
     forward, _ = head_forward(motion.joints, head_tilt_deg)
     wrists = np.linalg.norm(motion.joints[:, list(WRISTS)] - goal.location, axis=2)
-    return Measures(ray_distance(head, forward, goal.location[None]), wrists.min(axis=1))
+    return ray_distance(head, forward, goal.location[None]), wrists.min(axis=1)
 
 
-def gaze_distance(gaze: GazeRays, goal: Goal) -> Float[np.ndarray, " n"]:
+def gaze_distance(gaze: GazeRays, goal: Goal) -> Distances:
     """Return the distance of the goal from the recorded gaze ray, metres; NaN where the gaze is not valid."""
-    distance = ray_distance(gaze.origin, gaze.direction, goal.location[None])
-    return np.where(gaze.valid, distance, np.nan)
+    return np.where(gaze.valid, ray_distance(gaze.origin, gaze.direction, goal.location[None]), np.nan)
 
 
 def score_row(scene: Scene, motion: ShownMotion) -> tuple[str, ...]:
@@ -183,7 +170,7 @@ def score_row(scene: Scene, motion: ShownMotion) -> tuple[str, ...]:
     """
     wrist = None
     if scene.goal is not None:
-        wrist = float(measure(motion, scene.goal, scene.head_tilt_deg).wrist_distance.min())
+        wrist = float(measure(motion, scene.goal, scene.head_tilt_deg)[1].min())
     recorded = motion is scene.motions[0] and scene.shows_recorded
     compared = [_UNKNOWN if recorded else _cell(info, motion) for info in _OF_TWO_MOTIONS]
     return (*(_cell(info, motion) for info in _OF_ONE_MOTION), _length(wrist), *compared)
@@ -192,11 +179,6 @@ def score_row(scene: Scene, motion: ShownMotion) -> tuple[str, ...]:
 def known_scores(scene: Scene, motion: ShownMotion) -> list[tuple[str, str]]:
     """Return the title and value of each known score of a motion."""
     return [pair for pair in zip(TITLES, score_row(scene, motion), strict=True) if pair[1] != _UNKNOWN]
-
-
-def score_sentence(scene: Scene, motion: ShownMotion) -> str:
-    """Return the known scores of a motion in one line."""
-    return ", ".join(" ".join(score) for score in known_scores(scene, motion))
 
 
 def verdict(scene: Scene, motion: ShownMotion) -> str:
@@ -236,7 +218,6 @@ GAZE_COLOUR = "#e69f00"
 GOAL_COLOUR = "#56b4e9"
 BOX_COLOUR = "#1b6f9c"
 MARK_COLOUR = "#555555"
-_BONES = np.array(BONES)
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
@@ -258,7 +239,7 @@ def gaze_style(motion: ShownMotion) -> dict[str, Any]:
 
 def bone_segments(points: Float[np.ndarray, "*poses 22 k"]) -> Float[np.ndarray, "*poses 21 2 k"]:
     """Return both ends of every bone, in the order of ``skeleton.BONES``."""
-    return points[..., _BONES, :]
+    return points[..., np.array(BONES), :]
 
 
 def side_view(

@@ -39,8 +39,6 @@ _SPACING = 1.18  # metres between figures
 _LONGEST_RAY = 0.75  # metres
 _RAY = 6.0  # metres: longest head or gaze ray at prime time
 _HIGHEST = 3.0  # metres shown of a distance
-_LABEL = 44  # characters of a label that fit
-_PIXELS = 2**15  # along one side of a PNG
 _DASHED = (0, (3, 1.5))
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -94,7 +92,7 @@ def draw_strip(
                 tip = place + side * 0.5 * _SPACING
                 arrow = {"arrowstyle": "-|>", "color": replay.BOX_COLOUR, "linewidth": 0.8, "mutation_scale": 6}
                 axes.annotate("", (tip, location[1]), (tip - side * 0.2 * _SPACING, location[1]), arrowprops=arrow)
-    label = textwrap.shorten(motion.label, _LABEL, placeholder=" …")
+    label = textwrap.shorten(motion.label, 44, placeholder=" …")
     axes.set_title(figure_text(label), color=motion.colour, weight="bold", pad=1)
     axes.plot([-0.8, -0.8], [0.0, 1.0], color=replay.MARK_COLOUR, linewidth=0.8)
     axes.text(-0.75, 0.5, "1 m", fontsize=6, color=replay.MARK_COLOUR, va="center")
@@ -152,8 +150,7 @@ def draw_curves(panels: tuple[Axes, Axes], scene: replay.Scene, goal: replay.Goa
     titles = ("head ray to goal (m)", "nearer wrist to goal (m)")
     highest = [0.0, 0.0]
     for motion in scene.motions:
-        values = replay.measure(motion, goal, scene.head_tilt_deg)
-        for number, curve in enumerate((values.head_distance, values.wrist_distance)):
+        for number, curve in enumerate(replay.measure(motion, goal, scene.head_tilt_deg)):
             panels[number].plot(scene.times, curve, color=motion.colour)
             highest[number] = max(highest[number], float(curve.max()))
         if motion.gaze is not None:
@@ -231,7 +228,8 @@ def draw_sheet(
     foot = textwrap.wrap("   ".join(notices), 72 * columns)
     below = KEY + 0.12 * len(foot)
     total = sum(heights) + below
-    figure = new_figure(COLUMN * columns, total, dpi=dpi or min(200, int(_PIXELS / total)))
+    # A side of a PNG has at most 2**15 pixels.
+    figure = new_figure(COLUMN * columns, total, dpi=dpi or min(200, int(2**15 / total)))
     top = total
     done = 0
     for row, height in zip(rows, heights, strict=True):

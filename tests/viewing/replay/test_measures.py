@@ -15,10 +15,10 @@ from prbench.viewing.replay.scene import (
     Goal,
     ShownMotion,
     gaze_distance,
+    known_scores,
     measure,
     phase,
     score_row,
-    score_sentence,
 )
 from tests.fakes import STANDING, smooth_motion
 from tests.viewing.replay.scenes import a_scene
@@ -41,16 +41,16 @@ def _goal(degrees: float, distance: float) -> Goal:
 @pytest.mark.parametrize(("degrees", "distance"), [(30, 1.0), (0, 0.0), (180, 2.0), (90, 2.0)])
 def test_a_goal_two_metres_away_at_a_known_angle(degrees, distance):
     body = ShownMotion("x", RECORDED_COLOUR, _upright()[None])
-    values = measure(body, _goal(degrees, 2.0), head_tilt_deg=0.0)
-    assert values.head_distance[0] == pytest.approx(distance, abs=1e-9)  # 2 sin 30°; behind the head: the way to it
+    head, _ = measure(body, _goal(degrees, 2.0), head_tilt_deg=0.0)
+    assert head[0] == pytest.approx(distance, abs=1e-9)  # 2 sin 30°; behind the head: the way to it
 
 
 def test_the_nearer_wrist_counts_and_the_best_frame():
     joints = np.stack([STANDING, STANDING])
     joints[1, Joint.LEFT_WRIST] = (0.0, 1.6, 1.93)
-    values = measure(ShownMotion("x", RECORDED_COLOUR, joints), _goal(0, 2.0), head_tilt_deg=0.0)
-    assert values.wrist_distance[1] == pytest.approx(0.07)
-    assert values.wrist_distance.min() == pytest.approx(0.07)
+    _, wrist = measure(ShownMotion("x", RECORDED_COLOUR, joints), _goal(0, 2.0), head_tilt_deg=0.0)
+    assert wrist[1] == pytest.approx(0.07)
+    assert wrist.min() == pytest.approx(0.07)
 
 
 def test_reaching_by_the_curve_is_reaching_by_the_metric():
@@ -58,9 +58,9 @@ def test_reaching_by_the_curve_is_reaching_by_the_metric():
     for number in range(20):
         joints = smooth_motion(f"view-{number}", 60).astype(np.float64)
         goal = joints[30, Joint.RIGHT_WRIST] + [0.0, 0.1 + 0.004 * (number - 10), 0.0]
-        curve = measure(ShownMotion("x", RECORDED_COLOUR, joints), Goal(goal, _NO_BOX), 7.4)
+        _, wrist = measure(ShownMotion("x", RECORDED_COLOUR, joints), Goal(goal, _NO_BOX), 7.4)
         metric = reach_success(MotionBatch.from_motions([joints]), goal[None], constants)[0]
-        assert (curve.wrist_distance.min() <= constants.reach_distance) == (metric == 1.0)
+        assert (wrist.min() <= constants.reach_distance) == (metric == 1.0)
 
 
 def test_invalid_gaze_leaves_a_gap():
@@ -77,8 +77,8 @@ def test_scores_in_words_leave_out_what_compares_a_motion_with_itself():
     assert own[3:] == ("–", "–", "–")
     assert method[:2] == ("yes", "no")
     assert method[3:] == ("yes", "12 cm", "1.50 m")
-    assert "Location Error" not in score_sentence(scene, scene.motions[0])
-    assert "Location Error yes, Goal MPJPE 12 cm" in score_sentence(scene, scene.motions[1])
+    assert "Location Error" not in dict(known_scores(scene, scene.motions[0]))
+    assert known_scores(scene, scene.motions[1])[3:5] == [("Location Error", "yes"), ("Goal MPJPE", "12 cm")]
 
 
 def test_prime_and_event_are_named_when_they_happen():
