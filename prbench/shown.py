@@ -139,39 +139,13 @@ def latex(text: object) -> str:
 
 # What LaTeX would take for markup, and the signs that tables of prbench use.
 _LATEX = {
-    "\\": r"\textbackslash{}",
-    "{": r"\{",
-    "}": r"\}",
-    "$": r"\$",
-    "&": r"\&",
-    "%": r"\%",
-    "#": r"\#",
-    "_": r"\_",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"$<$",
-    ">": r"$>$",
-    "|": r"$|$",
-    '"': r"\textquotedbl{}",
-    "±": r"$\pm$",
-    "×": r"$\times$",
-    "✗": r"$\times$",
-    "−": r"$-$",
-    "–": "--",
-    "↑": r"$\uparrow$",
-    "↓": r"$\downarrow$",
-    "†": r"\dag{}",
-    "‡": r"\ddag{}",
-    "§": r"\S{}",
-    "¶": r"\P{}",
-    "◊": r"$\diamond$",
-    "∥": r"$\parallel$",
-    "δ": r"$\delta$",
-    "σ": r"$\sigma$",
-    "…": r"\ldots{}",
-    "≥": r"$\geq$",
-    "≤": r"$\leq$",
-}
+    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "%": r"\%", "#": r"\#",
+    "_": r"\_", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"$<$", ">": r"$>$", "|": r"$|$",
+    '"': r"\textquotedbl{}", "±": r"$\pm$", "×": r"$\times$", "✗": r"$\times$", "−": r"$-$", "–": "--",
+    "↑": r"$\uparrow$", "↓": r"$\downarrow$", "†": r"\dag{}", "‡": r"\ddag{}", "§": r"\S{}", "¶": r"\P{}",
+    "◊": r"$\diamond$", "∥": r"$\parallel$", "δ": r"$\delta$", "σ": r"$\sigma$", "…": r"\ldots{}",
+    "≥": r"$\geq$", "≤": r"$\leq$",
+}  # fmt: skip
 
 
 def html(text: object) -> str:

@@ -73,26 +73,18 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
         ends = getattr(protocol.breakdown, key)
         ascend = all(0 < end < math.inf for end in ends) and list(ends) == sorted(set(ends))
         bins.append((ascend, f"breakdown.{key}", "finite numbers above 0, ascending", list(ends)))
+    four = f"the four conditions: {', '.join(conditions)}"
+    left = f"at most what splits.test leaves ({1 - splits.test:g})"
     checks: list[tuple[Any, str, str, object]] = [
         (is_name, "name", name, f"'{protocol.name}'"),
         (protocol.version >= 1, "version", "1 or more", protocol.version),
-        (
-            protocol.conditions == conditions,
-            "conditions",
-            f"the four conditions: {', '.join(conditions)}",
-            ", ".join(protocol.conditions) or "none",
-        ),
+        (protocol.conditions == conditions, "conditions", four, ", ".join(protocol.conditions) or "none"),
         *((0 <= value <= 1, key, "a share from 0 to 1", f"{value:g}") for key, value in numbers if key in _SHARES),
         *((value > 0, key, "a finite number above 0", f"{value:g}") for key, value in numbers if key in _ABOVE_ZERO),
         *((0 <= value < math.inf, key, "a finite number 0 or more", f"{value:g}") for key, value in numbers),
         *bins,
         (fewest >= 2, "breakdown.fewest_recordings", "2 or more", fewest),
-        (
-            splits.test + splits.validation <= 1,
-            "splits.validation",
-            f"at most what splits.test leaves ({1 - splits.test:g})",
-            f"{splits.validation:g}",
-        ),
+        (splits.test + splits.validation <= 1, "splits.validation", left, f"{splits.validation:g}"),
     ]
     require(path, *((*check, "") for check in checks))
     return protocol

@@ -200,12 +200,8 @@ def read_objects(
         InputFileError: for a missing or damaged file, a pose that is no pose, or a clock that runs backwards.
     """
     expected = "an object with its instance_id, names, category, motion_type and instance_type"
-    entries, unreadable = native.read_entries(
-        instances_path,
-        native.decode_json(instances_path, dict[str, msgspec.Raw]),
-        msgspec.json.Decoder(_Instance).decode,
-        expected,
-    )
+    named = native.decode_json(instances_path, dict[str, msgspec.Raw])
+    entries, unreadable = native.read_entries(instances_path, named, msgspec.json.Decoder(_Instance).decode, expected)
     instances: dict[int, _Instance] = {}
     for key, instance in entries.items():
         if instances.setdefault(instance.instance_id, instance) is not instance:

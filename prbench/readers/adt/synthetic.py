@@ -115,26 +115,19 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     quality = np.clip(1.0 - np.linalg.norm(offset, axis=1) / 5e-3, 0.2, 1.0)
     people = [(performance, performance.person.participant_id)]
     people += [(other, other.participant_id) for other in performance.other_people]
-    return adt.AdtReadings(
-        recording_id=performance.recording_id,
-        serial=_glasses_serial(performance),
-        concurrent=f"{performance.recording_id}-other" if performance.other_people else "",
-        glasses_size=None,
-        device_from_rgb=None,
-        glasses=mps.AriaTrajectory(
-            pose_us,
-            np.round(position + offset, _METRES),
-            np.round(turned.as_quat(canonical=True, scalar_first=True), _QUATERNION),
-            np.round(np.where(lost, 0.0, quality), _METRES),
-        ),
-        # The file's depth is 0, "unknown", between fixations.
-        gaze=aria.gaze_rows(sensing, times, pose_us - adt.GAZE_BEFORE_POSE_US, fixation_depth(sensing, times, 0.0)),
-        objects=_sense_objects(sensing, times, pose_us * 1000 + adt.OBJECT_AFTER_POSE_NS),
-        skeletons=tuple(
-            _sense_suit(sensing, body.joints, body.finger_bases, person_id, number)
-            for number, (body, person_id) in enumerate(people)
-        ),
+    concurrent = f"{performance.recording_id}-other" if performance.other_people else ""
+    names = (performance.recording_id, _glasses_serial(performance), concurrent)
+    quaternion = np.round(turned.as_quat(canonical=True, scalar_first=True), _QUATERNION)
+    quality = np.round(np.where(lost, 0.0, quality), _METRES)
+    glasses = mps.AriaTrajectory(pose_us, np.round(position + offset, _METRES), quaternion, quality)
+    # The file's depth is 0, "unknown", between fixations.
+    gaze = aria.gaze_rows(sensing, times, pose_us - adt.GAZE_BEFORE_POSE_US, fixation_depth(sensing, times, 0.0))
+    objects = _sense_objects(sensing, times, pose_us * 1000 + adt.OBJECT_AFTER_POSE_NS)
+    skeletons = tuple(
+        _sense_suit(sensing, body.joints, body.finger_bases, person_id, number)
+        for number, (body, person_id) in enumerate(people)
     )
+    return adt.AdtReadings(*names, None, None, glasses, gaze, objects, skeletons)
 
 
 def _glasses_serial(performance: Performance, other: int = 0) -> str:
@@ -297,18 +290,11 @@ def write(readings: adt.AdtReadings, folder: Path) -> None:
         StorageError: if the disk is full or the folder cannot be written.
     """
     with atomic_folder(folder) as target:
-        metadata = {
-            "gt_creation_time": _CREATED,
-            "scene": "Synthetic",
-            "is_multi_person": len(readings.skeletons) > 1,
-            "num_skeletons": len(readings.skeletons),
-            "timecode_enabled": 0,
-            "gt_time_domain": adt.TIME_DOMAIN,
-            "dataset_name": "ADT_2023",
-            "serial": readings.serial,
-            "concurrent_sequence": readings.concurrent,
-            "dataset_version": "2.0",
-        }
+        count = len(readings.skeletons)
+        metadata = {"gt_creation_time": _CREATED, "scene": "Synthetic", "is_multi_person": count > 1}
+        metadata |= {"num_skeletons": count, "timecode_enabled": 0, "gt_time_domain": adt.TIME_DOMAIN}
+        metadata |= {"dataset_name": "ADT_2023", "serial": readings.serial}
+        metadata |= {"concurrent_sequence": readings.concurrent, "dataset_version": "2.0"}
         write_json(target / adt.METADATA_FILE, metadata)
         objects = readings.objects
         instances = [
@@ -355,18 +341,11 @@ def write(readings: adt.AdtReadings, folder: Path) -> None:
 def _instance(
     instance_id: int, name: str, prototype: str, category: str, *, dynamic: bool, human: bool
 ) -> dict[str, object]:
-    return {
-        "instance_id": instance_id,
-        "instance_name": name,
-        "prototype_name": prototype,
-        "category": category,
-        "category_uid": 0,
-        "motion_type": "dynamic" if dynamic else "static",
-        "instance_type": "human" if human else "object",
-        "rigidity": "deformable" if human else "rigid",
-        "rotational_symmetry": {"is_annotated": False},
-        "canonical_pose": {"up_vector": [0, 1, 0], "front_vector": [0, 0, 1]},
-    }
+    names = {"instance_id": instance_id, "instance_name": name, "prototype_name": prototype, "category": category}
+    motion = {"category_uid": 0, "motion_type": "dynamic" if dynamic else "static"}
+    kind = {"instance_type": "human" if human else "object", "rigidity": "deformable" if human else "rigid"}
+    frame = {"up_vector": [0, 1, 0], "front_vector": [0, 0, 1]}
+    return {**names, **motion, **kind, "rotational_symmetry": {"is_annotated": False}, "canonical_pose": frame}
 
 
 def _write_estimates(performance: Performance, readings: adt.AdtReadings, root: Path, *, noise: float = 1.0) -> None:

@@ -277,11 +277,8 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
         ]
         unit = np.eye(3).tolist()
         bias = {"Name": "Constant", "Offset": [0.0, 0.0, 0.0]}
-        turning = {
-            "Name": "LinearGSensitivity",
-            "RectificationMatrix": unit,
-            "GSensitivityMatrix": np.zeros((3, 3)).tolist(),
-        }
+        zero = np.zeros((3, 3)).tolist()
+        turning = {"Name": "LinearGSensitivity", "RectificationMatrix": unit, "GSensitivityMatrix": zero}
         moving = {"Name": "UpperTriagonalLinear", "RectificationMatrix": unit}
         imus = [
             {
@@ -296,12 +293,8 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
         ]
         with atomic_path(path) as temporary, open(temporary, "wb") as file:
             for time_us in range(int(first), int(last) + 1, _CALIBRATION_STEP_US):
-                record = {
-                    "utc_timestamp_ns": -1,
-                    "tracking_timestamp_us": time_us,
-                    "ImuCalibrations": imus,
-                    "CameraCalibrations": cameras,
-                }
+                stamps = {"utc_timestamp_ns": -1, "tracking_timestamp_us": time_us}
+                record = {**stamps, "ImuCalibrations": imus, "CameraCalibrations": cameras}
                 file.write(msgspec.json.encode(record) + b"\n")
     if mps.SLAM_SUMMARY in wanted:
         write_json(slam / mps.SUMMARY_FILE, {"SLAM": {"status": "SUCCESS", "info": [], "warnings": [], "errors": []}})

@@ -55,12 +55,9 @@ def mps_streams(
     """
     trajectory = readings.trajectory
     turn = Rotation.from_matrix(world_from_source[:3, :3])
-    device = PoseStream(
-        trajectory.time_us / 1e6,
-        trajectory.position @ world_from_source[:3, :3].T + world_from_source[:3, 3],
-        (turn * Rotation.from_quat(trajectory.rotation, scalar_first=True)).as_quat(scalar_first=True),
-        trajectory.quality >= mps.LEAST_QUALITY,
-    )
+    position = trajectory.position @ world_from_source[:3, :3].T + world_from_source[:3, 3]
+    rotation = (turn * Rotation.from_quat(trajectory.rotation, scalar_first=True)).as_quat(scalar_first=True)
+    device = PoseStream(trajectory.time_us / 1e6, position, rotation, trajectory.quality >= mps.LEAST_QUALITY)
     head, camera = head_and_camera(device, readings.glasses_size or ASSUMED_SIZE, readings.device_from_rgb)
     gaze = gaze_in_world(head, readings.gaze, same_instant=SAME_INSTANT)
     wrists = []

@@ -209,18 +209,13 @@ def sense_egoallo(
     rotation = device * Rotation.from_matrix(device_cpf[:3, :3])
     cpf = np.hstack([rotation.as_quat(scalar_first=True), position]).astype(np.float32)
     betas = shape_of(performance).astype(np.float32)
-    return tuple(
-        ego.EgoAlloOutput(
-            name=f"{_DAY}_{first}-{last}.npz",
-            time_ns=trajectory.time_us[rows[own]] * 1000,
-            world_from_cpf=cpf[own],
-            world_from_root=root[None, own],
-            body_quats=body[None, own],
-            betas=np.tile(betas, (1, int(own.sum()), 1)),
-        )
-        for window, (first, last) in enumerate(windows)
-        for own in (number == window,)
-    )
+    outputs = []
+    for window, (first, last) in enumerate(windows):
+        own = number == window
+        poses = (cpf[own], root[None, own], body[None, own], np.tile(betas, (1, int(own.sum()), 1)))
+        time_ns = trajectory.time_us[rows[own]] * 1000
+        outputs.append(ego.EgoAlloOutput(f"{_DAY}_{first}-{last}.npz", time_ns, *poses))
+    return tuple(outputs)
 
 
 def _estimate(

@@ -170,15 +170,8 @@ def published_track(
             raise InputFileError(readings.recording_id, "", expected=expected, found=found, remedy=remedy)
         jaw, _ = filled(posed, fitted.jaw[:, None], frames, longest=round(manifest.thresholds["longest_filled_gap"]))
         joints = np.concatenate([joints, transform_points(readings.transform.room_from_body(), jaw)], axis=1)
-    return streams.PublishedTrack(
-        name=readings.segment.name,
-        published_split=gimo.PUBLISHED_SPLITS[readings.segment.training],
-        times=body.times,
-        joints=joints,
-        valid=body.valid,
-        filled=body.valid & ~has_pose,
-        body=body.joints,
-        gaze=recording.gaze.direction,
-        # A direction needs both ends of its own frame: a gaze point, and the head that it is seen from.
-        gaze_measured=recording.gaze.valid & np.isin(frames, readings.gaze.frames) & has_pose,
-    )
+    # A direction needs both ends of its own frame: a gaze point, and the head that it is seen from.
+    measured = recording.gaze.valid & np.isin(frames, readings.gaze.frames) & has_pose
+    names = (readings.segment.name, gimo.PUBLISHED_SPLITS[readings.segment.training])
+    poses = (body.times, joints, body.valid, body.valid & ~has_pose, body.joints)
+    return streams.PublishedTrack(*names, *poses, recording.gaze.direction, measured)

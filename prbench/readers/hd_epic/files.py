@@ -266,13 +266,8 @@ def read_readings(found: RecordingFiles) -> hd_epic.HdEpicReadings:
     clock, clock_remarks = annotating.read_video_clock(times, found.path(LOG))
     glasses = _read_mps(found)
     body = read_bodies(found, cpf=mps_streams(replace(glasses, wrists=None), world_from_source=np.eye(4)).head)
-    return replace(
-        annotations,
-        clock=clock,
-        glasses=glasses,
-        body=body,
-        messages=(*annotations.messages, *clock_remarks, *((NO_OUTPUTS,) if body is None else ())),
-    )
+    messages = (*annotations.messages, *clock_remarks, *((NO_OUTPUTS,) if body is None else ()))
+    return replace(annotations, clock=clock, glasses=glasses, body=body, messages=messages)
 
 
 def _read_mps(found: RecordingFiles) -> mps.MpsReadings:

@@ -273,16 +273,11 @@ def _write_video(readings: hd_epic.HdEpicReadings, data: Path) -> None:
         hd_epic.DEVICE_TIME: times,
     }
     write_csv(own / f"{readings.video}{hd_epic.TIME_SUFFIX}", columns)
-    log = {
-        "num_mp4_frames": len(times),
-        "down_sampling_factor_": 1,
-        "num_skipped_frames": int((np.diff(times) > 1.5e9 / hd_epic.FPS).sum()),
-        "num_duplicated_frames_": readings.clock.repeats,
-        "num_invalid_frames_": 0,
-        "first_video_timestamp_ns": int(times[0]),
-        "end_video_timestamp_ns": int(times[-1]),
-        "video_duration_ns": int(times[-1]) - int(times[0]),
-    }
+    first, last = int(times[0]), int(times[-1])
+    log = {"num_mp4_frames": len(times), "down_sampling_factor_": 1}
+    log |= {"num_skipped_frames": int((np.diff(times) > 1.5e9 / hd_epic.FPS).sum())}
+    log |= {"num_duplicated_frames_": readings.clock.repeats, "num_invalid_frames_": 0}
+    log |= {"first_video_timestamp_ns": first, "end_video_timestamp_ns": last, "video_duration_ns": last - first}
     write_json(own / f"{readings.video}{hd_epic.LOG_SUFFIX}", log)
     base = data / hd_epic.MPS_FOLDER / readings.participant_id
     number = slam_number(readings.video)
@@ -343,13 +338,8 @@ def _share(readings: hd_epic.HdEpicReadings) -> dict[str, object]:
         for track in readings.tracks
         for mask in track.masks
     }
-    return {
-        "video": readings.video,
-        "participant": readings.participant_id,
-        "associations": associations,
-        "masks": masks,
-        "priming": objects,
-    }
+    names = {"video": readings.video, "participant": readings.participant_id}
+    return {**names, "associations": associations, "masks": masks, "priming": objects}
 
 
 def _to_recording(readings: SensedVideo, manifest: Manifest, *, dataset: str) -> Recording:

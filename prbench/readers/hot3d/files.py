@@ -119,16 +119,9 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
             files += [input_file(f"{MODEL_PREFIX}{uid}", path) for uid, path in models if is_present(path)]
         files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
         tree = synthetic_tree_around(folder, root)
-        found.append(
-            RecordingFiles(
-                "hot3d" if tree is None else f"{SYNTHETIC_PREFIX}hot3d",
-                folder.name,
-                folder,
-                tuple(files),
-                split=None if tree is None else tree.split.get(folder.name),
-                skip_reason=None if metadata is None else why_unusable(metadata),
-            )
-        )
+        dataset, splits = ("hot3d", {}) if tree is None else (f"{SYNTHETIC_PREFIX}hot3d", tree.split)
+        reason = None if metadata is None else why_unusable(metadata)
+        found.append(RecordingFiles(dataset, folder.name, folder, tuple(files), splits.get(folder.name), reason))
     expected = f"recordings of HOT3D: folders that hold {hot3d.METADATA_FILE}, at most two levels down"
     remedy = "Give the folder of the recordings. Clips in tar files (HOT3D-Clips) are another format."
     require(root, (found, "", expected, names_in(root), remedy))

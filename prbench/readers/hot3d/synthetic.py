@@ -321,11 +321,8 @@ def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
         for hand in readings.hands:
             columns = (hand.time_ns, hand.position, hand.rotation, hand.angles)
             for time, position, rotation, angles in zip(*(column.tolist() for column in columns), strict=True):
-                lines[time][hot3d.HAND_KEYS[hand.side]] = {
-                    "wrist_xform": {"t_xyz": position, "q_wxyz": rotation},
-                    "joint_angles": angles,
-                    "hand_confidence": 1.0,
-                }
+                pose = {"wrist_xform": {"t_xyz": position, "q_wxyz": rotation}, "joint_angles": angles}
+                lines[time][hot3d.HAND_KEYS[hand.side]] = {**pose, "hand_confidence": 1.0}
         records = [{"timestamp_ns": time, "hand_poses": poses} for time, poses in lines.items()]
         write_bytes(target / hot3d.UMETRACK_FILE, b"".join(msgspec.json.encode(record) + b"\n" for record in records))
         if readings.hand_model is not None:
@@ -457,14 +454,8 @@ def profile(model: HandModel) -> dict[str, object]:
 
 
 def _instance(uid: str, name: str, kind: str) -> dict[str, object]:
-    return {
-        "instance_bop_id": "0",
-        "instance_id": uid,
-        "instance_name": name,
-        "instance_type": kind,
-        "motion_type": "dynamic",
-        "rigidity": "rigid",
-    }
+    named = {"instance_bop_id": "0", "instance_id": uid, "instance_name": name, "instance_type": kind}
+    return {**named, "motion_type": "dynamic", "rigidity": "rigid"}
 
 
 def _events(performance: Performance) -> tuple[TrueEvent, ...]:

@@ -271,12 +271,9 @@ def _on_truth_clock(mps: MpsReadings, clock: ClockMatch) -> MpsReadings:
         number = np.arange(len(shifted))
         return np.maximum.accumulate(shifted - number) + number  # rounding must not make two times equal
 
-    return replace(
-        mps,
-        trajectory=replace(mps.trajectory, time_us=moved(mps.trajectory.time_us)),
-        gaze=replace(mps.gaze, time_us=moved(mps.gaze.time_us)),
-        wrists=None,  # hands come from the ground truth
-    )
+    trajectory = replace(mps.trajectory, time_us=moved(mps.trajectory.time_us))
+    gaze = replace(mps.gaze, time_us=moved(mps.gaze.time_us))
+    return replace(mps, trajectory=trajectory, gaze=gaze, wrists=None)  # hands come from the ground truth
 
 
 def hand_streams(

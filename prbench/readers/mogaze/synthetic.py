@@ -234,14 +234,10 @@ def _sense_object(sensing: sensors.Sensing, motion: ObjectMotion, name: str, tim
     low, high, upright_from_body = _shape(motion, name)
     track = performance.times[: len(motion.position)]
     turned = Rotation.from_quat(_turned(performance, motion.rotation, times), scalar_first=True) * upright_from_body
-    position, rotation = sensors.tracked(
-        sensing,
-        motion.object_id,
-        _TO_NATIVE.apply(interpolate(track, motion.position, times) - turned.apply((low + high) / 2)),
-        _TO_NATIVE * turned,
-        size=_OBJECT_NOISE,
-        scale=sensing.strength("object_noise") if motion.movable else 0.0,
-    )
+    true = _TO_NATIVE.apply(interpolate(track, motion.position, times) - turned.apply((low + high) / 2))
+    scale = sensing.strength("object_noise") if motion.movable else 0.0
+    rotation = _TO_NATIVE * turned
+    position, rotation = sensors.tracked(sensing, motion.object_id, true, rotation, size=_OBJECT_NOISE, scale=scale)
     quaternion = rotation.as_quat(canonical=True)
     # A body out of sight: the release has NaN for its place and zeros for its rotation.
     lost = sensors.untracked(performance, motion, times)
