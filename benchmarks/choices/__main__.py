@@ -165,15 +165,8 @@ def _about(table: SequenceTable, planned: Mapping[str, float], first: Mapping[st
     moved = sum(abs(primes[name] - first[name]) > _SAME for name in shared)
     known = [name for name in primes if name in planned]
     early = sum(primes[name] < planned[name] - EARLY for name in known)
-    return [
-        str(table.scalars().num_rows),
-        str(len(primes)),
-        f"{gaps.mean():.2f} ± {gaps.std():.2f} s",
-        str(too_long),
-        f"{len(shared)} of {len(first)}",
-        str(moved),
-        f"{early} of {len(known)}",
-    ]
+    counts = [str(table.scalars().num_rows), str(len(primes)), f"{gaps.mean():.2f} ± {gaps.std():.2f} s", str(too_long)]
+    return [*counts, f"{len(shared)} of {len(first)}", str(moved), f"{early} of {len(known)}"]
 
 
 def _primes(table: SequenceTable) -> dict[str, float]:

@@ -63,21 +63,14 @@ def build_anchored_windows(data: Path | str, out: Path | str, *, only: Collectio
                     yield replace(found, windows=windows)
 
     source = {name: getattr(table.info, name) for name in Provenance.__struct_fields__}
-    changed = {
-        "schema_version": SCHEMA_VERSION,
-        "protocol_version": protocol.version,
-        "protocol_digest": protocol.digest,
-        "input_digest": table.info.content_digest,
-        "options": {
-            "track": "anchored",
-            "table_identity": table.info.identity_digest,
-            **({"anchors": ", ".join(name for name in anchors() if name in only)} if only else {}),
-        },
-        "quarantine": (),
-        "outcomes": {},
-    }
+    options = {"track": "anchored", "table_identity": table.info.identity_digest}
+    if only:
+        options["anchors"] = ", ".join(name for name in anchors() if name in only)
+    source |= {"schema_version": SCHEMA_VERSION, "protocol_version": protocol.version}
+    source |= {"protocol_digest": protocol.digest, "input_digest": table.info.content_digest}
+    source |= {"options": options, "quarantine": (), "outcomes": {}}
     sizes = {name: getattr(rules, name) for name in ("observed_frames", "future_frames", "fewest_gaze_frames")}
-    info = WindowsInfo(**(source | changed), **sizes, fps=fps, joint_set="smpl22")
+    info = WindowsInfo(**source, **sizes, fps=fps, joint_set="smpl22")
     with sole_writer(out):
         return write_windows(out, info, cut())
 
@@ -88,35 +81,23 @@ def _cut(chunk: SequenceChunk, rules: WindowRules, anchored: AnchoredRules) -> R
     The windows end at the prime, and at each lead before the event.
     """
     room_from_canonical = chunk.vectors("world_from_canonical").reshape(4, 4)
-    text = {name: chunk.strings(name)[0] for name in _TEXT}
-    number = {name: float(chunk.numbers(name)[0]) for name in _NUMBERS}
+    sequence_id, recording_id, participant_id, split, action, pose_source = (chunk.strings(name)[0] for name in _TEXT)
+    _, prime_frame, start_time, fps, head_tilt_deg = (float(chunk.numbers(name)[0]) for name in _NUMBERS)
     # The canonical frame knows the lowest joint of the whole sequence, the room knows nothing of it.
     joints = transform_points(room_from_canonical, chunk.joints.astype(np.float64))
     # The gaze of some frames before, held where it is not valid; +Z before the first valid one.
     directions = chunk.frames("gaze_direction").astype(np.float64) @ room_from_canonical[:3, :3].T
     valid = chunk.frames("gaze_valid").astype(bool)
-    earlier = np.arange(len(valid)) - round(anchored.gaze_delay * number["fps"])
+    earlier = np.arange(len(valid)) - round(anchored.gaze_delay * fps)
     shown = (earlier >= 0) & valid[np.maximum(earlier, 0)]
     last = np.maximum.accumulate(np.where(shown, earlier, -1))
-    run = Run(
-        run_id=text["sequence_id"],
-        recording_id=text["recording_id"],
-        participant_id=text["participant_id"],
-        split=text["split"],
-        published_split="",
-        segment=text["action"],
-        pose_source=text["pose_source"],
-        fps=number["fps"],
-        start_time=number["start_time"],
-        joints=joints,
-        joints_valid=np.ones(len(joints), dtype=bool),
-        gaze=np.where((last >= 0)[:, None], directions[np.maximum(last, 0)], [0.0, 0.0, 1.0]),
-        gaze_valid=shown,
-        head_direction=head_forward(joints, number["head_tilt_deg"])[0],
-    )
+    gaze = np.where((last >= 0)[:, None], directions[np.maximum(last, 0)], [0.0, 0.0, 1.0])
+    head = head_forward(joints, head_tilt_deg)[0]
+    about = (sequence_id, recording_id, participant_id, split, "", action, pose_source)
+    run = Run(*about, fps, start_time, joints, np.ones(len(joints), dtype=bool), gaze, shown, head)
     goal = transform_points(room_from_canonical, chunk.vectors("goal_location")[0])
     event = len(run) - 1
-    last_observed = {"prime": int(number["prime_frame"])}
+    last_observed = {"prime": int(prime_frame)}
     last_observed |= {f"event-{lead:g}": event - round(lead * rules.fps) for lead in anchored.leads}
     windows = []
     for anchor, border in last_observed.items():

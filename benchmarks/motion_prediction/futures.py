@@ -28,7 +28,7 @@ from prbench.viewing.replay.read import run_labels
 from prbench.viewing.replay.scene import METHOD_COLOURS
 from prbench.viewing.view import DEFAULT_LIMIT, ViewReport, ViewRequest
 from prbench_benchmarks.motion_prediction.batch import Condition
-from prbench_benchmarks.motion_prediction.cases import run_on
+from prbench_benchmarks.motion_prediction.benchmark import run_on
 from prbench_benchmarks.motion_prediction.joint_sets import JointSet, transform_each
 from prbench_benchmarks.motion_prediction.metrics import displacements, frame_errors, joint_errors
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
@@ -185,22 +185,11 @@ def view_futures(request: ViewRequest) -> FuturesReport:
             score = f"ADE {error['ade'][0]:.2f} m, FDE {error['fde'][0]:.2f} m"
             in_room = transform_each(truth.room_from_batch[row : row + 1], joints[None])[0]
             fans.append(Fan(label, colour, in_room, score))
-        synthetic = table.info.dataset.startswith(SYNTHETIC_PREFIX)
-        shown.append(
-            ShownWindow(
-                sequence_id=name,
-                dataset=table.info.dataset,
-                title="Synthetic people." if synthetic else "",
-                joint_set=table.joints,
-                fps=batch.fps,
-                observed=observed[row],
-                recorded=recorded[row, :n],
-                look=look,
-                goal=goal[row] if np.isfinite(goal[row]).all() else None,
-                motions=tuple(fans),
-                notice=notice(table.info, request.permitted),
-            )
-        )
+        title = "Synthetic people." if table.info.dataset.startswith(SYNTHETIC_PREFIX) else ""
+        end = goal[row] if np.isfinite(goal[row]).all() else None
+        said = notice(table.info, request.permitted)
+        seen = (observed[row], recorded[row, :n], look, end, tuple(fans))
+        shown.append(ShownWindow(name, table.info.dataset, title, table.joints, batch.fps, *seen, said))
     caption = _draw(shown, request)
     return FuturesReport(request.out, tuple(shown), caption=caption)
 
@@ -210,9 +199,8 @@ def _read(files: DatasetFolder, chosen: set[str], joints: int) -> dict[str, Floa
     found: dict[str, list[np.ndarray]] = {}
     for path in sorted(files.predictions.glob("part-*.parquet")):
         rows = read_parquet(path, ["sequence_id", "joints"])
-        for row in np.flatnonzero(
-            pc.is_in(rows["sequence_id"], value_set=pa.array(sorted(chosen))).to_numpy()
-        ).tolist():
+        wanted = pc.is_in(rows["sequence_id"], value_set=pa.array(sorted(chosen))).to_numpy()
+        for row in np.flatnonzero(wanted).tolist():
             values = rows["joints"][row].values.flatten().to_numpy()
             found.setdefault(rows["sequence_id"][row].as_py(), []).append(values.reshape(-1, joints, 3))
     return {name: np.stack(samples) for name, samples in found.items()}

@@ -91,14 +91,9 @@ class JointSet:
 
 _NAMES = tuple(joint.name.lower() for joint in Joint)
 # The 22 joints of the sequence table, which every dataset has.
-SMPL22 = JointSet(
-    name="smpl22",
-    parents={name: _NAMES[parent] if parent >= 0 else "" for name, parent in zip(_NAMES, PARENTS, strict=True)},
-    pelvis="pelvis",
-    wrists=("left_wrist", "right_wrist"),
-    hips=("left_hip", "right_hip"),
-    shoulders=("left_shoulder", "right_shoulder"),
-)
+_PARENTS = {name: _NAMES[parent] if parent >= 0 else "" for name, parent in zip(_NAMES, PARENTS, strict=True)}
+_WRISTS, _HIPS, _SHOULDERS = ((f"left_{part}", f"right_{part}") for part in ("wrist", "hip", "shoulder"))
+SMPL22 = JointSet("smpl22", _PARENTS, "pelvis", _WRISTS, _HIPS, _SHOULDERS)
 
 # The 21 links of MoGaze (docs/specification/mogaze.md#files).
 MOGAZE21 = JointSet(

@@ -7,12 +7,17 @@ flattened pose, sqrt(J) times the root mean square a joint. Everything is comput
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.distance import cdist, pdist
 
 from prbench.errors import UsageError
+from prbench.metrics import MetricInfo
+from prbench_benchmarks.motion_prediction.joint_sets import JOINT_SETS
+from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
 
 Poses = Float[np.ndarray, "batch joints 3"]
 Scores = Float[np.ndarray, " batch"]
@@ -137,3 +142,53 @@ def goal_distances(
     """Distance of the nearer wrist to the goal at the event: of the best sample, and mean over the samples, metres."""
     distance = np.linalg.norm(predicted_wrists.astype(np.float64) - goal[:, None, None], axis=-1).min(axis=2)
     return distance.min(axis=1), distance.mean(axis=1)
+
+
+_LOWER = False
+_HIGHER = True
+
+
+@cache
+def prediction_metrics() -> tuple[MetricInfo, ...]:
+    """Return all scores that ``scoring.score_batch`` may give, in printed order."""
+    rules = load_prediction_protocol().evaluation
+    infos = [
+        *(_info(name, name.upper(), main=True) for name in ("ade", "fde", "mmade", "mmfde")),
+        # Spread is a merit beside a small error alone: a predictor that answers anything has most of it.
+        _info("apd", "APD", main=True, better=_HIGHER, ranked=False, compared=False),
+        # Of windows that end at the event alone: where no window of a table does, boards have an empty column.
+        _info("wrist_to_goal", "Wrist to goal", main=True),
+        _info("ade_mean", "ADE, mean over samples"),
+        _info("fde_mean", "FDE, mean over samples"),
+        _info("mmade_canonical", "MMADE, own frames"),
+        _info("mmfde_canonical", "MMFDE, own frames"),
+        _info("similar_pasts", "Similar pasts", unit="windows", better=None),
+        _info("similar_pasts_canonical", "Similar pasts, own frames", unit="windows", better=None),
+    ]
+    for n in rules.samples:
+        infos += [_info(f"ade@k{n}", f"ADE, K = {n}"), _info(f"fde@k{n}", f"FDE, K = {n}")]
+    for seconds in rules.horizons:
+        infos.append(_info(f"ade@{seconds:g}s", f"ADE to {seconds:g} s"))
+        infos.append(_info(f"fde@{seconds:g}s", f"FDE at {seconds:g} s"))
+    infos += [
+        _info("wrists_ade", "ADE, wrists"),
+        _info("wrists_fde", "FDE, wrists"),
+        _info("first_frame_jump", "First-frame jump"),
+        _info("bone_error_percent", "Bone error", unit="%"),
+        _info("wrist_to_goal_mean", "Wrist to goal, mean over samples"),
+        _info("wrist_to_goal_recorded", "Wrist to goal, as recorded", better=None),
+        _info("pelvis_at_event", "Pelvis at event"),
+        _info("pelvis_at_event_mean", "Pelvis at event, mean over samples"),
+        _info("mpjpe", "MPJPE"),
+    ]
+    joints = dict.fromkeys(name for each in JOINT_SETS.values() for name in each.names)
+    infos += [_info(f"joint/{name}", f"MPJPE, {name}", is_detail=True) for name in joints]
+    return tuple(replace(info, position=position) for position, info in enumerate(infos))
+
+
+def _info(id: str, title: str, *, unit: str = "m", better: bool | None = _LOWER, **more: bool) -> MetricInfo:
+    """Return a score that compares with what happened; its position is set with those of all others."""
+    more = {"main": False, **more}
+    return MetricInfo(
+        id=id, title=title, unit=unit, higher_is_better=better, position=0, compares_with_recorded=True, **more
+    )

@@ -37,6 +37,7 @@ BENCHMARK = "motion-prediction"
 METADATA_KEY = "prbench_windows"  # Name of the array that holds :class:`WindowsFileInfo` as JSON.
 FORMAT_VERSION = 1
 _ELSEWHERE = "offline"
+_SHARED = ("condition", "fps", "n_future", "joint_names")  # Fields of a batch that the file repeats.
 _ASKED = ("seed", "samples", "split", "limit")  # Fields of a request that the file repeats.
 _LARGEST = 8 * 1024**3  # bytes of one array
 _LARGEST_IDS = 1024**3
@@ -142,17 +143,10 @@ def _windows_of(
     (cases,) = benchmark.choose(asked, tables)
     protocol = load_prediction_protocol()
     batch = next(cases.table.batches(condition, cases.places, frame=protocol.evaluation.frame, size=len(cases)))[0]
-    info = WindowsFileInfo(
-        condition=condition,
-        **drawn,  # seed and samples
-        split=split,
-        limit=limit,
-        fps=batch.fps,
-        n_future=batch.n_future,
-        joint_names=batch.joint_names,
-        protocol_version=protocol.version,
-        table=text_digest("prbench windows", cases.table.identity),
-    )
+    about: dict[str, Any] = {name: getattr(batch, name) for name in _SHARED}
+    about |= drawn | {"split": split, "limit": limit}  # drawn are seed and samples
+    identity = text_digest("prbench windows", cases.table.identity)
+    info = WindowsFileInfo(**about, protocol_version=protocol.version, table=identity)
     return info, batch.chosen(sorted(range(len(batch)), key=lambda row: batch.key[row])), cases.table.info
 
 
@@ -175,9 +169,7 @@ def read_windows(path: Path) -> tuple[WindowsFileInfo, ObservedBatch]:
         archive.require(names)
         arrays: dict[str, Any] = {name: archive.read(name, largest=_LARGEST) for name in names}
         arrays["key"] = tuple(arrays["key"].tolist())
-        batch = ObservedBatch(
-            condition=info.condition, fps=info.fps, n_future=info.n_future, joint_names=info.joint_names, **arrays
-        )
+        batch = ObservedBatch(**{name: getattr(info, name) for name in _SHARED}, **arrays)
     except (msgspec.ValidationError, msgspec.DecodeError, ValueError) as error:
         raise InputFileError(path, METADATA_KEY, expected=expected, found=str(error), remedy=_REMEDY) from error
     return info, batch
@@ -230,16 +222,9 @@ def score_futures(
     with contextlib.ExitStack() as held:
         folder = out or Path(held.enter_context(tempfile.TemporaryDirectory(prefix="prbench-futures-"))) / "run"
         held.enter_context(sole_writer(folder))
-        asked = RunRequest(
-            benchmark=BENCHMARK,
-            method=called,
-            data=tuple(data),
-            condition=info.condition.value,
-            **{name: getattr(info, name) for name in _ASKED},
-            batch_size=benchmark.about.batch_size,
-            device=_ELSEWHERE,
-            out=folder,
-        )
+        given = {name: getattr(info, name) for name in _ASKED}
+        given |= {"condition": info.condition.value, "batch_size": benchmark.about.batch_size}
+        asked = RunRequest(benchmark=BENCHMARK, method=called, data=tuple(data), device=_ELSEWHERE, out=folder, **given)
         tables = benchmark.open_tables(asked)
         rules = benchmark.rules(asked, tables)
         (cases,) = benchmark.choose(asked, tables)

@@ -33,14 +33,9 @@ class WindowRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def at(self, fps: float) -> WindowRules:
         """Return the rules with the same durations at another rate; counts of frames are rounded."""
         factor = fps / self.fps
-        return msgspec.structs.replace(
-            self,
-            fps=fps,
-            observed_frames=round(self.observed_frames * factor),
-            future_frames=round(self.future_frames * factor),
-            stride=round(self.stride * factor),
-            fewest_gaze_frames=round(self.fewest_gaze_frames * factor),
-        )
+        counts = ("observed_frames", "future_frames", "stride", "fewest_gaze_frames")
+        scaled = {name: round(getattr(self, name) * factor) for name in counts}
+        return msgspec.structs.replace(self, fps=fps, **scaled)
 
 
 class EvaluationRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -80,16 +80,10 @@ def serve_futures(name: str, adapter: Predictor, header: Header, payload: bytes)
 
     joints = column("observed_joints", len(header["joint_names"]), 3)
     assert joints is not None
-    batch = ObservedBatch(
-        condition=Condition(header["condition"]),
-        fps=header["fps"],
-        n_future=header["n_future"],
-        joint_names=tuple(header["joint_names"]),
-        observed_joints=joints,
-        key=tuple(rows["key"].to_pylist()),
-        gaze=column("gaze", 3),
-        gaze_valid=column("gaze_valid"),
-    )
+    asked: dict[str, Any] = {"condition": Condition(header["condition"]), "observed_joints": joints}
+    asked |= {"joint_names": tuple(header["joint_names"]), "key": tuple(rows["key"].to_pylist())}
+    asked |= {"gaze": column("gaze", 3), "gaze_valid": column("gaze_valid")}
+    batch = ObservedBatch(fps=header["fps"], n_future=header["n_future"], **asked)
     n_samples = header["n_samples"]
     answer = adapter.predict(batch, n_samples=n_samples, seed=header["seed"])
     futures = require_futures(answer, batch, n_samples, predictor=name)

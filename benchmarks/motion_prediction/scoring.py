@@ -64,13 +64,9 @@ class SimilarPasts:
             found = metrics.similar_pasts(poses, closer_than=closer_than)
             return [near[complete[near]] if complete[place] else np.array([place]) for place, near in enumerate(found)]
 
-        return cls(
-            places={name: place for place, name in enumerate(ids)},
-            sets=sets(last),
-            canonical_sets=sets(transform_each(inverse, last)),
-            futures=np.concatenate([truth.joints for _, truth in batches]),
-            own_from_room=inverse,
-        )
+        places = {name: place for place, name in enumerate(ids)}
+        futures = np.concatenate([truth.joints for _, truth in batches])
+        return cls(places, sets(last), sets(transform_each(inverse, last)), futures, inverse)
 
 
 @dataclass
@@ -264,13 +260,9 @@ def score_window(
         observed_joints=(recorded[0] if last_observed is None else last_observed)[None, None],
         key=(0,),
     )
-    truth = Truth(
-        **{f"{name}s": ("",) for name in _ABOUT},
-        n_scored=np.array([len(recorded)]),
-        joints=recorded[None],
-        goal=np.full((1, 3), np.nan) if goal is None else goal[None],
-        room_from_batch=np.eye(4)[None],
-    )
+    none = ("",)
+    goals = np.full((1, 3), np.nan) if goal is None else goal[None]
+    truth = Truth(none, none, none, none, none, np.array([len(recorded)]), recorded[None], goals, np.eye(4)[None])
     if fps is None:
         rules = msgspec.structs.replace(rules, horizons=())
     columns = score_batch(batch, Futures(joints=predicted[None]), truth, joints, rules)

@@ -30,8 +30,8 @@ from prbench.shown import quoted
 from prbench.tables import DASH, Block, Cell, Column, Row, Table
 from prbench_benchmarks.motion_prediction import scoring
 from prbench_benchmarks.motion_prediction.batch import Condition, Predictor
-from prbench_benchmarks.motion_prediction.cases import run_on
-from prbench_benchmarks.motion_prediction.metric_infos import prediction_metrics
+from prbench_benchmarks.motion_prediction.benchmark import run_on
+from prbench_benchmarks.motion_prediction.metrics import prediction_metrics
 from prbench_benchmarks.motion_prediction.predictors import ConstantVelocity, NearestPast, ZeroVelocity
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
 from prbench_benchmarks.motion_prediction.scoring import Scores, SimilarPasts
@@ -354,21 +354,14 @@ def _laid_out(
             key = (dataset, row.method, row.variant)
             scored = published_scores(f"table_{number}")
             found = [each for each in scored if (each["dataset"], each["method"], each["variant"]) == key]
-            cells = tuple(
-                Cell(
-                    dataset=dataset,
-                    metric=each["metric"],
-                    value=float(each["value"]),
-                    unit="m",
-                    **_of_row(row),
-                    origin=f"published: GazeMoDiff, Table {number}",
-                    note=each["note"],
-                )
-                for each in found
-            )
+            of_row: dict[str, Any] = _of_row(row) | {"unit": "m", "origin": f"published: GazeMoDiff, Table {number}"}
+            cells = []
+            for each in found:
+                of_row |= {name: each[name] for name in ("dataset", "metric", "note")}
+                cells.append(Cell(value=float(each["value"]), **of_row))
             if found:
                 text = {"method": row.label} | {each["metric"]: each["value"] for each in found}
-                printed.append(Row(text=text, cells=cells))
+                printed.append(Row(text=text, cells=tuple(cells)))
             odd = dict.fromkeys(each["note"] for each in found if each["note"])
             notes += [f"{row.label}, printed for {dataset}: {note}" for note in odd]
         blocks.append(Block(title=f"printed for {dataset}", rows=tuple(printed)))
@@ -439,16 +432,9 @@ def _values_of_conditions(dataset: str, scores: Mapping[str, Scores]) -> Table:
     for (method, anchor, metric, less, more), each in compared.items():
         step = f"{less.value} → {more.value}"
         p_value = DASH if each.adjusted_p_value is None else f"{each.adjusted_p_value:.3f}"
-        cell = Cell(
-            dataset=dataset,
-            metric="difference",
-            unit="m",
-            condition=step,
-            method=method,
-            variant=f"{metric}, windows: {anchor}",
-            note=f"p = {p_value}",
-            **_measured(each.difference),
-        )
+        about: dict[str, Any] = {"dataset": dataset, "unit": "m", "condition": step, "method": method}
+        about |= {"variant": f"{metric}, windows: {anchor}", "note": f"p = {p_value}"}
+        cell = Cell(metric="difference", **about, **_measured(each.difference))
         text = {"method": method, "windows": anchor, "metric": metric, "told": step, "p": p_value}
         rows.append(Row(text=text, cells=(cell,)))
     title = "What the head and gaze are worth"

@@ -28,14 +28,8 @@ from prbench.sequences.schema import naming, open_parquet, read_parquet, require
 from prbench.sequences.sequence import column_field, row_batch
 from prbench.sequences.table import require_told, require_unchanged
 from prbench.sequences.write import write_tables
+from prbench_benchmarks.motion_prediction import joint_sets
 from prbench_benchmarks.motion_prediction.batch import Condition, ObservedBatch, window_key
-from prbench_benchmarks.motion_prediction.joint_sets import (
-    JointSet,
-    invert_each,
-    joint_set,
-    rotations_alone,
-    transform_each,
-)
 from prbench_benchmarks.motion_prediction.protocol import FrameName, load_prediction_protocol
 
 SCHEMA_VERSION = 1
@@ -50,7 +44,7 @@ _GOAL = column_field("goal", pa.list_(pa.float64(), 3), nullable=True)
 WINDOWS = pa.schema([*(column_field(name, kind) for name, kind in (*_COLUMNS, *_COUNTS)), _GOAL])
 
 
-def streams_schema(joints: JointSet) -> pa.Schema:
+def streams_schema(joints: joint_sets.JointSet) -> pa.Schema:
     """Columns of ``streams`` for a joint set."""
     numbers = (("fps", pa.float64()), ("start_time", pa.float64()), ("n_frames", pa.int32()))
     poses = pa.list_(pa.list_(pa.float32(), len(joints.names) * 3))
@@ -186,7 +180,7 @@ def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[Run]) -> Window
         TableError: if there is no window, or captured bodies stand beside estimated ones.
     """
     require_replaceable(folder, FILE_NAME, kind="table of windows")
-    schemas = {"streams": streams_schema(joint_set(info.joint_set)), "windows": WINDOWS}
+    schemas = {"streams": streams_schema(joint_sets.joint_set(info.joint_set)), "windows": WINDOWS}
     kinds: dict[bool, str] = {}
     windows: list[dict[str, object]] = []
     counted: dict[str, Any] = {"runs": 0, "frames": 0, "has_gaze": False}
@@ -274,7 +268,7 @@ class WindowsTable:
         if info.schema_version != SCHEMA_VERSION:
             problem = f"expected version {SCHEMA_VERSION}, found {info.schema_version}. Build it again."
             raise TableError(f"{folder / FILE_NAME}: {problem}")
-        schema = streams_schema(joint_set(info.joint_set))
+        schema = streams_schema(joint_sets.joint_set(info.joint_set))
         for name, expected in (("streams", schema), ("windows", WINDOWS)):
             for path in table_parts(folder, name):
                 found = open_parquet(path).schema_arrow.remove_metadata()
@@ -339,9 +333,9 @@ class WindowsTable:
         return self.info.content_digest
 
     @property
-    def joints(self) -> JointSet:
+    def joints(self) -> joint_sets.JointSet:
         """The joint set of all runs."""
-        return joint_set(self.info.joint_set)
+        return joint_sets.joint_set(self.info.joint_set)
 
     @cached_property
     def _columns(self) -> Mapping[str, np.ndarray]:
@@ -446,20 +440,20 @@ class WindowsTable:
         room_from_batch = np.tile(np.eye(4), (len(rows), 1, 1))
         if frame == "last-pose":
             room_from_batch = self.joints.last_pose_frame(joints[:, -1])
-        batch_from_room = invert_each(room_from_batch)
+        batch_from_room = joint_sets.invert_each(room_from_batch)
         gaze = None
         valid = None
         if condition is not Condition.POSE:
             with_gaze = condition is Condition.POSE_GAZE
             directions = observed("gaze" if with_gaze else "head_direction")
-            gaze = transform_each(rotations_alone(batch_from_room), directions).astype(np.float32)
+            gaze = joint_sets.transform_each(joint_sets.rotations_alone(batch_from_room), directions).astype(np.float32)
             valid = observed("gaze_valid") if with_gaze else np.ones(gaze.shape[:2], dtype=bool)
         batch = ObservedBatch(
             condition=condition,
             fps=self.info.fps,
             n_future=self.info.future_frames,
             joint_names=self.joints.names,
-            observed_joints=transform_each(batch_from_room, joints).astype(np.float32),
+            observed_joints=joint_sets.transform_each(batch_from_room, joints).astype(np.float32),
             key=tuple(window_key(row["window_id"]) for row in rows),
             gaze=gaze,
             gaze_valid=valid,
@@ -470,18 +464,13 @@ class WindowsTable:
             future[place, : row["n_scored"]] = run.joints[first : first + row["n_scored"]]
             if row["goal"] is not None:
                 goal[place] = row["goal"]
-        truth = Truth(
-            window_ids=tuple(row["window_id"] for row in rows),
-            recording_ids=tuple(run.recording_id for run in runs),
-            participant_ids=tuple(run.participant_id for run in runs),
-            segments=tuple(run.segment for run in runs),
-            anchors=tuple(row["anchor"] for row in rows),
-            n_scored=np.array([row["n_scored"] for row in rows], dtype=np.int64),
-            joints=transform_each(batch_from_room, future).astype(np.float32),
-            goal=transform_each(batch_from_room, goal),
-            room_from_batch=room_from_batch,
-        )
-        return batch, truth
+        about = ("recording_id", "participant_id", "segment")
+        recordings, people, segments = (tuple(getattr(run, name) for run in runs) for name in about)
+        window_ids, anchors = (tuple(row[name] for row in rows) for name in ("window_id", "anchor"))
+        n_scored = np.array([row["n_scored"] for row in rows], dtype=np.int64)
+        joints = joint_sets.transform_each(batch_from_room, future).astype(np.float32)
+        goal = joint_sets.transform_each(batch_from_room, goal)
+        return batch, Truth(window_ids, recordings, people, segments, anchors, n_scored, joints, goal, room_from_batch)
 
 
 def run_of(row: pa.RecordBatch) -> Run:
@@ -493,11 +482,7 @@ def run_of(row: pa.RecordBatch) -> Run:
         return flat.to_numpy(zero_copy_only=False).reshape(-1, *shape)
 
     n_values = row.schema.field("joints").type.value_type.list_size
-    return Run(
-        **{name: row.column(name)[0].as_py() for name in (*_TEXTS, "fps", "start_time")},
-        joints=frames("joints", n_values // 3, 3),
-        joints_valid=frames("joints_valid"),
-        gaze=frames("gaze", 3),
-        gaze_valid=frames("gaze_valid"),
-        head_direction=frames("head_direction", 3),
-    )
+    columns: dict[str, Any] = {name: row.column(name)[0].as_py() for name in (*_TEXTS, "fps", "start_time")}
+    shapes = {"joints": (n_values // 3, 3), "joints_valid": (), "gaze": (3,), "gaze_valid": (), "head_direction": (3,)}
+    columns |= {name: frames(name, *shape) for name, shape in shapes.items()}
+    return Run(**columns)

@@ -69,20 +69,9 @@ def runs_of_recording(recording: Recording, rules: WindowRules, *, split: str) -
         if stop - first <= rules.length:
             continue
         part = slice(first, stop)
-        yield _run(
-            recording,
-            str(number),
-            rules,
-            filled[part],
-            split=split,
-            start_time=float(times[first]),
-            joints=joints[part],
-            joints_valid=posed[part],
-            # What was seen before the run began may be held into it: it lies in the past, too.
-            gaze=looks[part],
-            gaze_valid=looking[part],
-            head_direction=directions[part],
-        )
+        # What was seen before the run began may be held into it: it lies in the past, too.
+        frames = (joints[part], posed[part], looks[part], looking[part], directions[part])
+        yield _run(recording, str(number), rules, filled[part], (split, ""), float(times[first]), *frames)
 
 
 def runs_of_tracks(
@@ -101,28 +90,17 @@ def runs_of_tracks(
         directions, _ = head_forward(track.body, recording.head_tilt_deg)
         oldest = rules.largest_gaze_age
         looks, looking = latest_gaze(track.times, track.gaze, track.gaze_measured, track.times, oldest=oldest)
-        yield _run(
-            recording,
-            track.name,
-            rules,
-            track.filled,
-            split=split,
-            published_split=track.published_split or published_split,
-            start_time=float(track.times[0]),
-            joints=track.joints,
-            joints_valid=track.valid,
-            gaze=looks,
-            gaze_valid=looking,
-            head_direction=directions,
-        )
+        splits = (split, track.published_split or published_split)
+        frames = (track.joints, track.valid, looks, looking, directions)
+        yield _run(recording, track.name, rules, track.filled, splits, float(track.times[0]), *frames)
 
 
 def _run(
-    recording: Recording, segment: str, rules: WindowRules, filled: Filled, *, published_split: str = "", **frames: Any
+    recording: Recording, segment: str, rules: WindowRules, filled: Filled, splits: tuple[str, str], *frames: Any
 ) -> table.Run:
-    about = {name: getattr(recording, name) for name in ("recording_id", "participant_id", "pose_source")}
-    about |= {"run_id": f"{recording.recording_id}/{segment}", "segment": segment, "published_split": published_split}
-    run = table.Run(**about, fps=rules.fps, **frames)
+    """Return a run with its windows; ``frames`` are the fields of :class:`table.Run` from its start time on."""
+    who = (recording.recording_id, recording.participant_id)
+    run = table.Run(f"{who[0]}/{segment}", *who, *splits, segment, recording.pose_source, rules.fps, *frames)
     return replace(run, windows=sliding_windows(run, filled, rules))
 
 
@@ -348,13 +326,9 @@ class WindowsPlan:
 
 
 def _settings(dataset: str, joints: str, options: dict[str, str]) -> dict[str, Any]:
-    return {
-        "dataset": dataset,
-        "joint_set": joints,
-        "options": options,
-        "manifest": digest_of(load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))),
-        "protocol": load_prediction_protocol().digest,
-    }
+    manifest = digest_of(load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)))
+    protocol = load_prediction_protocol().digest
+    return {"dataset": dataset, "joint_set": joints, "options": options, "manifest": manifest, "protocol": protocol}
 
 
 def plan_windows(
@@ -489,15 +463,13 @@ def _write_table(
     info = table.WindowsInfo(
         **terms,
         **{name: getattr(protocol.windows, name) for name in rules},
-        schema_version=table.SCHEMA_VERSION,
+        **{name: settings[name] for name in ("dataset", "options", "joint_set")},
         **begun_with(protocol),
-        dataset=dataset,
+        schema_version=table.SCHEMA_VERSION,
         manifest_digest=settings["manifest"],
         input_digest=text_digest(*(text for each in read for text in (each.record.recording_id, each.input_digest))),
-        options=settings["options"],
         outcomes={},
         quarantine=quarantined(records),
-        joint_set=settings["joint_set"],
     )
     # Last of all: until here an earlier table stands as it was.
     splits = draw_splits(records, manifest, load_protocol().splits)

@@ -135,18 +135,9 @@ def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> tuple
             train(TrainRequest(method="pr", stage="finetune", **learnt, **same))
             out = request.folder / _RUNS / row.run_name
             say(f"running '{row.variant}': {out}")
-            run_method(
-                RunRequest(
-                    method="pr",
-                    condition=Condition.GOAL_LOCATION,
-                    data=request.data,
-                    weights=trained / WEIGHTS,
-                    options=request.options_of(row),
-                    **{name: getattr(request, name) for name in ("limit", "seed", "device", "threads")},
-                    out=out,
-                ),
-                engine=engine,
-            )
+            asked = {name: getattr(request, name) for name in ("data", "limit", "seed", "device", "threads")}
+            asked |= {"weights": trained / WEIGHTS, "options": request.options_of(row), "out": out}
+            run_method(RunRequest(method="pr", condition=Condition.GOAL_LOCATION, **asked), engine=engine)
             runs.append(out)
         except (StorageError, TrainingStopped):
             raise

@@ -47,7 +47,7 @@ def _answer(report: AnalysisReport, *lines: str) -> Answer:
 
 
 def _agreement(runs: Paths, *, data: Paths, workers: int) -> Answer:
-    from prbench_benchmarks.prime_and_reach.agreement import agreement_tables
+    from prbench_benchmarks.prime_and_reach.diversity import agreement_tables
 
     return _answer(AnalysisReport(tables=agreement_tables(runs, opt.run_checker(data, workers))))
 

@@ -1,4 +1,4 @@
-"""``prbench analyse diversity``: how far a run's motions for one goal differ, beside recorded people.
+"""``prbench analyse``: how far a run's motions for one goal differ, and on which sequences methods succeed.
 
 Source: docs/specification/metrics.md#diversity.
 """
@@ -18,12 +18,12 @@ from prbench.harness.controls import Tasks, at_length, laid_on_goal, read_motion
 from prbench.harness.diversity import SPREADS, MotionsToGoal, spreads
 from prbench.harness.first_run import tables_of_runs
 from prbench.harness.intervals import clustered, difference_interval, mean_interval
-from prbench.harness.results import cases_of_run
-from prbench.harness.run_folder import RunFolder
+from prbench.harness.results import RunChecker, cases_of_run
+from prbench.harness.run_folder import DatasetAgreement, RunFolder
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import SequenceTable, find_sequence_id
 from prbench.sequences.dataset_info import may_pass_on, notice, require_may_pass_on
-from prbench.tables import Block, Cell, Column, Row, Table
+from prbench.tables import Block, Cell, Column, Row, Table, metric_cell
 from prbench.viewing.fan import Fan, FanGroup
 from prbench.viewing.replay.read import RunMotions, run_labels
 from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED_COLOUR
@@ -33,11 +33,7 @@ Progress = Callable[[int, int, str], None]
 _COLUMNS = ["joints", "goal_location", "head_tilt_deg", "fps", "recording_id"]
 
 
-def _silent(done: int, total: int, last: str) -> None:
-    """Say nothing."""
-
-
-def measure_diversity(run: Path, data: Sequence[Path] = (), *, progress: Progress = _silent) -> list[Table]:
+def measure_diversity(run: Path, data: Sequence[Path] = (), *, progress: Progress = lambda *_: None) -> list[Table]:
     """Measure the diversity of a run on each of its datasets.
 
     Args:
@@ -167,21 +163,12 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table
             estimates["difference"], _ = difference_interval(clustered(own - theirs, recordings))
         about: dict[str, Any] = {"dataset": info.dataset, "condition": run.record.condition}
         about["method"] = run.record.method.name
-        cells = [
-            Cell(
-                metric=name,
-                variant=spread.id,
-                value=each.mean,
-                low=each.low,
-                high=each.high,
-                unit=spread.unit,
-                **about,
-                sequences=each.n_sequences,
-                recordings=each.n_recordings,
-                note="; ".join(each.marks),
-            )
-            for name, each in estimates.items()
-        ]
+        about |= {"variant": spread.id, "unit": spread.unit}
+        cells = []
+        for name, each in estimates.items():
+            about |= {"value": each.mean, "low": each.low, "high": each.high, "note": "; ".join(each.marks)}
+            about |= {"sequences": each.n_sequences, "recordings": each.n_recordings}
+            cells.append(Cell(metric=name, **about))
         rows.append(Row(text={"measure": spread.title, "unit": spread.unit}, cells=tuple(cells)))
         if "few_recordings" in estimates["method"].marks and len(notes) == 1:
             notes.append("Few recordings (below ten): the intervals say little.")
@@ -196,10 +183,8 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table
         ),
         dataset=info.dataset,
         columns=(
-            Column(key="measure", title="measure", text=True),
-            Column(key="unit", title="unit", text=True),
-            Column(key="method", title="method", digits=3),
-            Column(key="people", title="people", digits=3),
+            *(Column(key=name, title=name, text=True) for name in ("measure", "unit")),
+            *(Column(key=name, title=name, digits=3) for name in ("method", "people")),
             Column(key="difference", title="method - people", digits=3),
         ),
         blocks=(Block(rows=tuple(rows)),),
@@ -244,3 +229,62 @@ def _pairs(
         distances = np.linalg.norm(tasks.goal_location[others] - goal, axis=-1)
         lengths = np.abs(tasks.seconds[others] - tasks.seconds[row])
         yield chunk.strings("recording_id")[0], generated, recorded, np.stack((distances, lengths), axis=1)
+
+
+_UNITS = {"bearing": "°", "distance": " m", "height": " m"}
+_METRIC = Column(key="metric", title="metric", text=True)
+_PEOPLE = Column(key="people", title="people", unit="%")
+_AGREEMENT = (_METRIC, Column(key="phi", title="phi"), _PEOPLE, Column(key="remark", title="", text=True))
+_BY_PLACE = (
+    _METRIC,
+    Column(key="goal", title="goal", text=True),
+    *(Column(key=name, title=name) for name in ("sequences", "recordings")),
+    Column(key="mean", title="mean", unit="%"),
+    _PEOPLE,
+)
+
+
+def agreement_tables(runs: Sequence[Path], checker: RunChecker) -> list[Table]:
+    """Lay out for each run and dataset the agreement with recorded people, and the rates by the goal's place.
+
+    Args:
+        runs: Finished run folders.
+        checker: Holds the tables at hand, on which the scores are checked.
+
+    Raises:
+        RunError: if a run is damaged, or its files do not follow from one another.
+    """
+    tables = []
+    for path in runs:
+        run = RunFolder.open(path)
+        for record in run.record.tables:
+            unverified = checker.check(run, record).unverified
+            found = DatasetAgreement.read(run.dataset(record.dataset).path)
+            title = f"{path.name}: {run.record.method.name} (declared) on {record.dataset}"
+            notes = []
+            if unverified:
+                notes.append(f"unverified: {unverified}")
+            if record.synthetic:
+                notes.append(ON_SYNTHETIC_DATA)
+            rates = []
+            for rate in found.rates:
+                about = {name: getattr(rate, name) for name in ("low", "high", "sequences", "recordings")}
+                phi = Cell(metric="phi", value=rate.phi, **about)
+                words = {"metric": rate.title, "remark": rate.remark}
+                rates.append(Row(text=words, cells=(phi, metric_cell("people", "rate", rate.people))))
+            bins = []
+            for each in found.breakdown:
+                unit = _UNITS[each.by]
+                end = f"from {each.begin:g}{unit}" if each.end is None else f"{each.begin:g} to {each.end:g}{unit}"
+                words = {"metric": each.title, "goal": f"{each.by} {end}"}
+                words |= {"sequences": str(each.sequences), "recordings": str(each.recordings)}
+                mean = metric_cell("mean", "rate", each.mean, each.low, each.high)
+                bins.append(Row(text=words, cells=(mean, metric_cell("people", "rate", each.people))))
+            by_sequence = f"{title}: agreement with recorded people, sequence by sequence"
+            by_place = f"{title}: by where the goal is, seen from the first pose"
+            said = "phi from -1 to 1, 0 is unrelated; 95 % intervals in brackets."
+            tables += [
+                Table(title=by_sequence, columns=_AGREEMENT, blocks=(Block(rows=tuple(rates)),), notes=(said,)),
+                Table(title=by_place, columns=_BY_PLACE, blocks=(Block(rows=tuple(bins)),), notes=tuple(notes)),
+            ]
+    return tables

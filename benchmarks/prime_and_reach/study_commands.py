@@ -172,20 +172,17 @@ def _distributions(_item: str, folders: Paths, *, out: Paths) -> Answer:
 
 def _drawn(item: str, runs: Paths, *, data: Paths, numbers: Paths, out: Paths, workers: int, by: str = "") -> Answer:
     from prbench.engine import engine_for
-    from prbench_benchmarks.prime_and_reach.study.breakdown import breakdown_table
-    from prbench_benchmarks.prime_and_reach.study.charts import draw_breakdown, draw_sweep
-    from prbench_benchmarks.prime_and_reach.study.genuine import genuine_runs
-    from prbench_benchmarks.prime_and_reach.study.sweep import sweep, sweep_table
+    from prbench_benchmarks.prime_and_reach.study import charts
 
     engine = engine_for(workers)
-    opened = genuine_runs(runs, data, engine)
+    opened = charts.genuine_runs(runs, data, engine)
     if item == "figure-4":
-        table = breakdown_table(opened, by)
-        caption = draw_breakdown(table, out[0])
+        table = charts.breakdown_table(opened, by)
+        caption = charts.draw_breakdown(table, out[0])
     else:
-        sweeps = [sweep(run, engine=engine) for run in opened]
-        caption = draw_sweep(sweeps, out[0])
-        table = sweep_table(sweeps)
+        sweeps = [charts.sweep(run, engine=engine) for run in opened]
+        caption = charts.draw_sweep(sweeps, out[0])
+        table = charts.sweep_table(sweeps)
     return _answer([table], numbers, out[0], caption=caption)
 
 

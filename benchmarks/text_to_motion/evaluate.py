@@ -252,19 +252,14 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
         about = {"weights_sha256": weights_digest(request.weights), "options": request.options}
         rows.append(made.result(request.method, unsupported=len(read.clips) - len(supported), **about))
     info = read.table.info
+    about: dict[str, Any] = {name: getattr(request, name) for name in ("split", "seed", "diversity_pairs")}
+    about |= {"vectorisation": evaluator.vectorisation, "evaluator_sha256": evaluator.digest}
+    about |= {"dataset": info.dataset, "corpus_content_digest": info.content_digest}
+    about |= {"clips": len(read.clips), "left_out": read.left_out, "distinct_captions": len(texts)}
     return TextEvaluation(
-        vectorisation=evaluator.vectorisation,
-        evaluator_sha256=evaluator.digest,
+        **about,
         representation=configuration.representation,
-        dataset=info.dataset,
-        corpus_content_digest=info.content_digest,
-        split=request.split,
         kinds=tuple(sorted(request.kinds)),
-        clips=len(read.clips),
-        left_out=read.left_out,
-        distinct_captions=len(texts),
-        seed=request.seed,
-        diversity_pairs=request.diversity_pairs,
         prbench_version=prbench.__version__,
         rows=tuple(rows),
         notes=_notes(rows, request),

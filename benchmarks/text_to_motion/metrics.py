@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 Embeddings = Float[np.ndarray, "pairs dimension"]
+Rows = Float[np.ndarray, "*rows dimension"]
 Pairs = Int[np.ndarray, "2 pairs"]
 
 FEWEST = 1000  # FID of fewer samples is biased upwards; whoever reports it says so.
@@ -56,9 +57,10 @@ def fid(real: Float[np.ndarray, "real dimension"], generated: Float[np.ndarray, 
     return float(means + np.trace(first) + np.trace(second) - 2.0 * trace)
 
 
-def multimodal_distance(text: Embeddings, motion: Embeddings) -> float:
+def multimodal_distance(text: Rows, motion: Rows) -> float:
     """Mean distance between each text and its own motion, also called the matching score; lower is better."""
-    return _mean_distance(text, motion)
+    difference = text.astype(np.float64) - motion.astype(np.float64)
+    return float(np.sqrt(np.square(difference).sum(axis=-1)).mean())
 
 
 def diversity(motion: Float[np.ndarray, "motions dimension"], pairs: Pairs) -> float:
@@ -68,7 +70,7 @@ def diversity(motion: Float[np.ndarray, "motions dimension"], pairs: Pairs) -> f
         motion: Embeddings.
         pairs: Indices of :func:`draw_diversity_pairs`.
     """
-    return _mean_distance(motion[pairs[0]], motion[pairs[1]])
+    return multimodal_distance(motion[pairs[0]], motion[pairs[1]])
 
 
 def draw_diversity_pairs(n_motions: int, generator: np.random.Generator, *, n_pairs: int = DIVERSITY_PAIRS) -> Pairs:
@@ -89,7 +91,7 @@ def multimodality(motion: Float[np.ndarray, "prompts samples dimension"], pairs:
         motion: Embeddings of several motions of each prompt.
         pairs: Indices of :func:`draw_multimodality_pairs`; the same for all prompts.
     """
-    return _mean_distance(motion[:, pairs[0]], motion[:, pairs[1]])
+    return multimodal_distance(motion[:, pairs[0]], motion[:, pairs[1]])
 
 
 def draw_multimodality_pairs(
@@ -151,11 +153,6 @@ def r_precision(text: Embeddings, motion: Embeddings, captions: Sequence[str] | 
             duplicates += sum(count for count in Counter(captions[part]).values() if count > 1)
     top = np.array([np.mean(np.concatenate(ranks) < k) for k in range(1, TOP + 1)])
     return RPrecision(top, n, len(text) - n, duplicates)
-
-
-def _mean_distance(first: Float[np.ndarray, "*rows dimension"], second: Float[np.ndarray, "*rows dimension"]) -> float:
-    difference = first.astype(np.float64) - second.astype(np.float64)
-    return float(np.sqrt(np.square(difference).sum(axis=-1)).mean())
 
 
 R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))

@@ -116,13 +116,10 @@ def validate_build(folder: Path) -> Validation:
         asked = "Was priming_info.json beside the data when it was built, and by this version of prbench?"
         raise TableError(f"{folder}: no event tells a published priming. {asked} Build it again.")
     of_action = [agreement(action, [row for row in rows if row["action"] == action]) for action in ("pick", "put")]
-    return Validation(
-        recordings=info.counts.recordings_read,
-        synthetic=info.synthetic,
-        agreements=(*of_action, agreement("both", rows)),
-        outcomes=dict(sorted(Counter(row["outcome"] for row in rows).items())),
-        published_shares={} if info.synthetic else _published_shares(),
-    )
+    agreements = (*of_action, agreement("both", rows))
+    outcomes = dict(sorted(Counter(row["outcome"] for row in rows).items()))
+    shares = {} if info.synthetic else _published_shares()
+    return Validation(info.counts.recordings_read, info.synthetic, agreements, outcomes, shares)
 
 
 def agreement(action: str, rows: Sequence[Mapping[str, Any]]) -> Agreement:
@@ -144,18 +141,11 @@ def agreement(action: str, rows: Sequence[Mapping[str, Any]]) -> Agreement:
     tested = total["primed"] + total["not_primed"]
     both = [counts[one][other] for one in ("primed", "not_primed") for other in ("primed", "not_primed")]
     published_gap, rule_gap = ((float(np.mean(own)), float(np.std(own))) if own else _NO_GAP for own in gaps.values())
-    return Agreement(
-        action=action,
-        events=len(rows),
-        located=len(rows) - sum(by_rule["no_location"] for by_rule in counts.values()),
-        counts=counts,
-        tested_share=_share(tested, tested + total["excluded"]),
-        primed_share=_share(total["primed"], tested),
-        agreement=_share(both[0] + both[3], sum(both)),
-        difference=Spread.of(differences),
-        published_gap=published_gap,
-        rule_gap=rule_gap,
-    )
+    located = len(rows) - sum(by_rule["no_location"] for by_rule in counts.values())
+    tested_and_primed = (_share(tested, tested + total["excluded"]), _share(total["primed"], tested))
+    agreeing = _share(both[0] + both[3], sum(both))
+    found = (agreeing, Spread.of(differences), published_gap, rule_gap)
+    return Agreement(action, len(rows), located, counts, *tested_and_primed, *found)
 
 
 _NO_GAP = (float("nan"), float("nan"))

@@ -172,16 +172,10 @@ def _inspect_table(folder: Path) -> InspectedTable:
         )
     if table.info.synthetic:
         remarks.append("synthetic sequences imitate the study's means; counts and scores are not comparable with them.")
-    return InspectedTable(
-        folder=folder,
-        dataset=statistics.dataset,
-        sequences=statistics.sequences,
-        by_split={split: statistics.by_split[split] for split in ("train", "validation", "test")},
-        participants_in_two_splits=statistics.participants_in_two_splits,
-        pose_sources=statistics.pose_sources,
-        quantities={name: statistics.spread(name) for name in QUANTITIES},
-        remarks=tuple(remarks),
-    )
+    by_split = {split: statistics.by_split[split] for split in ("train", "validation", "test")}
+    counted = (statistics.dataset, statistics.sequences, by_split, statistics.participants_in_two_splits)
+    quantities = {name: statistics.spread(name) for name in QUANTITIES}
+    return InspectedTable(folder, *counted, statistics.pose_sources, quantities, tuple(remarks))
 
 
 @foreign_input()

@@ -11,6 +11,7 @@ import numpy as np
 from prbench.sequences import Event
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.synthetic.write_tree import TIMES
 
 _LARGEST_DIFFERENCE = 0.5  # seconds between a found and a true event that may be the same
 PRIMED_STAGES = ("priming", "clipping", "body", "filters")  # stages at which it is known whether an event was primed
@@ -94,19 +95,6 @@ class Spread:
         return cls(
             len(sample), float(sample.mean()), float(np.median(size)), float(np.quantile(size, 0.95)), float(size.max())
         )
-
-
-# Maps the columns of the truth record that hold times to the fields of an event
-TIMES = {
-    "contact_s": "contact_time",
-    "event_s": "event_time",
-    "release_s": "release_time",
-    "motor_start_s": "motor_start",
-    "reach_start_s": "reach_start",
-    "prime_planned_s": "prime_planned",
-    "prime_s": "prime_time",
-    "prime_first_s": "prime_first",
-}
 
 
 def true_events(preset: str, performance: Performance) -> list[TrueEvent]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -37,36 +37,26 @@ _DECIMALS = 5  # 10 micrometres; keeps digests equal where the last bits of a si
 _POINT = pa.list_(pa.float64(), 3)
 
 
-# Column of the events' table, attribute of a true event, and type.
+# Maps the columns of the truth record that hold times to the attributes of a true event.
+TIMES = {
+    "contact_s": "contact_time",
+    "event_s": "event_time",
+    "release_s": "release_time",
+    "motor_start_s": "motor_start",
+    "reach_start_s": "reach_start",
+    "prime_planned_s": "prime_planned",
+    "prime_s": "prime_time",
+    "prime_first_s": "prime_first",
+}
+# Columns of the tables of events and of looks in their order; those without a type here are texts.
 _EVENT_COLUMNS = (
-    ("event_id", "event_id", pa.string()),
-    ("kind", "action", pa.string()),
-    ("tag", "tag", pa.string()),
-    ("object_id", "object_id", pa.string()),
-    ("object_name", "object_name", pa.string()),
-    ("hand", "hand", pa.string()),
-    ("contact_s", "contact_time", pa.float64()),
-    ("event_s", "event_time", pa.float64()),
-    ("release_s", "release_time", pa.float64()),
-    ("goal", "goal", _POINT),
-    ("box_min", "box_min", _POINT),
-    ("box_max", "box_max", _POINT),
-    ("prime_planned_s", "prime_planned", pa.float64()),
-    ("prime_s", "prime_time", pa.float64()),
-    ("prime_first_s", "prime_first", pa.float64()),
-    ("prime_kind", "prime_kind", pa.string()),
-    ("motor_start_s", "motor_start", pa.float64()),
-    ("reach_start_s", "reach_start", pa.float64()),
-    ("expected", "expected", pa.string()),
-    ("thin", "thin", pa.bool_()),
+    *("event_id", "kind", "tag", "object_id", "object_name", "hand", "contact_s", "event_s", "release_s"),
+    *("goal", "box_min", "box_max", "prime_planned_s", "prime_s", "prime_first_s", "prime_kind"),
+    *("motor_start_s", "reach_start_s", "expected", "thin"),
 )
-_LOOK_COLUMNS = (
-    ("start_s", "start", pa.float64()),
-    ("end_s", "end", pa.float64()),
-    ("target", "target", _POINT),
-    ("kind", "kind", pa.string()),
-    ("event_id", "event_id", pa.string()),
-)
+_LOOK_COLUMNS = ("start_s", "end_s", "target", "kind", "event_id")
+_TYPES = dict.fromkeys((*TIMES, "start_s", "end_s"), pa.float64()) | {"thin": pa.bool_()}
+_TYPES |= dict.fromkeys(("goal", "box_min", "box_max", "target"), _POINT)
 
 
 def shared_tables(performance: Performance, *, noise: float = 1.0) -> dict[str, pa.Table]:
@@ -97,15 +87,16 @@ def shared_tables(performance: Performance, *, noise: float = 1.0) -> dict[str, 
         "world_from_native": pa.array([np.eye(4).ravel().tolist()], pa.list_(pa.float64(), 16)),
     }
     tables = {"recordings": about}
-    events = [replace(event, object_id=layout.object_id(event.object_id)) for event in layout.events(performance)]
-    for name, columns, rows in zip(
-        ("events", "fixations"), (_EVENT_COLUMNS, _LOOK_COLUMNS), (events, performance.fixations), strict=True
-    ):
+    events = []
+    for event in layout.events(performance):
+        named = {"kind": event.action, "object_id": layout.object_id(event.object_id)}
+        events.append(vars(event) | named | {column: getattr(event, name) for column, name in TIMES.items()})
+    looks = [vars(look) | {"start_s": look.start, "end_s": look.end} for look in performance.fixations]
+    for name, columns, rows in (("events", _EVENT_COLUMNS, events), ("fixations", _LOOK_COLUMNS, looks)):
         tables[name] = {"recording_id": pa.array([performance.recording_id] * len(rows), pa.string())}
-        for column, attribute, kind in columns:
-            values = [getattr(row, attribute) for row in rows]
-            if kind is _POINT:
-                values = [np.asarray(value).tolist() for value in values]
+        for column in columns:
+            kind = _TYPES.get(column, pa.string())
+            values = [np.asarray(row[column]).tolist() if kind is _POINT else row[column] for row in rows]
             tables[name][column] = pa.array(values, kind)
     return {name: _table(columns) for name, columns in tables.items()}
 
@@ -123,18 +114,10 @@ def own_tables(performance: Performance, *, rate: float) -> dict[str, pa.Table]:
     """
     rows = slice(None, None, round(performance.rate / rate))
     times = performance.times[rows]
-    joints = {
-        "recording_id": _repeated(performance.recording_id, len(times)),
-        "t": times,
-        "joints": _rows(performance.joints[rows]),
-        "rotations": _rows(performance.rotations[rows]),
-        "eye": _rows(performance.eye[rows]),
-        "gaze": _rows(performance.gaze[rows]),
-        "head_forward": _rows(
-            Rotation.from_quat(performance.head_rotation[rows], scalar_first=True).apply((0.0, 0.0, 1.0))
-        ),
-        "planted": _rows(performance.planted[rows]),
-    }
+    forward = Rotation.from_quat(performance.head_rotation[rows], scalar_first=True).apply((0.0, 0.0, 1.0))
+    joints = {"recording_id": _repeated(performance.recording_id, len(times)), "t": times}
+    joints |= {name: _rows(getattr(performance, name)[rows]) for name in ("joints", "rotations", "eye", "gaze")}
+    joints |= {"head_forward": _rows(forward), "planted": _rows(performance.planted[rows])}
     objects = []
     layout = layout_for(performance.preset)
     for motion in performance.objects:

@@ -231,19 +231,13 @@ def published_rows(numbers: Sequence[PublishedNumber], label: Callable[[Publishe
         found.setdefault((condition_title(number.condition), label(number)), []).append(number)
     rows = []
     for (condition, name), own in found.items():
-        cells = tuple(
-            Cell(
-                **{each: getattr(number, each) for each in _ABOUT},
-                value=number.value,
-                unit=exported_unit(_INFOS[number.metric].unit),
-                sequences=load_table_one()[number.dataset].test,
-                origin=number.source,
-                note=number.note,
-            )
-            for number in own
-        )
+        cells = []
+        for number in own:
+            about = {each: getattr(number, each) for each in (*_ABOUT, "value", "note")}
+            about |= {"sequences": load_table_one()[number.dataset].test, "origin": number.source}
+            cells.append(Cell(unit=exported_unit(_INFOS[number.metric].unit), **about))
         printed = {number.metric: number.printed or DASH for number in own}
-        rows.append(Row(text={"condition": condition, "method": name} | printed, cells=cells))
+        rows.append(Row(text={"condition": condition, "method": name} | printed, cells=tuple(cells)))
     return tuple(rows)
 
 
@@ -376,16 +370,10 @@ def _difference(row: TableRow, number: PublishedNumber, remarks: tuple[str, ...]
         low = measured - published - hypot(measured - info.scale * metric.low, above - published)
         high = measured - published + hypot(info.scale * metric.high - measured, published - below)
     assumptions = ", ".join(each.id for each in assumptions_for((number.metric,)))
-    return Cell(
-        **{each: getattr(number, each) for each in _ABOUT},
-        value=measured - published,
-        low=low,
-        high=high,
-        unit=exported_unit(info.unit),
-        sequences=metric.sequences,
-        origin=f"measured - {number.source}",
-        note="; ".join((f"assumptions: {assumptions}", *remarks)),
-    )
+    about = {each: getattr(number, each) for each in _ABOUT}
+    about |= {"sequences": metric.sequences, "origin": f"measured - {number.source}"}
+    about |= {"unit": exported_unit(info.unit), "note": "; ".join((f"assumptions: {assumptions}", *remarks))}
+    return Cell(value=measured - published, low=low, high=high, **about)
 
 
 def _remarks(entry: LeaderboardRow, number: PublishedNumber, said: str) -> Iterable[str]:

@@ -12,29 +12,14 @@ from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Expecte
 
 Examination = Callable[[MotionSet], Finding | None]
 # Examinations, in the order in which faults hide one another
-EXAMINATIONS: tuple[Examination, ...] = (
-    body.examine_empty,
-    body.examine_shape,
-    body.examine_finite,
-    body.examine_body,
-    body.examine_unit,
-    examine_joint_order,
-    body.examine_scale,
-    place.examine_up_axis,
-    examine_left_right,
-    place.examine_root,
-    place.examine_first_frame,
-    place.examine_facing,
-    place.examine_position,
-    place.examine_floor,
-    frame_rate.examine_length,
-    frame_rate.examine_repeats,
-    frame_rate.examine_holds,
-    frame_rate.examine_rhythm,
-    frame_rate.examine_frame_rate,
-)
+_OF_NUMBERS = (body.examine_empty, body.examine_shape, body.examine_finite, body.examine_body, body.examine_unit)
+_OF_JOINTS = (examine_joint_order, body.examine_scale, place.examine_up_axis, examine_left_right)
+_OF_WAYS = (place.examine_root, place.examine_first_frame, place.examine_facing, place.examine_position)
+_OF_CLOCKS = (frame_rate.examine_repeats, frame_rate.examine_holds, frame_rate.examine_rhythm)
+_OF_TIME = (frame_rate.examine_length, *_OF_CLOCKS, frame_rate.examine_frame_rate)
+EXAMINATIONS: tuple[Examination, ...] = (*_OF_NUMBERS, *_OF_JOINTS, *_OF_WAYS, place.examine_floor, *_OF_TIME)
 # A floor that is missed, and a clock that stumbles, may be how a method moves; the other faults are those of files.
-_OF_A_METHOD = (place.examine_floor, frame_rate.examine_repeats, frame_rate.examine_holds, frame_rate.examine_rhythm)
+_OF_A_METHOD = (place.examine_floor, *_OF_CLOCKS)
 OF_THE_CONVERSION = tuple(each for each in EXAMINATIONS if each not in _OF_A_METHOD)
 
 

@@ -322,14 +322,8 @@ def _goal_facts(performance: Performance, event: TrueEvent, since: float) -> Fac
     manner = "slowly" if event.contact_time - event.reach_start > _SLOW_REACH else ""
     if float(np.linalg.norm((joints[-1] - joints[0])[Joint.PELVIS, [0, 2]])) > _WALKED:
         manner = "after walking over"
-    slots = {
-        "thing": f"the {spoken_name(event.object_name)}",
-        "place": f"the {height}{name}",
-        "hand": f"the {event.hand} hand",
-        "side": side,
-        "manner": manner,
-    }
-    return event.action, slots
+    what = {"thing": f"the {spoken_name(event.object_name)}", "place": f"the {height}{name}"}
+    return event.action, what | {"hand": f"the {event.hand} hand", "side": side, "manner": manner}
 
 
 def spoken_name(name: str) -> str:

@@ -14,7 +14,7 @@ from prbench.synthetic.activities import script as scripts
 from prbench.synthetic.activities.narrate import NarratedMotion, narrate, narrate_events
 from prbench.synthetic.people import PRESETS, perform
 from prbench.synthetic.people import body as bodies
-from prbench.synthetic.people.gaze_plan import GazePlan, Look
+from prbench.synthetic.people.gaze_plan import GazePlan, filled
 from prbench.synthetic.people.kinematics import add_bump, blend, bump, direction, eased_trapezoid, minimum_jerk, turn
 from prbench.synthetic.people.perform import Motion, assemble
 from prbench.synthetic.people.person import Preset, Trunk, draw_person, seated_pelvis_height, standing_pelvis_height
@@ -83,25 +83,19 @@ def act_out(preset: Preset, script: scripts.Script, rate: float, rng: np.random.
     drop = (standing_pelvis_height(body) - seated_pelvis_height(body)) / body.leg
     bending = bodies.Bending(lean, crouch + drop * seated, channels[:, 2])
     # The looks of the activities, and looks ahead in between.
-    looks: list[Look] = []
-    now = 0.0
-    last = Look(float(times[-1]), float(times[-1]), np.zeros(3), False, None)
-    for planned in (*sorted(script.looks, key=lambda look: look.start), last):
-        while planned.start - now > 1e-9:
-            length = min(float(np.clip(0.7 * np.exp(0.4 * rng.standard_normal()), 0.3, 1.6)), planned.start - now)
-            # A point some metres ahead of where the person will soon be and face.
-            index = min(int(np.searchsorted(times, now + 0.5)), times.size - 1)
-            pose = feet_base.pose(index)
-            height = body.stature * (0.93 - 0.22 * float(seated[index]))
-            yaw = pose.heading + rng.normal(0.0, 0.22)
-            pitch = rng.normal(0.16, 0.08)
-            ahead = np.array([0.0, height, 0.0]) + rng.uniform(2.0, 3.5) * direction(yaw, pitch)
-            looks.append(Look(now, now + length, pose.point + ahead, False, None))
-            now += length
-        if planned is not last:
-            looks.append(planned)
-            now = planned.end
-    gaze = GazePlan(tuple(looks), (), ())
+
+    def look_ahead(now: float, until: float, _: np.ndarray | None) -> tuple[float, np.ndarray]:
+        """Draw how long, and a point some metres ahead of where the person will soon be and face."""
+        length = min(float(np.clip(0.7 * np.exp(0.4 * rng.standard_normal()), 0.3, 1.6)), until - now)
+        index = min(int(np.searchsorted(times, now + 0.5)), times.size - 1)
+        pose = feet_base.pose(index)
+        height = body.stature * (0.93 - 0.22 * float(seated[index]))
+        yaw = pose.heading + rng.normal(0.0, 0.22)
+        pitch = rng.normal(0.16, 0.08)
+        ahead = np.array([0.0, height, 0.0]) + rng.uniform(2.0, 3.5) * direction(yaw, pitch)
+        return length, pose.point + ahead
+
+    gaze = GazePlan(filled(script.looks, float(times[-1]), look_ahead), (), ())
     rough = bodies.move_trunk(plan, base, bending, sway, feet, steps, times, None)
     eye = rough.neck + np.array([0.0, 0.06, 0.0]) * person.body.stature
     head = bodies.move_head(plan, gaze, base.heading, eye, times, rng)

@@ -156,9 +156,9 @@ class ScriptWriter:
         right = bool(self.person.habits.right_handed) is (self.rng.random() < 0.75)
         return int(right)
 
-    def did(self, name: str, begin: float, end: float, hand: int | None = None) -> None:
-        """Record that an activity is planned; the next begins after it."""
-        self.script.acts.append(Act(name, begin, end, hand))
+    def did(self, name: str, end: float, hand: int | None = None) -> None:
+        """Record that an activity is planned from now on; the next begins after it."""
+        self.script.acts.append(Act(name, self.now, end, hand))
         self.now = end
         self.script.end = end
 
@@ -255,21 +255,19 @@ _WAVING_ELBOW = (1.0, -0.8, 0.0)
 
 def _walk(writer: ScriptWriter, *, least: float, most: float, side: float) -> None:
     """Turn by an angle between these, radians, and walk: slowly, normally or briskly."""
-    begin = writer.now
     turn = side * writer.draw(least, most)
     speeds = _SPEEDS if abs(turn) < _NO_CORNER else _SPEEDS[:-1]
     speed = writer.draw(*speeds[int(writer.rng.integers(len(speeds)))])
     distance = speed * writer.draw(2.4, 3.0)
     end = writer.go(writer.ahead(distance, writer.base.heading + turn), writer.pace(speed, distance), 3.0)
-    writer.did("walk", begin, end)
+    writer.did("walk", end)
 
 
 def _walk_curve(writer: ScriptWriter) -> None:
     """Walk along an arc."""
-    begin = writer.now
     length = writer.draw(2.4, 3.6)
     arc = writer.curve(length, writer.side() * writer.draw(0.8, 1.6), writer.pace(writer.draw(0.8, 1.05), length))
-    writer.did("curve", begin, arc.end)
+    writer.did("curve", arc.end)
 
 
 def _walk_carrying(writer: ScriptWriter) -> None:
@@ -284,26 +282,25 @@ def _walk_carrying(writer: ScriptWriter) -> None:
     end = writer.go(goal, writer.draw(0.8, 1.0), 3.0)
     for one in hands:
         writer.rest(one, end - 0.1, 0.9)
-    writer.did("carry", begin, end + 0.3, hand)
+    writer.now = begin
+    writer.did("carry", end + 0.3, hand)
 
 
 def _turn_around(writer: ScriptWriter) -> None:
     """Turn on the spot."""
-    begin = writer.now
     angle = writer.side() * writer.draw(0.55, 3.0)
     heading = writer.base.heading + angle
-    writer.look(begin - 0.1, begin + 0.9, float(np.clip(angle, -1.4, 1.4)), 0.1)
-    writer.did("turn", begin, writer.go(replace(writer.base, heading=heading), 1.0, 1.5))
+    writer.look(writer.now - 0.1, writer.now + 0.9, float(np.clip(angle, -1.4, 1.4)), 0.1)
+    writer.did("turn", writer.go(replace(writer.base, heading=heading), 1.0, 1.5))
 
 
 def stand(writer: ScriptWriter) -> None:
     """Stand, or sit, without doing anything."""
-    writer.did("sit" if writer.is_seated else "stand", writer.now, writer.now + writer.draw(2.2, 3.4))
+    writer.did("sit" if writer.is_seated else "stand", writer.now + writer.draw(2.2, 3.4))
 
 
 def look_around(writer: ScriptWriter) -> None:
     """Look far to both sides in turn."""
-    begin = writer.now
     time = writer.now
     side = writer.side()
     for _ in range(int(writer.rng.integers(3, 5))):
@@ -311,33 +308,30 @@ def look_around(writer: ScriptWriter) -> None:
         writer.look(time, time + length, side * writer.draw(0.7, 1.35), writer.draw(-0.15, 0.3))
         time = time + length
         side = -side
-    writer.did("look around", begin, time)
+    writer.did("look around", time)
 
 
 def _look_at_hands(writer: ScriptWriter) -> None:
     """Hold both hands before the chest and look at them."""
-    begin = writer.now
-    length = writer.draw(2.6, 3.6)
+    end = writer.now + writer.draw(2.6, 3.6)
     for hand in (0, 1):
-        writer.script.hands.append(Hand(hand, begin, 0.8, "shoulder", (-0.05, -0.10, 0.17)))
-        writer.rest(hand, begin + length - 0.8, 0.8)
-    writer.look_at(begin + 0.2, begin + length - 0.6, writer.before_chest(-0.24, 0.19))
-    writer.did("look at hands", begin, begin + length)
+        writer.script.hands.append(Hand(hand, writer.now, 0.8, "shoulder", (-0.05, -0.10, 0.17)))
+        writer.rest(hand, end - 0.8, 0.8)
+    writer.look_at(writer.now + 0.2, end - 0.6, writer.before_chest(-0.24, 0.19))
+    writer.did("look at hands", end)
 
 
 def _step_sideways(writer: ScriptWriter) -> None:
     """Step sideways, still facing the same way."""
-    begin = writer.now
     side = writer.side()
     goal = writer.base.point + side * writer.draw(0.3, 0.6) * writer.base.left
-    writer.did("sidestep", begin, writer.go(replace(writer.base, x=float(goal[0]), z=float(goal[2])), 1.0, 1.5))
+    writer.did("sidestep", writer.go(replace(writer.base, x=float(goal[0]), z=float(goal[2])), 1.0, 1.5))
 
 
 def _step_back(writer: ScriptWriter) -> None:
     """Step backwards."""
-    begin = writer.now
     goal = writer.base.point - writer.draw(0.3, 0.55) * writer.base.forward
-    writer.did("step back", begin, writer.go(replace(writer.base, x=float(goal[0]), z=float(goal[2])), 1.0, 1.5))
+    writer.did("step back", writer.go(replace(writer.base, x=float(goal[0]), z=float(goal[2])), 1.0, 1.5))
 
 
 def _reach_out(writer: ScriptWriter) -> None:
@@ -348,7 +342,7 @@ def _reach_out(writer: ScriptWriter) -> None:
     point = writer.base.point + writer.draw(0.42, 0.58) * writer.base.forward + outwards * writer.base.left
     point[1] = writer.stature * writer.draw(0.42, 0.92)
     end = writer.reach(hand, point, begin, writer.draw(0.75, 1.1), writer.draw(0.3, 0.7))
-    writer.did("reach", writer.now, end, hand)
+    writer.did("reach", end, hand)
 
 
 def _rub(writer: ScriptWriter, name: str, size: tuple[float, float], frequency: tuple[float, float]) -> None:
@@ -367,7 +361,7 @@ def _rub(writer: ScriptWriter, name: str, size: tuple[float, float], frequency: 
     if not writer.is_seated:
         writer.bend(begin, 0.7, writer.draw(0.10, 0.25), 0.0)
         writer.bend(begin + length - 0.8, 0.7, 0.0, 0.0)
-    writer.did(name, begin, begin + length, hand)
+    writer.did(name, begin + length, hand)
 
 
 def crouch(writer: ScriptWriter) -> None:
@@ -378,7 +372,7 @@ def crouch(writer: ScriptWriter) -> None:
     stay = writer.draw(0.4, 1.0)
     writer.bend(begin, down, writer.draw(0.35, 0.6), depth)
     writer.bend(begin + down + stay, down, 0.0, 0.0)
-    writer.did("crouch", begin, begin + 2 * down + stay)
+    writer.did("crouch", begin + 2 * down + stay)
 
 
 def _bend_forward(writer: ScriptWriter) -> None:
@@ -389,7 +383,7 @@ def _bend_forward(writer: ScriptWriter) -> None:
     writer.bend(begin, length, writer.draw(0.75, 1.15), writer.draw(0.02, 0.06))
     writer.look(begin + 0.1, begin + length + stay, 0.0, 1.0, 1.2)
     writer.bend(begin + length + stay, length, 0.0, 0.0)
-    writer.did("bend", begin, begin + 2 * length + stay)
+    writer.did("bend", begin + 2 * length + stay)
 
 
 def wave(writer: ScriptWriter) -> None:
@@ -404,7 +398,7 @@ def wave(writer: ScriptWriter) -> None:
     end = begin + 0.75 + waving
     writer.rest(hand, end, 0.9, bulge=_BULGE)
     writer.look(begin, end, writer.draw(-0.2, 0.2), 0.0)
-    writer.did("wave", begin, end + 0.8, hand)
+    writer.did("wave", end + 0.8, hand)
 
 
 def _raise_arms(writer: ScriptWriter) -> None:
@@ -416,7 +410,7 @@ def _raise_arms(writer: ScriptWriter) -> None:
         place = (writer.draw(0.02, 0.06), 0.265, 0.05)
         writer.script.hands.append(Hand(hand, begin, up, "shoulder", place, bulge=_BULGE))
         writer.rest(hand, begin + up + stay, up, bulge=_BULGE)
-    writer.did("raise arms", begin, begin + 2 * up + stay)
+    writer.did("raise arms", begin + 2 * up + stay)
 
 
 def _scratch_head(writer: ScriptWriter) -> None:
@@ -429,14 +423,13 @@ def _scratch_head(writer: ScriptWriter) -> None:
     loop = Loop(begin + 0.8, begin + length - 0.8, up, ahead, writer.draw(2.0, 3.0))
     writer.script.hands.append(Hand(hand, begin, 0.9, "head", (0.075, 0.045, 0.035), loop, (1.0, -0.3, 0.15), _BULGE))
     writer.rest(hand, begin + length - 0.85, 0.9, bulge=_BULGE)
-    writer.did("scratch head", begin, begin + length, hand)
+    writer.did("scratch head", begin + length, hand)
 
 
 def _change_seat(writer: ScriptWriter, *, down: bool) -> None:
     """Sit down on a chair that is not shown, or stand up from it."""
-    begin = writer.now
     writer.sit(down=down)
-    writer.did("sit down" if down else "stand up", begin, begin + SITTING_TIME + (0.6 if down else 0.5))
+    writer.did("sit down" if down else "stand up", writer.now + SITTING_TIME + (0.6 if down else 0.5))
 
 
 Activity = Callable[[ScriptWriter], None]

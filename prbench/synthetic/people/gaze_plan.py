@@ -5,6 +5,7 @@ Source: docs/specification/synthetic-recordings.md#eye-head-trunk, points 5 and 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -60,6 +61,9 @@ class GazePlan:
     kinds: tuple[str, ...]
 
 
+Fill = Callable[[float, float, np.ndarray | None], tuple[float, np.ndarray]]
+
+
 def plan_gaze(plan: Plan, base: BasePath, eye: Points, times: Signal, rng: np.random.Generator) -> GazePlan:
     """Schedule all looks of a recording.
 
@@ -100,19 +104,29 @@ def plan_gaze(plan: Plan, base: BasePath, eye: Points, times: Signal, rng: np.ra
         if kind != "unseen":
             until = reach.event if prime is None or kind == "swept" else prime
             scheduler.avoid.append((reach.centre, reach.event - WINDOW, until))
-    end = float(times[-1])
+    return GazePlan(filled(goals, float(times[-1]), scheduler.fill), primes, kinds)
+
+
+def filled(goals: list[Look], end: float, fill: Fill) -> tuple[Look, ...]:
+    """Return looks in order of time, with others wherever none is planned.
+
+    Args:
+        goals: The planned looks, without overlaps.
+        end: Last instant that is filled, seconds.
+        fill: Draws duration and point of a look, from when it begins, when it ends at the latest, and the point before.
+    """
     looks: list[Look] = []
     now = 0.0
     last = Look(end, end, np.zeros(3), False, None)
     for goal in (*sorted(goals, key=lambda look: look.start), last):
         while goal.start - now > 1e-9:
-            duration, point = scheduler.fill(now, goal.start, looks[-1].point if looks else None)
+            duration, point = fill(now, goal.start, looks[-1].point if looks else None)
             looks.append(Look(now, now + duration, point, False, None))
             now += duration
         if goal is not last:
             looks.append(goal)
             now = goal.end
-    return GazePlan(tuple(looks), primes, kinds)
+    return tuple(looks)
 
 
 @dataclass(eq=False, repr=False)

@@ -256,29 +256,10 @@ def perform(
         event_id = None if look.reach is None else f"{recording_id}/{look.reach:03d}"
         kind = "goal" if look.is_goal else "fill"
         fixations.append(Fixation(float(look.start), float(look.end), look.point, kind, event_id))
-    return Performance(
-        preset=preset,
-        world=world,
-        seed=seed,
-        index=index,
-        recording_id=recording_id,
-        room_id=plan.room.room_id,
-        split=split,
-        person=person,
-        rate=rate,
-        times=times,
-        joints=motion.joints,
-        rotations=motion.rotations,
-        finger_bases=motion.finger_bases,
-        head_rotation=motion.head_rotation,
-        eye=motion.eye,
-        gaze=gaze,
-        planted=motion.planted,
-        objects=(*objects, *_furniture(plan, source, room_number)),
-        events=events,
-        fixations=tuple(fixations),
-        other_people=others,
-    )
+    about = (preset, world, seed, index, recording_id, plan.room.room_id, split, person, rate)
+    body = (motion.joints, motion.rotations, motion.finger_bases, motion.head_rotation, motion.eye)
+    everything = (*objects, *_furniture(plan, source, room_number))
+    return Performance(*about, times, *body, gaze, motion.planted, everything, events, tuple(fixations), others)
 
 
 def _look(
@@ -393,16 +374,9 @@ def _furniture(plan: Plan, source: Source, room_index: int) -> list[ObjectMotion
         half = np.array([surface.width / 2.0, thickness / 2.0, surface.kind.depth / 2.0])
         centre = surface.point(0.0, surface.kind.depth / 2.0) - np.array([0.0, thickness / 2.0, 0.0])
         heading = surface.facing
-        pieces.append(
-            ObjectMotion(
-                object_id=str(int(rng.integers(9 * 10**15, 10**16))),
-                name=f"{surface.kind.name.title().replace(' ', '')}_{number + 1}",
-                category=surface.kind.name,
-                half_extents=half,
-                position=centre[None],
-                rotation=np.array([[np.cos(heading / 2.0), 0.0, np.sin(heading / 2.0), 0.0]]),
-                held_by=np.array([-1]),
-                movable=False,
-            )
-        )
+        object_id = str(int(rng.integers(9 * 10**15, 10**16)))
+        name = f"{surface.kind.name.title().replace(' ', '')}_{number + 1}"
+        turned = np.array([[np.cos(heading / 2.0), 0.0, np.sin(heading / 2.0), 0.0]])
+        at_rest = (centre[None], turned, np.array([-1]))
+        pieces.append(ObjectMotion(object_id, name, surface.kind.name, half, *at_rest, movable=False))
     return pieces

@@ -145,23 +145,14 @@ def _draw_body(preset: Preset, stature: float, rng: np.random.Generator) -> Body
     forward = (-0.010, 0.004, 0.002)
     spine = [(0.0, u * trunk * stature, f * trunk * stature) for u, f in zip(up, forward, strict=True)]
     spine.append(_scaled(preset.neck_offset, trunk * stature))
-    return Body(
-        stature=stature,
-        hip=_scaled((0.036 * shoulders, -0.048, -0.006), stature),
-        thigh=0.2252 * leg * stature,
-        shin=0.2466 * leg * stature,
-        ankle_height=0.036 * stature,
-        foot_length=0.076 * stature,
-        spine=tuple(spine),
-        neck_length=preset.neck_length * stature,
-        neck_tilt=float(np.deg2rad(preset.neck_tilt_deg)),
-        collar=_scaled((0.041 * shoulders, 0.060 * trunk, -0.010), stature),
-        shoulder=_scaled((0.0695 * shoulders, 0.012, -0.008), stature),
-        upper_arm=0.149 * arm * stature,
-        forearm=0.154 * arm * stature,
-        hand=0.047 * stature,
-        eye=_scaled((0.0, 0.012, 0.055), stature),
-    )
+    hip = _scaled((0.036 * shoulders, -0.048, -0.006), stature)
+    thigh_to_foot = (0.2252 * leg * stature, 0.2466 * leg * stature, 0.036 * stature, 0.076 * stature)
+    neck = (preset.neck_length * stature, float(np.deg2rad(preset.neck_tilt_deg)))
+    collar = _scaled((0.041 * shoulders, 0.060 * trunk, -0.010), stature)
+    shoulder = _scaled((0.0695 * shoulders, 0.012, -0.008), stature)
+    upper_arm_to_hand = (0.149 * arm * stature, 0.154 * arm * stature, 0.047 * stature)
+    eye = _scaled((0.0, 0.012, 0.055), stature)
+    return Body(stature, hip, *thigh_to_foot, tuple(spine), *neck, collar, shoulder, *upper_arm_to_hand, eye)
 
 
 def _scaled(offset: tuple[float, float, float], scale: float) -> tuple[float, float, float]:

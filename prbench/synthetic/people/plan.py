@@ -405,27 +405,13 @@ class _Planner:
         length = (0.62 + 0.35 * self.rng.random()) * self.person.habits.reach_time + self.rng.uniform(0.03, 0.12)
         from_hover = tag == "too_near" and action == "pick"
         event = reach_start + float(length) * (_FROM_HOVER if from_hover else 1.0)
-        return Reach(
-            number=len(self.reaches),
-            action=action,
-            tag=tag,
-            item=item,
-            hand=hand,
-            surface=goal.surface,
-            centre=goal.centre,
-            yaw=stand.yaw,
-            half_world=world_half_extents(goal.half_extents, stand.yaw),
-            base=stand.base,
-            grasp=stand.grasp,
-            posture=stand.posture,
-            motor_start=motor_start,
-            reach_start=reach_start,
-            contact=event - 0.04,
-            event=event,
-            dwell=_DWELL[action],
-            carries=action == "pick" and self.preset.puts,
-            **self._draw_provocation(action, tag, goal, stand, event),
-        )
+        what = (len(self.reaches), action, tag, item, hand)
+        where = (goal.surface, goal.centre, stand.yaw, world_half_extents(goal.half_extents, stand.yaw))
+        posture = (stand.base, stand.grasp, stand.posture)
+        times = (motor_start, reach_start, event - 0.04, event, _DWELL[action])
+        carries = action == "pick" and self.preset.puts
+        changed = self._draw_provocation(action, tag, goal, stand, event)
+        return Reach(*what, *where, *posture, *times, carries, **changed)
 
     def _tag_of(self, action: Action) -> str:
         """Return the tag that a movement itself carries."""

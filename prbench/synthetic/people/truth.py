@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import hypot, inf
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -324,31 +324,20 @@ def _true_event(
     low = reach.centre - reach.half_world
     high = reach.centre + reach.half_world
     sight = first_sight(scene.times, scene.eye, scene.gaze, low, high, event_time)
-    expected, margin = _outcome(sight, scene, reach.centre)
+    outcome = _outcome(sight, scene, reach.centre)
     if reach.action not in ("pick", "put") or reach.tag == "hinge":
-        expected, margin = "excluded_category" if reach.tag == "hinge" else "not_an_event", np.inf
+        outcome["expected"] = "excluded_category" if reach.tag == "hinge" else "not_an_event"
+        outcome["thin"] = sight.marginal
+    outcome |= {"tag": tag, "object_id": motion.object_id, "object_name": motion.name, "hand": SIDES[reach.hand]}
+    outcome |= {"goal": reach.centre, "box_min": low, "box_max": high, "lost_span": reach.lost}
+    times = {"contact_time": reach.contact, "event_time": event_time, "release_time": reach.event + 0.15}
+    times |= {"motor_start": reach.motor_start, "reach_start": reach.reach_start}
+    outcome |= {name: float(time) for name, time in times.items()}
     return TrueEvent(
         event_id=f"{recording_id}/{reach.number:03d}{'b' if tag == 'hinge' and reach.action == 'put' else ''}",
         action="put" if reach.action == "put" else "pick",
-        tag=tag,
-        object_id=motion.object_id,
-        object_name=motion.name,
-        hand=SIDES[reach.hand],
-        contact_time=float(reach.contact),
-        event_time=float(event_time),
-        release_time=float(reach.event) + 0.15,
-        goal=reach.centre,
-        box_min=low,
-        box_max=high,
         prime_planned=None if prime is None else float(prime),
-        prime_time=sight.lasting,
-        prime_first=sight.first,
-        prime_kind=sight.kind,
-        motor_start=float(reach.motor_start),
-        reach_start=float(reach.reach_start),
-        expected=expected,
-        thin=sight.marginal or margin < _THIN_MOVEMENT,
-        lost_span=reach.lost,
+        **outcome,
     )
 
 
@@ -384,28 +373,20 @@ def seen_again(
     """
     scene = Scene(performance.times, performance.joints, performance.eye, performance.gaze)
     sight = first_sight(scene.times, scene.eye, scene.gaze, low, high, event.event_time, gaze_period=gaze_period)
-    expected, margin = _outcome(sight, scene, (low + high) / 2)
-    return replace(
-        event,
-        box_min=low,
-        box_max=high,
-        prime_time=sight.lasting,
-        prime_first=sight.first,
-        prime_kind=sight.kind,
-        expected=expected,
-        thin=sight.marginal or margin < _THIN_MOVEMENT,
-    )
+    return replace(event, box_min=low, box_max=high, **_outcome(sight, scene, (low + high) / 2))
 
 
-def _outcome(sight: Sight, scene: Scene, goal: np.ndarray) -> tuple[str, float]:
-    """Return the outcome of an event with a place (docs/specification/curation.md#minimum-movement), and its margin."""
+def _outcome(sight: Sight, scene: Scene, goal: np.ndarray) -> dict[str, Any]:
+    """Return the prime and the outcome of an event with a place (docs/specification/curation.md#minimum-movement)."""
     curation = load_protocol().curation
+    seen = {"prime_time": sight.lasting, "prime_first": sight.first, "prime_kind": sight.kind, "thin": sight.marginal}
     if sight.lasting is None:
-        return "not_primed", np.inf
+        return seen | {"expected": "not_primed"}
     start = sight.lasting - curation.lead
     if start < scene.times[0]:
-        return "too_short", np.inf
+        return seen | {"expected": "too_short"}
     wrists = scene.joints[int(np.searchsorted(scene.times, start)), WRISTS]
     nearest = float(np.linalg.norm(wrists - goal, axis=1).min())
     outcome = "minimum_movement" if nearest < curation.minimum_movement else "sequence"
-    return outcome, abs(nearest - curation.minimum_movement)
+    margin = abs(nearest - curation.minimum_movement)
+    return seen | {"expected": outcome, "thin": sight.marginal or margin < _THIN_MOVEMENT}

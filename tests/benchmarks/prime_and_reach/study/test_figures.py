@@ -24,10 +24,14 @@ from prbench.metrics import MotionBatch, ScoringTargets, score
 from prbench.protocol.manifests import load_protocol
 from prbench.sequences import SequenceTable
 from prbench.tables import Block, Cell, Row, Table
-from prbench_benchmarks.prime_and_reach.study.breakdown import GROUPINGS, breakdown_table
-from prbench_benchmarks.prime_and_reach.study.charts import draw_breakdown
-from prbench_benchmarks.prime_and_reach.study.genuine import genuine_runs
-from prbench_benchmarks.prime_and_reach.study.sweep import sweep, sweep_table
+from prbench_benchmarks.prime_and_reach.study.charts import (
+    GROUPINGS,
+    breakdown_table,
+    draw_breakdown,
+    genuine_runs,
+    sweep,
+    sweep_table,
+)
 from tests.fakes import fake_dataset
 from tests.tables.test_tables import require_whole_latex
 
