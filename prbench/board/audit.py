@@ -166,15 +166,9 @@ def audit(
         parent = out or Path(thrown_away)
         for done, (name, control, use) in enumerate(wanted):
             label = name if control is None else f"{name}, {control}"
-            request = RunRequest(
-                method=name,
-                data=tuple(data),
-                condition=Condition.NONE,
-                control=control,
-                split=split,
-                limit=limit,
-                out=parent / label.replace(", ", "-"),
-            )
+            about = {"method": name, "control": control, "split": split, "limit": limit}
+            place = parent / label.replace(", ", "-")
+            request = RunRequest(data=tuple(data), condition=Condition.NONE, out=place, **about)
             report = run_method(request, engine=engine)
             for audited, summary in zip(by_table, report.summaries, strict=True):
                 agreement = DatasetAgreement.read(report.folder.dataset(summary.dataset).path)

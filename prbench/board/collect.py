@@ -194,9 +194,8 @@ def run_folders(paths: Iterable[Path]) -> list[Path]:
         if not (found[0] / run_record.FILE_NAME).is_file() or found[0].parent == path:
             found = sorted(file.parent for file in path.rglob(run_record.FILE_NAME)) if path.is_dir() else []
         if not found:
-            raise RunError(
-                f"{path}: expected a run folder (with {run_record.FILE_NAME}) or a folder of runs, found none."
-            )
+            expected = f"a run folder (with {run_record.FILE_NAME}) or a folder of runs"
+            raise RunError(f"{path}: expected {expected}, found none.")
         folders.update(Path(os.path.realpath(folder)) for folder in found)
     return sorted(folders)
 
@@ -247,19 +246,11 @@ def collect_runs(
             cost, unverified_cost = cost_of(run, table)
             # Name and version of the user's own protocol that a run follows; empty for prbench's.
             protocol = run.protocol
-            row = LeaderboardRow(
-                folder.parent.name if folder.name == MERGED else folder.name,
-                run.record,
-                table,
-                checked.summary,
-                checked.unverified,
-                sequences=checked.scored,
-                protocol=(protocol.label if protocol is not None and protocol.is_own else ""),
-                scores=run.dataset(table.dataset).scores,
-                cost=cost,
-                unverified_cost=unverified_cost,
-                declared=checked.declared,
-            )
+            name = folder.parent.name if folder.name == MERGED else folder.name
+            label = protocol.label if protocol is not None and protocol.is_own else ""
+            told = (checked.summary, checked.unverified, checked.scored, label, run.dataset(table.dataset).scores)
+            paid = {"cost": cost, "unverified_cost": unverified_cost}
+            row = LeaderboardRow(name, run.record, table, *told, **paid, declared=checked.declared)
             if (run.path / FOLDS_FILE).is_file():
                 merged.append((row, run))
             elif table.fold is not None:
@@ -301,9 +292,7 @@ def _why_unverified(merged: RunFolder, named: Sequence[tuple[LeaderboardRow, Run
     stored = read_scores(files.scores)
     same_faults = tree_of(again.summary)["findings"] == tree_of(DatasetSummary.read(files.path))["findings"]
     if again.record != merged.record or not again.scores.equals(stored.cast(again.scores.schema)) or not same_faults:
-        raise RunError(
-            f"{merged.path}: does not follow from the runs that {FOLDS_FILE} names. It was edited; merge them again"
-            " into another folder: `prbench merge RUN … --out DIR`."
-        )
+        remedy = "It was edited; merge them again into another folder: `prbench merge RUN … --out DIR`"
+        raise RunError(f"{merged.path}: does not follow from the runs that {FOLDS_FILE} names. {remedy}.")
     reasons = [row.unverified for row, _ in found if row.unverified]
     return f"one of the runs that it was merged from is unverified: {reasons[0]}" if reasons else ""

@@ -100,16 +100,12 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
     """
     runs = [RunFolder.open(Path(each), any_benchmark=True) for each in (first, second)]
     if runs[0].record.benchmark != runs[1].record.benchmark:
-        raise RunError(
-            f"{first} is a run of the benchmark {runs[0].record.benchmark}, {second} of {runs[1].record.benchmark}:"
-            " their numbers measure different things and cannot be compared."
-        )
+        found = f"{first} is a run of the benchmark {runs[0].record.benchmark}, {second} of {runs[1].record.benchmark}"
+        raise RunError(f"{found}: their numbers measure different things and cannot be compared.")
     benchmark = load_benchmark(runs[0].record.benchmark)
     if runs[0].record.protocol_digest != runs[1].record.protocol_digest:
-        raise RunError(
-            f"{first} and {second} follow different protocols, so their numbers cannot be compared. Run the method of"
-            " the older one again, into another folder."
-        )
+        found = f"{first} and {second} follow different protocols, so their numbers cannot be compared"
+        raise RunError(f"{found}. Run the method of the older one again, into another folder.")
     tables = [{table.dataset: table for table in run.record.tables} for run in runs]
     # In the order of the second run; every dataset of both is compared, and all p-values are corrected together.
     shared = [name for name in tables[1] if name in tables[0]]
@@ -129,9 +125,8 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
             common = frozenset(ids[0] & ids[1])
             if not common:
                 raise RunError(f"{first} and {second}: there is no sequence of {name} that both generated.")
-            left_out.append(
-                f"{name}: compared on the {len(common)} of {pair[0].sequences} sequences that both methods generated"
-            )
+            counts = f"{len(common)} of {pair[0].sequences} sequences"
+            left_out.append(f"{name}: compared on the {counts} that both methods generated")
         values = [sequence_scores(path, benchmark, pair[0], only=common) for path in paths]
         if pair[0].content_digest != pair[1].content_digest:
             raise RunError(f"{first} and {second} were run on different tables of {name}.")
@@ -139,10 +134,8 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
             try:
                 paired = paired_differences(values[0], values[1], info)
             except ValueError as error:
-                raise RunError(
-                    f"{first} and {second} were scored on different sequences of {name}"
-                    f" ({error}). Run both with the same --split and --limit."
-                ) from error
+                problem = f"{first} and {second} were scored on different sequences of {name} ({error})"
+                raise RunError(f"{problem}. Run both with the same --split and --limit.") from error
             if paired is not None:
                 scores[name, info] = paired
     metrics = [ComparedMetric(*key, found, found.conclusion) for key, found in compare(scores).items()]
@@ -260,9 +253,8 @@ def separate_by_comparison(rows: Sequence[LeaderboardRow], metrics: Sequence[Met
     scores = []
     for row in rows:
         if row.scores is None:
-            raise RunError(
-                f"{row.run}: expected the run's scores beside its summary, found none. Run it again: it resumes."
-            )
+            expected = "the run's scores beside its summary"
+            raise RunError(f"{row.run}: expected {expected}, found none. Run it again: it resumes.")
         scores.append(sequence_scores(row.scores, row.benchmark, row.table, only=row.only))
     directed = [info for info in metrics if info.higher_is_better is not None]
     pairs: dict[tuple[int, int, MetricInfo], ClusteredValues] = {}

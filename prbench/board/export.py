@@ -17,8 +17,7 @@ from prbench.harness.claims import METHOD
 from prbench.harness.run_folder.record import CONTROL, RunRecord
 from prbench.harness.run_folder.summary import DatasetSummary, counted_units
 from prbench.protocol.manifests import default_benchmark
-from prbench.tables import Block, Cell, Column, Row, Table, csv_lines, metric_cell, metric_column, note_of
-from prbench.tables import as_markdown as tables_as_markdown
+from prbench.tables import Block, Cell, Column, Row, Table, as_markdown, csv_lines, metric_cell, metric_column, note_of
 
 _CSV_COLUMNS = (
     *("table", "dataset", "condition", "method", "variant", "metric", "value", "unit", "higher_is_better"),
@@ -45,7 +44,10 @@ def export(leaderboard: Leaderboard, format: str) -> str:
     if format not in FORMATS:
         raise UsageError(f"unknown format '{format}'; known ones are: {', '.join(FORMATS)}.")
     if format == "md":
-        return _as_markdown(leaderboard)
+        found = dict.fromkeys(table.benchmark.about.title for table in leaderboard.tables)
+        title = "# Leaderboard" if len(found) > 1 else f"# {next(iter(found), default_benchmark().title)} leaderboard"
+        notes = [Table(title="Notes", notes=leaderboard.notes)] if leaderboard.notes else []
+        return f"{title}\n\n{as_markdown([*board_tables(leaderboard), *notes])}"
     if format == "csv":
         signed = {"signed_by": leaderboard.signed_by}
         return csv_lines(_CSV_COLUMNS, (row | signed for row in _csv_rows(leaderboard)))
@@ -63,40 +65,28 @@ def measured_cells(row: TableRow, table: DatasetTable, **about: Any) -> tuple[Ce
     """
     entry = row.entry
     infos = {info.id: info for info in table.benchmark.metrics}
-    common = {"dataset": table.dataset, "condition": entry.record.condition, "method": entry.method} | about
+    common: dict[str, Any] = {"variant": row.variant, "dataset": table.dataset, "method": entry.method}
+    common |= {"condition": entry.record.condition} | about
+    of_table = (
+        "synthetic" if table.synthetic else "",
+        "" if table.benchmark.about.default else f"benchmark {table.benchmark.name}",
+        f"common {table.sequences} of {table.of} sequences" if table.of else "",
+        f"own protocol {table.protocol}" if table.protocol else "",
+        "" if table.earlier_version is None else f"protocol version {table.earlier_version}",
+    )
     cells = []
     for metric in entry.summary.metrics:
         hidden = metric.metric in infos and hides(entry, infos[metric.metric])
         arrival = entry.summary.arrival if metric.metric == "prime_success" else ""
-        notes = (
-            *metric.marks,
-            "synthetic" if table.synthetic else "",
-            "" if table.benchmark.about.default else f"benchmark {table.benchmark.name}",
-            f"common {table.sequences} of {table.of} sequences" if table.of else "",
-            f"own protocol {table.protocol}" if table.protocol else "",
-            "" if table.earlier_version is None else f"protocol version {table.earlier_version}",
-            "stands still" if hidden else "",
-            entry.summary.mark,
-            arrival,
-            entry.summary.own_first_frame if metric.metric == "plausible" else "",
-        )
-        cell = metric_cell(
-            metric.metric,
-            metric.unit,
-            # No value where Markdown prints a dash, so that nobody averages a number that means nothing.
-            None if hidden else metric.mean,
-            metric.low,
-            metric.high,
-            detectable=metric.detectable,
-            sequences=metric.sequences,
-            recordings=metric.recordings,
-            rank=row.ranks.get(metric.metric),
-            best=metric.metric in row.leads,
-            mark=f"{arrival[:1]} {_FEW if 'few_recordings' in metric.marks else ''}".strip(),
-            note=note_of(*notes),
-            **({"variant": row.variant} | common),
-        )
-        cells.append(cell)
+        notes = (*metric.marks, *of_table, "stands still" if hidden else "", entry.summary.mark, arrival)
+        own_start = entry.summary.own_first_frame if metric.metric == "plausible" else ""
+        # No value where Markdown prints a dash, so that nobody averages a number that means nothing.
+        numbers = (None if hidden else metric.mean, metric.low, metric.high)
+        own = {"rank": row.ranks.get(metric.metric), "best": metric.metric in row.leads}
+        own |= {name: getattr(metric, name) for name in ("detectable", "sequences", "recordings")}
+        own |= {"mark": f"{arrival[:1]} {_FEW if 'few_recordings' in metric.marks else ''}".strip()}
+        own |= {"note": note_of(*notes, own_start)}
+        cells.append(metric_cell(metric.metric, metric.unit, *numbers, **own, **common))
     return tuple(cells)
 
 
@@ -111,25 +101,14 @@ def _csv_rows(leaderboard: Leaderboard) -> Iterator[dict[str, Any]]:
             yield from (_csv_row(cell, table.benchmark) | about for cell in measured_cells(row, table))
     for number, macro in enumerate(leaderboard.macro, start=1):
         benchmark = load_benchmark(macro.benchmark)
-        notes = [
-            "mean over datasets",
-            "synthetic" if macro.synthetic else "",
-            "" if benchmark.about.default else f"benchmark {benchmark.name}",
-            "" if macro.earlier_version is None else f"protocol version {macro.earlier_version}",
-        ]
+        notes = ["mean over datasets", "synthetic" if macro.synthetic else ""]
+        notes.append("" if benchmark.about.default else f"benchmark {benchmark.name}")
+        notes.append("" if macro.earlier_version is None else f"protocol version {macro.earlier_version}")
         for row, cells in zip(macro.rows, _macro_cells(macro, benchmark)):
-            about = {
-                "table": f"macro {number}",
-                "dataset": "+".join(macro.datasets),
-                "condition": row.condition,
-                "method": row.method,
-                "variant": row.variant,
-                "verified": "unverified" if row.unverified else "verified",
-                "note": note_of(*notes, row.mark),
-                "kind": row.origin,
-                "declared": note_of(*row.declared),
-                "training": row.training,
-            }
+            about = {name: getattr(row, name) for name in ("condition", "method", "variant", "training")}
+            about |= {"table": f"macro {number}", "dataset": "+".join(macro.datasets), "kind": row.origin}
+            about |= {"declared": note_of(*row.declared), "note": note_of(*notes, row.mark)}
+            about |= {"verified": "unverified" if row.unverified else "verified"}
             yield from (_csv_row(cell, benchmark) | about for cell in cells if cell.metric in row.means)
 
 
@@ -243,41 +222,20 @@ def as_board(leaderboard: Leaderboard) -> Board:
         protocol, identity, content, split, selection = table.key
         of_entry = ("run", "record", "summary", "cost", "origin", "unverified", "unverified_cost", "declared")
         of_entry += ("submission", "verified", "training")
-        rows = [
-            BoardRow(
-                **{name: getattr(row.entry, name) for name in of_entry},
-                mark=row.entry.summary.mark,
-                variant=row.variant,
-                ranks=row.ranks,
-                leads=sorted(row.leads),
-                says_nothing=[info.id for info in table.benchmark.metrics if hides(row.entry, info)],
-            )
-            for row in table.rows
-        ]
+        rows = []
+        for row in table.rows:
+            own: dict[str, Any] = {name: getattr(row.entry, name) for name in of_entry}
+            own |= {"mark": row.entry.summary.mark, "variant": row.variant}
+            nothing = [info.id for info in table.benchmark.metrics if hides(row.entry, info)]
+            rows.append(BoardRow(**own, ranks=row.ranks, leads=sorted(row.leads), says_nothing=nothing))
         same = ("dataset", "title", "synthetic", "redistribution", "sequences", "recordings")
-        shown = BoardTable(
-            **{name: getattr(table, name) for name in same},
-            benchmark=table.benchmark.name,
-            split=split,
-            digests={"protocol": protocol, "identity": identity, "content": content, "selection": selection},
-            own_protocol=table.protocol,
-            chosen_sequences=table.of or table.sequences,
-            left_sequences_out=table.shortest,
-            undecided=undecided_lines(table),
-            rows=rows,
-        )
-        tables.append(shown)
+        about: dict[str, Any] = {name: getattr(table, name) for name in same}
+        about |= {"digests": {"protocol": protocol, "identity": identity, "content": content, "selection": selection}}
+        about |= {"benchmark": table.benchmark.name, "split": split, "own_protocol": table.protocol}
+        about |= {"chosen_sequences": table.of or table.sequences, "left_sequences_out": table.shortest}
+        tables.append(BoardTable(**about, undecided=undecided_lines(table), rows=rows))
     same = {name: getattr(leaderboard, name) for name in ("notes", "signed_by")}
     return Board(tables=tables, macro_means=leaderboard.macro, **same)
-
-
-def _as_markdown(leaderboard: Leaderboard) -> str:
-    found = dict.fromkeys(table.benchmark.about.title for table in leaderboard.tables)
-    title = "# Leaderboard" if len(found) > 1 else f"# {next(iter(found), default_benchmark().title)} leaderboard"
-    tables = board_tables(leaderboard)
-    if leaderboard.notes:
-        tables.append(Table(title="Notes", notes=leaderboard.notes))
-    return f"{title}\n\n{tables_as_markdown(tables)}"
 
 
 def board_tables(leaderboard: Leaderboard) -> list[Table]:
@@ -295,23 +253,15 @@ def board_tables(leaderboard: Leaderboard) -> list[Table]:
             # Two tables of one dataset differ in a digest at most, so their titles have to show digests.
             protocol, identity, content, _, chosen = (part[:8] for part in table.key)
             about.append(f"protocol {protocol}, table {identity}/{content}, chosen {chosen}")
-        rows = [
-            Row(
-                text={
-                    "condition": "control" if row.entry.record.method.kind == CONTROL else row.entry.record.condition,
-                    "method": _words(row.entry.method, row.entry.summary.symbols),
-                    "variant": note_of(row.variant, row.entry.remarks),
-                    "kind": row.entry.origin,
-                    "verified": row.entry.unverified or row.entry.verified,
-                    "training": row.entry.training,
-                },
-                cells=(
-                    *measured_cells(row, table),
-                    *(Cell(metric=name, value=value) for name, value in row.entry.cost.items()),
-                ),
-            )
-            for row in table.rows
-        ]
+        rows = []
+        for row in table.rows:
+            entry = row.entry
+            words = {"condition": "control" if entry.record.method.kind == CONTROL else entry.record.condition}
+            words |= {"method": _words(entry.method, entry.summary.symbols), "kind": entry.origin}
+            words |= {"variant": note_of(row.variant, entry.remarks)}
+            words |= {"verified": entry.unverified or entry.verified, "training": entry.training}
+            costs_of_row = (Cell(metric=name, value=value) for name, value in entry.cost.items())
+            rows.append(Row(text=words, cells=(*measured_cells(row, table), *costs_of_row)))
         costs = [Column(key=name, title=COSTS[name][0], digits=3 if name.endswith("seconds") else 0) for name in COSTS]
         blocks = (Block(rows=tuple(rows)),)
         columns = _columns(table.benchmark, *costs)
@@ -337,15 +287,9 @@ def _words(*parts: str) -> str:
 
 def _columns(benchmark: Benchmark, *further: Column) -> tuple[Column, ...]:
     """Return the columns of a board; a metric that a run lacks leaves its cell empty."""
-    return (
-        *(
-            Column(key=each.lower(), title=f"{each} (declared)", text=True)
-            for each in ("Condition", "Method", "Variant")
-        ),
-        *(metric_column(info, missing="") for info in benchmark.main_metrics),
-        *further,
-        Column(key="kind", title="Kind (declared)", text=True),
-    )
+    words = ("Condition", "Method", "Variant", "Kind")
+    *first, kind = (Column(key=each.lower(), title=f"{each} (declared)", text=True) for each in words)
+    return (*first, *(metric_column(info, missing="") for info in benchmark.main_metrics), *further, kind)
 
 
 def _legend(table: DatasetTable) -> Iterable[str]:
@@ -451,20 +395,12 @@ def _macro_table(macro: MacroTable, *, with_benchmark: bool) -> Table:
         title += f", {benchmark.about.title.lower()}"
     if macro.earlier_version is not None:
         title += f", protocol version {macro.earlier_version}"
-    rows = [
-        Row(
-            text={
-                "condition": "control" if row.is_control else row.condition,
-                "method": _words(row.method, row.symbols),
-                "variant": note_of(row.variant, "unverified" if row.unverified else ""),
-                "missing": ", ".join(row.missing),
-                "kind": row.origin,
-                "training": row.training,
-            },
-            cells=cells,
-        )
-        for row, cells in zip(macro.rows, _macro_cells(macro, benchmark))
-    ]
+    rows = []
+    for row, cells in zip(macro.rows, _macro_cells(macro, benchmark)):
+        words = {"condition": "control" if row.is_control else row.condition, "training": row.training}
+        words |= {"method": _words(row.method, row.symbols), "kind": row.origin, "missing": ", ".join(row.missing)}
+        words |= {"variant": note_of(row.variant, "unverified" if row.unverified else "")}
+        rows.append(Row(text=words, cells=cells))
     legend = (
         "Every dataset counts alike; in brackets the 95 % interval of the mean. In parentheses: one more than the"
         " number of methods of its condition that are better on every dataset by a supported difference; none for"

@@ -116,16 +116,9 @@ class HistoryEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             # Controls are the same for everybody, and a merged run has no motions of its own.
             if digests and run.method.kind != CONTROL and run.control is None:
                 motions.append(text_digest(*digests))
-        return cls(
-            date=date,
-            action="add",
-            id=submission.id,
-            reason=reason,
-            name=submission.name,
-            submission=submission.digest,
-            verification=bytes_digest(verification),
-            motions=tuple(sorted(motions)),
-        )
+        about = {"id": submission.id, "name": submission.name, "submission": submission.digest, "reason": reason}
+        digest = bytes_digest(verification)
+        return cls(**about, date=date, action="add", verification=digest, motions=tuple(sorted(motions)))
 
     def shared_with(self, other: HistoryEntry) -> str:
         """Return what the submission has in common with another: its files, its name, motions; empty for nothing."""

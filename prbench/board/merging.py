@@ -61,9 +61,8 @@ class MergedRun:
             if out.exists() and (not out.is_dir() or any(out.iterdir())):
                 if (out / FOLDS_FILE).is_file() and read_folds(out) == made_from:
                     return
-                raise StorageError(
-                    f"{out}: holds something else than these runs merged. Choose a new folder for --out."
-                )
+                what = "something else than these runs merged"
+                raise StorageError(f"{out}: holds {what}. Choose a new folder for --out.")
             with atomic_folder(out) as folder:
                 self.record.write(folder)
                 protocol = self.folds[0].protocol
@@ -160,19 +159,16 @@ def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> 
     records = [run.record for run in runs]
     tables = [record.tables[0] for record in records]
     plans = [table.batch_plan for table in tables]
+    plan_digest = text_digest(*(plan.digest for plan in plans))
+    batches = sum(plan.batches for plan in plans)
+    same = ("dataset", "title", "synthetic", "redistribution", "whole_table")
     together = TableRecord(
-        **{name: getattr(tables[0], name) for name in ("dataset", "title", "synthetic", "redistribution")},
+        **{name: getattr(tables[0], name) for name in same},
         identity_digest=text_digest(*(table.identity_digest for table in tables)),
         content_digest=text_digest(*(table.content_digest for table in tables)),
-        sequences=sum(table.sequences for table in tables),
-        unsupported=sum(table.unsupported for table in tables),
+        **{name: sum(getattr(table, name) for table in tables) for name in ("sequences", "unsupported")},
         selection_digest=text_digest(*sorted(owner)),
-        batch_plan=BatchPlanRecord(
-            batch_size=plans[0].batch_size,
-            batches=sum(plan.batches for plan in plans),
-            digest=text_digest(*(plan.digest for plan in plans)),
-        ),
-        whole_table=tables[0].whole_table,
+        batch_plan=BatchPlanRecord(batch_size=plans[0].batch_size, batches=batches, digest=plan_digest),
         units={name: unit for table in tables for name, unit in table.units.items()},
     )
     method = records[0].method
@@ -211,10 +207,8 @@ def _in_order(runs: list[RunFolder]) -> list[RunFolder]:
     for run in runs:
         text = run.record.tables[0].fold
         if text is None:
-            raise RunError(
-                f"{run.path}: expected a run on a fold of participants, found one on a table that is no fold. Run the"
-                " method with --fold K/N."
-            )
+            found_one = "found one on a table that is no fold. Run the method with --fold K/N"
+            raise RunError(f"{run.path}: expected a run on a fold of participants, {found_one}.")
         number, _, count = text.partition("/")
         if not (number.isdecimal() and count.isdecimal() and len(text) < 16):
             raise RunError(f"{run.path}: expected a fold such as 2/6 in run.json, found {text[:16]!r}.")

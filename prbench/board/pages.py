@@ -97,14 +97,9 @@ def collect_board(board: BoardFolder) -> CollectedRuns:
         collected = collect_runs([board.submission(name) / RUNS], check=check, any_benchmark=True)
         left_out += [f"{name}/{reason}" for reason in collected.left_out]
         for row in collected.rows:
-            about = {
-                "run": f"{name}/{row.run}",
-                "submission": name,
-                "training": verified.training,
-                "verified": _verified(covered.get((row.run, row.table.dataset))),
-                "table": msgspec.structs.replace(row.table, content_digest=""),
-            }
-            rows.append(replace(row, **about))
+            table = msgspec.structs.replace(row.table, content_digest="")
+            about = {"run": f"{name}/{row.run}", "submission": name, "training": verified.training, "table": table}
+            rows.append(replace(row, **about, verified=_verified(covered.get((row.run, row.table.dataset)))))
     return CollectedRuns(tuple(rows), tuple(left_out))
 
 
@@ -125,15 +120,19 @@ def pages_of(board: BoardFolder) -> dict[str, bytes]:
     """
     leaderboard = make_leaderboard(collect_board(board))
     info = board.info
-    notes = [
-        f"submissions: {len(board.standing)}, withdrawn: {len(board.withdrawn)}",
-        f"benchmark {info.rules}",
-        info.url,
-        info.contact and f"contact: {info.contact}",
-        *_data_lines(board),
-    ]
+    notes = [f"submissions: {len(board.standing)}, withdrawn: {len(board.withdrawn)}", f"benchmark {info.rules}"]
+    notes += [info.url, info.contact and f"contact: {info.contact}", *_data_lines(board)]
     columns = tuple(Column(key=key, title=title, text=True) for key, title in _SUBMISSIONS.items())
-    blocks = (Block(rows=tuple(_submission_rows(board))),)
+    rows = []
+    for name, entry in board.standing.items():
+        found = Standing.read(board, name)
+        about = {"name": entry.name, "id": name, "authors": ", ".join(found.stated.authors), "date": entry.date}
+        about |= {"training": found.verified.training, "state": found.verified.verdict, "links": found.links}
+        rows.append(Row(text=about))
+    for name, (added, gone) in board.withdrawn.items():
+        state = f"withdrawn on {gone.date}: {gone.reason}"
+        rows.append(Row(text={"name": added.name, "id": name, "date": added.date, "state": state}))
+    blocks = (Block(rows=tuple(rows)),)
     head = Table(title="Submissions", columns=columns, blocks=blocks, notes=tuple(filter(None, notes)))
     # What stands above the tables of an ordinary export is its title alone.
     tables = export(leaderboard, "md").partition("\n\n")[2]
@@ -143,17 +142,6 @@ def pages_of(board: BoardFolder) -> dict[str, bytes]:
     written = json.dumps(rounded, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
     texts = (page.rstrip("\n") + "\n", export(leaderboard, "csv"), written)
     return {name: text.encode() for name, text in zip(PAGES, texts)}
-
-
-def _submission_rows(board: BoardFolder) -> Iterator[Row]:
-    for name, entry in board.standing.items():
-        found = Standing.read(board, name)
-        authors = ", ".join(found.stated.authors)
-        about = {"training": found.verified.training, "state": found.verified.verdict, "links": found.links}
-        yield Row(text={"name": entry.name, "id": name, "authors": authors, "date": entry.date, **about})
-    for name, (added, gone) in board.withdrawn.items():
-        state = f"withdrawn on {gone.date}: {gone.reason}"
-        yield Row(text={"name": added.name, "id": name, "date": added.date, "state": state})
 
 
 def _data_lines(board: BoardFolder) -> Iterator[str]:

@@ -275,23 +275,17 @@ def pack(
     rules = {(run.record.benchmark, run.record.protocol_digest) for run in named.values()}
     if len(rules) > 1:
         found = ", ".join(f"{benchmark} {digest[:12]}…" for benchmark, digest in sorted(rules))
-        raise RunError(
-            f"expected runs of one benchmark and protocol, found {found}. Submit them in files of their own."
-        )
+        expected = "runs of one benchmark and protocol"
+        raise RunError(f"expected {expected}, found {found}. Submit them in files of their own.")
     ((benchmark, protocol_digest),) = rules
     if training is not None:
         tables = (checker.find_table(table) for run in named.values() for table in run.record.tables)
         training = training.with_digests(table for table in tables if table is not None)
-    values = {
-        **{key: value for key, value in about.items() if value is not None},
-        "prbench_version": prbench.__version__,
-        "training": training,
-        "permission": permitted,
-        "benchmark": benchmark,
-        "protocol_digest": protocol_digest,
-        "runs": {name: msgspec.to_builtins(run.record) for name, run in sorted(named.items())},
-        "members": {name: file_digest(path) for name, path in files.items()},
-    }
+    values = {key: value for key, value in about.items() if value is not None}
+    values |= {"prbench_version": prbench.__version__, "benchmark": benchmark, "protocol_digest": protocol_digest}
+    values |= {"training": training, "permission": permitted}
+    values["runs"] = {name: msgspec.to_builtins(run.record) for name, run in sorted(named.items())}
+    values["members"] = {name: file_digest(path) for name, path in files.items()}
     content = json.dumps(msgspec.to_builtins(values), indent=1, sort_keys=True).encode() + b"\n"
     try:
         submission = Submission.decoded(content, out)

@@ -21,6 +21,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import comb
 from statistics import median
+from typing import Any
 
 import msgspec
 
@@ -215,11 +216,8 @@ def _dataset_table(key: tuple[str, ...], entries: list[LeaderboardRow], separate
         ranked = [i for i, entry in enumerate(ordered) if entry.record.condition == condition and _is_ranked(entry)]
         beaten = separate([ordered[i] for i in ranked], first.benchmark.compared_metrics)
         for info in metrics:
-            shown = {
-                place
-                for place, i in enumerate(ranked)
-                if ordered[i].summary.metric(info.id) is not None and not hides(ordered[i], info)
-            }
+            found = (ordered[i].summary.metric(info.id) is not None and not hides(ordered[i], info) for i in ranked)
+            shown = {place for place, is_shown in enumerate(found) if is_shown}
             # Being first of one is no distinction.
             if len(shown) < 2 or info.higher_is_better is None:
                 continue
@@ -231,16 +229,13 @@ def _dataset_table(key: tuple[str, ...], entries: list[LeaderboardRow], separate
                 if all(place in losses[other] for other in shown - {place}):
                     leads[row].add(info.id)
     version = first.record.protocol_version
+    earlier = None if first.protocol or version == first.benchmark.present_rules.version else version
     same = ("dataset", "title", "sequences", "synthetic", "redistribution")
-    return DatasetTable(
-        **{name: getattr(first.summary, name) for name in same},
-        split=first.record.split,
-        recordings=max(entry.summary.recordings for entry in entries),
-        key=key,
-        rows=tuple(TableRow(*row) for row in zip(ordered, variants, ranks, map(frozenset, leads), beaten_by)),
-        protocol=first.protocol,
-        earlier_version=(None if first.protocol or version == first.benchmark.present_rules.version else version),
-    )
+    about: dict[str, Any] = {name: getattr(first.summary, name) for name in same}
+    about |= {"key": key, "split": first.record.split, "protocol": first.protocol, "earlier_version": earlier}
+    about |= {"recordings": max(entry.summary.recordings for entry in entries)}
+    rows = tuple(TableRow(*row) for row in zip(ordered, variants, ranks, map(frozenset, leads), beaten_by))
+    return DatasetTable(**about, rows=rows)
 
 
 def _unique_variants(entries: list[LeaderboardRow]) -> list[str]:
@@ -269,14 +264,9 @@ def _place(entry: LeaderboardRow) -> tuple:
 
 
 def _is_ranked(entry: LeaderboardRow) -> bool:
-    return (
-        not entry.is_control
-        and not entry.summary.hands_in_recordings
-        and not entry.summary.findings
-        and entry.record.is_usual
-        and not entry.summary.unsupported
-        and entry.summary.sequences >= FEWEST_RANKED
-    )
+    summary = entry.summary
+    faults = entry.is_control or summary.hands_in_recordings or summary.findings or summary.unsupported
+    return not faults and entry.record.is_usual and summary.sequences >= FEWEST_RANKED
 
 
 def hides(entry: LeaderboardRow, info: MetricInfo) -> bool:
@@ -318,9 +308,8 @@ def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
         if len(datasets) < 2 or len(set(datasets)) < len(datasets):
             continue
         synthetic = any(table.synthetic for table in under)
-        yield MacroTable(
-            datasets, synthetic, tuple(_macro_rows(under)), under[0].benchmark.name, under[0].earlier_version
-        )
+        rows = tuple(_macro_rows(under))
+        yield MacroTable(datasets, synthetic, rows, under[0].benchmark.name, under[0].earlier_version)
 
 
 def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
@@ -351,30 +340,20 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
                 continue
             for key in shown:
                 # Better on each dataset is better in the mean, whatever the weights; less is not known to be.
-                better = [
-                    table.rows[own].beaten_by.get(info.id, frozenset()) for table, own in zip(tables, places[key])
-                ]
+                mine = [table.rows[own] for table, own in zip(tables, places[key])]
+                better = [row.beaten_by.get(info.id, frozenset()) for row in mine]
                 wins = [all(place in rows for place, rows in zip(places[other], better)) for other in shown]
                 ranks[key][info.id] = 1 + sum(wins)
     for key in sorted(found, key=lambda key: min(_place(entry) for entry in found[key].values())):
         condition, method, variant, origin = key
-        entries = found[key].values()
-        marked = [entry for entry in entries if entry.summary.mark]
-        yield MacroRow(
-            method=method,
-            origin=origin,
-            mark=marked[0].summary.mark if marked else "",
-            symbols=marked[0].summary.symbols if marked else "",
-            is_control=any(entry.record.method.kind == CONTROL for entry in entries),
-            condition=condition,
-            variant=variant,
-            means=means[key],
-            ranks=ranks[key],
-            missing=tuple(name for name in names if name not in found[key]),
-            unverified=any(entry.unverified for entry in entries),
-            declared=max((entry.declared for entry in entries), key=len),
-            training=next(entry.training for entry in entries),
-        )
+        entries = list(found[key].values())
+        marked = [(entry.summary.mark, entry.summary.symbols) for entry in entries if entry.summary.mark]
+        is_control = any(entry.record.method.kind == CONTROL for entry in entries)
+        about = (method, origin, *(marked[0] if marked else ("", "")), is_control, condition, variant)
+        missing = tuple(name for name in names if name not in found[key])
+        unverified = any(entry.unverified for entry in entries)
+        declared = max((entry.declared for entry in entries), key=len)
+        yield MacroRow(*about, means[key], ranks[key], missing, unverified, declared, entries[0].training)
 
 
 # Sequences below which no method is ranked.

@@ -19,16 +19,7 @@ import msgspec
 import tomli_w
 
 import prbench
-from prbench.board.folder import (
-    HISTORY,
-    INFO,
-    SUBMISSIONS,
-    VERIFICATION,
-    BoardDataset,
-    BoardFolder,
-    BoardInfo,
-    HistoryEntry,
-)
+from prbench.board.folder import HISTORY, INFO, BoardDataset, BoardFolder, BoardInfo, HistoryEntry
 from prbench.board.pages import PAGES, Standing, pages_of
 from prbench.board.submission import RUNS, Submission, open_submission, read_submission
 from prbench.board.verifying import Verification, verify_submission
@@ -76,13 +67,9 @@ def begin_board(path: Path, data: Sequence[Path], *, benchmark: str, **about: An
         datasets.append(BoardDataset(**terms, identity=table.identity))
     if len({each.dataset for each in datasets}) < len(datasets):
         raise UsageError(f"--data: expected each dataset once, found {', '.join(each.dataset for each in datasets)}.")
-    info = BoardInfo(
-        **about,
-        benchmark=benchmark,
-        protocol_version=made.present_rules.version,
-        protocol=made.present_rules.digest,
-        datasets=tuple(sorted(datasets, key=lambda each: each.dataset)),
-    )
+    about |= {"protocol_version": made.present_rules.version, "protocol": made.present_rules.digest}
+    ordered = tuple(sorted(datasets, key=lambda each: each.dataset))
+    info = BoardInfo(**about, benchmark=benchmark, datasets=ordered)
     # A text in double quotes is the same in YAML and JSON.
     quoted_licence = json.dumps(clean(info.licence), ensure_ascii=False)[1:-1]
     values = {"title": markdown(info.title), "contact": markdown(info.contact or "nobody is named")}
@@ -125,7 +112,7 @@ def add_submission(
     with sole_writer(path):
         board = BoardFolder.open(path)
         _clear_leftovers(path)
-        arriving = path / SUBMISSIONS / ".arriving.partial"
+        arriving = board.submission(".arriving.partial")
         try:
             submission = open_submission(file, arriving)
             draft = HistoryEntry.adding(submission, b"", date=date, reason=reason)
@@ -162,10 +149,8 @@ def withdraw_submission(path: Path, name: str, *, date: str, reason: str) -> His
         _clear_leftovers(path)
         ids = [entry.id for entry in board.history if name in (entry.id, entry.name)]
         if not ids or not reason.strip():
-            known = ", ".join(board.standing) or "none"
-            raise UsageError(
-                f"expected a submission that stands ({known}) and a reason, found {clean(name)}, '{reason}'."
-            )
+            expected = f"a submission that stands ({', '.join(board.standing) or 'none'}) and a reason"
+            raise UsageError(f"expected {expected}, found {clean(name)}, '{reason}'.")
         entry = HistoryEntry(date=date, action="withdraw", id=ids[-1], reason=reason)
         if entry.id in board.standing:
             board = BoardFolder.open(path, (entry,))
@@ -261,13 +246,9 @@ def check_board(
                     _require_as_stored(again, found.verified, board.verification(name))
                 except PrbenchError as error:
                     problems.append(str(error))
-    return BoardCheck(
-        submissions=len(board.standing),
-        withdrawn=len(board.withdrawn),
-        rescored=tuple(rescored),
-        believed=tuple(name for name in board.standing if name not in {*known, *rescored}),
-        problems=tuple(problems),
-    )
+    counts = {"submissions": len(board.standing), "withdrawn": len(board.withdrawn)}
+    believed = tuple(name for name in board.standing if name not in {*known, *rescored})
+    return BoardCheck(**counts, rescored=tuple(rescored), believed=believed, problems=tuple(problems))
 
 
 def _rules_of(board: BoardFolder) -> tuple[BoardInfo, dict[str, str]]:
@@ -288,19 +269,18 @@ def _require_as_stored(again: Verification, stored: Verification, path: Path) ->
 
 def board_problems(board: BoardFolder) -> Iterator[str]:
     """Yield what in the files of a board contradicts its history."""
-    known = {*_KNOWN, *(f"{VERIFICATION}/{name}.json" for name in board.standing)}
-    folders = (".github/", *(f"{SUBMISSIONS}/{name}/" for name in board.standing))
+    known = {*(board.path / name for name in _KNOWN), *map(board.verification, board.standing)}
+    folders = {board.path / ".github", *map(board.submission, board.standing)}
     for folder, below, files in os.walk(board.path):
         if Path(folder) == board.path and ".git" in below:
             below.remove(".git")
         for file in sorted(Path(folder) / name for name in [*files, *below]):
-            name = file.relative_to(board.path).as_posix()
             mode = file.lstat().st_mode
             if stat.S_ISDIR(mode):
                 continue
             if not stat.S_ISREG(mode):
                 yield f"{file}: expected a plain file, found a link or a device."
-            elif name not in known and not name.startswith(folders):
+            elif file not in known and folders.isdisjoint(file.parents):
                 yield f"{file}: belongs to nothing on the board. Add it with `prbench leaderboard add`, or delete it."
     for name, entry in board.standing.items():
         try:
@@ -320,11 +300,10 @@ def board_problems(board: BoardFolder) -> Iterator[str]:
 
 def _require_fitting(info: BoardInfo, submission: Submission, folder: Path) -> None:
     """Refuse a submission that follows other rules, is on other tables, or holds what a licence keeps."""
-    found = f"{clean(submission.benchmark)} under {submission.protocol_digest[:12]}…"
     if (submission.benchmark, submission.protocol_digest) != (info.benchmark, info.protocol):
-        raise RunError(
-            f"{submission.id}: expected {info.benchmark} under protocol {info.protocol[:12]}…, found {found}."
-        )
+        expected = f"{info.benchmark} under protocol {info.protocol[:12]}…"
+        found = f"{clean(submission.benchmark)} under {submission.protocol_digest[:12]}…"
+        raise RunError(f"{submission.id}: expected {expected}, found {found}.")
     datasets = {each.dataset: each for each in info.datasets}
     for name, record in submission.runs.items():
         run = RunFolder.open(folder / RUNS / name, any_benchmark=True)
@@ -344,14 +323,12 @@ def _require_new(board: BoardFolder, entry: HistoryEntry) -> None:
     """Refuse what stands on a board, takes a name from it, or was withdrawn and comes back without a word."""
     for other in board.standing.values():
         if shared := entry.shared_with(other):
-            raise StorageError(
-                f"{board.submission(other.id)}: has the same {shared}. Withdraw it first, or submit something else."
-            )
+            remedy = "Withdraw it first, or submit something else."
+            raise StorageError(f"{board.submission(other.id)}: has the same {shared}. {remedy}")
     for added, gone in board.withdrawn.values():
         if entry.shared_with(added) in ("files", "motions") and not entry.reason:
-            raise StorageError(
-                f"{gone.id} was withdrawn on {gone.date}: {clean(gone.reason)}. Say why it returns: --reason."
-            )
+            when = f"{gone.id} was withdrawn on {gone.date}: {clean(gone.reason)}"
+            raise StorageError(f"{when}. Say why it returns: --reason.")
 
 
 def _with_pages(board: BoardFolder) -> BoardFolder:

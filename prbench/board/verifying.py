@@ -99,17 +99,11 @@ def verify_submission(
             recording_of = load_benchmark(run.record.benchmark).recordings_of(table)
             tested = {recording_of[name] for name in checked.scored.ids}
             learnt.update((record.dataset, name) for name in submission.training.used(table) & tested)
+        about = {"run": run.path.name, "dataset": record.dataset, "sequences": record.sequences - record.unsupported}
+        about |= {"identity_digest": table.identity, "content_digest": table.content}
+        same_values = table.content == record.content_digest
         found.append(
-            VerifiedDataset(
-                run=run.path.name,
-                dataset=record.dataset,
-                identity_digest=table.identity,
-                content_digest=table.content,
-                same_values=table.content == record.content_digest,
-                sequences=record.sequences - record.unsupported,
-                declared=checked.declared,
-                metrics=checked.drifts,
-            )
+            VerifiedDataset(**about, same_values=same_values, declared=checked.declared, metrics=checked.drifts)
         )
         return checked
 
@@ -127,32 +121,24 @@ def verify_submission(
         problems.append(f"{name}: expected a run on {dataset}, found none")
     if problems:
         raise RunError(f"submission {submission.id} cannot be verified: {'; '.join(problems)}.")
-    return Verification(
-        submission=submission.id,
-        digest=submission.digest,
-        prbench_version=prbench.__version__,
-        verdict=_verdict(found),
-        training=f"overlaps {len(learnt)} test recordings" if learnt else submission.training_words,
-        datasets=tuple(found),
-    )
+    about = {"submission": submission.id, "digest": submission.digest, "prbench_version": prbench.__version__}
+    about |= {"training": f"overlaps {len(learnt)} test recordings" if learnt else submission.training_words}
+    return Verification(**about, verdict=_verdict(found), datasets=tuple(found))
 
 
 def _require_own_motions(run: RunFolder, record: TableRecord, checked: CheckedSummary) -> None:
     """Refuse copies of recorded motion that are not called so, and faults of the motions that the summary conceals."""
     summary = checked.summary
     if run.record.method.kind != CONTROL and summary.hands_in_recordings:
-        raise RunError(
-            f"{run.path.name}, {record.dataset}: expected motions of the method, found the recorded ones in"
-            f" {summary.recorded_motions} of {summary.sequences - summary.unsupported} sequences. Recorded motion is"
-            " submitted as the control ground-truth alone."
-        )
+        counts = f"{summary.recorded_motions} of {summary.sequences - summary.unsupported} sequences"
+        said = f"{run.path.name}, {record.dataset}: expected motions of the method, found the recorded ones in {counts}"
+        raise RunError(f"{said}. Recorded motion is submitted as the control ground-truth alone.")
     stated = sorted(each.kind for each in DatasetSummary.read(run.dataset(record.dataset).path).findings)
     found = sorted(each.kind for each in summary.findings)
     if stated != found:
-        raise RunError(
-            f"{run.dataset(record.dataset).path / SUMMARY_FILE}, findings: expected {', '.join(found) or 'none'}, which"
-            f" the motions show, found {', '.join(stated) or 'none'}. The file was edited."
-        )
+        expected, conceals = (", ".join(kinds) or "none" for kinds in (found, stated))
+        said = f"findings: expected {expected}, which the motions show, found {conceals}"
+        raise RunError(f"{run.dataset(record.dataset).path / SUMMARY_FILE}, {said}. The file was edited.")
 
 
 def _verdict(found: Sequence[VerifiedDataset]) -> str:

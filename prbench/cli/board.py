@@ -57,13 +57,9 @@ def submit(runs: tuple[Path, ...], out: Path, data: tuple[Path, ...], workers: i
     given |= {"training": declared_training(texts) if texts else None, "permitted": given.pop("permission")}
     submission = pack(runs, out, checker=opt.run_checker(data, workers), **given)
 
-    def show() -> None:
-        print(
-            f"{len(submission.runs)} runs, {len(submission.members)} files; training data: {submission.training_words}"
-        )
-        print(f"submission {submission.id}: {out}")
-
-    return Answer(submission, show)
+    counts = f"{len(submission.runs)} runs, {len(submission.members)} files"
+    text = f"{counts}; training data: {submission.training_words}\nsubmission {submission.id}: {out}"
+    return Answer(submission, lambda: print(text))
 
 
 @command(

@@ -21,29 +21,24 @@ from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.board.audit import ControlMeans, TableAudit
-    from prbench.board.comparison import ComparedMetric, RunComparison
+    from prbench.board.comparison import RunComparison
 
 
 EXAMPLE = "prbench leaderboard export runs/static runs/ground-truth --format md --out leaderboard.md"
 
-leaderboard = Group(
-    "leaderboard",
-    sections={
-        "commands": {
-            "export": "prbench.cli.leaderboard:export",
-            "compare": "prbench.cli.leaderboard:compare",
-            "submit": "prbench.cli.board:submit",
-            "verify": "prbench.cli.board:verify",
-            "site": "prbench.cli.site:site",
-        },
-        "boards in a folder": {
-            name: f"prbench.cli.board:{name}"
-            for name in ("init", "add", "withdraw", "history", "build", "check", "cite")
-        },
-    },
-    example=EXAMPLE,
-    help="Put finished runs side by side.",
-)
+# The module of each command, where it is not that of boards.
+_MODULES = {"export": "leaderboard", "compare": "leaderboard", "site": "site"}
+
+
+def _places(*names: str) -> dict[str, str]:
+    return {name: f"prbench.cli.{_MODULES.get(name, 'board')}:{name}" for name in names}
+
+
+_SECTIONS = {
+    "commands": _places("export", "compare", "submit", "verify", "site"),
+    "boards in a folder": _places("init", "add", "withdraw", "history", "build", "check", "cite"),
+}
+leaderboard = Group("leaderboard", sections=_SECTIONS, example=EXAMPLE, help="Put finished runs side by side.")
 
 
 @command("export", example=EXAMPLE, report="prbench.board.export:Board")
@@ -99,10 +94,16 @@ def compare(first: Path, second: Path, data: tuple[Path, ...], workers: int) -> 
 
 
 def _print_comparison(compared: RunComparison) -> None:
+    from prbench.board.comparison import difference_texts
+
     first = compared.first.path.name
     title = f"{first} against {compared.second.path.name}, sequence by sequence"
     header = ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "detectable", "")
-    print_table(title, header, [_difference_row(first, row) for row in compared.metrics], numbers=(2, 3, 4, 5))
+    rows = []
+    for row in compared.metrics:
+        conclusion = f"{first} is {row.conclusion}" if row.conclusion in ("higher", "lower") else row.conclusion
+        rows.append((row.dataset, row.info.title, *difference_texts(row), conclusion))
+    print_table(title, header, rows, numbers=(2, 3, 4, 5))
     print("detectable: smallest true difference that is found in four of five repetitions, at Holm's first step.")
     if any(row.conclusion == "cannot be tested" for row in compared.metrics):
         needed = compared.metrics[0].comparison.needed
@@ -115,13 +116,6 @@ def _print_comparison(compared: RunComparison) -> None:
         print(f"unverified: {reason}")
     if any(row.dataset.startswith(SYNTHETIC_PREFIX) for row in compared.metrics):
         print(ON_SYNTHETIC_DATA)
-
-
-def _difference_row(first: str, row: ComparedMetric) -> tuple[str, ...]:
-    from prbench.board.comparison import difference_texts
-
-    conclusion = f"{first} is {row.conclusion}" if row.conclusion in ("higher", "lower") else row.conclusion
-    return row.dataset, row.info.title, *difference_texts(row), conclusion
 
 
 # Metrics side by side at most; half as many on a narrow terminal.

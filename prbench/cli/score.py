@@ -132,10 +132,9 @@ def score(
             own = {"scores": each.summary, "agreement": each.agreement, "sequences": sequences}
             made.append(ScoredMotions(origin=each.origin, motionless=each.motionless, **own))
     else:
-        for name, value in given.items():
-            if value is not None and value is not False:
-                option = name.replace("_", "-")
-                raise UsageError(f"--{option}: the conditions file says it for {about.name}; leave it out.")
+        for name in (name for name, value in given.items() if value is not None and value is not False):
+            option = name.replace("_", "-")
+            raise UsageError(f"--{option}: the conditions file says it for {about.name}; leave it out.")
         if conditions is None:
             raise UsageError("--conditions FILE: futures are scored with the file of windows that they were made from.")
         with progress("scoring") as show:
@@ -218,10 +217,8 @@ def export_conditions(*, data: tuple[Path, ...], benchmark: str | None, fold: st
     if about.default:
         report = export(ExportRequest(condition=Condition(condition), **own, **given))
     else:
-        for name, value in own.items():
-            if value is not None:
-                option = name.replace("_", "-")
-                raise UsageError(f"--{option}: the benchmark {about.name} does not have it; leave it out.")
+        for option in (name.replace("_", "-") for name, value in own.items() if value is not None):
+            raise UsageError(f"--{option}: the benchmark {about.name} does not have it; leave it out.")
         report = load_benchmark(about.name).offline.export_windows(condition=condition, **given)
     answers = "PREDICTIONS" if about.default else "FUTURES.npz"
     note(f"then: prbench score {answers} --conditions {shlex.quote(str(report.out))} --data …")

@@ -56,20 +56,10 @@ def site(
         folder = BoardFolder.open(runs[0])
         about = About(title or folder.info.title, cite_board(folder).bibtex)
     with progress("writing pages") as show:
-        report = write_site(
-            board,
-            out,
-            about=about,
-            find_table=table_finder(given["data"], same_values=False),
-            motions_of_each=most,
-            permitted=permission,
-            progress=show,
-        )
+        tables = table_finder(given["data"], same_values=False)
+        how = {"find_table": tables, "motions_of_each": most, "permitted": permission, "progress": show}
+        report = write_site(board, out, about=about, **how)
     for reason in report.left_out:
         note(reason)
-
-    def tell() -> None:
-        print(f"{len(report.tables)} tables, {len(report.runs)} runs, {report.pairs} pairs, {report.motions} motions")
-        print(f"site: {out / 'index.html'}")
-
-    return Answer(report, tell)
+    counts = f"{len(report.tables)} tables, {len(report.runs)} runs, {report.pairs} pairs, {report.motions} motions"
+    return Answer(report, lambda: print(f"{counts}\nsite: {out / 'index.html'}"))

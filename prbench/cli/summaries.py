@@ -82,10 +82,8 @@ def print_summary(
             if metric.low is not None and metric.high is not None:
                 bounds = f"[{metric.low * scale:.2f}, {metric.high * scale:.2f}]"
             rows.append((metric.title, mean, bounds, remarks))
-    title = (
-        f"{summary.title}: {_method(summary, origin)}; {summary.sequences} sequences of"
-        f" {counted_units(summary.recordings, summary.split)}, split {summary.split}"
-    )
+    counts = f"{summary.sequences} sequences of {counted_units(summary.recordings, summary.split)}"
+    title = f"{summary.title}: {_method(summary, origin)}; {counts}, split {summary.split}"
     print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
     # What the data cannot decide.
     compared = [info for info in metrics if info.main and info.compared]
@@ -118,9 +116,8 @@ def _print_datasets(
     means = means_over_datasets(summaries) if one_mean else {}
     irrelevant = _irrelevant(record.method.motionless)
     names = list(map(_short, summaries))
-    rows: list[tuple[str, ...]] = [
-        ("sequences (recordings)", *(f"{each.sequences} ({each.recordings})" for each in summaries), "")
-    ]
+    counts = (f"{each.sequences} ({each.recordings})" for each in summaries)
+    rows: list[tuple[str, ...]] = [("sequences (recordings)", *counts, "")]
     for info in wanted:
         if not info.main and not session().all_metrics:
             continue
@@ -363,18 +360,11 @@ def _made(report: RunReport, data: Sequence[Path]) -> MadeRun:
     for each in report.summaries if record.benchmark == default_benchmark().name else ():
         scores = CodedScores.read(report.folder.dataset(each.dataset).scores)
         sequences += sequence_scores(scores, each.dataset, data, linked=True)
-    return MadeRun(
-        folder=report.folder.path,
-        method=record.method.name,
-        origin=record.method.origin,
-        condition=record.condition,
-        seed=record.seed,
-        batches_found=report.batches_found,
-        datasets=report.summaries,
-        agreements=[found for found in _agreements(report) if found],
-        means=means_over_datasets(report.summaries) if several else {},
-        sequences=sequences,
-    )
+    about = {"method": record.method.name, "origin": record.method.origin, "condition": record.condition}
+    about |= {"folder": report.folder.path, "seed": record.seed, "batches_found": report.batches_found}
+    means = means_over_datasets(report.summaries) if several else {}
+    agreements = [found for found in _agreements(report) if found]
+    return MadeRun(**about, datasets=report.summaries, agreements=agreements, means=means, sequences=sequences)
 
 
 def _agreements(report: RunReport) -> list[DatasetAgreement | None]:

@@ -164,13 +164,10 @@ def merge_dataset_shards(
 
 def _settings(dataset: str, options: BuildOptions) -> dict[str, Any]:
     """Return what decides a table beside its recordings, as JSON knows it."""
-    chosen = dataclasses.replace(options, replace=False, on_error="skip")
-    return {
-        "dataset": dataset,
-        "options": msgspec.to_builtins(chosen),
-        "manifest": digest_of(load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))),
-        "protocol": (options.protocol or load_protocol()).digest,
-    }
+    chosen = msgspec.to_builtins(dataclasses.replace(options, replace=False, on_error="skip"))
+    manifest = digest_of(load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)))
+    protocol = (options.protocol or load_protocol()).digest
+    return {"dataset": dataset, "options": chosen, "manifest": manifest, "protocol": protocol}
 
 
 def _in_table_order(sources: SequenceOf[RecordingSource]) -> list[RecordingSource]:
@@ -220,17 +217,11 @@ def _write_table(
     folders = [receipt.folder for receipt in receipts]
     # Only all recordings together say which of them are tested on.
     splits = draw_splits([receipt.record for receipt in receipts], manifest, protocol.splits)
-    info = write_dataset(
-        out,
-        describe(dataset, options, receipts, extra_options),
-        sequences=with_splits(parts.read_batches(folders, "sequences"), splits),
-        events=parts.read_batches(folders, "events"),
-        recordings=with_splits(parts.read_batches(folders, "recordings"), splits),
-        scenes=parts.read_batches(folders, "scenes"),
-        replace=options.replace,
-        incomplete=[receipt.record.recording_id for receipt in receipts if receipt.record.shortfalls],
-        protocol=protocol,
-    )
+    about = describe(dataset, options, receipts, extra_options)
+    tables = {name: with_splits(parts.read_batches(folders, name), splits) for name in ("sequences", "recordings")}
+    tables |= {name: parts.read_batches(folders, name) for name in ("events", "scenes")}
+    incomplete = [receipt.record.recording_id for receipt in receipts if receipt.record.shortfalls]
+    info = write_dataset(out, about, **tables, replace=options.replace, incomplete=incomplete, protocol=protocol)
     reused = sum(receipt.reused for receipt in receipts)
     records = (dataclasses.replace(each.record, split=splits[each.record.recording_id]) for each in receipts)
     return BuildReport(out, info, tuple(records), reused)
@@ -258,15 +249,10 @@ def plan_build(dataset: str, root: Path | str, options: BuildOptions = NO_OPTION
     sources = native_sources(dataset, root, options)
     estimate = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)).estimate or _UNMEASURED
     size = sum(source.size for source in sources if source.skip_reason is None)
-    return BuildPlan(
-        dataset=dataset,
-        root=Path(root),
-        recordings=tuple(source.recording_id for source in sources),
-        skipped=tuple(source.recording_id for source in sources if source.skip_reason is not None),
-        input_bytes=size,
-        estimated_seconds=size / (estimate["megabytes_per_second"] * 1e6),
-        estimated_disk_bytes=round(size * 2 * estimate["table_share"]),
-    )
+    names = tuple(source.recording_id for source in sources)
+    skipped = tuple(source.recording_id for source in sources if source.skip_reason is not None)
+    seconds = size / (estimate["megabytes_per_second"] * 1e6)
+    return BuildPlan(dataset, Path(root), names, skipped, size, seconds, round(size * 2 * estimate["table_share"]))
 
 
 def build_all(

@@ -83,15 +83,9 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
         near = _around(head.times, head.valid, times)
         head_position = interpolate(head.times[near], head.position[near], times)
         head_rotation = slerp(head.times[near], head.rotation[near], times)
-    return Clip(
-        grid,
-        joints,
-        *_neighbour(before, bool(recorded[0]), joints),
-        *_neighbour(after, bool(recorded[1]), joints[::-1]),
-        head_position,
-        head_rotation,
-        *gaze_at(recording.gaze, times, max_gap=max_gap),
-    )
+    ends = (*_neighbour(before, bool(recorded[0]), joints), *_neighbour(after, bool(recorded[1]), joints[::-1]))
+    gaze = gaze_at(recording.gaze, times, max_gap=max_gap)
+    return Clip(grid, joints, *ends, head_position, head_rotation, *gaze)
 
 
 def _outside(span: tuple[float, float], interval: tuple[float, float]) -> Decision | None:

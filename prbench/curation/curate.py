@@ -28,6 +28,8 @@ from prbench.sequences.table import body_movement, hand_movement
 _STILL = 0.01
 # What both tables of a recording tell of an event in the same words.
 _OF_THE_EVENT = ("action", "object_id", "object_name", "hand", "event_time")
+# Points of a clip that come into the canonical frame.
+_MOVED = ("joints", "previous_joints", "next_joints", "gaze_origin")
 
 
 def _copied(source: object, *names: str) -> dict[str, Any]:
@@ -112,54 +114,32 @@ def curate_recording(
             margin = protocol.curation.near_miss_distance - prime.distance
         elif decision.stage == "priming" and decision.value is not None and decision.threshold is not None:
             margin = decision.threshold - decision.value
-        rows.append(
-            Event(
-                **_copied(event, "event_id", "corrected", "hand_source", *_OF_THE_EVENT),
-                **_copied(decision, "outcome", "stage", "value", "threshold"),
-                recording_id=recording.recording_id,
-                sequence_id=sequence and sequence.sequence_id,
-                prime_time=prime and prime.time,
-                prime_kind=prime and prime.kind,
-                **({} if place is None else _copied(place, "location", "box_min", "box_max")),
-                left_wrist=wrists.get("left"),
-                right_wrist=wrists.get("right"),
-                published_priming=published and published.outcome,
-                published_prime_time=published and published.prime_time,
-                prime_margin=margin,
-                event_confidence=confidence,
-            )
-        )
+        about = _copied(event, "event_id", "corrected", "hand_source", *_OF_THE_EVENT)
+        about |= _copied(decision, "outcome", "stage", "value", "threshold")
+        about |= {} if place is None else _copied(place, "location", "box_min", "box_max")
+        about |= {"left_wrist": wrists.get("left"), "right_wrist": wrists.get("right")}
+        about |= {"prime_time": prime and prime.time, "prime_kind": prime and prime.kind, "prime_margin": margin}
+        about |= {"published_priming": published and published.outcome, "event_confidence": confidence}
+        about |= {"published_prime_time": published and published.prime_time}
+        about |= {"recording_id": recording.recording_id, "sequence_id": sequence and sequence.sequence_id}
+        rows.append(Event(**about))
     for entry in recording.unreadable:
-        rows.append(
-            Event(
-                event_id=f"{recording.dataset}/{recording.recording_id}/{entry.file}/unreadable/{entry.key}",
-                recording_id=recording.recording_id,
-                object_id=entry.key,
-                object_name=entry.file,
-                action="unknown",
-                event_time=float("nan"),
-                outcome="unreadable_entry",
-                stage="in_hand",
-                unreadable=str(entry),
-            )
-        )
+        name = f"{recording.dataset}/{recording.recording_id}/{entry.file}/unreadable/{entry.key}"
+        about = {"event_id": name, "recording_id": recording.recording_id, "unreadable": str(entry)}
+        about |= {"object_id": entry.key, "object_name": entry.file, "action": "unknown", "event_time": float("nan")}
+        rows.append(Event(**about, outcome="unreadable_entry", stage="in_hand"))
     lacks = _missing_parts(recording, rule, found=bool(events))
-    return CuratedRecording(
-        sequences=tuple(sorted(sequences, key=lambda row: row.sequence_id)),
-        events=tuple(sorted(rows, key=lambda row: row.event_id)),
-        record=RecordingRow(
-            **_copied(recording, "recording_id", "participant_id", "shortfalls"),
-            split=split,
-            split_group=group,
-            duration=recording.span[1] - recording.span[0],
-            outcomes=dict(Counter(row.outcome for row in rows)),
-            status="read",
-            message="; ".join((*recording.shortfalls, *findings, *recording.remarks, *remarks, *lacks)),
-            findings=findings,
-            lacks=lacks,
-        ),
-        boxes=scene_boxes(recording),
+    record = RecordingRow(
+        **_copied(recording, "recording_id", "participant_id", "shortfalls"),
+        **{"split": split, "split_group": group, "status": "read"},
+        duration=recording.span[1] - recording.span[0],
+        outcomes=dict(Counter(row.outcome for row in rows)),
+        message="; ".join((*recording.shortfalls, *findings, *recording.remarks, *remarks, *lacks)),
+        findings=findings,
+        lacks=lacks,
     )
+    ordered = tuple(sorted(sequences, key=lambda row: row.sequence_id))
+    return CuratedRecording(ordered, tuple(sorted(rows, key=lambda row: row.event_id)), record, scene_boxes(recording))
 
 
 def _follow(
@@ -232,33 +212,25 @@ def _sequence(
         extra["corrected"] = event.corrected
     if event.tracking_gap is not None:
         extra["placed_in_tracking_gap_of_s"] = f"{event.tracking_gap:.3f}"
+    about = {"split": split, "split_group": recording.split_group or recording.recording_id}
+    about |= {"prime_time": prime.time, "prime_kind": prime.kind, "prime_time_uncertainty": prime.uncertainty}
+    about |= {"preroll": preroll, "prime_frame": round(preroll * grid.fps), "prime_gap": event.event_time - prime.time}
+    about |= {"goal_box_world_min": place.box_min, "goal_box_world_max": place.box_max}
+    moved = {"goal_location": place.location} | _copied(piece, *_MOVED)
     return Sequence(
         sequence_id=f"{event.event_id}/{recording.pose_source}",  # one for each source of body poses
         **_copied(recording, "dataset", "recording_id", "participant_id", "pose_source", "head_tilt_deg"),
         **_copied(event, *_OF_THE_EVENT),
         **_copied(grid, "fps", "n_frames", "start_time"),
         **_copied(piece, "previous_source", "next_source", "gaze_valid"),
-        split=split,
-        split_group=recording.split_group or recording.recording_id,
+        **about,
         text=protocol.text[event.action],
-        prime_time=prime.time,
-        prime_frame=round(preroll * grid.fps),
-        prime_gap=event.event_time - prime.time,
-        preroll=preroll,
-        prime_kind=prime.kind,
-        prime_time_uncertainty=prime.uncertainty,
-        goal_box_world_min=place.box_min,
-        goal_box_world_max=place.box_max,
         body_movement=body_movement(piece.joints),
         hand_movement=hand_movement(piece.joints, wrist),
         world_from_canonical=world_from_canonical,
-        goal_location=transform_points(canonical_from_world, place.location),
-        joints=transform_points(canonical_from_world, piece.joints),
-        previous_joints=transform_points(canonical_from_world, piece.previous_joints),
-        next_joints=transform_points(canonical_from_world, piece.next_joints),
+        **{name: transform_points(canonical_from_world, points) for name, points in moved.items()},
         head_position=head_position,
         head_rotation=head_rotation,
-        gaze_origin=transform_points(canonical_from_world, piece.gaze_origin),
         gaze_direction=turn.apply(piece.gaze_direction),  # a direction turns, but does not move
         extra=extra,
     )

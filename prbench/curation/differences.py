@@ -140,12 +140,9 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
     settings = [(name, str(getattr(one, name)), str(getattr(other, name))) for name in names]
     for name in sorted(one.options.keys() | other.options.keys()):
         settings.append((f"option {name}", one.options.get(name, "–"), other.options.get(name, "–")))
-    return Difference(
-        settings=tuple(each for each in settings if each[1] != each[2]),
-        changes=tuple(change for _, change in changes),
-        unchanged_events=len(unchanged),
-        unchanged_sequences=sum(event["outcome"] == "sequence" for event in unchanged),
-    )
+    settings = [each for each in settings if each[1] != each[2]]
+    sequences_too = sum(event["outcome"] == "sequence" for event in unchanged)
+    return Difference(tuple(settings), tuple(change for _, change in changes), len(unchanged), sequences_too)
 
 
 def _sequence_rows(table: SequenceTable) -> dict[str, Row]:
@@ -253,14 +250,9 @@ def _same(one: Any, other: Any) -> bool:
 def _told(one: Row | None, other: Row | None, kind: str, decided_by: str) -> Change:
     event = other or one
     assert event is not None
-    return Change(
-        kind=kind,
-        recording_id=event["recording_id"],
-        event=f"{event['object_name']}/{event['action']}/{event['event_time']:.3f} s",
-        first="" if one is None else one["outcome"],
-        second="" if other is None else other["outcome"],
-        decided_by=decided_by,
-    )
+    name = f"{event['object_name']}/{event['action']}/{event['event_time']:.3f} s"
+    outcomes = ("" if row is None else row["outcome"] for row in (one, other))
+    return Change(kind, event["recording_id"], name, *outcomes, decided_by)
 
 
 def _decision(event: Row) -> str:

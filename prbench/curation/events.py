@@ -6,6 +6,7 @@ Source: docs/specification/curation.md#events.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -94,15 +95,10 @@ def find_events(recording: Recording, rule: InHandRule | None) -> tuple[list[Pic
             if listed.box_min is not None and listed.box_max is not None:
                 corners = (listed.box_min, listed.box_max)
             place = Place(listed.location, *corners)
-        events.append(
-            PickPutEvent(
-                event_id=event_id(recording, listed.object_id, listed.action, listed.event_time),
-                **{name: getattr(listed, name) for name in same},
-                place=place,
-                displacement=None,
-                rejected=Decision("no_location", "location") if place is None else None,
-            )
-        )
+        name = event_id(recording, listed.object_id, listed.action, listed.event_time)
+        about: dict[str, Any] = {each: getattr(listed, each) for each in same}
+        rejected = Decision("no_location", "location") if place is None else None
+        events.append(PickPutEvent(event_id=name, **about, place=place, displacement=None, rejected=rejected))
     holdings = [] if rule is None or recording.annotated_events else find_holdings(recording, rule)
     for holding in holdings:
         assert rule is not None, "holdings are found by a rule"
@@ -157,16 +153,6 @@ def _event(
             else:
                 reaching = reaching_hand(wrists_at(recording.hands, recording.body, time), place.location)
     gap = 0.0 if rest is None else rest.gap_length
-    return PickPutEvent(
-        event_id=event_id(recording, holding.track.object_id, action, time),
-        object_id=holding.track.object_id,
-        object_name=holding.track.name,
-        action=action,
-        event_time=time,
-        place=place,
-        hand=reaching[0],
-        hand_source=reaching[1],
-        displacement=holding.displacement,
-        tracking_gap=gap if gap > LONGEST_SURE_GAP else None,
-        rejected=rejected,
-    )
+    lost = gap if gap > LONGEST_SURE_GAP else None
+    names = (event_id(recording, holding.track.object_id, action, time), holding.track.object_id, holding.track.name)
+    return PickPutEvent(*names, action, time, place, *reaching, holding.displacement, lost, rejected=rejected)

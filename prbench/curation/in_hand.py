@@ -130,14 +130,11 @@ def find_departure(
     unseen = np.flatnonzero((np.diff(times) > LONGEST_SURE_GAP) & (out[:-1] <= tolerance))
     inner = max(inner, int(unseen[-1])) if len(unseen) else inner
     share = np.clip((level - out[inner]) / max(out[inner + 1] - out[inner], 1e-12), 0.0, 1.0)
-    return Departure(
-        time=float(times[inner] + share * (times[inner + 1] - times[inner])),
-        gap=(float(times[inner]), float(times[inner + 1])),
-        first_away=track.centre[way.start + inner + 1],
-        centre=rest,
-        position=np.median(track.position[quiet], axis=0),
-        rotation=Rotation.from_quat(track.rotation[quiet], scalar_first=True).mean().as_quat(scalar_first=True),
-    )
+    left = float(times[inner] + share * (times[inner + 1] - times[inner]))
+    gap = (float(times[inner]), float(times[inner + 1]))
+    position = np.median(track.position[quiet], axis=0)
+    rotation = Rotation.from_quat(track.rotation[quiet], scalar_first=True).mean().as_quat(scalar_first=True)
+    return Departure(left, gap, track.centre[way.start + inner + 1], rest, position, rotation)
 
 
 def placed_in_gap(departure: Departure, hands: tuple[HandStream, ...], distance: float) -> Departure:
@@ -230,9 +227,8 @@ def _joined(pieces: Int[np.ndarray, "k 2"], together: Bool[np.ndarray, " gaps"])
     """Pieces with the gaps between them closed where ``together`` says so; one entry a gap."""
     if len(pieces) == 0:
         return pieces
-    return np.column_stack(
-        [pieces[np.concatenate(([True], ~together)), 0], pieces[np.concatenate((~together, [True])), 1]]
-    )
+    starts = pieces[np.concatenate(([True], ~together)), 0]
+    return np.column_stack([starts, pieces[np.concatenate((~together, [True])), 1]])
 
 
 def contact_streams(recording: Recording, rule: InHandRule) -> tuple[HandStream, ...]:
@@ -263,9 +259,7 @@ def contact_distance(
     measured = covered(hand.times, hand.valid, times, max_gap=_LONGEST_CONTACT_GAP)
     if not measured.any():
         return np.full(len(times), np.inf)
-    surface = None
-    if rule.target == "surface" and track.surface is not None:
-        surface = TriangleMesh(*track.surface)
+    surface = TriangleMesh(*track.surface) if rule.target == "surface" and track.surface is not None else None
     rows = max(1, _VERTICES_AT_ONCE // hand.points.shape[1])
     nearest = np.empty(len(times))
     for start in range(0, len(times), rows):
@@ -336,10 +330,8 @@ def nearest_hand(
     hands: tuple[HandStream, ...], track: ObjectTrack, rule: InHandRule, time: float, pose: Departure
 ) -> tuple[Side | None, float]:
     """Return side and distance of the hand nearest to an object at one instant; (None, inf) if none is measured."""
-    at = np.array([time])
-    distances = [
-        float(contact_distance(hand, track, rule, at, pose.position[None], pose.rotation[None])[0]) for hand in hands
-    ]
+    at = (np.array([time]), pose.position[None], pose.rotation[None])
+    distances = [float(contact_distance(hand, track, rule, *at)[0]) for hand in hands]
     if not distances or not np.isfinite(min(distances)):
         return None, float("inf")
     nearest = int(np.argmin(distances))
@@ -414,9 +406,8 @@ def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHand
         near |= close_to(distance, times, resting, _STAYS_WITHIN * rule.distance)
     staying = near | ~still  # what never came to rest was not put down
     held = close & (speed > rule.moving_speed)
-    segments = held_segments(
-        held, staying, times, minimum_duration=rule.minimum_duration, join_gap=rule.join_gap
-    ).tolist()
+    lasting = {"minimum_duration": rule.minimum_duration, "join_gap": rule.join_gap}
+    segments = held_segments(held, staying, times, **lasting).tolist()
     # A put is a pick seen backwards in time, so one search serves both.
     n = len(times)
     samples = Track(times, centre, position, rotation, rule.moving_window)
@@ -440,14 +431,9 @@ def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHand
         displacement = float(np.linalg.norm(path - origin, axis=1).max())
         if displacement < rule.smallest_displacement:
             continue
-        held_before = bool(staying[:start].all())
         held_after = bool(staying[stop:].all())
-        holding = Holding(
-            track=track,
-            pick=None if pick is None or held_before else placed_in_gap(pick, hands, rule.distance),
-            put=None if put is None or held_after else placed_in_gap(put, hands, rule.distance),
-            vanished=float(times[stop - 1]) if put is None and not held_after else None,
-            displacement=displacement,
-        )
-        found.append(holding)
+        vanished = float(times[stop - 1]) if put is None and not held_after else None
+        ends = (None if staying[:start].all() else pick, None if held_after else put)
+        placed = [None if end is None else placed_in_gap(end, hands, rule.distance) for end in ends]
+        found.append(Holding(track, *placed, vanished, displacement))
     return found

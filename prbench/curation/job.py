@@ -19,7 +19,7 @@ import msgspec
 import pyarrow as pa
 
 from prbench import readers
-from prbench.curation.corrections import Corrections, UnknownEventError
+from prbench.curation.corrections import DROPPED, Corrections, UnknownEventError
 from prbench.curation.curate import CuratedRecording, curate_recording
 from prbench.curation.mending import mended, named_streams
 from prbench.curation.options import BuildOptions, CurationOptions
@@ -305,15 +305,9 @@ class CurationJob(RecordingJob):
         findings = examine_streams(recording, named_streams(recording.recording_id, *options))
         if certain := [str(each) for each in findings if each.certain]:
             raise RecordingUnusable(" ".join(certain))
-        curated = curate_recording(
-            recording,
-            self.manifest,
-            self.protocol,
-            self.options,
-            split=source.split or "",
-            corrections=self.corrections.get(source.recording_id),
-            findings=tuple(map(str, findings)),
-        )
+        about = {"corrections": self.corrections.get(source.recording_id), "findings": tuple(map(str, findings))}
+        rules = (self.manifest, self.protocol, self.options)
+        curated = curate_recording(recording, *rules, split=source.split or "", **about)
         return curated.record, _tables(curated)
 
     def nothing(self, source: RecordingSource, record: RecordingRow) -> dict[str, pa.RecordBatch]:  # noqa: ARG002
@@ -322,20 +316,14 @@ class CurationJob(RecordingJob):
 
 
 def _tables(curated: CuratedRecording) -> dict[str, pa.RecordBatch]:
-    return {
-        "sequences": sequence_batch(curated.sequences),
-        "events": event_batch(curated.events),
-        "recordings": recording_batch([curated.record]),
-        "scenes": row_batch(curated.boxes, SCENES),
-    }
+    tables = {"sequences": sequence_batch(curated.sequences), "events": event_batch(curated.events)}
+    return tables | {"recordings": recording_batch([curated.record]), "scenes": row_batch(curated.boxes, SCENES)}
 
 
 # Outcomes that end an event at each stage, in the order of the stages.
+_EXCLUDED = ("excluded_category", "no_location", "tracking_lost")
 _STAGES = {
-    "located": (
-        *("dropped_by_person", "annotation_only", "unreadable_entry", "other_wearer", "excluded_category"),
-        *("no_location", "tracking_lost"),
-    ),
+    "located": (DROPPED, "annotation_only", "unreadable_entry", "other_wearer", *_EXCLUDED),
     "primed": ("not_primed", "excluded_by_dataset", "not_published"),
     "long_enough": ("too_short", "no_body"),
     "moved_enough": ("minimum_movement",),
@@ -382,21 +370,13 @@ def describe(
 
 def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int], cut_short: int = 0) -> FunnelCounts:
     """Count the candidates that each stage left, from recordings by status and events by outcome."""
-    events = sum(outcomes.values())
-    left = events
-    by_stage = {}
+    left = sum(outcomes.values())
+    counts = {"recordings_found": sum(statuses.values()), "recordings_cut_short": cut_short, "events": left}
+    counts |= {f"recordings_{status}": statuses.get(status, 0) for status in ("read", "failed", "skipped")}
     for stage, ending in _STAGES.items():
         left -= sum(outcomes.get(name, 0) for name in ending)
-        by_stage[stage] = left
-    return FunnelCounts(
-        recordings_found=sum(statuses.values()),
-        recordings_read=statuses.get("read", 0),
-        recordings_failed=statuses.get("failed", 0),
-        recordings_skipped=statuses.get("skipped", 0),
-        events=events,
-        recordings_cut_short=cut_short,
-        **by_stage,
-    )
+        counts[stage] = left
+    return FunnelCounts(**counts)
 
 
 # Name of a stage, how many passed it, how many of those that came to it did not, and counts of these by reason.
@@ -411,11 +391,9 @@ def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:
     told = [f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped"] if left_out else []
     if counts.recordings_cut_short:
         told.append(f"{counts.recordings_cut_short} of those that were read are cut short: events may be missing")
-    rows: list[FunnelRow] = [
-        ("recordings found", counts.recordings_found, 0, ""),
-        ("recordings read", counts.recordings_read, left_out, "; ".join(told)),
-        ("candidate events", counts.events, 0, ""),
-    ]
+    rows: list[FunnelRow] = [("recordings found", counts.recordings_found, 0, "")]
+    rows.append(("recordings read", counts.recordings_read, left_out, "; ".join(told)))
+    rows.append(("candidate events", counts.events, 0, ""))
     before = counts.events
     for stage, names in _STAGES.items():
         kept = getattr(counts, stage)

@@ -96,16 +96,13 @@ def mended(recording: Recording, shift: Numbers, scale: Numbers) -> Recording:
             origin, turn, posed = _poses(head, hands[place].times)
             points = (turn.apply(local) + origin)[:, None]
             hands[place] = replace(hands[place], points=points, valid=hand.valid & posed)
-    new = replace(
-        recording,
-        camera=moved(recording.camera, "camera"),
-        head=head,
-        gaze=_moved_gaze(recording.gaze, old, head, later["gaze"]),
-        body=None if recording.body is None else moved(recording.body, "body", "joints"),
-        hands=tuple(hands),
-        objects=tuple(moved(track, "objects") for track in recording.objects),
-        shortfalls=() if shifts else recording.shortfalls,  # ends of files tell nothing where clocks are moved
-    )
+    body = None if recording.body is None else moved(recording.body, "body", "joints")
+    objects = tuple(moved(track, "objects") for track in recording.objects)
+    streams = {"head": head, "body": body, "hands": tuple(hands), "objects": objects}
+    streams |= {"camera": moved(recording.camera, "camera")}
+    streams |= {"gaze": _moved_gaze(recording.gaze, old, head, later["gaze"])}
+    # Ends of files tell nothing where clocks are moved.
+    new = replace(recording, **streams, shortfalls=() if shifts else recording.shortfalls)
     if shifts.keys() | scales.keys() <= {"gaze", "camera"}:
         return new  # events have no share in these
     moves = (new, later["objects"], factor["objects"])

@@ -76,14 +76,11 @@ class CurationOptions:
         chosen |= {"min_confidence": f"{self.min_confidence:g}"} if self.min_confidence > 0 else {}
         for option in ("shift", "scale"):
             chosen |= {f"{option}.{stream}": f"{number:g}" for stream, number in getattr(self, option)}
-        return chosen | {
-            "in_hand_rule": "none" if rule is None else self.in_hand or "default",
-            "in_hand_rule_digest": "" if rule is None else digest_of(rule),
-            "ray_origin": self.ray_origin or protocol.curation.ray_origin,
-            "minimum_movement": self.minimum_movement,
-            "priming": self.priming,
-            "occlusion": "off",  # a choice of prbench 0.10; tables keep their bytes
-        }
+        chosen |= {"in_hand_rule": "none" if rule is None else self.in_hand or "default"}
+        chosen |= {"in_hand_rule_digest": "" if rule is None else digest_of(rule)}
+        chosen |= {"ray_origin": self.ray_origin or protocol.curation.ray_origin, "priming": self.priming}
+        # Occlusion was a choice of prbench 0.10; tables keep their bytes.
+        return chosen | {"minimum_movement": self.minimum_movement, "occlusion": "off"}
 
 
 # The dataset's own rule and the protocol's choices.

@@ -213,15 +213,11 @@ def _proposed(dataset: str, options: Mapping[str, str], found: RecordingFiles) -
         pick = propose_pick(reader.read(found), hint=line.hint)
     except PrbenchError as error:
         problem = f"not read: {error}"
-    row = {
-        **line.cells,
-        "event_frame": "" if pick is None else round(pick.time * line.frame_rate),
-        "action": "pick",
-        "hand": "" if pick is None else pick.hand,
-        "confidence": "" if pick is None else f"{pick.confidence:.2f}",
-        "reason": problem or ("nothing looks like reaching" if pick is None else pick.reason),
-    }
-    return line.recording_id, row, problem
+    row = {"event_frame": "", "hand": "", "confidence": "", "reason": problem or "nothing looks like reaching"}
+    if pick is not None:
+        row = {"event_frame": round(pick.time * line.frame_rate), "hand": pick.hand, "reason": pick.reason}
+        row["confidence"] = f"{pick.confidence:.2f}"
+    return line.recording_id, {**line.cells, "action": "pick", **row}, problem
 
 
 def _reader(dataset: str, options: Mapping[str, str] | None) -> AnnotatedByHand:

@@ -338,10 +338,9 @@ def _carries(recording: Recording, grid: np.ndarray) -> Iterator[tuple[_Rows, _R
 
 def _carrying_pair(streams: Gridded) -> Pair | None:
     """Match objects with the hand that carries each of them best, stretch by stretch."""
-    hands = [
-        (np.pad(speeds, ((_NO_LAG, _NO_LAG), (0, 0))), np.pad(known.astype(float), _NO_LAG))
-        for speeds, known in map(_speeds, streams.hands.values())
-    ]
+    hands = []
+    for speeds, known in map(_speeds, streams.hands.values()):
+        hands.append((np.pad(speeds, ((_NO_LAG, _NO_LAG), (0, 0))), np.pad(known.astype(float), _NO_LAG)))
     if not streams.carries or not hands:
         return None
     agreed = np.zeros(len(_STEPS))

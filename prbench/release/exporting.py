@@ -65,12 +65,8 @@ def export_release(
                 file.write("\n}\n")
             same = ("dataset", "title", "licence", "redistribution", "homepage", "citation", "identity_digest",
                     "content_digest")  # fmt: skip
-            record = {
-                "written_by": f"prbench {prbench.__version__}",
-                **{name: getattr(info, name) for name in same},
-                "permission_stated": info.dataset in permitted,
-                "frame": "canonical",
-            }
+            record = {"written_by": f"prbench {prbench.__version__}"} | {name: getattr(info, name) for name in same}
+            record |= {"permission_stated": info.dataset in permitted, "frame": "canonical"}
             write_json(temporary / layout.EXPORT_RECORD, record)
             if said:
                 text = f"{said}\n\nLicence: {info.licence}\n{info.homepage}\n\n{info.citation}\n"
@@ -97,15 +93,7 @@ def _written(table: SequenceTable, folder: Path, as_published: bool) -> Iterator
             "primed_frame": sequence.prime_frame,
         }
         if not as_published:
-            fields |= {
-                "action": sequence.action,
-                "fps": sequence.fps,
-                "source": sequence.recording_id,
-                "object_name": sequence.object_name,
-                "event_frame": sequence.n_frames - 1,
-                "units": "m",
-                "up": "y",
-            }
-            if sequence.hand:
-                fields["hand"] = sequence.hand
+            fields |= {"action": sequence.action, "fps": sequence.fps, "source": sequence.recording_id}
+            fields |= {"object_name": sequence.object_name, "event_frame": sequence.n_frames - 1}
+            fields |= {"units": "m", "up": "y"} | ({"hand": sequence.hand} if sequence.hand else {})
         yield key, fields

@@ -78,44 +78,32 @@ def make_row(found: reading.ReleasedDataset, one: reading.ReleasedSequence, *, h
     wrist = WRISTS[int(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).argmin())]
     if hand in _HANDS:
         wrist = WRISTS[_HANDS.index(hand)]
+    # The release has no ids of objects, and counts whole frames from the beginning of a sequence.
+    dataset = found.report.dataset
+    about: dict[str, Any] = {"dataset": dataset, "pose_source": _POSE_SOURCE, "head_tilt_deg": head_tilt_deg}
+    about |= {"recording_id": one.source, "participant_id": reading.UNKNOWN, "split_group": one.source}
+    about |= {"split": one.subset, "object_id": "", "object_name": value("object_name"), "text": text}
     event_time = (len(joints) - 1) / found.fps
+    prime_time = one.primed_frame / found.fps
+    about |= {"fps": found.fps, "n_frames": len(joints), "start_time": 0.0, "event_time": event_time}
+    about |= {"prime_frame": one.primed_frame, "prime_time": prime_time, "preroll": prime_time}
+    about |= {"prime_kind": "unknown", "prime_time_uncertainty": 1 / found.fps}
     kept = {name: one.fields[name] for name in found.report.fields_kept_in_extra if name in one.fields}
     return Sequence(
-        sequence_id=f"{found.report.dataset}/{one.index:010d}/{_POSE_SOURCE}",
-        recording_id=one.source,
-        participant_id=reading.UNKNOWN,
-        split_group=one.source,
-        dataset=found.report.dataset,
-        split=one.subset,
+        **about,
+        sequence_id=f"{dataset}/{one.index:010d}/{_POSE_SOURCE}",
         action=action,
-        object_id="",  # the release has none
-        object_name=value("object_name"),
-        text=text,
         hand=hand if hand in _HANDS else None,
-        fps=found.fps,
-        n_frames=len(joints),
-        start_time=0.0,
-        prime_time=one.primed_frame / found.fps,
-        event_time=event_time,
-        prime_frame=one.primed_frame,
-        prime_gap=event_time - one.primed_frame / found.fps,
-        preroll=one.primed_frame / found.fps,
-        prime_kind="unknown",
-        prime_time_uncertainty=1 / found.fps,  # the release counts whole frames
+        prime_gap=event_time - prime_time,
         goal_location=goal,
-        goal_box_world_min=one.goal,
-        goal_box_world_max=one.goal,
+        **dict[str, Any].fromkeys(("goal_box_world_min", "goal_box_world_max"), one.goal),
         body_movement=body_movement(joints),
         hand_movement=hand_movement(joints, wrist),
-        pose_source=_POSE_SOURCE,
-        head_tilt_deg=head_tilt_deg,
         joints=joints,
         previous_joints=2 * joints[0] - joints[1],
-        previous_source="extrapolated",
         next_joints=2 * joints[-1] - joints[-2],
-        next_source="extrapolated",
-        head_position=None,
-        head_rotation=None,
+        **dict[str, Any].fromkeys(("previous_source", "next_source"), "extrapolated"),
+        **dict[str, Any].fromkeys(("head_position", "head_rotation"), None),
         gaze_origin=joints[:, Joint.HEAD],
         gaze_direction=directions,
         gaze_valid=valid,
@@ -127,16 +115,11 @@ def make_row(found: reading.ReleasedDataset, one: reading.ReleasedSequence, *, h
 def _event(sequence: Sequence) -> Event:
     same = ("recording_id", "sequence_id", "object_id", "object_name", "action", "hand", "event_time", "prime_time",
             "prime_kind")  # fmt: skip
-    return Event(
-        event_id=sequence.sequence_id.rsplit("/", 1)[0],
-        **{name: getattr(sequence, name) for name in same},
-        location=transform_points(sequence.world_from_canonical, sequence.goal_location),
-        box_min=sequence.goal_box_world_min,
-        box_max=sequence.goal_box_world_max,
-        outcome="sequence",
-        stage="filters",
-        threshold=None,
-    )
+    about: dict[str, Any] = {name: getattr(sequence, name) for name in same}
+    about |= {"box_min": sequence.goal_box_world_min, "box_max": sequence.goal_box_world_max}
+    location = transform_points(sequence.world_from_canonical, sequence.goal_location)
+    name = sequence.sequence_id.rsplit("/", 1)[0]
+    return Event(event_id=name, **about, location=location, outcome="sequence", stage="filters")
 
 
 NO_OPTIONS = reading.ImportOptions()
@@ -181,10 +164,9 @@ def import_release(
         # Before anything is read: a folder that holds something else must not be noticed after an hour.
         require_replaceable(target, FILE_NAME, kind="dataset")
     # Messages end with this command and what has to be added to it.
-    words = [str(root), "--out", str(out)]
-    words += [] if dataset is None else ["--dataset", dataset]
-    words += [] if options.fps is None else ["--fps", f"{options.fps:g}"]
-    command = f"prbench import-release {shlex.join(words)}"
+    named = [] if dataset is None else ["--dataset", dataset]
+    named += [] if options.fps is None else ["--fps", f"{options.fps:g}"]
+    command = f"prbench import-release {shlex.join([str(root), '--out', str(out), *named])}"
     tables = []
     failed = {}
     for name, folder in found:
@@ -223,18 +205,11 @@ def _import_dataset(
             message = "its sequences stand in more than one split"
         elif name == f"unknown-{rows[0].subset}":
             message = "the release does not say which recording a sequence comes from"
-        record = Recording(
-            recording_id=name,
-            participant_id=reading.UNKNOWN,
-            # A recording has one split in our tables: the commoner one, where a release mixes them.
-            split=splits.most_common(1)[0][0],
-            split_group=name,
-            duration=sum((row.n_frames - 1) / found.fps for row in rows),
-            outcomes={"sequence": len(rows)},
-            status="read",
-            message=message,
-        )
-        records.append(record)
+        # A recording has one split in our tables: the commoner one, where a release mixes them.
+        split = splits.most_common(1)[0][0]
+        duration = sum((row.n_frames - 1) / found.fps for row in rows)
+        about = (name, reading.UNKNOWN, split, name, duration)
+        records.append(Recording(*about, {"sequence": len(rows)}, "read", message))
     for key, reason in sorted(report.reasons.items()):
         records.append(Recording(f"sequence {key}", reading.UNKNOWN, "", "", 0.0, {}, "failed", reason))
     events: list[Event] = []
@@ -246,14 +221,11 @@ def _import_dataset(
             events.extend(map(_event, made))
             yield sequence_batch(made)
 
-    def event_rows() -> Iterator[pa.RecordBatch]:  # asked for after all sequences were written
-        yield event_batch(events)
-
     info = write_dataset(
         out,
         _describe(found, records, manifest, terms_of(dataset, manifest, exported)),
         sequences=sequence_rows(),
-        events=event_rows(),
+        events=(event_batch(each) for each in (events,)),  # made when it is asked for, after all sequences were written
         recordings=[recording_batch(records)],
         replace=options.replace,
         incomplete=[each.recording_id for each in records] if report.left_out else (),
@@ -300,6 +272,10 @@ def _describe(
             options["goal_frame"] = each.value  # which decides whether the table may be scored
     options |= {f"release.field.{canonical}": name for canonical, name in found.report.fields.items()}
     arrays = [text for one in found.sequences for text in (str(one.index), one.digest)]
+    # A release holds sequences alone, so every event has passed all stages.
+    counts = dict.fromkeys(("events", "located", "primed", "long_enough", "moved_enough", "sequences"), n)
+    counts |= {"recordings_found": len(records), "recordings_read": len(records) - failed}
+    counts |= {"recordings_failed": failed, "recordings_skipped": 0}
     return DatasetInfo(
         schema_version=SCHEMA_VERSION,
         **begun_with(protocol),
@@ -307,15 +283,8 @@ def _describe(
         manifest_digest=digest_of(manifest),
         input_digest=text_digest(file_digest(found.folder / layout.TARGETS), *arrays),
         options=options,
-        # A release holds sequences alone, so every event has passed all stages.
-        counts=FunnelCounts(
-            recordings_found=len(records),
-            recordings_read=len(records) - failed,
-            recordings_failed=failed,
-            recordings_skipped=0,
-            **dict.fromkeys(("events", "located", "primed", "long_enough", "moved_enough", "sequences"), n),
-        ),
-        outcomes={outcome: n if outcome == "sequence" else 0 for outcome in OUTCOMES},
+        counts=FunnelCounts(**counts),
+        outcomes=dict.fromkeys(OUTCOMES, 0) | {"sequence": n},
         quarantine=quarantined(records),
         **terms,
     )

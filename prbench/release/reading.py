@@ -58,7 +58,7 @@ class ImportOptions:
                 raise UsageError(f"--field-map: there is no field '{quoted(canonical)}'. {known}")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ReleasedSequence:
     """One sequence whose entry and arrays are whole; positions are metres in the frame of its motion.
 
@@ -300,25 +300,13 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
         distance = float(np.linalg.norm(to_goal - along * directions[round(frame)]))
     trunk = joints[:, Joint.HEAD] - joints[:, Joint.PELVIS]
     size = float(np.median(np.linalg.norm(trunk, axis=1)))
-    source = found.value(fields, "source")
-    released = ReleasedSequence(
-        fields=fields,
-        index=index,
-        motion=files[0],
-        gaze=None if gaze is None else files[1],
-        n_frames=n_frames,
-        goal=goal,
-        subset=subset,
-        primed_frame=round(frame),
-        source=(source.strip() if isinstance(source, str) else "") or f"unknown-{subset}",
-        digest=text_digest(*map(file_digest, files)),
-        pelvis_to_head=size,
-        upright=float(np.median(trunk[:, 1])) / size if size else 0.0,
-        motion_from_canonical=motion_from_canonical,
-        goal_to_wrist=float(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).min()),
-        goal_to_gaze=distance,
-    )
-    found.sequences.append(released)
+    upright = float(np.median(trunk[:, 1])) / size if size else 0.0
+    to_wrist = float(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).min())
+    stated = found.value(fields, "source")
+    source = (stated.strip() if isinstance(stated, str) else "") or f"unknown-{subset}"
+    content = (fields, index, files[0], None if gaze is None else files[1], n_frames, goal, subset, round(frame))
+    measured = (size, upright, motion_from_canonical, to_wrist, distance)
+    found.sequences.append(ReleasedSequence(*content, source, text_digest(*map(file_digest, files)), *measured))
 
 
 def _read_array(found: ReleasedDataset, kind: str, index: int, per_frame: tuple[int, ...]) -> np.ndarray | str:

@@ -58,11 +58,7 @@ def _cleaned(value: object) -> object:
 
 
 def write_motions(
-    folder: Path,
-    table: SequenceTable,
-    rows: Mapping[str, SiteRow],
-    most: int | None,
-    permitted: Collection[str],
+    folder: Path, table: SequenceTable, rows: Mapping[str, SiteRow], most: int | None, permitted: Collection[str]
 ) -> tuple[list[ShownSequence], list[str]]:
     """Write motions of one table: of the same sequences of every run, and of the worst failures of each.
 
@@ -123,14 +119,8 @@ def write_motions(
         (folder / f"{number}.js").write_bytes(script(file, of_sequence))
         for motion in document.motions[len(own) :]:
             (folder / f"{number}-{motion.label}.js").write_bytes(script(f"{file}-{motion.label}", motion))
-        one = ShownSequence(
-            file=file,
-            sequence_id=name,
-            title=document.title,
-            prime=document.prime_time,
-            event=document.event_time,
-            runs={motion.label: scores_of(scene, motion) for motion in motions},
-        )
-        found.append(one)
+        scored = {motion.label: scores_of(scene, motion) for motion in motions}
+        moments = {"prime": document.prime_time, "event": document.event_time}
+        found.append(ShownSequence(file=file, sequence_id=name, title=document.title, **moments, runs=scored))
     folder.with_name(f"{folder.name}.js").write_bytes(script(folder.name, found))
     return found, left_out

@@ -84,11 +84,9 @@ def failures_of(row: SiteRow) -> list[dict[str, Any]]:
             names, _, values = row.scores[info.id]
             for place in np.flatnonzero(values < 0.5 if info.higher_is_better else values > 0.5):
                 lost[names[place]].append(info.title)
-    return [
-        {"sequence_id": name, "lost": lost[name], "moment": "prime" if "Prime Success" in lost[name] else "event"}
-        for name in row.worst
-        if name in lost
-    ]
+    worst = [name for name in row.worst if name in lost]
+    moments = ["prime" if "Prime Success" in lost[name] else "event" for name in worst]
+    return [{"sequence_id": name, "lost": lost[name], "moment": each} for name, each in zip(worst, moments)]
 
 
 def prime_timing(run: RunFolder, table: SequenceTable) -> dict[str, Any]:

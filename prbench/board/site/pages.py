@@ -59,15 +59,11 @@ def index_page(
     versions = dict.fromkeys(str(table.rows[0].entry.record.protocol_version) for table in tables.values())
     benchmarks = dict.fromkeys(table.benchmark.about.title for table in tables.values())
     facts = [*benchmarks, f"protocol version {', '.join(versions)}", f"{len(runs)} runs", f"{len(tables)} tables"]
-    body = Template(asset("index.html")).substitute(
-        title=html(about.title),
-        facts=_items(facts),
-        boards=as_html(shown),
-        published=as_html(_published(tables.values())),
-        left_out=_items(left_out) or "<li>Nothing was left out.</li>",
-        cite="\n".join(map(html, about.cite.splitlines())),
-    )
-    return _page(about, about.title, body, "board.js")
+    texts = {"title": html(about.title), "facts": _items(facts), "boards": as_html(shown)}
+    texts |= {"published": as_html(_published(tables.values()))}
+    texts |= {"left_out": _items(left_out) or "<li>Nothing was left out.</li>"}
+    texts |= {"cite": "\n".join(map(html, about.cite.splitlines()))}
+    return _page(about, about.title, Template(asset("index.html")).substitute(texts), "board.js")
 
 
 def run_page(

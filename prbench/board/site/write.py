@@ -86,11 +86,8 @@ def write_site(
             if isinstance(found, SequenceTable):
                 at_hand[name] = found
     left_out = list(board.notes)
-    left_out += [
-        f"{name}: no motions and no timing of primes, as no table of it was at hand."
-        for name in tables
-        if name not in at_hand
-    ]
+    lacks = "no motions and no timing of primes, as no table of it was at hand"
+    left_out += [f"{name}: {lacks}." for name in tables if name not in at_hand]
     with sole_writer(out):
         require_replaceable(out, MARKER, kind="site")
         with atomic_folder(out) as folder:
@@ -99,9 +96,8 @@ def write_site(
             shown: dict[str, list[motions.ShownSequence]] = {}
             for name, table in at_hand.items() if motions_of_each != 0 else ():
                 rows = {run.key: run.rows[name] for run in runs if name in run.rows}
-                shown[name], kept = motions.write_motions(
-                    folder / "motions" / name, table, rows, motions_of_each, permitted
-                )
+                target = folder / "motions" / name
+                shown[name], kept = motions.write_motions(target, table, rows, motions_of_each, permitted)
                 left_out += kept
             for done, run in enumerate(runs, start=1):
                 _write(folder / "runs" / f"{run.key}.html", pages.run_page(about, run, tables, at_hand, shown))
@@ -116,20 +112,13 @@ def write_site(
             _write(folder / "index.html", pages.index_page(about, board, tables, runs, left_out))
             _write(folder / "compare.html", pages.compare_page(about, runs, list(shown)))
             player = player_assets()
-            texts = {name: pages.asset(name) for name in _ASSETS} | {
-                "player.js": player.scripts,
-                "player.css": player.style,
-            }
+            texts = {name: pages.asset(name) for name in _ASSETS}
+            texts |= {"player.js": player.scripts, "player.css": player.style}
             for name, text in texts.items():
                 _write(folder / "assets" / name, text)
-            report = SiteReport(
-                title=about.title,
-                tables=list(tables),
-                runs=[run.key for run in runs],
-                pairs=pairs,
-                motions=sum(len(each.runs) for of_table in shown.values() for each in of_table),
-                left_out=left_out,
-            )
+            counts = {"pairs": pairs, "motions": sum(len(each.runs) for own in shown.values() for each in own)}
+            names = {"tables": list(tables), "runs": [run.key for run in runs]}
+            report = SiteReport(title=about.title, **names, **counts, left_out=left_out)
             write_json(folder / MARKER, msgspec.to_builtins(report))
     return report
 

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -130,16 +130,10 @@ def _run_program(command: Sequence[str], config: PosesConfig, log: Path) -> str:
         raise StorageError(f"{log}: cannot be written ({error.strerror}). Choose another folder.") from error
     with output:
         try:
-            process = subprocess.Popen(
-                command,
-                cwd=config.folder,
-                env={**os.environ, **config.environment},
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                # A group of its own, so that its children can be ended with it.
-                start_new_session=os.name == "posix",
-            )
+            streams = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": subprocess.STDOUT}
+            # A group of its own, so that its children can be ended with it.
+            place: dict[str, Any] = {"cwd": config.folder, "start_new_session": os.name == "posix"}
+            process = subprocess.Popen(command, **place, env={**os.environ, **config.environment}, **streams)
         except OSError as error:
             problem = f"cannot start {command[0]} in {config.folder}: {error.strerror}."
             raise UsageError(f"{problem} Check python, folder and command in the config.") from error
@@ -267,16 +261,10 @@ def _run(
     trajectory, frames = prepare(inputs, work)
     produced = work / ego.OUTPUT_FOLDER
     produced.mkdir(exist_ok=True)
-    values = {
-        "recording": state.found.recording_id,
-        "mps": str(work),
-        "trajectory": str(trajectory),
-        "out": str(produced),
-        "frames": str(frames),
-        # By tracked wrists where there are some, as the study does, else by feet alone.
-        "guidance": "no_hands" if inputs.wrists is None else "aria_wrist_only",
-        "model": "" if model is None else str(model),
-    }
+    # By tracked wrists where there are some, as the study does, else by feet alone.
+    guidance = "no_hands" if inputs.wrists is None else "aria_wrist_only"
+    values = {"recording": state.found.recording_id, "frames": str(frames), "guidance": guidance}
+    values |= {"mps": str(work), "trajectory": str(trajectory), "out": str(produced), "model": str(model or "")}
     log = state.target.parent / _LOG_FILE
     if ended := _run_program(config.command_line(values), config, log):
         return "failed", ended
