@@ -351,12 +351,9 @@ class LatentDenoiser(nn.Module):
         self.text_embedding = nn.Linear(configuration.text_dimension, width)
         self.history_embedding = nn.Linear(N_FEATURES, width)
         self.latent_embedding = nn.Linear(configuration.latent, width)
-        self.layers = nn.ModuleList(
-            TransformerLayer(
-                width, configuration.heads, configuration.feed_forward, configuration.dropout, cross_attention=False
-            )
-            for _ in range(configuration.layers)
-        )
+        sizes = (width, configuration.heads, configuration.feed_forward, configuration.dropout)
+        layers = range(configuration.layers)
+        self.layers = nn.ModuleList(TransformerLayer(*sizes, cross_attention=False) for _ in layers)
         self.head = nn.Linear(width, configuration.latent)
         self.dropout = nn.Dropout(configuration.dropout)
         self.sinusoid: Tensor

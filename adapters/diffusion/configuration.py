@@ -117,6 +117,20 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
             return seen_size(self.goal)
         return 0 if self.goal == "none" else 2 * _POSE + _GOAL_SIZE[self.goal]
 
+    def raw_condition(self, batch: ConditionBatch) -> Float[torch.Tensor, "batch size"] | None:
+        """:func:`raw_condition` of what a method is given; None for a model without a goal.
+
+        Raises:
+            ValueError: if the batch holds no goal of the model's kind.
+        """
+        if self.goal == "none":
+            return None
+        goal = batch.goal_joints if self.goal == "pose" else batch.goal_location
+        if goal is None or batch.initial_joints is None or batch.previous_joints is None:
+            raise ValueError(f"a model of goals of kind '{self.goal}' cannot use '{batch.condition.value}'")
+        given = (batch.initial_joints, batch.previous_joints, goal)
+        return raw_condition(*(torch.as_tensor(part, dtype=torch.float32) for part in given), batch.fps)
+
 
 @dataclass(frozen=True)
 class EncodedCondition(TensorRecord):
@@ -176,25 +190,6 @@ def raw_condition(
     # Per second, so that tables of another frame rate mean the same by the same number.
     velocity = (initial_joints - previous_joints) * fps
     return torch.cat([part.flatten(1) for part in (initial_joints, velocity, goal)], dim=1).float()
-
-
-def raw_condition_of(
-    batch: ConditionBatch, configuration: DenoiserConfiguration
-) -> Float[torch.Tensor, "batch size"] | None:
-    """:func:`raw_condition` of what a method is given; None for a model without a goal.
-
-    Raises:
-        ValueError: if the batch holds no goal of the model's kind.
-    """
-    if configuration.goal == "none":
-        return None
-    target = batch.goal_joints if configuration.goal == "pose" else batch.goal_location
-    if target is None or batch.initial_joints is None or batch.previous_joints is None:
-        raise ValueError(f"a model of goals of kind '{configuration.goal}' cannot use '{batch.condition.value}'")
-    initial, previous, goal = (
-        torch.as_tensor(part, dtype=torch.float32) for part in (batch.initial_joints, batch.previous_joints, target)
-    )
-    return raw_condition(initial, previous, goal, batch.fps)
 
 
 @dataclass(frozen=True)

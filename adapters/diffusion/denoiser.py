@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import cast
+from typing import TypeVar, cast
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -32,6 +32,7 @@ Valid = Bool[Tensor, "batch frames"]  # frames that are no padding
 Inputs = Float[Tensor, "batch frames features"]
 Attended = Bool[Tensor, "batch 1 1 tokens"]
 Given = Bool[Tensor, "batch tokens"]
+Layer = TypeVar("Layer", bound=nn.Module)
 
 # Keys and values of one layer's cross-attention, each (batch, heads, tokens, width / heads).
 KeysValues = tuple[Tensor, Tensor]
@@ -168,15 +169,20 @@ def _reset(*layers: nn.Linear) -> None:
         nn.init.zeros_(layer.bias)
 
 
+def from_zero(layer: Layer) -> Layer:
+    """Return the layer with all of its parameters set to zero."""
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)
+    return layer
+
+
 class _Addition(nn.Module):
     """z̃ = z + Linear(p), the same for every memory token."""
 
     def __init__(self, configuration: DenoiserConfiguration) -> None:
         super().__init__()
-        self.projection = nn.Linear(configuration.condition_size, configuration.width)
         # Zero at the start: before the first step of fine-tuning the output is that of the pre-trained model.
-        nn.init.zeros_(self.projection.weight)
-        nn.init.zeros_(self.projection.bias)
+        self.projection = from_zero(nn.Linear(configuration.condition_size, configuration.width))
 
     def forward(self, tokens: Tokens, vector: Float[Tensor, "batch size"]) -> Tokens:
         """Add the projected vector to every token."""
@@ -199,8 +205,7 @@ class _CrossAttentionInjection(nn.Module):
         )
         self.query = nn.Linear(width, width, bias=False)
         self.key = nn.Linear(width, width, bias=False)
-        self.value = nn.Linear(width, width, bias=False)
-        nn.init.zeros_(self.value.weight)
+        self.value = from_zero(nn.Linear(width, width, bias=False))
 
     def forward(self, tokens: Tokens, vector: Float[Tensor, "batch size"]) -> Tokens:
         """Let every token look at the three parts of the vector."""
@@ -244,16 +249,10 @@ class Denoiser(nn.Module):
         injections = {"addition": _Addition, "cross-attention": _CrossAttentionInjection}
         self.condition = injections[configuration.injection](configuration) if configuration.condition_size else None
         self.dropout = nn.Dropout(configuration.dropout)
-        self.layers = nn.ModuleList(
-            TransformerLayer(
-                width,
-                configuration.heads,
-                configuration.feed_forward,
-                configuration.dropout,
-                cross_attention=configuration.architecture == "decoder",
-            )
-            for _ in range(configuration.layers)
-        )
+        sizes = (width, configuration.heads, configuration.feed_forward, configuration.dropout)
+        crosses = configuration.architecture == "decoder"
+        layers = range(configuration.layers)
+        self.layers = nn.ModuleList(TransformerLayer(*sizes, cross_attention=crosses) for _ in layers)
         self.head = nn.Linear(width, N_FEATURES * configuration.frames_per_token)
         # One table for both: frames count their places in it, with the token in front, and diffusion steps theirs.
         rows = max(configuration.max_frames + 1, configuration.diffusion_steps)
@@ -413,14 +412,10 @@ class FrameDenoiser(nn.Module):
         self.condition_embedding = nn.Sequential(nn.Linear(told, 2 * width), nn.SiLU(), nn.Linear(2 * width, width))
         self.step_embedding = nn.Embedding(configuration.diffusion_steps, width)
         self.time_to_end = nn.Linear(width, width)
-        self.layers = nn.ModuleList(
-            _Layer(width, configuration.heads, configuration.feed_forward, configuration.dropout)
-            for _ in range(configuration.layers)
-        )
+        sizes = (width, configuration.heads, configuration.feed_forward, configuration.dropout)
+        self.layers = nn.ModuleList(_Layer(*sizes) for _ in range(configuration.layers))
         self.head_norm = nn.LayerNorm(width)
-        self.head = nn.Linear(width, numbers)
-        nn.init.zeros_(self.head.weight)  # the first estimate is the mean motion
-        nn.init.zeros_(self.head.bias)
+        self.head = from_zero(nn.Linear(width, numbers))  # the first estimate is the mean motion
         self.register_buffer("sinusoid", sinusoid_table(configuration.max_frames + 1, width), persistent=False)
         self.sinusoid: Tensor
 

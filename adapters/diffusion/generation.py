@@ -25,11 +25,12 @@ from torch import Tensor
 
 from prbench.contract import ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError, did_you_mean
-from prbench.geometry.skeleton import BONES, N_JOINTS, PARENTS
+from prbench.geometry.skeleton import N_JOINTS, PARENTS
 from prbench.randomness import sequence_generator
 from prbench.representation import N_FEATURES, UniformSkeleton
 from prbench_adapters.diffusion.configuration import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser, frame_mask
+from prbench_adapters.diffusion.goal_frame import bones, unit
 from prbench_adapters.diffusion.model import Feet, MotionModel, Reach
 from prbench_adapters.diffusion.sampling import sample_ddim, sample_ddpm
 
@@ -38,8 +39,6 @@ Joints = Float[torch.Tensor, "batch frames 22 3"]  # metres
 Features = Float[Tensor, "batch frames features"]
 
 _MOST_PADDING = 0.25  # of the shortest sequence of a part
-_PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
-_SHORTEST = 1e-6  # metres; keeps the direction of a vanished bone, and its gradient, finite
 
 
 def parts_of_similar_length(n_frames: Lengths, largest: int) -> list[Int[np.ndarray, " _"]]:
@@ -122,7 +121,7 @@ class ModelBodies:
 
 def bone_lengths(pose: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tensor, "*batch 21"]:
     """Lengths of the bones of a pose, metres, in the order of :data:`prbench.geometry.skeleton.BONES`."""
-    return (pose[..., _CHILDREN, :] - pose[..., _PARENTS, :]).norm(dim=-1)
+    return bones(pose).norm(dim=-1)
 
 
 def with_bone_lengths(joints: Joints, lengths: Float[torch.Tensor, "batch 21"]) -> Joints:
@@ -134,10 +133,8 @@ def with_bone_lengths(joints: Joints, lengths: Float[torch.Tensor, "batch 21"]) 
         joints: Metres, any frame.
         lengths: Lengths of the bones of each sequence, metres.
     """
-    bones = joints[..., _CHILDREN, :] - joints[..., _PARENTS, :]
-    directions = bones / bones.norm(dim=-1, keepdim=True).clamp_min(_SHORTEST)
     # Positions are sums of bones along the way from the pelvis, which one product with the ancestry gives for all.
-    offsets = directions * lengths[:, None, :, None]
+    offsets = unit(bones(joints)) * lengths[:, None, :, None]
     # 1 where a bone leads from the pelvis to a joint, else 0.
     leads = torch.zeros(N_JOINTS, N_JOINTS - 1)
     for joint in range(1, N_JOINTS):  # parents come before their children

@@ -109,7 +109,7 @@ class GoalFrame:
         forward = torch.where(forward.norm(dim=1, keepdim=True) > _SHORTEST, forward, ahead)
         forward = forward / forward.norm(dim=1, keepdim=True)
         origin = place * place.new_tensor((1.0, 0.0, 1.0))
-        lengths = _bones(initial).norm(dim=-1)
+        lengths = bones(initial).norm(dim=-1)
         frame = cls(origin, forward, place[:, 1], lengths, initial.flatten(1), initial.flatten(1), None)
         velocity = raw[:, _POSE : 2 * _POSE].unflatten(1, (N_JOINTS, 3))
         first, soon = frame._pose_features(torch.stack((initial, initial + _SOON * velocity), dim=1)).unbind(1)
@@ -122,7 +122,7 @@ class GoalFrame:
         return torch.cat((pose, planted(joints, fps).to(pose.dtype)), dim=2)
 
     def _pose_features(self, joints: Tensor) -> Flat:
-        directions = _unit(_bones(joints))[:, :, [joint - 1 for joint in _DIRECTED]]
+        directions = unit(bones(joints))[:, :, [joint - 1 for joint in _DIRECTED]]
         places = joints[:, :, (Joint.PELVIS, *_ENDS)] - self.origin[:, None, None]
         pelvis, ends = self._turned(places).split((1, len(_ENDS)), dim=2)
         return torch.cat([part.flatten(2) for part in (pelvis, self._turned(directions), ends)], dim=2)
@@ -174,13 +174,13 @@ class GoalFrame:
         """Smooth features of unit directions, with the frames that are given."""
         features = smoothed(features[..., :N_POSE_FEATURES], n_frames)
         before, directions, after = features.tensor_split((_DIRECTIONS.start, _DIRECTIONS.stop), dim=-1)
-        directions = _unit(directions.unflatten(-1, (-1, 3))).flatten(-2)
+        directions = unit(directions.unflatten(-1, (-1, 3))).flatten(-2)
         return self._kept(torch.cat((before, directions, after), dim=-1), n_frames, fps)
 
     def _joints(self, features: Flat) -> Joints:
         """Chain the bones of the trunk from the pelvis, and let arms and legs reach from there to their ends."""
         pelvis = features[:, :, None, :3]
-        directions = _unit(features[..., _DIRECTIONS].unflatten(2, (-1, 3)))
+        directions = unit(features[..., _DIRECTIONS].unflatten(2, (-1, 3)))
         targets = features[..., _PLACES].unflatten(2, (-1, 3))
         trunk, poles, feet = directions.split((len(_TRUNK), len(_MIDDLES), len(TOES)), dim=2)
         # Positions are sums of bones along the way from the pelvis, which one product with the ancestry gives for all.
@@ -200,7 +200,7 @@ class GoalFrame:
         # Law of cosines: the foot of the middle joint on the line from root to end, and its distance from that line.
         foot = (upper.square() - lower.square() + distance.square()) / (2 * distance).clamp_min(_SHORTEST)
         height = (upper.square() - foot.square()).clamp_min(_BEND**2).sqrt()
-        aside = _unit(poles - (poles * along).sum(dim=-1, keepdim=True) * along)
+        aside = unit(poles - (poles * along).sum(dim=-1, keepdim=True) * along)
         middles, ends = roots + along * foot + aside * height, roots + along * distance
         toes = ends[:, :, : len(TOES)] + feet * self._lengths_to(TOES)
         order = (Joint.PELVIS, *_TRUNK, *_MIDDLES, *_ENDS, *TOES)
@@ -231,7 +231,7 @@ class GoalFrame:
         # Without the turn, a limb that swings past the direction in which it is said to bend would bend the other way.
         pole = slice(_DIRECTIONS.start + 3 * (len(_TRUNK) + first), _DIRECTIONS.start + 3 * (len(_TRUNK) + first + 2))
         bends = pose[..., pole].unflatten(2, (-1, 3))
-        turned = _turned_along(bends, _unit(places - roots), _unit(places + moves - roots)).flatten(2)
+        turned = _turned_along(bends, unit(places - roots), unit(places + moves - roots)).flatten(2)
         end = slice(_PLACES.start + 3 * first, _PLACES.start + 3 * first + 6)
         parts = (pose[..., : pole.start], turned, pose[..., pole.stop : end.start])
         return torch.cat((*parts, pose[..., end] + moves.flatten(2), pose[..., end.stop :]), dim=2)
@@ -330,9 +330,9 @@ def sight(joints: Joints, height: Float[Tensor, " batch"]) -> Float[Tensor, "bat
 
 def head_axes(joints: Float[Tensor, "*batch 22 3"]) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
     """Return the unit vectors that ``skeleton.head_forward`` mixes: forward without tilt, and neck to head."""
-    up = _unit(joints[..., Joint.HEAD, :] - joints[..., Joint.NECK, :])
+    up = unit(joints[..., Joint.HEAD, :] - joints[..., Joint.NECK, :])
     left = joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :]
-    left = _unit(left - (left * up).sum(dim=-1, keepdim=True) * up)
+    left = unit(left - (left * up).sum(dim=-1, keepdim=True) * up)
     return torch.linalg.cross(left, up), up
 
 
@@ -341,11 +341,13 @@ def _length(vectors: Float[Tensor, "*batch axes"]) -> Float[Tensor, "*batch"]:
     return (vectors.square().sum(dim=-1) + _SHORTEST**2).sqrt()
 
 
-def _bones(joints: Float[Tensor, "*batch 22 3"]) -> Float[Tensor, "*batch 21 3"]:
+def bones(joints: Float[Tensor, "*batch 22 3"]) -> Float[Tensor, "*batch 21 3"]:
+    """Return the vectors of the bones, in the order of :data:`prbench.geometry.skeleton.BONES`."""
     return joints[..., _CHILDREN, :] - joints[..., _PARENTS, :]
 
 
-def _unit(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+def unit(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """Return unit vectors; a vanished one stays zero."""
     return vectors / vectors.norm(dim=-1, keepdim=True).clamp_min(_SHORTEST)
 
 

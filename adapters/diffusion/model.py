@@ -14,12 +14,7 @@ from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError, UsageError
 from prbench.representation.tensors import decode
 from prbench.text import TextEncoder, text_encoder
-from prbench_adapters.diffusion.configuration import (
-    ConditionScaling,
-    DenoiserConfiguration,
-    EncodedCondition,
-    raw_condition_of,
-)
+from prbench_adapters.diffusion.configuration import ConditionScaling, DenoiserConfiguration, EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser
 from prbench_adapters.diffusion.goal_frame import GoalFrame, smoothed
 from prbench_adapters.diffusion.sampling import CosineSchedule
@@ -158,7 +153,7 @@ class MotionModel:
         if wanted is None:
             raise ValueError(f"a text-conditioned model cannot use the condition '{batch.condition.value}'")
         text, padding = self.texts(wanted)
-        raw = raw_condition_of(batch, self.configuration)
+        raw = self.configuration.raw_condition(batch)
         vector = None if raw is None or self.scaling is None else self.scaling(raw)
         return EncodedCondition(text, padding, vector, raw).to(self.device)
 

@@ -14,12 +14,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from prbench.geometry.skeleton import BONES, TOES, WRISTS, Joint
+from prbench.geometry.skeleton import TOES, WRISTS, Joint
 from prbench.protocol.manifests import load_protocol
 from prbench.representation.tensors import decode
 from prbench_adapters.diffusion.configuration import ConditionScaling, EncodedCondition, raw_condition
 from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser
-from prbench_adapters.diffusion.goal_frame import head_axes, smoothed, still_steps
+from prbench_adapters.diffusion.goal_frame import bones, head_axes, smoothed, still_steps
 from prbench_adapters.diffusion.model import KIND, TextVectors, goal_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.training import MotionBatch
@@ -78,9 +78,6 @@ def wrist_loss(predicted: Joints, recorded: Joints, valid: Kept, n_frames: Count
     return (missed * ending).sum() / ending.sum()
 
 
-_PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
-
-
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The losses, which diffusion steps are trained, and how often the text is hidden.
 
@@ -136,7 +133,7 @@ def losses(
         "features": _squared(predicted - clean, valid),
         "joints": _squared(error, valid),
         "velocities": _squared(error.diff(dim=1), valid[:, 1:]),
-        "bones": _squared(error[:, :, _CHILDREN] - error[:, :, _PARENTS], valid),
+        "bones": _squared(bones(error), valid),
     }
     # The divisor of the features for joints as well, which keeps the study's ratio of the two losses.
     count = clean.shape[-1] * valid.sum(dim=1).sum()

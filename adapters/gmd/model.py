@@ -22,7 +22,7 @@ from prbench.geometry.skeleton import Joint
 from prbench.randomness import named_generator
 from prbench.representation.features import JOINT_POSITIONS, N_FEATURES, ROOT_HEIGHT
 from prbench.text import text_encoder
-from prbench_adapters.diffusion.denoiser import pooled, sinusoid_table
+from prbench_adapters.diffusion.denoiser import from_zero, pooled, sinusoid_table
 from prbench_adapters.diffusion.model import TextVectors, torch_device
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.tensors import TensorRecord
@@ -297,8 +297,7 @@ class _ResidualBlock(nn.Module):
     def __init__(self, channels: int, width: int, condition_width: int) -> None:
         super().__init__()
         self.first = _ConvBlock(channels, width)
-        self.condition = nn.Linear(condition_width, 2 * width)
-        _set_to_zero(self.condition)
+        self.condition = from_zero(nn.Linear(condition_width, 2 * width))
         self.second = _ConvBlock(width, width, starts_at_zero=True)
         self.skip = nn.Conv1d(channels, width, 1) if channels != width else nn.Identity()
 
@@ -316,7 +315,7 @@ class _ConvBlock(nn.Module):
         self.convolution = nn.Conv1d(channels, width, _KERNEL, padding=_KERNEL // 2)
         self.norm = nn.GroupNorm(GROUPS, width)
         if starts_at_zero:
-            _set_to_zero(self.convolution)
+            from_zero(self.convolution)
 
     def forward(self, stream: Channels, scale_shift: tuple[Tensor, Tensor] | None = None) -> Hidden:
         """Apply the block; ``scale_shift`` are (batch, width) each."""
@@ -325,11 +324,6 @@ class _ConvBlock(nn.Module):
             scale, shift = scale_shift
             stream = stream * (1 + scale[..., None]) + shift[..., None]
         return nn.functional.mish(stream)
-
-
-def _set_to_zero(layer: nn.Module) -> None:
-    for parameter in layer.parameters():
-        nn.init.zeros_(parameter)
 
 
 KIND = "gmd"

@@ -218,7 +218,6 @@ _RENAMED = (
     (r"\.condition\.", ".time_mlp.1."),
     (r"\.skip\.", ".residual_conv."),
 )
-_PADDED_FRAMES = 224
 _PADDING_STEP = 8
 _SUFFIX = ".safetensors"
 _CARD_VERSION = 1
@@ -336,9 +335,7 @@ def _configuration_of(motion: Checkpoint, trajectory: Checkpoint, emphasis: floa
             emphasis=emphasis,
             text_encoder=CLIP,
             text_dimension=text_dimension,
-            diffusion_steps=1000,
             representation="reference",  # the original's own heading
-            padded_frames=_PADDED_FRAMES,
             padding_step=max(_PADDING_STEP, 2 ** (levels - 1)),
             uniform_skeleton=True,  # HumanML3D's people share one
         )

@@ -167,15 +167,9 @@ def _settings(
     options: Mapping[str, str], configuration: DenoiserConfiguration
 ) -> tuple[SamplingSettings | OptimisationSettings, bool]:
     """Turn the options into settings for a model, and whether sampled motions get the initial pose's bones."""
+    from prbench_adapters.diffusion import noise_optimisation as noise
     from prbench_adapters.diffusion.generation import ONE_PASS, SAMPLERS, choice, number, sampling_settings
     from prbench_adapters.diffusion.model import Feet, Reach
-    from prbench_adapters.diffusion.noise_optimisation import (
-        PRIME_AND_REACH_OPTIONS,
-        fast,
-        finishing,
-        optimisation_settings,
-        paper,
-    )
 
     steps = configuration.diffusion_steps
     if options.get("sampler") == ONE_PASS:
@@ -187,7 +181,7 @@ def _settings(
         options = {**options, "optimise": "off"}
     mode = choice(options, "optimise", _MODES)
     if mode == "off":
-        idle = [key for key in PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", "reach")]
+        idle = [key for key in noise.PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", "reach")]
         if idle:
             raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
         sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=steps, samplers=(*SAMPLERS, ONE_PASS))
@@ -199,6 +193,8 @@ def _settings(
     if idle:
         remedy = "choose optimise=off, or leave it out."
         raise ValueError(f"option '{idle[0]}' belongs to sampling without noise optimisation; {remedy}")
-    preset = {"fast": finishing if configuration.features == "goal-frame" else fast, "paper": paper}[mode](steps)
+    preset = {"fast": noise.finishing if configuration.features == "goal-frame" else noise.fast, "paper": noise.paper}[
+        mode
+    ](steps)
     preset = replace(preset, guidance=number(options, "guidance", _GUIDANCE))
-    return optimisation_settings(options, preset, diffusion_steps=steps), False
+    return noise.optimisation_settings(options, preset, diffusion_steps=steps), False

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.parametrizations import weight_norm
 
-from prbench_adapters.diffusion.denoiser import sinusoid_table
+from prbench_adapters.diffusion.denoiser import from_zero, sinusoid_table
 from prbench_adapters.diffusion.sampling import Chain, ddim_factors
 from prbench_adapters.prediction import recurrent
 
@@ -117,7 +117,7 @@ class LatentUNet(nn.Module):
                     stage.append(_Block(width, width, embedding, "double"))
                 self.up.append(nn.ModuleList(stage))
                 inputs = width
-        output = recurrent.from_zero(nn.Conv2d(inputs, 1, 3, padding=1))
+        output = from_zero(nn.Conv2d(inputs, 1, 3, padding=1))
         self.output = nn.Sequential(nn.GroupNorm(_GROUPS, inputs), nn.SiLU(), output)
         table = sinusoid_table(configuration.steps, channels)
         self.register_buffer("sinusoid", torch.cat([table[:, 1::2], table[:, ::2]], dim=1), persistent=False)
@@ -159,7 +159,7 @@ class _Block(nn.Module):
         self.first = nn.Conv2d(inputs, outputs, 3, padding=1)
         self.scale_shift = nn.Linear(embedding, 2 * outputs)
         self.second_norm = nn.GroupNorm(_GROUPS, outputs)
-        self.second = recurrent.from_zero(nn.Conv2d(outputs, outputs, 3, padding=1))
+        self.second = from_zero(nn.Conv2d(outputs, outputs, 3, padding=1))
         self.skip = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
 
     def forward(self, stream: Image, embedding: Tensor) -> Tensor:
@@ -184,7 +184,7 @@ class _Attention(nn.Module):
         self.heads = channels // head_channels
         self.norm = nn.GroupNorm(_GROUPS, channels)
         self.query_key_value = nn.Conv1d(channels, 3 * channels, 1)
-        self.output = recurrent.from_zero(nn.Conv1d(channels, channels, 1))
+        self.output = from_zero(nn.Conv1d(channels, channels, 1))
 
     def forward(self, stream: Image, embedding: Tensor) -> Image:  # noqa: ARG002 - called like a block
         """Let each place of the stream look at all others; the embedding of the diffusion step has no part in it."""

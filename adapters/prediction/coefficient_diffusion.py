@@ -18,11 +18,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from prbench.randomness import sequence_generator
-from prbench_adapters.diffusion.denoiser import sinusoid_table
+from prbench_adapters.diffusion.denoiser import from_zero, sinusoid_table
 from prbench_adapters.diffusion.generation import SequenceNoise
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.prediction.configuration import DiffusionConfiguration
-from prbench_adapters.prediction.recurrent import from_zero
 
 Motion = Float[Tensor, "windows frames nodes 3"]  # Joints in metres, and perhaps a direction as the last node.
 # DCT coefficients of each value; value = 3 · node + coordinate.

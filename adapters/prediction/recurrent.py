@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -25,7 +24,6 @@ Latent = Float[Tensor, "windows latent"]
 Latents = Float[Tensor, "windows samples latent"]
 Losses = dict[str, Float[Tensor, ""]]  # Scalars by name; ``loss`` is minimised.
 Seeds = Sequence[Sequence[int]]  # A seed for each sample of each window; nothing else decides about its noise.
-Layer = TypeVar("Layer", bound=nn.Module)
 _SMALLEST_VARIANCE = 1e-12
 _VALUES_OF_HUMANEVA = 42
 
@@ -33,13 +31,6 @@ _VALUES_OF_HUMANEVA = 42
 def perceptron(sizes: Sequence[int]) -> nn.Sequential:
     """Linear layers with a tanh behind each, the last one too."""
     return nn.Sequential(*(layer for ends in pairwise(sizes) for layer in (nn.Linear(*ends), nn.Tanh())))
-
-
-def from_zero(layer: Layer) -> Layer:
-    """Return the layer with all of its parameters set to zero."""
-    for parameter in layer.parameters():
-        nn.init.zeros_(parameter)
-    return layer
 
 
 def last_state(layer: nn.GRU | nn.LSTM, sequence: Float[Tensor, "batch frames size"]) -> Float[Tensor, "batch state"]:

@@ -10,19 +10,15 @@ if TYPE_CHECKING:
     from prbench_adapters.training.loop import fit
     from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask
 
-_HOMES = {
-    "batches": ("LengthBatches",),
-    "dataset": ("MotionBatch", "MotionItem", "SequenceDataset", "collate"),
-    "loop": ("fit",),
-    "task": ("TrainingData", "TrainingModule", "TrainingTask"),
-}
+_HOMES = dict.fromkeys(("MotionBatch", "MotionItem", "SequenceDataset", "collate"), "dataset")
+_HOMES |= dict.fromkeys(("TrainingData", "TrainingModule", "TrainingTask"), "task")
+_HOMES |= {"LengthBatches": "batches", "fit": "loop"}
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that the command line can list tasks without torch."""
-    home = next((module for module, names in _HOMES.items() if name in names), None)
-    if home is None:
+    if name not in _HOMES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     import importlib
 
-    return getattr(importlib.import_module(f"{__name__}.{home}"), name)
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -23,14 +23,8 @@ from prbench.randomness import hash_fraction, named_generator
 from prbench_adapters.tensors import TensorRecord
 from prbench_adapters.training.dataset import MotionBatch, SequenceDataset
 from prbench_adapters.training.store import REFIT, parts_of
+from prbench_benchmarks.motion_prediction import joint_sets
 from prbench_benchmarks.motion_prediction.batch import Condition
-from prbench_benchmarks.motion_prediction.joint_sets import (
-    JointSet,
-    invert_each,
-    joint_set,
-    rotations_alone,
-    transform_each,
-)
 from prbench_benchmarks.motion_prediction.protocol import FrameName
 from prbench_benchmarks.motion_prediction.table import Run, WindowsTable
 
@@ -69,9 +63,9 @@ class SeenWindows(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return self.observed + self.predicted
 
     @property
-    def joints(self) -> JointSet:
+    def joints(self) -> joint_sets.JointSet:
         """The joints by name."""
-        return joint_set(self.joint_set)
+        return joint_sets.joint_set(self.joint_set)
 
     @property
     def n_joints(self) -> int:
@@ -126,12 +120,14 @@ def collate_windows(items: Sequence[WindowItem]) -> WindowBatch:
     last = shape.observed - 1
     batch_from_room = np.tile(np.eye(4), (len(items), 1, 1))
     if shape.frame == "last-pose":
-        batch_from_room = invert_each(shape.joints.last_pose_frame(joints[:, last]))
-    nodes = [transform_each(batch_from_room, joints)]
+        batch_from_room = joint_sets.invert_each(shape.joints.last_pose_frame(joints[:, last]))
+    nodes = [joint_sets.transform_each(batch_from_room, joints)]
     valid = None
     directions = [item.direction for item in items if item.direction is not None]
     if directions:
-        nodes.append(transform_each(rotations_alone(batch_from_room), np.stack(directions))[:, :, None])
+        nodes.append(
+            joint_sets.transform_each(joint_sets.rotations_alone(batch_from_room), np.stack(directions))[:, :, None]
+        )
         valid = torch.from_numpy(np.stack([item.direction_valid[: shape.observed] for item in items]))
     return WindowBatch(torch.from_numpy(np.concatenate(nodes, axis=2).astype(np.float32)), valid)
 

@@ -19,6 +19,7 @@ from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.files.bounded import foreign_input, read_toml
 
 DEFAULT_STAGES = ("pretrain", "finetune")
+_DEFAULT_CONFIGURATION = "small"
 
 
 # Ranges of settings, in words; NaN lies in none.
@@ -143,6 +144,36 @@ def list_configurations(package: str, task: str) -> tuple[str, ...]:
     names = (entry.name for entry in resources.files(package).iterdir())
     found = [re.fullmatch(rf"{re.escape(task)}-(.+)\.toml", name) for name in names]
     return tuple(sorted(match[1] for match in found if match))
+
+
+def resolved(
+    task: Any,
+    configuration: str | None = None,
+    *,
+    stage: str | None = None,
+    overrides: Sequence[tuple[str, str]] = (),
+) -> tuple[str, TrainingConfiguration]:
+    """Return the stage and the configuration of a training.
+
+    Args:
+        task: What is trained (:class:`~prbench_adapters.training.task.TrainingTask`).
+        configuration: Name of one that comes with the task, or the path of a TOML file; None for the one named like the
+            stage, or ``small`` where there is none.
+        stage: Stage of the training; None for the task's first.
+        overrides: ``("training.steps", "100")`` …
+
+    Raises:
+        UsageError: for an unknown stage, configuration or key.
+        InputFileError: if the file is no configuration.
+    """
+    stages: tuple[str, ...] = getattr(task, "stages", DEFAULT_STAGES)
+    chosen = stage or stages[0]
+    if chosen not in stages:
+        raise UsageError(f"--stage: '{task.name}' has no stage '{chosen}'; its stages are: {', '.join(stages)}.")
+    where = {"package": task.configurations, "task": task.name}
+    if configuration is None:
+        configuration = chosen if chosen in list_configurations(**where) else _DEFAULT_CONFIGURATION
+    return chosen, load_configuration(configuration, **where, stage=chosen, overrides=overrides)
 
 
 @foreign_input()

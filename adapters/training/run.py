@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,12 +20,7 @@ from prbench.sequences.folds import fold_tables, parse_fold
 from prbench_adapters.trained_network import TrainedNetwork
 from prbench_adapters.training import report as reports
 from prbench_adapters.training.batches import LengthBatches, WindowsDataset, load_batches
-from prbench_adapters.training.configuration import (
-    DEFAULT_STAGES,
-    TrainingConfiguration,
-    list_configurations,
-    load_configuration,
-)
+from prbench_adapters.training.configuration import TrainingConfiguration, resolved
 from prbench_adapters.training.dataset import SequenceDataset, configured_dataset
 from prbench_adapters.training.loop import Progress, fit, make_fabric, silent
 from prbench_adapters.training.state import Row
@@ -36,8 +31,6 @@ from prbench_adapters.training.weights import read_weights
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
-
-_DEFAULT_CONFIGURATION = "small"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,37 +104,6 @@ def train(
     torch.set_num_threads(request.threads)  # launching several processes sets one of its own
     with sole_writer(request.out) if fabric.is_global_zero else nullcontext():
         return run(request, task, stage, configuration, fabric, report, engine=engine)
-
-
-def resolved(
-    task: TrainingTask,
-    configuration: str | None = None,
-    *,
-    stage: str | None = None,
-    overrides: Sequence[tuple[str, str]] = (),
-) -> tuple[str, TrainingConfiguration]:
-    """Return the stage and the configuration of a training.
-
-    Args:
-        task: What is trained.
-        configuration: Name of one that comes with the task, or the path of a TOML file; None for the one named like the
-            stage, or ``small`` where there is none.
-        stage: Stage of the training; None for the task's first.
-        overrides: ``("training.steps", "100")`` …
-
-    Raises:
-        UsageError: for an unknown stage, configuration or key.
-        InputFileError: if the file is no configuration.
-    """
-    stages: tuple[str, ...] = getattr(task, "stages", DEFAULT_STAGES)
-    chosen = stage or stages[0]
-    if chosen not in stages:
-        raise UsageError(f"--stage: '{task.name}' has no stage '{chosen}'; its stages are: {', '.join(stages)}.")
-    package = task.configurations
-    name = task.name
-    if configuration is None:
-        configuration = chosen if chosen in list_configurations(package, name) else _DEFAULT_CONFIGURATION
-    return chosen, load_configuration(configuration, package=package, task=name, stage=chosen, overrides=overrides)
 
 
 def run(

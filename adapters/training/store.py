@@ -74,16 +74,10 @@ def cut(motion: Motion, start: int, n_frames: int, *, name: str) -> Motion:
     kept = motion.joints[start:stop].astype(np.float64)
     check_headings(kept[:1], name=name, first=start)
     canonical_from_motion = invert_rigid(canonical_frame(kept))
-
-    def moved(points: np.ndarray) -> np.ndarray:
-        return transform_points(canonical_from_motion, points.astype(np.float64)).astype(np.float32)
-
-    return Motion(
-        joints=moved(kept),
-        previous_joints=moved(motion.joints[start - 1] if start else motion.previous_joints),
-        next_joints=moved(motion.joints[stop] if stop < motion.n_frames else motion.next_joints),
-        goal_location=moved(motion.goal_location),
-    )
+    before = motion.joints[start - 1] if start else motion.previous_joints
+    after = motion.joints[stop] if stop < motion.n_frames else motion.next_joints
+    parts = (points.astype(np.float64) for points in (kept, before, after, motion.goal_location))
+    return Motion(*(transform_points(canonical_from_motion, points).astype(np.float32) for points in parts))
 
 
 def check_headings(joints: Float[np.ndarray, "n 22 3"], *, name: str, first: int = 0) -> None:
