@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from prbench.contract import Condition, ConditionBatch, Motions, TrainingRun
-from prbench.errors import AdapterError, InputFileError
+from prbench.errors import AdapterError
+from prbench.files.bounded import require
 from prbench.files.storage import read_json, write_json
 from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.sequences import SequenceTable
@@ -43,10 +44,8 @@ class Static:
         if not checkpoint.is_file():
             write_json(checkpoint, mean_pose(train).tolist())
         pose = np.asarray(read_json(checkpoint), dtype=np.float64)
-        if pose.shape != (N_JOINTS, 3):
-            raise InputFileError(
-                checkpoint, "", expected="22 joints with x, y, z", found=f"shape {pose.shape}", remedy="Delete it."
-            )
+        fits = pose.shape == (N_JOINTS, 3)
+        require(checkpoint, (fits, "", "22 joints with x, y, z", f"shape {pose.shape}", "Delete it."))
         self._pose = pose
         if self.pose_only:
             self._pose[:, [0, 2]] -= self._pose[Joint.PELVIS, [0, 2]]

@@ -29,7 +29,7 @@ from prbench.shown import quoted
 from prbench_adapters.corpora import sources as corpora
 
 
-class GroupReceipt(msgspec.Struct, frozen=True, kw_only=True):
+class GroupReceipt(msgspec.Struct, frozen=True):
     """Description of a finished part, readable without opening its tables."""
 
     name: str
@@ -83,15 +83,10 @@ class CorpusJob:
         records = tuple(record for _, record in done)
         rows = {"clips": clips, "annotations": annotations, "recordings": records}
         batches = {table: corpus_tables.corpus_batch(table, each) for table, each in rows.items()}
-        receipt = GroupReceipt(
-            name=name,
-            input_digest=digest,
-            records=records,
-            clips=len(clips),
-            captions=sum(len(clip.captions) for clip in clips),
-            approximate_clips=sum(clip.approximate for clip in clips),
-            frames=sum(clip.n_frames for clip in clips),
-        )
+        captions = sum(len(clip.captions) for clip in clips)
+        approximate = sum(clip.approximate for clip in clips)
+        frames = sum(clip.n_frames for clip in clips)
+        receipt = GroupReceipt(name, digest, records, len(clips), captions, approximate, frames)
         parts.write_part(folder, batches, parts.plain(receipt))
         return folder, receipt, False
 

@@ -26,6 +26,7 @@ from prbench_adapters.training.task import TrainingData, TrainingModule, split_m
 from prbench_adapters.training.weights import origin_of, read_weights, weights_header
 
 Poses = Float[Tensor, "batch 22 3"]
+Places = Int[Tensor, " windows"]  # a motion, or a frame, for each window
 
 # Floors of positions and rotations, their deltas, joints, theirs: bones that never turn keep their scale (the original
 # divided 12 such features of a user's data by zero).
@@ -52,11 +53,7 @@ class Window:
 
 
 def window(
-    batch: MotionBatch,
-    rows: Int[Tensor, " windows"],
-    start: Int[Tensor, " windows"],
-    primitives: int,
-    configuration: dart.DartConfiguration,
+    batch: MotionBatch, rows: Places, start: Places, primitives: int, configuration: dart.DartConfiguration
 ) -> Window:
     """Cut primitives out of motions, of which the frame before the first belongs to them.
 

@@ -456,3 +456,6 @@ class FrameDenoiser(nn.Module):
         together = self.configuration.frames_per_token
         values = values.masked_fill(~visible[..., None], 0)
         return functional.pad(values, (0, 0, 0, -values.shape[1] % together)).unflatten(1, (-1, together)).flatten(2)
+
+
+Network = Denoiser | FrameDenoiser

@@ -29,7 +29,7 @@ from prbench.geometry.skeleton import N_JOINTS, PARENTS
 from prbench.randomness import sequence_generator
 from prbench.representation import N_FEATURES, UniformSkeleton
 from prbench_adapters.diffusion.configuration import EncodedCondition
-from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser, frame_mask
+from prbench_adapters.diffusion.denoiser import Network, frame_mask
 from prbench_adapters.diffusion.goal_frame import bones, unit
 from prbench_adapters.diffusion.model import Feet, MotionModel, Reach
 from prbench_adapters.diffusion.sampling import sample_ddim, sample_ddpm
@@ -37,6 +37,7 @@ from prbench_adapters.diffusion.sampling import sample_ddim, sample_ddpm
 Lengths = Int[np.ndarray, " batch"]  # frames
 Joints = Float[torch.Tensor, "batch frames 22 3"]  # metres
 Features = Float[Tensor, "batch frames features"]
+Counts = Int[Tensor, " batch"]
 
 _MOST_PADDING = 0.25  # of the shortest sequence of a part
 
@@ -203,13 +204,7 @@ class Guided(Guidance):
     """
 
     def __init__(
-        self,
-        denoiser: Denoiser | FrameDenoiser,
-        condition: EncodedCondition,
-        n_frames: Int[Tensor, " batch"],
-        scale: float,
-        *,
-        reuse: bool = False,
+        self, denoiser: Network, condition: EncodedCondition, n_frames: Counts, scale: float, *, reuse: bool = False
     ) -> None:
         super().__init__(scale)
         self.denoiser = denoiser

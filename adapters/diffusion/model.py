@@ -15,7 +15,7 @@ from prbench.errors import AdapterError, UsageError
 from prbench.representation.tensors import decode
 from prbench.text import TextEncoder, text_encoder
 from prbench_adapters.diffusion.configuration import ConditionScaling, DenoiserConfiguration, EncodedCondition
-from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser
+from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser, Network
 from prbench_adapters.diffusion.goal_frame import GoalFrame, smoothed
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.training.weights import Weights, read_weights
@@ -94,7 +94,7 @@ class MotionModel:
 
     def __init__(
         self,
-        denoiser: Denoiser | FrameDenoiser,
+        denoiser: Network,
         *,
         mean: Float[torch.Tensor, " features"],
         std: Float[torch.Tensor, " features"],
@@ -191,7 +191,7 @@ def led_to_goal(
     return goal_frame(condition, joints).led_to_goal(joints, n_frames, model.configuration.fps)
 
 
-def network(configuration: DenoiserConfiguration) -> Denoiser | FrameDenoiser:
+def network(configuration: DenoiserConfiguration) -> Network:
     """Make the network of a configuration, untrained."""
     return FrameDenoiser(configuration) if configuration.architecture == "frames" else Denoiser(configuration)
 

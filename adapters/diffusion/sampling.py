@@ -23,6 +23,7 @@ Spacing = Literal["leading", "trailing"]
 
 _OFFSET = 0.008
 _LARGEST_BETA = 0.999
+State = Float[Tensor, "batch frames features"]
 # Noisy features (batch, frames, features) and their index in the training schedule, to clean features.
 Denoise = Callable[[Tensor, int], Tensor]
 # Index in the training schedule, to the standard normal noise (batch, frames, features) added in that step.
@@ -102,13 +103,8 @@ class CosineSchedule(Chain):
 
 
 def sample_ddpm(
-    denoise: Denoise,
-    schedule: CosineSchedule,
-    start: Float[Tensor, "batch frames features"],
-    noise: _DrawNoise,
-    *,
-    steps: int | None = None,
-) -> Float[Tensor, "batch frames features"]:
+    denoise: Denoise, schedule: CosineSchedule, start: State, noise: _DrawNoise, *, steps: int | None = None
+) -> State:
     """Ancestral sampling: a draw from the posterior in each step, its mean in the last.
 
     Args:
@@ -132,12 +128,12 @@ def sample_ddpm(
 def sample_ddim(
     denoise: Denoise,
     schedule: CosineSchedule,
-    start: Float[Tensor, "batch frames features"],
+    start: State,
     *,
     steps: int | None = None,
     spacing: Spacing = "leading",
     checkpointing: int = 0,
-) -> Float[Tensor, "batch frames features"]:
+) -> State:
     """Deterministic sampling (η = 0): a fixed, differentiable map from noise to clean features.
 
     Args:

@@ -60,7 +60,10 @@ class DiffusionTask:
             InputFileError: if the initial weights do not fit it.
         """
         configuration, objective = split_model_table(model, DenoiserConfiguration, Objective)
-        self._require_goal(configuration, stage)
+        allowed = ("none", *self.goals) if stage == "pretrain" or not self.goals else self.goals
+        if configuration.goal not in allowed:
+            problem = f"expected model.goal to be {' or '.join(allowed)}, found '{configuration.goal}'."
+            raise UsageError(f"--method {self.name} --stage {stage}: {problem}")
         data.require_fit("the model", configuration)
         # Prime-and-reach tables keep everybody's own bones; HumanML3D alone comes on one skeleton, and has no goals.
         if configuration.uniform_skeleton and configuration.goal != "none":
@@ -88,12 +91,6 @@ class DiffusionTask:
             denoiser.load_state_dict(trained.state_dict(), strict=False)
         about: dict[str, Any] = {"texts": texts, "objective": objective, "origin": (texts.origin, *origin_of(start))}
         return DiffusionTraining(denoiser, statistics=statistics, scaling=scaling, **about)
-
-    def _require_goal(self, configuration: DenoiserConfiguration, stage: str) -> None:
-        allowed = ("none", *self.goals) if stage == "pretrain" or not self.goals else self.goals
-        if configuration.goal not in allowed:
-            problem = f"expected model.goal to be {' or '.join(allowed)}, found '{configuration.goal}'."
-            raise UsageError(f"--method {self.name} --stage {stage}: {problem}")
 
 
 # Mean and standard deviation.

@@ -32,8 +32,6 @@ Counts = Int[Tensor, " batch"]
 
 Features = Float[torch.Tensor, "batch frames features"]
 Kept = Bool[Tensor, "batch frames"]
-Positions = Float[torch.Tensor, "batch frames 22 3"]  # metres
-
 Joints = Float[Tensor, "batch frames 22 3"]
 
 _NEAREST = 0.3
@@ -108,12 +106,7 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 def losses(
-    objective: Objective,
-    predicted: Features,
-    clean: Features,
-    predicted_joints: Positions,
-    joints: Positions,
-    padding: Bool[torch.Tensor, "batch frames"],
+    objective: Objective, predicted: Features, clean: Features, predicted_joints: Joints, joints: Joints, padding: Kept
 ) -> dict[str, torch.Tensor]:
     """Return weighted sum ``loss`` and its parts ``features``, ``joints``, ``velocities`` and ``bones``, unweighted.
 
@@ -152,7 +145,7 @@ def _squared(error: Values, valid: Bool[torch.Tensor, "batch frames"]) -> Float[
     return torch.where(valid, error.square().flatten(2).sum(dim=2), 0.0).sum(dim=1)
 
 
-def scored_losses(objective: Objective, predicted: Positions, batch: MotionBatch) -> dict[str, torch.Tensor]:
+def scored_losses(objective: Objective, predicted: Joints, batch: MotionBatch) -> dict[str, torch.Tensor]:
     """Return the weighted sum ``loss`` of those of :mod:`.scored_losses` that have a weight, and these, unweighted.
 
     Args:
@@ -161,23 +154,20 @@ def scored_losses(objective: Objective, predicted: Positions, batch: MotionBatch
         batch: The recorded motion.
     """
     valid = ~batch.padding
-    parts: dict[str, torch.Tensor] = {}
+    parts: dict[str, tuple[float, torch.Tensor]] = {}
     if objective.ray_loss_weight:
         frame = torch.arange(predicted.shape[1], device=predicted.device)
         # Sequences begin a fixed time before the prime time (docs/specification/constants.md, `lead`).
         after_prime = frame / batch.fps - load_protocol().curation.lead
-        parts["ray"] = ray_loss(predicted, batch.joints, batch.goal_location, valid, after_prime)
+        missed = ray_loss(predicted, batch.joints, batch.goal_location, valid, after_prime)
+        parts["ray"] = (objective.ray_loss_weight, missed)
     if objective.foot_loss_weight:
-        parts["feet"] = foot_loss(predicted, batch.joints, valid, batch.fps)
+        parts["feet"] = (objective.foot_loss_weight, foot_loss(predicted, batch.joints, valid, batch.fps))
     if objective.wrist_loss_weight:
-        parts["wrists"] = wrist_loss(predicted, batch.joints, valid, batch.n_frames, batch.fps)
-    weights = {
-        "ray": objective.ray_loss_weight,
-        "feet": objective.foot_loss_weight,
-        "wrists": objective.wrist_loss_weight,
-    }
-    total = sum((weights[name] * part for name, part in parts.items()), predicted.new_zeros(()))
-    return {"loss": total, **{name: part.detach() for name, part in parts.items()}}
+        missed = wrist_loss(predicted, batch.joints, valid, batch.n_frames, batch.fps)
+        parts["wrists"] = (objective.wrist_loss_weight, missed)
+    total = sum((weight * part for weight, part in parts.values()), predicted.new_zeros(()))
+    return {"loss": total, **{name: part.detach() for name, (_, part) in parts.items()}}
 
 
 def raw_condition_of_items(batch: MotionBatch, goal: Goal) -> Float[torch.Tensor, "batch size"]:
@@ -237,12 +227,9 @@ class DiffusionTraining(TrainingModule):
         self.std: torch.Tensor
         self.signal: torch.Tensor
         self.noise: torch.Tensor
-        for name, values in {
-            "mean": statistics[0],
-            "std": statistics[1],
-            "signal": alphas_cumprod.sqrt().float(),
-            "noise": (1 - alphas_cumprod).sqrt().float(),
-        }.items():  # a resumed run makes them anew, so they are no part of its checkpoints
+        levels = (alphas_cumprod.sqrt().float(), (1 - alphas_cumprod).sqrt().float())
+        # A resumed run makes them anew, so they are no part of its checkpoints.
+        for name, values in zip(("mean", "std", "signal", "noise"), (*statistics, *levels), strict=True):
             self.register_buffer(name, values, persistent=False)
 
     def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:

@@ -84,10 +84,9 @@ def read_space(mean: Path, std: Path, projection: Path) -> FeatureSpace:
 
 def _read(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
     array = load_array(path)
-    if array.shape != shape:
-        raise InputFileError(path, "", expected=f"an array of shape {shape}", found=f"shape {array.shape}")
-    if array.dtype.kind != "f" or not np.isfinite(array).all():
-        raise InputFileError(path, "", expected="finite numbers", found=f"{array.dtype} with NaN or infinity")
+    require(path, (array.shape == shape, "", f"an array of shape {shape}", f"shape {array.shape}", ""))
+    finite = array.dtype.kind == "f" and np.isfinite(array).all()
+    require(path, (finite, "", "finite numbers", f"{array.dtype} with NaN or infinity", ""))
     return array.astype(np.float32)
 
 

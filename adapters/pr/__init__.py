@@ -193,8 +193,7 @@ def _settings(
     if idle:
         remedy = "choose optimise=off, or leave it out."
         raise ValueError(f"option '{idle[0]}' belongs to sampling without noise optimisation; {remedy}")
-    preset = {"fast": noise.finishing if configuration.features == "goal-frame" else noise.fast, "paper": noise.paper}[
-        mode
-    ](steps)
+    quick = noise.finishing if configuration.features == "goal-frame" else noise.fast
+    preset = {"fast": quick, "paper": noise.paper}[mode](steps)
     preset = replace(preset, guidance=number(options, "guidance", _GUIDANCE))
     return noise.optimisation_settings(options, preset, diffusion_steps=steps), False

@@ -362,8 +362,7 @@ def _dlow(
     model: dict[str, Any], seen: records.SeenWindows, course: RateCourse, initial: Path | None
 ) -> PredictorTraining:
     """DLow's sampler for a trained CVAE, which ``--init`` names."""
-    command = "prbench train --method cvae --data WINDOWS… --out DIR"
-    start, old = _started("dlow", initial, seen, "cvae", records.CVAERecord, "a trained CVAE", command)
+    start, old = _started("dlow", initial, seen, "a trained CVAE", "cvae")
     record = records.DLowRecord(windows=seen, network=_converted(model, DLowConfiguration, "model"), cvae=old.network)
     sampler = record.build()
     start.load_into(sampler.cvae, "network")
@@ -374,9 +373,8 @@ def _belfusion(
     model: dict[str, Any], seen: records.SeenWindows, course: RateCourse, initial: Path | None, data: WindowsDataset
 ) -> PredictorTraining:
     """BeLFusion's diffusion of behaviours of trained autoencoders, which ``--init`` names."""
-    command = "prbench train --method belfusion --stage autoencoders --data WINDOWS… --out DIR"
     what = "BeLFusion's trained autoencoders"
-    start, old = _started("belfusion", initial, seen, records.AUTOENCODERS, records.AutoencodersRecord, what, command)
+    start, old = _started("belfusion", initial, seen, what, "belfusion --stage autoencoders")
     unet, objective = split_model_table({**model, "condition": old.network.past}, UNetConfiguration, BestOfNoises)
     record = records.BeLFusionRecord(
         windows=seen, network=unet, behaviour=old.network, decoded_weight=objective.decoded_weight
@@ -405,22 +403,26 @@ def _belfusion(
 
 
 def _started(
-    name: str,
-    initial: Path | None,
-    seen: records.SeenWindows,
-    kind: str,
-    record: type[_Struct],
-    what: str,
-    command: str,
-) -> tuple[Weights, _Struct]:
-    """Read what a method builds upon, and refuse what was trained on other windows."""
+    name: str, initial: Path | None, seen: records.SeenWindows, what: str, method: str
+) -> tuple[Weights, records.NetworkRecord]:
+    """Read what a method builds upon, and refuse what was trained on other windows.
+
+    Args:
+        name: The method.
+        initial: File of what it builds upon.
+        seen: The windows that it is trained on.
+        what: What it builds upon, in words.
+        method: Method, with its stage, that trains that.
+    """
     if initial is None:
+        command = f"prbench train --method {method} --data WINDOWS… --out DIR"
         raise UsageError(f"--init: {name} builds upon {what}. Train one first (`{command}`) and name its file.")
+    kind = "cvae" if method == "cvae" else records.AUTOENCODERS
     start = read_weights(initial, kind=kind)
-    old = start.configuration(record)
+    old = start.configuration(records.CVAERecord if method == "cvae" else records.AutoencodersRecord)
     for field in records.SeenWindows.__struct_fields__:
         now = getattr(seen, field)
-        then = getattr(old.windows, field)  # type: ignore[attr-defined]  # every record has windows
+        then = getattr(old.windows, field)
         if now != then:
             remedy = "Train it again on these, or change model.windows."
             raise UsageError(f"{start.path}: was trained on windows with {field} {then}, these have {now}. {remedy}")

@@ -125,9 +125,8 @@ def collate_windows(items: Sequence[WindowItem]) -> WindowBatch:
     valid = None
     directions = [item.direction for item in items if item.direction is not None]
     if directions:
-        nodes.append(
-            joint_sets.transform_each(joint_sets.rotations_alone(batch_from_room), np.stack(directions))[:, :, None]
-        )
+        turn = joint_sets.rotations_alone(batch_from_room)
+        nodes.append(joint_sets.transform_each(turn, np.stack(directions))[:, :, None])
         valid = torch.from_numpy(np.stack([item.direction_valid[: shape.observed] for item in items]))
     return WindowBatch(torch.from_numpy(np.concatenate(nodes, axis=2).astype(np.float32)), valid)
 
@@ -276,6 +275,7 @@ def _allowed_starts(run: Run, shape: SeenWindows, fewest_gaze: int) -> Int[np.nd
     return np.flatnonzero(whole & looking)
 
 
+Items = SequenceDataset | WindowsDataset
 # Index of an item, and the epoch that it is drawn for.
 Draw = tuple[int, int]
 # Batches that are sorted by length together: enough for little padding, few enough that batches stay random.
@@ -304,13 +304,7 @@ class LengthBatches:
     """
 
     def __init__(
-        self,
-        dataset: SequenceDataset | WindowsDataset,
-        batch_size: int,
-        seed: int = 0,
-        rank: int = 0,
-        world_size: int = 1,
-        start_step: int = 0,
+        self, dataset: Items, batch_size: int, seed: int = 0, rank: int = 0, world_size: int = 1, start_step: int = 0
     ) -> None:
         if batch_size < 1 or not 0 <= rank < world_size or start_step < 0:
             raise UsageError(
@@ -348,7 +342,7 @@ class LengthBatches:
 
 
 def load_batches(
-    dataset: SequenceDataset | WindowsDataset, batches: LengthBatches, *, workers: int = 0, pinned: bool = False
+    dataset: Items, batches: LengthBatches, *, workers: int = 0, pinned: bool = False
 ) -> Iterator[MotionBatch] | Iterator[WindowBatch]:
     """Return the batches that a sampler plans, made into tensors; without end, the same ones for any number of workers.
 

@@ -19,7 +19,7 @@ from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.folds import fold_tables, parse_fold
 from prbench_adapters.trained_network import TrainedNetwork
 from prbench_adapters.training import report as reports
-from prbench_adapters.training.batches import LengthBatches, WindowsDataset, load_batches
+from prbench_adapters.training.batches import Items, LengthBatches, WindowsDataset, load_batches
 from prbench_adapters.training.configuration import TrainingConfiguration, resolved
 from prbench_adapters.training.dataset import SequenceDataset, configured_dataset
 from prbench_adapters.training.loop import Progress, fit, make_fabric, silent
@@ -185,9 +185,7 @@ def run(
     return TrainedNetwork(weights=request.out / reports.WEIGHTS, steps=state.step)
 
 
-def _data(
-    request: TrainRequest, task: TrainingTask, configuration: TrainingConfiguration, engine: Engine
-) -> SequenceDataset | WindowsDataset:
+def _data(request: TrainRequest, task: TrainingTask, configuration: TrainingConfiguration, engine: Engine) -> Items:
     """Return the split that is learnt from: sequences, or windows for a task that chooses some."""
     split = REFIT if request.refit else "train"
     if hasattr(task, "window_choice"):

@@ -261,12 +261,6 @@ class LeftOut(msgspec.Struct, frozen=True):
     reason: str
 
 
-class _Notes(msgspec.Struct, frozen=True):
-    """Notes on a store, kept beside its rows."""
-
-    left_out: tuple[LeftOut, ...]
-
-
 def table_store(
     table: Table, split: str, encoding: DataConfiguration, cache: Path, *, engine: Engine = IN_PROCESS
 ) -> tuple[FeatureStore, tuple[LeftOut, ...]]:
@@ -297,18 +291,18 @@ def table_store(
             found = _opened(path)
             if found is None:
                 left_out = _make(table, split, encoding, path, engine)
-                write_json(path.with_suffix(".json"), msgspec.to_builtins(_Notes(left_out)))
+                write_json(path.with_suffix(".json"), {"left_out": msgspec.to_builtins(left_out)})
                 found = _opened(path)
         assert found is not None, "what was just made can be opened"
-    notes, store = found
-    return store, notes.left_out
+    return found
 
 
-def _opened(path: Path) -> tuple[_Notes, FeatureStore] | None:
-    """Return a store and its notes; None if there is none, or it is damaged and has to be made again."""
+def _opened(path: Path) -> tuple[FeatureStore, tuple[LeftOut, ...]] | None:
+    """Return a store and the rows that are not in it; None if there is none, or a damaged one to be made again."""
     try:
-        return msgspec.convert(read_json(path.with_suffix(".json")), _Notes), FeatureStore(path)
-    except (InputFileError, msgspec.ValidationError, FileNotFoundError, pa.ArrowInvalid):
+        notes = msgspec.convert(read_json(path.with_suffix(".json")), dict[str, tuple[LeftOut, ...]])
+        return FeatureStore(path), notes["left_out"]
+    except (InputFileError, msgspec.ValidationError, KeyError, FileNotFoundError, pa.ArrowInvalid):
         return None
 
 

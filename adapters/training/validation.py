@@ -16,9 +16,9 @@ import torch
 from prbench.engine import IN_PROCESS, Engine
 from prbench.errors import UsageError
 from prbench.sequences.table import by_share
-from prbench_adapters.training.batches import WindowsDataset
+from prbench_adapters.training.batches import Items, WindowsDataset
 from prbench_adapters.training.configuration import TrainingConfiguration
-from prbench_adapters.training.dataset import SequenceDataset, configured_dataset
+from prbench_adapters.training.dataset import configured_dataset
 from prbench_adapters.training.state import Row
 from prbench_adapters.training.store import Table
 from prbench_adapters.training.task import TrainingModule
@@ -34,7 +34,7 @@ class Validation:
         places: Places of the chosen items in ``data``, by length.
     """
 
-    data: SequenceDataset | WindowsDataset
+    data: Items
     places: tuple[int, ...]
     batch_size: int
 

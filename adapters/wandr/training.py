@@ -25,6 +25,8 @@ from prbench_adapters.wandr import network as wandr
 
 Rows = Int[torch.Tensor, " places"]  # of the feature store
 Loss = Float[torch.Tensor, ""]
+Changes = Float[torch.Tensor, "places 135"]
+Conditions = Float[torch.Tensor, "places 277"]
 
 _FAR = 1.5  # metres that the pelvis has to walk to a pseudo goal
 _ROUNDING = 1e-4  # frames
@@ -196,7 +198,7 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         require_within(self, "from 0 to 1", "pseudo_goals")
 
 
-def delta_loss(decoded: Float[torch.Tensor, "places 135"], wanted: Float[torch.Tensor, "places 135"]) -> Loss:
+def delta_loss(decoded: Changes, wanted: Changes) -> Loss:
     """Mean squared errors of standardised changes: translation, root and joints each for themselves, summed."""
     error = (decoded - wanted).square()
     return sum((error[:, part].mean() for part in (wandr.TRANSLATION, wandr.ROOT, wandr.JOINTS)), error.new_zeros(()))
@@ -316,9 +318,9 @@ class WandrTraining(TrainingModule):
         goals: Rows,
         state: wandr.BodyState,
         *,
-        delta: Float[torch.Tensor, "places 135"],
+        delta: Changes,
         joints: Float[torch.Tensor, "places 22 3"],
-    ) -> Float[torch.Tensor, "places 277"]:
+    ) -> Conditions:
         """Encode what the network is told; the goal is where the right wrist will be in the goal's frame.
 
         Args:
@@ -343,10 +345,7 @@ class WandrTraining(TrainingModule):
         return self.network.condition(state.seen(), delta, torch.where(left > 0, intention, 0.0))
 
     def _reconstructed(
-        self,
-        wanted: Float[torch.Tensor, "places 135"],
-        condition: Float[torch.Tensor, "places 277"],
-        generator: torch.Generator,
+        self, wanted: Changes, condition: Conditions, generator: torch.Generator
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Decode a draw from the encoder; return also the mean and log-variance of that."""
         mean, log_variance = self.network.encode(wanted, condition)

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import load_array
-from prbench.files.bounded import read_text, require_rows
+from prbench.files.bounded import read_text, require, require_rows
 from prbench.geometry.skeleton import N_JOINTS, Joint, bone_lengths
 from prbench.limits import FARTHEST_COORDINATE, HARMLESS_SIZE
 from prbench.representation import REST_OFFSETS
@@ -54,10 +54,8 @@ def read_texts(path: Path) -> tuple[TextLine, ...]:
         if not line.strip():
             continue
         parts = line.strip().rsplit(_TEXT_SEPARATOR, 3)
-        if len(parts) != 4:
-            found = f"'{line[:80]}'"
-            remedy = "The file may be cut; unpack texts.zip again."
-            raise InputFileError(path, f"line {number}", expected="caption#tokens#from#to", found=found, remedy=remedy)
+        remedy = "The file may be cut; unpack texts.zip again."
+        require(path, (len(parts) == 4, f"line {number}", "caption#tokens#from#to", f"'{line[:80]}'", remedy))
         text, tokens, *times = (part.strip() for part in parts)
         start, end = (_seconds(path, number, cell) for cell in times)
         lines.append((Caption(text, WHOLE if start == end == 0.0 else PART, tokens), start, end))
@@ -114,16 +112,14 @@ def read_joints(path: Path) -> Float[np.ndarray, "frames 22 3"]:
     """
     joints = load_array(path, remedy="Make the file again.")
     fits = joints.ndim == 3 and joints.shape[1:] == (N_JOINTS, 3) and joints.dtype.kind in "fiu"
-    if not fits or len(joints) < 2:
-        found = f"{joints.shape} of {joints.dtype}"
-        raise InputFileError(path, "", expected="numbers of the shape (2 or more, 22, 3)", found=found)
+    fits = fits and len(joints) >= 2
+    found = f"{joints.shape} of {joints.dtype}"
+    require(path, (fits, "", "numbers of the shape (2 or more, 22, 3)", found, ""))
     joints = joints.astype(np.float64)
     trunk = float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=-1)))
-    if trunk > _LONGEST_TRUNK:
-        found = f"{trunk:.0f} from pelvis to head"
-        raise InputFileError(path, "", expected="metres", found=found, remedy="Divide by 1,000.")
-    if trunk < _SHORTEST_TRUNK:
-        raise InputFileError(path, "", expected="a body", found=f"{trunk:.4f} m from pelvis to head")
+    # Where a joint is NaN, so is the trunk: that is refused below, with its frame.
+    millimetres = (not trunk > _LONGEST_TRUNK, "", "metres", f"{trunk:.0f} from pelvis to head", "Divide by 1,000.")
+    require(path, millimetres, (not trunk < _SHORTEST_TRUNK, "", "a body", f"{trunk:.4f} m from pelvis to head", ""))
     farthest = np.abs(joints).max(axis=(1, 2))  # NaN where a joint is
     bad = ~(farthest <= FARTHEST_COORDINATE)
     expected = f"finite positions within {FARTHEST_COORDINATE:g} m"

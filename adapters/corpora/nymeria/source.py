@@ -263,15 +263,12 @@ def recording_clips(
     """Clips and the fate of every text; used for files and for recordings that were never written."""
     coverage = load_manifest("nymeria").thresholds["smallest_coverage"]
     clips, annotations = clips_of(identity, body, narrations, offset, limits, coverage)
-    return corpora.ReadRecording(
-        clips,
-        annotations,
-        sum(len(piece.joints) / SUIT_RATE for piece in body.pieces),
-        clock_method="none" if offset is None else offset.method,
-        clock_quality=None if offset is None else offset.quality,
-        message="; ".join(body.messages),
-        measured=() if offset is None else (("clock_offset_s", f"{offset.seconds:.6f}"),),
-    )
+    found = (clips, annotations, sum(len(piece.joints) / SUIT_RATE for piece in body.pieces))
+    message = "; ".join(body.messages)
+    if offset is None:
+        return corpora.ReadRecording(*found, "none", None, message)
+    measured = (("clock_offset_s", f"{offset.seconds:.6f}"),)
+    return corpora.ReadRecording(*found, offset.method, offset.quality, message, measured)
 
 
 class NymeriaCorpus(corpora.Corpus):

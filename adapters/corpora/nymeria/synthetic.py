@@ -77,12 +77,9 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
     points[..., [0, 2]] += drift[:, None]
     joints = [int(_JOINT_OF_SEGMENT[name]) for name in skeleton.XSENS_SEGMENTS]
     turned = skeleton.rotation_matrices(motion.rotations[:, joints])
-    suit = Suit(
-        time_us=device_start_us + offset_us + ticks,
-        position=(np.rint(skeleton.z_up(points) * _ROUNDED) / _ROUNDED).astype(np.float32),
-        rotation=quaternion(_Z_UP_FROM_Y_UP @ turned @ _OURS_FROM_SEGMENT).astype(np.float32),
-        tpose=_calibration_pose(motion),
-    )
+    position = (np.rint(skeleton.z_up(points) * _ROUNDED) / _ROUNDED).astype(np.float32)
+    rotation = quaternion(_Z_UP_FROM_Y_UP @ turned @ _OURS_FROM_SEGMENT).astype(np.float32)
+    suit = Suit(device_start_us + offset_us + ticks, position, rotation, _calibration_pose(motion))
     device_start = device_start_us / 1e6
     answers = {
         kind: [name[len(nymeria.ANSWER_PREFIX) :].strip() for name in names]
