@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -101,13 +102,9 @@ def generate(model: DartModel, batch: ConditionBatch, settings: DartSettings) ->
     passes = 0
     primitives = _primitives(model, batch)
     for rows in parts_of_similar_cost(primitives, _LARGEST_PARTS[model.device.type != "cpu"]):
-        part = {}
-        for field in fields(bodies.batch):
-            value = getattr(bodies.batch, field.name)
-            if isinstance(value, np.ndarray):
-                part[field.name] = value[rows]
-            elif isinstance(value, tuple):
-                part[field.name] = tuple(value[row] for row in rows)
+        given = vars(bodies.batch)
+        part: dict[str, Any] = {name: value[rows] for name, value in given.items() if isinstance(value, np.ndarray)}
+        part |= {name: tuple(map(value.__getitem__, rows)) for name, value in given.items() if isinstance(value, tuple)}
         own, spent = _sampled(model, replace(bodies.batch, **part), settings)
         joints[rows, : own.shape[1]] = own
         passes += spent

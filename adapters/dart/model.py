@@ -86,10 +86,8 @@ class Frames(TensorRecord):
         rotations = fitted_rotations(joints)
         orientation = rotations[:, :, 0]
         pelvis = joints[:, :, Joint.PELVIS]
-        turn = orientation[:, 1:] @ orientation[:, :-1].mT
-        body = rows_of(rotations[:, :-1, 1:])
-        moves = (pelvis.diff(dim=1), turn, joints[:, :-1], joints.diff(dim=1))
-        return cls(pelvis[:, :-1], orientation[:, :-1], body, *moves)
+        moves = (pelvis.diff(dim=1), orientation[:, 1:] @ orientation[:, :-1].mT, joints[:, :-1], joints.diff(dim=1))
+        return cls(pelvis[:, :-1], orientation[:, :-1], rows_of(rotations[:, :-1, 1:]), *moves)
 
     @classmethod
     def unpack(cls, features: Float[Tensor, "batch frames 276"]) -> Frames:
@@ -478,8 +476,7 @@ class DartModel:
 def pooled_texts(vectors: TextVectors, texts: tuple[str, ...]) -> Embedded:
     """Return the mean of each text's token vectors; zeros for an empty text, which networks take for none."""
     # Text encoders give vectors for an empty text, too, and the networks know none by zeros.
-    said = torch.tensor([bool(text.strip()) for text in texts])
-    return pooled(*vectors(texts))[:, 0] * said[:, None]
+    return pooled(*vectors(texts))[:, 0] * torch.tensor([bool(text.strip()) for text in texts])[:, None]
 
 
 def scaling_of(weights: Weights) -> FeatureScaling:

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
 from prbench_adapters.dart import model as dart
-from prbench_adapters.diffusion.denoiser import TransformerLayer
+from prbench_adapters.diffusion.denoiser import Counts, TransformerLayer
 from prbench_adapters.diffusion.generation import Guidance
 from prbench_adapters.diffusion.noise_optimisation import Targets, chosen_wrist, last_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim, sample_ddpm
@@ -24,7 +24,6 @@ Numbers = Float[Tensor, " batch"]
 History = Float[Tensor, "batch history 276"]
 Latents = Float[Tensor, "batch 1 latent"]
 Poses = Float[Tensor, "batch 22 3"]  # metres
-Counts = Int[Tensor, " batch"]
 
 # Maps number and standardised history of a primitive to its clean latent, divided by the latents' std.
 SampleLatent = Callable[[int, History], Latents]
@@ -237,9 +236,8 @@ def optimise(
             # Linear to 0: the last steps settle, the first ones search.
             group["lr"] = settings.learning_rate * (1.0 - iteration / settings.iterations)
         with torch.enable_grad():
-            loss = goal_loss(motion(noise), n_frames, targets, settings)
             # Summed over sequences, none of which depends on another, so each gets its own gradient.
-            (gradient,) = torch.autograd.grad(loss.sum(), noise)
+            (gradient,) = torch.autograd.grad(goal_loss(motion(noise), n_frames, targets, settings).sum(), noise)
         # Length 1 over the latent of each primitive of each sequence.
         lengths = torch.linalg.vector_norm(gradient, dim=(2, 3), keepdim=True)
         noise.grad = gradient / lengths.clamp_min(_SHORTEST_GRADIENT)

@@ -29,15 +29,13 @@ from prbench.geometry.skeleton import N_JOINTS, PARENTS
 from prbench.randomness import sequence_generator
 from prbench.representation import N_FEATURES, UniformSkeleton
 from prbench_adapters.diffusion.configuration import EncodedCondition
-from prbench_adapters.diffusion.denoiser import Network, frame_mask
-from prbench_adapters.diffusion.goal_frame import bones, unit
+from prbench_adapters.diffusion.denoiser import Counts, Network, frame_mask
+from prbench_adapters.diffusion.goal_frame import Joints, bones, unit
 from prbench_adapters.diffusion.model import Feet, MotionModel, Reach
 from prbench_adapters.diffusion.sampling import sample_ddim, sample_ddpm
 
 Lengths = Int[np.ndarray, " batch"]  # frames
-Joints = Float[torch.Tensor, "batch frames 22 3"]  # metres
 Features = Float[Tensor, "batch frames features"]
-Counts = Int[Tensor, " batch"]
 
 _MOST_PADDING = 0.25  # of the shortest sequence of a part
 

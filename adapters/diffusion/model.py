@@ -8,19 +8,18 @@ from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError, UsageError
 from prbench.representation.tensors import decode
 from prbench.text import TextEncoder, text_encoder
 from prbench_adapters.diffusion.configuration import ConditionScaling, DenoiserConfiguration, EncodedCondition
-from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser, Network
+from prbench_adapters.diffusion.denoiser import Counts, Denoiser, FrameDenoiser, Network
 from prbench_adapters.diffusion.goal_frame import GoalFrame, smoothed
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.training.weights import Weights, read_weights
 
-Counts = Int[torch.Tensor, " batch"]
 Tokens = Float[torch.Tensor, "texts tokens dimension"]
 
 # Kept at once; of Nymeria's narrations in DistilBERT's vectors these are about 3 GB.

@@ -14,7 +14,7 @@ from typing import Literal
 
 import msgspec
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
@@ -22,7 +22,7 @@ from prbench.geometry.skeleton import Joint
 from prbench.randomness import named_generator
 from prbench.representation.features import JOINT_POSITIONS, N_FEATURES, ROOT_HEIGHT
 from prbench.text import text_encoder
-from prbench_adapters.diffusion.denoiser import from_zero, pooled, sinusoid_table
+from prbench_adapters.diffusion.denoiser import Counts, from_zero, pooled, sinusoid_table
 from prbench_adapters.diffusion.model import TextVectors, torch_device
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.tensors import TensorRecord
@@ -32,7 +32,6 @@ from prbench_adapters.training.weights import Weights, read_weights
 Matrix = Float[Tensor, "263 263"]
 Channels = Float[Tensor, "batch channels frames"]
 Hidden = Float[Tensor, "batch width frames"]
-Counts = Int[Tensor, " batch"]
 Signal = Float[Tensor, "batch frames channels"]
 Texts = Float[Tensor, "batch dimension"]
 Condition = Float[Tensor, "batch size"]
@@ -385,8 +384,7 @@ class GMDModel:
 
 def caption_vectors(texts: TextVectors, captions: tuple[str, ...]) -> Texts:
     """Return the mean over the word pieces of each caption."""
-    tokens, padding = texts(captions)
-    return pooled(tokens, padding)[:, 0]
+    return pooled(*texts(captions))[:, 0]
 
 
 def stored_space(weights: Weights) -> FeatureSpace:
@@ -395,8 +393,5 @@ def stored_space(weights: Weights) -> FeatureSpace:
     Raises:
         InputFileError: if one is missing or misshaped.
     """
-    return FeatureSpace.of(
-        weights.require("statistics.mean", (N_FEATURES,)),
-        weights.require("statistics.std", (N_FEATURES,)),
-        weights.require("projection", (N_FEATURES, N_FEATURES)),
-    )
+    shapes = {"statistics.mean": (N_FEATURES,), "statistics.std": (N_FEATURES,), "projection": (N_FEATURES, N_FEATURES)}
+    return FeatureSpace.of(*(weights.require(name, shape) for name, shape in shapes.items()))

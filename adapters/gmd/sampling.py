@@ -144,13 +144,12 @@ class Ends:
 
     def impute_poses(self, imputed: Imputed, space: FeatureSpace) -> Imputed:
         """Add root and joint positions of both frames; the goal's heading is that of its own joints."""
-        unturned = torch.zeros(len(self.first), device=self.first.device)
         values, where = (part.clone() for part in imputed)
         row = torch.arange(len(self.first), device=self.first.device)
         for pose, half_turn, frame in (
             # The first pose comes last and wins, should a motion have a single frame.
             (self.last, half_turn_of(self.last), self.n_frames - 1),
-            (self.first, unturned, torch.zeros_like(self.n_frames)),
+            (self.first, torch.zeros(len(self.first), device=self.first.device), torch.zeros_like(self.n_frames)),
         ):
             values[row, frame, :N_POSE] = space.standardised(pose_columns(pose, half_turn))
             where[row, frame, :N_POSE] = True

@@ -11,7 +11,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import nn
 
-from prbench.representation.features import StatisticsAccumulator
 from prbench_adapters.diffusion.goal_frame import smoothed
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.diffusion.sampling import CosineSchedule
@@ -203,10 +202,7 @@ class GMDTask:
             space = gmd.stored_space(start)
         else:
             # Statistics of the training split with absolute roots; x and z of the root share one deviation.
-            accumulator = StatisticsAccumulator()
-            for index in range(len(data.train)):
-                accumulator.add(gmd.with_absolute_root(torch.tensor(data.train[index].features)).numpy())
-            found = accumulator.result()
+            found = data.train.statistics(lambda features: gmd.with_absolute_root(torch.tensor(features)).numpy())
             projection = gmd.emphasis_projection(configuration.emphasis)
             space = gmd.FeatureSpace.of(torch.as_tensor(found.mean), torch.as_tensor(found.std), projection)
         origin = (texts.origin, *origin_of(start))

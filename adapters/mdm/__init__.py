@@ -57,4 +57,4 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> MD
 
 def training_task() -> object:
     """Make the task of ``prbench train --method mdm``: text to motion, in pre-training and fine-tuning alike."""
-    return late("diffusion.tasks:DiffusionTask")("mdm", goals=(), configurations="prbench_adapters.mdm")
+    return late("diffusion.training:DiffusionTask")("mdm", goals=(), configurations="prbench_adapters.mdm")

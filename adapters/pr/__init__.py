@@ -136,8 +136,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
 
 def training_task() -> object:
     """Make the task of ``prbench train --method pr``: text, initial state and goal. Pre-training may be ``mdm``'s."""
-    goals = ("pose", "location")
-    return late("diffusion.tasks:DiffusionTask")("pr", goals=goals, configurations="prbench_adapters.pr")
+    task = late("diffusion.training:DiffusionTask")
+    return task("pr", goals=("pose", "location"), configurations="prbench_adapters.pr")
 
 
 def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Condition, ...]) -> TrainedFor:

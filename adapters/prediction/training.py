@@ -417,8 +417,7 @@ def _started(
     if initial is None:
         command = f"prbench train --method {method} --data WINDOWS… --out DIR"
         raise UsageError(f"--init: {name} builds upon {what}. Train one first (`{command}`) and name its file.")
-    kind = "cvae" if method == "cvae" else records.AUTOENCODERS
-    start = read_weights(initial, kind=kind)
+    start = read_weights(initial, kind="cvae" if method == "cvae" else records.AUTOENCODERS)
     old = start.configuration(records.CVAERecord if method == "cvae" else records.AutoencodersRecord)
     for field in records.SeenWindows.__struct_fields__:
         now = getattr(seen, field)

@@ -179,8 +179,7 @@ class WindowsDataset(Dataset[WindowItem]):
         """Return the item of a stretch, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""
         place, epoch = index if isinstance(index, tuple) else (index, 0)
         row, starts = self._stretches[place]
-        generator = named_generator("prbench-training-window", self.seed, epoch, place)
-        start = int(starts[generator.integers(len(starts))])
+        start = int(starts[named_generator("prbench-training-window", self.seed, epoch, place).integers(len(starts))])
         run = self._runs[row]
         part = slice(start, start + self.shape.frames)
         direction = None

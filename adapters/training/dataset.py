@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -243,14 +243,17 @@ class SequenceDataset(Dataset[MotionItem]):
         """All distinct captions, sorted, so that each is encoded once."""
         return tuple(sorted({text for store in self._stores for row in range(len(store)) for text in store.texts(row)}))
 
-    def statistics(self) -> Statistics:
+    def statistics(self, change: Callable[[np.ndarray], np.ndarray] = lambda features: features) -> Statistics:
         """Mean and block-wise standard deviation of the raw features (docs/specification/humanml3d.md#normalisation).
 
         Over every frame of every row; of a row that is cut at random, over the part that epoch 0 shows.
+
+        Args:
+            change: Turns the features of an item into those that are measured.
         """
         accumulator = StatisticsAccumulator()
         for index in range(len(self)):
-            accumulator.add(self[index].features)
+            accumulator.add(change(self[index].features))
         return accumulator.result()
 
     def condition_statistics(self, goal: Goal) -> tuple[Float[np.ndarray, " size"], Float[np.ndarray, " size"]]:

@@ -47,11 +47,6 @@ class Weights:
     metadata: dict[str, str]
     digest: str
 
-    @property
-    def kind(self) -> str:
-        """Kind of network that the weights are of, such as ``denoiser``."""
-        return self.metadata.get("kind", "")
-
     def configuration(self, kind: type[_Configuration]) -> _Configuration:
         """Return the network's configuration from the header.
 
@@ -105,11 +100,8 @@ class Weights:
 
     def part(self, prefix: str) -> dict[str, torch.Tensor]:
         """Tensors whose names begin with ``prefix`` and a dot, without both."""
-        return {
-            name.removeprefix(f"{prefix}."): tensor
-            for name, tensor in self.tensors.items()
-            if name.startswith(f"{prefix}.")
-        }
+        head = f"{prefix}."
+        return {name.removeprefix(head): tensor for name, tensor in self.tensors.items() if name.startswith(head)}
 
     def load_into(self, module: torch.nn.Module, prefix: str) -> None:
         """Fill a module with the tensors ``<prefix>.<parameter>``.
@@ -207,11 +199,8 @@ def weights_header(kind: str, configuration: msgspec.Struct, representation: str
         configuration: Configuration of the network; is stored as JSON.
         representation: What the network sees, such as :func:`representation_entry` gives.
     """
-    return {
-        "kind": kind,
-        "configuration": msgspec.json.encode(configuration).decode(),
-        "representation": representation,
-    }
+    about = msgspec.json.encode(configuration).decode()
+    return {"kind": kind, "configuration": about, "representation": representation}
 
 
 def representation_entry(mode: str) -> str:

@@ -140,13 +140,11 @@ class WANDR:
 
 def _mirrored_where(left: Bool[np.ndarray, " batch"], batch: ConditionBatch) -> ConditionBatch:
     """Return the batch with the rows of left hands as a mirror shows them."""
-    assert batch.initial_joints is not None and batch.previous_joints is not None  # noqa: PT018
-    assert batch.goal_location is not None
-    initial = batch.initial_joints.copy()
-    previous = batch.previous_joints.copy()
-    goal = batch.goal_location.copy()
-    initial[left], previous[left], goal[left] = mirror(initial[left]), mirror(previous[left]), goal[left] * _MIRRORED
-    return replace(batch, initial_joints=initial, previous_joints=previous, goal_location=goal)
+    shown: dict[str, np.ndarray] = {}
+    for name in ("initial_joints", "previous_joints"):
+        shown[name] = np.where(left[:, None, None], mirror(getattr(batch, name)), getattr(batch, name))
+    goal = np.where(left[:, None], batch.goal_location * _MIRRORED, batch.goal_location)
+    return replace(batch, **shown, goal_location=goal)
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WANDR:

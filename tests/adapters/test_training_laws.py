@@ -26,7 +26,7 @@ from prbench_adapters.dart.training import Objective as DartObjective
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.method import bundled_weights
 from prbench_adapters.diffusion.model import network
-from prbench_adapters.diffusion.tasks import FREE_TO_CHANGE
+from prbench_adapters.diffusion.training import FREE_TO_CHANGE
 from prbench_adapters.diffusion.training import Objective as DenoiserObjective
 from prbench_adapters.gmd.model import GMDConfiguration, GMDNetworks
 from prbench_adapters.gmd.training import Objective as GMDObjective

@@ -159,8 +159,7 @@ class HumanML3DSource(corpora.CorpusRecording):
         joints = read_joints(self.joints)
         lines = read_texts(self.texts)
         clips, annotations = clips_of(self.identity, joints, lines, self.limits, load_manifest("humanml3d"))
-        duration = len(joints) / layout.RATE
-        return corpora.ReadRecording(clips, annotations, duration, message=remark_on(joints, lines))
+        return corpora.ReadRecording(clips, annotations, len(joints) / layout.RATE, message=remark_on(joints, lines))
 
 
 class HumanML3DCorpus(corpora.Corpus):

@@ -16,9 +16,9 @@ from prbench_adapters.training.configuration import (
     ValidationConfiguration,
 )
 from prbench_adapters.training.dataset import collate
+from prbench_adapters.training.run import Validation
 from prbench_adapters.training.state import WeightAverage, learning_rate
 from prbench_adapters.training.task import split_model_table
-from prbench_adapters.training.validation import Validation
 from tests.adapters.training.toy import toy
 from tests.fakes import fake_dataset
 
