@@ -10,15 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
 from prbench_adapters.diffusion.method import SingleModelMethod, bundled_names, require_goals_within_reach, resolve
-
-if TYPE_CHECKING:
-    from prbench_adapters.diffusion.model import MotionModel
-    from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
 
 DEFAULT_WEIGHTS = "mdm-small"
 _NO_PROMPT = "none"
@@ -32,9 +28,7 @@ class DNO(SingleModelMethod):
     name = "dno"
     conditions = frozenset({Condition.GOAL_POSE, Condition.GOAL_LOCATION})
 
-    def __init__(
-        self, model: MotionModel, weights: Path, settings: OptimisationSettings, *, prompt: str = _NO_PROMPT
-    ) -> None:
+    def __init__(self, model: Any, weights: Path, settings: Any, *, prompt: str = _NO_PROMPT) -> None:
         super().__init__(model, weights, settings)
         self.prompt = prompt
 

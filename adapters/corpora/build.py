@@ -285,9 +285,7 @@ def _write_corpus(
     receipts = [receipt for _, receipt, _ in finished]
     records, reused = _records(finished)
     statuses = Counter(record.status for record in records)
-    outcomes = Counter[str]()
-    for record in records:
-        outcomes.update(record.outcomes)
+    outcomes = sum((Counter(record.outcomes) for record in records), Counter[str]())
     info = CorpusInfo(
         schema_version=corpus_tables.CORPUS_SCHEMA_VERSION,
         **begun_with(protocol),

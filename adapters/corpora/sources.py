@@ -250,12 +250,12 @@ def chosen_recordings(
     return [by_name[name] for name in chosen_ids(sorted(by_name), options.recordings, options.limit, where=where)]
 
 
-# One corpus in a folder: the name under which it is built, the folder, and its recordings.
-FoundCorpus = tuple[str, Path, tuple[CorpusRecording, ...]]
+def find_corpora(root: Path) -> tuple[tuple[str, Path, tuple[CorpusRecording, ...]], ...]:
+    """Look for each corpus in the folder itself, and one folder below where there is nothing.
 
-
-def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
-    """Look for each corpus in the folder itself, and one folder below where there is nothing."""
+    Returns:
+        The name under which each is built, its folder, and its recordings.
+    """
     found = []
     below = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
     for name in CORPUS_MODULES:
@@ -324,6 +324,4 @@ def _neighbour(motion: np.ndarray, index: int, inwards: np.ndarray) -> tuple[np.
     """Return the frame just outside a clip: recorded, else continued with the speed of the two frames at that end."""
     if 0 <= index < len(motion):
         return motion[index].astype(np.float64), "recorded"
-    if len(inwards) < 2:
-        return inwards[0], "copied"
-    return 2 * inwards[0] - inwards[1], "extrapolated"
+    return (inwards[0], "copied") if len(inwards) < 2 else (2 * inwards[0] - inwards[1], "extrapolated")

@@ -114,10 +114,8 @@ class SyntheticCorpus(Corpus):
         limits = self.limits(options)
         sources = []
         for index in range(chosen.recordings):
-            person = identity_of(chosen.seed, index)
-            identity = RecordingIdentity(
-                DATASET, person.recording_id, person.participant_id, person.split, person.participant_id
-            )
+            who = identity_of(chosen.seed, index)
+            identity = RecordingIdentity(DATASET, who.recording_id, who.participant_id, who.split, who.participant_id)
             sources.append(SyntheticSource(identity, limits, None, None, index, chosen))
         return tuple(sources)
 

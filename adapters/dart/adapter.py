@@ -34,9 +34,6 @@ class DartControl(SingleModelMethod):
     name = "dart"
     conditions = frozenset({Condition.GOAL_POSE, Condition.GOAL_LOCATION})
 
-    model: DartModel
-    settings: DartSettings
-
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
         """Generate one motion for each row.
 

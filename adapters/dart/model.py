@@ -238,10 +238,6 @@ class DartSettings:
     guidance: float = 5.0
     hand: Hand = "right"
 
-    def __post_init__(self) -> None:
-        if self.iterations < 1:
-            raise ValueError(f"'iterations': expected 1 or more, found {self.iterations}.")
-
 
 def dart_settings(options: Mapping[str, str], *, diffusion_steps: int) -> DartSettings:
     """Return the settings that options ask for.

@@ -422,9 +422,7 @@ class DartTraining(TrainingModule):
         latents = []
         for frames in primitives_of(self.data, places, self.configuration, self.mean.device):
             features = dart.FeatureScaling(self.mean, self.std).standardised(frames)
-            latents.append(
-                self.vae.encode(features[:, : dart.HISTORY_FRAMES], features[:, dart.HISTORY_FRAMES :])[0].float()
-            )
+            latents.append(self.vae.encode(*features.tensor_split((dart.HISTORY_FRAMES,), dim=1))[0].float())
         self.latent_std.copy_(torch.cat(latents).std().clamp_min(1e-6))
 
     def weights(self) -> tuple[dict[str, Tensor], dict[str, str]]:

@@ -89,11 +89,6 @@ class OptimisationSettings:
     checkpointing: int = 0
     batch_size: int = 16
 
-    def __post_init__(self) -> None:
-        if min(self.ddim_steps, self.iterations) < 1:
-            problem = f"expected 1 or more, found {self.ddim_steps}, {self.iterations}."
-            raise ValueError(f"'ddim_steps', 'iterations': {problem}")
-
 
 def paper(diffusion_steps: int) -> OptimisationSettings:
     """All T steps of the training schedule, M = 400, learning rate 0.05, alpha 0.5 (*Prime and Reach*, section 5.1).
@@ -187,7 +182,6 @@ def optimisation_settings(
 
 
 Joints = Float[torch.Tensor, "batch frames 22 3"]
-_PerSequence = Values
 
 _SOFTNESS = 0.01  # m² of the soft minimum over wrists: 10 cm apart counts as a decision
 
@@ -202,9 +196,9 @@ class Losses:
         goal: The same for the goal pose, or the squared distance of the chosen wrist to the goal location, m².
     """
 
-    minimised: _PerSequence
-    initial: _PerSequence
-    goal: _PerSequence
+    minimised: Values
+    initial: Values
+    goal: Values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,7 +258,7 @@ def keyframes(joints: Joints, n_frames: Counts, targets: Targets, settings: Opti
     return Losses(torch.cat(errors, dim=1).mean(dim=1), initial.detach(), goal.detach())
 
 
-def _goal_losses(joints: Joints, n_frames: Counts, targets: Targets, hand: Hand) -> tuple[_PerSequence, _PerSequence]:
+def _goal_losses(joints: Joints, n_frames: Counts, targets: Targets, hand: Hand) -> tuple[Values, Values]:
     """Return the goal loss as reported and as minimised, m²; they differ for ``hand="nearest"`` only.
 
     Reported is then the nearer wrist's squared distance, minimised a soft minimum that is never above it, whose
@@ -293,7 +287,7 @@ def chosen_wrist(pose: Poses, location: Float[torch.Tensor, "batch 3"], hand: Ha
     return torch.where(left_nearer[:, None], left, right)
 
 
-def _squared_distance(predicted: Poses, wanted: Poses) -> _PerSequence:
+def _squared_distance(predicted: Poses, wanted: Poses) -> Values:
     """Mean over joints of the squared distance, m²."""
     return (predicted - wanted).square().sum(-1).mean(-1)
 
@@ -316,7 +310,7 @@ def _jerk_lengths(joints: Joints, n_frames: Counts) -> Float[torch.Tensor, "batc
     return torch.where(moving, torch.where(moving, squared, 1.0).sqrt(), 0.0)
 
 
-def largest_jerk(joints: Joints, n_frames: Counts) -> _PerSequence:
+def largest_jerk(joints: Joints, n_frames: Counts) -> Values:
     """Return the largest of :func:`_jerk_lengths`, 0 for fewer than four frames.
 
     Source: docs/specification/pr-model.md#latent-noise-optimisation.
@@ -325,7 +319,7 @@ def largest_jerk(joints: Joints, n_frames: Counts) -> _PerSequence:
     return lengths.amax(dim=1) if lengths.shape[1] else joints.new_zeros(len(joints))
 
 
-def jerk_norm(joints: Joints, n_frames: Counts, power: float) -> _PerSequence:
+def jerk_norm(joints: Joints, n_frames: Counts, power: float) -> Values:
     """(sum of jerk^power)^(1/power) over frames and joints: never below the largest jerk, near it for a high power.
 
     Its gradient reaches every place that is about as jerky as the worst one, where the maximum reaches one place only.
@@ -339,8 +333,6 @@ def jerk_norm(joints: Joints, n_frames: Counts, power: float) -> _PerSequence:
 _BETAS = (0.9, 0.999)
 _EPSILON = 1e-8
 _SHORTEST_GRADIENT = 1e-12
-
-Noise = Latent
 
 
 def learning_rate_factor(step: int, *, warmup: int, iterations: int) -> float:
@@ -417,14 +409,14 @@ class OptimisedMotions:
 
 
 # Is told the noise, the losses and other numbers of each iteration before its step.
-Watch = Callable[[Noise, Losses, dict[str, Any]], None]
+Watch = Callable[[Latent, Losses, dict[str, Any]], None]
 
 
 def optimise(
     decoder: Any,
     objective: Objective,
     targets: Targets,
-    noise: Noise,
+    noise: Latent,
     n_frames: Counts,
     seeds: Sequence[int],
     settings: OptimisationSettings,
@@ -449,13 +441,10 @@ def optimise(
         The motions decoded from the last noise, or from the best one, as ``settings.keep`` says.
     """
     batch, frames = noise.shape[:2]
-    found = OptimisedMotions(
-        noise.new_zeros((batch, frames, 22, 3)),
-        noise.detach().clone(),
-        noise.new_full((batch,), torch.inf),
-        noise.new_full((batch,), torch.inf),
-        torch.zeros(batch, dtype=torch.int64, device=noise.device),
-    )
+    joints = noise.new_zeros((batch, frames, 22, 3))
+    initial, goal = noise.new_full((2, batch), torch.inf)
+    passes = torch.zeros(batch, dtype=torch.int64, device=noise.device)
+    found = OptimisedMotions(joints, noise.detach().clone(), initial, goal, passes)
     # The rows that are still optimised; a sequence that is finished leaves, and the others go on as before.
     rows = torch.arange(batch, device=noise.device)
     noise = noise.detach()

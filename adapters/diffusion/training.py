@@ -385,13 +385,9 @@ class DiffusionTask:
         return DiffusionTraining(denoiser, statistics=statistics, scaling=scaling, **about)
 
 
-# Mean and standard deviation.
-_Statistics = tuple[torch.Tensor, torch.Tensor]
-
-
 def _scales(
     configuration: DenoiserConfiguration, start: Weights | None, data: TrainingData
-) -> tuple[_Statistics, ConditionScaling | None]:
+) -> tuple[tuple[torch.Tensor, torch.Tensor], ConditionScaling | None]:
     """Scales of features and of the condition vector: those of the initial weights where they have them."""
     # Asked first, because it refuses data without goals, whatever we start from.
     own = None if configuration.goal == "none" else data.train.condition_statistics(configuration.goal)

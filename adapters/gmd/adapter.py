@@ -32,9 +32,6 @@ class GMD(SingleModelMethod):
     name = "gmd"
     conditions = frozenset({Condition.GOAL_POSE})
 
-    model: GMDModel
-    settings: GMDSettings
-
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
         """Sample one motion for each row.
 

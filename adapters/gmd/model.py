@@ -35,7 +35,6 @@ Hidden = Float[Tensor, "batch width frames"]
 Signal = Float[Tensor, "batch frames channels"]
 Texts = Float[Tensor, "batch dimension"]
 Condition = Float[Tensor, "batch size"]
-Others = Float[Tensor, "batch width others"]
 
 # Half the turn of the heading since the first frame, radians.
 HEADING = slice(0, 1)
@@ -280,7 +279,7 @@ class _Level(nn.Module):
         self.blocks = nn.ModuleList(_ResidualBlock(before, width, condition_width) for before in inner)
         self.resample = resample
 
-    def forward(self, stream: Channels, condition: Condition) -> tuple[Hidden, Others]:
+    def forward(self, stream: Channels, condition: Condition) -> tuple[Hidden, Float[Tensor, "batch width others"]]:
         """Return the stream before and after the change of resolution."""
         for block in self.blocks:
             stream = block(stream, condition)

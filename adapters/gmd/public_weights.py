@@ -28,7 +28,7 @@ from prbench.files.storage import file_digest
 from prbench.limits import LARGEST_UNPACKED
 from prbench.representation.features import N_FEATURES
 from prbench.text import CLIP
-from prbench_adapters.gmd.model import KIND, N_ROOT, ROOT_XZ, FeatureSpace, GMDConfiguration, TemporalUNet
+from prbench_adapters.gmd.model import KIND, ROOT_XZ, FeatureSpace, GMDConfiguration, GMDNetworks, TemporalUNet
 from prbench_adapters.training.weights import representation_entry, weights_header, write_weights
 
 # SHA-256 of ``Mean_abs_3d.npy``, ``Std_abs_3d.npy`` and ``rand_proj.npy`` in the public repository.
@@ -279,12 +279,9 @@ def import_public(files: PublicFiles, out: Path) -> Imported:
     configuration = _configuration_of(motion, trajectory, emphasis)
     # The parameters of both networks by our names, ``motion.…`` and ``trajectory.…``.
     with torch.device("meta"):  # names and shapes alone
-        unets = (
-            TemporalUNet(N_FEATURES, configuration.motion_widths, configuration),
-            TemporalUNet(N_ROOT, configuration.trajectory_widths, configuration),
-        )
+        unets = GMDNetworks(configuration)
     networks = {}
-    for prefix, checkpoint, unet in zip(("motion", "trajectory"), (motion, trajectory), unets, strict=True):
+    for prefix, checkpoint, unet in (("motion", motion, unets.motion), ("trajectory", trajectory, unets.trajectory)):
         networks |= {f"{prefix}.{name}": tensor for name, tensor in parameters_of(checkpoint, unet).items()}
     tensors = {f"networks.{name}": tensor for name, tensor in networks.items()}
     tensors |= {"statistics.mean": space.mean, "statistics.std": space.std, "projection": space.projection}

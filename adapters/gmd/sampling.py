@@ -286,9 +286,7 @@ def sample_motion(
 
 def _root_loss(goal: RootGoal, settings: GMDSettings, restored: Callable[[Tensor], Tensor]) -> RowLoss | None:
     """Return the loss of the goal on a clean estimate; None if its gradient has no weight."""
-    if not settings.goal_scale:
-        return None
-    return lambda clean: goal.loss(restored(clean)[..., ROOT_XZ])
+    return (lambda clean: goal.loss(restored(clean)[..., ROOT_XZ])) if settings.goal_scale else None
 
 
 def _step(schedule: CosineSchedule, of_thousand: int) -> int:

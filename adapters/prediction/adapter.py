@@ -30,9 +30,6 @@ _PRECISIONS = {"float32": torch.float32, "float64": torch.float64}
 _SAME_TIME = 1e-6  # seconds
 
 
-Loaded = tuple[Path, SeenWindows, PredictorNetwork]  # A weights file in use, what it was trained on, and its network.
-
-
 class LearnedPredictor:
     """Draws futures with a trained network, one for each condition that there are weights for.
 
@@ -41,7 +38,7 @@ class LearnedPredictor:
         loaded: The networks, in evaluation mode.
     """
 
-    def __init__(self, name: str, loaded: Sequence[Loaded]) -> None:
+    def __init__(self, name: str, loaded: Sequence[tuple[Path, SeenWindows, PredictorNetwork]]) -> None:
         self.name = name
         self._loaded = {seen.condition: (path, seen, network) for path, seen, network in loaded}
         self.conditions = frozenset(self._loaded)

@@ -74,11 +74,6 @@ class UNetConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         """Numbers of the latent vector."""
         return self.height * self.width
 
-    @property
-    def embedding(self) -> int:
-        """Numbers of the vector of step and condition."""
-        return 4 * self.channels + self.condition
-
 
 class LatentUNet(nn.Module):
     """Predicts the clean latent vector from a noisy one, the step and the code of the past.
@@ -95,7 +90,7 @@ class LatentUNet(nn.Module):
         self.time = nn.Sequential(nn.Linear(channels, time), nn.SiLU(), nn.Linear(time, time))
         self.input = nn.Conv2d(1, channels, 3, padding=1)
         widths = [channels * multiple for multiple in configuration.multiples]
-        embedding = configuration.embedding
+        embedding = time + configuration.condition
         last = len(widths) - 1
         skips, inputs = [channels], channels
         self.down = nn.ModuleList()
@@ -375,6 +370,7 @@ class BeLFusion(nn.Module):
                 f" autoencoders for {behaviour.behaviour} and {behaviour.past}"
             )
         self.configuration, self.decoded_weight = behaviour, decoded_weight
+        self._context_start = behaviour.observed - behaviour.context
         self.past = PastAutoencoder(behaviour).requires_grad_(False)
         self.behaviour = BehaviourAutoencoder(behaviour).requires_grad_(False)
         self.denoiser = LatentUNet(unet)
@@ -454,10 +450,6 @@ class BeLFusion(nn.Module):
             clean = self.denoised(state, step, condition).clamp(-1.0, 1.0)
             state = float(of_clean[index]) * clean + float(of_state[index]) * state
             yield state, clean
-
-    @property
-    def _context_start(self) -> int:
-        return self.configuration.observed - self.configuration.context
 
 
 def _scaled(values: Tensor, smallest: Tensor, largest: Tensor) -> Tensor:

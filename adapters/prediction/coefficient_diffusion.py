@@ -30,7 +30,6 @@ Samples = Float[Tensor, "windows samples coefficients values"]
 Stream = Float[Tensor, "windows samples coefficients width"]
 Graph = Float[Tensor, "batch channels nodes steps"]
 Kept = Bool[Tensor, "windows samples"]
-Noise = Callable[[], Samples]  # The next standard normal noise of every sample.
 # What a stream is multiplied with for the scores of all heads, (windows, width, heads · coefficients), and the values,
 # (windows, heads, coefficients, width / heads).
 _Memory = tuple[Tensor, Tensor]
@@ -184,8 +183,7 @@ class GraphAttention(nn.Module):
 def _attention(tokens: Float[Tensor, "batch tokens size"], weights: Float[Tensor, "heads 2 size"]) -> Tensor:
     """Row i: how much token i takes of each token, averaged over the heads; no value projection makes that enough."""
     looking, looked_at = torch.einsum("bts,hps->pbht", tokens, weights)
-    scores = functional.leaky_relu(looking[..., :, None] + looked_at[..., None, :], _SLOPE)
-    return scores.softmax(dim=-1).mean(dim=1)
+    return functional.leaky_relu(looking[..., :, None] + looked_at[..., None, :], _SLOPE).softmax(dim=-1).mean(dim=1)
 
 
 class GraphEncoder(nn.Module):
@@ -483,11 +481,10 @@ class CoefficientDiffusion(nn.Module):
             clean = self.whitening(clean)
         level = torch.from_numpy(self.schedule.alphas_cumprod).to(clean)[step][:, None, None]
         noisy = level.sqrt() * clean + (1.0 - level).sqrt() * noise
-        predicted = self.denoiser(noisy[:, None], step, self._prepared(condition, kept))
         wanted = noise
         if self.configuration.predicts == "velocity":
             wanted = level.sqrt() * noise - (1.0 - level).sqrt() * clean
-        return (predicted[:, 0] - wanted).square().mean()
+        return (self.denoiser(noisy[:, None], step, self._prepared(condition, kept))[:, 0] - wanted).square().mean()
 
     @torch.no_grad()
     def predict(self, observed: Motion, seeds: Sequence[Sequence[int]]) -> Float[Tensor, "windows samples _ nodes 3"]:
@@ -538,7 +535,7 @@ class CoefficientDiffusion(nn.Module):
 
     @torch.no_grad()
     def states(
-        self, known: Coefficients, condition: Coefficients, noise: Noise, kept: Kept | None = None
+        self, known: Coefficients, condition: Coefficients, noise: Callable[[], Samples], kept: Kept | None = None
     ) -> Iterator[Samples]:
         """Walk from noise to clean coefficients by DDIM (η = 0), completed by the observation after every step.
 

@@ -46,9 +46,7 @@ class Ablation:
     @property
     def prior_name(self) -> str:
         """Folder name of the pre-training; rows with the same one share it. Empty without pre-training."""
-        if self.pretraining == "none":
-            return ""
-        return _folder_name("mdm", self.pretraining, self.pretrained_model)
+        return "" if self.pretraining == "none" else _folder_name("mdm", self.pretraining, self.pretrained_model)
 
     @property
     def training_name(self) -> str:
@@ -78,8 +76,7 @@ def load_ablations() -> tuple[Ablation, ...]:
     full = content["full"]
     rows = []
     for row in content["row"]:
-        changed = {key: full[key] | row.get(key, {}) for key in ("model", "options")}
-        rows.append(Ablation(**full | row | changed))
+        rows.append(Ablation(**full | row | {key: full[key] | row.get(key, {}) for key in ("model", "options")}))
     return tuple(rows)
 
 

@@ -47,7 +47,7 @@ class WindowChoice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     left_out: tuple[str, ...] = ()
 
 
-class SeenWindows(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class SeenWindows(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The windows that a network was trained on, and the only ones that it can predict."""
 
     condition: Condition
@@ -242,17 +242,10 @@ def _common_shape(tables: Sequence[WindowsTable], choice: WindowChoice) -> SeenW
     folders = [table.folder for table in tables]
     if len(set(folders)) < len(folders) or len(set(digests)) < len(digests):
         raise UsageError("a table of windows was given twice.")
-    shapes = {
-        table.folder: SeenWindows(
-            condition=choice.condition,
-            frame=choice.frame,
-            joint_set=table.info.joint_set,
-            fps=table.info.fps,
-            observed=table.info.observed_frames,
-            predicted=table.info.future_frames,
-        )
-        for table in tables
-    }
+    shapes = {}
+    for table in tables:
+        size = (table.info.joint_set, table.info.fps, table.info.observed_frames, table.info.future_frames)
+        shapes[table.folder] = SeenWindows(choice.condition, choice.frame, *size)
     if len(set(shapes.values())) > 1:
         found = "; ".join(
             f"{folder}: {shape.joint_set}, {shape.fps:g} frames a second, {shape.observed} + {shape.predicted} frames"
@@ -270,8 +263,7 @@ def _allowed_starts(run: Run, shape: SeenWindows, fewest_gaze: int) -> Int[np.nd
     bodies = np.concatenate(([0], np.cumsum(run.joints_valid)))
     gaze = np.concatenate(([0], np.cumsum(run.gaze_valid)))
     whole = bodies[shape.frames :] - bodies[:count] == shape.frames
-    looking = gaze[shape.observed : shape.observed + count] - gaze[:count] >= fewest_gaze
-    return np.flatnonzero(whole & looking)
+    return np.flatnonzero(whole & (gaze[shape.observed : shape.observed + count] - gaze[:count] >= fewest_gaze))
 
 
 Items = SequenceDataset | WindowsDataset

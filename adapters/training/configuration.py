@@ -193,8 +193,19 @@ def load_configuration(
         UsageError: for an unknown name (with those that exist) or an override that does not fit.
         InputFileError: if the file is no such configuration (naming the key).
     """
-    source, tables = _find(name, package, task)
-    return resolve(tables, source=source, stage=stage, overrides=overrides)
+    if name.endswith(".toml"):
+        return resolve(read_toml(Path(name)), source=Path(name), stage=stage, overrides=overrides)
+    known = list_configurations(package, task)
+    short = name.removeprefix(f"{task}-")
+    if short not in known:
+        hint = did_you_mean(short, known)
+        raise UsageError(
+            f"--config: '{task}' has no configuration '{name}'.{hint} There are: {', '.join(known) or 'none'};"
+            " or give the path of a .toml file."
+        )
+    file = f"{task}-{short}.toml"
+    tables = tomllib.loads(resources.files(package).joinpath(file).read_text(encoding="utf-8"))
+    return resolve(tables, source=Path(file), stage=stage, overrides=overrides)
 
 
 def resolve(
@@ -236,21 +247,6 @@ def as_toml(configuration: TrainingConfiguration) -> str:
         lines += [f"{key} = {_toml_value(value)}" for key, value in tables[name].items() if value is not None]
         lines.append("")
     return "\n".join(lines)
-
-
-def _find(name: str, package: str, task: str) -> tuple[Path, dict[str, Any]]:
-    if name.endswith(".toml"):
-        return Path(name), read_toml(Path(name))
-    known = list_configurations(package, task)
-    short = name.removeprefix(f"{task}-")
-    if short not in known:
-        hint = did_you_mean(short, known)
-        raise UsageError(
-            f"--config: '{task}' has no configuration '{name}'.{hint} There are: {', '.join(known) or 'none'};"
-            " or give the path of a .toml file."
-        )
-    file = f"{task}-{short}.toml"
-    return Path(file), tomllib.loads(resources.files(package).joinpath(file).read_text(encoding="utf-8"))
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

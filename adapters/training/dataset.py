@@ -24,6 +24,7 @@ from prbench_adapters.training import store as stores
 from prbench_adapters.training.configuration import DataConfiguration, TrainingConfiguration
 
 Goal = Literal["pose", "location"]
+_KNOWN = {"split": (*SPLITS, stores.REFIT), "crop": ("end", "random"), "mode": ("continuous", "reference")}
 # Metres, or metres a second: entries that hardly vary are not blown up.
 _STD_FLOOR = 0.01
 
@@ -168,13 +169,9 @@ class SequenceDataset(Dataset[MotionItem]):
         cache: Path | None = None,
         engine: Engine = IN_PROCESS,
     ) -> None:
-        for what, value, known in (
-            ("split", split, (*SPLITS, stores.REFIT)),
-            ("crop", crop, ("end", "random")),
-            ("mode", mode, ("continuous", "reference")),
-        ):
-            if value not in known:
-                raise UsageError(f"{what} '{value}' is not known; it is one of {', '.join(known)}.")
+        for what, value in (("split", split), ("crop", crop), ("mode", mode)):
+            if value not in _KNOWN[what]:
+                raise UsageError(f"{what} '{value}' is not known; it is one of {', '.join(_KNOWN[what])}.")
         if max_frames < 2:
             raise UsageError(f"max_frames is {max_frames}; an item needs at least 2 frames.")
         given = [tables] if isinstance(tables, SequenceTable | CorpusTable | Path | str) else list(tables)

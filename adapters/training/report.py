@@ -147,23 +147,18 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
         threads: Torch's threads, on which the last bits depend on a CPU.
     """
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else platform.machine()
+    made = ("method", "stage", "configuration", "data", "refit", "initial_weights_sha256", "devices")
     return {
+        **{name: msgspec.to_builtins(getattr(record, name)) for name in made},
         "card_version": _CARD_VERSION,
         "prbench": prbench.__version__,
-        "method": record.method,
-        "stage": record.stage,
         "finished": state.step >= record.configuration.training.steps,
         "steps": state.step,
         "parameters": sum(parameter.numel() for parameter in state.average.parameters.values()),
         "averaged": record.configuration.training.ema > 0,
         "device": f"{device.type} ({name})",
-        "devices": record.devices,
         "threads": threads,
         "packages": package_versions(_PACKAGES),
-        "configuration": msgspec.to_builtins(record.configuration),
-        "data": msgspec.to_builtins(record.data),
-        "refit": record.refit,
-        "initial_weights_sha256": record.initial_weights_sha256,
         "learned_from": list(state.module.origin),
         "learning_curve": thinned(state.rows, _CURVE_POINTS),
         "validation": state.validations,

@@ -208,8 +208,7 @@ def run(
         reports.require_same_training(request.out, record)
         given = data
         if isinstance(data, SequenceDataset):
-            shape = configuration.data
-            given = TrainingData(data, mode=shape.mode, max_frames=shape.max_frames, fps=data.fps)
+            given = TrainingData(data, mode=data.mode, max_frames=data.max_frames, fps=data.fps)
         # What a process drew before must not decide the initial weights: they follow from the seed alone.
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
@@ -249,9 +248,8 @@ def run(
         if fabric.is_global_zero:
             raise  # one process speaks for all; Fabric would kill it if another left with a code that is not 0
         raise SystemExit(0) from stopped
-    if not fabric.is_global_zero:
-        return None
-    return TrainedNetwork(weights=request.out / reports.WEIGHTS, steps=state.step)
+    trained = TrainedNetwork(weights=request.out / reports.WEIGHTS, steps=state.step)
+    return trained if fabric.is_global_zero else None
 
 
 def _data(request: TrainRequest, task: TrainingTask, configuration: TrainingConfiguration, engine: Engine) -> Items:

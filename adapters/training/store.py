@@ -230,14 +230,10 @@ class FeatureStore:
             first, last = block[f"{name}_offsets"][place : place + 2]
             parts[name] = block[name][first:last]
         others = {name: block[name][place] for name in ("previous_joints", "next_joints", "goal_location")}
-        features = parts["features"]
-        return Motion(joints=parts["joints"], **others), features if len(features) else None
+        return Motion(joints=parts["joints"], **others), parts["features"] if len(parts["features"]) else None
 
-    def __getstate__(self) -> Path:
-        return self.path
-
-    def __setstate__(self, path: Path) -> None:
-        self.__init__(path)
+    def __reduce__(self) -> tuple[type[FeatureStore], tuple[Path]]:
+        return FeatureStore, (self.path,)
 
 
 Crop = Literal["end", "random"]

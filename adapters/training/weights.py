@@ -22,7 +22,7 @@ from safetensors import SafetensorError
 
 from prbench.errors import InputFileError
 from prbench.files.bounded import foreign_input, read_whole, require
-from prbench.files.storage import atomic_path, bytes_digest, write_json
+from prbench.files.storage import bytes_digest, write_bytes, write_json
 from prbench.limits import LARGEST_HEADER
 
 _FORMAT = "prbench-weights"
@@ -172,8 +172,7 @@ def write_weights(
     text = json.dumps(found, separators=(",", ":"), ensure_ascii=False).encode()
     text += b" " * (-len(text) % 8)  # tensors begin at a multiple of 8
     content = struct.pack("<Q", len(text)) + text + content[8 + length :]
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(content)
+    write_bytes(path, content)
     write_json(path.with_suffix(".json"), {**card, "weights": path.name, "weights_sha256": bytes_digest(content)})
 
 

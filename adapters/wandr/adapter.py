@@ -21,7 +21,7 @@ from prbench.geometry.skeleton import Joint
 from prbench.randomness import sequence_generator
 from prbench.representation import check_joints, mirror
 from prbench_adapters.diffusion.generation import choice, number, require_known
-from prbench_adapters.diffusion.method import own_weights, require_goals_within_reach
+from prbench_adapters.diffusion.method import SingleModelMethod, own_weights, require_goals_within_reach
 from prbench_adapters.diffusion.model import torch_device
 from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.kinematics import rest_offsets
@@ -56,7 +56,7 @@ class Start:
     n_frames: Int[torch.Tensor, " batch"]
 
 
-class WANDR:
+class WANDR(SingleModelMethod):
     """Moves a body frame by frame, so that its wrist is at the goal in the last one.
 
     Args:
@@ -74,12 +74,8 @@ class WANDR:
     def __init__(
         self, network: WandrNetwork, weights: Path, *, hand: Hand = "right", most_speed: float | None = None
     ) -> None:
-        self.network, self.weights, self.hand, self.most_speed = network, weights, hand, most_speed
-        self.native_fps = network.configuration.fps
-
-    def weights_for(self, condition: Condition) -> Path:  # noqa: ARG002 - one model
-        """Return the weights file in use."""
-        return self.weights
+        super().__init__(network, weights, None)
+        self.network, self.hand, self.most_speed = network, hand, most_speed
 
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
         """Generate one motion for each row.

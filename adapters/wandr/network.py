@@ -143,8 +143,7 @@ def intentions(
     # The velocity that would bring the wrist to the goal just in time.
     velocity = _turned(yaw, goal - wrist) / (frames_left / fps + _SECONDS)
     if most_speed < math.inf:
-        speed = velocity.norm(dim=-1, keepdim=True)
-        velocity = velocity * (most_speed / speed.clamp_min(most_speed))
+        velocity = velocity * (most_speed / velocity.norm(dim=-1, keepdim=True).clamp_min(most_speed))
     approach = _turned(yaw, goal - pelvis)
     distance = approach.norm(dim=-1, keepdim=True)
     # Saturates with the distance: a goal ten metres away asks for no faster walk than one four metres away.

@@ -377,12 +377,11 @@ _LEAST_SEEN = 0.02
 _LEAST_DELTA = 1e-3
 
 
-@dataclass(frozen=True)
 class WandrTask:
     """A training task (:class:`prbench_adapters.training.task.TrainingTask`)."""
 
-    name: str = "wandr"
-    configurations: str = "prbench_adapters.wandr"
+    name = "wandr"
+    configurations = "prbench_adapters.wandr"
 
     def build(self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str) -> WandrTraining:
         """Make the network in its state before the first step.

@@ -113,12 +113,9 @@ def clips_of(
     return tuple(clips), tuple(annotations)
 
 
-_Fate = tuple[str, float | None, float | None, tuple[Piece, int, int] | None]
-
-
 def _placed(
     span: Narration, pieces: Sequence[Piece], offset: ClockOffset | None, limits: corpora.ClipLimits, coverage: float
-) -> _Fate:
+) -> tuple[str, float | None, float | None, tuple[Piece, int, int] | None]:
     """Return what becomes of a span: outcome, deciding number, threshold, and its place in the motion if it has one.
 
     The place is a piece, the native frame on which the clip begins, and the frames of the corpus that are there.
