@@ -367,8 +367,7 @@ class DartTraining(TrainingModule):
                         "deltas": (weights.vae_delta_weight, deltas),
                     }
                     # Gradients do not run through the history: each primitive learns for itself.
-                    ended = next_history(predicted)[0]
-                    own = ended.each(torch.Tensor.detach)
+                    own = next_history(predicted)[0].each(torch.Tensor.detach)
                 else:
                     losses = {
                         "latent": (weights.latent_weight, huber(latent.float(), clean.float())),

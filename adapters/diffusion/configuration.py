@@ -129,7 +129,7 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
         if goal is None or batch.initial_joints is None or batch.previous_joints is None:
             raise ValueError(f"a model of goals of kind '{self.goal}' cannot use '{batch.condition.value}'")
         given = (batch.initial_joints, batch.previous_joints, goal)
-        return raw_condition(*(torch.as_tensor(part, dtype=torch.float32) for part in given), batch.fps)
+        return raw_condition(*(torch.as_tensor(part, dtype=torch.float32) for part in given), fps=batch.fps)
 
 
 @dataclass(frozen=True)

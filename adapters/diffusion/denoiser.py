@@ -155,8 +155,7 @@ def _attend(query: Tensor, key: Tensor, value: Tensor, visible: Tensor | None, d
         scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
         if visible is not None:
             scores = scores.masked_fill(~visible, -math.inf)
-        weights = functional.dropout(scores.softmax(dim=-1), dropout)
-        attended = weights.to(value.dtype) @ value
+        attended = functional.dropout(scores.softmax(dim=-1), dropout).to(value.dtype) @ value
     else:
         attended = functional.scaled_dot_product_attention(query, key, value, attn_mask=visible, dropout_p=dropout)
     return attended.transpose(1, 2).flatten(2)

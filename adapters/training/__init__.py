@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from prbench_adapters.training.loop import fit
     from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask
 
-_HOMES = dict.fromkeys(("MotionBatch", "MotionItem", "SequenceDataset", "collate"), "dataset")
+_HOMES: dict[str, str] = dict.fromkeys(("MotionBatch", "MotionItem", "SequenceDataset", "collate"), "dataset")
 _HOMES |= dict.fromkeys(("TrainingData", "TrainingModule", "TrainingTask"), "task")
 _HOMES |= {"LengthBatches": "batches", "fit": "loop"}
 

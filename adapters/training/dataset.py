@@ -110,7 +110,7 @@ def collate(items: Sequence[MotionItem]) -> MotionBatch:
         for name in ("initial_joints", "previous_joints", "goal_joints", "goal_location")
     )
     texts, names = (tuple(getattr(item, name) for item in items) for name in ("text", "sequence_id"))
-    return MotionBatch(features, joints, padding, n_frames, texts, *conditions, rates.pop(), names)
+    return MotionBatch(features, joints, padding, n_frames, texts, *conditions, fps=rates.pop(), sequence_id=names)
 
 
 def _padded(arrays: list[np.ndarray]) -> torch.Tensor:

@@ -136,6 +136,7 @@ class WANDR(SingleModelMethod):
 
 def _mirrored_where(left: Bool[np.ndarray, " batch"], batch: ConditionBatch) -> ConditionBatch:
     """Return the batch with the rows of left hands as a mirror shows them."""
+    assert batch.goal_location is not None
     shown: dict[str, np.ndarray] = {}
     for name in ("initial_joints", "previous_joints"):
         shown[name] = np.where(left[:, None, None], mirror(getattr(batch, name)), getattr(batch, name))
@@ -187,13 +188,13 @@ def roll_out(
     delta = start.delta
     joints = [state.joints(start.offsets)]
     for step in range(noise.shape[1]):
-        left = (start.n_frames - 1 - step).clamp_min(1)  # padding goes on as in its last frame
         intention = intentions(
             state.yaw,
             wrist=joints[-1][:, Joint.RIGHT_WRIST],
             pelvis=joints[-1][:, Joint.PELVIS],
             goal=start.goal,
-            frames_left=left[:, None].to(start.goal),
+            # Padding goes on as in its last frame.
+            frames_left=(start.n_frames - 1 - step).clamp_min(1)[:, None].to(start.goal),
             fps=network.configuration.fps,
             most_speed=most_speed,
         )

@@ -67,7 +67,7 @@ def clips_of(
             fate = ("outside_motion", available / limits.fps, 0.0)
         elif available < limits.shortest:
             fate = ("too_short", available / limits.fps, limits.shortest / limits.fps)
-        outcome, *decisive = fate
+        outcome, value, threshold = fate
         if outcome == "clip":
             n_frames = min(available, limits.longest)
             clip = corpora.cut_clip(
@@ -101,8 +101,8 @@ def clips_of(
                 own = "duplicate"
             seen.add(caption.text)
             whose = (f"{recording}/{number}", identity.recording_id, sequence_id if own == "clip" else None)
-            why = (own, *decisive) if own == outcome else (own,)
-            annotations.append(Annotation(*whose, kind, caption.text, start, end, *why))
+            decisive = (value, threshold) if own == outcome else (None, None)
+            annotations.append(Annotation(*whose, kind, caption.text, start, end, own, *decisive))
     return tuple(clips), tuple(annotations)
 
 

@@ -108,8 +108,9 @@ def clips_of(
         for number, (caption, own) in enumerate(texts):
             decided = outcome if own == "clip" else own
             whose = (f"{name}/{number}", identity.recording_id, sequence_id if decided == "clip" else None)
-            why = (decided, value, threshold) if own == "clip" else (decided,)
-            annotations.append(Annotation(*whose, caption.kind, caption.text, rows[0].start, rows[0].end, *why))
+            described = (caption.kind, caption.text, rows[0].start, rows[0].end, decided)
+            decisive = (value, threshold) if own == "clip" else (None, None)
+            annotations.append(Annotation(*whose, *described, *decisive))
     return tuple(clips), tuple(annotations)
 
 
@@ -134,8 +135,7 @@ def _placed(
     for piece in pieces:
         first = max(int(np.ceil((start - piece.start) * SUIT_RATE - _ROUNDING)), 0)
         wanted = int(np.floor((end - max(start, piece.start)) * limits.fps + _ROUNDING))
-        available = (len(piece.joints) - 1 - first) // stride + 1
-        places.append((piece, first, max(min(wanted, available), 0)))
+        places.append((piece, first, max(min(wanted, (len(piece.joints) - 1 - first) // stride + 1), 0)))
     place = max(places, key=lambda place: place[2])
     share = place[2] / limits.fps / length
     # Frames are counted whole, so that a span may lose up to one of them.
