@@ -164,8 +164,7 @@ class CVAE(nn.Module):
             ``loss``, the weighted sum, and its parts: sums over frames and values, averaged over windows, m².
         """
         mean, log_variance = self.posterior_of(observed, future)
-        latent = mean + (0.5 * log_variance).exp() * noise
-        reconstruction = self.decode(observed, latent[:, None])[:, 0]
+        reconstruction = self.decode(observed, (mean + (0.5 * log_variance).exp() * noise)[:, None])[:, 0]
         n = len(observed)
         squared_error = (reconstruction - future).square().sum() / n
         # Tied to the last observed pose and not to the next true one, as published.

@@ -63,8 +63,7 @@ def make_fabric(device: str, *, devices: int = 1, precision: str = "32-true", sp
     if number and devices > 1:
         raise UsageError(f"--device {device} names one device; leave the number out to use {devices} of them.")
     available = {"cpu": None, "cuda": torch.cuda.device_count(), "mps": int(torch.backends.mps.is_available())}[kind]
-    wanted = int(number) + 1 if number else devices
-    if available is not None and available < wanted:
+    if available is not None and available < (int(number) + 1 if number else devices):
         why = f"torch {torch.__version__} finds {available or 'no'} such device{'s' if available != 1 else ''} here."
         remedy = "Use --device cpu, or install a build of torch for your GPU and its driver."
         raise UsageError(f"--device {device}{f' --devices {devices}' if devices > 1 else ''}: {why} {remedy}")

@@ -105,8 +105,17 @@ def encoded(motion: Motion, mode: Mode, *, name: str) -> Float[np.ndarray, "n 26
     return encode(motion.joints, next_joints=motion.next_joints, mode=mode, source=name, upright=False)
 
 
-# One row of a table, as training uses it: its id, all captions (a sequence of P&R has one), and the motion.
-Row = tuple[str, tuple[str, ...], Motion]
+@dataclass(frozen=True)
+class Row:
+    """One row of a table, as training uses it.
+
+    Attributes:
+        texts: All captions; a sequence of P&R has one.
+    """
+
+    sequence_id: str
+    texts: tuple[str, ...]
+    motion: Motion
 
 
 @foreign_input()
@@ -139,7 +148,7 @@ def read_rows(table: Table, split: str) -> Iterator[list[Row]]:
         rows = []
         for i, name in enumerate(chunk.sequence_ids):
             joints = chunk.joints[chunk.offsets[i] : chunk.offsets[i + 1]]
-            rows.append((name, texts[i], Motion(joints, before[i], after[i], goals[i].astype(np.float32))))
+            rows.append(Row(name, texts[i], Motion(joints, before[i], after[i], goals[i].astype(np.float32))))
         yield rows
 
 
@@ -324,7 +333,9 @@ def _encoded_rows(rows: list[Row], encoding: DataConfiguration) -> tuple[pa.Reco
     left_out: list[LeftOut] = []
     stored: list[tuple] = []  # in the order of the columns
     longest = encoding.max_frames
-    for name, texts, motion in rows:
+    for row in rows:
+        name = row.sequence_id
+        motion = row.motion
         try:
             if motion.n_frames > longest and encoding.crop == "end":
                 motion = cut(motion, motion.n_frames - longest, longest, name=name)
@@ -339,6 +350,6 @@ def _encoded_rows(rows: list[Row], encoding: DataConfiguration) -> tuple[pa.Reco
             continue
         joints = motion.joints.reshape(motion.n_frames, -1)
         beside = (motion.previous_joints, motion.next_joints, motion.goal_location)
-        stored.append((name, list(texts), motion.n_frames, joints, *beside, features))
+        stored.append((name, list(row.texts), motion.n_frames, joints, *beside, features))
     arrays = [column([row[place] for row in stored], kind) for place, kind in enumerate(_COLUMNS.values())]
     return pa.RecordBatch.from_arrays(arrays, schema=_SCHEMA), left_out

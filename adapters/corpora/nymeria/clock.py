@@ -138,10 +138,9 @@ def best_agreement(first: Signal, second: Signal, rate: float) -> tuple[float, f
     n = np.maximum(count, 1.0)
     sum_a = correlate(a, masks[1])
     sum_b = correlate(masks[0], b)
-    covariance = correlate(a, b) - sum_a * sum_b / n
     spread_a = np.maximum(correlate(a * a, masks[1]) - sum_a**2 / n, 1e-9)
     spread_b = np.maximum(correlate(masks[0], b * b) - sum_b**2 / n, 1e-9)
-    score = np.where(enough, covariance / np.sqrt(spread_a * spread_b), -1.0)
+    score = np.where(enough, (correlate(a, b) - sum_a * sum_b / n) / np.sqrt(spread_a * spread_b), -1.0)
     best = int(score.argmax())
     away = np.abs(np.arange(len(score)) - best) > _SECOND_PEAK_AWAY * rate
     # The first score belongs to the lag -len(b) + 1; a parabola through three samples tells where the top is.
@@ -165,8 +164,7 @@ def offset_by_starts(
     start, end = clean.span
     slack = thresholds["start_slack"]
     offset = start + thresholds["start_lead"] - min(row.start for row in narrations)
-    first = min(row.start for row in narrations) + offset
     last = max(row.end for row in narrations) + offset
-    if first < start - slack or last > end + slack:
+    if (min(row.start for row in narrations) + offset) < start - slack or last > end + slack:
         return None, f"with aligned starts the texts end {last - end:.1f} s after the suit"
     return ClockOffset("start_alignment", offset), ""
