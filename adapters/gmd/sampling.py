@@ -36,9 +36,8 @@ class RootGoal:
 
     def loss(self, root: Float[Tensor, "batch frames 2"]) -> Float[Tensor, " batch"]:
         """Mean error of each row over its own wanted coordinates, metres, of the pelvis on the ground."""
-        wanted = 2.0 * self.wanted.sum(dim=1)
         error = torch.where(self.wanted[..., None], (root - self.xz).abs(), 0.0)
-        return error.sum(dim=(1, 2)) / wanted.clamp_min(1)
+        return error.sum(dim=(1, 2)) / (2.0 * self.wanted.sum(dim=1)).clamp_min(1)
 
     def line(self) -> RootGoal:
         """Return way at constant speed from each wanted frame to the next, and to the first from the origin at frame 0.

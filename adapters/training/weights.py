@@ -47,6 +47,11 @@ class Weights:
     metadata: dict[str, str]
     digest: str
 
+    @property
+    def kind(self) -> str:
+        """Kind of network that the weights are of, such as ``denoiser``."""
+        return self.metadata.get("kind", "")
+
     def configuration(self, kind: type[_Configuration]) -> _Configuration:
         """Return the network's configuration from the header.
 

@@ -44,7 +44,7 @@ def test_what_is_read_is_what_was_written(path, tensors):
     weights.require_representation("continuous")
     assert weights.tensors.keys() == tensors.keys()
     assert all(torch.equal(weights.tensors[name], tensor) for name, tensor in tensors.items())
-    assert weights.metadata["kind"] == "denoiser"
+    assert weights.kind == "denoiser"
     assert weights.configuration(Network) == Network(width=3)
     assert weights.digest == file_digest(path)
 
