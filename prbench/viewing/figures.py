@@ -30,9 +30,7 @@ Flat = Float[np.ndarray, "n 2"]
 Flatten = Callable[[np.ndarray], np.ndarray]  # maps points (..., 3) to a picture's coordinates
 
 # Corners of a box that an edge joins, where a corner's number has a bit for each axis.
-BOX_EDGES: tuple[tuple[int, int], ...] = (
-    (0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7), (6, 7),
-)  # fmt: skip
+BOX_EDGES = tuple((corner, corner | bit) for corner in range(8) for bit in (1, 2, 4) if not corner & bit)
 
 
 # Metres; each bone has the thickness of the joint at its end.

@@ -17,7 +17,7 @@ from prbench.errors import InputFileError
 from prbench.geometry.skeleton import invert_rigid, transform_points
 from prbench.geometry.timelines import covered
 from prbench.readers.files import Triangles, read_triangles
-from prbench.recording import ObjectTrack, Recording
+from prbench.recording import Recording
 from prbench.sequences import SequenceChunk, SequenceTable
 from prbench.viewing.player.document import PlayerMesh, PlayerObject, PlayerSequence, metres, packed
 from prbench.viewing.replay.scene import Progress
@@ -82,10 +82,18 @@ def _with(sequence: PlayerSequence, chunk: SequenceChunk, recording: Recording, 
     seen = np.concatenate([chunk.joints.reshape(-1, 3), chunk.vectors("goal_location")])
     near = []
     for track in recording.objects:
-        shown = _object(track, times, canonical_from_world)
-        if shown is not None:
-            distance = float(np.linalg.norm(seen - np.mean(shown.box, axis=0), axis=1).min())
-            near.append((distance, track.object_id, shown))
+        if len(track.times) > 1 and not covered(track.times, track.valid, times, max_gap=_LONGEST_GAP).all():
+            continue
+        # The object as it is at the first frame, and its path if it moves from there.
+        position, rotation = track.pose_at(times)
+        turned = Rotation.from_quat(rotation, scalar_first=True)
+        centre = position + turned.apply((track.box_min + track.box_max) / 2)
+        path = transform_points(canonical_from_world, centre)
+        corners = np.array(list(itertools.product(*zip(track.box_min, track.box_max, strict=True))))
+        box = metres(transform_points(canonical_from_world, turned[0].apply(corners) + position[0]))
+        moves = np.linalg.norm(path - path[0], axis=1).max() > _MOVES
+        shown = PlayerObject(name=track.name, box=box, path=packed(path) if moves else None)
+        near.append((float(np.linalg.norm(seen - np.mean(box, axis=0), axis=1).min()), track.object_id, shown))
     nearest = sorted(near, key=lambda each: each[:2])[:MOST_OBJECTS]
     mesh = None
     if scan is not None:
@@ -97,22 +105,6 @@ def _with(sequence: PlayerSequence, chunk: SequenceChunk, recording: Recording, 
         mesh = PlayerMesh(vertices=packed(vertices), triangles=triangles.astype("<u4").tobytes())
     objects = [shown for distance, _, shown in nearest if distance <= _AROUND]
     return msgspec.structs.replace(sequence, objects=objects, mesh=mesh)
-
-
-def _object(
-    track: ObjectTrack, times: Float[np.ndarray, " n"], canonical_from_world: Float[np.ndarray, "4 4"]
-) -> PlayerObject | None:
-    """Return an object as it is at the first frame and moves from there; None where it is not seen all the time."""
-    if len(track.times) > 1 and not covered(track.times, track.valid, times, max_gap=_LONGEST_GAP).all():
-        return None
-    position, rotation = track.pose_at(times)
-    turned = Rotation.from_quat(rotation, scalar_first=True)
-    centre = position + turned.apply((track.box_min + track.box_max) / 2)
-    path = transform_points(canonical_from_world, centre)
-    corners = np.array(list(itertools.product(*zip(track.box_min, track.box_max, strict=True))))
-    box = transform_points(canonical_from_world, turned[0].apply(corners) + position[0])
-    moves = np.linalg.norm(path - path[0], axis=1).max() > _MOVES
-    return PlayerObject(name=track.name, box=metres(box), path=packed(path) if moves else None)
 
 
 def decimated(vertices: Float[np.ndarray, "_ 3"], triangles: Int[np.ndarray, "_ 3"], most: int) -> Triangles:
