@@ -141,8 +141,7 @@ def _body(gltf: _Gltf, rest: Float[np.ndarray, "22 3"], colour: str) -> list[dic
         shade = _linear(colour)
         mesh: Any = trimesh.util.concatenate(parts)
         primitive = gltf.primitive(mesh, 0.5 + 0.5 * shade if is_left else shade)
-        of_bone = np.zeros((len(bones[is_left]), 4), dtype=np.uint8)
-        of_bone[:, 0] = bones[is_left]
+        of_bone = np.pad(np.array(bones[is_left], dtype=np.uint8)[:, None], ((0, 0), (0, 3)))
         primitive["attributes"]["JOINTS_0"] = gltf.add(of_bone)
         primitive["attributes"]["WEIGHTS_0"] = gltf.add(np.tile((1.0, 0.0, 0.0, 0.0), (len(of_bone), 1)))
         primitives.append(primitive)

@@ -65,17 +65,16 @@ def write(scene: Scene, path: Path, about: dict[str, Any], request: ExportReques
     for motion in scene.motions:
         entity = re.sub(r"[^a-z0-9]+", "_", motion.label.lower())
         heads = head_rays(motion.joints, scene.head_tilt_deg, scene.goal_location, _RAY)
-        looks = None
-        if motion.gaze is not None:
-            looks = rays(motion.gaze.origin, motion.gaze.direction, scene.goal_location, _RAY)
+        gaze = motion.gaze
+        looks = None if gaze is None else rays(gaze.origin, gaze.direction, scene.goal_location, _RAY)
         for frame, seconds in enumerate(scene.times):
             at(seconds)
             bones = bone_segments(motion.joints[frame])
             stream.log(f"{entity}/bones", rr.LineStrips3D(bones, radii=0.015, colors=rgb(motion.colour)))
             stream.log(f"{entity}/joints", rr.Points3D(motion.joints[frame], radii=0.02, colors=rgb(motion.colour)))
             stream.log(f"{entity}/head_ray", rr.LineStrips3D([heads[frame]], colors=rgb(motion.colour)))
-            if looks is not None and motion.gaze is not None:
-                shown = [looks[frame]] if motion.gaze.valid[frame] else []
+            if looks is not None and gaze is not None:
+                shown = [looks[frame]] if gaze.valid[frame] else []
                 stream.log(f"{entity}/gaze", rr.LineStrips3D(shown, colors=rgb(GAZE_COLOUR)))
     if request.recordings is not None:
         for entity, seconds, points in _streams(scene, recording_of(scene, request.recordings)):
