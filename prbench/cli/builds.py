@@ -25,9 +25,7 @@ if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
     from prbench.readers import AnnotationCounts
     from prbench.readers.discover import BrokenDataset
-    from prbench.sequences import Recording
-    from prbench.sequences.corpus import CorpusRecord
-    from prbench.sequences.parts import ShardReport
+    from prbench.sequences import Recording, corpus, parts
 
 # Exit code of a command that finished, but had to leave out something that could not be read.
 NOT_EVERYTHING = 3
@@ -80,7 +78,7 @@ def print_stages(title: str, stages: Iterable[FunnelRow]) -> None:
     print_table(title, ("stage", "kept", "dropped", "why"), rows, numbers=(1, 2))
 
 
-def note_unread(records: Sequence[Recording | CorpusRecord], *, reused: int) -> None:
+def note_unread(records: Sequence[Recording | corpus.CorpusRecord], *, reused: int) -> None:
     """Name the recordings that are not in the result, and why; and of each remark on the others the first."""
     if reused:
         note(f"{reused} recordings were taken over from an interrupted build.")
@@ -242,14 +240,14 @@ def build_dataset(
     return shard_answer(report, len(report.records), unit="recordings", complete=complete)
 
 
-def made_shard(report: ShardReport[Any], made_of: int) -> opt.MadeShard:
+def made_shard(report: parts.ShardReport[Any], made_of: int) -> opt.MadeShard:
     """Return the report of one shard of a build that is made of so many items."""
     return opt.MadeShard(
         shard=str(report.shard), folder=report.folder, made_of=made_of, planned=report.planned, taken_over=report.reused
     )
 
 
-def shard_answer(report: ShardReport[Any], made_of: int, *, unit: str, complete: bool) -> Answer:
+def shard_answer(report: parts.ShardReport[Any], made_of: int, *, unit: str, complete: bool) -> Answer:
     """Answer a command that has made one shard of a build."""
     made = made_shard(report, made_of)
     return opt.shard_answer(BuildsReport(shard=made), made, unit=unit, exit_code=0 if complete else NOT_EVERYTHING)

@@ -19,14 +19,12 @@ import click
 import msgspec
 
 import prbench
-from prbench.cli.commands import Answer, Group, Session, session
-from prbench.cli.places import Remote
-from prbench.cli.terminal import clean_output
+from prbench.cli import commands, places, terminal
 from prbench.entry_points import COMMANDS
 from prbench.errors import MemoryFullError, PrbenchError, UsageError
 from prbench.shown import quoted
 
-program = Group(
+program = commands.Group(
     "prbench",
     plugins=COMMANDS,
     context_settings={"max_content_width": 100},
@@ -50,8 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if "_PRBENCH_COMPLETE" in os.environ:  # set by the shell's completion, which reads what is printed here
         program.main(prog_name="prbench")
     words = sys.argv[1:] if arguments is None else list(arguments)
-    now = Session(from_shell=arguments is None)
-    with clean_output():
+    now = commands.Session(from_shell=arguments is None)
+    with terminal.clean_output():
         try:
             with program.make_context("prbench", words, obj=now) as context:
                 code = _present(program.invoke(context), now)
@@ -82,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
 
 
-def _of_the_machine(error: Exception, now: Session) -> PrbenchError | None:
+def _of_the_machine(error: Exception, now: commands.Session) -> PrbenchError | None:
     """Return the error for a full memory or disk, with the file that was worked on; None for any other."""
     from prbench.engine.pool import is_out_of_memory
     from prbench.files.bounded import file_of
@@ -94,9 +92,9 @@ def _of_the_machine(error: Exception, now: Session) -> PrbenchError | None:
     return storage_error(error, place) if isinstance(error, OSError) else None
 
 
-def _present(answer: Any, now: Session) -> int:
+def _present(answer: Any, now: commands.Session) -> int:
     """Print what a command returned, and return its exit code."""
-    if not isinstance(answer, Answer):
+    if not isinstance(answer, commands.Answer):
         return int(answer or 0)
     if now.as_json or now.report_file is not None:
         document = document_of(answer, now)
@@ -105,7 +103,7 @@ def _present(answer: Any, now: Session) -> int:
             from prbench.files.storage import sole_writer, write_json
 
             content = msgspec.json.decode(_encoded(document))
-            if isinstance(place, Remote):
+            if isinstance(place, places.Remote):
                 from prbench.object_stores.outputs import written_file
 
                 with written_file(place.url) as copy:
@@ -122,7 +120,7 @@ def _present(answer: Any, now: Session) -> int:
     return answer.exit_code
 
 
-def _refuse(error: PrbenchError, now: Session, words: list[str]) -> int:
+def _refuse(error: PrbenchError, now: commands.Session, words: list[str]) -> int:
     """Print an error: one message on standard error and, where JSON was asked for, a document."""
     if now.verbose:
         traceback.print_exception(error)
@@ -153,7 +151,7 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     error: dict[str, str] | None
 
 
-def document_of(result: Answer | PrbenchError, now: Session) -> Document:
+def document_of(result: commands.Answer | PrbenchError, now: commands.Session) -> Document:
     """Put a command's answer, or the error for which there is none, into the envelope."""
     failed = isinstance(result, PrbenchError)
     return Document(
@@ -176,14 +174,14 @@ def _encoded(document: Document) -> bytes:
     """Encode a document; what JSON cannot say (NaN, infinity) becomes null."""
     report = msgspec.json.encode(document.report, enc_hook=_plain).decode()
     # Messages in a report name places as well. Notes stay unchanged: some say where a local copy lies.
-    document = msgspec.structs.replace(document, report=msgspec.Raw(session().shown_place(report).encode()))
+    document = msgspec.structs.replace(document, report=msgspec.Raw(commands.session().shown_place(report).encode()))
     return msgspec.json.format(msgspec.json.encode(document), indent=2)
 
 
 def _plain(value: Any) -> Any:
     """Encode what JSON has no form for: paths, and NumPy's numbers and arrays."""
     if isinstance(value, Path):
-        return session().shown_place(str(value))
+        return commands.session().shown_place(str(value))
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} has no form in JSON")

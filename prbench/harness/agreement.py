@@ -15,13 +15,9 @@ from jaxtyping import Float
 from scipy import special
 
 from prbench.errors import RunError
-from prbench.harness.conditions import is_solid
+from prbench.harness import conditions, planning, results, run_folder, scoring
 from prbench.harness.intervals import CONFIDENCE, metric_interval
-from prbench.harness.planning import Selection
-from prbench.harness.results import differences
-from prbench.harness.run_folder import CodedScores, DatasetFolder
 from prbench.harness.run_folder.summary import AGREEMENT_FILE, BinRate, DatasetAgreement, RateAgreement, SceneOfPeople
-from prbench.harness.scoring import score_recorded
 from prbench.metrics import METRICS, MetricInfo
 from prbench.protocol.manifests import BenchmarkProtocol
 
@@ -36,7 +32,7 @@ _ONE_OUTCOME = "{} the same outcome in every sequence"
 
 
 def agreement_with_people(
-    selection: Selection, scores: CodedScores, *, protocol: BenchmarkProtocol
+    selection: planning.Selection, scores: run_folder.CodedScores, *, protocol: BenchmarkProtocol
 ) -> DatasetAgreement:
     """Make ``agreement.json`` of one dataset.
 
@@ -46,7 +42,7 @@ def agreement_with_people(
         protocol: Rules by which the scores were made.
     """
     wanted = [*(info.id for info in RATES if info.id in scores.metrics), *_SCENE_METRICS]
-    people, goals = score_recorded(selection, protocol.metrics, wanted)
+    people, goals = scoring.score_recorded(selection, protocol.metrics, wanted)
     # Numbers in the order of the names take the place of the names, which are sorted many times.
     recordings = np.unique(np.array(selection.recording_ids, dtype=object), return_inverse=True)[1]
     count = len(selection)
@@ -99,14 +95,14 @@ def agreement_with_people(
         boxes = selection.table.scenes()
         among = np.isin(np.array(boxes["recording_id"].to_pylist()), selection.recording_ids)
         penetration, depth = (float(people[name].mean()) for name in _SCENE_METRICS)
-        solid = int((is_solid(boxes) & among).sum())
+        solid = int((conditions.is_solid(boxes) & among).sum())
         scene = SceneOfPeople(penetration=penetration, depth=depth, boxes=int(among.sum()), solid=solid)
     return DatasetAgreement(
         dataset=selection.table.info.dataset, rates=tuple(rates), breakdown=tuple(breakdown), scene=scene
     )
 
 
-def require_agreement(files: DatasetFolder, made: DatasetAgreement) -> None:
+def require_agreement(files: run_folder.DatasetFolder, made: DatasetAgreement) -> None:
     """Compare ``agreement.json`` with what follows from scores and table; an older run, which has none, passes.
 
     Raises:
@@ -115,7 +111,7 @@ def require_agreement(files: DatasetFolder, made: DatasetAgreement) -> None:
     if not files.agreement.is_file():
         return
     stored = DatasetAgreement.read(files.path)
-    for name, expected, found in differences(msgspec.to_builtins(made), msgspec.to_builtins(stored)):
+    for name, expected, found in results.differences(msgspec.to_builtins(made), msgspec.to_builtins(stored)):
         problem = f"expected {expected}, which follows from {files.scores.name} and the table, found {found}."
         remedy = f"One of them was edited. Delete {AGREEMENT_FILE} and run the same command again."
         raise RunError(f"{files.agreement}, {name}: {problem} {remedy}")

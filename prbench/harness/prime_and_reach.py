@@ -24,10 +24,8 @@ from prbench.harness.agreement import agreement_with_people, require_agreement
 from prbench.harness.benchmark import Answer, Benchmark, CaseWork
 from prbench.harness.conditions import ConditionSource, ConditionStream, derangement, run_salt
 from prbench.harness.faults import certain_faults
-from prbench.harness.methods.installed import NEAREST_NEIGHBOUR
-from prbench.harness.methods.loading import LoadedMethod, MethodSpec, fitted_to
+from prbench.harness.methods import installed, loading, remote
 from prbench.harness.methods.motions import generate_checked
-from prbench.harness.methods.remote import MOTIONS
 from prbench.harness.planning import Selection, open_tables, plan_batches, select, select_sequences, supported
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder import CONTROL, DatasetFolder, MethodRecord, PredictionRows, Predictions, RunFolder
@@ -63,7 +61,7 @@ class MotionQuestion:
         rounded = [np.rint(values * np.float64(1 / ROUNDING)).astype(np.int64).tobytes().hex() for values in arrays]
         return text_digest(batch.condition, *batch.opaque_id, *(batch.text or ()), *rounded)
 
-    def ask(self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...]) -> Answer:
+    def ask(self, method: loading.LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...]) -> Answer:
         """See :class:`prbench.harness.benchmark.Question`."""
         seeds = [batch.noise_seed for batch in self.conditions]
         if method is None:
@@ -147,7 +145,7 @@ class MotionWork(CaseWork):
             other_goals=self._scored_goals,
             # Controls know the first pose under any condition; the nearest motion begins with a pose of its own.
             pose_given="initial_joints" in GIVEN[Condition(self.condition)]
-            or (self.method.kind == CONTROL and self.method.name != NEAREST_NEIGHBOUR),
+            or (self.method.kind == CONTROL and self.method.name != installed.NEAREST_NEIGHBOUR),
             run_of=self.method.name,
         )
         samples = range(self.request.samples)
@@ -173,7 +171,7 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
 
     name = PROTOCOL_NAME
     metrics = METRICS
-    methods = MOTIONS
+    methods = remote.MOTIONS
     table_file = FILE_NAME
 
     @property
@@ -220,10 +218,10 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
             raise AdapterError(f"adapter '{method.name}' generates at most {method.max_frames} frames; {why}")
         return selection
 
-    def fitted(self, spec: MethodSpec, table: SequenceTable, condition: StrEnum) -> MethodSpec:
+    def fitted(self, spec: loading.MethodSpec, table: SequenceTable, condition: StrEnum) -> loading.MethodSpec:
         """See :meth:`Benchmark.fitted`."""
         del condition
-        spec = fitted_to(spec, table)
+        spec = loading.fitted_to(spec, table)
         with nullcontext() if spec.fit_folder is None else in_turn(spec.fit_folder):
             spec.load()  # a fit is made here, once, and found by every worker
         return spec

@@ -26,13 +26,11 @@ from jaxtyping import Int
 from prbench.engine import Engine, InProcess
 from prbench.errors import AdapterError, MemoryFullError
 from prbench.files.storage import remove_half_written, sole_writer, write_text
+from prbench.harness import preparation, results, run_folder
 from prbench.harness.methods.loading import MethodSpec, count_parameters, forget_loaded_methods, unload_method
 from prbench.harness.methods.process import computing_threads
 from prbench.harness.methods.programs import runs_in_container
-from prbench.harness.preparation import PreparedDataset, PreparedRun, prepare_run
 from prbench.harness.request import DEFAULT_PARENT, Progress, ProgressCallback, RunRequest, reported, silent
-from prbench.harness.results import require_scores, require_summary, summary_of
-from prbench.harness.run_folder import DatasetFolder, DatasetSummary, RunFolder
 from prbench.harness.run_folder.predictions import write_part
 from prbench.harness.run_folder.record import PACKAGE, RunCost, total_cost
 from prbench.harness.run_folder.scores import CodedScores, write_scores
@@ -146,8 +144,8 @@ class RunReport:
         batches_found: Number of batches that an earlier call has left.
     """
 
-    folder: RunFolder
-    summaries: tuple[DatasetSummary, ...]
+    folder: run_folder.RunFolder
+    summaries: tuple[run_folder.DatasetSummary, ...]
     batches_made: int
     batches_found: int
 
@@ -171,7 +169,7 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
     engine = engine or InProcess()
     with contextlib.ExitStack() as held:
         with tidied(request):
-            prepared = prepare_run(request)
+            prepared = preparation.prepare_run(request)
             held.enter_context(sole_writer(prepared.out))
             folder = prepared_folder(prepared)
             parts = [RunPart(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
@@ -195,19 +193,19 @@ def tidied(request: RunRequest) -> Iterator[None]:
         forget_loaded_methods()
 
 
-def scored_parts(parts: Sequence[RunPart]) -> tuple[DatasetSummary, ...]:
+def scored_parts(parts: Sequence[RunPart]) -> tuple[run_folder.DatasetSummary, ...]:
     """Write what a licence asks for into each dataset's folder, then score what lies there."""
     for part in parts:
         part.write_notice()
     return tuple(part.scored() for part in parts)
 
 
-def prepared_folder(prepared: PreparedRun) -> RunFolder:
+def prepared_folder(prepared: preparation.PreparedRun) -> run_folder.RunFolder:
     """Make the run folder, with a copy of the protocol where it is the user's own."""
-    return RunFolder.prepare(prepared.out, prepared.record, prepared.benchmark.copied_rules(prepared.rules))
+    return run_folder.RunFolder.prepare(prepared.out, prepared.record, prepared.benchmark.copied_rules(prepared.rules))
 
 
-def generate_all(parts: list[RunPart], folder: RunFolder, engine: Engine) -> int:
+def generate_all(parts: list[RunPart], folder: run_folder.RunFolder, engine: Engine) -> int:
     """Make what is missing of every dataset; a folder without a single batch is removed where that fails.
 
     Args:
@@ -255,9 +253,9 @@ class RunPart:
         chosen: The batches of a shard; None for all.
     """
 
-    prepared: PreparedRun
-    dataset: PreparedDataset
-    files: DatasetFolder
+    prepared: preparation.PreparedRun
+    dataset: preparation.PreparedDataset
+    files: run_folder.DatasetFolder
     engine: Engine
     progress: ProgressCallback
     chosen: frozenset[int] | None = None
@@ -281,7 +279,7 @@ class RunPart:
         self.files.require_no_other_parts(len(self.plan))
         return [index for index in self.batches if not self.has(index, self.files)]
 
-    def has(self, index: int, files: DatasetFolder) -> bool:
+    def has(self, index: int, files: run_folder.DatasetFolder) -> bool:
         """Return True if a batch of this dataset is in a folder, whole."""
         return files.has_part(index, self.dataset.ids(self.plan[index]), self.prepared.request.samples)
 
@@ -305,15 +303,15 @@ class RunPart:
         if text and not self.files.notice.is_file():
             write_text(self.files.notice, text)
 
-    def scored(self) -> DatasetSummary:
+    def scored(self) -> run_folder.DatasetSummary:
         """Score what was generated; what an earlier call wrote has to follow from the motions and the table."""
         files = self.files
         work = self.dataset.work
         scores = reported(work.scores(files, self.engine), self.dataset.name, len(self.dataset.cases), self.progress)
         if files.finished:
             stored = CodedScores.read(files.scores)
-            require_scores(files, stored, CodedScores.of(scores))
-            require_summary(files, self._summary(stored))
+            results.require_scores(files, stored, CodedScores.of(scores))
+            results.require_summary(files, self._summary(stored))
             work.require_beside(files, stored)
         else:
             write_scores(files.scores, scores)
@@ -325,11 +323,11 @@ class RunPart:
             # The summary comes last: where it stands, everything else does.
             self._summary(stored).write(files.path)
         files.forget_batch_costs()
-        return DatasetSummary.read(files.path)
+        return run_folder.DatasetSummary.read(files.path)
 
-    def _summary(self, scores: CodedScores) -> DatasetSummary:
+    def _summary(self, scores: CodedScores) -> run_folder.DatasetSummary:
         record = self.prepared.record
         table = next(table for table in record.tables if table.dataset == self.dataset.name)
         cases = self.dataset.cases
         recording_of = dict(zip(cases.sequence_ids, cases.recording_ids, strict=True))
-        return summary_of(record, table, scores, recording_of, self.dataset.work.findings(self.files))
+        return results.summary_of(record, table, scores, recording_of, self.dataset.work.findings(self.files))

@@ -15,11 +15,8 @@ from prbench.engine.shards import FILE_NAME, Shard, ShardRecord, begin_shard, re
 from prbench.errors import ShardError
 from prbench.files.bounded import copy_file
 from prbench.files.storage import atomic_path, remove_half_written, remove_leftovers, require_replaceable, sole_writer
-from prbench.harness.preparation import PreparedRun, prepare_run
+from prbench.harness import preparation, results, run, run_folder
 from prbench.harness.request import ProgressCallback, RunRequest, silent
-from prbench.harness.results import request_of
-from prbench.harness.run import RunPart, RunReport, generate_all, prepared_folder, scored_parts, tidied
-from prbench.harness.run_folder import DatasetFolder, RunFolder, RunRecord
 from prbench.object_stores.inputs import fetched
 from prbench.object_stores.store import is_url
 from prbench.protocol.own_protocol import write_protocol
@@ -37,7 +34,7 @@ class RunShardReport:
 
     folder: Path
     shard: Shard
-    record: RunRecord
+    record: run_folder.RunRecord
     planned: int
     batches_made: int
     batches_found: int
@@ -65,8 +62,8 @@ def run_shard(
     """
     engine = engine or InProcess()
     with contextlib.ExitStack() as held:
-        with tidied(request):
-            prepared = prepare_run(request)
+        with run.tidied(request):
+            prepared = preparation.prepare_run(request)
             named = _named_batches(prepared)
             out = prepared.out
             if request.out is None:  # beside the folder of the whole run
@@ -85,14 +82,14 @@ def run_shard(
             protocol = prepared.benchmark.copied_rules(prepared.rules)
             if protocol is not None:
                 write_protocol(out, protocol)
-            folder = RunFolder(out, prepared.record)
+            folder = run_folder.RunFolder(out, prepared.record)
             mine = [named[name] for name in _batches_of(record)]
             parts = []
             for one in prepared.datasets:
                 chosen = frozenset(index for dataset, index in mine if dataset == one.name)
-                parts.append(RunPart(prepared, one, folder.dataset(one.name), engine, progress, chosen))
+                parts.append(run.RunPart(prepared, one, folder.dataset(one.name), engine, progress, chosen))
             try:
-                made = generate_all(parts, folder, engine)
+                made = run.generate_all(parts, folder, engine)
             except Exception:
                 # Remove what is left of a shard whose first batch has failed.
                 left = {path.name for path in out.iterdir()} if out.is_dir() else {FILE_NAME, "more"}
@@ -113,7 +110,7 @@ def merge_run_shards(
     data: Sequence[Path] = (),
     engine: Engine | None = None,
     progress: ProgressCallback = silent,
-) -> RunReport:
+) -> run.RunReport:
     """Put the batches of all shards into one run folder, and score them; goes on where it was interrupted.
 
     The method is not needed.
@@ -132,31 +129,31 @@ def merge_run_shards(
         TableError: if a table is missing or changed.
     """
     folder, shard = shards[0]
-    record = shard.setting(folder, RunRecord)
+    record = shard.setting(folder, run_folder.RunRecord)
     data = tuple(data) or tuple(fetched(at) if is_url(at) else Path(at) for at in shard.places.get("data", ()))
-    request = request_of(record, data, folder=folder, fold=shard.places.get("fold"), out=out)
-    prepared = prepare_run(request, earlier=record)
+    request = results.request_of(record, data, folder=folder, fold=shard.places.get("fold"), out=out)
+    prepared = preparation.prepare_run(request, earlier=record)
     remedy = "Name the tables of the shards with --data, and merge in the environment that made them."
     require_settings(folder, shard, prepared.record.written, remedy=remedy)
     # Every batch is found in its shard before the first is copied.
     found = {batch: place for place in shards for batch in _batches_of(place[1])}
     for name, (dataset, index) in _named_batches(prepared).items():
         folder, shard = found[name]
-        part = RunFolder(folder, prepared.record).dataset(dataset).part(index)
+        part = run_folder.RunFolder(folder, prepared.record).dataset(dataset).part(index)
         if not part.is_file():
             problem = f"expected {part.name} of {dataset}, found no file."
             advice = f"Run its command (--shard {shard.shard}) again."
             raise ShardError(f"{folder}: shard {shard.shard} is not finished: {problem} {advice}")
     with sole_writer(prepared.out):
-        merged = prepared_folder(prepared)
+        merged = run.prepared_folder(prepared)
         parts = [
-            RunPart(prepared, one, merged.dataset(one.name), engine or InProcess(), progress)
+            run.RunPart(prepared, one, merged.dataset(one.name), engine or InProcess(), progress)
             for one in prepared.datasets
         ]
         missing = [(part, index) for part in parts for index in part.missing()]
         for part, index in missing:
             folder, shard = found[f"{part.dataset.name} batch {index}"]
-            files = RunFolder(folder, part.prepared.record).dataset(part.dataset.name)
+            files = run_folder.RunFolder(folder, part.prepared.record).dataset(part.dataset.name)
             if not part.has(index, files):
                 raise ShardError(
                     f"{files.part(index)}: expected a whole batch of shard {shard.shard}, found a damaged file or other"
@@ -164,15 +161,15 @@ def merge_run_shards(
                     f" (--shard {shard.shard}) again."
                 )
             # The measurement first, so that a batch is never without it.
-            for place in (DatasetFolder.batch_cost, DatasetFolder.part):
+            for place in (run_folder.DatasetFolder.batch_cost, run_folder.DatasetFolder.part):
                 if place(files, index).is_file():
                     with atomic_path(place(part.files, index)) as temporary:
                         copy_file(place(files, index), temporary)
-        summaries = scored_parts(parts)
-    return RunReport(merged, summaries, batches_made=len(missing), batches_found=len(found) - len(missing))
+        summaries = run.scored_parts(parts)
+    return run.RunReport(merged, summaries, batches_made=len(missing), batches_found=len(found) - len(missing))
 
 
-def _named_batches(prepared: PreparedRun) -> dict[str, tuple[str, int]]:
+def _named_batches(prepared: preparation.PreparedRun) -> dict[str, tuple[str, int]]:
     """Name the batches of all datasets, in order: dataset and number of each."""
     return {
         f"{dataset.name} batch {index}": (dataset.name, index)

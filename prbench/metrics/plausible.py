@@ -9,12 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.geometry.skeleton import TOES, WRISTS, Joint
-from prbench.metrics.batch import MotionBatch, ScoringPair
+from prbench.metrics import batch, footing, initial_state, posture
 from prbench.metrics.bone_length_change import arm_shares, body_length, bone_length_change
 from prbench.metrics.foot_skating import Fps, slow_slides
-from prbench.metrics.footing import footing_numbers
-from prbench.metrics.initial_state import start_offset
-from prbench.metrics.posture import posture_numbers
 from prbench.metrics.registry import MetricFamily, MetricValues, detail, headline
 from prbench.protocol.manifests import Limit, MetricConstants
 
@@ -24,7 +21,7 @@ _TRUNK = (Joint.PELVIS, Joint.SPINE3)
 _FEET = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, *TOES)
 
 
-def largest_speed(motion: MotionBatch, fps: Fps) -> Numbers:
+def largest_speed(motion: batch.MotionBatch, fps: Fps) -> Numbers:
     """Largest speed of a joint from one frame to the next, m/s (docs/specification/metrics.md#largest-speed).
 
     Args:
@@ -35,12 +32,12 @@ def largest_speed(motion: MotionBatch, fps: Fps) -> Numbers:
     return _largest_difference(motion, 1) * np.asarray(fps)
 
 
-def largest_acceleration(motion: MotionBatch, fps: Fps, joints: Sequence[int] = tuple(Joint)) -> Numbers:
+def largest_acceleration(motion: batch.MotionBatch, fps: Fps, joints: Sequence[int] = tuple(Joint)) -> Numbers:
     """Largest norm of the second difference over frames and joints times fps², m/s²; 0 for fewer than three frames."""
     return _largest_difference(motion, 2, joints) * np.asarray(fps) ** 2
 
 
-def largest_jerk(motion: MotionBatch, fps: Fps) -> Numbers:
+def largest_jerk(motion: batch.MotionBatch, fps: Fps) -> Numbers:
     """Largest norm of the third difference over frames and joints times fps³, m/s³; 0 for fewer than four frames.
 
     Source: docs/specification/metrics.md#largest-jerk.
@@ -48,7 +45,7 @@ def largest_jerk(motion: MotionBatch, fps: Fps) -> Numbers:
     return _largest_difference(motion, 3) * np.asarray(fps) ** 3
 
 
-def _largest_difference(motion: MotionBatch, order: int, joints: Sequence[int] = tuple(Joint)) -> Numbers:
+def _largest_difference(motion: batch.MotionBatch, order: int, joints: Sequence[int] = tuple(Joint)) -> Numbers:
     # The norm of the difference that starts at each row; 0 for the last rows of a sequence.
     norms = np.zeros((len(joints), len(motion.values)))
     difference = np.diff(motion.columns[list(joints)], n=order, axis=-1)
@@ -58,7 +55,7 @@ def _largest_difference(motion: MotionBatch, order: int, joints: Sequence[int] =
     return np.maximum.reduceat(norms.max(axis=0), motion.first)
 
 
-def floating(motion: MotionBatch) -> Numbers:
+def floating(motion: batch.MotionBatch) -> Numbers:
     """Greatest height of the lower foot: max over frames of the lowest ankle or toe, at least 0; metres.
 
     Args:
@@ -67,7 +64,7 @@ def floating(motion: MotionBatch) -> Numbers:
     return np.maximum(np.maximum.reduceat(motion.columns[list(_FEET), 1].min(axis=0), motion.first), 0.0)
 
 
-def penetration(motion: MotionBatch) -> Numbers:
+def penetration(motion: batch.MotionBatch) -> Numbers:
     """Greatest depth of a joint below the floor in any frame, at least 0; metres.
 
     Args:
@@ -76,7 +73,7 @@ def penetration(motion: MotionBatch) -> Numbers:
     return np.maximum(-np.minimum.reduceat(motion.columns[:, 1].min(axis=0), motion.first), 0.0)
 
 
-def lowest_pelvis(motion: MotionBatch) -> Numbers:
+def lowest_pelvis(motion: batch.MotionBatch) -> Numbers:
     """Smallest height of the pelvis above the floor in any frame, metres.
 
     Args:
@@ -85,7 +82,7 @@ def lowest_pelvis(motion: MotionBatch) -> Numbers:
     return np.minimum.reduceat(motion.columns[Joint.PELVIS, 1], motion.first)
 
 
-def largest_trunk_tilt(motion: MotionBatch) -> Numbers:
+def largest_trunk_tilt(motion: batch.MotionBatch) -> Numbers:
     """Largest angle between the line from pelvis to neck and the vertical in any frame, degrees.
 
     Args:
@@ -99,10 +96,10 @@ def largest_trunk_tilt(motion: MotionBatch) -> Numbers:
     return np.maximum.reduceat(tilt, motion.first)
 
 
-Measure = Callable[[ScoringPair, MetricConstants], Numbers]
+Measure = Callable[[batch.ScoringPair, MetricConstants], Numbers]
 
 
-def _bone_change(pair: ScoringPair, poses: Float[np.ndarray, "n 22 3"] | None = None) -> Numbers:
+def _bone_change(pair: batch.ScoringPair, poses: Float[np.ndarray, "n 22 3"] | None = None) -> Numbers:
     change, missing = bone_length_change(pair.predicted, poses)
     return np.where(missing, np.inf, change)
 
@@ -118,7 +115,7 @@ MEASURES: Mapping[str, Measure] = MappingProxyType(
         "penetration": lambda pair, _: penetration(pair.predicted),
         "bone_change": lambda pair, _: _bone_change(pair),
         "given_bones": lambda pair, _: _bone_change(pair, pair.first_poses),
-        "given_start": lambda pair, _: start_offset(pair),
+        "given_start": lambda pair, _: initial_state.start_offset(pair),
         "smallest_body": lambda pair, _: body_length(pair.predicted),
         "largest_body": lambda pair, _: body_length(pair.predicted),
         "shortest_arm": lambda pair, _: arm_shares(pair.predicted).min(axis=0),
@@ -133,7 +130,7 @@ MEASURES: Mapping[str, Measure] = MappingProxyType(
 )
 
 
-def body_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, Numbers]:
+def body_numbers(pair: batch.ScoringPair, constants: MetricConstants) -> dict[str, Numbers]:
     """Measure what decides whether the predicted motions are plausible (docs/specification/metrics.md#plausible).
 
     Args:
@@ -144,7 +141,7 @@ def body_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, Num
         One number a sequence by the name under which the protocol limits it.
     """
     numbers = {name: measure(pair, constants) for name, measure in MEASURES.items()}
-    return numbers | footing_numbers(pair, constants) | posture_numbers(pair)
+    return numbers | footing.footing_numbers(pair, constants) | posture.posture_numbers(pair)
 
 
 def broken_limits(
@@ -167,7 +164,7 @@ def broken_limits(
     return broken
 
 
-def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, ...]:
+def _compute(pair: batch.ScoringPair, constants: MetricConstants) -> tuple[MetricValues, ...]:
     numbers = body_numbers(pair, constants)
     judged = []
     for judge in ("plausible", "plausible_3"):

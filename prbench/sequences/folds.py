@@ -18,10 +18,8 @@ from scipy.sparse.csgraph import connected_components
 import prbench
 from prbench.errors import TableError, UsageError, did_you_mean
 from prbench.files.storage import cache_folder, in_turn, sole_writer, text_digest
-from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
-from prbench.sequences.schema import SCHEMA_VERSION
+from prbench.sequences import dataset_info, schema, write
 from prbench.sequences.table import SequenceTable
-from prbench.sequences.write import write_dataset
 
 _UNKNOWN = ("", "unknown")
 # Stands in place of ``K/N`` for a run on all folds, one a participant.
@@ -71,10 +69,10 @@ def fold_tables(folders: Iterable[Path], fold: str | None) -> tuple[Path, ...]:
         table = SequenceTable.open(folder).with_sequences()
         info = table.info
         # Everything that the fold's bytes depend on. Runs find their tables in this place of the cache.
-        key = text_digest(prbench.__version__, str(SCHEMA_VERSION), info.content_digest, info.protocol_digest)
+        key = text_digest(prbench.__version__, str(schema.SCHEMA_VERSION), info.content_digest, info.protocol_digest)
         out = cache_folder() / "tables" / f"{info.dataset}-fold-{number}-of-{count}-{key[:12]}"
         with in_turn(out.with_name(f"{out.name}.fold")):  # writing holds the folder itself
-            if not (out / FILE_NAME).is_file():
+            if not (out / dataset_info.FILE_NAME).is_file():
                 write_fold(table, out, fold=number, folds=count)
         made.append(out)
     return tuple(made)
@@ -139,7 +137,7 @@ def tested_units(table: SequenceTable) -> dict[str, str]:
     return {f"{table.info.dataset}/{name}": unit_of[person] for name, person in sorted(set(pairs))}
 
 
-def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> DatasetInfo:
+def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> dataset_info.DatasetInfo:
     """Write a copy of a table that is split by participants: those of one fold are tested on, all others learnt from.
 
     Sequences of the others that stood in the split ``validation`` stay there. Nothing else changes, and the name of the
@@ -174,4 +172,4 @@ def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> Dat
     recordings = map(split, table.recordings().to_batches())
     events, scenes = table.events().to_batches(), table.scenes().to_batches()
     with sole_writer(out):
-        return write_dataset(out, info, sequences=sequences, events=events, recordings=recordings, scenes=scenes)
+        return write.write_dataset(out, info, sequences=sequences, events=events, recordings=recordings, scenes=scenes)

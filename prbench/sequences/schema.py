@@ -26,10 +26,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from prbench.errors import TableError
-from prbench.files import arrays
+from prbench.files import arrays, bounded, storage
 from prbench.files.arrays import first_repeated
-from prbench.files.bounded import foreign_input
-from prbench.files.storage import file_digest
 from prbench.geometry.skeleton import JOINT_SET
 from prbench.limits import LATEST_TIME
 from prbench.sequences.sequence import EVENTS, RECORDINGS, SCENES, SEQUENCES, SequenceChunk
@@ -201,7 +199,7 @@ def _rounded(leaf: pa.Array) -> np.ndarray:
 def digests_of_files(folder: Path, tables: Iterable[str]) -> dict[str, str]:
     """SHA-256 of each Parquet file of some tables, by its path relative to the folder; absent files are left out."""
     paths = [path for name in tables for path in files_of_table(folder, name)]
-    return {path.relative_to(folder).as_posix(): file_digest(path) for path in paths}
+    return {path.relative_to(folder).as_posix(): storage.file_digest(path) for path in paths}
 
 
 def require_form(batch: pa.RecordBatch, expected: pa.Schema, source: Path) -> None:
@@ -329,7 +327,7 @@ def groups_that_may_hold(metadata: pq.FileMetaData, wanted: Mapping[str, Sequenc
 @contextlib.contextmanager
 def naming(path: Path) -> Iterator[None]:
     """Turn what goes wrong while a file is read into an error that names it; bytes may be damaged anywhere."""
-    with foreign_input(path):
+    with bounded.foreign_input(path):
         try:
             yield
         except FileNotFoundError as error:

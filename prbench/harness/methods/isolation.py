@@ -17,10 +17,7 @@ import prbench
 from prbench.engine.unseen import hide_process
 from prbench.errors import UsageError
 from prbench.files.bounded import read_text
-from prbench.harness.methods import unprivileged
-from prbench.harness.methods.installed import short_name
-from prbench.harness.methods.process import Program
-from prbench.harness.methods.programs import runs_in_container
+from prbench.harness.methods import installed, process, programs, unprivileged
 from prbench.limits import HARMLESS_SIZE
 from prbench.text import CLIP_VARIABLE, DISTILBERT_VARIABLE
 
@@ -150,9 +147,9 @@ def require_fence(methods: Iterable[str]) -> None:
     """
     fence = available_fence()
     for method in methods:
-        if fence.program is None and not runs_in_container(method):
+        if fence.program is None and not programs.runs_in_container(method):
             raise UsageError(
-                f"--require-fence: '{short_name(method)}' could read all your files: {fence.reason}. Install bubblewrap"
+                f"--require-fence: '{installed.short_name(method)}' could read all your files: {fence.reason}. Install bubblewrap"
                 " (on Linux `apt install bubblewrap` or `dnf install bubblewrap`; it needs user namespaces), or run the"
                 " method in a container (docs/environments.md)."
             )
@@ -287,7 +284,7 @@ def executable_folders(program: Path) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def fenced(program: Program, *, weights: Path | None, hidden: tuple[Path, ...]) -> Program:
+def fenced(program: process.Program, *, weights: Path | None, hidden: tuple[Path, ...]) -> process.Program:
     """Put a user's program behind the best fence that works here, its own folder read-only.
 
     Raises:
@@ -304,7 +301,7 @@ def fenced(program: Program, *, weights: Path | None, hidden: tuple[Path, ...]) 
     return behind_fence(program, shown, hidden)
 
 
-def behind_fence(program: Program, shown: Iterable[Shown], hidden: tuple[Path, ...]) -> Program:
+def behind_fence(program: process.Program, shown: Iterable[Shown], hidden: tuple[Path, ...]) -> process.Program:
     """Put a program behind the best fence that works here, which shows it these files and folders alone."""
     hide_process()
     fence = available_fence()

@@ -18,7 +18,7 @@ from prbench.contract import Trainable, TrainingRun
 from prbench.entry_points import ADAPTERS
 from prbench.errors import AdapterError, PrbenchError, UsageError
 from prbench.files.storage import cache_folder, file_digest, text_digest
-from prbench.harness.methods import isolation
+from prbench.harness.methods import isolation, motions, process, programs, training_split
 from prbench.harness.methods.installed import (
     METHOD_CONTROLS,
     InstalledEntry,
@@ -31,11 +31,7 @@ from prbench.harness.methods.installed import (
     no_such_method,
     short_name,
 )
-from prbench.harness.methods.motions import Declared
-from prbench.harness.methods.process import Program, users_environment
-from prbench.harness.methods.programs import program_of
 from prbench.harness.methods.remote import MOTIONS, MethodGroup, RemoteMethod
-from prbench.harness.methods.training_split import FIT_SEED, TrainingSplit, temporary_training_copy
 from prbench.protocol.manifests import benchmark_of_group, benchmarks
 from prbench.sequences import SequenceTable
 
@@ -111,7 +107,7 @@ def load_adapter(
         raise AdapterError(f"{origin}: cannot be loaded: {_cause(error)}.") from error
     if not isinstance(adapter, group.interface):
         raise AdapterError(f"{origin}: expected an object with {group.members}, found {type(adapter).__name__}.")
-    Declared.by(adapter, origin=origin, conditions=group.conditions)
+    motions.Declared.by(adapter, origin=origin, conditions=group.conditions)
     return adapter
 
 
@@ -122,7 +118,7 @@ def chosen_condition(name: str, adapter: Any, condition: StrEnum | None, *, grou
         AdapterError: if the method does not take it, or none is asked for and it takes several; names those that it
             takes.
     """
-    conditions = Declared.by(adapter, origin=f"adapter '{name}'", conditions=group.conditions).conditions
+    conditions = motions.Declared.by(adapter, origin=f"adapter '{name}'", conditions=group.conditions).conditions
     if condition is not None and condition in conditions:
         return condition
     if condition is None and len(conditions) == 1:
@@ -202,7 +198,7 @@ class MethodSpec:
     threads: int
     fit_folder: Path | None = None
     table_folder: Path | None = None
-    program: Program | None = None
+    program: process.Program | None = None
     timeout: float | None = None
     hidden: tuple[Path, ...] = ()
     group: MethodGroup = MOTIONS
@@ -286,7 +282,7 @@ def unload_method() -> None:
     _HELD.spec = _HELD.loaded = None
 
 
-def _loaded_program(spec: MethodSpec, program: Program) -> LoadedMethod:
+def _loaded_program(spec: MethodSpec, program: process.Program) -> LoadedMethod:
     weights = spec.weights
     if weights is not None and weights.exists():
         weights = weights.absolute()
@@ -383,13 +379,13 @@ def method_spec(
     given = tuple(sorted((options or {}).items()))
     spec = MethodSpec(method, weights, given, device, threads, timeout=timeout, hidden=hidden, group=group)
     if is_program(method):
-        environment = users_environment()
+        environment = process.users_environment()
         if isolate:
             environment = isolation.isolated_environment(environment)
         else:  # a program of the user's own gets all of their variables, and none of the harness's
             withheld = [name for name in environment if name.upper().startswith("PRBENCH_")]
             environment = {name: value for name, value in environment.items() if name not in withheld}
-        program = program_of(method, environment=environment, weights=weights, timeout=timeout, hidden=hidden)
+        program = programs.program_of(method, environment=environment, weights=weights, timeout=timeout, hidden=hidden)
         if isolate and program.in_container:  # it shows no more than its mounts, and has no network
             program = replace(program, fence="container")
         elif isolate:
@@ -423,7 +419,7 @@ def fitted_to(spec: MethodSpec, table: SequenceTable) -> MethodSpec:
     if spec.program is None:
         return replace(spec, fit_folder=folder, table_folder=table.folder, fit=fit_to_training_rows)
     # Behind the fence the table itself is hidden, as it holds the test rows.
-    _HELD.copies.append(temporary_training_copy(table))
+    _HELD.copies.append(training_split.temporary_training_copy(table))
     copy = Path(_HELD.copies[-1].name).resolve()
     program = worker_program(spec, installed.target, (copy, folder.absolute()))
     return replace(spec, fit_folder=folder, table_folder=copy, program=program)
@@ -432,15 +428,15 @@ def fitted_to(spec: MethodSpec, table: SequenceTable) -> MethodSpec:
 def fit_to_training_rows(adapter: object, spec: MethodSpec) -> None:
     """Fit a method of prime-and-reach that was made in this process; it finds what an earlier fit has left."""
     if isinstance(adapter, Trainable) and spec.fit_folder is not None and spec.table_folder is not None:
-        run = TrainingRun(folder=spec.fit_folder, seed=FIT_SEED, device=spec.device)
-        adapter.fit(TrainingSplit.open(spec.table_folder), validation=None, run=run)
+        run = TrainingRun(folder=spec.fit_folder, seed=training_split.FIT_SEED, device=spec.device)
+        adapter.fit(training_split.TrainingSplit.open(spec.table_folder), validation=None, run=run)
 
 
 _FIT_TIMEOUT = 7 * 24 * 3600.0  # seconds: fitting takes as long as it takes, as it does in this process
 _WORKER = "prbench.harness.methods.worker"
 
 
-def worker_program(spec: MethodSpec, target: str, fit: tuple[Path, Path] | None = None) -> Program:
+def worker_program(spec: MethodSpec, target: str, fit: tuple[Path, Path] | None = None) -> process.Program:
     """Return the worker that runs an installed method at a distance.
 
     Args:
@@ -448,7 +444,7 @@ def worker_program(spec: MethodSpec, target: str, fit: tuple[Path, Path] | None 
         target: ``module:callable`` of its entry point.
         fit: Folders of a copy of the training rows and of the result, if the run fits the method; else None.
     """
-    environment = isolation.isolated_environment(users_environment()) | isolation.text_encoder(os.environ)
+    environment = isolation.isolated_environment(process.users_environment()) | isolation.text_encoder(os.environ)
     # The worker finds prbench where this process found it, installed or not; it drops the variable again.
     environment["PYTHONPATH"] = os.pathsep.join(isolation.import_path())
     benchmark = benchmark_of_group(spec.group.entry_points).name
@@ -459,7 +455,7 @@ def worker_program(spec: MethodSpec, target: str, fit: tuple[Path, Path] | None 
     shown += [isolation.Shown(Path(value)) for _, value in spec.options if Path(value).is_absolute()]
     if spec.weights is not None:
         shown.append(isolation.Shown(spec.weights.absolute(), essential=True))
-    program = Program(spec.name, (), None, tuple(sorted(environment.items())))
+    program = process.Program(spec.name, (), None, tuple(sorted(environment.items())))
     if spec.timeout is not None:
         program = replace(program, batch_timeout=spec.timeout)
     if fit is not None:

@@ -14,15 +14,7 @@ import msgspec
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.files.bounded import foreign_input, read_toml, require
-from prbench.harness.methods.installed import (
-    PREFIX,
-    is_command,
-    is_description,
-    name_problem,
-    short_name,
-    without_folders,
-)
-from prbench.harness.methods.process import Program
+from prbench.harness.methods import installed, process
 
 
 def split_command(text: str, *, where: str, windows: bool = os.name == "nt") -> tuple[str, ...]:
@@ -52,7 +44,7 @@ def split_command(text: str, *, where: str, windows: bool = os.name == "nt") -> 
 
 def shown_command(words: Iterable[str]) -> str:
     """Return a command for a record that others may read: absolute paths are cut to their last part."""
-    return shlex.join(without_folders(word) for word in words)
+    return shlex.join(installed.without_folders(word) for word in words)
 
 
 _Seconds = Annotated[float, msgspec.Meta(gt=0)]
@@ -143,7 +135,7 @@ def read_description(path: Path) -> MethodDescription:
     named = [place.replace("_", "-") for place in _PLACES if getattr(environment, place) is not None]
     stray = [key for key in _OF_CONTAINERS if getattr(environment, key) and environment.container is None]
     own = [variable for variable in environment.variables if variable.upper().startswith("PRBENCH_")]
-    problem = None if name is None else name_problem(name)
+    problem = None if name is None else installed.name_problem(name)
     if len(named) > 1:
         where, expected, found, remedy = f"environment.{named[1]}", "one kind of environment", " and ".join(named), ""
     elif stray:
@@ -199,7 +191,10 @@ def runs_in_container(method: str) -> bool:
     Raises:
         InputFileError: if its TOML file is not what it should be.
     """
-    return is_description(method) and read_description(Path(method).expanduser()).environment.container is not None
+    return (
+        installed.is_description(method)
+        and read_description(Path(method).expanduser()).environment.container is not None
+    )
 
 
 def program_of(
@@ -209,7 +204,7 @@ def program_of(
     weights: Path | None = None,
     timeout: float | None = None,
     hidden: tuple[Path, ...] = (),
-) -> Program:
+) -> process.Program:
     """Make out what a ``cmd:`` or a TOML file asks for.
 
     Args:
@@ -224,9 +219,9 @@ def program_of(
         InputFileError: if the TOML file is not what it should be, or an environment or its tool is missing.
     """
     file = Path(method).expanduser()
-    if is_command(method):
-        where = f"--method {PREFIX}…"
-        words = split_command(method.removeprefix(PREFIX), where=where)
+    if installed.is_command(method):
+        where = f"--method {installed.PREFIX}…"
+        words = split_command(method.removeprefix(installed.PREFIX), where=where)
         description = MethodDescription(method=_MethodTable(command=words))
         directory = Path.cwd()
     else:
@@ -271,8 +266,8 @@ def program_of(
     named = (directory / Path(word).expanduser() for word in started)
     readable += [Path(os.path.normpath(path)) for path in named if path.exists()]
     limits = description.limits
-    return Program(
-        name=description.method.name or short_name(method if is_command(method) else str(file)),
+    return process.Program(
+        name=description.method.name or installed.short_name(method if installed.is_command(method) else str(file)),
         words=tuple(started),
         directory=directory,
         environment=tuple(sorted(variables.items())),

@@ -17,11 +17,8 @@ from typing import Any
 from prbench.contract import Trainable, TrainingRun
 from prbench.engine import is_out_of_memory
 from prbench.errors import PrbenchError
+from prbench.harness.methods import messages, motions, process, remote
 from prbench.harness.methods.loading import load_adapter, used_weights, weights_digest
-from prbench.harness.methods.messages import WIRE_VERSION, Header, read_message, write_message
-from prbench.harness.methods.motions import Declared, release_memory, told
-from prbench.harness.methods.process import computing_threads
-from prbench.harness.methods.remote import MethodGroup, group_of
 from prbench.harness.methods.training_split import FIT_SEED, TrainingSplit
 from prbench.protocol.manifests import default_benchmark
 from prbench.sequences import DatasetInfo
@@ -48,16 +45,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.close(nothing)
     os.dup2(2, 1)
     sys.stdout = sys.stderr
-    hello = read_message(requests)
+    hello = messages.read_message(requests)
     if hello is None:
         return 0
     settings = hello[0]
 
     def failed(error: BaseException) -> dict[str, Any]:
-        return {"message": "error", "text": str(error) if isinstance(error, PrbenchError) else told(error)}
+        return {"message": "error", "text": str(error) if isinstance(error, PrbenchError) else motions.told(error)}
 
     try:
-        group = group_of(asked.benchmark)
+        group = remote.group_of(asked.benchmark)
         weights = None if settings["weights"] is None else Path(settings["weights"])
         adapter = load_adapter(asked.name, weights, settings["options"], settings["device"], group=group)
         if asked.train is not None and isinstance(adapter, Trainable):
@@ -66,28 +63,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
             adapter.fit(copy, validation=None, run=run)
         introduction = _introduction(asked.name, adapter, weights, group)
     except (Exception, SystemExit) as error:
-        write_message(answers, failed(error))
+        messages.write_message(answers, failed(error))
         return 1
-    write_message(answers, introduction)
-    while (message := read_message(requests)) is not None:
+    messages.write_message(answers, introduction)
+    while (message := messages.read_message(requests)) is not None:
         header, payload = message
         assert payload is not None
         sent = None
         try:
-            with computing_threads(settings["threads"]):
+            with process.computing_threads(settings["threads"]):
                 answer, sent = group.serve(asked.name, adapter, header, payload)
         except (Exception, SystemExit) as error:
             answer = failed(error)
             if is_out_of_memory(error):
                 answer = {"message": "error", "text": "out of memory", "out_of_memory": True}
         if "out_of_memory" in answer:  # outside of the handler, whose traceback would hold the tensors
-            release_memory()
-        write_message(answers, {**answer, "batch": header["batch"]}, sent)
+            motions.release_memory()
+        messages.write_message(answers, {**answer, "batch": header["batch"]}, sent)
     return 0
 
 
-def _introduction(name: str, adapter: Any, given: Path | None, group: MethodGroup) -> Header:
-    declared = Declared.by(adapter, origin=f"adapter '{name}'", conditions=group.conditions)
+def _introduction(name: str, adapter: Any, given: Path | None, group: remote.MethodGroup) -> messages.Header:
+    declared = motions.Declared.by(adapter, origin=f"adapter '{name}'", conditions=group.conditions)
     weights = {}
     for condition in sorted(declared.conditions):
         used = None
@@ -98,7 +95,7 @@ def _introduction(name: str, adapter: Any, given: Path | None, group: MethodGrou
     same = ("max_frames", "native_fps", "motionless", "gaze", "one_design")
     return {
         "message": "hello",
-        "wire": WIRE_VERSION,
+        "wire": messages.WIRE_VERSION,
         "name": name,
         "version": str(getattr(adapter, "version", "installed")),
         "conditions": sorted(condition.value for condition in declared.conditions),

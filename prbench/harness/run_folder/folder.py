@@ -13,9 +13,7 @@ import pyarrow as pa
 
 from prbench.engine import shards
 from prbench.errors import InputFileError, RunError
-from prbench.files.arrays import open_parquet, read_parquet
-from prbench.files.bounded import foreign_input
-from prbench.files.storage import file_digest, inside, remove_half_written, remove_leftovers, require_replaceable
+from prbench.files import arrays, bounded, storage
 from prbench.harness.run_folder import record, summary
 from prbench.harness.run_folder.record import RunRecord, read_record
 from prbench.protocol.manifests import BenchmarkProtocol, default_benchmark
@@ -66,7 +64,7 @@ class DatasetFolder:
         if not all(path.is_file() for path in (self.cost, self.path / summary.FILE_NAME, self.scores)):
             return False
         try:
-            open_parquet(self.scores).close()
+            arrays.open_parquet(self.scores).close()
         except (pa.ArrowInvalid, OSError, InputFileError):
             return False
         return True
@@ -86,7 +84,7 @@ class DatasetFolder:
     def has_part(self, batch: int, sequence_ids: Iterable[str], samples: int) -> bool:
         """Return True if a batch is there, whole, with exactly these sequences; every checksum is verified."""
         try:
-            rows = read_parquet(self.part(batch), verify=True)
+            rows = arrays.read_parquet(self.part(batch), verify=True)
         except (FileNotFoundError, pa.ArrowInvalid, OSError, InputFileError):
             return False
         if not {"sequence_id", "sample"} <= set(rows.column_names):
@@ -135,11 +133,11 @@ class RunFolder:
             StorageError: if it holds something else, or cannot be written.
         """
         path = run_folder_of(path)
-        remove_leftovers(path / record.FILE_NAME)  # of a process that was killed before the file stood there
-        require_replaceable(path, record.FILE_NAME, kind="run folder")
+        storage.remove_leftovers(path / record.FILE_NAME)  # of a process that was killed before the file stood there
+        storage.require_replaceable(path, record.FILE_NAME, kind="run folder")
         if (path / record.FILE_NAME).is_file():
             wanted.require_same(RunRecord.read(path), path)
-            remove_half_written(path)
+            storage.remove_half_written(path)
         else:
             wanted.write(path)
         if protocol is not None:
@@ -147,7 +145,7 @@ class RunFolder:
         return cls(path, wanted)
 
     @classmethod
-    @foreign_input()
+    @bounded.foreign_input()
     def open(cls, path: Path | str, *, any_benchmark: bool = False) -> RunFolder:
         """Open a run for reading.
 
@@ -189,7 +187,7 @@ class RunFolder:
         known = [table.dataset for table in self.record.tables]
         if name not in known:
             raise RunError(f"{self.path}: the run is of {', '.join(known)}, not of {name}.")
-        inside(self.path, name)
+        storage.inside(self.path, name)
         own = self.path / name
         # Up to 0.10 the files of a run's only dataset lay beside run.json. Such a run is read and resumed as it lies.
         if len(known) == 1 and not own.is_dir() and any((self.path / file).exists() for file in _FIRST_FILES):
@@ -261,8 +259,8 @@ class FoldRun(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     def of(cls, run: RunFolder) -> FoldRun:
         """Describe a finished run on one dataset."""
         table = run.record.tables[0]
-        made = file_digest(run.path / record.FILE_NAME)
-        scores = file_digest(run.dataset(table.dataset).scores)
+        made = storage.file_digest(run.path / record.FILE_NAME)
+        scores = storage.file_digest(run.dataset(table.dataset).scores)
         return cls(fold=table.fold or "", run=run.path.resolve().name, record_sha256=made, scores_sha256=scores)
 
     @property
@@ -271,7 +269,7 @@ class FoldRun(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return self.record_sha256, self.scores_sha256
 
 
-@foreign_input()
+@bounded.foreign_input()
 def read_folds(folder: Path) -> tuple[FoldRun, ...]:
     """Read ``folds.json``.
 

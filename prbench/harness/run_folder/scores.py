@@ -14,9 +14,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
 from prbench.errors import RunError
-from prbench.files.arrays import open_parquet
-from prbench.files.bounded import foreign_input
-from prbench.files.storage import atomic_path
+from prbench.files import arrays, bounded, storage
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.shown import quoted
 
@@ -77,7 +75,7 @@ def write_scores(path: Path, tables: Iterable[pa.Table]) -> None:
     """
     schema = SCORES.with_metadata({"prbench_run_schema_version": str(RUN_SCHEMA_VERSION)})
     with (
-        atomic_path(path) as temporary,
+        storage.atomic_path(path) as temporary,
         open(temporary, "wb") as file,
         pq.ParquetWriter(file, schema, compression="zstd", use_dictionary=True) as writer,
     ):
@@ -118,7 +116,7 @@ class CodedScores:
         return cls(pa.concat_tables(coded).unify_dictionaries().combine_chunks())
 
     @classmethod
-    @foreign_input()
+    @bounded.foreign_input()
     def read(cls, path: Path) -> CodedScores:
         """Read ``scores.parquet`` a part at a time.
 
@@ -127,7 +125,7 @@ class CodedScores:
                 metric.
         """
         try:
-            file = open_parquet(path)
+            file = arrays.open_parquet(path)
             columns = file.schema_arrow
             if not columns.equals(SCORES, check_metadata=False):
                 problem = f"expected the columns {', '.join(SCORES.names)}, found {', '.join(columns.names)}."
