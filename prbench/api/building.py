@@ -48,11 +48,8 @@ class Build:
     @property
     def unread(self) -> dict[str, str]:
         """Recordings that are not in the table, by name, each with the reason."""
-        return {
-            record.recording_id: f"{record.status}: {record.message}"
-            for record in self._report.records
-            if record.status != "read"
-        }
+        lost = [record for record in self._report.records if record.status != "read"]
+        return {record.recording_id: f"{record.status}: {record.message}" for record in lost}
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -150,6 +147,7 @@ def build_dataset(
         MissingExtraError: if a rule asks for meshes without the extra ``open3d``, or a cluster without ``ray``.
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
+    given = dict(locals())
     from prbench.curation import build_dataset as build
     from prbench.curation.options import build_options
 
@@ -159,23 +157,9 @@ def build_dataset(
     args.require_positive(max_recordings=max_recordings)
     if on_error not in ("skip", "fail"):
         raise UsageError(f"on_error: expected skip or fail, found '{on_error}'.")
-    options = build_options(
-        recordings=recordings,
-        max_recordings=max_recordings,
-        protocol=args.as_optional_path(protocol),
-        option=args.as_options(option),
-        on_error=on_error,
-        replace=replace,
-        in_hand=in_hand,
-        ray_origin=ray_origin,
-        minimum_movement=minimum_movement,
-        min_confidence=min_confidence,
-        priming=priming,
-        corrections=args.as_optional_path(corrections),
-        events_only=events_only,
-        shift=shift,
-        scale=scale,
-    )
+    chosen = {name: value for name, value in given.items() if name not in ("dataset", "root", "out", "workers")}
+    paths = {name: args.as_optional_path(given[name]) for name in ("protocol", "corrections")}
+    options = build_options(**chosen | paths | {"option": args.as_options(option)})
     if is_url(root):  # a local copy of the files that the dataset's reader asks for
         from prbench.object_stores.inputs import fetched_native
 
@@ -270,16 +254,9 @@ def synthesize(
     planned = planned_recordings(size, count)
     done = itertools.count(1)
     with args.output_folder(out) as folder, progress(f"writing {layout}") as show:
+        chosen = {"recordings": count, "seed": seed, "size": size, "n_events": events, "estimates": egoallo}
+        chosen |= {"bystander_objects": bystander_objects, "workers": workers}
         tree = synthesize_tree(
-            layout,
-            folder,
-            recordings=count,
-            seed=seed,
-            size=size,
-            workers=workers,
-            n_events=events,
-            bystander_objects=bystander_objects,
-            estimates=egoallo,
-            on_written=lambda written: show(next(done), planned, written.recording_id),
+            layout, folder, **chosen, on_written=lambda one: show(next(done), planned, one.recording_id)
         )
     return SyntheticRecordings(layout, tree)

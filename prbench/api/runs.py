@@ -372,6 +372,7 @@ def run(
         StorageError: if the run folder cannot be written.
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
+    given = dict(locals())
     from prbench.board.merging import run_folds
     from prbench.harness import first_run
     from prbench.harness.methods.installed import packages_of
@@ -380,10 +381,8 @@ def run(
     from prbench.sequences.folds import ALL_FOLDS
 
     if "all" in (method, condition):
-        raise UsageError(
-            "'all' stands for many runs: name one method and one condition, or run `prbench run --method all` for the"
-            " rows of the study's Table 2."
-        )
+        remedy = "run `prbench run --method all` for the rows of the study's Table 2."
+        raise UsageError(f"'all' stands for many runs: name one method and one condition, or {remedy}")
     args.require_positive(limit=limit, threads=threads, samples=samples, batch_size=batch_size)
     sequences = args.as_texts(sequence)
     folders = table_folders(data)
@@ -395,25 +394,17 @@ def run(
         if not sequences:
             limit = limit or first_run.SEQUENCES
             batch_size = batch_size or first_run.BATCH_SIZE
+    same = ("benchmark", "split", "fold", "seed", "device", "threads", "control", "isolate", "timeout")
     request = RunRequest(
+        **{name: given[name] for name in same},
+        **{name: args.as_optional_path(given[name]) for name in ("weights", "protocol")},
         method=str(method),
-        benchmark=benchmark,
         data=folders,
-        weights=args.as_optional_path(weights),
         options=args.as_options(option),
-        split=split,
-        fold=fold,
         limit=limit,
         sequences=sequences,
-        seed=seed,
         samples=samples or about.samples,
         batch_size=batch_size or about.batch_size,
-        device=device,
-        threads=threads,
-        control=control,
-        isolate=isolate,
-        timeout=timeout,
-        protocol=args.as_optional_path(protocol),
     )
     if condition is not None:
         request = replace(request, condition=args.as_condition(condition) if about.default else str(condition))

@@ -141,25 +141,19 @@ def score(
         StorageError: if ``out`` cannot be written.
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
+    chosen = dict(locals())
     from prbench.harness.score_predictions import score_predictions
     from prbench.harness.score_request import ScoreRequest
 
     args.require_positive(limit=limit, max_frames=max_frames)
     given = _given(motions) if isinstance(motions, Mapping) else None
+    same = ("split", "limit", "seed", "control", "max_frames", "native_fps", "name", "allow_length_mismatch")
     request = ScoreRequest(
+        **{name: chosen[name] for name in same},
+        **{name: args.as_optional_path(chosen[name]) for name in ("conditions", "protocol")},
         predictions=_IN_MEMORY if isinstance(motions, Mapping) else args.as_path(motions),
         data=table_folders(table),
-        conditions=args.as_optional_path(conditions),
-        split=split,
-        limit=limit,
-        seed=seed,
         condition=None if condition is None else args.as_condition(condition),
-        control=control,
-        max_frames=max_frames,
-        native_fps=native_fps,
-        name=name,
-        allow_length_mismatch=allow_length_mismatch,
-        protocol=args.as_optional_path(protocol),
     )
     read = (*request.data, *(() if given else (request.predictions,)))
     with (

@@ -23,34 +23,19 @@ if TYPE_CHECKING:
     from prbench.harness.methods.describe import Description
 
 
-adapters = Group(
-    "adapters",
-    sections={
-        "commands": {
-            "list": "prbench.cli.adapters:list_methods",
-            "new": "prbench.cli.adapters:new",
-            "check": "prbench.cli.adapters:check",
-        }
-    },
-    example="prbench adapters list",
-    help="List the installed methods, start a new one, check one.",
+_HELP = "List the installed methods, start a new one, check one."
+_COMMANDS = {"list": f"{__name__}:list_methods", "new": f"{__name__}:new", "check": f"{__name__}:check"}
+adapters = Group("adapters", sections={"commands": _COMMANDS}, example="prbench adapters list", help=_HELP)
+_CONVERTERS = (
+    "List nothing, but write the converters as one file for a program, such as prbench_converters.py"
 )
+_LISTED = {"": [InstalledEntry], "--details": ["prbench.harness.methods.describe:Description"]}
 
 
-@command(
-    "list",
-    example="prbench adapters list --details",
-    report={"": [InstalledEntry], "--details": ["prbench.harness.methods.describe:Description"]},
-)
+@command("list", example="prbench adapters list --details", report=_LISTED)
 @click.argument("names", nargs=-1, metavar="[NAME...]")
 @opt.flag("--details", "Import each and show its conditions, whether it trains, its limits and weights, or its error.")
-@click.option(
-    "--converters",
-    type=opt.OUT_FILE,
-    metavar="FILE",
-    help="List nothing, but write the converters as one file for a program, such as prbench_converters.py: NumPy only,"
-    " Python 3.8 or later.",
-)
+@click.option("--converters", type=opt.OUT_FILE, metavar="FILE", help=f"{_CONVERTERS}: NumPy only, Python 3.8 or later.")
 @opt.benchmark_option
 def list_methods(names: tuple[str, ...], details: bool, converters: Path | None, benchmark: str | None) -> Answer:
     """List the installed methods with their packages, without importing any of them.
@@ -73,17 +58,14 @@ def list_methods(names: tuple[str, ...], details: bool, converters: Path | None,
     unknown = [name for name in names if name not in known]
     if unknown:
         raise no_such_method(unknown[0], known)
-    methods = [
-        replace(adapter, problem="offered more than once: uninstall all but one") if adapter.name in twice else adapter
-        for adapter in found
-        if not names or adapter.name in names
-    ]
+    problem = "offered more than once: uninstall all but one"
+    methods = [adapter for adapter in found if not names or adapter.name in names]
+    methods = [replace(each, problem=problem) if each.name in twice else each for each in methods]
     if not details:
-        remarks = [f"! {method.problem}" if method.problem else "" for method in methods]
-        rows = [
-            (method.name, method.package, method.version, method.target, remark)
-            for method, remark in zip(methods, remarks, strict=True)
-        ]
+        rows = []
+        for each in methods:
+            remark = f"! {each.problem}" if each.problem else ""
+            rows.append((each.name, each.package, each.version, each.target, remark))
         return Answer(methods, lambda: print_columns(("name", "package", "version", "target", ""), rows))
     from prbench.harness.methods.describe import describe_adapters
 
@@ -104,17 +86,12 @@ def _print_details(described: list[Description], *, with_controls: bool) -> None
             problems.append(f"! {method.name} ({method.package} {method.version}): {each.error}")
             continue
         trains = "by the run" if each.fitted else "no"
-        rows.append(
-            (
-                method.name,
-                f"{method.package} {method.version}",
-                ", ".join(each.conditions),
-                "prbench train" if method.name in tasks and method.package == "prbench" else trains,
-                f"<= {each.max_frames}" if each.max_frames else "any",
-                f"{each.native_fps:g}/s" if each.native_fps else "any",
-                ", ".join(each.weights) or "none",
-            )
-        )
+        if method.name in tasks and method.package == "prbench":
+            trains = "prbench train"
+        frames = f"<= {each.max_frames}" if each.max_frames else "any"
+        rate = f"{each.native_fps:g}/s" if each.native_fps else "any"
+        about = (method.name, f"{method.package} {method.version}", ", ".join(each.conditions), trains)
+        rows.append((*about, frames, rate, ", ".join(each.weights) or "none"))
     print_columns(("name", "package", "conditions", "trains", "frames", "rate", "weights"), rows)
     for problem in problems:
         print(problem)
@@ -123,22 +100,15 @@ def _print_details(described: list[Description], *, with_controls: bool) -> None
         print_columns(("", ""), [(f"{control.use} {control.name}", control.summary) for control in CONTROLS])
 
 
-@command(
-    "new",
-    example="prbench adapters new glide --condition goal-loc",
-    report="prbench.checking.scaffold.create:ScaffoldReport",
-)
+_EXAMPLE = "prbench adapters new glide --condition goal-loc"
+_GIVEN = f"What the method is given: {opt.conditions_by_benchmark()} (default goal-loc; of motion-prediction pose)"
+_CONDITION = {"type": click.Choice(opt.ALL_CONDITIONS), "metavar": "CONDITION", "multiple": True}
+
+
+@command("new", example=_EXAMPLE, report="prbench.checking.scaffold.create:ScaffoldReport")
 @click.argument("name")
 @opt.out_folder_option("New folder (default: ./prbench-NAME, or ./NAME for a program).")
-@click.option(
-    "--condition",
-    "conditions",
-    type=click.Choice(opt.ALL_CONDITIONS),
-    metavar="CONDITION",
-    multiple=True,
-    help=f"What the method is given: {opt.conditions_by_benchmark()} (default goal-loc; of motion-prediction pose);"
-    " repeatable.",
-)
+@click.option("--condition", "conditions", **_CONDITION, help=f"{_GIVEN}; repeatable.")
 @opt.flag("--trainable", "Write fit(), too: a method that learns from a table.")
 @opt.flag("--program", "Write a program of its own instead of a package: one plain Python file and a TOML file.")
 @opt.benchmark_option

@@ -117,54 +117,31 @@ def note_recordings(records: Iterable[Recording], *, reused: int) -> None:
             note(f"no sequence: {record.recording_id}: {record.why_fruitless}")
 
 
-@command(
-    "build-dataset",
-    example="prbench build-dataset adt --root /data/ADT --out tables/adt --workers 4",
-    resumes=True,
-    report=BuildsReport,
-)
+_EXAMPLE = "prbench build-dataset adt --root /data/ADT --out tables/adt --workers 4"
+_OUT = "Folder of the table; an earlier one is replaced once the new one is ready, if that lacks nothing."
+_PROPOSE = "Write picks for a person to confirm into this new CSV file, and no table (gimo: docs/gimo-events.md)."
+_EVENTS = "List picks and puts from the annotations alone, without sequences, before anything else is downloaded"
+_PRIMING = "Prime times by the equations (default), or taken over from the dataset where it publishes them (hd-epic)."
+_MOVEMENT = "What must be at least 20 cm: wrist_to_goal (default), pelvis or object displacement."
+_SURE = "Keep sequences of events with at least this event_confidence, from 0 to 1 (docs/specification/curation.md)."
+_CORRECTIONS = "Events that a person drops, moves, renames or gives another hand or goal (docs/review.md)."
+
+
+@command("build-dataset", example=_EXAMPLE, resumes=True, report=BuildsReport)
 @click.argument("dataset")
 @opt.root_option()
-@opt.out_folder_option(
-    "Folder of the table; an earlier one is replaced once the new one is ready, if that lacks nothing."
-)
+@opt.out_folder_option(_OUT)
 @opt.replace_option()
 @opt.recordings_options
 @opt.flag("--dry-run", "Say what would be read, and write nothing.")
-@click.option(
-    "--propose-events",
-    type=opt.OUT_FILE,
-    metavar="FILE",
-    help="Write picks for a person to confirm into this new CSV file, and no table (gimo: docs/gimo-events.md).",
-)
-@opt.flag(
-    "--events-only",
-    "List picks and puts from the annotations alone, without sequences, before anything else is downloaded (hd-epic).",
-)
+@click.option("--propose-events", type=opt.OUT_FILE, metavar="FILE", help=_PROPOSE)
+@opt.flag("--events-only", f"{_EVENTS} (hd-epic).")
 @click.option("--in-hand", metavar="RULE", help="Another in-hand rule of the manifest, for example wrist.")
 @click.option("--ray-origin", type=click.Choice(["eye", "camera"]), help="Where gaze rays start (default: eye).")
-@click.option(
-    "--priming",
-    type=click.Choice(["rule", "published"]),
-    default="rule",
-    help="Prime times by the equations (default), or taken over from the dataset where it publishes them (hd-epic).",
-)
-@click.option(
-    "--minimum-movement",
-    default="wrist_to_goal",
-    metavar="MEASURE",
-    help="What must be at least 20 cm: wrist_to_goal (default), pelvis or object displacement.",
-)
-@click.option(
-    "--min-confidence",
-    type=float,
-    default=0.0,
-    metavar="X",
-    help="Keep sequences of events with at least this event_confidence, from 0 to 1 (docs/specification/curation.md).",
-)
-@opt.path_option(
-    "--corrections", "Events that a person drops, moves, renames or gives another hand or goal (docs/review.md)."
-)
+@opt.choice_option("--priming", ["rule", "published"], _PRIMING, default="rule")
+@click.option("--minimum-movement", default="wrist_to_goal", metavar="MEASURE", help=_MOVEMENT)
+@click.option("--min-confidence", type=float, default=0.0, metavar="X", help=_SURE)
+@opt.path_option("--corrections", _CORRECTIONS)
 @opt.stream_options
 @opt.protocol_option("every number of the curation, stamped into the table (docs/protocol-choices.md).")
 @opt.on_error_option()
@@ -205,9 +182,8 @@ def build_dataset(
         def show_proposals() -> None:
             found = sum(bool(row["hand"]) for row in rows)
             print(f"{found} proposals for {len(rows)} segments, {len(problems)} not read")
-            print(
-                f"look at the videos, write yes or no into the column 'confirmed', and build with it: {propose_events}"
-            )
+            told = "look at the videos, write yes or no into the column 'confirmed', and build with it"
+            print(f"{told}: {propose_events}")
 
         return Answer(BuildsReport(proposed=rows), show_proposals, NOT_EVERYTHING if problems else 0)
     if dry_run:

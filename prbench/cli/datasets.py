@@ -28,16 +28,13 @@ if TYPE_CHECKING:
     from prbench.checking.inspection import InspectedDataset, InspectedTable
 
 
+_CITE = "Print BibTeX and licence terms of everything that these tables contain, such as --cite tables/adt"
+
+
 @command("datasets", example="prbench datasets --root /data", report="prbench.checking.catalogue:Catalogue")
 @click.argument("name", required=False)
 @opt.root_option("Look here for copies, and one folder below.", required=False)
-@opt.path_option(
-    "--cite",
-    "Print BibTeX and licence terms of everything that these tables contain, such as --cite tables/adt, and"
-    " nothing else.",
-    cls=SeveralValues,
-    metavar="DIR...",
-)
+@opt.path_option("--cite", f"{_CITE}, and nothing else.", cls=SeveralValues, metavar="DIR...")
 def datasets(*, name: str | None, root: Path | None, cite: tuple[Path, ...]) -> Answer:
     """List the datasets with licence and terms, how to obtain them, and what of them is below a folder.
 
@@ -55,12 +52,9 @@ def datasets(*, name: str | None, root: Path | None, cite: tuple[Path, ...]) -> 
         if name is not None:
             print(_everything(report.datasets[0]))
             return
-        header = ("name", "for", "title", "licence", "redistribution", "found")
-        rows = [
-            (each.name, each.kind, each.title, each.licence, each.redistribution, each.found or "–")
-            for each in report.datasets
-        ]
-        print_table("datasets", header, rows)
+        header = ("name", "kind", "title", "licence", "redistribution")
+        rows = [(*(getattr(each, name) for name in header), each.found or "–") for each in report.datasets]
+        print_table("datasets", ("name", "for", *header[2:], "found"), rows)
         for each in report.datasets:
             for line in each.missing:
                 print(f"{each.name}: {line}")
@@ -164,19 +158,16 @@ def _print_tables(tables: tuple[InspectedTable, ...]) -> None:
     print_table(title, (*counted, *measured, "body"), rows, numbers=range(1, 9))
     for table in tables:
         if table.participants_in_two_splits:
-            print(
-                f"{table.dataset}: {table.participants_in_two_splits} participants have sequences in both train and"
-                " test; the protocol splits by recording, as the study does."
-            )
+            why = "have sequences in both train and test; the protocol splits by recording, as the study does."
+            print(f"{table.dataset}: {table.participants_in_two_splits} participants {why}")
         for remark in table.remarks:
             print(f"{table.dataset}: {remark}")
 
 
-@command(
-    "validate",
-    example="prbench validate hd-epic --root /data/HD-EPIC --data tables/hd-epic",
-    report="prbench.checking.hd_epic:Validation",
-)
+_EXAMPLE = "prbench validate hd-epic --root /data/HD-EPIC --data tables/hd-epic"
+
+
+@command("validate", example=_EXAMPLE, report="prbench.checking.hd_epic:Validation")
 @click.argument("dataset", type=click.Choice(["hd-epic"]))
 @click.option("--data", type=opt.PATH, metavar="DIR", help="A table of it that was built by the rule.")
 @opt.root_option("Its annotations, alone or with the videos.", required=False)

@@ -133,13 +133,9 @@ weights_option = click.option(
 device_option = click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1 ….")
 threads_option = click.option("--threads", type=POSITIVE, default=1, metavar="N", help="Threads a process (default 1).")
 # The user's word for data whose licence keeps recorded motion.
-permission_option = click.option(
-    "--permission",
-    multiple=True,
-    metavar="DATASET",
-    help="I have the licensor's permission to pass on recorded motion and goals of DATASET (only needed where its"
-    " licence forbids it; `prbench datasets` says which); repeatable.",
-)
+_PERMISSION = "I have the licensor's permission to pass on recorded motion and goals of DATASET (only needed where its"
+_PERMISSION += " licence forbids it; `prbench datasets` says which); repeatable."
+permission_option = click.option("--permission", multiple=True, metavar="DATASET", help=_PERMISSION)
 
 
 def data_option(*, required: bool, help: str = "Built dataset folder(s), or a folder of such.") -> Callable:
@@ -156,19 +152,10 @@ def data_option(*, required: bool, help: str = "Built dataset folder(s), or a fo
     return path_option("--data", help, cls=SeveralValues, metavar="DIR...", required=required, callback=each_table)
 
 
-tables_option = data_option(
-    required=False,
-    help="The tables of the runs: scores are held against the motions on them, and called unverified without; the"
-    " embedded tables need not be named.",
-)
-
-
-signed_option = option(
-    "--require-signed",
-    "Refuse runs that `prbench run --sign` has not signed with this key of minisign, or that were changed then.",
-    type=LOCAL_PATH,
-    metavar="PUBLIC_KEY",
-)
+_TABLES = "The tables of the runs: scores are held against the motions on them, and called unverified without"
+tables_option = data_option(required=False, help=f"{_TABLES}; the embedded tables need not be named.")
+_SIGNED = "Refuse runs that `prbench run --sign` has not signed with this key of minisign, or that were changed then."
+signed_option = option("--require-signed", _SIGNED, type=LOCAL_PATH, metavar="PUBLIC_KEY")
 
 
 def out_folder_option(help: str, *, required: bool = False) -> Callable:
@@ -368,12 +355,9 @@ def shard_option(of: str) -> Callable:
     Args:
         of: What is dealt out to the shards.
     """
-    return click.option(
-        "--shard",
-        metavar="K/N",
-        help=f"Work on shard K of N, such as 3/16: every N-th of {of}; --out is the shard's own folder, and `prbench"
-        " merge` puts all of them together (docs/cluster.md).",
-    )
+    what = f"Work on shard K of N, such as 3/16: every N-th of {of}; --out is the shard's own folder"
+    help = f"{what}, and `prbench merge` puts all of them together (docs/cluster.md)."
+    return click.option("--shard", metavar="K/N", help=help)
 
 
 def chosen_shard(text: str | None, **refused: object) -> Shard | None:

@@ -39,12 +39,12 @@ class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
     built: dict[str, dict] = {}
 
 
-@command(
-    "synthesize",
-    example="prbench synthesize adt --count 4 --seed 1 --out synthetic/adt",
-    report=SynthesizeReport,
-    former={"--recordings": "--count", "--recording": "--count"},
-)
+_EXAMPLE = "prbench synthesize adt --count 4 --seed 1 --out synthetic/adt"
+_FORMER = {"--recordings": "--count", "--recording": "--count"}
+_ESTIMATES = "Also write bodies as EgoAllo would estimate them (adt; hd-epic and hot3d have no others)."
+
+
+@command("synthesize", example=_EXAMPLE, report=SynthesizeReport, former=_FORMER)
 @click.argument("layout")
 @opt.out_folder_option("Folder of the recordings, or of the table.")
 @opt.flag("--table", "Write the finished table of sequences instead of native files (the only way for size large).")
@@ -54,11 +54,7 @@ class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
 @opt.choice_option("--size", ["tiny", "default", "large"], "How much (default tiny).", default="tiny")
 @opt.number_option("--events", "n_events", "Picks and puts of each recording.")
 @click.option("--bystander-objects", type=int, metavar="N", help="Objects that never move.")
-@opt.flag(
-    "--egoallo",
-    "estimates",
-    "Also write bodies as EgoAllo would estimate them (adt; hd-epic and hot3d have no others).",
-)
+@opt.flag("--egoallo", "estimates", _ESTIMATES)
 @opt.workers_option()
 def synthesize(*, layout: str, out: Path | None, table: bool, replace: bool, count: int | None, **given: Any) -> Answer:
     """Write synthetic recordings in a dataset's native layout, with the truth beside them.
