@@ -175,7 +175,7 @@ def _given(motions: Mapping[str, ArrayLike]) -> tuple[Predictions, str]:
     Raises:
         PredictionsError: if there are none, or one is not of the right form.
     """
-    from prbench.harness.run_folder.npz import ArrayMotions, as_float32
+    from prbench.harness.run_folder.predictions import ArrayMotions, as_float32
 
     if not motions:
         problem = "expected a dictionary from sequence_id to arrays (n, 22, 3), found none in it."

@@ -20,22 +20,23 @@ from prbench.shown import clean
 if TYPE_CHECKING:
     from prbench.checking.conformance import Report
     from prbench.checking.examine_file import DoctorReport
-    from prbench.harness.methods.describe import Description
+    from prbench.harness.methods.loading import Description
 
 
 _HELP = "List the installed methods, start a new one, check one."
 _COMMANDS = {"list": f"{__name__}:list_methods", "new": f"{__name__}:new", "check": f"{__name__}:check"}
 adapters = Group("adapters", sections={"commands": _COMMANDS}, example="prbench adapters list", help=_HELP)
-_CONVERTERS = (
-    "List nothing, but write the converters as one file for a program, such as prbench_converters.py"
-)
-_LISTED = {"": [InstalledEntry], "--details": ["prbench.harness.methods.describe:Description"]}
+_CONVERTERS = "List nothing, but write the converters as one file for a program, such as prbench_converters.py"
+_CONVERTERS += ": NumPy only, Python 3.8 or later."
+_LISTED = {"": [InstalledEntry], "--details": ["prbench.harness.methods.loading:Description"]}
 
 
 @command("list", example="prbench adapters list --details", report=_LISTED)
 @click.argument("names", nargs=-1, metavar="[NAME...]")
 @opt.flag("--details", "Import each and show its conditions, whether it trains, its limits and weights, or its error.")
-@click.option("--converters", type=opt.OUT_FILE, metavar="FILE", help=f"{_CONVERTERS}: NumPy only, Python 3.8 or later.")
+@click.option(
+    "--converters", type=opt.OUT_FILE, metavar="FILE", help=f"{_CONVERTERS}: NumPy only, Python 3.8 or later."
+)
 @opt.benchmark_option
 def list_methods(names: tuple[str, ...], details: bool, converters: Path | None, benchmark: str | None) -> Answer:
     """List the installed methods with their packages, without importing any of them.
@@ -67,7 +68,7 @@ def list_methods(names: tuple[str, ...], details: bool, converters: Path | None,
             remark = f"! {each.problem}" if each.problem else ""
             rows.append((each.name, each.package, each.version, each.target, remark))
         return Answer(methods, lambda: print_columns(("name", "package", "version", "target", ""), rows))
-    from prbench.harness.methods.describe import describe_adapters
+    from prbench.harness.methods.loading import describe_adapters
 
     described = describe_adapters(names or None, benchmark=about.name)
     return Answer(described, lambda: _print_details(described, with_controls=about.default and not names))

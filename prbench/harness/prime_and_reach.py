@@ -23,14 +23,13 @@ from prbench.harness import controls
 from prbench.harness.agreement import agreement_with_people, require_agreement
 from prbench.harness.benchmark import Answer, Benchmark, CaseWork
 from prbench.harness.conditions import ConditionSource, ConditionStream, derangement, run_salt
-from prbench.harness.faults import certain_faults
 from prbench.harness.methods import installed, loading, remote
 from prbench.harness.methods.motions import generate_checked
 from prbench.harness.planning import Selection, open_tables, plan_batches, select, select_sequences, supported
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder import CONTROL, DatasetFolder, MethodRecord, PredictionRows, Predictions, RunFolder
 from prbench.harness.run_folder.scores import CodedScores
-from prbench.harness.scoring import ScoringRules, score_selection
+from prbench.harness.scoring import ScoringRules, certain_faults, score_selection
 from prbench.metrics import METRICS
 from prbench.protocol.manifests import PROTOCOL_NAME, BenchmarkProtocol, load_protocol
 from prbench.protocol.own_protocol import protocol_for

@@ -18,7 +18,6 @@ from prbench.errors import RunError, StorageError, UsageError
 from prbench.files.storage import file_digest, remove_half_written, sole_writer, text_digest
 from prbench.harness.agreement import agreement_with_people
 from prbench.harness.conditions import opaque_ids, run_salt
-from prbench.harness.faults import certain_faults
 from prbench.harness.methods.installed import name_problem
 from prbench.harness.offline import read_conditions_file
 from prbench.harness.planning import Selection, open_tables, select, supported
@@ -32,7 +31,7 @@ from prbench.harness.run_folder.record import FILE, MethodRecord, RunCost, RunRe
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION, CodedScores
 from prbench.harness.run_folder.summary import FILE_NAME as SUMMARY_FILE
 from prbench.harness.score_request import ScoreReport, ScoreRequest, require_complete, settled_by_conditions
-from prbench.harness.scoring import ScoringRules, at_table_rate, score_selection
+from prbench.harness.scoring import ScoringRules, at_table_rate, certain_faults, score_selection
 from prbench.protocol.manifests import BenchmarkProtocol
 from prbench.protocol.own_protocol import FILE_NAME, protocol_for, write_protocol
 from prbench.sequences import SequenceTable

@@ -14,12 +14,12 @@ from prbench.board.export import export
 from prbench.checking.doctor.motion_set import ORDERS_OF_22
 from prbench.cli.main import main
 from prbench.contract import Condition
-from prbench.harness.faults import certain_faults
 from prbench.harness.planning import select
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import Predictions
 from prbench.harness.run_folder.predictions import PredictionRows
+from prbench.harness.scoring import certain_faults
 from prbench.harness.synthetic_table import build_synthetic_table
 from prbench.sequences import SequenceTable
 from tests.checking.doctor.faults import (

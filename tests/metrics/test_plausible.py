@@ -12,7 +12,6 @@ from prbench.geometry.skeleton import TOES, Joint
 from prbench.metrics import MotionBatch, score
 from prbench.metrics.batch import ScoringPair
 from prbench.metrics.foot_skating import foot_skating, slow_slides
-from prbench.metrics.initial_state import first_frame_error, first_step
 from prbench.metrics.plausible import (
     body_numbers,
     broken_limits,
@@ -24,6 +23,7 @@ from prbench.metrics.plausible import (
     lowest_pelvis,
     penetration,
 )
+from prbench.metrics.pose_errors import first_frame_error, first_step
 from prbench.protocol.manifests import Limit
 from tests.metrics.motions import CONSTANTS, FPS, STANDING, batch, random_motion, standing, targets
 

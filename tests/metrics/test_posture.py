@@ -7,7 +7,7 @@ import pytest
 
 from prbench.geometry.skeleton import Joint
 from prbench.metrics.batch import ScoringPair
-from prbench.metrics.posture import posture_numbers
+from prbench.metrics.plausible import posture_numbers
 from tests.metrics.motions import FPS, batch, looking, standing, targets
 
 

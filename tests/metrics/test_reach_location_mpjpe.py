@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from prbench.geometry.skeleton import Joint
-from prbench.metrics.goal_mpjpe import goal_mpjpe
-from prbench.metrics.location_error import location_error
-from prbench.metrics.mpjpe import mpjpe
+from prbench.metrics.final_pose import goal_mpjpe, location_error
+from prbench.metrics.pose_errors import mpjpe
 from prbench.metrics.reach_success import reach_success, reach_wrist
 from tests.metrics.motions import CONSTANTS, batch, random_problem, standing
 

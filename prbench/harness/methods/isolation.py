@@ -148,11 +148,10 @@ def require_fence(methods: Iterable[str]) -> None:
     fence = available_fence()
     for method in methods:
         if fence.program is None and not programs.runs_in_container(method):
-            raise UsageError(
-                f"--require-fence: '{installed.short_name(method)}' could read all your files: {fence.reason}. Install bubblewrap"
-                " (on Linux `apt install bubblewrap` or `dnf install bubblewrap`; it needs user namespaces), or run the"
-                " method in a container (docs/environments.md)."
-            )
+            problem = f"'{installed.short_name(method)}' could read all your files: {fence.reason}"
+            linux = "on Linux `apt install bubblewrap` or `dnf install bubblewrap`; it needs user namespaces"
+            remedy = f"Install bubblewrap ({linux}), or run the method in a container (docs/environments.md)."
+            raise UsageError(f"--require-fence: {problem}. {remedy}")
 
 
 def bubblewrap_words(

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from prbench.cli import main
-from prbench.harness.methods.describe import describe_adapters
+from prbench.harness.methods.loading import describe_adapters
 from tests.method_fixtures import adapter_source
 
 ENDINGS = {

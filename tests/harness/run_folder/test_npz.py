@@ -13,7 +13,7 @@ import pytest
 
 from prbench.errors import InputFileError, PredictionsError
 from prbench.files import arrays as array_files
-from prbench.harness.run_folder import npz
+from prbench.harness.run_folder import predictions as npz
 from prbench.harness.run_folder.predictions import Predictions
 
 LENGTHS = np.array([3, 5, 2])
