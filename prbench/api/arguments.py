@@ -22,6 +22,8 @@ from prbench.object_stores.store import is_url
 PathLike = str | os.PathLike[str]
 # Processes of this machine, or a cluster.
 Workers = int | Cluster
+# One text, or several.
+Texts = str | Iterable[str]
 _NOTE = "note: "
 
 
@@ -135,7 +137,7 @@ def as_optional_path(value: PathLike | None) -> Path | None:
     return None if value is None else as_path(value)
 
 
-def as_texts(value: str | Iterable[str]) -> tuple[str, ...]:
+def as_texts(value: Texts) -> tuple[str, ...]:
     """Return one text or several as a tuple.
 
     Args:

@@ -204,10 +204,9 @@ def measure(
         outside = np.flatnonzero((primes < -_TIME_TOLERANCE) | (primes > lasts + _TIME_TOLERANCE))
         if outside.size:
             row = int(outside[0])
-            raise UsageError(
-                f"prime_time: expected seconds after the first frame, from 0 to {lasts[row]:g} for motion {row}, found"
-                f" {primes[row]:g}. Of a recording's clock, subtract the first frame's time (sequence.prime_after)."
-            )
+            expected = f"seconds after the first frame, from 0 to {lasts[row]:g} for motion {row}"
+            remedy = "Of a recording's clock, subtract the first frame's time (sequence.prime_after)."
+            raise UsageError(f"prime_time: expected {expected}, found {primes[row]:g}. {remedy}")
     # Metric ids in printed order: the six, or those that were asked for.
     known = [info.id for info in scoring.METRICS_OF_MOTIONS]
     wanted = [info.id for info in scoring.STUDY_METRICS]
@@ -301,15 +300,10 @@ def measure_futures(
     if happened.ndim != 3 or happened.shape[2] != 3 or not len(happened):
         raise UsageError(f"recorded: expected (frames, joints, 3), found the shape {happened.shape}.")
     if futures.ndim != 4 or futures.shape[1:] != happened.shape or not len(futures):
-        raise UsageError(
-            f"predicted: expected (k, {', '.join(map(str, happened.shape))}), k futures of the recorded frames, found"
-            f" the shape {futures.shape}."
-        )
-    given = {
-        "last_observed": None if last_observed is None else _array("last_observed", last_observed),
-        "goal": None if goal is None else _array("goal", goal),
-        "similar_futures": None if similar_futures is None else _array("similar_futures", similar_futures),
-    }
+        expected = f"(k, {', '.join(map(str, happened.shape))}), k futures of the recorded frames"
+        raise UsageError(f"predicted: expected {expected}, found the shape {futures.shape}.")
+    given = {"last_observed": last_observed, "goal": goal, "similar_futures": similar_futures}
+    given = {name: None if value is None else _array(name, value) for name, value in given.items()}
     for name, shape in (("last_observed", happened.shape[1:]), ("goal", (3,)), ("similar_futures", happened.shape)):
         array = given[name]
         several = name == "similar_futures"  # any number of them
@@ -354,10 +348,9 @@ def _motions(name: str, value: Any, n_frames: Any) -> tuple[list[Float[np.ndarra
         motions = [array] if one else list(array)
     for motion in motions:
         if motion.ndim != 3 or motion.shape[1:] != (N_JOINTS, 3) or not len(motion):
-            raise UsageError(
-                f"{name}: expected (n, {N_JOINTS}, 3), a list of such arrays, or (batch, frames, {N_JOINTS}, 3) with"
-                f" n_frames, found the shape {motion.shape if one else (len(motions), *motion.shape)}."
-            )
+            forms = f"(n, {N_JOINTS}, 3), a list of such arrays, or (batch, frames, {N_JOINTS}, 3) with n_frames"
+            shape = motion.shape if one else (len(motions), *motion.shape)
+            raise UsageError(f"{name}: expected {forms}, found the shape {shape}.")
     if n_frames is not None:
         lengths = np.atleast_1d(_array("n_frames", n_frames)).tolist()
         if np.ndim(n_frames) == 0:

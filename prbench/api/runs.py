@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from jaxtyping import Float
 from prbench.api import arguments as args
 from prbench.api import pictures
 from prbench.api.pictures import Picture, Replay
-from prbench.api.tables import Table, embedded_tables, table_folders
+from prbench.api.tables import Tables, embedded_tables, table_folders
 from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.engine.choice import Cluster
 from prbench.errors import RunError, UsageError
@@ -190,12 +190,12 @@ class Run:
     @args.own_parameters
     def plot(
         self,
-        sequence: str | Iterable[str] = (),
+        sequence: args.Texts = (),
         *,
-        data: args.PathLike | Table | Iterable[args.PathLike | Table] = (),
+        data: Tables = (),
         limit: int | None = None,
         sample: int = 0,
-        permission: str | Iterable[str] = (),
+        permission: args.Texts = (),
     ) -> Picture:
         """Draw motions of the run beside the recorded ones, as ``prbench view`` does.
 
@@ -220,12 +220,12 @@ class Run:
     @args.own_parameters
     def replay(
         self,
-        sequence: str | Iterable[str] = (),
+        sequence: args.Texts = (),
         *,
-        data: args.PathLike | Table | Iterable[args.PathLike | Table] = (),
+        data: Tables = (),
         limit: int | None = None,
         sample: int = 0,
-        permission: str | Iterable[str] = (),
+        permission: args.Texts = (),
     ) -> Replay:
         """Show motions of the run beside the recorded ones in 3-D, to turn and play.
 
@@ -248,12 +248,7 @@ class Run:
         return pictures.replay_of(self._scenes(sequence, data, limit, sample, permission))
 
     def _scenes(
-        self,
-        sequence: str | Iterable[str],
-        data: args.PathLike | Table | Iterable[args.PathLike | Table],
-        limit: int | None,
-        sample: int,
-        permission: str | Iterable[str],
+        self, sequence: args.Texts, data: Tables, limit: int | None, sample: int, permission: args.Texts
     ) -> tuple[Scene, ...]:
         from prbench.viewing.view import ViewRequest, scenes_of
 
@@ -310,12 +305,12 @@ def run(
     *,
     benchmark: str = PROTOCOL_NAME,
     condition: Literal["none", "text", "goal-pose", "goal-loc", "pose", "pose+head", "pose+gaze"] | None = None,
-    data: args.PathLike | Table | Iterable[args.PathLike | Table] = (),
+    data: Tables = (),
     out: args.PathLike | None = None,
     split: Literal["train", "validation", "test", "published"] = "test",
     fold: str | None = None,
     limit: int | None = None,
-    sequence: str | Iterable[str] = (),
+    sequence: args.Texts = (),
     weights: args.PathLike | None = None,
     option: Mapping[str, object] | None = None,
     device: str = "cpu",

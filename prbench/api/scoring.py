@@ -5,7 +5,7 @@ Two runs on the same sequences: the command ``prbench leaderboard compare``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -16,7 +16,7 @@ import pyarrow as pa
 from prbench.api import arguments as args
 from prbench.api.pictures import frame_from_rows, frame_of, notebook_table, progress
 from prbench.api.runs import Run, described, scores_for_notebook, summary_frame
-from prbench.api.tables import Table, table_folders
+from prbench.api.tables import Tables, table_folders
 from prbench.errors import PredictionsError, UsageError
 from prbench.files.storage import bytes_digest, text_digest
 from prbench.geometry.skeleton import N_JOINTS
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from prbench.board.comparison import RunComparison
     from prbench.harness.request import Progress
-    from prbench.harness.score_request import ScoreReport
+    from prbench.harness.score_predictions import ScoreReport
 
 
 # What messages and records call motions that come from memory.
@@ -83,7 +83,7 @@ class Scores:
 
 def score(
     motions: args.PathLike | Mapping[str, ArrayLike],
-    table: args.PathLike | Table | Iterable[args.PathLike | Table],
+    table: Tables,
     *,
     conditions: args.PathLike | None = None,
     name: str | None = None,
@@ -142,8 +142,7 @@ def score(
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
     chosen = dict(locals())
-    from prbench.harness.score_predictions import score_predictions
-    from prbench.harness.score_request import ScoreRequest
+    from prbench.harness.score_predictions import ScoreRequest, score_predictions
 
     args.require_positive(limit=limit, max_frames=max_frames)
     given = _given(motions) if isinstance(motions, Mapping) else None
@@ -272,11 +271,7 @@ class Comparison:
 
 
 def compare(
-    first: args.PathLike | Run | Scores,
-    second: args.PathLike | Run | Scores,
-    *,
-    data: args.PathLike | Table | Iterable[args.PathLike | Table] = (),
-    workers: int = 1,
+    first: args.PathLike | Run | Scores, second: args.PathLike | Run | Scores, *, data: Tables = (), workers: int = 1
 ) -> Comparison:
     """Say where two runs on the same sequences differ, and whether the data support it.
 

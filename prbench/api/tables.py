@@ -569,7 +569,10 @@ def embedded_tables(*, workers: int = 1) -> tuple[Table, ...]:
         return tuple(map(Table, default_tables(engine_for(workers), show)))
 
 
-def table_folders(data: args.PathLike | Table | Iterable[args.PathLike | Table]) -> tuple[Path, ...]:
+Tables = args.PathLike | Table | Iterable[args.PathLike | Table]
+
+
+def table_folders(data: Tables) -> tuple[Path, ...]:
     """Return the folders of one table or several.
 
     Args:

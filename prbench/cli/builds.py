@@ -149,16 +149,7 @@ _CORRECTIONS = "Events that a person drops, moves, renames or gives another hand
 @opt.engine_options()
 @opt.shard_option("the dataset's recordings")
 def build_dataset(
-    *,
-    dataset: str,
-    root: Path,
-    out: Path | None,
-    dry_run: bool,
-    propose_events: Path | None,
-    options: opt.Pairs,
-    engine: EngineChoice,
-    shard: str | None,
-    **given: Any,
+    *, dataset: str, root: Path, out: Path | None, dry_run: bool, options: opt.Pairs, engine: EngineChoice, **given: Any
 ) -> Answer:
     """Turn a dataset's recordings into a table of prime-and-reach sequences.
 
@@ -166,16 +157,17 @@ def build_dataset(
     """
     from prbench.curation.options import build_options
 
-    part = opt.chosen_shard(shard, replace=given["replace"], dry_run=dry_run, everything=dataset == EVERYTHING)
+    propose_events = given.pop("propose_events")
+    refused = {"replace": given["replace"], "dry_run": dry_run, "everything": dataset == EVERYTHING}
+    part = opt.chosen_shard(given.pop("shard"), **refused)
     chosen = build_options(option=options, **given)
     if propose_events is not None:
         from prbench.curation.propose_events import write_candidates
 
         where = opt.opened(engine, reads=(root,))
         with progress(f"looking for reaches in {dataset}") as show:
-            rows, problems = write_candidates(
-                dataset, root, propose_events, options=options, engine=where, progress=show
-            )
+            chosen_by = {"options": options, "engine": where, "progress": show}
+            rows, problems = write_candidates(dataset, root, propose_events, **chosen_by)
         for name, problem in problems.items():
             note(f"{name}: {problem}")
 

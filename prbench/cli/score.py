@@ -95,8 +95,7 @@ def score(
     from prbench.harness.run_folder import RunFolder, signature
     from prbench.harness.run_folder.folder import run_folder_of
     from prbench.harness.run_folder.record import FILE_NAME as RUN_FILE
-    from prbench.harness.score_predictions import score_predictions
-    from prbench.harness.score_request import ScoreRequest
+    from prbench.harness.score_predictions import ScoreRequest, score_predictions
     from prbench.protocol.manifests import find_benchmark
     from prbench.sequences.folds import fold_tables
     from prbench.viewing.player.links import sequence_scores

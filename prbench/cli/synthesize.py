@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
@@ -68,7 +68,27 @@ def synthesize(*, layout: str, out: Path | None, table: bool, replace: bool, cou
     if table:
         if given.pop("estimates") or given.pop("bystander_objects") is not None:
             raise UsageError("--table writes no native files; leave --egoallo and --bystander-objects out.")
-        return _table(layout, out, count, replace=replace, **given)
+        # Recordings are acted out, sensed and curated in memory: training data without native files.
+        from prbench.curation import BuildOptions
+        from prbench.engine import engine_for
+        from prbench.harness.synthetic_table import LARGE_RECORDINGS, Staging, build_synthetic_table
+
+        large = given["size"] == "large"
+        usual = LARGE_RECORDINGS if large else planned_recordings(given["size"], None)
+        events = Staging.n_events if given["n_events"] is None else given["n_events"]
+        chosen = {
+            "world": "large" if large else "default",
+            "n_events": events,
+            "options": BuildOptions(replace=replace),
+        }
+        engine = engine_for(given["workers"])
+        with progress(f"acting out {layout}") as show:
+            made = build_synthetic_table(
+                layout, count or usual, given["seed"], out, engine=engine, **chosen, progress=show
+            )
+        found = f"{made.info.counts.sequences} sequences of {len(made.records)} recordings"
+        report = SynthesizeReport(folder=made.folder, built=built(made))
+        return Answer(report, lambda: print(f"table: {made.folder} ({found})"))
     of_corpus = layout in _CORPUS_LAYOUTS
     planned = (count or _CORPUS_RECORDINGS) if of_corpus else planned_recordings(given["size"], count)
     done = itertools.count(1)
@@ -96,38 +116,3 @@ def synthesize(*, layout: str, out: Path | None, table: bool, replace: bool, cou
         print(f"recordings: {tree.root} ({then})")
 
     return Answer(SynthesizeReport(folder=tree.root, recordings=tree.recordings), show)
-
-
-def _table(
-    layout: str,
-    out: Path,
-    count: int | None,
-    *,
-    size: Literal["tiny", "default", "large"],
-    seed: int,
-    n_events: int | None,
-    replace: bool,
-    workers: int,
-) -> Answer:
-    """Act out, sense and curate recordings in memory: training data without native files."""
-    from prbench.curation import BuildOptions
-    from prbench.engine import engine_for
-    from prbench.harness.synthetic_table import LARGE_RECORDINGS, Staging, build_synthetic_table
-    from prbench.synthetic.write_tree import planned_recordings
-
-    large = size == "large"
-    with progress(f"acting out {layout}") as tell:
-        made = build_synthetic_table(
-            layout,
-            count or (LARGE_RECORDINGS if large else planned_recordings(size, None)),
-            seed,
-            out,
-            engine=engine_for(workers),
-            world="large" if large else "default",
-            n_events=Staging.n_events if n_events is None else n_events,
-            options=BuildOptions(replace=replace),
-            progress=tell,
-        )
-    found = f"{made.info.counts.sequences} sequences of {len(made.records)} recordings"
-    report = SynthesizeReport(folder=made.folder, built=built(made))
-    return Answer(report, lambda: print(f"table: {made.folder} ({found})"))

@@ -96,19 +96,14 @@ def problems(facts: Mapping[str, Any], asked: Question, answered: float) -> list
     found: list[str] = []
     here = asked.here
     if not facts["prbench"]:
-        found.append(
-            f"prbench is not installed there. Install version {here['prbench']} there, into the Python that runs Ray."
-        )
+        remedy = f"Install version {here['prbench']} there, into the Python that runs Ray."
+        found.append(f"prbench is not installed there. {remedy}")
     elif facts["prbench"] != here["prbench"]:
-        found.append(
-            f"prbench {_said(facts['prbench'])} is installed there, and {here['prbench']} here."
-            " Install the same version on both."
-        )
+        told = f"prbench {_said(facts['prbench'])} is installed there, and {here['prbench']} here."
+        found.append(f"{told} Install the same version on both.")
     elif facts["code"] != here["code"]:
-        found.append(
-            f"prbench {here['prbench']} is installed there with other source files than here."
-            " Install the same commit on both, best into a folder that all nodes share."
-        )
+        told = f"prbench {here['prbench']} is installed there with other source files than here."
+        found.append(f"{told} Install the same commit on both, best into a folder that all nodes share.")
     if facts["python"].split(".")[:2] != here["python"].split(".")[:2]:
         found.append(f"Python {_said(facts['python'])} runs there, and {here['python']} here. Use the same on both.")
     for name, version in here["packages"].items():
@@ -127,34 +122,23 @@ def problems(facts: Mapping[str, Any], asked: Question, answered: float) -> list
             told = f"{path} holds something else there than here. Put the data on a file system that all nodes share."
         found.append(told)
     if not facts["folder"]:
-        found.append(
-            f"{asked.wanted['folder']}, where the command was started, is not there. Name files by absolute paths, or"
-            " start it in a folder that all nodes share."
-        )
+        remedy = "Name files by absolute paths, or start it in a folder that all nodes share."
+        found.append(f"{asked.wanted['folder']}, where the command was started, is not there. {remedy}")
     for mark, text in asked.wanted["marks"].items():
         if facts["marks"].get(mark, "") != text:
-            found.append(
-                f"{Path(mark).parent} is not the same folder there: a file written here is not seen."
-                " Choose an --out on a file system that all nodes share."
-            )
-    return [*found, *_resources(facts, asked.asked, answered)]
-
-
-def _resources(facts: Mapping[str, Any], asked: float, answered: float) -> Iterator[str]:
+            told = f"{Path(mark).parent} is not the same folder there: a file written here is not seen."
+            found.append(f"{told} Choose an --out on a file system that all nodes share.")
     for path, free in facts["room"].items():
         if free is not None and free < LEAST_FREE:
-            yield (
-                f"{path} has {free / 1e9:.1f} GB of free disk there; at least {LEAST_FREE / 1e9:.0f} GB are needed."
-                " Free some space."
-            )
+            least = f"at least {LEAST_FREE / 1e9:.0f} GB are needed. Free some space."
+            found.append(f"{path} has {free / 1e9:.1f} GB of free disk there; {least}")
     there = facts["time"]
-    off = max(asked - there, there - answered)  # it was read at some moment between the two
+    off = max(asked.asked - there, there - answered)  # it was read at some moment between the two
     if off > CLOCK_TOLERANCE_S:
-        direction = "behind" if there < asked else "ahead"
-        yield (
-            f"its clock is {off:.0f} s {direction}; at most {CLOCK_TOLERANCE_S:.0f} s are allowed."
-            " Set it, for example by chrony or systemd-timesyncd."
-        )
+        direction = "behind" if there < asked.asked else "ahead"
+        remedy = f"at most {CLOCK_TOLERANCE_S:.0f} s are allowed. Set it, for example by chrony or systemd-timesyncd."
+        found.append(f"its clock is {off:.0f} s {direction}; {remedy}")
+    return found
 
 
 def _said(text: object) -> str:

@@ -186,16 +186,13 @@ class RayCluster:
             lines = [f"node {_name(node)}: {text}" for node in alive for text in unfit.get(node["NodeID"], ())]
             raise ClusterError("\n".join(["the cluster is not fit for this work, so nothing was started.", *lines]))
         if not any(self._slots(node) for node in alive):
-            rooms = [
-                f"{_name(node)} {node['Resources'].get('CPU', 0):g} processors and"
-                f" {node['Resources'].get('GPU', 0):g} GPUs"
-                for node in alive
-            ]
-            raise ClusterError(
-                f"expected a node with {self.cpus} processors and {self.gpus:g} GPUs for a worker, found"
-                f" {', '.join(rooms) or 'no node'}. Ask for less (--threads, --gpus-per-worker), or add a node by"
-                " `ray start`."
-            )
+            rooms = []
+            for node in alive:
+                counts = [f"{node['Resources'].get(kind, 0):g}" for kind in ("CPU", "GPU")]
+                rooms.append(f"{_name(node)} {counts[0]} processors and {counts[1]} GPUs")
+            problem = f"expected a node with {self.cpus} processors and {self.gpus:g} GPUs for a worker"
+            remedy = "Ask for less (--threads, --gpus-per-worker), or add a node by `ray start`."
+            raise ClusterError(f"{problem}, found {', '.join(rooms) or 'no node'}. {remedy}")
 
     def nodes(self) -> list[Node]:
         """See :meth:`Cluster.nodes`; a node that joins later is checked, and named and left out where it is unfit."""

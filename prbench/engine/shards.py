@@ -229,13 +229,10 @@ def require_whole(folders: Sequence[Path]) -> list[tuple[Path, ShardRecord]]:
     return [by_number[number] for number in sorted(by_number)]
 
 
-def require_settings(
-    folder: Path,
-    record: ShardRecord,
-    now: dict[str, Any],
-    *,
-    remedy: str = "Merge the shards with the prbench that made them.",
-) -> None:
+_SAME = "Merge the shards with the prbench that made them."
+
+
+def require_settings(folder: Path, record: ShardRecord, now: dict[str, Any], *, remedy: str = _SAME) -> None:
     """Refuse shards whose settings mean something else today, for example because a manifest was changed.
 
     Args:

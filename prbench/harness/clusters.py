@@ -20,6 +20,9 @@ from prbench.randomness import named_generator
 
 # One number for each data set: an array with the leading axes, or a single number where there are none.
 PerSet = np.ndarray | np.floating
+Totals = Float[np.ndarray, "*sets units"]
+Sizes = Int[np.ndarray, " units"]
+Variance = Float[np.ndarray, "*sets"] | float
 CONFIDENCE = 0.95
 SIGNIFICANCE = 0.05
 # Probability with which the smallest detectable difference would be found.
@@ -67,9 +70,7 @@ def flips(units: tuple[str, ...], most: int = 2**16) -> Float[np.ndarray, "units
 
 
 def flipped_means(
-    totals: Float[np.ndarray, "*sets units"],
-    sizes: Int[np.ndarray, " units"],
-    flipped: Float[np.ndarray, "units flips"],
+    totals: Totals, sizes: Sizes, flipped: Float[np.ndarray, "units flips"]
 ) -> Float[np.ndarray, "*sets flips"]:
     """Return the mean over the sequences of the flipped units, for each flip.
 
@@ -105,12 +106,7 @@ def flip_bounds(means: Float[np.ndarray, "*sets flips"], level: float = 1 - CONF
 
 
 def detectable_difference(
-    totals: Float[np.ndarray, " units"],
-    sizes: Int[np.ndarray, " units"],
-    sequence_variance: float,
-    *,
-    comparisons: int,
-    rate: bool = False,
+    totals: Float[np.ndarray, " units"], sizes: Sizes, sequence_variance: float, *, comparisons: int, rate: bool = False
 ) -> float:
     """Return the smallest difference that four of five repetitions find at Holm's first step.
 
@@ -147,11 +143,7 @@ def _errors_found(sizes: tuple[int, ...], correlation: float, level: float) -> f
     return float(np.quantile(-low / np.roll(standard_error(totals, number), 1), POWER))
 
 
-def standard_error(
-    totals: Float[np.ndarray, "*sets units"],
-    sizes: Int[np.ndarray, " units"],
-    sequence_variance: Float[np.ndarray, "*sets"] | float = 0.0,
-) -> PerSet:
+def standard_error(totals: Totals, sizes: Sizes, sequence_variance: Variance = 0.0) -> PerSet:
     """Return the standard error of the mean over sequences (CR2 of Bell and McCaffrey 2002), for two units or more.
 
     Args:
@@ -166,7 +158,7 @@ def standard_error(
     return np.sqrt(np.maximum(between, np.asarray(sequence_variance) / n))
 
 
-def degrees_of_freedom(sizes: Int[np.ndarray, " units"]) -> float:
+def degrees_of_freedom(sizes: Sizes) -> float:
     """Satterthwaite's degrees of freedom of the CR2 variance (Bell and McCaffrey 2002).
 
     They depend on how alike sequences of one unit are, which is unknown. The smaller number of the two extremes,
@@ -184,11 +176,7 @@ def degrees_of_freedom(sizes: Int[np.ndarray, " units"]) -> float:
 
 
 def mean_bounds(
-    totals: Float[np.ndarray, "*sets units"],
-    sizes: Int[np.ndarray, " units"],
-    sequence_variance: Float[np.ndarray, "*sets"] | float = 0.0,
-    *,
-    nonnegative: bool = False,
+    totals: Totals, sizes: Sizes, sequence_variance: Variance = 0.0, *, nonnegative: bool = False
 ) -> tuple[PerSet, PerSet]:
     """Return Student's 95 % interval of a mean by the CR2 error; NaN where none can be given.
 
@@ -210,7 +198,7 @@ def mean_bounds(
     return mean - reach, mean + reach
 
 
-def rate_bounds(totals: Float[np.ndarray, "*sets units"], sizes: Int[np.ndarray, " units"]) -> tuple[PerSet, PerSet]:
+def rate_bounds(totals: Totals, sizes: Sizes) -> tuple[PerSet, PerSet]:
     """Return the 95 % interval of a rate strictly between 0 and 1: Clopper's and Pearson's of the effective number."""
     number = effective_number(totals, sizes)
     events = totals.sum(axis=-1) / sizes.sum() * number
@@ -220,7 +208,7 @@ def rate_bounds(totals: Float[np.ndarray, "*sets units"], sizes: Int[np.ndarray,
     return low, high
 
 
-def effective_number(totals: Float[np.ndarray, "*sets units"], sizes: Int[np.ndarray, " units"]) -> PerSet:
+def effective_number(totals: Totals, sizes: Sizes) -> PerSet:
     """Return the number of independent sequences whose rate would be known as well (rates neither 0 nor 1).
 
     The sequences are divided by the design effect, the variance of the mean over what it were if all sequences were

@@ -27,12 +27,11 @@ DEFAULT_BATCH_SIZE = 64
 DEFAULT_PARENT = Path("runs")
 
 
+Counts = Mapping[str, int | None]
+
+
 def require_settings(
-    counts: Mapping[str, int | None],
-    *,
-    seed: int | None = None,
-    control: str | None = None,
-    native_fps: float | None = None,
+    counts: Counts, *, seed: int | None = None, control: str | None = None, native_fps: float | None = None
 ) -> None:
     """Check settings that several commands share.
 

@@ -163,17 +163,10 @@ def metric_drifts(stored: CodedScores, made: CodedScores, infos: Sequence[Metric
         mean = float(stored.value[rows].mean())
         # One millimetre, half a point; half a percent of what is neither.
         accepted = {"m": 1e-3, "rate": 5e-3, "ratio": 5e-3}.get(info.unit, 5e-3 * max(abs(mean), 1.0))
-        drift = MetricDrift(
-            metric=info.id,
-            title=info.title,
-            unit=info.unit,
-            stored=mean,
-            rescored=float(made.value[rows].mean()),
-            # Of each motion, so that no exchange of values between motions stays unseen.
-            drift=float(np.abs(made.value[rows] - stored.value[rows]).mean()),
-            accepted=accepted,
-        )
-        found.append(drift)
+        # Of each motion, so that no exchange of values between motions stays unseen.
+        drift = float(np.abs(made.value[rows] - stored.value[rows]).mean())
+        values = {"stored": mean, "rescored": float(made.value[rows].mean()), "drift": drift, "accepted": accepted}
+        found.append(MetricDrift(metric=info.id, title=info.title, unit=info.unit, **values))
     return tuple(found)
 
 
@@ -213,11 +206,10 @@ def require_scores(
     wrong = np.flatnonzero(~(np.abs(found - expected) <= _VALUES_WITHIN * np.maximum(np.abs(expected), 1.0)))
     if wrong.size:
         row = int(wrong[0])
-        raise RunError(
-            f"{files.scores}, row {row} ({_row(stored, row)}): expected {expected[row]:.6g}, which the motion in"
-            f" {files.predictions.name} scores on its table, found {found[row]:.6g} ({wrong.size} of"
-            f" {len(found)} values differ). The scores or the motions were edited. {_AGAIN}"
-        )
+        problem = f"expected {expected[row]:.6g}, which the motion in {files.predictions.name} scores on its table"
+        told = f"found {found[row]:.6g} ({wrong.size} of {len(found)} values differ)"
+        edited = f"The scores or the motions were edited. {_AGAIN}"
+        raise RunError(f"{files.scores}, row {row} ({_row(stored, row)}): {problem}, {told}. {edited}")
 
 
 def _require_little_drift(
@@ -229,12 +221,13 @@ def _require_little_drift(
         raise RunError(f"{files.scores}: expected the remarks that the motions earn, found others in {differ} rows.")
     for each in drifts:
         if not each.drift <= each.accepted:  # NaN differs, too
-            raise RunError(
-                f"{files.scores}, {each.metric}: expected values within {each.accepted:.3g} of those that the motions"
-                f" in {files.predictions.name} score on the table at hand, found {each.drift:.3g} of difference in the"
-                f" mean ({each.stored:.6g} stored, {each.rescored:.6g} scored now). The scores or the motions were"
-                f" edited, or the table was built of other data. {_AGAIN}"
+            those = f"those that the motions in {files.predictions.name} score on the table at hand"
+            found = (
+                f"{each.drift:.3g} of difference in the mean ({each.stored:.6g} stored, {each.rescored:.6g} scored now)"
             )
+            why = f"The scores or the motions were edited, or the table was built of other data. {_AGAIN}"
+            problem = f"expected values within {each.accepted:.3g} of {those}, found {found}"
+            raise RunError(f"{files.scores}, {each.metric}: {problem}. {why}")
 
 
 def _row(scores: CodedScores, row: int) -> str:
@@ -497,8 +490,7 @@ def require_motions(files: DatasetFolder, sequence_ids: Sequence[str], samples: 
     kinds = {"missing": wanted - counts.keys(), "repeated": repeated, "unknown": counts.keys() - wanted}
     if any(kinds.values()):
         named = {kind: sorted(f"{name}, sample {sample}" for name, sample in keys) for kind, keys in kinds.items()}
-        raise PredictionsError(
-            f"{files.predictions}: expected a motion of each of {len(sequence_ids)} sequences for each of {samples}"
-            f" samples, found {', '.join(f'{kind} {listed(keys)}' for kind, keys in named.items())}. The motions were"
-            " edited or lost: run the same command again, it resumes."
-        )
+        expected = f"a motion of each of {len(sequence_ids)} sequences for each of {samples} samples"
+        found = ", ".join(f"{kind} {listed(keys)}" for kind, keys in named.items())
+        why = "The motions were edited or lost: run the same command again, it resumes."
+        raise PredictionsError(f"{files.predictions}: expected {expected}, found {found}. {why}")

@@ -51,6 +51,7 @@ _NOT_AS_KEPT = (
     " method again."
 )
 _CARRIES_COPY_REMARK = frozenset(info.id for info in METRICS if info.carries_copy_remark)
+Stored = Path | Predictions  # motions, or where they lie
 
 
 @dataclass(frozen=True)
@@ -98,12 +99,7 @@ class _Part:
 
 
 def score_selection(
-    selection: Selection,
-    predictions: Path | Predictions,
-    *,
-    samples: Sequence[int],
-    rules: ScoringRules,
-    engine: Engine,
+    selection: Selection, predictions: Stored, *, samples: Sequence[int], rules: ScoringRules, engine: Engine
 ) -> Iterator[pa.Table]:
     """Score all chosen sequences.
 

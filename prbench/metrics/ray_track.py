@@ -13,6 +13,9 @@ from prbench.protocol.manifests import MetricConstants
 
 _TIME_TOLERANCE = 1e-9  # seconds
 
+PerSequence = Float[np.ndarray, " n"]
+Points = Float[np.ndarray, "n 3"]
+
 
 @dataclass(frozen=True, eq=False)
 class CandidateFrames:
@@ -39,10 +42,7 @@ class CandidateFrames:
 
 
 def candidate_frames(
-    n_frames: Int[np.ndarray, " n"],
-    prime_time: Float[np.ndarray, " n"],
-    fps: Float[np.ndarray, " n"],
-    constants: MetricConstants,
+    n_frames: Int[np.ndarray, " n"], prime_time: PerSequence, fps: PerSequence, constants: MetricConstants
 ) -> CandidateFrames:
     """Frames t with t / fps in ``[prime_time - prime_window, prime_time + prime_window]`` and room for the stay."""
     # K = ceil(tau f): 0.1 s at 20 fps are 2 frames, and 2 + 1e-16 must not become 3.
@@ -80,9 +80,9 @@ class RayTrack:
 def head_track(
     motion: MotionBatch,
     candidates: CandidateFrames,
-    goal_location: Float[np.ndarray, "n 3"],
-    head_tilt_deg: Float[np.ndarray, " n"],
-    fps: Float[np.ndarray, " n"],
+    goal_location: Points,
+    head_tilt_deg: PerSequence,
+    fps: PerSequence,
     constants: MetricConstants,
 ) -> RayTrack:
     """Return the head-forward ray against the goal; frames without a defined head frame are not usable.
@@ -114,11 +114,7 @@ def head_track(
 
 
 def gaze_track(
-    motion: MotionBatch,
-    gaze: GazeRays,
-    candidates: CandidateFrames,
-    goal_location: Float[np.ndarray, "n 3"],
-    fps: Float[np.ndarray, " n"],
+    motion: MotionBatch, gaze: GazeRays, candidates: CandidateFrames, goal_location: Points, fps: PerSequence
 ) -> RayTrack:
     """Return the gaze ray against the goal.
 

@@ -113,10 +113,9 @@ def _fetched_file(store: stores.Store, tell: Tell) -> Path:
             what = "nothing"
         else:
             what = f"other files and no {stores.FINISHED}"
-            remedy = (
-                "Only what prbench has finished is read there. Of a folder that was copied by another program:"
-                " `python -m prbench.object_stores.store DIR` writes the manifest to copy with it, last."
-            )
+            written = "`python -m prbench.object_stores.store DIR` writes the manifest to copy with it, last."
+            copied = "Of a folder that was copied by another program"
+            remedy = f"Only what prbench has finished is read there. {copied}: {written}"
         expected = "a finished folder of prbench, or a file"
         raise InputFileError(str(url), "", expected=expected, found=what, remedy=remedy)
     path = url.cache / "file" / text_digest(found.version, str(found.size))[:16] / url.name
@@ -244,10 +243,9 @@ def _download_all(store: stores.Store, downloads: Sequence[partial[None]], tell:
     store.url.cache.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(store.url.cache).free
     if total > free:
-        raise StorageError(
-            f"{store.url.cache}: {total / 1e6:,.0f} MB of {store.url} are to be copied here, and"
-            f" {free / 1e6:,.0f} MB are free. Free some space, or name another folder by PRBENCH_CACHE."
-        )
+        problem = f"{total / 1e6:,.0f} MB of {store.url} are to be copied here, and {free / 1e6:,.0f} MB are free"
+        remedy = "Free some space, or name another folder by PRBENCH_CACHE."
+        raise StorageError(f"{store.url.cache}: {problem}. {remedy}")
     tell(f"{store.url}: fetching {len(downloads)} files, {total / 1e6:,.1f} MB.")
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         under_way = [pool.submit(download) for download in downloads]

@@ -161,10 +161,8 @@ class _OutputCopy:
         self.before = read_manifest(store)
         self.known = read_manifest(store, stores.UNFINISHED)
         if self.before is None and self.known is None and not store.is_empty():
-            raise StorageError(
-                f"{store.url}: is not empty and holds no {stores.FINISHED}, so it is nothing that may be replaced."
-                " Choose an empty or new folder for --out."
-            )
+            why = "so it is nothing that may be replaced. Choose an empty or new folder for --out."
+            raise StorageError(f"{store.url}: is not empty and holds no {stores.FINISHED}, {why}")
         if self.known is not None and self.known.begun_from != self._begun_from:
             # A command was killed after the manifest and before it had cleared away, or another one has finished since.
             self.left_over = {stores.UNFINISHED, *self.known.objects}
@@ -285,11 +283,10 @@ class _OutputCopy:
             and unfinished.begun_from == self._begun_from  # else it is a leftover
         )
         if (now.digest if now else "") != self._begun_from or begun_since:
-            raise StorageError(
-                f"{self.store.url}: another command writes there too, or has written there since this one began."
-                f" Nothing of it was replaced; what this command has made lies in {self.folder}. Let one of the two"
-                " end, then run the other again."
-            )
+            problem = "another command writes there too, or has written there since this one began."
+            kept = f"Nothing of it was replaced; what this command has made lies in {self.folder}."
+            remedy = "Let one of the two end, then run the other again."
+            raise StorageError(f"{self.store.url}: {problem} {kept} {remedy}")
 
     def publish(self) -> None:
         """Upload everything, then the manifest, then delete what it replaces.
@@ -300,15 +297,12 @@ class _OutputCopy:
         try:
             self._publish()
         except stores.ObjectStoreError as error:
-            raise stores.ObjectStoreError(
-                f"{error} The finished result is kept in {self.folder}, and nothing at the URL was replaced; the same"
-                " command uploads it."
-            ) from error
+            kept = f"The finished result is kept in {self.folder}, and nothing at the URL was replaced"
+            raise stores.ObjectStoreError(f"{error} {kept}; the same command uploads it.") from error
         except FileNotFoundError as error:
-            raise StorageError(
-                f"{self.folder}: a file was changed or deleted while it was uploaded to {self.store.url} ({error})."
-                " Nothing at the URL was replaced; run the same command again when nothing else works in this folder."
-            ) from error
+            problem = f"a file was changed or deleted while it was uploaded to {self.store.url} ({error})"
+            remedy = "run the same command again when nothing else works in this folder."
+            raise StorageError(f"{self.folder}: {problem}. Nothing at the URL was replaced; {remedy}") from error
 
     def _publish(self) -> None:
         files = self._scanned(with_work=False)

@@ -71,15 +71,13 @@ class StoreUrl:
         if "::" in protocol:
             raise UsageError(f"{shown}: expected one protocol, found several joined by '::'.")
         if ("@" in server and protocol not in _ACCOUNT_BEHIND_AT) or ":" in server.rpartition("@")[0]:
-            raise UsageError(
-                f"{shown}: the URL holds a name or a password. Leave it out: credentials are those of the protocol's"
-                " own library, from its environment variables and files (docs/object-stores.md#credentials)."
-            )
+            own = "from its environment variables and files (docs/object-stores.md#credentials)."
+            remedy = f"Leave it out: credentials are those of the protocol's own library, {own}"
+            raise UsageError(f"{shown}: the URL holds a name or a password. {remedy}")
         if "?" in rest or "#" in rest:
-            raise UsageError(
-                f"{shown}: expected a URL without '?' and '#', which could hold a token. Leave what follows out:"
-                " credentials come from the environment (docs/object-stores.md#credentials)."
-            )
+            why = "credentials come from the environment (docs/object-stores.md#credentials)."
+            expected = "expected a URL without '?' and '#', which could hold a token"
+            raise UsageError(f"{shown}: {expected}. Leave what follows out: {why}")
         if not rest.strip("/") or any(part in (".", "..") for part in rest.split("/")):
             raise UsageError(f"{shown}: expected a bucket and a folder or file, such as s3://bucket/folder.")
         return cls(text.rstrip("/"))
@@ -357,15 +355,14 @@ class Store:
                 raise  # whoever writes the local file tells that
             reason = _QUERY.sub("", str(error) or type(error).__name__)
             if isinstance(error, PermissionError) or _DENIED.search(f"{type(error).__name__} {reason}"):
-                raise ObjectStoreError(
-                    f"{self.url}: cannot {doing}: access is denied ({quoted(reason)}). Check the credentials of the"
-                    " protocol's library and the rights of their account (docs/object-stores.md#credentials)."
-                ) from error
-            raise ObjectStoreError(
-                f"{self.url}: cannot {doing}: the store cannot be reached, or the connection was lost"
-                f" ({quoted(reason)}). Is the endpoint right (AWS_ENDPOINT_URL for s3), and the store running? Then run"
-                " the same command again."
-            ) from error
+                rights = "the rights of their account (docs/object-stores.md#credentials)"
+                remedy = f"Check the credentials of the protocol's library and {rights}."
+                denied = f"access is denied ({quoted(reason)})"
+                raise ObjectStoreError(f"{self.url}: cannot {doing}: {denied}. {remedy}") from error
+            why = f"the store cannot be reached, or the connection was lost ({quoted(reason)})"
+            remedy = "Is the endpoint right (AWS_ENDPOINT_URL for s3), and the store running?"
+            told = f"{self.url}: cannot {doing}: {why}. {remedy}"
+            raise ObjectStoreError(f"{told} Then run the same command again.") from error
 
 
 def _described(name: str, found: dict[str, Any]) -> StoredObject:
@@ -460,9 +457,8 @@ def decode_manifest(content: bytes, shown: str) -> FolderManifest:
     for name, file in manifest.files.items():
         for path in (name, file.object or name):
             if not stays_inside(path):
-                raise InputFileError(
-                    shown, name, expected="a path inside this folder", found=f"{path}, which may lead out of it"
-                )
+                found = f"{path}, which may lead out of it"
+                raise InputFileError(shown, name, expected="a path inside this folder", found=found)
         if file.size < 0 or len(file.sha256) != 64:
             raise InputFileError(shown, name, expected="a size and a SHA-256", found=f"{file.size} and {file.sha256}")
     return manifest

@@ -38,6 +38,9 @@ _SHOWN = 8  # ids that an error message lists
 Info = TypeVar("Info", bound=Provenance)
 
 
+Columns = SequenceOf[str] | None  # names of columns; None for all
+
+
 def require_unchanged(
     info: Provenance,
     folder: Path,
@@ -162,12 +165,7 @@ class BuiltTable(Generic[Info]):
         return table_schema.table_parts(self.folder, name)
 
     def chunks(
-        self,
-        *,
-        split: str | None = None,
-        columns: SequenceOf[str] | None = None,
-        ids: Collection[str] | None = None,
-        rows: int = 256,
+        self, *, split: str | None = None, columns: Columns = None, ids: Collection[str] | None = None, rows: int = 256
     ) -> Iterator[SequenceChunk]:
         """Stream the rows of the main table in table order.
 
@@ -182,7 +180,7 @@ class BuiltTable(Generic[Info]):
         return table_schema.stream_chunks(self.part_paths(self.main), wanted, split=split, ids=ids, rows=rows)
 
     @foreign_input()
-    def scalars(self, *, split: str | None = None, columns: SequenceOf[str] | None = None) -> pa.Table:
+    def scalars(self, *, split: str | None = None, columns: Columns = None) -> pa.Table:
         """Read the columns of the main table that hold one short value a row (no per-frame values, no poses).
 
         Args:

@@ -31,6 +31,7 @@ from prbench.sequences.sequence import KEY_VALUES
 from prbench.sequences.table import Info, SequenceTable
 from prbench.shown import clean, quoted
 
+Batches = Iterable[pa.RecordBatch]
 _CROISSANT = "croissant.json"
 _PARQUET = "application/x-parquet"
 
@@ -138,7 +139,7 @@ _SHOWN = 3
 _LONGEST_REASON = 160
 
 
-def _held(recordings: Iterable[pa.RecordBatch], outcome: str) -> tuple[dict[str, int], dict[str, str]]:
+def _held(recordings: Batches, outcome: str) -> tuple[dict[str, int], dict[str, str]]:
     """Return the sequences (of a corpus: clips) of every recording that was read, and why others were left out."""
     yields: dict[str, int] = {}
     reasons: dict[str, str] = {}
@@ -152,13 +153,7 @@ def _held(recordings: Iterable[pa.RecordBatch], outcome: str) -> tuple[dict[str,
 
 
 def require_no_loss(
-    folder: Path,
-    marker: str,
-    recordings: Iterable[pa.RecordBatch],
-    *,
-    outcome: str,
-    what: str,
-    incomplete: Collection[str] = (),
+    folder: Path, marker: str, recordings: Batches, *, outcome: str, what: str, incomplete: Collection[str] = ()
 ) -> None:
     """Refuse to replace what stands in a folder by something that holds less.
 
@@ -228,7 +223,7 @@ _ROWS = {
 }
 
 
-def write_table(path: Path, batches: Iterable[pa.RecordBatch], schema: pa.Schema, *, protocol_version: int) -> int:
+def write_table(path: Path, batches: Batches, schema: pa.Schema, *, protocol_version: int) -> int:
     """Write batches as one Parquet file, whole or not at all.
 
     Returns:
@@ -249,7 +244,7 @@ def write_table(path: Path, batches: Iterable[pa.RecordBatch], schema: pa.Schema
 def write_table_in_parts(
     folder: Path,
     name: str,
-    batches: Iterable[pa.RecordBatch],
+    batches: Batches,
     schema: pa.Schema,
     *,
     protocol_version: int,
@@ -350,10 +345,10 @@ def write_dataset(
     folder: Path,
     info: DatasetInfo,
     *,
-    sequences: Iterable[pa.RecordBatch],
-    events: Iterable[pa.RecordBatch],
-    recordings: Iterable[pa.RecordBatch],
-    scenes: Iterable[pa.RecordBatch] = (),
+    sequences: Batches,
+    events: Batches,
+    recordings: Batches,
+    scenes: Batches = (),
     replace: bool = False,
     incomplete: Collection[str] = (),
     protocol: BenchmarkProtocol | None = None,
@@ -397,7 +392,7 @@ def write_dataset(
     return info
 
 
-def with_splits(batches: Iterable[pa.RecordBatch], splits: Mapping[str, str]) -> Iterator[pa.RecordBatch]:
+def with_splits(batches: Batches, splits: Mapping[str, str]) -> Iterator[pa.RecordBatch]:
     """Yield rows of ``sequences`` or ``recordings`` with the split of their recording.
 
     Args:
@@ -412,7 +407,7 @@ def with_splits(batches: Iterable[pa.RecordBatch], splits: Mapping[str, str]) ->
 def write_tables(
     folder: Path,
     info: Info,
-    tables: Mapping[str, Iterable[pa.RecordBatch]],
+    tables: Mapping[str, Batches],
     schemas: Mapping[str, pa.Schema],
     identity_columns: SequenceOf[str],
     *,
@@ -437,7 +432,7 @@ def write_tables(
     content = table_schema.ContentDigest(schemas[main].names)
     identifying = [schemas[main].empty_table().select(list(identity_columns))]
 
-    def passed_on(batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+    def passed_on(batches: Batches) -> Iterator[pa.RecordBatch]:
         for batch in batches:
             content.update(batch)
             identifying.append(pa.Table.from_batches([batch.select(list(identity_columns))]))

@@ -13,8 +13,7 @@ import pytest
 import prbench
 from prbench.contract import Condition
 from prbench.harness.run_folder import DatasetSummary
-from prbench.harness.score_predictions import score_predictions
-from prbench.harness.score_request import ScoreRequest
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from prbench.metrics import MAIN_METRICS
 
 

@@ -21,8 +21,7 @@ from prbench.harness.offline import ExportRequest, export_conditions, read_condi
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import read_scores
-from prbench.harness.score_predictions import score_predictions
-from prbench.harness.score_request import ScoreRequest
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from tests.docs.by_hand import ByHand
 from tests.docs.exchange import Exchange, decoded
 from tests.docs.interpreters import EXAMPLES, javascript, older_python

@@ -48,7 +48,7 @@ from prbench.harness.offline import ExportRequest
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.predictions import Predictions
-from prbench.harness.score_request import ScoreRequest
+from prbench.harness.score_predictions import ScoreRequest
 from prbench.readers import reader_for
 from prbench.release.exporting import export_release
 from prbench.release.importing import import_release

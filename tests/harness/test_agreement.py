@@ -14,8 +14,7 @@ from prbench.harness.results import RunChecker
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder, read_scores
 from prbench.harness.run_folder.summary import DatasetAgreement
-from prbench.harness.score_predictions import score_predictions
-from prbench.harness.score_request import ScoreRequest
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from prbench.metrics import METRICS
 from prbench.protocol.manifests import load_protocol
 from tests.harness.test_run import request

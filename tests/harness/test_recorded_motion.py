@@ -15,8 +15,7 @@ from prbench.harness.planning import select
 from prbench.harness.recorded_motion import is_recorded_motion, length_problem, likely_cause
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import DatasetSummary, read_scores
-from prbench.harness.score_predictions import score_predictions
-from prbench.harness.score_request import ScoreRequest
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from prbench.harness.synthetic_table import build_synthetic_table
 from prbench.metrics import MotionBatch
 from prbench.randomness import named_generator

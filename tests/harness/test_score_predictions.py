@@ -13,8 +13,7 @@ from prbench.errors import PredictionsError, RunError, StorageError
 from prbench.harness.conditions import opaque_ids, run_salt
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import DatasetSummary, read_scores
-from prbench.harness.score_predictions import score_predictions
-from prbench.harness.score_request import ScoreRequest
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from tests.fakes import fake_dataset
 from tests.harness.test_run import request
 from tests.method_fixtures import adapter_source

@@ -25,8 +25,7 @@ from prbench.harness.run_folder import Predictions
 from prbench.harness.run_folder.record import RunRecord
 from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.run_folder.summary import DatasetAgreement
-from prbench.harness.score_predictions import score_predictions
-from prbench.harness.score_request import ScoreRequest
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from prbench.harness.scoring import ScoringRules, score_selection
 from prbench.metrics import GAZE_METRICS, METRICS_OF_MOTIONS, GazeRays, MotionBatch, ScoringTargets
 from prbench.metrics import score as score_by_hand

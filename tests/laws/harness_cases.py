@@ -28,8 +28,7 @@ from prbench.errors import (
 )
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
-from prbench.harness.score_predictions import score_predictions
-from prbench.harness.score_request import ScoreRequest
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from prbench.harness.sharded import merge_run_shards, run_shard
 from prbench.harness.synthetic_table import build_synthetic_table
 from prbench.sequences import SequenceTable

@@ -20,8 +20,7 @@ from prbench.harness.results import RunChecker
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder, read_scores
 from prbench.harness.run_folder.summary import DatasetAgreement
-from prbench.harness.score_predictions import score_predictions
-from prbench.harness.score_request import ScoreRequest
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from prbench.protocol.manifests import BenchmarkProtocol, digest_of, load_protocol
 from prbench.protocol.own_protocol import FILE_NAME, read_protocol, write_protocol
 from prbench.sequences import SequenceTable

@@ -34,7 +34,6 @@ from prbench.harness.methods.installed import (
     offered_twice,
     short_name,
 )
-from prbench.harness.methods.motions import Declared
 from prbench.harness.methods.remote import MOTIONS, MethodGroup, RemoteMethod, group_of
 from prbench.protocol.manifests import PROTOCOL_NAME, benchmark_of_group, benchmarks
 from prbench.sequences import SequenceTable
@@ -524,7 +523,7 @@ def describe_adapters(names: Iterable[str] | None = None, *, benchmark: str = PR
             # What a package prints while it is imported is no part of the list.
             with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
                 adapter = load_adapter(method.name, None, {}, "cpu", group=group)
-                declared = Declared.by(adapter, origin="it", conditions=group.conditions)
+                declared = motions.Declared.by(adapter, origin="it", conditions=group.conditions)
                 weights_for = getattr(adapter, "weights_for", None)
                 paths = [weights_for(each) for each in sorted(declared.conditions)] if weights_for is not None else []
         except PrbenchError as error:

@@ -182,13 +182,16 @@ def _possible(values: np.ndarray, farthest: float) -> np.ndarray:
 _OPPOSITE = 1e-6  # length of the mean of two unit vectors that point against each other
 
 
+Ids = Sequence[str]
+
+
 def generate_checked(
     adapter: Adapter,
     batch: ConditionBatch,
     *,
     seed: int,
     method: str,
-    sequence_ids: Sequence[str],
+    sequence_ids: Ids,
     farthest: float = FARTHEST_COORDINATE,
 ) -> tuple[Motions, int]:
     """Generate the motions of a batch at the table's rate; one that does not fit in memory is run in halves.
@@ -301,12 +304,7 @@ def _generate(
 
 
 def well_formed(
-    motions: object,
-    batch: ConditionBatch,
-    *,
-    method: str,
-    sequence_ids: Sequence[str],
-    farthest: float = FARTHEST_COORDINATE,
+    motions: object, batch: ConditionBatch, *, method: str, sequence_ids: Ids, farthest: float = FARTHEST_COORDINATE
 ) -> Motions:
     """Return the motions as float32 if they are what the contract asks for.
 

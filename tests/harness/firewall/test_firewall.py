@@ -12,8 +12,7 @@ import pytest
 from prbench.harness.conditions import opaque_ids, run_salt
 from prbench.harness.methods.isolation import available_fence
 from prbench.harness.run_folder.record import RunRecord
-from prbench.harness.score_predictions import score_predictions
-from prbench.harness.score_request import ScoreRequest
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from tests.harness.firewall.cheater import ATTEMPTS
 from tests.harness.firewall.conftest import BATCH_SIZE, COLUMNS, ROOT, WORKERS, digest
 

@@ -34,8 +34,7 @@ from prbench.harness.methods.loading import find_adapter, forget_loaded_methods,
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import RunRecord
-from prbench.harness.score_predictions import score_predictions
-from prbench.harness.score_request import ScoreRequest
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from tests.harness.test_run import request
 from tests.method_fixtures import adapter_source
 

@@ -21,8 +21,7 @@ from prbench.harness.methods.motions import (
 )
 from prbench.harness.planning import select
 from prbench.harness.run import run_method
-from prbench.harness.score_predictions import score_predictions
-from prbench.harness.score_request import ScoreRequest
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from tests import fakes
 from tests.fakes import fake_sequence, smooth_motion
 from tests.harness.test_run import request

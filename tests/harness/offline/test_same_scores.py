@@ -22,8 +22,7 @@ from prbench.harness.offline import ExportRequest, export_conditions, read_condi
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder, read_scores
-from prbench.harness.score_predictions import score_predictions
-from prbench.harness.score_request import ScoreRequest
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from tests.fakes import STANDING, fake_dataset
 from tests.harness.offline import method
 
