@@ -241,10 +241,9 @@ class Staff:
         if not waiting:
             if not self.nodes() and self.clock() - self._last_seen > self.rules.patience:
                 reason = f" The last one left out: {self._why}." if self._why else ""
-                raise ClusterError(
-                    f"no node of the cluster is left to work on; waited {self.rules.patience:.0f} s for one.{reason}"
-                    " What is finished is kept: see to the cluster (`ray status`) and run the same command again."
-                )
+                problem = f"waited {self.rules.patience:.0f} s for one.{reason} What is finished is kept"
+                remedy = "see to the cluster (`ray status`) and run the same command again."
+                raise ClusterError(f"no node of the cluster is left to work on; {problem}: {remedy}")
             time.sleep(min(seconds, 0.1))
             return []
         found = []
@@ -370,7 +369,5 @@ class Spread:
             work.suspected = True
         else:
             self._to_do.appendleft(work)
-        self._staff.tell(
-            f"a worker on node {worker.node.name} ended without an answer ({lost.reason});"
-            f" {item_name(work.item)} is tried again{' alone' if work.suspected else ''}."
-        )
+        why = f"{item_name(work.item)} is tried again{' alone' if work.suspected else ''}."
+        self._staff.tell(f"a worker on node {worker.node.name} ended without an answer ({lost.reason}); {why}")

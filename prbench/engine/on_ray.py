@@ -379,10 +379,9 @@ def _require_listening(address: str) -> None:
     if address in ("auto", "local"):
         return
     if "://" in address:
-        raise ClusterError(
-            f"--address {quoted(address)}: expected HOST:PORT of the head, or auto. Ray's client (ray://) reads files"
-            " of its own machine: run the command on a node of the cluster, for example by `ray job submit`."
-        )
+        problem = "Ray's client (ray://) reads files of its own machine"
+        remedy = "run the command on a node of the cluster, for example by `ray job submit`."
+        raise ClusterError(f"--address {quoted(address)}: expected HOST:PORT of the head, or auto. {problem}: {remedy}")
     host, port = _host_and_port(address)
     if port is None:
         raise ClusterError(f"--address {quoted(address)}: expected HOST:PORT, such as 10.0.0.1:6379, or auto.")
@@ -431,7 +430,6 @@ def _first_line(error: Exception) -> str:
 
 
 def _store_full(error: Exception) -> StorageError:
-    return StorageError(
-        f"Ray has no room left for items and results ({_first_line(error)}). Free some disk below its folder"
-        " (/tmp/ray), let less wait by a smaller --spill-limit, and run the same command again."
-    )
+    remedy = "Free some disk below its folder (/tmp/ray), let less wait by a smaller --spill-limit"
+    problem = f"Ray has no room left for items and results ({_first_line(error)})"
+    return StorageError(f"{problem}. {remedy}, and run the same command again.")

@@ -206,10 +206,9 @@ def require_whole(folders: Sequence[Path]) -> list[tuple[Path, ShardRecord]]:
     for folder, record in shards:
         difference = first.difference(record)
         if difference is not None:
-            raise ShardError(
-                f"{folder / FILE_NAME}, {difference}, unlike {first_folder}. All shards are made by the same command"
-                " with the same prbench on the same data; make the shard that is wrong again."
-            )
+            problem = "All shards are made by the same command with the same prbench on the same data"
+            advice = "make the shard that is wrong again."
+            raise ShardError(f"{folder / FILE_NAME}, {difference}, unlike {first_folder}. {problem}; {advice}")
         if record.number in by_number:
             why = f"is shard {record.shard}, and so is {by_number[record.number][0]}. Name each shard once."
             raise ShardError(f"{folder}: {why}")

@@ -185,10 +185,8 @@ def storage_error(error: OSError, path: Path | str, *, every_kind: bool = False)
     if error.errno is None and str(error).endswith("written"):  # how NumPy says that it could write a part alone
         full = "no more could be written"
     if full is not None:
-        return StorageError(
-            f"{path}: {full}. Nothing half-written was kept; free some space, raise the limit or ask for less"
-            " (--limit), and run the same command again."
-        )
+        why = "free some space, raise the limit or ask for less (--limit), and run the same command again."
+        return StorageError(f"{path}: {full}. Nothing half-written was kept; {why}")
     if every_kind or error.errno in _FORBIDDEN:
         return StorageError(f"{path}: cannot be written ({error.strerror}). Choose another folder.")
     return None

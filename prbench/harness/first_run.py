@@ -239,10 +239,8 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
     """
     record = run.record
     if record.method.kind in (FILE, PROGRAM, UNKNOWN):
-        raise RunError(
-            f"{run.path}: {record.method.name} is {record.method.origin}, and a run folder does not record how to"
-            " start it. Repeat the command with --method."
-        )
+        told = "and a run folder does not record how to start it. Repeat the command with --method."
+        raise RunError(f"{run.path}: {record.method.name} is {record.method.origin}, {told}")
     find = table_finder(data)
     whole = {DatasetInfo.read(folder).content_digest: folder for folder in data if record.tables[0].units}
     folders = []

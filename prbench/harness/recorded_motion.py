@@ -64,22 +64,17 @@ def likely_cause(expected: Int[np.ndarray, " n"], found: Int[np.ndarray, " n"], 
     off = (found - expected)[wrong]
     # Off by one comes first: such lengths also fit a frame rate within the rounding of a frame.
     if (off == 1).all():
-        return (
-            "There is one frame too many: the frame before the first (previous_joints) is no part of the motion, and"
-            " the last frame is the one of the goal."
-        )
+        problem = "the frame before the first (previous_joints) is no part of the motion"
+        why = "the last frame is the one of the goal."
+        return f"There is one frame too many: {problem}, and {why}"
     if (off == -1).all():
-        return (
-            "There is one frame too few: the first frame is the given initial one, and features of differences have a"
-            " row less than there are frames."
-        )
+        why = "and features of differences have a row less than there are frames."
+        return f"There is one frame too few: the first frame is the given initial one, {why}"
     # One motion of another length says nothing about a rate.
     for rate in _USUAL_RATES if len(expected) > 1 else ():
         if rate != fps and (np.abs(found - ((expected - 1) * rate / fps + 1)) <= 1).all():
-            return (
-                f"They look like motions at {rate:g} frames per second where {fps:g} are asked for: score"
-                f" them with --native-fps {rate:g}, or resample them."
-            )
+            why = f"score them with --native-fps {rate:g}, or resample them."
+            return f"They look like motions at {rate:g} frames per second where {fps:g} are asked for: {why}"
     return ""
 
 

@@ -236,10 +236,8 @@ def generate_all(parts: list[RunPart], folder: run_folder.RunFolder, engine: Eng
         method = parts[0].prepared.record.method
         if method.kind != PACKAGE:
             raise
-        raise AdapterError(
-            f"method '{method.name}': {error} If the method itself ends the process, --isolate shows what it wrote"
-            " last."
-        ) from error
+        why = f"{error} If the method itself ends the process, --isolate shows what it wrote last."
+        raise AdapterError(f"method '{method.name}': {why}") from error
     except Exception:
         folder.discard_if_empty()
         raise

@@ -181,10 +181,9 @@ def settled_by_conditions(
             break
         different.append(difference)
     else:
-        raise PredictionsError(
-            f"{path}, {different[0]}: expected what {listed} give, found something else. The file was changed, or"
-            " exported from another build of the same recordings: export the conditions again."
-        )
+        problem = "something else. The file was changed, or exported from another build of the same recordings"
+        why = "export the conditions again."
+        raise PredictionsError(f"{path}, {different[0]}: expected what {listed} give, found {problem}: {why}")
     if request.control not in (None, control):
         raise UsageError(f"--control {request.control}: the goals in {path} are each sequence's own.")
     return replace(request, control=control, **stated)

@@ -155,11 +155,9 @@ def merge_run_shards(
             folder, shard = found[f"{part.dataset.name} batch {index}"]
             files = run_folder.RunFolder(folder, part.prepared.record).dataset(part.dataset.name)
             if not part.has(index, files):
-                raise ShardError(
-                    f"{files.part(index)}: expected a whole batch of shard {shard.shard}, found a damaged file or other"
-                    " sequences. Copy the shard again, or delete the file; then: Run its command"
-                    f" (--shard {shard.shard}) again."
-                )
+                told = f"expected a whole batch of shard {shard.shard}, found a damaged file or other sequences"
+                why = f"Copy the shard again, or delete the file; then: Run its command (--shard {shard.shard}) again."
+                raise ShardError(f"{files.part(index)}: {told}. {why}")
             # The measurement first, so that a batch is never without it.
             for place in (run_folder.DatasetFolder.batch_cost, run_folder.DatasetFolder.part):
                 if place(files, index).is_file():

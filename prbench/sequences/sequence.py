@@ -377,10 +377,8 @@ class Sequence:
 
     def __repr__(self) -> str:
         hand = f", {self.hand} hand" if self.hand else ""
-        return (
-            f"<Sequence {self.sequence_id}: {self.action} of {self.object_name}{hand},"
-            f" {self.n_frames} frames at {self.fps:g} Hz, {self.split}>"
-        )
+        what = f"{self.action} of {self.object_name}{hand}, {self.n_frames} frames at {self.fps:g} Hz, {self.split}>"
+        return f"<Sequence {self.sequence_id}: {what}"
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

@@ -113,10 +113,8 @@ class Fence:
         """Message that the user gets before a run."""
         if self.program is not None:
             return "isolated by bubblewrap: paths, objects, environment, network and the file system are withheld."
-        return (
-            "isolated in a process of its own: paths, objects and environment are withheld."
-            f" THE FILE SYSTEM IS NOT WITHHELD ({self.reason}): a method that looks for the table can read it."
-        )
+        visible = f"THE FILE SYSTEM IS NOT WITHHELD ({self.reason}): a method that looks for the table can read it."
+        return f"isolated in a process of its own: paths, objects and environment are withheld. {visible}"
 
 
 @lru_cache(maxsize=1)

@@ -69,10 +69,9 @@ def find_adapter(name: str, *, also_known: Iterable[str] = (), entry_points: str
     for other in benchmarks().values():
         elsewhere = {adapter.name for adapter in list_adapters(other.entry_points) if not adapter.problem}
         if other.entry_points != entry_points and name in elsewhere:
-            raise AdapterError(
-                f"'{name}' is a method of the benchmark {other.name}, which is not the one asked for here:"
-                f" `prbench run --benchmark {other.name} --method {name}` runs it."
-            )
+            problem = "which is not the one asked for here"
+            why = f"`prbench run --benchmark {other.name} --method {name}` runs it."
+            raise AdapterError(f"'{name}' is a method of the benchmark {other.name}, {problem}: {why}")
     raise no_such_method(name, [*(adapter.name for adapter in installed), *also_known])
 
 

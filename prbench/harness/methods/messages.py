@@ -176,11 +176,9 @@ def _places_of(asked: Sequence[str], found: Sequence[str]) -> Int[np.ndarray, " 
     unknown = sorted(set(found) - set(asked))
     missing = [name for name in asked if name not in place]
     if repeated or unknown or missing:
-        raise ValueError(
-            f"expected each of the {len(asked)} ids of the batch once, found {len(found)} rows: missing"
-            f" {_some(missing)}, repeated {_some(repeated)}, unknown {_some(unknown)}."
-            " Copy opaque_id from the conditions to the motions, one row a sequence"
-        )
+        problem = f"{len(found)} rows: missing {_some(missing)}, repeated {_some(repeated)}, unknown {_some(unknown)}"
+        remedy = "Copy opaque_id from the conditions to the motions, one row a sequence"
+        raise ValueError(f"expected each of the {len(asked)} ids of the batch once, found {problem}. {remedy}")
     return np.array([place[name] for name in asked], dtype=np.int64)
 
 

@@ -331,10 +331,8 @@ class ProgramProcess:
         while (end := self._buffer.find(b"\n", 0, HEADER_LIMIT)) < 0:
             found = len(self._buffer)
             if found >= HEADER_LIMIT:
-                raise Fault(
-                    f"wrote {found:,} bytes without a line end, where a header has at most {HEADER_LIMIT:,}:"
-                    f" {excerpt(self._buffer)}. {_REMEDY}"
-                )
+                why = f"where a header has at most {HEADER_LIMIT:,}: {excerpt(self._buffer)}. {_REMEDY}"
+                raise Fault(f"wrote {found:,} bytes without a line end, {why}")
             if found and self._buffer[0] != ord("{"):
                 break
             self._take_in(f"{found:,} bytes of a header without its end" if found else "")

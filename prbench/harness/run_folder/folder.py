@@ -161,10 +161,9 @@ class RunFolder:
             raise RunError(f"{path}: is a shard of a run; `prbench merge` puts all of them together.")
         record = RunRecord.read(path)
         if not any_benchmark and record.benchmark != default_benchmark().name:
-            raise RunError(
-                f"{path}: is a run of the benchmark {quoted(record.benchmark)}, which this command does not know; it"
-                f" works on runs of {default_benchmark().name}. `prbench run` and `prbench leaderboard` know both."
-            )
+            problem = f"which this command does not know; it works on runs of {default_benchmark().name}"
+            remedy = "`prbench run` and `prbench leaderboard` know both."
+            raise RunError(f"{path}: is a run of the benchmark {quoted(record.benchmark)}, {problem}. {remedy}")
         return cls(path, record)
 
     @property

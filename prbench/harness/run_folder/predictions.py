@@ -108,11 +108,10 @@ def _read(archive: Archive, path: Path) -> Indexed:
     absent = [name for name in ("joints", "n_frames") if name not in present]
     if id_column is None or absent:
         itself = " These look like conditions, not motions." if "noise_seed" in present and "joints" in absent else ""
-        raise PredictionsError(
-            f"{path}: expected the arrays opaque_id (or sequence_id), joints and n_frames, found"
-            f" {', '.join(sorted(present)[:10]) or 'none'}.{itself} Copy opaque_id, sample and n_frames from the"
-            " conditions file."
-        )
+        found = ", ".join(sorted(present)[:10]) or "none"
+        remedy = f"{itself} Copy opaque_id, sample and n_frames from the conditions file."
+        expected = "the arrays opaque_id (or sequence_id), joints and n_frames"
+        raise PredictionsError(f"{path}: expected {expected}, found {found}.{remedy}")
     # A header may announce any number of empty texts.
     announced = math.prod(archive.header(id_column).shape)
     if announced > MOST_MOTIONS:
@@ -309,10 +308,8 @@ def read_part(
     expected = [(sample, name) for sample in range(samples) for name in sequence_ids]
     fits = rows.schema.equals(predictions_schema(joints), check_metadata=False)
     if not fits or list(zip(rows["sample"].to_pylist(), rows["sequence_id"].to_pylist(), strict=True)) != expected:
-        raise PredictionsError(
-            f"{path}: expected {samples} motions of {joints} joints for each of {len(sequence_ids)} sequences, found"
-            f" others. {remedy}"
-        )
+        problem = f"expected {samples} motions of {joints} joints for each of {len(sequence_ids)} sequences"
+        raise PredictionsError(f"{path}: {problem}, found others. {remedy}")
     found = rows["joints"].combine_chunks()
     lengths = found.value_lengths().to_numpy()
     values = found.flatten().flatten().to_numpy()
@@ -459,10 +456,8 @@ def _as_rows(column: pa.Array, path: Path, *, first_row: int) -> PredictionRows:
     if not sizes:
         wrong = np.flatnonzero(np.diff(rows) % POSE_SIZE)
         if wrong.size:
-            raise PredictionsError(
-                f"{where}, row {first_row + wrong[0]}: expected {_JOINTS_FORM}, or all frames after one another"
-                f" (n × {POSE_SIZE} numbers), found {np.diff(rows)[wrong[0]]} numbers."
-            )
+            found = f"or all frames after one another (n × {POSE_SIZE} numbers), found {np.diff(rows)[wrong[0]]} numbers."
+            raise PredictionsError(f"{where}, row {first_row + wrong[0]}: expected {_JOINTS_FORM}, {found}")
         return PredictionRows(values.reshape(-1, N_JOINTS, 3), rows // POSE_SIZE)
     if len(sizes) > 1 and (sizes[-1] != 3).any():
         found = int(sizes[-1][sizes[-1] != 3][0])
