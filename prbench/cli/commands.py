@@ -18,6 +18,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import click
@@ -113,31 +114,21 @@ class Command(click.Command):
         settings: Further arguments of :class:`click.Command`.
     """
 
-    def __init__(
-        self,
-        name: str | None,
-        *,
-        example: str,
-        resumes: bool = False,
-        report: Report = None,
-        section: str = "",
-        first: Collection[str] = (),
-        former: Mapping[str, str] | None = None,
-        items: Mapping[str, str] | None = None,
-        **settings: Any,
-    ) -> None:
+    resumes: bool = False
+    report: Report = None
+    section: str = ""
+    first: Collection[str] = ()
+    former: Mapping[str, str] = MappingProxyType({})
+    items: Mapping[str, str] = MappingProxyType({})
+
+    def __init__(self, name: str | None, *, example: str, **settings: Any) -> None:
+        own = {key: settings.pop(key) for key in Command.__annotations__ if key in settings}
         super().__init__(name, **settings)
-        self.example = example
-        self.section = section
-        self.first = first
-        self.former = former or {}
-        self.items = items or {}
-        self.resumes = resumes
-        self.report = report
-        if report is not None:
+        vars(self).update(own, example=example)
+        if self.report is not None:
             as_json = "Print the report as JSON (docs/command-line.md#json); notes stay on standard error."
             self.params.append(_shared_option(["--json", "as_json"], as_json, is_flag=True, is_eager=True))
-        if report is not None and not any("--out" in option.opts for option in self.params):
+        if self.report is not None and not any("--out" in option.opts for option in self.params):
             to_file = "Write the report as JSON to this file, too."
             place = PlaceType("file", dir_okay=False)
             self.params.append(_shared_option(["--out", "report_file"], to_file, type=place, metavar="FILE"))
@@ -225,25 +216,17 @@ class Group(click.Group):
         settings: Further arguments of :class:`click.Group`.
     """
 
+    section: str = ""
+    renamed: Mapping[str, str] = MappingProxyType({})
+    plugins: str = ""
+    closing: str = ""
+
     def __init__(
-        self,
-        name: str | None = None,
-        *,
-        sections: Mapping[str, Mapping[str, str]],
-        example: str,
-        section: str = "",
-        renamed: Mapping[str, str] | None = None,
-        plugins: str = "",
-        closing: str = "",
-        **settings: Any,
+        self, name: str | None = None, *, sections: Mapping[str, Mapping[str, str]], example: str, **settings: Any
     ) -> None:
+        own = {key: settings.pop(key) for key in Group.__annotations__ if key in settings}
         super().__init__(name, **settings)
-        self.sections = sections
-        self.example = example
-        self.section = section
-        self.renamed = renamed or {}
-        self.plugins = plugins
-        self.closing = closing
+        vars(self).update(own, sections=sections, example=example)
         self.params += _telling_options()
 
     def list_commands(self, ctx: click.Context) -> list[str]:

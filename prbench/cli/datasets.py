@@ -236,12 +236,10 @@ def _print_priming(priming: dict[str, dict[str, int]], shares: dict[str, tuple[f
     print_table("priming that the dataset publishes", header, rows, numbers=range(1, 7))
 
 
-@command(
-    "poses",
-    example="prbench poses egoallo --root /data/HD-EPIC --config egoallo.toml",
-    resumes=True,
-    report=["prbench.curation.poses.make:Outcome"],
-)
+_POSES = "prbench poses egoallo --root /data/HD-EPIC --config egoallo.toml"
+
+
+@command("poses", example=_POSES, resumes=True, report=["prbench.curation.poses.make:Outcome"])
 @click.argument("estimator", type=click.Choice(["egoallo"]))
 @opt.root_option(type=opt.LOCAL_PATH)
 @click.option("--dataset", metavar="NAME", help="Name of the dataset, such as adt (default: what the folder holds).")

@@ -78,18 +78,10 @@ def agreement_with_people(
                 if inside.any():
                     estimate = metric_interval(info, value[chosen], recordings[sequence[chosen]], texts[chosen])
                 bounds: dict[str, Any] = {name: getattr(estimate, name, None) for name in ("mean", "low", "high")}
-                found = BinRate(
-                    metric=info.id,
-                    title=info.title,
-                    by=by,
-                    begin=begin,
-                    end=end,
-                    sequences=int(inside.sum()),
-                    recordings=len(set(recordings[inside])),
-                    **bounds,
-                    people=float(people[info.id][inside].mean()) if estimate else None,
-                )
-                breakdown.append(found)
+                bounds["people"] = float(people[info.id][inside].mean()) if estimate else None
+                counts = {"sequences": int(inside.sum()), "recordings": len(set(recordings[inside]))}
+                about = {"metric": info.id, "title": info.title, "by": by, "begin": begin, "end": end}
+                breakdown.append(BinRate(**about, **counts, **bounds))
     scene = None
     if all(name in people for name in _SCENE_METRICS):
         boxes = selection.table.scenes()
@@ -132,17 +124,9 @@ def _agreement(
     else:
         interval = phi_interval(method, people, recordings)
         remark = "" if interval else "no interval: it rests on a single recording, or all outcomes agree"
-    return RateAgreement(
-        metric=info.id,
-        title=info.title,
-        phi=phi,
-        low=interval[0] if interval else None,
-        high=interval[1] if interval else None,
-        sequences=len(method),
-        recordings=len(names),
-        people=float(people.mean()),
-        remark=remark,
-    )
+    low, high = interval or (None, None)
+    counts = {"sequences": len(method), "recordings": len(names), "people": float(people.mean())}
+    return RateAgreement(metric=info.id, title=info.title, phi=phi, low=low, high=high, **counts, remark=remark)
 
 
 def phi_coefficient(method: Numbers, people: Numbers) -> float | None:

@@ -167,20 +167,11 @@ def _sources(selection: Selection) -> Iterator[tuple[slice, ConditionSource]]:
     """Yield the makings of the conditions of each window, with its places in the selection."""
     for place, chunk in selection.windows(_COLUMNS):
         joints, offsets = chunk.joints, chunk.offsets
-        yield (
-            place,
-            ConditionSource(
-                selection.sequence_ids[place],
-                selection.n_frames[place],
-                selection.fps,
-                tuple(chunk.strings("text")),
-                initial_joints=joints[offsets[:-1]],
-                previous_joints=chunk.poses("previous_joints").copy(),
-                goal_joints=joints[offsets[1:] - 1],
-                goal_location=chunk.vectors("goal_location").copy(),
-                head_tilt_deg=chunk.numbers("head_tilt_deg").copy(),
-            ),
-        )
+        about = selection.sequence_ids[place], selection.n_frames[place], selection.fps, tuple(chunk.strings("text"))
+        poses = {"initial_joints": joints[offsets[:-1]], "goal_joints": joints[offsets[1:] - 1]}
+        poses["previous_joints"] = chunk.poses("previous_joints").copy()
+        location, tilt = chunk.vectors("goal_location").copy(), chunk.numbers("head_tilt_deg").copy()
+        yield place, ConditionSource(*about, **poses, goal_location=location, head_tilt_deg=tilt)
 
 
 def run_salt(seed: int, table_identity: str) -> bytes:

@@ -284,16 +284,10 @@ class RunPart:
     def tasks(self, wanted: frozenset[int]) -> Iterator[BatchTask]:
         """Yield the work on some batches, in the order of the plan."""
         for index, question in self.dataset.work.questions(wanted):
-            yield BatchTask(
-                index=index,
-                sequence_ids=self.dataset.ids(self.plan[index]),
-                question=question,
-                method=self.dataset.method,
-                seed=self.prepared.request.seed,
-                part=self.files.part(index),
-                cost=self.files.batch_cost(index),
-                protocol_version=self.prepared.rules.version,
-            )
+            ids = self.dataset.ids(self.plan[index])
+            seed, version = self.prepared.request.seed, self.prepared.rules.version
+            files = self.files.part(index), self.files.batch_cost(index)
+            yield BatchTask(index, ids, question, self.dataset.method, seed, *files, version)
 
     def write_notice(self) -> None:
         """Say beside the predictions what the data's terms ask, so that it travels with a folder that is passed on."""

@@ -264,16 +264,10 @@ class ScoringPair:
         gaze = targets.gaze
         if gaze is not None:
             gaze = gaze.rows(int(self.predicted.offsets[start]), int(self.predicted.offsets[stop]))
-        part = ScoringTargets(
-            targets.goal_location[start:stop],
-            targets.prime_time[start:stop],
-            targets.hand[start:stop],
-            targets.head_tilt_deg[start:stop],
-            targets.fps_of_sequence[start:stop],
-            gaze,
-            None if targets.scene is None else targets.scene.part(start, stop),
-            targets.pose_given,
-        )
+        scene = None if targets.scene is None else targets.scene.part(start, stop)
+        columns = (targets.goal_location, targets.prime_time, targets.hand, targets.head_tilt_deg)
+        columns = [column[start:stop] for column in (*columns, targets.fps_of_sequence)]
+        part = ScoringTargets(*columns, gaze, scene, targets.pose_given)
         return ScoringPair(self.predicted.part(start, stop), self.recorded.part(start, stop), part)
 
 

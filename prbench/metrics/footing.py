@@ -13,6 +13,11 @@ from prbench.protocol.manifests import MetricConstants
 
 Feet = Bool[np.ndarray, "2 frames"]
 
+
+def _of_both_sides(share: float, start: str, end: str, place: float) -> list[tuple[float, Joint, Joint, float]]:
+    return [(share, Joint[f"{side}_{start}"], Joint[f"{side}_{end}"], place) for side in ("LEFT", "RIGHT")]
+
+
 # Ankle and toe of the left foot, then of the right one.
 _FEET = (Joint.LEFT_ANKLE, TOES[0], Joint.RIGHT_ANKLE, TOES[1])
 _HIGHEST_ANKLE = 0.10  # metres above the sole of a flat foot; measured people have at most 0.09 (Gordon et al. 2014)
@@ -20,16 +25,11 @@ _HIGHEST_ANKLE = 0.10  # metres above the sole of a flat foot; measured people h
 _SEGMENTS = (
     (0.081, Joint.NECK, Joint.HEAD, 1.0),
     (0.497, Joint.NECK, Joint.PELVIS, 0.5),
-    (0.028, Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, 0.436),
-    (0.028, Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, 0.436),
-    (0.022, Joint.LEFT_ELBOW, Joint.LEFT_WRIST, 0.682),
-    (0.022, Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST, 0.682),
-    (0.100, Joint.LEFT_HIP, Joint.LEFT_KNEE, 0.433),
-    (0.100, Joint.RIGHT_HIP, Joint.RIGHT_KNEE, 0.433),
-    (0.0465, Joint.LEFT_KNEE, Joint.LEFT_ANKLE, 0.433),
-    (0.0465, Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE, 0.433),
-    (0.0145, Joint.LEFT_ANKLE, TOES[0], 0.5),
-    (0.0145, Joint.RIGHT_ANKLE, TOES[1], 0.5),
+    *_of_both_sides(0.028, "SHOULDER", "ELBOW", 0.436),
+    *_of_both_sides(0.022, "ELBOW", "WRIST", 0.682),
+    *_of_both_sides(0.100, "HIP", "KNEE", 0.433),
+    *_of_both_sides(0.0465, "KNEE", "ANKLE", 0.433),
+    *_of_both_sides(0.0145, "ANKLE", "FOOT", 0.5),
 )
 _SWING = 0.05  # metres; shorter ways of a toe are shuffles
 _DIRECTIONS = 36  # in which a body may lean: each 10 degrees, so that a distance is 0.4 % too short at most

@@ -158,16 +158,9 @@ def _track(
     to_goal = goal - origin
     across = np.linalg.norm(np.cross(direction, to_goal), axis=-1)
     along = (direction * to_goal).sum(axis=-1)
-    return RayTrack(
-        distance=ray_distance(origin, direction, goal),
-        angle=np.rad2deg(np.arctan2(across, along)),
-        speed=speed,
-        usable=usable,
-        direction=direction,
-        to_goal=to_goal,
-        sequence=sequence,
-        row_of_frame_0=row_of_frame_0,
-    )
+    distance = ray_distance(origin, direction, goal)
+    angle = np.rad2deg(np.arctan2(across, along))
+    return RayTrack(distance, angle, speed, usable, direction, to_goal, sequence, row_of_frame_0)
 
 
 def ray_distance(

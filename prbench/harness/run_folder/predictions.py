@@ -456,8 +456,8 @@ def _as_rows(column: pa.Array, path: Path, *, first_row: int) -> PredictionRows:
     if not sizes:
         wrong = np.flatnonzero(np.diff(rows) % POSE_SIZE)
         if wrong.size:
-            found = f"or all frames after one another (n × {POSE_SIZE} numbers), found {np.diff(rows)[wrong[0]]} numbers."
-            raise PredictionsError(f"{where}, row {first_row + wrong[0]}: expected {_JOINTS_FORM}, {found}")
+            found = f"or all frames after one another (n × {POSE_SIZE} numbers), found {np.diff(rows)[wrong[0]]}"
+            raise PredictionsError(f"{where}, row {first_row + wrong[0]}: expected {_JOINTS_FORM}, {found} numbers.")
         return PredictionRows(values.reshape(-1, N_JOINTS, 3), rows // POSE_SIZE)
     if len(sizes) > 1 and (sizes[-1] != 3).any():
         found = int(sizes[-1][sizes[-1] != 3][0])
