@@ -34,9 +34,7 @@ _LISTED = {"": [InstalledEntry], "--details": ["prbench.harness.methods.loading:
 @command("list", example="prbench adapters list --details", report=_LISTED)
 @click.argument("names", nargs=-1, metavar="[NAME...]")
 @opt.flag("--details", "Import each and show its conditions, whether it trains, its limits and weights, or its error.")
-@click.option(
-    "--converters", type=opt.OUT_FILE, metavar="FILE", help=f"{_CONVERTERS}: NumPy only, Python 3.8 or later."
-)
+@click.option("--converters", type=opt.OUT_FILE, metavar="FILE", help=_CONVERTERS)
 @opt.benchmark_option
 def list_methods(names: tuple[str, ...], details: bool, converters: Path | None, benchmark: str | None) -> Answer:
     """List the installed methods with their packages, without importing any of them.
