@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from prbench.api import arguments as args
 from prbench.api.pictures import frame_from_rows, notebook_table, progress
@@ -147,7 +147,7 @@ def build_dataset(
         MissingExtraError: if a rule asks for meshes without the extra ``open3d``, or a cluster without ``ray``.
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
-    given = dict(locals())
+    given: dict[str, Any] = dict(locals())
     from prbench.curation import build_dataset as build
     from prbench.curation.options import build_options
 
@@ -157,9 +157,11 @@ def build_dataset(
     args.require_positive(max_recordings=max_recordings)
     if on_error not in ("skip", "fail"):
         raise UsageError(f"on_error: expected skip or fail, found '{on_error}'.")
-    chosen = {name: value for name, value in given.items() if name not in ("dataset", "root", "out", "workers")}
-    paths = {name: args.as_optional_path(given[name]) for name in ("protocol", "corrections")}
-    options = build_options(**chosen | paths | {"option": args.as_options(option)})
+    chosen = {
+        name: value for name, value in given.items() if name not in ("dataset", "root", "out", "workers", "option")
+    }
+    paths: dict[str, Any] = {name: args.as_optional_path(given[name]) for name in ("protocol", "corrections")}
+    options = build_options(**(chosen | paths), option=args.as_options(option))
     if is_url(root):  # a local copy of the files that the dataset's reader asks for
         from prbench.object_stores.inputs import fetched_native
 

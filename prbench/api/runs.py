@@ -367,7 +367,7 @@ def run(
         StorageError: if the run folder cannot be written.
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
-    given = dict(locals())
+    given: dict[str, Any] = dict(locals())
     from prbench.board.merging import run_folds
     from prbench.harness import first_run
     from prbench.harness.methods.installed import packages_of
@@ -390,9 +390,10 @@ def run(
             limit = limit or first_run.SEQUENCES
             batch_size = batch_size or first_run.BATCH_SIZE
     same = ("benchmark", "split", "fold", "seed", "device", "threads", "control", "isolate", "timeout")
+    paths: dict[str, Any] = {name: args.as_optional_path(given[name]) for name in ("weights", "protocol")}
     request = RunRequest(
         **{name: given[name] for name in same},
-        **{name: args.as_optional_path(given[name]) for name in ("weights", "protocol")},
+        **paths,
         method=str(method),
         data=folders,
         options=args.as_options(option),

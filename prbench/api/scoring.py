@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -141,15 +141,16 @@ def score(
         StorageError: if ``out`` cannot be written.
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
-    chosen = dict(locals())
+    chosen: dict[str, Any] = dict(locals())
     from prbench.harness.score_predictions import ScoreRequest, score_predictions
 
     args.require_positive(limit=limit, max_frames=max_frames)
     given = _given(motions) if isinstance(motions, Mapping) else None
     same = ("split", "limit", "seed", "control", "max_frames", "native_fps", "name", "allow_length_mismatch")
+    paths: dict[str, Any] = {name: args.as_optional_path(chosen[name]) for name in ("conditions", "protocol")}
     request = ScoreRequest(
         **{name: chosen[name] for name in same},
-        **{name: args.as_optional_path(chosen[name]) for name in ("conditions", "protocol")},
+        **paths,
         predictions=_IN_MEMORY if isinstance(motions, Mapping) else args.as_path(motions),
         data=table_folders(table),
         condition=None if condition is None else args.as_condition(condition),

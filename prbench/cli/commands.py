@@ -114,6 +114,7 @@ class Command(click.Command):
         settings: Further arguments of :class:`click.Command`.
     """
 
+    example: str
     resumes: bool = False
     report: Report = None
     section: str = ""
@@ -216,6 +217,8 @@ class Group(click.Group):
         settings: Further arguments of :class:`click.Group`.
     """
 
+    sections: Mapping[str, Mapping[str, str]]
+    example: str
     section: str = ""
     renamed: Mapping[str, str] = MappingProxyType({})
     plugins: str = ""

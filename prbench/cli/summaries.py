@@ -360,8 +360,13 @@ def _made(report: RunReport, data: Sequence[Path]) -> MadeRun:
     for each in report.summaries if record.benchmark == default_benchmark().name else ():
         scores = CodedScores.read(report.folder.dataset(each.dataset).scores)
         sequences += sequence_scores(scores, each.dataset, data, linked=True)
-    about = {"method": record.method.name, "origin": record.method.origin, "condition": record.condition}
-    about |= {"folder": report.folder.path, "seed": record.seed, "batches_found": report.batches_found}
+    about: dict[str, Any] = {"method": record.method.name, "origin": record.method.origin}
+    about |= {
+        "condition": record.condition,
+        "folder": report.folder.path,
+        "seed": record.seed,
+        "batches_found": report.batches_found,
+    }
     means = means_over_datasets(report.summaries) if several else {}
     agreements = [found for found in _agreements(report) if found]
     return MadeRun(**about, datasets=report.summaries, agreements=agreements, means=means, sequences=sequences)

@@ -76,15 +76,15 @@ def synthesize(*, layout: str, out: Path | None, table: bool, replace: bool, cou
         large = given["size"] == "large"
         usual = LARGE_RECORDINGS if large else planned_recordings(given["size"], None)
         events = Staging.n_events if given["n_events"] is None else given["n_events"]
-        chosen = {
+        chosen: dict[str, Any] = {
             "world": "large" if large else "default",
             "n_events": events,
             "options": BuildOptions(replace=replace),
         }
         engine = engine_for(given["workers"])
-        with progress(f"acting out {layout}") as show:
+        with progress(f"acting out {layout}") as acted:
             made = build_synthetic_table(
-                layout, count or usual, given["seed"], out, engine=engine, **chosen, progress=show
+                layout, count or usual, given["seed"], out, engine=engine, **chosen, progress=acted
             )
         found = f"{made.info.counts.sequences} sequences of {len(made.records)} recordings"
         report = SynthesizeReport(folder=made.folder, built=built(made))

@@ -125,13 +125,15 @@ def curate_recording(
         rows.append(Event(**about))
     for entry in recording.unreadable:
         name = f"{recording.dataset}/{recording.recording_id}/{entry.file}/unreadable/{entry.key}"
-        about = {"event_id": name, "recording_id": recording.recording_id, "unreadable": str(entry)}
+        about: dict[str, Any] = {"event_id": name, "recording_id": recording.recording_id, "unreadable": str(entry)}
         about |= {"object_id": entry.key, "object_name": entry.file, "action": "unknown", "event_time": float("nan")}
         rows.append(Event(**about, outcome="unreadable_entry", stage="in_hand"))
     lacks = _missing_parts(recording, rule, found=bool(events))
     record = RecordingRow(
         **_copied(recording, "recording_id", "participant_id", "shortfalls"),
-        **{"split": split, "split_group": group, "status": "read"},
+        split=split,
+        split_group=group,
+        status="read",
         duration=recording.span[1] - recording.span[0],
         outcomes=dict(Counter(row.outcome for row in rows)),
         message="; ".join((*recording.shortfalls, *findings, *recording.remarks, *remarks, *lacks)),
@@ -212,11 +214,12 @@ def _sequence(
         extra["corrected"] = event.corrected
     if event.tracking_gap is not None:
         extra["placed_in_tracking_gap_of_s"] = f"{event.tracking_gap:.3f}"
-    about = {"split": split, "split_group": recording.split_group or recording.recording_id}
+    about: dict[str, Any] = {"split": split, "split_group": recording.split_group or recording.recording_id}
     about |= {"prime_time": prime.time, "prime_kind": prime.kind, "prime_time_uncertainty": prime.uncertainty}
     about |= {"preroll": preroll, "prime_frame": round(preroll * grid.fps), "prime_gap": event.event_time - prime.time}
     about |= {"goal_box_world_min": place.box_min, "goal_box_world_max": place.box_max}
     moved = {"goal_location": place.location} | _copied(piece, *_MOVED)
+    about |= {name: transform_points(canonical_from_world, points) for name, points in moved.items()}
     return Sequence(
         sequence_id=f"{event.event_id}/{recording.pose_source}",  # one for each source of body poses
         **_copied(recording, "dataset", "recording_id", "participant_id", "pose_source", "head_tilt_deg"),
@@ -228,7 +231,6 @@ def _sequence(
         body_movement=body_movement(piece.joints),
         hand_movement=hand_movement(piece.joints, wrist),
         world_from_canonical=world_from_canonical,
-        **{name: transform_points(canonical_from_world, points) for name, points in moved.items()},
         head_position=head_position,
         head_rotation=head_rotation,
         gaze_direction=turn.apply(piece.gaze_direction),  # a direction turns, but does not move

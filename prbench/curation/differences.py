@@ -251,8 +251,8 @@ def _told(one: Row | None, other: Row | None, kind: str, decided_by: str) -> Cha
     event = other or one
     assert event is not None
     name = f"{event['object_name']}/{event['action']}/{event['event_time']:.3f} s"
-    outcomes = ("" if row is None else row["outcome"] for row in (one, other))
-    return Change(kind, event["recording_id"], name, *outcomes, decided_by)
+    before, after = ("" if row is None else row["outcome"] for row in (one, other))
+    return Change(kind, event["recording_id"], name, before, after, decided_by)
 
 
 def _decision(event: Row) -> str:

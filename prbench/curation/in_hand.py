@@ -434,6 +434,6 @@ def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHand
         held_after = bool(staying[stop:].all())
         vanished = float(times[stop - 1]) if put is None and not held_after else None
         ends = (None if staying[:start].all() else pick, None if held_after else put)
-        placed = [None if end is None else placed_in_gap(end, hands, rule.distance) for end in ends]
-        found.append(Holding(track, *placed, vanished, displacement))
+        first, last = (None if end is None else placed_in_gap(end, hands, rule.distance) for end in ends)
+        found.append(Holding(track, first, last, vanished, displacement))
     return found

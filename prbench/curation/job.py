@@ -63,12 +63,15 @@ class RecordingSource(Protocol):
 
     def input_digest(self) -> str:
         """Digest of everything that reading depends on."""
+        ...
 
     def read(self) -> Recording:
         """Read it."""
+        ...
 
     def without_places(self, message: str) -> str:
         """Return a message without the folders of this machine, so that equal inputs give equal datasets anywhere."""
+        ...
 
 
 @dataclass(frozen=True)

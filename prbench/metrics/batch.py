@@ -266,8 +266,9 @@ class ScoringPair:
             gaze = gaze.rows(int(self.predicted.offsets[start]), int(self.predicted.offsets[stop]))
         scene = None if targets.scene is None else targets.scene.part(start, stop)
         columns = (targets.goal_location, targets.prime_time, targets.hand, targets.head_tilt_deg)
-        columns = [column[start:stop] for column in (*columns, targets.fps_of_sequence)]
-        part = ScoringTargets(*columns, gaze, scene, targets.pose_given)
+        columns = (column[start:stop] for column in (*columns, targets.fps_of_sequence))
+        goal, prime, hand, tilt, fps = columns
+        part = ScoringTargets(goal, prime, hand, tilt, fps, gaze, scene, targets.pose_given)
         return ScoringPair(self.predicted.part(start, stop), self.recorded.part(start, stop), part)
 
 

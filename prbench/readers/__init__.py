@@ -188,10 +188,12 @@ class Reader(Protocol):
     @property
     def dataset(self) -> str:
         """Name of the dataset."""
+        ...
 
     @property
     def options(self) -> ReaderOptions:
         """Return the user's choices; the class of the default value tells which options there are."""
+        ...
 
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
         """List the recordings below ``root`` (the dataset's folder, or one recording) without reading them.
@@ -199,6 +201,7 @@ class Reader(Protocol):
         Raises:
             InputFileError: if there are none, saying what was looked for and what was found.
         """
+        ...
 
     def read(self, found: RecordingFiles) -> Recording:
         """Read one recording.
@@ -208,6 +211,7 @@ class Reader(Protocol):
             RecordingUnusable: for a recording that is known to be bad.
             StreamsDoNotOverlap: if its streams share no instant.
         """
+        ...
 
 
 @runtime_checkable
@@ -225,6 +229,7 @@ class KnowsEnds(Reader, Protocol):
             PrbenchError: for files that cannot be made out.
             OSError: if a file cannot be opened.
         """
+        ...
 
 
 @runtime_checkable
@@ -252,6 +257,7 @@ class AriaGlasses(Reader, Protocol):
         Raises:
             InputFileError: if it has no trajectory, or an archive is damaged.
         """
+        ...
 
 
 @runtime_checkable
@@ -261,6 +267,7 @@ class AnnotatedByHand(Reader, Protocol):
     @property
     def annotation_columns(self) -> tuple[str, ...]:
         """Return the columns of the table, those of a proposal included."""
+        ...
 
     def annotation_line(self, found: RecordingFiles) -> AnnotationLine:
         """Return the line of one recording, still to be filled in.
@@ -268,6 +275,7 @@ class AnnotatedByHand(Reader, Protocol):
         Raises:
             InputFileError: for files that cannot be made out.
         """
+        ...
 
 
 @runtime_checkable
@@ -289,6 +297,7 @@ class PublishedForPrediction(Reader, Protocol):
     @property
     def native_joints(self) -> str:
         """Name of the study's joint set (docs/specification/motion-prediction.md#joint-sets)."""
+        ...
 
     def read_published(self, found: RecordingFiles, *, native: bool) -> tuple[Recording, tuple[PublishedTrack, ...]]:
         """Read one recording with the pieces of it that the study used, at 30 frames a second.
@@ -300,6 +309,7 @@ class PublishedForPrediction(Reader, Protocol):
         Raises:
             PrbenchError: as :meth:`Reader.read`.
         """
+        ...
 
 
 @dataclass(frozen=True)

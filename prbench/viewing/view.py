@@ -243,7 +243,7 @@ def _chosen(request: ViewRequest, shown: Shown, most: int | None = DEFAULT_LIMIT
     wanted = list(dict.fromkeys(find_sequence_id(name, everything, among=among) for name in request.sequences))
     for (_, runs), ids in zip(shown, known, strict=True):
         chosen.append([name for name in wanted if name in ids])
-        for motions, name in itertools.product(runs, chosen[-1]):
+        for name, motions in ((name, motions) for motions in runs for name in chosen[-1]):
             if name not in motions:
                 run = motions.run
                 limited = "" if run.record.limit is None else f" with --limit {run.record.limit}"

@@ -117,8 +117,8 @@ def write_site(
             for name, text in texts.items():
                 _write(folder / "assets" / name, text)
             counts = {"pairs": pairs, "motions": sum(len(each.runs) for own in shown.values() for each in own)}
-            names = {"tables": list(tables), "runs": [run.key for run in runs]}
-            report = SiteReport(title=about.title, **names, **counts, left_out=left_out)
+            keys = [run.key for run in runs]
+            report = SiteReport(title=about.title, tables=list(tables), runs=keys, **counts, left_out=left_out)
             write_json(folder / MARKER, msgspec.to_builtins(report))
     return report
 

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -130,10 +130,15 @@ def _run_program(command: Sequence[str], config: PosesConfig, log: Path) -> str:
         raise StorageError(f"{log}: cannot be written ({error.strerror}). Choose another folder.") from error
     with output:
         try:
-            streams = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": subprocess.STDOUT}
-            # A group of its own, so that its children can be ended with it.
-            place: dict[str, Any] = {"cwd": config.folder, "start_new_session": os.name == "posix"}
-            process = subprocess.Popen(command, **place, env={**os.environ, **config.environment}, **streams)
+            process = subprocess.Popen(
+                command,
+                cwd=config.folder,
+                env={**os.environ, **config.environment},
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=os.name == "posix",  # a group of its own, so that its children can be ended with it
+            )
         except OSError as error:
             problem = f"cannot start {command[0]} in {config.folder}: {error.strerror}."
             raise UsageError(f"{problem} Check python, folder and command in the config.") from error
