@@ -224,7 +224,8 @@ def test_pictures_of_a_run(table, runs, tmp_path):
     opened = prbench.open_run(runs[1].folder)
     assert opened.plot(name, data=table.folder).png == picture.png
     assert picture.save(str(tmp_path / "run.png")).read_bytes() == picture.png
-    with pytest.raises(prbench.PrbenchError, match=r"expected a file that ends in \.html, \.png, \.svg, \.pdf or \.mp4"):
+    kinds = r"expected a file that ends in \.html, \.png, \.svg, \.pdf or \.mp4"
+    with pytest.raises(prbench.PrbenchError, match=kinds):
         picture.save(tmp_path / "run.jpg")
     with pytest.raises(prbench.PrbenchError, match="no sequence 'elsewhere'"):
         runs[1].plot("elsewhere")
