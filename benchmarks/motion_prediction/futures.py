@@ -218,7 +218,7 @@ def _draw(windows: Sequence[ShownWindow], request: ViewRequest) -> str:
     )
     for (window, fan), (bodies, above, errors) in zip(rows, panels, strict=True):
         _draw_bodies(bodies, window, fan)
-        title = f"{window.sequence_id}\n{fan.label}: {len(fan.joints)} futures, {fan.score}"
+        title = f"{textwrap.fill(window.sequence_id, 66)}\n{fan.label}: {len(fan.joints)} futures, {fan.score}"
         bodies.set_title(figure_text(title), fontsize=6)
         _draw_from_above(above, window, fan)
         # Mean distance of the joints from what happened over the seconds.
