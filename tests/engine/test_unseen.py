@@ -61,7 +61,7 @@ def test_a_hidden_process_tells_nothing_that_others_tell():
 
 def test_the_helper_process_of_multiprocessing_starts_bare_and_the_caller_keeps_everything(tmp_path):
     code = """
-import os
+import os, time
 from multiprocessing import resource_tracker
 from pathlib import Path
 from prbench.engine.unseen import start_bare_tracker
@@ -69,6 +69,8 @@ before = dict(os.environ), os.getcwd()
 start_bare_tracker()
 assert (dict(os.environ), os.getcwd()) == before
 place = Path("/proc", str(resource_tracker._resource_tracker._pid))
+for _ in range(100):  # until the shell has become the helper
+    time.sleep(0.0 if b"python" in (place / "cmdline").read_bytes().split(b"\\0")[0] else 0.05)
 print((place / "cwd").readlink(), b"secret" in (place / "environ").read_bytes())
 """
     environment = {**os.environ, "TABLE": "/secret"}

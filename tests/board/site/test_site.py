@@ -58,7 +58,7 @@ def site(place) -> Path:
     def make(out: Path) -> None:
         assert main(words(place, out, "--motions", "2")) == 0
 
-    return made_once("site", make)
+    return made_once("site-of-a-board", make)
 
 
 def everything(folder: Path) -> dict[str, bytes]:
