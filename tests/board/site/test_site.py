@@ -124,6 +124,7 @@ def test_tables_sort_filter_and_come_back_from_a_link(page, site):  # noqa: F811
     page.goto("about:blank")
     page.goto(link)
     assert page.locator(shown).all_inner_texts() == ["static"]
+    page.locator("#plot-rates a.point").first.wait_for(state="attached")  # charts follow the tables
     assert page.locator("#plot-rates a.point").count() == 1
     page.locator("#plot-rates a.point").focus()
     page.keyboard.press("Enter")
