@@ -22,6 +22,7 @@ DATA = [
     "*.js",
     "*.mplstyle",
     "vendor/*/*",
+    "assets/*",
     "LICENSE",
     "*.pyi",
     "py.typed",

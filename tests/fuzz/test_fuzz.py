@@ -23,7 +23,7 @@ DAMAGES = {
     "mogaze": 100,
     "adt-egoallo nymeria humanml3d conditions-npz weights configuration method-description corrections protocol": 12,
     "build-adt build-gimo build-hd-epic build-hot3d build-mogaze build-corpus": 4,
-    "inspect diff run board board-data score-run import-release": 12,
+    "inspect diff run board board-data score-run import-release verify submission": 12,
     "score-flat score-padded score-ragged doctor windows experiment": 12,
 }
 """How often files are damaged before each door; doors that share a line share a process."""
