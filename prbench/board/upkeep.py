@@ -148,9 +148,11 @@ def withdraw_submission(path: Path, name: str, *, date: str, reason: str) -> His
         board = BoardFolder.open(path)
         _clear_leftovers(path)
         ids = [entry.id for entry in board.history if name in (entry.id, entry.name)]
-        if not ids or not reason.strip():
-            expected = f"a submission that stands ({', '.join(board.standing) or 'none'}) and a reason"
-            raise UsageError(f"expected {expected}, found {clean(name)}, '{reason}'.")
+        if not ids:
+            known = ", ".join(board.standing) or "none"
+            raise UsageError(f"{path}: there is no submission '{clean(name)}' to withdraw. Those that stand: {known}.")
+        if not reason.strip():
+            raise UsageError("--reason: expected why it is withdrawn, found nothing; the reason stays in the history.")
         entry = HistoryEntry(date=date, action="withdraw", id=ids[-1], reason=reason)
         if entry.id in board.standing:
             board = BoardFolder.open(path, (entry,))

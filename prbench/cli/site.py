@@ -61,5 +61,5 @@ def site(
         report = write_site(board, out, about=about, **how)
     for reason in report.left_out:
         note(reason)
-    counts = f"{len(report.tables)} tables, {len(report.runs)} runs, {report.pairs} pairs, {report.motions} motions"
+    counts = f"tables: {len(report.tables)}, runs: {len(report.runs)}, pairs: {report.pairs}, motions: {report.motions}"
     return Answer(report, lambda: print(f"{counts}\nsite: {out / 'index.html'}"))

@@ -189,9 +189,9 @@ def test_duplicates_are_refused_and_leave_the_board_as_it_was(tmp_path, names, n
 def test_a_withdrawn_submission_keeps_its_reason_and_returns_only_with_one(tmp_path):
     path = board(tmp_path / "b")
     name = only(path)
-    with pytest.raises(UsageError, match="Fist"):
+    with pytest.raises(UsageError, match=f"no submission .Fist. to withdraw. Those that stand: {name}"):
         withdraw_submission(path, "Fist", reason="x", **DAY)
-    with pytest.raises(UsageError, match="a reason"):
+    with pytest.raises(UsageError, match="--reason: expected why"):
         withdraw_submission(path, name, reason=" ", **DAY)
     withdraw_submission(path, name, reason="trained on test", **DAY)
     assert not list(path.glob("submissions/*")) + list(path.glob("verification/*"))

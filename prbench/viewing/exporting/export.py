@@ -10,9 +10,10 @@ from typing import Any
 
 import msgspec
 
-from prbench.errors import RedistributionError, UsageError
+from prbench.errors import UsageError
 from prbench.files.storage import atomic_folder, require_replaceable, sole_file, sole_writer, text_digest, write_json
 from prbench.geometry.skeleton import Joint
+from prbench.sequences.dataset_info import may_pass_on, require_may_pass_on
 from prbench.viewing.replay.scene import Progress, Scene
 from prbench.viewing.view import ViewRequest, file_kind, scenes_of
 
@@ -119,14 +120,11 @@ def export_motion(request: ExportRequest, progress: Progress = lambda *_: None) 
     for scene in scenes_of(request):
         info: Any = scene.info
         # A file is made to be passed on, so that terms such as non-commercial need the user's word, too.
-        if info.redistribution != "yes" and scene.dataset not in request.permitted:
+        terms: dict[str, Any] = {"permitted": request.permitted, "published": True}
+        if not may_pass_on(info, **terms):
             methods = tuple(motion for motion in scene.motions if motion.kind == "method")
             if not methods or request.recorded or request.recordings is not None:
-                raise RedistributionError(
-                    f"{info.title} ({scene.dataset}): its licence ({info.licence}) says to whom recorded motion and"
-                    " goals may be given, and the files would hold them. If you keep to it, or have the licensor's"
-                    f" permission, say so: --permission {scene.dataset}"
-                )
+                require_may_pass_on(info, "the files", **terms)
             kept.add(scene.dataset)
             scene = replace(scene, motions=methods, goal=None)
         # Recorded motion gets a file of its own where it is asked for, or where there is no other.
