@@ -24,6 +24,7 @@ CORPUS_FILE = "corpus.json"
 _KINDS = {
     FILE_NAME: "a built dataset",
     CORPUS_FILE: "a corpus",
+    "tracks.json": "a table of tracks, which `prbench run --benchmark three-points` takes",
     "windows.json": "a table of windows, which `prbench run --benchmark motion-prediction` takes",
     "shard.json": "a shard, which `prbench merge` puts together with the others",
 }

@@ -115,7 +115,7 @@ class BuiltTable(Generic[Info]):
     columns of every table of the folder, the main one first (``schemas``), those of tables that not every folder has
     (``optional``), the columns of the main table that make its identity
     (:func:`prbench.sequences.schema.identity_of_rows`), and what refuses a file with other columns, or of an unknown
-    version (``check``).
+    version (``check``). ``rows_at_once`` of the main table are read together.
     """
 
     folder: Path
@@ -126,6 +126,7 @@ class BuiltTable(Generic[Info]):
     optional: ClassVar[Mapping[str, pa.Schema]] = {}
     identity_columns: ClassVar[tuple[str, ...]]
     check: ClassVar[Callable[..., None]]
+    rows_at_once: ClassVar[int] = 256
 
     @classmethod
     @foreign_input()
@@ -144,7 +145,8 @@ class BuiltTable(Generic[Info]):
         # Before ids are read: a damaged file is reported as such, not as a wrong id.
         others = [name for name in (*cls.schemas, *cls.optional) if name != cls.main]
         columns = cls.schemas[cls.main]
-        require_unchanged(table.info, table.folder, columns, cls.identity_columns, main=cls.main, others=others)
+        described = {"main": cls.main, "others": others, "rows": cls.rows_at_once}
+        require_unchanged(table.info, table.folder, columns, cls.identity_columns, **described)
         table_schema.require_distinct_rows(paths, "sequence_id", f"{folder}, {cls.main}")
         counts: Any = getattr(table.info, "counts", None)
         require_told(table.info, table.folder, f"counts.{cls.main}", getattr(counts, cls.main), table.n_rows)

@@ -14,6 +14,7 @@ SUIT_FILE = "xdata.npz"
 METADATA_FILE = "metadata.json"  # Written of synthetic people; nothing is read from it.
 TRAJECTORY_FILE = "closed_loop_trajectory.csv"
 HEAD_FOLDER = "recording_head"
+WRIST_FOLDERS = ("recording_lwrist", "recording_rwrist")
 # The user's own, of {sequence: TIME_CODE minus device time in seconds}; made once with the vendor's reader.
 OFFSET_FILE = "time_offset.json"
 
@@ -50,12 +51,14 @@ class Suit:
         time_us: TIME_CODE clock, microseconds.
         rotation: w x y z, segment to world; zero where the suit had none.
         tpose: Positions in the calibration pose.
+        tpose_rotation: Rotations in the calibration pose, as ``rotation``.
     """
 
     time_us: Int[np.ndarray, " n"]
     position: Float[np.ndarray, "n 23 3"]
     rotation: Float[np.ndarray, "n 23 4"]
     tpose: Float[np.ndarray, "23 3"] | None
+    tpose_rotation: Float[np.ndarray, "23 4"] | None = None
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ _NEEDED = ("timestamps_us", "segment_tXYZ", "segment_qWXYZ")
 _SIZES = {"segment_tXYZ": 3, "segment_qWXYZ": 4}  # Numbers of a segment in the two large arrays.
 _SPEED_STEP = 24  # frames; a tenth of a second
 _FEWEST_WALKING = 20  # tenths of a second in which the body walks, before its direction means anything
-_OPTIONAL = ("frameRate", "frameCount", "tpose_segment_tXYZ")
+_OPTIONAL = ("frameRate", "frameCount", "tpose_segment_tXYZ", "tpose_segment_qWXYZ")
 
 
 @dataclass(frozen=True)
@@ -89,13 +89,13 @@ def read_suit(path: Path) -> Suit:
             arrays[key] = arrays[key].astype(np.float32)
     time = np.asarray(arrays["timestamps_us"]).ravel()
     n = len(time)
-    tpose = arrays.get("tpose_segment_tXYZ")
+    calibration: list[np.ndarray | None] = []
     for key, fits, expected in (
         ("timestamps_us", n >= 2, "at least two frames"),
         ("timestamps_us", np.isfinite(time.astype(np.float64)).all(), "finite times"),
         ("frameRate", _is(arrays.get("frameRate"), SUIT_RATE), f"{SUIT_RATE:g}"),
         ("frameCount", _is(arrays.get("frameCount"), n), str(n)),
-        ("tpose_segment_tXYZ", tpose is None or tpose.dtype.kind in "fiu", "numbers"),
+        *((key, key not in arrays or arrays[key].dtype.kind in "fiu", "numbers") for key in _OPTIONAL[2:]),
     ):
         if not fits:
             found = f"{arrays[key].dtype} {arrays[key].ravel()[:3].tolist()}"
@@ -106,9 +106,11 @@ def read_suit(path: Path) -> Suit:
         expected = f"numbers of the shape {shapes[0]} or {shapes[1]}, for the {n} times"
         require(path, (fits, key, expected, f"{arrays[key].dtype} of the shape {arrays[key].shape}", _DOWNLOAD))
         arrays[key] = arrays[key].reshape(n, N_SEGMENTS, size)
-    if tpose is not None:
-        tpose = tpose.reshape(N_SEGMENTS, 3).astype(float) if tpose.size == N_SEGMENTS * 3 else None
-    return Suit(np.rint(time).astype(np.int64), arrays["segment_tXYZ"], arrays["segment_qWXYZ"], tpose)
+    for key, size in zip(_OPTIONAL[2:], _SIZES.values(), strict=True):
+        pose = arrays.get(key)
+        there = pose is not None and pose.size == N_SEGMENTS * size
+        calibration.append(pose.reshape(N_SEGMENTS, size).astype(float) if there else None)
+    return Suit(np.rint(time).astype(np.int64), arrays["segment_tXYZ"], arrays["segment_qWXYZ"], *calibration)
 
 
 def _is(values: np.ndarray | None, wanted: float) -> bool:
@@ -132,14 +134,7 @@ def clean_suit(suit: Suit, manifest: Manifest, *, path: Path | str, pose_source:
     thresholds = manifest.thresholds
     # Not "less than": a comparison with NaN is false, and NaN has to count as missing.
     missing = ~(np.einsum("nsk,nsk->ns", suit.rotation, suit.rotation) >= thresholds["smallest_quaternion"] ** 2)
-    rotations = []
-    for segment in (XSENS_SEGMENTS.index("Pelvis"), XSENS_SEGMENTS.index("Head")):
-        # A missing quaternion repeats the last one before it, or is the identity at the beginning.
-        last = np.maximum.accumulate(np.where(missing[:, segment], -1, np.arange(len(missing))))[:, None]
-        known = suit.rotation[np.maximum(last[:, 0], 0), segment].astype(np.float64)
-        filled = np.where(last < 0, [1.0, 0.0, 0.0, 0.0], known)
-        rotations.append(filled / np.linalg.norm(filled, axis=-1, keepdims=True))
-    pelvis, head = rotations
+    pelvis, head = (segment_rotation(suit, XSENS_SEGMENTS.index(name), manifest) for name in ("Pelvis", "Head"))
     finite = np.asarray(np.isfinite(suit.position).all(axis=(1, 2)))
     # Steps of the clock that are not 1/240 s.
     jumps = np.abs(np.diff(suit.time_us) - 1e6 / SUIT_RATE) > thresholds["clock_tolerance"] * 1e6
@@ -203,6 +198,16 @@ def clean_suit(suit: Suit, manifest: Manifest, *, path: Path | str, pose_source:
     if tilt is None:
         tilt = manifest.body.head_tilt_deg
     return CleanSuit(pieces, pose_source or manifest.body.pose_source, tilt, tuple(messages), head)
+
+
+def segment_rotation(suit: Suit, segment: int, manifest: Manifest) -> Float[np.ndarray, "n 4"]:
+    """Return the unit quaternions of a segment; a missing one repeats the last before it, or is the identity."""
+    rotation = suit.rotation[:, segment].astype(np.float64)
+    # Not "less than", here and above: a comparison with NaN is false, and NaN has to count as missing.
+    missing = ~(np.linalg.norm(rotation, axis=-1) >= manifest.thresholds["smallest_quaternion"])
+    last = np.maximum.accumulate(np.where(missing, -1, np.arange(len(missing))))[:, None]
+    filled = np.where(last < 0, [1.0, 0.0, 0.0, 0.0], rotation[np.maximum(last[:, 0], 0)])
+    return filled / np.linalg.norm(filled, axis=-1, keepdims=True)
 
 
 def measured_head_tilt(suit: Suit) -> float | None:

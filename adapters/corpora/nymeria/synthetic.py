@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from prbench.files.storage import atomic_path, write_bytes, write_json
 from prbench.geometry import skeleton
@@ -24,6 +25,8 @@ from prbench_adapters.corpora.nymeria.format import SUIT_RATE, Narration, Suit
 
 _DRIFT = (0.02, 0.005, 0.02)  # m r.m.s., Hz: the suit's world drifts slowly
 _SLIP = (np.deg2rad(0.3), 0.01, 0.05)  # rad r.m.s., Hz: the glasses against the head
+_WRIST_SLIP = (np.deg2rad(1.0), 0.05, 0.3)  # rad r.m.s., Hz: a band against the wrist
+_WRIST_PLACE = 0.03  # m: deviation, an axis, of the band from the wrist joint
 _OFFSET = (0.1, 0.3)  # s, suit clock minus glasses' clock
 _DEVICE_START = (100.0, 60_000.0)  # s
 _ROUNDED = 1e5  # 10 micrometres
@@ -45,6 +48,7 @@ class NymeriaReadings:
     Attributes:
         glasses: Poses of the glasses, device clock, Z up.
         offset: TIME_CODE minus device time, seconds.
+        wristbands: Poses of the left and the right wristband, clock and world of the glasses.
     """
 
     name: str
@@ -52,6 +56,7 @@ class NymeriaReadings:
     narrations: tuple[Narration, ...]
     glasses: mps.AriaTrajectory
     offset: float
+    wristbands: tuple[mps.AriaTrajectory, ...]
 
 
 def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> NymeriaReadings:
@@ -96,7 +101,37 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
     rotation = quaternion(_Z_UP_FROM_Y_UP @ skeleton.rotation_matrices(motion.head_rotation) @ on_head)
     position = np.rint(skeleton.z_up(motion.eye) * _ROUNDED) / _ROUNDED
     glasses = mps.AriaTrajectory(device_start_us + ticks, position, np.round(rotation, 8), np.ones(len(ticks)))
-    return NymeriaReadings(motion.recording_id, suit, tuple(texts), glasses, offset_us / 1e6)
+    rng = generator("wristbands")
+    wristbands = []
+    for wrist in skeleton.WRISTS:
+        # A band sits on the wrist at a place and a turn of its own, and slips around them.
+        place = rng.normal(0.0, _WRIST_PLACE, 3)
+        worn = Rotation.from_rotvec(rng.uniform(-1.0, 1.0, 3)).as_matrix()
+        slip = [wobble(motion.times, noise * _WRIST_SLIP[0], *_WRIST_SLIP[1:], rng) for _ in range(2)]
+        hand = skeleton.rotation_matrices(motion.rotations[:, wrist])
+        on_wrist = worn @ skeleton.rotation_matrices(rotation_quaternion(slip[0], slip[1]))
+        position = np.rint(skeleton.z_up(motion.joints[:, wrist] + hand @ place) * _ROUNDED) / _ROUNDED
+        rotation = np.round(quaternion(_Z_UP_FROM_Y_UP @ hand @ on_wrist), 8)
+        wristbands.append(mps.AriaTrajectory(device_start_us + ticks, position, rotation, np.ones(len(ticks))))
+    return NymeriaReadings(motion.recording_id, suit, tuple(texts), glasses, offset_us / 1e6, tuple(wristbands))
+
+
+def calibration_rotations() -> Float[np.ndarray, "23 3 3"]:
+    """Return segment to world in the T-pose of synthetic people, Z up: their limbs have y along the bone.
+
+    Their files do not hold it, as the T-pose of a real suit turns all segments alike.
+    """
+    turned = np.tile(np.eye(3), (len(skeleton.Joint), 1, 1))
+    down = np.diag([1.0, -1.0, -1.0])  # y along the hanging limb, x the hinge, to the left
+    for joint in skeleton.Joint:
+        side = 1.0 if joint.name.startswith("LEFT") else -1.0
+        if joint.name.endswith(("HIP", "KNEE")):
+            turned[joint] = down
+        elif joint.name.endswith(("SHOULDER", "ELBOW", "WRIST")):
+            # Lifted to the side by a quarter turn about the forward axis.
+            turned[joint] = np.array([[0.0, -side, 0.0], [side, 0.0, 0.0], [0.0, 0.0, 1.0]]) @ down
+    joints = [int(_JOINT_OF_SEGMENT[name]) for name in skeleton.XSENS_SEGMENTS]
+    return _Z_UP_FROM_Y_UP @ turned[joints] @ _OURS_FROM_SEGMENT
 
 
 def _calibration_pose(motion: NarratedMotion) -> Float[np.ndarray, "23 3"]:
@@ -140,7 +175,8 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
     Args:
         readings: All that the files say.
         root: Folder of the dataset.
-        trajectory: Whether the glasses' trajectory was downloaded; without it, clocks can be aligned by starts only.
+        trajectory: Whether the trajectories of glasses and wristbands were downloaded; without them, clocks can be
+            aligned by starts only.
 
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
@@ -179,5 +215,7 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
     invented = {"fake_name": nymeria.participant_of(readings.name), "script": "invented", "location": "nowhere"}
     write_json(folder / nymeria.METADATA_FILE, named | invented)
     if trajectory:
-        slam = folder / nymeria.HEAD_FOLDER / "mps" / "slam"
-        write_csv(slam / nymeria.TRAJECTORY_FILE, mps.trajectory_columns(readings.glasses, _NO_GRAPH, _GRAVITY, None))
+        devices = (readings.glasses, *readings.wristbands)
+        for name, poses in zip((nymeria.HEAD_FOLDER, *nymeria.WRIST_FOLDERS), devices, strict=True):
+            path = folder / name / "mps" / "slam" / nymeria.TRAJECTORY_FILE
+            write_csv(path, mps.trajectory_columns(poses, _NO_GRAPH, _GRAVITY, None))
