@@ -42,10 +42,9 @@ def published_axis_angle(columns):
     """Axis and angle of the quaternion of the raw matrix, whatever its length, by the program's four branches."""
     found = []
     for m in raw(columns).reshape(-1, 3, 3).numpy():
+        branch = 3 - int(m[0, 0] < -m[1, 1])
         if m[2, 2] < 1e-6:
             branch = int(m[0, 0] <= m[1, 1])
-        else:
-            branch = 3 - int(m[0, 0] < -m[1, 1])
         signs = np.array([[1, -1, -1], [-1, 1, -1], [-1, -1, 1], [1, 1, 1]])[branch]
         total = 1 + signs @ np.diag(m)
         differences = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
