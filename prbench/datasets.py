@@ -11,6 +11,7 @@ import importlib.util
 import re
 import sys
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import replace
 from functools import cache
 from importlib import resources
@@ -29,7 +30,7 @@ ON_SYNTHETIC_DATA = "These are scores on synthetic data: never compare them with
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _LONGEST_NAME = 60
 # Words with another meaning in commands.
-_RESERVED = ("all", "synthetic")
+_RESERVED = ("all", "synthetic", "list", "new", "check")
 
 
 def origin_of(reader: InstalledEntry) -> str:
@@ -64,6 +65,23 @@ def find_reader(dataset: str) -> InstalledEntry:
     raise UsageError(
         f"no reader for '{dataset}'.{did_you_mean(name, known)} There are readers for: {', '.join(known)}."
     )
+
+
+def dataset_name_problem(name: str, *, known: Collection[str]) -> str:
+    """Say why a package cannot call its dataset so; empty if it can.
+
+    Args:
+        name: The name.
+        known: Names of the datasets that there are already.
+    """
+    same = name.replace("-", "")
+    taken = next((other for other in sorted(known) if other.replace("-", "") == same), None)
+    if not _NAME.fullmatch(name) or len(name) > _LONGEST_NAME:
+        form = f"at most {_LONGEST_NAME} characters of a to z, 0 to 9 and single hyphens between them"
+        return f"expected a name of {form}, found {quoted(repr(name))}"
+    if name in _RESERVED or name.startswith(SYNTHETIC_PREFIX):
+        return f"'{name}' is a reserved word of prbench"
+    return "" if taken is None else f"'{taken}' is a dataset of prbench already; choose another name"
 
 
 def own_datasets() -> tuple[str, ...]:
@@ -102,15 +120,7 @@ def _readers_on(path: tuple[str, ...]) -> tuple[InstalledEntry, ...]:  # noqa: A
     for entry in entries:
         problem = entry.problem
         if not problem and not entry.built_in:
-            same = entry.name.replace("-", "")
-            taken = next((other for other in sorted(own) if other.replace("-", "") == same), None)
-            if not _NAME.fullmatch(entry.name) or len(entry.name) > _LONGEST_NAME:
-                form = f"at most {_LONGEST_NAME} characters of a to z, 0 to 9 and single hyphens between them"
-                problem = f"expected a name of {form}, found {quoted(repr(entry.name))}"
-            elif entry.name in _RESERVED or entry.name.startswith(SYNTHETIC_PREFIX):
-                problem = f"'{entry.name}' is a reserved word of prbench"
-            elif taken is not None:
-                problem = f"'{taken}' is a dataset of prbench itself; choose another name"
+            problem = dataset_name_problem(entry.name, known=own)
         name = entry.name if _NAME.fullmatch(entry.name) else quoted(entry.name or "unknown")
         readers.append(replace(entry, name=name, problem=problem))
     # One that another package offers, too, is refused.

@@ -25,10 +25,8 @@ def parsed(words: Sequence[str]) -> click.Context:
         name, found, rest = command.resolve_command(context, rest)
         assert found is not None
         command = found
-        if isinstance(command, click.Group):
-            context = click.Context(command, info_name=name, parent=context)
-        else:
-            context = command.make_context(name, rest, parent=context)
+        context = command.make_context(name, rest, parent=context)
+        rest = [*context._protected_args, *context.args]
     return context
 
 

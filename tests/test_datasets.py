@@ -87,10 +87,11 @@ def test_a_reader_of_another_package_is_found_with_its_manifest(install) -> None
 @pytest.mark.parametrize(
     ("name", "problem"),
     [
-        ("adt", "'adt' is a dataset of prbench itself"),
-        ("hdepic", "'hd-epic' is a dataset of prbench itself"),
-        ("nymeria", "'nymeria' is a dataset of prbench itself"),
+        ("adt", "'adt' is a dataset of prbench already"),
+        ("hdepic", "'hd-epic' is a dataset of prbench already"),
+        ("nymeria", "'nymeria' is a dataset of prbench already"),
         ("all", "reserved word"),
+        ("check", "reserved word"),
         ("synthetic-adt", "reserved word"),
         ("Made_Up", "expected a name of at most 60 characters of a to z"),
         ("x" * 61, "expected a name of at most 60 characters"),

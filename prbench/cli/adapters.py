@@ -20,6 +20,7 @@ from prbench.shown import clean
 if TYPE_CHECKING:
     from prbench.checking.conformance import Report
     from prbench.checking.examine_file import DoctorReport
+    from prbench.checking.scaffold.create import ScaffoldReport
     from prbench.harness.methods.loading import Description
 
 
@@ -118,7 +119,11 @@ def new(*, benchmark: str | None, **given: Any) -> Answer:
     """
     from prbench.checking.scaffold import ScaffoldRequest, new_adapter
 
-    made = new_adapter(ScaffoldRequest(benchmark=benchmark or default_benchmark().name, **given))
+    return scaffold_answer(new_adapter(ScaffoldRequest(benchmark=benchmark or default_benchmark().name, **given)))
+
+
+def scaffold_answer(made: ScaffoldReport) -> Answer:
+    """Return a new package with the commands to try in it."""
 
     def show() -> None:
         print(f"{made.folder}: {len(made.files)} files. Next:")

@@ -212,6 +212,7 @@ class Group(click.Group):
         example: Command lines, and comments that begin with ``#``, a line each.
         section: Section of ``prbench --help`` that lists the group of another package.
         renamed: Maps former command lines, without ``prbench``, to what to write in their place.
+        usual: Command that is meant where the first word names none; empty for none.
         plugins: Entry-point group whose commands stand beside those of ``sections``; empty for none.
         closing: Paragraph at the end of its help.
         settings: Further arguments of :class:`click.Group`.
@@ -221,6 +222,7 @@ class Group(click.Group):
     example: str
     section: str = ""
     renamed: Mapping[str, str] = MappingProxyType({})
+    usual: str = ""
     plugins: str = ""
     closing: str = ""
 
@@ -231,6 +233,14 @@ class Group(click.Group):
         super().__init__(name, **settings)
         vars(self).update(own, sections=sections, example=example)
         self.params += _telling_options()
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the words in front of the command, and put in the usual command where there is none."""
+        own = {word for option in self.get_params(ctx) for word in option.opts}
+        first = next((word for word in args if word not in own), "")
+        if self.usual and args != ["--help"] and not ctx.resilient_parsing and self.get_command(ctx, first) is None:
+            args = [self.usual, *args]
+        return super().parse_args(ctx, args)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands, section by section, those that cannot be loaded left out."""

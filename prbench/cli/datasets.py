@@ -1,4 +1,4 @@
-"""``prbench datasets``: which datasets there are, and what using them asks for.
+"""``prbench datasets``: which datasets there are, and what using them asks for; start a new one, check a reader.
 
 ``prbench inspect``: what is this folder, and is it all there?
 
@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from prbench.cli import options as opt
+from prbench.cli.adapters import scaffold_answer
 from prbench.cli.builds import NOT_EVERYTHING, print_annotations
-from prbench.cli.commands import Answer, SeveralValues, command, note, progress
+from prbench.cli.commands import Answer, Group, SeveralValues, command, note, progress
 from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
 
@@ -28,14 +29,18 @@ if TYPE_CHECKING:
     from prbench.checking.inspection import InspectedDataset, InspectedTable
 
 
+_HELP = "List the datasets (this is also what `prbench datasets` alone does), start a new one."
+_COMMANDS = {"list": f"{__name__}:list_datasets", "new": f"{__name__}:new"}
+_EXAMPLES = "prbench datasets --root /data\nprbench datasets new tabletop"
+datasets = Group("datasets", sections={"commands": _COMMANDS}, example=_EXAMPLES, help=_HELP, usual="list")
 _CITE = "Print BibTeX and licence terms of everything that these tables contain, such as --cite tables/adt"
 
 
-@command("datasets", example="prbench datasets --root /data", report="prbench.checking.catalogue:Catalogue")
+@command("list", example="prbench datasets list --root /data", report="prbench.checking.catalogue:Catalogue")
 @click.argument("name", required=False)
 @opt.root_option("Look here for copies, and one folder below.", required=False)
 @opt.path_option("--cite", f"{_CITE}, and nothing else.", cls=SeveralValues, metavar="DIR...")
-def datasets(*, name: str | None, root: Path | None, cite: tuple[Path, ...]) -> Answer:
+def list_datasets(*, name: str | None, root: Path | None, cite: tuple[Path, ...]) -> Answer:
     """List the datasets with licence and terms, how to obtain them, and what of them is below a folder.
 
     With NAME only that dataset is shown, with everything known about it.
@@ -83,6 +88,19 @@ def _everything(entry: CatalogueEntry) -> str:
         lines.append(f"found:           {entry.found}")
     lines += [f"missing:         {line}" for line in entry.missing]
     return "\n".join([*lines, "", entry.citation])
+
+
+@command("new", example="prbench datasets new tabletop", report="prbench.checking.scaffold.create:ScaffoldReport")
+@click.argument("name")
+@opt.out_folder_option("New folder (default: ./prbench-NAME).")
+def new(*, name: str, out: Path | None) -> Answer:
+    """Write a complete package that reads a made-up dataset, for you to change.
+
+    NAME is that of the dataset, such as tabletop: what `prbench build-dataset` will be given.
+    """
+    from prbench.checking.scaffold import new_dataset
+
+    return scaffold_answer(new_dataset(name, out))
 
 
 # Recordings of a dataset that are listed without ``--all``.

@@ -20,50 +20,49 @@ from prbench.sequences import SequenceTable
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "adding-a-dataset.md").read_text(encoding="utf-8")
-EXAMPLE = DOCS / "examples" / "tabletop"
-FILES = {
-    str(path.relative_to(EXAMPLE)): path.read_text("utf-8") for path in EXAMPLE.rglob("*.*") if path.suffix != ".pyc"
-}
+IN_HAND = "tabletop/src/prbench_tabletop/tabletop-tracked.toml"
 COMMANDS = "".join(re.findall(r"^```bash\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE))
 
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The files of the example in one folder, installed by their metadata; a folder to work in."""
-    for name, text in FILES.items():
-        file = tmp_path / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text, encoding="utf-8")
-    project = tomllib.loads(FILES["pyproject.toml"])["project"]
-    info = tmp_path / "src" / "prbench_tabletop-0.1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
-    (name, points), *others = project["entry-points"].items()
-    assert not others
-    lines = [f"[{name}]", *(f"{dataset} = {target}" for dataset, target in points.items())]
-    (info / "entry_points.txt").write_text("\n".join(lines))
-    monkeypatch.syspath_prepend(str(tmp_path / "src"))
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "src"))
-    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
+    """The package that the page's first command writes, installed by its metadata; a folder to work in."""
     monkeypatch.chdir(tmp_path)
+    first = COMMANDS.splitlines()[0]
+    assert main(shlex.split(first)[1:]) == 0
+    source = tmp_path / "tabletop" / "src"
+    install(source, tomllib.loads((tmp_path / "tabletop" / "pyproject.toml").read_text("utf-8")))
+    monkeypatch.syspath_prepend(str(source))
+    monkeypatch.setenv("PYTHONPATH", str(source))
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
     return tmp_path
 
 
-def test_the_page_shows_lines_of_the_package_as_they_stand() -> None:
+def install(source: Path, settings: dict) -> None:
+    project = settings["project"]
+    info = source / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
+    ((name, points),) = project["entry-points"].items()
+    lines = [f"[{name}]", *(f"{dataset} = {target}" for dataset, target in points.items())]
+    (info / "entry_points.txt").write_text("\n".join(lines))
+
+
+def test_the_page_shows_lines_of_the_package_as_they_stand(package) -> None:
     (shown,) = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
-    assert shown.strip() in FILES["pyproject.toml"]
+    assert shown.strip() in (package / "tabletop" / "pyproject.toml").read_text("utf-8")
 
 
-def test_every_key_of_the_in_hand_rule_is_explained_with_the_value_of_the_example() -> None:
+def test_every_key_of_the_in_hand_rule_is_explained_with_the_value_of_the_example(package) -> None:
     shown = re.findall(r"^\| `(\w+)` \| `(.*?)` \|", PAGE, re.MULTILINE)
     explained = tomllib.loads("\n".join(f"{key} = {value}" for key, value in shown))
-    rule = tomllib.loads(FILES["src/prbench_tabletop/tabletop-tracked.toml"])["in_hand"]
+    rule = tomllib.loads((package / IN_HAND).read_text("utf-8"))["in_hand"]
     assert explained == msgspec.to_builtins(msgspec.convert(rule, InHandRule))
 
 
 def test_every_command_of_the_page_works_for_the_package(package, capsys) -> None:
     printed = {}
-    for line in COMMANDS.splitlines():
+    for line in COMMANDS.splitlines()[1:]:
         program, *arguments = shlex.split(line, comments=True)
         if program == "python":
             subprocess.run([sys.executable, *arguments], check=True, timeout=120)

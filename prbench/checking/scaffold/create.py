@@ -1,4 +1,4 @@
-"""Create the folder of a new method from templates: names, texts and first commands of what its author asked for."""
+"""Create the folder of a new method or dataset from templates: names, texts, and the first commands to try."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
@@ -15,6 +15,7 @@ from pathlib import Path
 import prbench
 from prbench.checking.scaffold.one_file import ONE_FILE, converters_file
 from prbench.contract import GIVEN, Condition
+from prbench.datasets import dataset_name_problem, own_datasets, readable_datasets
 from prbench.errors import StorageError, UsageError
 from prbench.files.storage import atomic_folder, sole_writer
 from prbench.harness.benchmark import load_benchmark
@@ -47,10 +48,10 @@ _ROW_FIELDS = {
 
 @dataclass(frozen=True)
 class MethodNames:
-    """The names of a method and its package.
+    """The names of a method, or of a dataset, and its package.
 
     Attributes:
-        method: The name that ``--method`` is given.
+        method: The name that ``--method``, or `prbench build-dataset`, is given.
     """
 
     method: str
@@ -78,8 +79,8 @@ class MethodNames:
         return f"{name}_method" if name in _MODULES or name in sys.stdlib_module_names else name
 
 
-def method_names(name: str) -> MethodNames:
-    """Return the names that follow from that of a method.
+def method_names(name: str, *, of: str = "method") -> MethodNames:
+    """Return the names that follow from that of a method, or of a dataset.
 
     Raises:
         UsageError: if it is no name for a package, or belongs to prbench; it says which name would do.
@@ -90,14 +91,19 @@ def method_names(name: str) -> MethodNames:
         raise UsageError(f"{name!r}: the package is called prbench-NAME by itself. Give '{shortened}'.")
     if not _NAME.fullmatch(name):
         hint = f" Would '{proposal}' do?" if _NAME.fullmatch(proposal) else ""
-        expected = "expected the name of a method in small letters and digits, its words joined by hyphens"
+        expected = f"expected the name of a {of} in small letters and digits, its words joined by hyphens"
         raise UsageError(f"{name!r}: {expected}, beginning with a letter.{hint}")
     if len(name) > _LONGEST:
         raise UsageError(f"{name!r}: expected at most {_LONGEST} characters, found {len(name)}.")
     if name in _RESERVED:
         raise UsageError(f"{name!r} is a reserved name. Choose another.")
     own = {method for about in benchmarks().values() for method in about.methods}
-    if problem := name_problem(name, own=own):
+    if of == "dataset":
+        own = {*own_datasets(), *readable_datasets()}
+        problem = dataset_name_problem(name, known=own)
+    else:
+        problem = name_problem(name, own=own)
+    if problem:
         hint = f", such as 'my-{name}'" if name in own else ""
         raise UsageError(f"{problem}. Choose another{hint}.")
     return MethodNames(name)
@@ -199,20 +205,79 @@ def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:
     """
     names = method_names(request.name)
     folder = request.out or Path(names.method if request.program else names.distribution)
-    # Whole or not at all: a half-written package would install and fail later.
+    return _written(folder, lambda: _contents(names, request), command_lines(names, request))
+
+
+_OF_A_DATASET = {
+    "pyproject.toml": "pyproject.toml",
+    "README.md": "README.md",
+    "make_example.py": "make_example.py",
+    "src/<<module>>/reader.py": "reader.py",
+    "src/<<module>>/<<name>>.toml": "manifest.toml",
+    "src/<<module>>/tracked.py": "tracked.py",
+    "src/<<module>>/<<name>>-tracked.toml": "tracked.toml",
+    "tests/test_reader.py": "test_reader.py",
+}
+
+
+def new_dataset(name: str, out: Path | None = None) -> ScaffoldReport:
+    """Write the folder of a new dataset: manifest, reader, example recordings and tests, whole or not at all.
+
+    Args:
+        name: Name of the dataset; NAME-tracked becomes that of the same recordings without annotated events.
+        out: The new folder; None for one in the current folder, named after the package.
+
+    Raises:
+        UsageError: if the name cannot be used.
+        StorageError: if the folder exists and holds something, or cannot be written.
+    """
+    names = method_names(name, of="dataset")
+    commands = {
+        'pip install -e ".[test]"': "install; prbench finds the reader by its entry point",
+        "python -m pytest": "what the reader promises",
+        "python make_example.py example": "two recordings",
+        f"prbench build-dataset {name} --root example --out tables/{name}": "two sequences",
+    }
+    values = {
+        "name": name,
+        "distribution": names.distribution,
+        "module": names.module,
+        "class": names.class_name.removesuffix("Method") + "Reader",
+        "title": " ".join(map(str.capitalize, name.split("-"))),
+        "key": name.replace("-", ""),
+        "prbench_version": prbench.__version__.partition("+")[0],
+        "commands": _with_comments(commands),
+    }
+
+    def contents() -> dict[str, str]:
+        source = f"src/{names.module}"
+        made = {f"{source}/__init__.py": "", ".gitignore": read_template("gitignore")}
+        for path, template in _OF_A_DATASET.items():
+            made[filled(path, values, ()).rstrip()] = filled(read_template(f"dataset_{template}"), values, ())
+        return made
+
+    return _written(out or Path(names.distribution), contents, commands)
+
+
+def _written(folder: Path, contents: Callable[[], Mapping[str, str]], commands: Iterable[str]) -> ScaffoldReport:
+    """Write a new folder, whole or not at all: a half-written package would install and fail later."""
     with sole_writer(folder):
         # An empty folder may be replaced, for example a fresh clone, but not the current one; a link may lead anywhere.
         empty = folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir())
         if os.path.lexists(folder) and (not empty or folder.resolve() == Path.cwd()):
             raise StorageError(f"{folder}: exists already; nothing was written. Name a new folder with --out DIR.")
-        contents = _contents(names, request)
+        texts = contents()
         with atomic_folder(folder) as temporary:
-            for path, text in contents.items():
+            for path, text in texts.items():
                 target = temporary / path
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_text(text, encoding="utf-8", newline="\n")
-    steps = (f"cd {shlex.quote(str(folder))}", *command_lines(names, request))
-    return ScaffoldReport(folder, files=tuple(sorted(map(Path, contents))), next_steps=steps)
+    return ScaffoldReport(folder, tuple(sorted(map(Path, texts))), (f"cd {shlex.quote(str(folder))}", *commands))
+
+
+def _with_comments(commands: Mapping[str, str]) -> str:
+    width = max(map(len, commands))
+    return "\n".join(f"{command:<{width}}  # {comment}" for command, comment in commands.items())
 
 
 def command_lines(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
@@ -260,9 +325,6 @@ def template_values(names: MethodNames, request: ScaffoldRequest) -> dict[str, s
     """Return the text for every place in the templates."""
     chosen = request.chosen
     first = chosen[0].value
-    lines = command_lines(names, request)
-    width = max(map(len, lines))
-    commands = "\n".join(f"{command:<{width}}  # {comment}" for command, comment in lines.items())
     run = f"prbench run --method {names.program}.toml --condition {first}"
     described = f"The motion generator '{names.method}' for the prime-and-reach benchmark prbench."
     if request.benchmark == _PREDICTION:
@@ -282,7 +344,7 @@ def template_values(names: MethodNames, request: ScaffoldRequest) -> dict[str, s
         "described": described,
         "entry_points": find_benchmark(request.benchmark).entry_points,
         "run": run,
-        "commands": commands,
+        "commands": _with_comments(command_lines(names, request)),
         "row_fields": "\n".join(f"        {line}" for name, line in _ROW_FIELDS.items() if name in given),
         # The rows of the standing pose, as the package's own file has them.
         "standing": "\n".join(line for line in read_template("standing.py").splitlines() if line[:9] == "        ["),
