@@ -36,7 +36,7 @@ class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
         notices: Sentences that the datasets' terms ask for, as they stand in such a picture.
         folder: Folder of the configuration, its trainings and runs; null without ``--train``.
         runs: Run folders that are finished, with --train.
-        failed: Maps rows that failed to the reason, with --train.
+        failed: Maps rows that failed to the reason, with --train; suits that are corrupt or cannot be read.
     """
 
     tables: list[Table] = []
@@ -116,6 +116,13 @@ def _ablation(item: str, folders: Paths, *, data: Paths, with_published: bool, o
 
 def _evaluations(item: str, reports: Paths, *, with_published: bool, out: Paths) -> Answer:
     return _answer([load_built_in(STUDY_ITEMS, item)(reports, with_published=with_published)], out)
+
+
+def _mapping(item: str, inputs: Paths, *, root: Path | None, smpl: Path | None, out: Paths) -> Answer:
+    if root is None or inputs:
+        raise UsageError(f"study {item}: name one --root DIR, your copy of Nymeria, and no DIR else.")
+    tables, failed = load_built_in(STUDY_ITEMS, item)(root, smpl)
+    return _answer(tables, out, lines=[f"failed: {name}: {why}" for name, why in failed.items()], failed=failed)
 
 
 def _prediction(item: str, inputs: Paths, *, out: Paths, **settings: Any) -> Answer:
@@ -248,6 +255,7 @@ _ITEMS = {
     "table-s8": _Item("files of `prbench evaluate-text`", "FILE", ("with_published", "out"), _evaluations),
     **{name: _Item(title, "DIR", _OF_RUNS, _ablation, trains=True) for name, title in _ABLATIONS.items()},
     "prediction": _Item(_PREDICTED, "DIR", _PREDICTION, _prediction),
+    "nymeria-mapping": _Item("the suit's bones, floor and SMPL fit", "--root DIR", ("root", "smpl", "out"), _mapping),
     "figure-1": _Item("recorded sequences with the look that primes the goal", "DIR", _OF_MOTIONS, _motions),
     "figure-2": _Item("recorded sequences of each table", "DIR", _OF_MOTIONS, _motions),
     "figure-4": _Item("scores by what a sequence asks for (--by)", "RUN", (*_OF_SCORES, "by"), _drawn),
@@ -342,6 +350,8 @@ class _OutType(PlaceType):
     metavar="NAME|FILE",
 )
 @click.option("--weights", type=opt.PATH, metavar="DIR", help="Weights of prediction by row: no-gaze.safetensors …")
+@opt.root_option("Your copy of Nymeria (nymeria-mapping).", required=False)
+@click.option("--smpl", type=opt.PATH, metavar="FILE", help="Your SMPL model (.npz), to pose fits of NymeriaPlus with.")
 @opt.device_option
 @opt.threads_option
 @opt.seed_option("of the runs")
@@ -361,7 +371,7 @@ def study(ctx: click.Context, item: str, inputs: Paths, train: bool, **given: An
     chosen = taken_options(ctx, name, given, _TRAINING if train else row.options)
     if train:
         return _train(item, inputs, **chosen)
-    if not inputs:
+    if not inputs and "root" not in row.options:
         raise UsageError(f"{name}: name {row.inputs}..., which it is made from.")
     # Refuse files of unknown formats before anything is done.
     from prbench.tables import require_format

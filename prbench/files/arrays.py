@@ -223,6 +223,22 @@ class Archive:
         require(self.path, (header.nbytes <= largest, f"'{name}'", f"at most {largest:,} bytes", found, ""))
         return self.load([name], largest=self.members[name].file_size)[name]
 
+    def blocks(self, name: str, rows: int) -> Iterator[np.ndarray]:
+        """Yield an array in blocks of so many rows, the last one shorter; no more than one is in memory.
+
+        Raises:
+            InputFileError: see :meth:`read`; also if the array was saved column by column.
+        """
+        require_unpackable(self.path, self.members[name], where=f"'{name}'")
+        with self._opened() as archive, archive.open(self.members[name]) as stream:
+            header = self._header(name, stream)
+            require(self.path, (not header.fortran_order, f"'{name}'", "rows one after the other", "columns", ""))
+            each = math.prod(header.shape[1:])
+            for first in range(0, header.shape[0], rows):
+                shape = (min(rows, header.shape[0] - first), *header.shape[1:])
+                values = stream.read(shape[0] * each * header.dtype.itemsize)
+                yield np.frombuffer(values, header.dtype).reshape(shape)
+
     def _header(self, name: str, stream: IO[bytes]) -> ArrayHeader:
         header = read_header(stream, self.path, f"'{name}'", remedy=self.remedy)
         size = self.members[name].file_size

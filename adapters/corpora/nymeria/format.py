@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from prbench.geometry.skeleton import XSENS_SEGMENTS
 
 SUIT_FILE = "xdata.npz"
+SMPL_FILE = "xdata_smpl_neutral.npz"  # of NymeriaPlus
 METADATA_FILE = "metadata.json"  # Written of synthetic people; nothing is read from it.
 TRAJECTORY_FILE = "closed_loop_trajectory.csv"
 HEAD_FOLDER = "recording_head"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
@@ -72,8 +72,11 @@ class CleanSuit:
         return self.pieces[0].start, max(piece.end for piece in self.pieces)
 
 
-def read_suit(path: Path) -> Suit:
-    """Read ``xdata.npz``.
+def open_suit(path: Path) -> tuple[Archive, Int[np.ndarray, " n"]]:
+    """Check what ``xdata.npz`` holds before its large arrays are unpacked.
+
+    Returns:
+        The archive, and its times: TIME_CODE, microseconds.
 
     Raises:
         InputFileError: if the file is no archive of plain arrays, a key is missing, a shape does not fit the others,
@@ -81,15 +84,9 @@ def read_suit(path: Path) -> Suit:
     """
     archive = Archive(path, remedy=_DOWNLOAD)
     archive.require(_NEEDED)
-    arrays: dict[str, np.ndarray] = {}
-    for key in (*_NEEDED, *_OPTIONAL):  # one after the other: the large ones halve before the next is unpacked
-        arrays |= archive.load([key])
-        # Single precision (8 micrometres a hundred metres away): an hour of both then fits below a gigabyte.
-        if key in _SIZES and arrays[key].dtype == np.float64:
-            arrays[key] = arrays[key].astype(np.float32)
+    arrays = archive.load(["timestamps_us", *_OPTIONAL])
     time = np.asarray(arrays["timestamps_us"]).ravel()
     n = len(time)
-    calibration: list[np.ndarray | None] = []
     for key, fits, expected in (
         ("timestamps_us", n >= 2, "at least two frames"),
         ("timestamps_us", np.isfinite(time.astype(np.float64)).all(), "finite times"),
@@ -102,15 +99,33 @@ def read_suit(path: Path) -> Suit:
             raise InputFileError(path, key, expected=expected, found=found, remedy=_DOWNLOAD)
     for key, size in _SIZES.items():
         shapes = ((n, N_SEGMENTS * size), (n, N_SEGMENTS, size))
-        fits = arrays[key].shape in shapes and np.issubdtype(arrays[key].dtype, np.floating)
+        header = archive.header(key)
+        fits = header.shape in shapes and np.issubdtype(header.dtype, np.floating)
         expected = f"numbers of the shape {shapes[0]} or {shapes[1]}, for the {n} times"
-        require(path, (fits, key, expected, f"{arrays[key].dtype} of the shape {arrays[key].shape}", _DOWNLOAD))
-        arrays[key] = arrays[key].reshape(n, N_SEGMENTS, size)
+        require(path, (fits, key, expected, f"{header.dtype} of the shape {header.shape}", _DOWNLOAD))
+    return archive, np.rint(time).astype(np.int64)
+
+
+def read_suit(path: Path) -> Suit:
+    """Read ``xdata.npz``.
+
+    Raises:
+        InputFileError: see :func:`open_suit`.
+    """
+    archive, time = open_suit(path)
+    arrays = {}
+    for key, size in _SIZES.items():  # one after the other: each halves before the next is unpacked
+        values = archive.load([key])[key]
+        # Single precision (8 micrometres a hundred metres away): an hour of both then fits below a gigabyte.
+        kept = values.astype(np.float32) if values.dtype == np.float64 else values
+        arrays[key] = kept.reshape(len(time), N_SEGMENTS, size)
+        del values
+    calibration: list[np.ndarray | None] = []
     for key, size in zip(_OPTIONAL[2:], _SIZES.values(), strict=True):
-        pose = arrays.get(key)
+        pose = archive.load([key]).get(key)
         there = pose is not None and pose.size == N_SEGMENTS * size
         calibration.append(pose.reshape(N_SEGMENTS, size).astype(float) if there else None)
-    return Suit(np.rint(time).astype(np.int64), arrays["segment_tXYZ"], arrays["segment_qWXYZ"], *calibration)
+    return Suit(time, arrays["segment_tXYZ"], arrays["segment_qWXYZ"], *calibration)
 
 
 def _is(values: np.ndarray | None, wanted: float) -> bool:
