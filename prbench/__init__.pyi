@@ -10,6 +10,7 @@ from prbench.api import Joint as Joint
 from prbench.api import Measures as Measures
 from prbench.api import Picture as Picture
 from prbench.api import PrbenchError as PrbenchError
+from prbench.api import PrimedEvent as PrimedEvent
 from prbench.api import Recording as Recording
 from prbench.api import Recordings as Recordings
 from prbench.api import Replay as Replay
@@ -26,6 +27,7 @@ from prbench.api import measure as measure
 from prbench.api import measure_futures as measure_futures
 from prbench.api import open_run as open_run
 from prbench.api import open_table as open_table
+from prbench.api import prime as prime
 from prbench.api import run as run
 from prbench.api import score as score
 from prbench.api import synthesize as synthesize

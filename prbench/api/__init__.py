@@ -7,6 +7,7 @@ list. Whatever a user can repair is raised as :class:`PrbenchError`, with the sa
 from prbench.api.building import Build, SyntheticRecordings, build_dataset, synthesize
 from prbench.api.measuring import Measures, measure, measure_futures
 from prbench.api.pictures import Picture, Replay
+from prbench.api.priming import prime
 from prbench.api.runs import Run, open_run, run
 from prbench.api.scoring import Comparison, Scores, compare, score
 from prbench.api.tables import (
@@ -23,6 +24,7 @@ from prbench.api.tables import (
     embedded_tables,
     open_table,
 )
+from prbench.curation.own_priming import PrimedEvent
 from prbench.engine.choice import Cluster
 from prbench.errors import PrbenchError
 from prbench.geometry.skeleton import Joint

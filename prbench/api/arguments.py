@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
+import numpy as np
+
 from prbench.contract import Condition
 from prbench.engine import Engine, close_engine
 from prbench.engine.choice import Cluster, open_engine
@@ -135,6 +137,22 @@ def as_optional_path(value: PathLike | None) -> Path | None:
         value: Path as text or :class:`pathlib.Path`, or None.
     """
     return None if value is None else as_path(value)
+
+
+def as_array(name: str, value: Any) -> np.ndarray:
+    """Return numbers of any form as an array of floats.
+
+    Args:
+        name: Name of the argument, for the message.
+        value: An array, a nested list, or a tensor on the processor.
+
+    Raises:
+        UsageError: if it holds no numbers.
+    """
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{name}: expected numbers, found {type(value).__name__} ({error}).") from error
 
 
 def as_texts(value: Texts) -> tuple[str, ...]:

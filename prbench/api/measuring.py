@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench import metrics as scoring
+from prbench.api import arguments as args
 from prbench.api.pictures import frozen
 from prbench.checking.doctor.body import wrong_unit
 from prbench.checking.doctor.motion_set import spread_poses
@@ -191,7 +192,7 @@ def measure(
         raise UsageError("goal_location and goal_box: give one of them; of a box the centre counts.")
     goal = _one_each("goal_location", goal_location, size, (3,))
     if goal_box is not None:
-        corners = _array("goal_box", goal_box)
+        corners = args.as_array("goal_box", goal_box)
         if corners.shape not in ((2, 3), (8, 3), (size, 2, 3), (size, 8, 3)):
             found = f"found the shape {corners.shape}"
             raise UsageError(f"goal_box: expected (2, 3) or (8, 3), or one for each of {size} motions, {found}.")
@@ -295,15 +296,15 @@ def measure_futures(
         >>> measures.left_out["mmade"]
         'needs similar_futures'
     """
-    futures = _array("predicted", predicted)
-    happened = _array("recorded", recorded)
+    futures = args.as_array("predicted", predicted)
+    happened = args.as_array("recorded", recorded)
     if happened.ndim != 3 or happened.shape[2] != 3 or not len(happened):
         raise UsageError(f"recorded: expected (frames, joints, 3), found the shape {happened.shape}.")
     if futures.ndim != 4 or futures.shape[1:] != happened.shape or not len(futures):
         expected = f"(k, {', '.join(map(str, happened.shape))}), k futures of the recorded frames"
         raise UsageError(f"predicted: expected {expected}, found the shape {futures.shape}.")
     given = {"last_observed": last_observed, "goal": goal, "similar_futures": similar_futures}
-    given = {name: None if value is None else _array(name, value) for name, value in given.items()}
+    given = {name: None if value is None else args.as_array(name, value) for name, value in given.items()}
     for name, shape in (("last_observed", happened.shape[1:]), ("goal", (3,)), ("similar_futures", happened.shape)):
         array = given[name]
         several = name == "similar_futures"  # any number of them
@@ -340,10 +341,10 @@ def _motions(name: str, value: Any, n_frames: Any) -> tuple[list[Float[np.ndarra
         UsageError: if shapes or lengths are wrong, or a coordinate is impossible.
     """
     if isinstance(value, list | tuple) and value and np.ndim(value[0]) == 3:
-        motions = [_array(f"{name}[{row}]", motion) for row, motion in enumerate(value)]
+        motions = [args.as_array(f"{name}[{row}]", motion) for row, motion in enumerate(value)]
         one = False
     else:
-        array = _array(name, value)
+        array = args.as_array(name, value)
         one = array.ndim == 3
         motions = [array] if one else list(array)
     for motion in motions:
@@ -352,7 +353,7 @@ def _motions(name: str, value: Any, n_frames: Any) -> tuple[list[Float[np.ndarra
             shape = motion.shape if one else (len(motions), *motion.shape)
             raise UsageError(f"{name}: expected {forms}, found the shape {shape}.")
     if n_frames is not None:
-        lengths = np.atleast_1d(_array("n_frames", n_frames)).tolist()
+        lengths = np.atleast_1d(args.as_array("n_frames", n_frames)).tolist()
         if np.ndim(n_frames) == 0:
             lengths *= len(motions)
         if len(lengths) != len(motions):
@@ -368,13 +369,6 @@ def _motions(name: str, value: Any, n_frames: Any) -> tuple[list[Float[np.ndarra
     return motions, one
 
 
-def _array(name: str, value: Any) -> np.ndarray:
-    try:
-        return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise UsageError(f"{name}: expected numbers, found {type(value).__name__} ({error}).") from error
-
-
 def _one_each(name: str, value: Any, size: int, shape: tuple[int, ...] = ()) -> np.ndarray | None:
     """Return a value of one shape for each motion, or None if none is given.
 
@@ -383,7 +377,7 @@ def _one_each(name: str, value: Any, size: int, shape: tuple[int, ...] = ()) -> 
     """
     if value is None:
         return None
-    array = _array(name, value)
+    array = args.as_array(name, value)
     if array.shape not in (shape, (size, *shape)):
         expected = f"{shape} or {(size, *shape)}" if shape else f"one number or {size}, one a motion"
         raise UsageError(f"{name}: expected {expected}, found the shape {array.shape}.")

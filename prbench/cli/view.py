@@ -19,6 +19,7 @@ from prbench.cli import options as opt
 from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.commands import Answer, command, note, progress, session
 from prbench.cli.terminal import print_table
+from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
@@ -45,6 +46,7 @@ class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
     caption: str
 
 
+LOOKS = "Draw when gaze was on which object around an event (.png, .svg, .pdf)"
 SHOWN_SEQUENCES = 10  # that are printed; the report holds all
 
 
@@ -131,17 +133,35 @@ class ExplainReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.argument("event")
 @click.option("--data", type=opt.PATH, required=True, metavar="DIR", help="Built dataset folder.")
 @opt.option("--draw", "Draw the story (.png, .svg, .pdf).", type=opt.OUT_FILE, metavar="FILE")
+@opt.option("--picture", f"{LOOKS}; needs --root.", type=opt.OUT_FILE, metavar="FILE")
+@opt.root_option("The recordings that the table was built from.", required=False)
+@opt.reader_options(remark="only those that name files or folders have to be said again")
 @opt.permission_option
-def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ...]) -> Answer:
+def explain(
+    event: str,
+    data: Path,
+    draw: Path | None,
+    picture: Path | None,
+    root: Path | None,
+    options: opt.Pairs,
+    permission: tuple[str, ...],
+) -> Answer:
     """Tell what became of one event and why.
 
     EVENT is an event id, or any part of it that fits one event only.
     """
     from prbench.viewing.explain import draw_event_story, explain_event
 
+    if (picture is None) != (root is None):
+        raise UsageError("--picture FILE and --root DIR belong together: gaze stands in the recordings.")
     story = explain_event(data, event, permitted=permission)
     if draw is not None:
         draw_event_story(story, draw)
+    caption = ""
+    if picture is not None and root is not None:
+        from prbench.viewing.looks import draw_event_looks
+
+        caption = draw_event_looks(data, story.event, root, picture, option=options, permitted=permission)
     # The report takes the fields that it names; the others, such as places, stay out of it.
     told = {name: getattr(story.event, name) for name in ("event_id", "sequence_id", "recording_id", "outcome")}
     report = ExplainReport(dataset=story.dataset, stages=story.stages, notice=story.notice, **told)
@@ -150,6 +170,8 @@ def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ..
         print(story.text())
         if draw is not None:
             print(f"drawing: {draw}")
+        if picture is not None:
+            print(f"caption: {caption}\npicture: {picture}")
 
     return Answer(report, show)
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from prbench.curation.confidence import GAZE_PAUSE, beyond, unbroken
 from prbench.curation.events import Decision, Place
-from prbench.geometry.shapes import near_miss, slab_test
+from prbench.geometry.shapes import ray_distances
 from prbench.geometry.timelines import interpolate
 from prbench.protocol.manifests import CurationConstants
 from prbench.recording import Recording
@@ -85,13 +85,10 @@ def find_prime(
     first = int(np.searchsorted(times, event_time - constants.priming_window, side="left"))
     stop = int(np.searchsorted(times, event_time, side="right"))
     window = slice(first, stop)
-    rays = origins[window], directions[window]
-    box = place.box_min[None], place.box_max[None]
-    hit = slab_test(*rays, *box).hit[:, 0]
-    misses = near_miss(*rays, *box)
-    # A ray that points away passes the box behind the eye, which is no look at it.
-    distance = np.where(hit, 0.0, np.where(misses.along[:, 0] >= 0, misses.distance[:, 0], np.inf))
-    seen = hit | misses.within(constants.near_miss_distance)[:, 0]
+    distances, hits = ray_distances(origins[window], directions[window], place.box_min[None], place.box_max[None])
+    distance = distances[:, 0]
+    hit = hits[:, 0]
+    seen = distance <= constants.near_miss_distance
     if constants.minimum_prime > 0:
         longest_gap = constants.largest_interpolated_gap
         seen = in_lasting_look(times[window], seen, shortest=constants.minimum_prime, longest_gap=longest_gap)

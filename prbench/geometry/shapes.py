@@ -95,10 +95,6 @@ class NearMisses:
     distance: Float[np.ndarray, "n m"]
     along: Float[np.ndarray, "n m"]
 
-    def within(self, tolerance: float) -> Bool[np.ndarray, "n m"]:
-        """Near misses: ``distance <= tolerance`` and the closest point in front of the origin (equation 7)."""
-        return (self.distance <= tolerance) & (self.along >= 0)
-
 
 def near_miss(origins: Points, directions: Points, box_min: Corners, box_max: Corners) -> NearMisses:
     """Compute how closely n rays pass m boxes (equations 5 to 7).
@@ -126,6 +122,26 @@ def near_miss(origins: Points, directions: Points, box_min: Corners, box_max: Co
     inside_length = np.where(np.isfinite(ratio), ratio, 0.0) * length
     # Equation 7; a closest point inside the box is at distance 0.
     return NearMisses(np.maximum(length - inside_length, 0.0), along)
+
+
+def ray_distances(
+    origins: Points, directions: Points, box_min: Corners, box_max: Corners
+) -> tuple[Float[np.ndarray, "n m"], Bool[np.ndarray, "n m"]]:
+    """Return how far each ray passes each box, and whether it hits it (equations 4 to 7).
+
+    Args:
+        origins: Ray origins, metres; same frame as the boxes.
+        directions: Unit vectors.
+        box_min: Lower corners.
+        box_max: Upper corners.
+
+    Returns:
+        Distances (n, m), metres: 0 of a hit, infinite of a ray that points away; and hits (n, m).
+    """
+    hit = slab_test(origins, directions, box_min, box_max).hit
+    misses = near_miss(origins, directions, box_min, box_max)
+    # A ray that points away passes the box behind the eye, which is no look at it.
+    return np.where(hit, 0.0, np.where(misses.along >= 0, misses.distance, np.inf)), hit
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ from prbench.curation.priming import Rays, gaze_rays
 from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, PrbenchError, UsageError, did_you_mean
 from prbench.files.storage import sole_writer, text_digest, write_text
-from prbench.geometry.shapes import near_miss, slab_test
+from prbench.geometry.shapes import ray_distances
 from prbench.geometry.skeleton import WRISTS, Joint
 from prbench.geometry.timelines import covered, interpolate, nearest_index
 from prbench.metrics import GazeRays
@@ -221,18 +221,20 @@ def native_recordings(
     return {each.recording_id: each for each in sources}, mends
 
 
-def recording_of(scene: Scene, root: Path) -> Recording:
-    """Read the recording of a sequence as its table's build read it.
+def recording_of(
+    info: DatasetInfo | None, recording_id: str, root: Path, option: Mapping[str, str] | None = None
+) -> Recording:
+    """Read a recording of a table as the table's build read it; the arguments are those of :func:`native_recordings`.
 
     Raises:
         InputFileError: if it is not below ``root``, or cannot be read.
     """
-    assert scene.info is not None, "the scene was read from a table"
-    sources, mends = native_recordings(scene.info, root)
-    if scene.recording_id not in sources:
+    assert info is not None, "the recording is of a table"
+    sources, mends = native_recordings(info, root, option)
+    if recording_id not in sources:
         found = ", ".join(list(sources)[:3])
-        raise InputFileError(root, "", expected=f"the recording {scene.recording_id}", found=f"others, such as {found}")
-    return mended(sources[scene.recording_id].read(), *mends)
+        raise InputFileError(root, "", expected=f"the recording {recording_id}", found=f"others, such as {found}")
+    return mended(sources[recording_id].read(), *mends)
 
 
 def doubt(event: Event) -> tuple[float, float, str]:
@@ -398,10 +400,7 @@ def _looks(
     at, origins, directions = (column[span] for column in rays)
     if len(at) == 0 or event.box_min is None or event.box_max is None:
         return near, look
-    corners = (event.box_min[None], event.box_max[None])
-    misses = near_miss(origins, directions, *corners)
-    distance = np.where(misses.along[:, 0] >= 0, misses.distance[:, 0], np.inf)
-    distance[slab_test(origins, directions, *corners).hit[:, 0]] = 0.0
+    distance = ray_distances(origins, directions, event.box_min[None], event.box_max[None])[0][:, 0]
     # Trackers slower than the curve leave steps without a sample: the nearest one stands there.
     nearest = nearest_index(at, times)
     spacing = float(np.median(np.diff(at))) if len(at) > 1 else 0.0

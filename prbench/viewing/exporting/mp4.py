@@ -108,7 +108,7 @@ def _marks(
 ) -> list[tuple[Places, Places]]:
     """Return where the box's edges and the gaze are in each picture; empty where they, or the camera, are not known."""
     assert request.recordings is not None, "asked for by the caller"
-    recording = recording_of(scene, request.recordings)
+    recording = recording_of(scene.info, scene.recording_id, request.recordings)
     edges = np.empty((0, 3))
     goal = None
     if scene.goal is not None:

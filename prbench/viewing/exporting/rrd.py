@@ -77,7 +77,8 @@ def write(scene: Scene, path: Path, about: dict[str, Any], request: ExportReques
                 shown = [looks[frame]] if gaze.valid[frame] else []
                 stream.log(f"{entity}/gaze", rr.LineStrips3D(shown, colors=rgb(GAZE_COLOUR)))
     if request.recordings is not None:
-        for entity, seconds, points in _streams(scene, recording_of(scene, request.recordings)):
+        recording = recording_of(scene.info, scene.recording_id, request.recordings)
+        for entity, seconds, points in _streams(scene, recording):
             at(seconds)
             is_ray = entity.endswith("gaze")
             stream.log(entity, rr.LineStrips3D([points], colors=rgb(GAZE_COLOUR)) if is_ray else rr.Points3D(points))
