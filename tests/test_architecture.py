@@ -26,7 +26,7 @@ LAYERS = {
     **dict.fromkeys(("engine", "recording"), 5),
     **dict.fromkeys(("metrics", "object_stores", "sequences", "representation", "text"), 6),
     **dict.fromkeys(("contract", "readers", "tables"), 7),
-    **dict.fromkeys(("curation", "release"), 8),
+    **dict.fromkeys(("alignment", "curation", "release"), 8),
     **dict.fromkeys(("synthetic", "checking/doctor"), 9),
     "harness": 10,
     "viewing": 11,

@@ -10,11 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
+from prbench.alignment.clock import angular_speed, best_agreement
 from prbench.protocol.manifests import load_manifest
 from prbench.randomness import named_generator
 from prbench_adapters.corpora.nymeria.clock import (
-    angular_speed,
-    best_agreement,
     offset_by_correlation,
     offset_by_starts,
     offset_from_file,

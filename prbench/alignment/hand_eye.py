@@ -1,0 +1,192 @@
+"""How a device sits on a body segment, from how both move: A X = X B (docs/specification/alignment.md).
+
+A is the motion of the device between two instants, in the device's frame at the first; B that of the segment; X maps
+coordinates of the segment to those of the device. Worlds drop out, so that neither has to be known.
+
+The functions whose names begin with ``closed_form`` do what the published program does, without selection.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+SPANS = (0.1, 0.5)  # s between the two instants
+LEAST_TURN = np.deg2rad(2.0)  # smaller turns tell more of noise than of an axis
+LARGEST_TURN = np.deg2rad(60.0)
+_ANGLES_DIFFER = np.deg2rad(0.5)  # by so much and 5 % the two angles may differ, which do not depend on X
+_ANGLES_DIFFER_SHARE = 0.05
+_HUBER = 0.005  # m
+_ROTATION_SCALE = np.deg2rad(0.1)
+_TRANSLATION_SCALE = 0.002  # m
+
+Transform = Float[np.ndarray, "4 4"]
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Motions of device (a) and segment (b) over the same times.
+
+    Attributes:
+        times: First instants, seconds.
+        turn_a: Rotation vectors, radians.
+        move_a: Translations, metres.
+        matrix_a: The rotations of the device as matrices.
+    """
+
+    times: Float[np.ndarray, " n"]
+    turn_a: Float[np.ndarray, "n 3"]
+    move_a: Float[np.ndarray, "n 3"]
+    turn_b: Float[np.ndarray, "n 3"]
+    move_b: Float[np.ndarray, "n 3"]
+    matrix_a: Float[np.ndarray, "n 3 3"]
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __getitem__(self, chosen: slice | np.ndarray) -> Motions:
+        return Motions(*(values[chosen] for values in vars(self).values()))
+
+
+def motions_between(
+    first: Int[np.ndarray, " n"],
+    second: Int[np.ndarray, " n"],
+    times: Float[np.ndarray, " f"],
+    device: tuple[Rotation, Float[np.ndarray, "f 3"]],
+    segment: tuple[Rotation, Float[np.ndarray, "f 3"]],
+) -> Motions:
+    """Return the motions between pairs of frames.
+
+    Args:
+        first: Frames at which the motions begin.
+        second: Frames at which they end.
+        times: Time of each frame, seconds.
+        device: Rotations and positions (metres) of the device in its world, one a frame.
+        segment: Those of the segment in its own world.
+    """
+    turns = []
+    moves = []
+    for rotation, position in (device, segment):
+        back = rotation[first].inv()
+        turns.append(back * rotation[second])
+        moves.append(back.apply(position[second] - position[first]))
+    turn_a, turn_b = (turn.as_rotvec() for turn in turns)
+    return Motions(times[first], turn_a, moves[0], turn_b, moves[1], turns[0].as_matrix())
+
+
+def usable(motions: Motions) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Tell which motions turn by 2° to 60°, and of which of them device and segment turn by the same angle."""
+    angle_a = np.linalg.norm(motions.turn_a, axis=1)
+    angle_b = np.linalg.norm(motions.turn_b, axis=1)
+    turning = (np.minimum(angle_a, angle_b) >= LEAST_TURN) & (np.maximum(angle_a, angle_b) <= LARGEST_TURN)
+    most = _ANGLES_DIFFER + _ANGLES_DIFFER_SHARE * np.maximum(angle_a, angle_b)
+    return turning, turning & (np.abs(angle_a - angle_b) < most)
+
+
+def rotation_of(motions: Motions) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """Return the rotation R with a = R b in the least-squares sense, and the singular values of Σ b aᵀ.
+
+    Where all turns have two axes only, the third singular value is zero and its vectors have either sign: the
+    determinant decides. With one axis R is arbitrary; the second singular value is then zero too.
+    """
+    left, values, right = np.linalg.svd(motions.turn_b.T @ motions.turn_a)
+    turn = right.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(right.T @ left.T))]) @ left.T
+    return turn, values
+
+
+def translation_of(
+    motions: Motions, rotation: Float[np.ndarray, "3 3"], *, huber: float = np.inf
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+    """Return t of (R_A - I) t = R t_B - t_A by least squares, of smallest norm where it is not determined.
+
+    Args:
+        motions: One motion or more.
+        rotation: The rotation of X.
+        huber: Length of a residual, metres, from which a motion counts less.
+
+    Returns:
+        The translation in device coordinates, metres, and the normal matrix of the last step.
+    """
+    rows = (motions.matrix_a - np.eye(3)).reshape(-1, 3)
+    wanted = (motions.move_b @ rotation.T - motions.move_a).reshape(-1)
+    weight = np.ones(len(rows))
+    for _ in range(1 if huber == np.inf else 8):
+        normal = (rows * weight[:, None]).T @ rows
+        translation = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (rows.T @ (weight * wanted))
+        error = np.linalg.norm((rows @ translation - wanted).reshape(-1, 3), axis=1)
+        weight = np.repeat(huber / np.maximum(error, huber), 3) if huber < np.inf else weight
+    return translation, normal
+
+
+def errors_of(motions: Motions, x: Transform) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Return what A X and X B differ by: rotation vectors (radians) and translations (metres), device coordinates."""
+    turned = motions.turn_a - motions.turn_b @ x[:3, :3].T
+    moved = motions.matrix_a @ x[:3, 3] - x[:3, 3] + motions.move_a - motions.move_b @ x[:3, :3].T
+    return turned, moved
+
+
+def in_stages(motions: Motions) -> tuple[Transform, Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+    """Return X from rotation first and translation (Huber, 5 mm) second, singular values and the normal matrix."""
+    x = np.eye(4)
+    x[:3, :3], singular = rotation_of(motions)
+    x[:3, 3], normal = translation_of(motions, x[:3, :3], huber=_HUBER)
+    return x, singular, normal
+
+
+def refined(motions: Motions, x: Transform) -> Transform:
+    """Return the X near the given one that fits rotations and translations together (soft-L1, 0.1° and 2 mm)."""
+
+    def moved_by(step: np.ndarray) -> Transform:
+        better = x.copy()
+        better[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix() @ x[:3, :3]
+        better[:3, 3] += step[3:]
+        return better
+
+    def residuals(step: np.ndarray) -> np.ndarray:
+        turned, moved = errors_of(motions, moved_by(step))
+        return np.concatenate([turned.ravel() / _ROTATION_SCALE, moved.ravel() / _TRANSLATION_SCALE])
+
+    return moved_by(least_squares(residuals, np.zeros(6), loss="soft_l1", x_scale="jac").x)
+
+
+def closed_form(
+    device: Float[np.ndarray, "n 3 4"], segment: Float[np.ndarray, "n 3 4"], *, stride: int = 2
+) -> Transform:
+    """Return X from all motions over ``stride`` frames, without weights or gates, as the published program does.
+
+    Args:
+        device: Poses [R | t] in the device's world, metres, at a steady rate.
+        segment: Poses of the segment in its own world at the same times.
+        stride: Frames between the two poses of a motion.
+    """
+    first = np.arange(len(device) - stride)
+    poses = [(Rotation.from_matrix(each[:, :, :3]), each[:, :, 3]) for each in (device, segment)]
+    motions = motions_between(first, first + stride, np.arange(len(device), dtype=float), *poses)
+    x = np.eye(4)
+    x[:3, :3], _ = rotation_of(motions)
+    x[:3, 3], _ = translation_of(motions, x[:3, :3])
+    return x
+
+
+def closed_form_windows(
+    device: Float[np.ndarray, "n 3 4"], segment: Float[np.ndarray, "n 3 4"], *, window: int, skip: int, stride: int = 2
+) -> Float[np.ndarray, "m 4 4"]:
+    """Return :func:`closed_form` of windows around the poses 0, ``skip``, 2 · ``skip`` and so on.
+
+    Windows are moved inside the recording; those that touch its end lack the last pose, as in the published program.
+    """
+    estimates = []
+    for centre in range(0, len(device), skip):
+        start = max(centre - window // 2, 0)
+        start, stop = (start, start + window) if start + window < len(device) else (len(device) - window, -1)
+        estimates.append(closed_form(device[start:stop], segment[start:stop], stride=stride))
+    return np.stack(estimates)
+
+
+def window_used(query: Float[np.ndarray, " q"], centres: Float[np.ndarray, " m"]) -> Int[np.ndarray, " q"]:
+    """Return which window the published program uses at each time: the first whose centre is not before it."""
+    return np.minimum(np.searchsorted(centres, query), len(centres) - 1)
