@@ -38,7 +38,7 @@ Layer = TypeVar("Layer", bound=nn.Module)
 KeysValues = tuple[Tensor, Tensor]
 
 
-class _SelfAttention(nn.Module):
+class SelfAttention(nn.Module):
     """Multi-head attention of a stream to itself."""
 
     def __init__(self, width: int, heads: int, dropout: float) -> None:
@@ -101,7 +101,7 @@ class TransformerLayer(nn.Module):
 
     def __init__(self, width: int, heads: int, feed_forward: int, dropout: float, *, cross_attention: bool) -> None:
         super().__init__()
-        self.self_attention = _SelfAttention(width, heads, dropout)
+        self.self_attention = SelfAttention(width, heads, dropout)
         self.self_attention_norm = nn.LayerNorm(width, eps=1e-5)
         if cross_attention:
             self.cross_attention = CrossAttention(width, heads, dropout)
@@ -358,7 +358,7 @@ def pooled(text: Float[Tensor, "batch tokens dimension"], padding: Given) -> Flo
 _NEIGHBOURS = 2  # tokens before and after
 
 
-class _Layer(nn.Module):
+class FrameLayer(nn.Module):
     """Self-attention and feed-forward, each normalised before and added to the stream; the condition is added first.
 
     Before the feed-forward part each number of a token takes in those of its :data:`_NEIGHBOURS` neighbours, by weights
@@ -379,6 +379,7 @@ class _Layer(nn.Module):
         self.dropout = nn.Dropout(dropout)
 
     def forward(self, stream: Tokens, condition: Float[Tensor, "batch width"], visible: Given) -> Tokens:
+        """One layer; ``visible`` is True for tokens that are no padding."""
         stream = stream + self.condition(condition)[:, None]
         parts = self.query_key_value(self.attention_norm(stream)).chunk(3, dim=-1)
         query, key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in parts)
@@ -412,7 +413,7 @@ class FrameDenoiser(nn.Module):
         self.step_embedding = nn.Embedding(configuration.diffusion_steps, width)
         self.time_to_end = nn.Linear(width, width)
         sizes = (width, configuration.heads, configuration.feed_forward, configuration.dropout)
-        self.layers = nn.ModuleList(_Layer(*sizes) for _ in range(configuration.layers))
+        self.layers = nn.ModuleList(FrameLayer(*sizes) for _ in range(configuration.layers))
         self.head_norm = nn.LayerNorm(width)
         self.head = from_zero(nn.Linear(width, numbers))  # the first estimate is the mean motion
         self.register_buffer("sinusoid", sinusoid_table(configuration.max_frames + 1, width), persistent=False)

@@ -1,4 +1,4 @@
-"""The cosine noise schedule, and samplers that walk along it from noise to clean features: DDPM and DDIM.
+"""Noise schedules, and samplers that walk along them from noise to clean features: DDPM and DDIM.
 
 Source: docs/specification/mdm.md#diffusion.
 
@@ -64,20 +64,6 @@ class Chain:
     def __len__(self) -> int:
         return len(self.indices)
 
-
-class CosineSchedule(Chain):
-    """β_i = min(1 - f((i + 1)/T)/f(i/T), 0.999) with f(s) = cos²((s + 0.008)/1.008 · π/2).
-
-    Args:
-        n_steps: Diffusion steps T of the training.
-    """
-
-    def __init__(self, n_steps: int) -> None:
-        # The offset keeps the first betas from vanishing (Nichol and Dhariwal's schedule).
-        level = [math.cos((i / n_steps + _OFFSET) / (1.0 + _OFFSET) * math.pi / 2.0) ** 2 for i in range(n_steps + 1)]
-        betas = np.minimum(1.0 - np.array(level[1:]) / np.array(level[:-1]), _LARGEST_BETA)
-        super().__init__(np.arange(n_steps), np.cumprod(1.0 - betas), betas)
-
     def kept_steps(self, n: int, spacing: Spacing = "leading") -> Int[np.ndarray, " n"]:
         """Return the indices of a chain of ``n`` steps: equal integer stride from 0 (10 of 50 are 0, 5, …, 45).
 
@@ -100,6 +86,32 @@ class CosineSchedule(Chain):
         """Return the chain of :meth:`kept_steps`; the schedule itself if all are kept."""
         kept = self.kept_steps(n, spacing)
         return self if n == len(self) else Chain(kept, self.alphas_cumprod[kept])
+
+
+class CosineSchedule(Chain):
+    """β_i = min(1 - f((i + 1)/T)/f(i/T), 0.999) with f(s) = cos²((s + 0.008)/1.008 · π/2).
+
+    Args:
+        n_steps: Diffusion steps T of the training.
+    """
+
+    def __init__(self, n_steps: int) -> None:
+        # The offset keeps the first betas from vanishing (Nichol and Dhariwal's schedule).
+        level = [math.cos((i / n_steps + _OFFSET) / (1.0 + _OFFSET) * math.pi / 2.0) ** 2 for i in range(n_steps + 1)]
+        betas = np.minimum(1.0 - np.array(level[1:]) / np.array(level[:-1]), _LARGEST_BETA)
+        super().__init__(np.arange(n_steps), np.cumprod(1.0 - betas), betas)
+
+
+class LinearSchedule(Chain):
+    """β rises linearly from 0.0001 to 0.02, both times 1000 / T.
+
+    Args:
+        n_steps: Diffusion steps T of the training.
+    """
+
+    def __init__(self, n_steps: int) -> None:
+        betas = np.linspace(1e-4, 0.02, n_steps) * 1000.0 / n_steps
+        super().__init__(np.arange(n_steps), np.cumprod(1.0 - betas), betas)
 
 
 def sample_ddpm(
@@ -141,7 +153,7 @@ def sample_ddim(
         schedule: The training schedule.
         start: Standard normal noise, taken as the noisiest kept state.
         steps: How many to keep; all of them unless given.
-        spacing: Which ones (:meth:`CosineSchedule.kept_steps`).
+        spacing: Which ones (:meth:`Chain.kept_steps`).
         checkpointing: If positive, only the states between blocks of so many steps are kept for the backward pass, and
             each block is computed once more there. The gradients stay the same; memory falls, time grows by a third.
 
