@@ -25,6 +25,7 @@ from prbench_adapters.three_points.features import (
     N_VALUES,
     Rows,
     TrackWindows,
+    Windows,
     in_head_frame,
     joints_under_head,
     matrices_of_columns,
@@ -33,10 +34,8 @@ from prbench_adapters.training.configuration import require_within
 
 Rotations = Float[Tensor, "*windows frames 22 6"]
 Track = Float[Tensor, "track 22 6"]
-Features = Float[Tensor, "windows frames 54"]
 Steps = Int[Tensor, " windows"]  # index in the training schedule
 Turns = Float[Tensor, "windows 3 3"]
-Places = Int[Tensor, "windows length"]  # frames of the track that the windows are made of
 _TIME = 256  # numbers of the embedding of a step
 _NOISE_FREE = 49  # last steps of the published sampling, in which no noise is added
 _HALF_BIN = 1.0 / 255.0  # the published likelihood of clean values takes them for those of 8-bit pictures
@@ -53,7 +52,6 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
         slide: Frames between the beginnings of two windows of a longer track.
         diffusion_steps: Steps T of the training.
         sampling_steps: Steps that are taken of them.
-        position_weight: Weight of the joints' positions in the loss of ``frames``.
     """
 
     network: Literal["published", "frames"] = "published"
@@ -65,18 +63,15 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     diffusion_steps: int = 1000
     sampling_steps: int = 1000
     fps: float = 60.0
-    position_weight: float = 1.0
 
     def __post_init__(self) -> None:
         require_within(self, "at least 1", "width", "heads", "layers", "window", "slide", "sampling_steps", "fps")
-        require_within(self, "at least 0", "position_weight")
         if self.width % self.heads or self.width % 2:
             raise ValueError(f"'width' must be even and a multiple of 'heads', found {self.width} and {self.heads}")
-        if self.slide > self.window:
-            raise ValueError(f"'slide' must be at most the 'window' of {self.window} frames, found {self.slide}")
-        if self.diffusion_steps < max(self.sampling_steps, 2):
-            found = f"found {self.diffusion_steps}"
-            raise ValueError(f"'diffusion_steps' must be at least 2 and at least 'sampling_steps', {found}")
+        if self.slide > self.window or max(self.sampling_steps, 2) > self.diffusion_steps:
+            problem = "'slide' must be at most 'window', and 'sampling_steps' and 2 at most 'diffusion_steps'"
+            found = f"{self.slide}, {self.window}, {self.sampling_steps} and {self.diffusion_steps}"
+            raise ValueError(f"{problem}, found {found}")
 
 
 class BoDiffusion(nn.Module):
@@ -100,7 +95,7 @@ class BoDiffusion(nn.Module):
         self.register_buffer("sinusoid", torch.cat((table[:, 1::2], table[:, ::2]), dim=1), persistent=False)
         self.sinusoid: Tensor
 
-    def forward(self, noisy: Rotations, features: Features, step: Steps) -> Float[Tensor, "windows frames 22 12"]:
+    def forward(self, noisy: Rotations, features: Windows, step: Steps) -> Float[Tensor, "windows frames 22 12"]:
         """Return the noise, and behind it a share of the logarithm of the largest variance: -1 for none, 1 for all."""
         stream = self.frame_embedding(torch.cat((noisy, self.told(features)), dim=-1).flatten(2))
         stream = stream + self.places[: noisy.shape[1]]
@@ -109,17 +104,17 @@ class BoDiffusion(nn.Module):
             stream = block(stream, time)
         return self.joint_head(self.frame_head(stream).unflatten(-1, (22, 24)))
 
-    def told(self, features: Features) -> Float[Tensor, "windows frames 22 18"]:
+    def told(self, features: Windows) -> Float[Tensor, "windows frames 22 18"]:
         """Return the condition of each joint: the 54 values are cut into three groups of 18, and the groups mixed."""
         return self.condition(features.unflatten(-1, (3, 18)).mT).mT
 
-    def estimate(self, noisy: Rotations, features: Features, chain: Chain, place: Steps) -> tuple[Rotations, Rotations]:
+    def estimate(self, noisy: Rotations, features: Windows, chain: Chain, place: Steps) -> tuple[Rotations, Rotations]:
         """Estimate the clean rotations, within ±1, and the logarithm of the variance of a step of the chain."""
         step = torch.from_numpy(chain.indices).to(place.device)[place]
         noise, share = self(noisy, features, step).chunk(2, dim=-1)
         return _clean(noisy, noise, chain, place).clamp(-1.0, 1.0), _log_variance(share, chain, place)
 
-    def loss(self, clean: Rotations, features: Features, step: Steps, noise: Rotations) -> dict[str, Tensor]:
+    def loss(self, clean: Rotations, features: Windows, step: Steps, noise: Rotations) -> dict[str, Tensor]:
         """Return ``mse`` of the noise, ``vb``, the variational bound in bits, and ``loss``, their sum, of each window.
 
         Args:
@@ -136,7 +131,7 @@ class BoDiffusion(nn.Module):
         error = _clean(noisy, predicted.detach(), chain, step) - clean
         error = _at(chain.posterior_mean_clean, step, noisy) * error
         log_variance = _log_variance(share, chain, step)
-        above = _at(_log_variances(chain)[0], step, noisy) - log_variance
+        above = _log_variance(torch.full_like(share, -1.0), chain, step) - log_variance
         divergence = 0.5 * (above.exp() - 1.0 - above + error.square() * (-log_variance).exp())
         # At the last step the clean values themselves have to be likely.
         unlikely = -_image_log_likelihood(clean, clean + error, log_variance)
@@ -176,7 +171,7 @@ class WindowDenoiser(nn.Module):
         self.register_buffer("sinusoid", sinusoid_table(shape.window, width), persistent=False)
         self.sinusoid: Tensor
 
-    def forward(self, noisy: Rotations, features: Features, step: Steps) -> Rotations:
+    def forward(self, noisy: Rotations, features: Windows, step: Steps) -> Rotations:
         """Estimate the clean rotations."""
         stream = self.frame_embedding(torch.cat((noisy.flatten(2), features), dim=-1))
         stream = stream + self.sinusoid[: noisy.shape[1]]
@@ -186,7 +181,7 @@ class WindowDenoiser(nn.Module):
             stream = layer(stream, told, visible)
         return noisy.new_tensor(_REST) + self.head(self.head_norm(stream)).unflatten(-1, (22, 6))
 
-    def estimate(self, noisy: Rotations, features: Features, chain: Chain, place: Steps) -> tuple[Rotations, None]:
+    def estimate(self, noisy: Rotations, features: Windows, chain: Chain, place: Steps) -> tuple[Rotations, None]:
         """Estimate the clean rotations at a step of the chain; its variance is not learnt."""
         return self(noisy, features, torch.from_numpy(chain.indices).to(place.device)[place]), None
 
@@ -214,8 +209,7 @@ class TrackDiffusion(nn.Module):
         ]
         rotations = functional.l1_loss(predicted, clean)
         positions = functional.l1_loss(*bodies)
-        loss = rotations + self.configuration.position_weight * positions
-        return {"loss": loss, "rotations": rotations, "positions": positions}
+        return {"loss": rotations + positions, "rotations": rotations, "positions": positions}
 
     @torch.no_grad()
     def rotations(self, rows: Rows, seed: int) -> Float[Tensor, "frames 22 3 3"]:
@@ -240,8 +234,8 @@ class TrackDiffusion(nn.Module):
 
 def sample(
     network: BoDiffusion | WindowDenoiser,
-    features: Features,
-    places: Places,
+    features: Windows,
+    places: Int[Tensor, "windows length"],
     start: Track,
     *,
     noise: Callable[[], Track],
@@ -321,15 +315,11 @@ def _clean(noisy: Rotations, noise: Rotations, chain: Chain, place: Steps) -> Ro
 
 
 def _log_variance(share: Rotations, chain: Chain, place: Steps) -> Rotations:
-    smallest, largest = _log_variances(chain)
-    return torch.lerp(_at(smallest, place, share), _at(largest, place, share), 0.5 * (share + 1.0))
-
-
-def _log_variances(chain: Chain) -> tuple[Float[np.ndarray, " steps"], Float[np.ndarray, " steps"]]:
-    """Logarithms of the smallest and the largest variance of each step; the last has none and takes its neighbour's."""
+    """Logarithm of the variance of a step, between its smallest for a share of -1 and its largest for 1."""
     smallest = chain.posterior_variance.copy()
-    smallest[0] = smallest[1]
-    return np.log(smallest), np.log(chain.betas)
+    smallest[0] = smallest[1]  # the last step has none and takes its neighbour's
+    ends = (_at(np.log(variance), place, share) for variance in (smallest, chain.betas))
+    return torch.lerp(*ends, 0.5 * (share + 1.0))
 
 
 def _image_log_likelihood(value: Tensor, mean: Tensor, log_variance: Tensor) -> Tensor:
