@@ -301,6 +301,31 @@ class AnnotatedEvent:
 
 
 @dataclass(frozen=True)
+class Video:
+    """Which frame of the recording's video shows which moment.
+
+    Attributes:
+        times: Two or more moments, seconds on the recording's clock, increasing.
+        frames: Numbers of the frames that show them, from 0; linear in between.
+        fps: Frames a second of the video, by which its own time counts.
+    """
+
+    times: Float[np.ndarray, " n"]
+    frames: Float[np.ndarray, " n"]
+    fps: float
+
+    def told(self, moments: Mapping[str, float | None]) -> dict[str, str]:
+        """Return ``<name>_time`` (seconds of the video) and ``<name>_frame`` of each moment that the video shows."""
+        said = {}
+        half = 0.5 / self.fps
+        for name, time in moments.items():
+            if time is not None and self.times[0] - half <= time <= self.times[-1] + half:
+                frame = float(np.interp(time, self.times, self.frames))
+                said |= {f"{name}_time": f"{frame / self.fps:.3f}", f"{name}_frame": str(round(frame))}
+        return said
+
+
+@dataclass(frozen=True)
 class Recording:
     """Everything that one recording tells curation; the class that every reader yields, one at a time.
 
@@ -322,6 +347,7 @@ class Recording:
         unreadable: Entries of the annotation files that were left out, because they cannot be read.
         hands_from_glasses: True where the glasses measured the hands, which then lie beside the head at any time.
         shortfalls: One message for each stream that ends before the recording does; its file may be cut off.
+        video: The clock of its video; None where the files do not tell it.
     """
 
     dataset: str
@@ -348,6 +374,7 @@ class Recording:
     unreadable: tuple[UnreadableEntry, ...] = ()
     shortfalls: tuple[str, ...] = ()
     hands_from_glasses: bool = False
+    video: Video | None = None
 
     def __post_init__(self) -> None:
         start, end = self.span

@@ -118,6 +118,8 @@ class ExplainReport(msgspec.Struct, frozen=True, kw_only=True):
         outcome: ``sequence``, or why it became none, such as ``not_primed``.
         stages: The stages in the order in which curation asks, with the numbers beside what they are compared with.
         notice: Sentence that the dataset's terms ask a picture to show; empty if they ask for none.
+        video: ``event_time``, ``prime_time`` (seconds of the video), ``event_frame``, ``prime_frame`` (from 0); empty
+            where the dataset does not tell.
     """
 
     event_id: str
@@ -127,6 +129,7 @@ class ExplainReport(msgspec.Struct, frozen=True, kw_only=True):
     outcome: str
     stages: tuple[StoryStage, ...]
     notice: str
+    video: dict[str, float]
 
 
 @command("explain", example="prbench explain Mug_2/pick --data tables/adt --draw story.png", report=ExplainReport)
@@ -164,6 +167,7 @@ def explain(
         caption = draw_event_looks(data, story.event, root, picture, option=options, permitted=permission)
     # The report takes the fields that it names; the others, such as places, stay out of it.
     told = {name: getattr(story.event, name) for name in ("event_id", "sequence_id", "recording_id", "outcome")}
+    told["video"] = {name: float(text) for name, text in (story.event.video or {}).items()}
     report = ExplainReport(dataset=story.dataset, stages=story.stages, notice=story.notice, **told)
 
     def show() -> None:

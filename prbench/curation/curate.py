@@ -122,6 +122,8 @@ def curate_recording(
         about |= {"published_priming": published and published.outcome, "event_confidence": confidence}
         about |= {"published_prime_time": published and published.prime_time}
         about |= {"recording_id": recording.recording_id, "sequence_id": sequence and sequence.sequence_id}
+        if recording.video is not None:
+            about["video"] = recording.video.told({"event": event.event_time, "prime": prime and prime.time})
         rows.append(Event(**about))
     for entry in recording.unreadable:
         name = f"{recording.dataset}/{recording.recording_id}/{entry.file}/unreadable/{entry.key}"

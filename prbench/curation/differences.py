@@ -97,7 +97,7 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
         found = f"{first} holds {one.dataset} and {second} holds {other.dataset}"
         raise UsageError(f"{found}; compare builds of one dataset.")
     # A table of an older version tells nothing of what has been added since: that is no change of an event.
-    untold = ["prime_margin", "event_confidence"] if one.schema_version != other.schema_version else []
+    untold = ["prime_margin", "event_confidence", "video"] if one.schema_version != other.schema_version else []
     before, after = (table.events().drop_columns(untold).to_pylist() for table in tables)
     recordings = [{row["recording_id"]: row for row in table.recordings().to_pylist()} for table in tables]
     sequences = [_sequence_rows(table) for table in tables]

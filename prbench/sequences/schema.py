@@ -34,13 +34,13 @@ from prbench.sequences.sequence import EVENTS, RECORDINGS, SCENES, SEQUENCES, Se
 from prbench.shown import quoted
 
 # 2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes. 3: ``events`` tell what told
-# the hand. 4: ``events`` tell confidence and corrections, ``recordings`` count three more outcomes.
-SCHEMA_VERSION = 4
-# Columns that version 3 lacks. It is read too: what it does not tell is null, what it does not count is 0.
-ADDED_COLUMNS = frozenset(
-    {"prime_margin", "event_confidence", "corrected", "unreadable"}
-    | {"unreadable_entry", "low_confidence", "annotation_only", "dropped_by_person"}
-)
+# the hand. 4: ``events`` tell confidence and corrections, ``recordings`` count three more outcomes. 5: ``events`` tell
+# where they are in the video.
+SCHEMA_VERSION = 5
+# Columns that older versions lack. They are read too: what they do not tell is null, what they do not count is 0.
+_ADDED_IN_4 = {"prime_margin", "event_confidence", "corrected", "unreadable"}
+_ADDED_IN_4 |= {"unreadable_entry", "low_confidence", "annotation_only", "dropped_by_person"}
+ADDED_COLUMNS = {"3": _ADDED_IN_4 | {"video"}, "4": {"video"}, "5": set()}
 # Version of the columns of ``sequences`` alone. It enters the identity of a table, other versions do not.
 SEQUENCES_VERSION = 1
 UNITS = {
@@ -76,16 +76,16 @@ def with_metadata(schema: pa.Schema, *, protocol_version: int) -> pa.Schema:
 def check_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None:
     """Refuse a file of an unknown version or with missing or differently typed columns; further columns are welcome.
 
-    A file of version 3 may lack the columns of version 4 (:func:`with_added_columns`).
+    A file of an older version may lack the columns that were added later (:func:`with_added_columns`).
 
     Raises:
         TableError: naming the file, what was expected and what was found.
     """
     version = (schema.metadata or {}).get(b"prbench_schema_version", b"").decode() or "none"
-    if version not in ("3", str(SCHEMA_VERSION)):
+    if version not in ADDED_COLUMNS:
         remedy = "Build the dataset again with `prbench build-dataset`, or update prbench."
-        raise TableError(f"{source}: expected schema version 3 or {SCHEMA_VERSION}, found {version}. {remedy}")
-    lacking = ADDED_COLUMNS if version == "3" else ()
+        raise TableError(f"{source}: expected schema version 3 to {SCHEMA_VERSION}, found {version}. {remedy}")
+    lacking = ADDED_COLUMNS[version]
     check_columns(schema, [field for field in expected if field.name not in lacking], source=source, what="dataset")
 
 

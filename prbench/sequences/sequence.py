@@ -193,8 +193,8 @@ def column(values: list, kind: pa.DataType) -> pa.Array:
         mask = pa.array(missing, type=pa.bool_()) if any(missing) else None
         return pa.FixedSizeListArray.from_arrays(pa.array(numbers, type=kind.value_type), type=kind, mask=mask)
     if kind == KEY_VALUES:
-        pairs = [[{"key": key, "value": text} for key, text in sorted(value.items())] for value in values]
-        return pa.array(pairs, type=kind)
+        # Arrow takes pairs as structs of two fields.
+        return pa.array([None if value is None else sorted(value.items()) for value in values], type=kind)
     if pa.types.is_list(kind) and pa.types.is_struct(kind.value_type):  # data classes with the fields of the struct
         return pa.array([[asdict(item) for item in value] for value in values], type=kind)
     if pa.types.is_list(kind) and not pa.types.is_string(kind.value_type):
@@ -419,6 +419,8 @@ class Event:
             without a place.
         corrected: What a person said of it, why and who (docs/review.md); None where nobody did.
         unreadable: File and key of an annotation that could not be read, what was expected and found; None otherwise.
+        video: Where the video shows it: ``event_time``, ``prime_time`` (seconds of the video), ``event_frame`` and
+            ``prime_frame`` (from 0); None where the dataset does not tell.
     """
 
     event_id: str
@@ -447,6 +449,7 @@ class Event:
     event_confidence: float | None = None
     corrected: str | None = None
     unreadable: str | None = None
+    video: Texts | None = None
 
     def __repr__(self) -> str:
         return f"<Event {self.event_id}: {self.action} of {self.object_name}, {self.outcome}>"

@@ -76,11 +76,15 @@ class EventStory:
         event = self.event
         width = max(len(stage.name) for stage in self.stages)
         sure = "" if event.event_confidence is None else f"; confidence {event.event_confidence:.2f}"
+        at = event.video or {}
+        moments = [name for name in ("prime", "event") if f"{name}_time" in at]
+        shown = [f"{name} at {at[f'{name}_time']} s (frame {at[f'{name}_frame']})" for name in moments]
         lines = [
             event.event_id,
             self.title,
             f"recording {event.recording_id} ({self.split}) of {self.dataset}; outcome: {event.outcome}{sure}",
             *([f"corrected: {event.corrected}"] if event.corrected else []),
+            *([f"in the video: {', '.join(shown)}"] if shown else []),
             "",
             *(f"  {_MARKS[s.verdict]} {s.name:<{width}}  {s.text or s.verdict}" for s in self.stages),
         ]

@@ -299,30 +299,32 @@ def test_a_main_table_written_anew_with_equal_values_is_the_same(tmp_path: Path)
     assert SequenceTable.open(table.folder).content == table.content
 
 
-@pytest.mark.parametrize("version", ["1", "2", "5"])
+@pytest.mark.parametrize("version", ["1", "2", "6"])
 def test_a_table_of_another_version_is_refused(tmp_path, version) -> None:
     table = fake_dataset(tmp_path / "d", 6)
     path = table.folder / "events.parquet"
     data = pq.read_table(path)
     pq.write_table(data.replace_schema_metadata({**data.schema.metadata, b"prbench_schema_version": version}), path)
-    with pytest.raises(TableError, match=f"expected schema version 3 or 4, found {version}"):
+    with pytest.raises(TableError, match=f"expected schema version 3 to 5, found {version}"):
         table.events()
 
 
-def test_a_table_of_version_3_is_read_with_what_it_lacks_left_open(tmp_path) -> None:
+@pytest.mark.parametrize("version", ["3", "4"])
+def test_a_table_of_an_older_version_is_read_with_what_it_lacks_left_open(tmp_path, version) -> None:
     table = fake_dataset(tmp_path / "d", 6)
     expected = {name: getattr(table, name)() for name in ("events", "recordings")}
     for name in ("sequences", "events", "recordings"):
         path = table.folder / f"{name}.parquet"
         data = pq.read_table(path)
-        data = data.drop_columns([each for each in data.column_names if each in ADDED_COLUMNS])
-        pq.write_table(data.replace_schema_metadata({**data.schema.metadata, b"prbench_schema_version": b"3"}), path)
+        data = data.drop_columns([each for each in data.column_names if each in ADDED_COLUMNS[version]])
+        pq.write_table(data.replace_schema_metadata({**data.schema.metadata, b"prbench_schema_version": version}), path)
     digests = digests_of_files(table.folder, ["sequences", "events", "recordings"])
-    msgspec.structs.replace(table.info, schema_version=3, file_digests=digests).write(table.folder)
+    msgspec.structs.replace(table.info, schema_version=int(version), file_digests=digests).write(table.folder)
     old = SequenceTable.open(table.folder)
     assert old.content == table.content
     assert {name: getattr(old, name)() for name in ("events", "recordings")} == expected
     assert old.events()["event_confidence"].null_count == old.events().num_rows
+    assert old.events()["video"].null_count == old.events().num_rows
     assert set(old.recordings()["low_confidence"].to_pylist()) == {0}
 
 

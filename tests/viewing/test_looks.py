@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -12,8 +13,11 @@ from prbench.cli import main
 from prbench.curation.own_priming import PrimedEvent
 from prbench.curation.priming import gaze_rays
 from prbench.geometry.shapes import ray_distances
+from prbench.recording import Video
 from prbench.sequences import SequenceTable
+from prbench.viewing.explain import explain_event
 from prbench.viewing.looks import _spells, looks_around
+from tests.cli.reports import reported
 from tests.curation.scenes import LOOK_A, PICK, PLACE_A, PROTOCOL, scene, track
 from tests.viewing.test_review import made
 
@@ -79,3 +83,26 @@ def test_explain_draws_gaze_over_objects(dataset, tmp_path, capsys) -> None:
     if len(unplaced):
         words = ["explain", unplaced.iloc[0], "--data", str(place / "table"), "--root", str(place / "raw")]
         assert main([*words, "--picture", str(out)]) == 2
+
+
+def test_explain_tells_the_moment_in_the_video(capsys) -> None:
+    place = made("hd-epic")
+    events = SequenceTable.open(place / "table").events().to_pandas()
+    primed = events[events.prime_time.notna()].iloc[0]
+    listed = json.loads(next((place / "raw").rglob("assoc_info.json")).read_text())[primed.recording_id]
+    segments = [track["time_segment"] for track in listed[primed.object_id]["tracks"]]
+    told = reported(["explain", primed.event_id, "--data", str(place / "table")], capsys).video
+    # The annotations count in seconds of the video, the table on the clock of the glasses.
+    assert min(abs(told["event_time"] - end) for segment in segments for end in segment) < 0.04
+    assert told["event_frame"] == pytest.approx(30 * told["event_time"], abs=0.51)
+    assert told["event_time"] - told["prime_time"] == pytest.approx(primed.event_time - primed.prime_time, abs=0.07)
+    assert f"(frame {told['event_frame']:.0f})" in explain_event(place / "table", primed.event_id).text()
+    gimo = SequenceTable.open(made("gimo") / "table").events().to_pandas()
+    for event in gimo.itertuples():
+        assert {each["key"]: each["value"] for each in event.video}["event_frame"] == f"{event.event_time * 30:.0f}"
+
+
+def test_a_moment_that_the_video_does_not_show_is_not_told() -> None:
+    video = Video(np.array([10.0, 10.1, 10.3]), np.array([0.0, 3.0, 9.0]), 30.0)
+    assert video.told({"event": 10.2, "prime": 9.0}) == {"event_time": "0.200", "event_frame": "6"}
+    assert video.told({"event": None, "prime": 10.4}) == {}

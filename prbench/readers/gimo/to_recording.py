@@ -74,6 +74,7 @@ def recording_from_gimo(readings: gimo.GimoReadings, manifest: Manifest, *, data
         world_from_source=room_from_scan,
         messages=(*readings.messages, *body_remarks, gaze_remark, *event_remarks),
         unreadable=readings.unreadable,
+        video=streams.Video(body.times, readings.segment.frames.astype(np.float64), gimo.FRAME_RATE),
     )
 
 

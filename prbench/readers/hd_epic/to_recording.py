@@ -49,6 +49,8 @@ def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest,
     ranges = {"video": readings.clock.span} | stream_ranges(times)
     require_overlap(ranges, recording=readings.video)
     events, remarks = annotated_events(readings, streams.wrists, body, manifest.thresholds)
+    # An image that is shown twice has the number of its first frame.
+    frames = np.flatnonzero(np.append(True, np.diff(readings.clock.device_ns) > 0))
     gaze = streams.gaze
     inside = (gaze.times >= readings.clock.span[0]) & (gaze.times <= readings.clock.span[1] + 1 / hd_epic.FPS)
     return recorded.Recording(
@@ -76,6 +78,7 @@ def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest,
             *remarks,
         ),
         unreadable=readings.unreadable,
+        video=recorded.Video(readings.clock.device_ns[frames] / 1e9, frames.astype(np.float64), hd_epic.FPS),
     )
 
 
