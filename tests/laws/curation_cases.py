@@ -262,7 +262,7 @@ BAD_INPUT = [
             "no boxes": (lambda folder: (folder / "scenes.parquet").unlink(), ("expected scenes.parquet",)),
             "a row more": (_one_row_more, ("recordings.parquet",)),
             "no digests": (_without_digests, ("events.parquet: expected the file that dataset.json describes",)),
-            "another version": (_another_version, ("sequences.parquet: expected schema version 3 or 4, found 9",)),
+            "another version": (_another_version, ("sequences.parquet: expected schema version 3 to 5, found 9",)),
             "a column less": (_without_a_column, ("expected a column 'prime_kind'",)),
             "damaged sequences": _spoilt("sequences"),
             "damaged events": _spoilt("events"),

@@ -191,7 +191,7 @@ _RUNS = [
          data=lambda folder: (fake_dataset(folder / "empty", 0).folder,)),
     _run("a file for a table", TableError, "expected a built dataset (a folder with dataset.json), found a file",
          data=lambda folder: (_with_file(folder, "table.parquet").with_name("table.parquet"),)),
-    _run("a table of an unknown version", TableError, "expected schema version 3 or 4, found 99",
+    _run("a table of an unknown version", TableError, "expected schema version 3 to 5, found 99",
          data=lambda folder: _changed_table(folder, _of_version_99)),
     _run("a table changed after the build", TableError, "sequences.parquet: ", "not the ones that dataset",
          data=lambda folder: _changed_table(folder, _with_another_prime)),
