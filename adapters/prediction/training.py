@@ -23,7 +23,7 @@ from prbench_adapters.prediction.configuration import PRESETS, DiffusionConfigur
 from prbench_adapters.prediction.recurrent import CVAEConfiguration, DLow, DLowConfiguration, Losses
 from prbench_adapters.training.batches import WindowBatch, WindowChoice, WindowsDataset
 from prbench_adapters.training.task import TrainingModule, split_model_table
-from prbench_adapters.training.weights import Weights, origin_of, read_weights
+from prbench_adapters.training.weights import Weights, origin_of, read_weights, start_from
 from prbench_benchmarks.motion_prediction.batch import Condition
 
 # Whole windows: joints in metres, and the direction as the last node if there is one.
@@ -285,13 +285,14 @@ class PredictorTask:
     stages: tuple[str, ...] = ("train",)
     configurations: str = "prbench_adapters.prediction"
 
-    def window_choice(self, model: Mapping[str, Any]) -> WindowChoice:
-        """Read ``[model.windows]``.
+    def items(self, tables: Sequence[Any], split: str, model: Mapping[str, Any], seed: int) -> WindowsDataset:
+        """Return the windows that ``[model.windows]`` chooses of some folders or tables.
 
         Raises:
             UsageError: for an unknown key or an impossible value.
         """
-        return _converted(model.get("windows", {}), WindowChoice, "model.windows")
+        choice = converted(model.get("windows", {}), WindowChoice, "model.windows")
+        return WindowsDataset(tables, split=split, choice=choice, seed=seed)
 
     def build(
         self, model: Mapping[str, Any], *, data: WindowsDataset, initial: Path | None, stage: str
@@ -308,7 +309,7 @@ class PredictorTask:
             UsageError: if the table does not describe such a network.
             InputFileError: if the initial weights do not fit it.
         """
-        course = _converted(model.get("rate", {}), RateCourse, "model.rate")
+        course = converted(model.get("rate", {}), RateCourse, "model.rate")
         sizes = {key: value for key, value in model.items() if key not in ("windows", "rate")}
         seen = data.shape
         if self.name == "dlow":
@@ -324,17 +325,12 @@ class PredictorTask:
         losses = diffusion_losses
         if self.name == "cvae":  # a direction counts as one more joint
             own = {"n_joints": seen.nodes, "predicted": seen.predicted}
-            record = records.CVAERecord(windows=seen, network=_converted({**sizes, **own}, CVAEConfiguration, "model"))
+            record = records.CVAERecord(windows=seen, network=converted({**sizes, **own}, CVAEConfiguration, "model"))
             losses = latent_losses
         else:
             record = records.DiffusionRecord(windows=seen, network=_diffusion(self.name, sizes, seen))
         network = record.build()
-        origin: tuple[str, ...] = ()
-        if initial is not None:
-            start = read_weights(initial, kind=self.name)
-            start.require_same(record, apart_from=())
-            start.load_into(network, "network")
-            origin = origin_of(start)
+        origin = start_from(initial, self.name, record, network)
         module = PredictorTraining(self.name, record, network, losses, course, origin)
         if isinstance(network, CoefficientDiffusion) and network.whitening is not None and not origin:
             network.whitening.take(torch.cat([network.residuals(motion) for motion in module.spread(data)]))
@@ -355,7 +351,7 @@ def _diffusion(name: str, model: dict[str, Any], seen: records.SeenWindows) -> D
     # The condition decides about the direction, so that `pose+head` is the head-for-gaze variant of any preset.
     base = preset(chosen, n_joints=seen.n_joints)
     size = {"gaze": seen.direction, "observed": seen.observed, "predicted": seen.predicted}
-    return _converted({**msgspec.to_builtins(base), **model, **size}, DiffusionConfiguration, "model")
+    return converted({**msgspec.to_builtins(base), **model, **size}, DiffusionConfiguration, "model")
 
 
 def _dlow(
@@ -363,7 +359,7 @@ def _dlow(
 ) -> PredictorTraining:
     """DLow's sampler for a trained CVAE, which ``--init`` names."""
     start, old = _started("dlow", initial, seen, "a trained CVAE", "cvae")
-    record = records.DLowRecord(windows=seen, network=_converted(model, DLowConfiguration, "model"), cvae=old.network)
+    record = records.DLowRecord(windows=seen, network=converted(model, DLowConfiguration, "model"), cvae=old.network)
     sampler = record.build()
     start.load_into(sampler.cvae, "network")
     return PredictorTraining("dlow", record, sampler, latent_losses, course, origin_of(start))
@@ -428,7 +424,12 @@ def _started(
     return start, old
 
 
-def _converted(table: object, kind: type[_Struct], where: str) -> _Struct:
+def converted(table: object, kind: type[_Struct], where: str) -> _Struct:
+    """Return a table of a configuration as a record.
+
+    Raises:
+        UsageError: for an unknown key or an impossible value; it begins with ``where``.
+    """
     try:
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:

@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from prbench.geometry.skeleton import PARENTS, Joint
+from prbench.geometry.skeleton import PARENTS, Joint, rotation_matrices
 from prbench_adapters.kinematics import matrices_of, rows_of
 from prbench_adapters.tensors import TensorRecord
 
@@ -24,6 +25,9 @@ Rows = Float[Tensor, "frames 54"]
 Windows = Float[Tensor, "windows length 54"]
 Columns = Float[Tensor, "*batch 6"]
 Rotations = Float[Tensor, "*batch 3 3"]
+Local = Float[Tensor, "*batch joints 3 3"]
+Bones = Float[Tensor, "*#batch joints 3"]
+Joints = Float[Tensor, "*batch joints 3"]
 
 
 @dataclass(frozen=True)
@@ -42,9 +46,6 @@ class TrackWindows(TensorRecord):
     head: Float[Tensor, "windows length 3"]
     offsets: Float[Tensor, "windows 22 3"]
 
-    def __len__(self) -> int:
-        return len(self.features)
-
 
 def columns_of(matrices: Rotations) -> Columns:
     """Return the first two **columns**, one after the other."""
@@ -56,9 +57,7 @@ def matrices_of_columns(columns: Columns) -> Rotations:
     return matrices_of(columns).mT
 
 
-def frame_values(
-    position: Float[Tensor, "frames 3 3"], rotation: Float[Tensor, "frames 3 3 3"]
-) -> Float[Tensor, "later 54"]:
+def frame_values(position: Float[Tensor, "n 3 3"], rotation: Float[Tensor, "n 3 3 3"]) -> Float[Tensor, "later 54"]:
     """Return AvatarPoser's values of every frame but the first, which has no change.
 
     Args:
@@ -71,10 +70,10 @@ def frame_values(
 
 
 def track_values(
-    position: Float[Tensor, "frames 3 3"],
-    rotation: Float[Tensor, "frames 3 3 3"],
-    valid: Bool[Tensor, "frames 3"],
-    rotation_valid: Bool[Tensor, "frames 3"],
+    position: Float[np.ndarray, "frames 3 3"],
+    rotation: Float[np.ndarray, "frames 3 4"],
+    valid: Bool[np.ndarray, "frames 3"],
+    rotation_valid: Bool[np.ndarray, "frames 3"],
     fps: float,
 ) -> Rows:
     """Return the values of every frame of a track as our networks take them, NaN where something was not measured.
@@ -85,18 +84,23 @@ def track_values(
     Args:
         position: Positions of head, left and right wrist, world with its floor at height 0, metres; anything where
             not valid.
-        rotation: World from device; anything where not valid.
+        rotation: World from device, w x y z; anything where not valid.
         valid: Devices whose position is known.
-        rotation_valid: Devices whose rotation is known.
+        rotation_valid: Devices whose rotation is known, where their position is.
         fps: Frames per second.
     """
-    position = torch.where(valid[..., None], position, torch.nan)
-    rotation = torch.where((valid & rotation_valid)[..., None, None], rotation, torch.nan)
-    before = torch.full_like(position[:1], torch.nan)  # what was before the first frame is not known
-    values = frame_values(torch.cat([before, position]), torch.cat([before[..., None].expand(1, 3, 3, 3), rotation]))
+    matrices = np.where((valid & rotation_valid)[..., None, None], rotation_matrices(rotation), np.nan)
+    places = np.where(valid[..., None], position, np.nan)
+    # What was before the first frame is not known.
+    values = frame_values(*(torch.from_numpy(np.concatenate([each[:1] * np.nan, each])) for each in (places, matrices)))
     still = columns_of(torch.eye(3).to(values)).repeat(3)
     changes = [(values[:, 18:36] - still) * fps, values[:, 36:45], values[:, 45:] * fps]
-    return torch.cat([values[:, :18], *changes], dim=1)
+    return torch.cat([values[:, :18], *changes], dim=1).float()
+
+
+def device_mask(groups: Sequence[Bool[Tensor, "*batch 3"]]) -> Bool[Tensor, "*batch 54"]:
+    """Return the values of a frame that are known, given the devices of which each group of values is."""
+    return torch.cat([mask.repeat_interleave(size, dim=-1) for mask, size in zip(groups, (6, 6, 3, 3))], dim=-1)
 
 
 def windows_ending_at(rows: Rows, ends: Int[Tensor, " windows"], length: int) -> Windows:
@@ -125,18 +129,12 @@ def in_head_frame(windows: Windows) -> tuple[Windows, Float[Tensor, "windows 3 3
     turn = torch.stack([cosine, zero, sine, zero, zero + 1.0, zero, -sine, zero, cosine], dim=-1).unflatten(-1, (3, 3))
     origin = vectors[:, -1, 12] * windows.new_tensor([1.0, 0.0, 1.0])
     # A row vector times a rotation is turned back by it. Changes of rotation are in the device's frame already.
-    rotations = vectors[:, :, :6] @ turn[:, None]
     positions = (vectors[:, :, 12:15] - origin[:, None, None]) @ turn[:, None]
-    moved = vectors[:, :, 15:] @ turn[:, None]
-    parts = [rotations, vectors[:, :, 6:12], positions, moved]
+    parts = [vectors[:, :, :6] @ turn[:, None], vectors[:, :, 6:12], positions, vectors[:, :, 15:] @ turn[:, None]]
     return torch.cat(parts, dim=2).flatten(2).nan_to_num(0.0), turn, origin
 
 
-def kinematic_joints(
-    local: Float[Tensor, "*batch joints 3 3"],
-    offsets: Float[Tensor, "*#batch joints 3"],
-    parents: Sequence[int] = PARENTS,
-) -> Float[Tensor, "*batch joints 3"]:
+def kinematic_joints(local: Local, offsets: Bones, parents: Sequence[int] = PARENTS) -> Joints:
     """Joints of a skeleton whose joints turn in their parents, with the root at the origin.
 
     Args:
@@ -153,9 +151,7 @@ def kinematic_joints(
     return torch.stack(joints, dim=-2)
 
 
-def joints_under_head(
-    local: Float[Tensor, "*batch 22 3 3"], offsets: Float[Tensor, "*#batch 22 3"], head: Float[Tensor, "*batch 3"]
-) -> Float[Tensor, "*batch 22 3"]:
+def joints_under_head(local: Local, offsets: Bones, head: Float[Tensor, "*batch 3"]) -> Joints:
     """Joints of a body whose head joint stands where the head was measured: nothing learns where the root is."""
     joints = kinematic_joints(local, offsets)
     return joints - joints[..., Joint.HEAD : Joint.HEAD + 1, :] + head[..., None, :]

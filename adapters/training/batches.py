@@ -7,10 +7,10 @@ windows that are scored. The order of batches is a function of seed and step.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -21,7 +21,7 @@ from torch.utils.data import DataLoader, Dataset
 from prbench.errors import TableError, UsageError
 from prbench.randomness import hash_fraction, named_generator
 from prbench_adapters.tensors import TensorRecord
-from prbench_adapters.training.dataset import MotionBatch, SequenceDataset
+from prbench_adapters.training.dataset import SequenceDataset
 from prbench_adapters.training.store import REFIT, parts_of
 from prbench_benchmarks.motion_prediction import joint_sets
 from prbench_benchmarks.motion_prediction.batch import Condition
@@ -131,7 +131,36 @@ def collate_windows(items: Sequence[WindowItem]) -> WindowBatch:
     return WindowBatch(torch.from_numpy(np.concatenate(nodes, axis=2).astype(np.float32)), valid)
 
 
-class WindowsDataset(Dataset[WindowItem]):
+class DrawnDataset(Dataset[Any]):
+    """Stretches of the runs of some tables, of which a window is drawn anew in every epoch.
+
+    Attributes:
+        tables: The opened tables.
+        counts: Items of each table.
+        lengths: Frames of each item.
+        collate: Makes a batch of items.
+    """
+
+    tables: tuple[Any, ...]
+    counts: tuple[int, ...]
+    lengths: Int[np.ndarray, " items"]
+    collate: Callable[..., Any]
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+    def spread(self, limit: int) -> tuple[int, ...]:
+        """Places of at most ``limit`` items of each table, at equal distances: every recording has its share."""
+        places: list[int] = []
+        first = 0
+        for count in self.counts:
+            wanted = min(limit, count)
+            places += [first + place * count // wanted for place in range(wanted)]
+            first += count
+        return tuple(places)
+
+
+class WindowsDataset(DrawnDataset):
     """All windows of some tables and a split, held in memory: about 300 bytes a frame.
 
     A start is allowed where no frame of the window lacks its body and, in tables with gaze, enough observed frames have
@@ -164,16 +193,12 @@ class WindowsDataset(Dataset[WindowItem]):
         self.choice = choice or WindowChoice()
         self.shape = _common_shape(opened, self.choice)
         self.fps = self.shape.fps
-        self.tables: tuple[WindowsTable, ...] = tuple(opened)
+        self.tables = tuple(opened)
         self.split, self.seed = split, seed
         self._runs: list[Run] = []
         self._stretches: list[tuple[int, Int[np.ndarray, " starts"]]] = []
-        # Items of each table.
-        self.counts: tuple[int, ...] = tuple(self._read(table) for table in opened)
-        self.lengths: Int[np.ndarray, " items"] = np.full(len(self._stretches), self.shape.frames)
-
-    def __len__(self) -> int:
-        return len(self._stretches)
+        self.counts = tuple(self._read(table) for table in opened)
+        self.lengths = np.full(len(self._stretches), self.shape.frames)
 
     def __getitem__(self, index: int | tuple[int, int]) -> WindowItem:
         """Return the item of a stretch, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""
@@ -190,16 +215,6 @@ class WindowsDataset(Dataset[WindowItem]):
             direction = run.head_direction[part]
             valid = np.ones(self.shape.frames, dtype=bool)
         return WindowItem(run.joints[part], direction, valid, self.shape)
-
-    def spread(self, limit: int) -> tuple[int, ...]:
-        """Places of at most ``limit`` items of each table, at equal distances: every recording has its share."""
-        places: list[int] = []
-        first = 0
-        for count in self.counts:
-            wanted = min(limit, count)
-            places += [first + place * count // wanted for place in range(wanted)]
-            first += count
-        return tuple(places)
 
     def _read(self, table: WindowsTable) -> int:
         """Take up the runs of one table; returns its number of items."""
@@ -266,7 +281,7 @@ def _allowed_starts(run: Run, shape: SeenWindows, fewest_gaze: int) -> Int[np.nd
     return np.flatnonzero(whole & (gaze[shape.observed : shape.observed + count] - gaze[:count] >= fewest_gaze))
 
 
-Items = SequenceDataset | WindowsDataset
+Items = SequenceDataset | DrawnDataset
 # Index of an item, and the epoch that it is drawn for.
 Draw = tuple[int, int]
 # Batches that are sorted by length together: enough for little padding, few enough that batches stay random.
@@ -332,9 +347,7 @@ class LengthBatches:
         return [batches[place] for place in generator.permutation(len(batches))]
 
 
-def load_batches(
-    dataset: Items, batches: LengthBatches, *, workers: int = 0, pinned: bool = False
-) -> Iterator[MotionBatch] | Iterator[WindowBatch]:
+def load_batches(dataset: Items, batches: LengthBatches, *, workers: int = 0, pinned: bool = False) -> Iterator[Any]:
     """Return the batches that a sampler plans, made into tensors; without end, the same ones for any number of workers.
 
     Args:

@@ -27,7 +27,7 @@ from prbench.sequences.folds import fold_tables, parse_fold
 from prbench.sequences.table import by_share
 from prbench_adapters.trained_network import TrainedNetwork
 from prbench_adapters.training import report as reports
-from prbench_adapters.training.batches import Items, LengthBatches, WindowsDataset, load_batches
+from prbench_adapters.training.batches import DrawnDataset, Items, LengthBatches, load_batches
 from prbench_adapters.training.configuration import TrainingConfiguration, resolved
 from prbench_adapters.training.dataset import SequenceDataset, configured_dataset
 from prbench_adapters.training.loop import Progress, fit, make_fabric, silent
@@ -73,17 +73,6 @@ class Validation:
             chosen.update(names[: wanted.sequences])
         places = [place for place, name in enumerate(data.sequence_ids) if name in chosen]
         return cls(data, tuple(sorted(places, key=lambda place: (int(data.lengths[place]), place))), wanted.batch_size)
-
-    @classmethod
-    def of_windows(cls, train: WindowsDataset, configuration: TrainingConfiguration) -> Validation:
-        """Choose windows of the split ``validation`` of the tables that are learnt from.
-
-        Raises:
-            TableError: if a table has no validation windows.
-        """
-        wanted = configuration.validation
-        data = WindowsDataset(train.tables, split=_SPLIT, choice=train.choice, seed=configuration.training.seed)
-        return cls(data, data.spread(wanted.sequences), wanted.batch_size)
 
     @torch.no_grad()
     def measure(self, module: TrainingModule, device: torch.device) -> Row:
@@ -191,7 +180,7 @@ def run(
     validation = None
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
         data = _data(request, task, configuration, engine)
-        if isinstance(data, WindowsDataset):
+        if isinstance(data, DrawnDataset):
             counts = data.counts
         else:
             rows = [table.scalars(columns=["split"])["split"].to_pylist() for table in data.tables]
@@ -214,8 +203,10 @@ def run(
             torch.manual_seed(settings.seed)
             module = task.build(configuration.model, data=cast(Any, given), initial=request.initial, stage=stage)
         if fabric.is_global_zero and configuration.validation.every:
-            if isinstance(data, WindowsDataset):
-                validation = Validation.of_windows(data, configuration)
+            if isinstance(data, DrawnDataset):
+                held_out = cast(Any, task).items(data.tables, _SPLIT, configuration.model, settings.seed)
+                wanted = configuration.validation
+                validation = Validation(held_out, held_out.spread(wanted.sequences), wanted.batch_size)
             else:
                 validation = Validation.prepare(data.tables, configuration, engine=engine)
     close_engine(engine)  # its workers have nothing more to do
@@ -253,14 +244,13 @@ def run(
 
 
 def _data(request: TrainRequest, task: TrainingTask, configuration: TrainingConfiguration, engine: Engine) -> Items:
-    """Return the split that is learnt from: sequences, or windows for a task that chooses some."""
+    """Return the split that is learnt from: sequences, or what a task draws itself."""
     split = REFIT if request.refit else "train"
-    if hasattr(task, "window_choice"):
+    if hasattr(task, "items"):
         if request.fold is not None:
-            remedy = "leave participants out with --set 'model.windows.left_out=[\"P1\"]'."
-            raise UsageError(f"--fold: windows have no folds of participants; {remedy}")
-        choice = cast(Any, task).window_choice(configuration.model)
-        return WindowsDataset(request.data, split=split, choice=choice, seed=configuration.training.seed)
+            remedy = "windows leave participants out with --set 'model.windows.left_out=[\"P1\"]'."
+            raise UsageError(f"--fold: the tables of {task.name} have no folds of participants; {remedy}")
+        return cast(Any, task).items(request.data, split, configuration.model, configuration.training.seed)
     folders = request.data
     if request.fold is not None:
         parse_fold(request.fold)

@@ -133,9 +133,9 @@ class TrainingTask(Protocol):
     """A kind of network that ``prbench train --method NAME`` can train.
 
     Two optional attributes are honoured: ``stages``, a tuple of the names that ``--stage`` may have here (by default
-    ``("pretrain", "finetune")``; the first is the default of the command line), and ``window_choice``, which takes the
-    table ``[model]`` and returns a :class:`~prbench_adapters.training.batches.WindowChoice`. A task with it is fed
-    windows of motion prediction: its data are :class:`~prbench_adapters.training.batches.WindowsDataset`.
+    ``("pretrain", "finetune")``; the first is the default of the command line), and ``items``, which takes folders or
+    opened tables, a split, the table ``[model]`` and a seed. A task with it is fed what that returns, a
+    :class:`~prbench_adapters.training.batches.DrawnDataset`, such as windows of motion prediction.
 
     Attributes:
         configurations: Import name of the package that holds the TOML files, named ``<task>-<configuration>.toml``.

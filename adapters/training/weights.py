@@ -146,6 +146,20 @@ def origin_of(start: Weights | None) -> tuple[str, ...]:
     return () if start is None else (f"initial weights {start.path.name}, sha256 {start.digest}",)
 
 
+def start_from(path: Path | None, kind: str, sizes: msgspec.Struct, network: torch.nn.Module) -> tuple[str, ...]:
+    """Fill a network with initial weights, where a training has some, and return the line of its card about them.
+
+    Raises:
+        InputFileError: if they are of another kind or configuration.
+    """
+    if path is None:
+        return ()
+    start = read_weights(path, kind=kind)
+    start.require_same(sizes, apart_from=())
+    start.load_into(network, "network")
+    return origin_of(start)
+
+
 def write_weights(
     path: Path,
     tensors: Mapping[str, torch.Tensor],

@@ -9,8 +9,4 @@ from __future__ import annotations
 from prbench_adapters.diffusion.method import late
 
 load = late("wandr.adapter:load")
-
-
-def training_task() -> object:
-    """Make the task that ``prbench train --method wandr`` trains."""
-    return late("wandr.training:WandrTask")()
+training_task = late("wandr.training:WandrTask")  # what `prbench train --method wandr` trains

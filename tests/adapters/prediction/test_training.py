@@ -195,7 +195,7 @@ def test_a_card_has_losses_and_errors_of_validation(trained):
         ("gazemodiff", {"model.gaze": "false"}, r"model\.gaze: follows from the windows"),
         ("cvae", {"model.windows.condition": "gaze"}, r"\[model\.windows\]: Invalid enum value 'gaze'"),
         ("cvae", {"model.windows.left_out": '["P0", "P1"]'}, "expected windows of split 'train'"),
-        ("cvae", {"fold": "1/2"}, r"--fold: windows have no folds"),
+        ("cvae", {"fold": "1/2"}, r"--fold: the tables of cvae have no folds"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_a_remedy(name, settings, message, trained, tmp_path):

@@ -105,7 +105,7 @@ def test_training_loss(golden, network):
     joints = [published_joints(published_axis_angle(each.unflatten(1, (-1, 6))), golden) for each in (found, target)]
     close(joints[0], golden["train_positions"], 5e-6)
     close(joints[1], golden["train_target_positions"], 5e-6)
-    parts = network.loss_parts(found, target, *joints)
+    parts = network.loss_parts([each.unflatten(1, (-1, 6)) for each in (found, target)], joints)
     close([parts[name] for name in ("root", "rotations", "positions")], golden["loss_parts"], 5e-6)
     close(parts["loss"], golden["loss"], 5e-6)
 
