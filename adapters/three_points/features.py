@@ -23,8 +23,6 @@ N_VALUES = 54
 
 Rows = Float[Tensor, "frames 54"]
 Windows = Float[Tensor, "windows length 54"]
-Columns = Float[Tensor, "*batch 6"]
-Rotations = Float[Tensor, "*batch 3 3"]
 Local = Float[Tensor, "*batch joints 3 3"]
 Bones = Float[Tensor, "*#batch joints 3"]
 Joints = Float[Tensor, "*batch joints 3"]
@@ -47,12 +45,12 @@ class TrackWindows(TensorRecord):
     offsets: Float[Tensor, "windows 22 3"]
 
 
-def columns_of(matrices: Rotations) -> Columns:
+def columns_of(matrices: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 6"]:
     """Return the first two **columns**, one after the other."""
     return rows_of(matrices.mT)
 
 
-def matrices_of_columns(columns: Columns) -> Rotations:
+def matrices_of_columns(columns: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 3 3"]:
     """Return rotation matrices of two columns that need not be orthonormal (Gram-Schmidt, the first one leads)."""
     return matrices_of(columns).mT
 

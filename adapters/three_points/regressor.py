@@ -17,7 +17,6 @@ from torch.nn import functional
 
 from prbench.geometry.skeleton import N_JOINTS
 from prbench_adapters.diffusion.denoiser import sinusoid_table
-from prbench_adapters.prediction.training import RateCourse
 from prbench_adapters.three_points import features
 from prbench_adapters.training.configuration import require_within
 
@@ -25,14 +24,13 @@ _TOGETHER = 256  # windows that go through the network together: they fit a proc
 
 
 class RegressorConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Sizes of the network, the frames that it sees, and the weights of its losses; as published by default.
+    """Sizes of the network, the frames that it sees, and a weight of its losses; as published by default.
 
     Attributes:
         hidden: Width between the two layers of each head.
         window: Frames that it sees.
         time: What is added to the rows; ``none`` as published.
-        root_weight: Weight of the root's rotation.
-        rate: Course of the learning rate.
+        root_weight: Weight of the root's rotation; the other rotations and the joints have 1.
     """
 
     width: int = 256
@@ -45,9 +43,6 @@ class RegressorConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     fps: float = 60.0
     time: Literal["sinusoidal", "none"] = "sinusoidal"
     root_weight: float = 0.02
-    rotation_weight: float = 1.0
-    position_weight: float = 1.0
-    rate: RateCourse = RateCourse()
 
     def __post_init__(self) -> None:
         require_within(self, "at least 1", "width", "heads", "layers", "feed_forward", "hidden", "window", "fps")
@@ -68,8 +63,6 @@ class Regressor(nn.Module):
         self.transformer_encoder = nn.TransformerEncoder(layer, shape.layers, enable_nested_tensor=False)
         self.stabilizer = _head(shape, 6)
         self.joint_rotation_decoder = _head(shape, 6 * (N_JOINTS - 1))
-        self.register_buffer("sinusoid", sinusoid_table(shape.window, shape.width).flip(0), persistent=False)
-        self.sinusoid: Tensor
         for module in self.modules():
             if isinstance(module, nn.Linear):  # the attention's input is none
                 nn.init.kaiming_normal_(module.weight)
@@ -84,7 +77,7 @@ class Regressor(nn.Module):
         """
         stream = self.linear_embedding(windows)
         if self.configuration.time == "sinusoidal":
-            stream = stream + self.sinusoid[-windows.shape[1] :]
+            stream = stream + sinusoid_table(windows.shape[1], self.configuration.width).flip(0).to(stream)
         for layer in self.transformer_encoder.layers:
             # Nothing reads other rows of the last layer.
             rows = stream[:, -1:] if layer is self.transformer_encoder.layers[-1] else stream
@@ -94,9 +87,8 @@ class Regressor(nn.Module):
         last = stream[:, -1]
         return torch.cat([self.stabilizer(last), self.joint_rotation_decoder(last)], dim=1)
 
-    def losses(self, batch: features.TrackWindows, generator: torch.Generator) -> dict[str, Tensor]:
+    def losses(self, batch: features.TrackWindows, generator: torch.Generator) -> dict[str, Tensor]:  # noqa: ARG002
         """Return the losses of windows by name, and the mean error of the joints; nothing is drawn."""
-        del generator
         columns = (self(batch.features).unflatten(1, (N_JOINTS, 6)), batch.rotations[:, -1])
         local = [features.matrices_of_columns(each) for each in columns]
         joints = [features.joints_under_head(each, batch.offsets, batch.head[:, -1]) for each in local]
@@ -110,23 +102,21 @@ class Regressor(nn.Module):
             columns: Two columns of each local rotation (windows, 22, 6), predicted and recorded.
             joints: Joints (windows, any, 3), predicted and recorded, metres.
         """
-        shape = self.configuration
         predicted, recorded = columns
         root = functional.l1_loss(predicted[:, 0], recorded[:, 0])
         rotations = functional.l1_loss(predicted[:, 1:], recorded[:, 1:])
         positions = functional.l1_loss(*joints)
-        loss = shape.root_weight * root + shape.rotation_weight * rotations + shape.position_weight * positions
+        loss = self.configuration.root_weight * root + rotations + positions
         return {"loss": loss, "root": root, "rotations": rotations, "positions": positions}
 
     @torch.no_grad()
-    def rotations(self, rows: features.Rows, seed: int) -> Float[Tensor, "frames 22 3 3"]:
+    def rotations(self, rows: features.Rows, seed: int) -> Float[Tensor, "frames 22 3 3"]:  # noqa: ARG002
         """Return the local rotations of every frame of a track, the root's in the world; nothing is drawn.
 
         Args:
             rows: Values of the track (:func:`~prbench_adapters.three_points.features.track_values`).
             seed: Seed of those networks that draw something.
         """
-        del seed
         parts = []
         for ends in torch.arange(len(rows)).split(_TOGETHER):
             windows, turn, _ = features.in_head_frame(features.windows_ending_at(rows, ends, self.configuration.window))

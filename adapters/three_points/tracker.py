@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from prbench_adapters.three_points.training import NETWORKS
 from prbench_adapters.training.weights import Weights, read_weights
 from prbench_benchmarks.three_points.batch import DEVICES, Bodies, Condition, TrackedBatch
 
-_WHOLLY = 1.0 - 1e-6  # of a mask between two frames that are both known
 _PIECE = 3600  # frames that are worked on together, so that memory does not grow with a recording
 
 
@@ -39,8 +37,7 @@ class LearnedTracker:
 
     def __init__(self, name: str, file: Weights, network: Any) -> None:
         self.name, self.weights, self.network = name, file.path, network
-        licence = file.metadata.get("licence", "unknown")
-        self.provenance = {"weights": file.path.name, "weights_sha256": file.digest, "licence": licence}
+        self.provenance = {"weights_sha256": file.digest, "licence": file.metadata.get("licence", "unknown")}
         self.device = next(network.parameters()).device
 
     def track(self, batch: TrackedBatch, *, seed: int) -> Bodies:
@@ -86,7 +83,8 @@ class LearnedTracker:
         devices = [position, rotation, valid, valid & rotation_valid]
         if len(query) != len(times):
             turned = [slerp(times, rotation[:, device], query) for device in range(len(DEVICES))]
-            masks = [interpolate(times, mask.astype(np.float64), query) > _WHOLLY for mask in devices[2:]]
+            # Known on both sides of the moment.
+            masks = [interpolate(times, mask.astype(np.float64), query) > 1.0 - 1e-6 for mask in devices[2:]]
             devices = [interpolate(times, position, query), np.stack(turned, axis=1), *masks]
         known = np.flatnonzero(devices[3][:, 0])
         joints = np.full((len(times), len(Joint), 3), np.nan)
@@ -123,14 +121,9 @@ def load_tracker(name: str, weights: Path | None, *, options: Mapping[str, str],
     """
     require_known(options, ())
     where = torch_device(device)
-    path = resolve(weights, f"{name}-small", folder=Path(str(files("prbench_adapters"))) / "three_points" / "weights")
+    path = resolve(weights, f"{name}-small", folder=Path(__file__).parent / "weights")
     file = read_weights(path, kind=name)
     sizes, network_of = NETWORKS[name]
     network = network_of(file.configuration(sizes))
     file.load_into(network, "network")
     return LearnedTracker(name, file, network.eval().requires_grad_(False).to(where))
-
-
-def pose_estimator(weights: Path | None) -> LearnedTracker:
-    """Entry point ``avatarposer`` of the group ``prbench.pose_estimators``."""
-    return load_tracker("avatarposer", weights, options={}, device="cpu")

@@ -17,6 +17,7 @@ from prbench.randomness import named_generator
 from prbench.sequences.sequence import SequenceChunk
 from prbench_adapters.prediction.training import converted
 from prbench_adapters.three_points import features
+from prbench_adapters.three_points.diffusion import DiffusionConfiguration, TrackDiffusion, turned
 from prbench_adapters.three_points.regressor import Regressor, RegressorConfiguration
 from prbench_adapters.training.batches import DrawnDataset
 from prbench_adapters.training.store import parts_of
@@ -26,7 +27,10 @@ from prbench_benchmarks.three_points.batch import Condition
 from prbench_benchmarks.three_points.table import TracksTable
 
 # Maps each method, which is the kind of its weights, to its configuration and its network.
-NETWORKS: dict[str, tuple[type[Any], type[Any]]] = {"avatarposer": (RegressorConfiguration, Regressor)}
+NETWORKS: dict[str, tuple[type[Any], type[Any]]] = {
+    "avatarposer": (RegressorConfiguration, Regressor),
+    "bodiffusion": (DiffusionConfiguration, TrackDiffusion),
+}
 _DEVICES = ("device_position", "device_rotation", "device_valid", "rotation_valid")
 
 # Rows of values, two columns of the rotations of 22 joints in their parents (the root's in the world), and offsets.
@@ -37,9 +41,7 @@ def collate_tracks(items: Sequence[TrackItem]) -> features.TrackWindows:
     """Stack windows, each in the frame of its last head."""
     rows, columns, offsets = (torch.stack(parts) for parts in zip(*items, strict=True))
     windows, turn, _ = features.in_head_frame(rows)
-    # Row vectors times a rotation are turned back by it.
-    root = (columns[:, :, :1].unflatten(-1, (2, 3)) @ turn[:, None, None]).flatten(-2)
-    rotations = torch.cat([root, columns[:, :, 1:]], dim=2)
+    rotations = turned(columns, turn.mT)
     return features.TrackWindows(windows, rotations, windows[:, :, 36:39].clone(), offsets)
 
 
@@ -63,9 +65,7 @@ class TracksDataset(DrawnDataset):
 
     collate = staticmethod(collate_tracks)
 
-    def __init__(
-        self, tables: Sequence[TracksTable | Path | str], *, split: str, window: int, fps: float, seed: int = 0
-    ) -> None:
+    def __init__(self, tables: Sequence[Any], *, split: str, window: int, fps: float, seed: int = 0) -> None:
         self.tables = tuple(each if isinstance(each, TracksTable) else TracksTable.open(each) for each in tables)
         self.split, self.window, self.seed = split, window, seed
         self._tracks: list[TrackItem] = []
@@ -73,10 +73,7 @@ class TracksDataset(DrawnDataset):
         counts: list[int] = []
         for table in self.tables:
             if table.info.fps != fps:
-                problem = (
-                    f"expected {fps:g} frames a second (--set model.fps=… changes that), found {table.info.fps:g}."
-                )
-                raise UsageError(f"{table.folder}: {problem}")
+                raise UsageError(f"{table.folder}: expected {fps:g} frames/s (model.fps), found {table.info.fps:g}.")
             for part in parts_of(split):
                 for track in table.chunks(split=part, columns=(*_DEVICES, "rotations", "offsets"), rows=1):
                     self._take(track, fps)
@@ -116,14 +113,14 @@ def hidden(windows: features.Windows, generator: torch.Generator) -> features.Wi
     """
     count, length = windows.shape[:2]
     both, one, turn, late, side, begin, end = torch.rand(7, count, 1, 1, generator=generator)
-    share = (torch.arange(length) / length)[:, None]  # of the window
+    share = (torch.arange(1, length + 1) / length)[:, None]  # of the window, 1 at its last frame
     device = torch.arange(3)
     gone = (share >= 2 * begin - 1) & (share < 2 * begin - 1 + 2 * end) & (device == torch.where(side < 0.5, 1, 2))
     seen = ((both >= 0.35) | (device == 0)) & ~((one < 0.25) & gone) & ((late >= 0.1) | (share >= begin))
-    turned = seen & ((turn >= 0.2) | (device == 0))
+    with_rotation = seen & ((turn >= 0.2) | (device == 0))
     # A change is known where its frame and the one before are.
-    changes = [mask & torch.cat([mask[:, :1], mask[:, :-1]], dim=1) for mask in (turned, seen)]
-    return windows * features.device_mask((turned, changes[0], seen, changes[1])).to(windows)
+    changes = [mask & torch.cat([mask[:, :1], mask[:, :-1]], dim=1) for mask in (with_rotation, seen)]
+    return windows * features.device_mask((with_rotation, changes[0], seen, changes[1])).to(windows)
 
 
 class TrackTraining(TrainingModule):
@@ -149,13 +146,8 @@ class TrackTraining(TrainingModule):
         for condition in Condition:
             seen = torch.tensor([True] + 2 * [condition is Condition.HEAD_WRISTS], device=batch.features.device)
             shown = replace(batch, features=batch.features * features.device_mask([seen] * 4))
-            losses = self.network.losses(shown, generator)
-            found |= {f"{condition.value}_{name}": loss for name, loss in losses.items()}
+            found |= {f"{condition.value}_{name}": loss for name, loss in self.network.losses(shown, generator).items()}
         return found
-
-    def learning_rate_factor(self, step: int) -> float:
-        """Follow the course."""
-        return self.network.configuration.rate.at(step / self.calls)
 
     def weights(self) -> tuple[dict[str, Tensor], dict[str, str]]:
         """Return the network and the header of its file."""
@@ -177,14 +169,13 @@ class TrackTask:
         shape = converted(model, NETWORKS[self.name][0], "model")
         return TracksDataset(tables, split=split, window=shape.window, fps=shape.fps, seed=seed)
 
-    def build(self, model: Mapping[str, Any], *, data: Any, initial: Path | None, stage: str) -> TrackTraining:
+    def build(self, model: Mapping[str, Any], *, data: Any, initial: Path | None, stage: str) -> TrackTraining:  # noqa: ARG002
         """Make the network in its state before the first step, or in that of weights to go on from.
 
         Raises:
             UsageError: if the table does not describe such a network.
             InputFileError: if the initial weights do not fit it.
         """
-        del stage
         sizes, network_of = NETWORKS[self.name]
         network = network_of(converted(model, sizes, "model"))
         origin = start_from(initial, self.name, network.configuration, network)

@@ -69,6 +69,7 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
         batch_size: Sequences of a batch of each process.
         optimiser: ``muon`` moves the matrices that a task names by orthogonal steps (Jordan et al. 2024), twice the
             learning rate long, and everything else by AdamW.
+        schedule: ``halving`` halves the learning rate after every sixth of the steps (AvatarPoser).
         warmup_steps: Steps over which the learning rate rises linearly; part of ``steps``.
         gradient_clip: Largest norm of the gradient over all parameters, or over those of each network where the task
             says so.
@@ -82,7 +83,7 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
     batch_size: int = 64
     optimiser: Literal["adamw", "muon"] = "adamw"
     learning_rate: float = 1e-4
-    schedule: Literal["constant", "cosine"] = "constant"
+    schedule: Literal["constant", "cosine", "halving"] = "constant"
     warmup_steps: int = 0
     weight_decay: float = 0.0
     betas: tuple[float, float] = (0.9, 0.999)

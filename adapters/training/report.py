@@ -19,12 +19,12 @@ from prbench.errors import MissingExtraError, StorageError, TrainingError
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import read_json, remove_leftovers
 from prbench.harness.preparation import package_versions
-from prbench.sequences import CorpusTable, SequenceTable
+from prbench.sequences import SequenceTable
 from prbench.sequences.folds import OPTION
+from prbench.sequences.table import BuiltTable
 from prbench_adapters.training.configuration import TrainingConfiguration
 from prbench_adapters.training.state import Row, TrainingState, save_checkpoint
 from prbench_adapters.training.weights import write_weights
-from prbench_benchmarks.motion_prediction.table import WindowsTable
 
 RECORD = "training.json"
 SCHEMA_VERSION = 1
@@ -70,7 +70,7 @@ class TrainingRecord(msgspec.Struct, frozen=True, kw_only=True):
     refit: bool = False
 
 
-def table_record(table: SequenceTable | CorpusTable | WindowsTable, sequences: int) -> TableRecord:
+def table_record(table: BuiltTable[Any], sequences: int) -> TableRecord:
     """Describe a table for the card.
 
     Args:

@@ -29,7 +29,7 @@ from prbench_adapters.trained_network import TrainedNetwork
 from prbench_adapters.training import report as reports
 from prbench_adapters.training.batches import DrawnDataset, Items, LengthBatches, load_batches
 from prbench_adapters.training.configuration import TrainingConfiguration, resolved
-from prbench_adapters.training.dataset import SequenceDataset, configured_dataset
+from prbench_adapters.training.dataset import configured_dataset
 from prbench_adapters.training.loop import Progress, fit, make_fabric, silent
 from prbench_adapters.training.state import Row
 from prbench_adapters.training.store import REFIT, Table, parts_of
@@ -180,9 +180,11 @@ def run(
     validation = None
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
         data = _data(request, task, configuration, engine)
+        given: Any = data
         if isinstance(data, DrawnDataset):
             counts = data.counts
         else:
+            given = TrainingData(data, mode=data.mode, max_frames=data.max_frames, fps=data.fps)
             rows = [table.scalars(columns=["split"])["split"].to_pylist() for table in data.tables]
             counts = [sum(split in parts_of(data.split) for split in splits) for splits in rows]
         record = reports.TrainingRecord(
@@ -195,13 +197,10 @@ def run(
             refit=request.refit,
         )
         reports.require_same_training(request.out, record)
-        given = data
-        if isinstance(data, SequenceDataset):
-            given = TrainingData(data, mode=data.mode, max_frames=data.max_frames, fps=data.fps)
         # What a process drew before must not decide the initial weights: they follow from the seed alone.
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
-            module = task.build(configuration.model, data=cast(Any, given), initial=request.initial, stage=stage)
+            module = task.build(configuration.model, data=given, initial=request.initial, stage=stage)
         if fabric.is_global_zero and configuration.validation.every:
             if isinstance(data, DrawnDataset):
                 held_out = cast(Any, task).items(data.tables, _SPLIT, configuration.model, settings.seed)

@@ -155,7 +155,7 @@ class TrainingState:
 
 
 def learning_rate(step: int, settings: OptimisationConfiguration) -> float:
-    """Linear warm-up, then constant or a half cosine that would reach 0 one step after the last.
+    """Linear warm-up, then constant, halved in six steps, or a half cosine that would reach 0 one step after the last.
 
     Args:
         step: Number of the step, from 0.
@@ -166,6 +166,8 @@ def learning_rate(step: int, settings: OptimisationConfiguration) -> float:
     if settings.schedule == "constant":
         return settings.learning_rate
     progress = (step - settings.warmup_steps) / (settings.steps - settings.warmup_steps)
+    if settings.schedule == "halving":
+        return settings.learning_rate * 0.5 ** int(6 * progress)
     return settings.learning_rate * 0.5 * (1 + math.cos(math.pi * progress))
 
 

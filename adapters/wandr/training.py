@@ -398,14 +398,13 @@ class WandrTask:
         """
         del stage  # motions say themselves whether they have goals
         configuration, objective = split_model_table(model, wandr.WandrConfiguration, Objective)
+        network = wandr.WandrNetwork(configuration)
         if initial is not None:
             start = read_weights(initial, kind=wandr.KIND)
             start.require_same(configuration, apart_from=FREE_TO_CHANGE)
-            network = wandr.WandrNetwork(configuration)
             # Through a network of the file's own configuration, which checks every shape.
             network.load_state_dict(wandr.network_of(start).state_dict())
             return WandrTraining(network, objective, origin_of(start))
-        network = wandr.WandrNetwork(configuration)
         # Standardise by the training split.
         seen = []
         deltas = []
