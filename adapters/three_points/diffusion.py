@@ -40,6 +40,7 @@ _TIME = 256  # numbers of the embedding of a step
 _NOISE_FREE = 49  # last steps of the published sampling, in which no noise is added
 _HALF_BIN = 1.0 / 255.0  # the published likelihood of clean values takes them for those of 8-bit pictures
 _LAST_BIN = 0.999
+_VELOCITY_WEIGHT = 0.1
 _REST = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # columns of a joint that is not turned
 
 
@@ -203,13 +204,13 @@ class TrackDiffusion(nn.Module):
         if isinstance(self.denoiser, BoDiffusion):
             return {name: each.mean() for name, each in self.denoiser.loss(clean, batch.features, step, noise).items()}
         predicted = self.denoiser(noised(clean, self.denoiser.schedule, step, noise), batch.features, step)
-        bodies = [
-            joints_under_head(matrices_of_columns(columns), batch.offsets[:, None], batch.head)
-            for columns in (predicted, clean)
-        ]
+        both = matrices_of_columns(torch.stack((predicted, clean)))
+        bodies = joints_under_head(both, batch.offsets[:, None], batch.head.expand(2, -1, -1, -1))
         rotations = functional.l1_loss(predicted, clean)
         positions = functional.l1_loss(*bodies)
-        return {"loss": rotations + positions, "rotations": rotations, "positions": positions}
+        velocities = functional.l1_loss(*bodies.diff(dim=2)) * self.configuration.fps
+        loss = rotations + positions + _VELOCITY_WEIGHT * velocities
+        return {"loss": loss, "rotations": rotations, "positions": positions, "velocities": velocities}
 
     @torch.no_grad()
     def rotations(self, rows: Rows, seed: int) -> Float[Tensor, "frames 22 3 3"]:

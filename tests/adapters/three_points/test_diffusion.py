@@ -4,12 +4,22 @@ import os
 import re
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from prbench_adapters.three_points.diffusion import BoDiffusion, DiffusionConfiguration, noised, sample, window_places
+from prbench_adapters.three_points.diffusion import (
+    BoDiffusion,
+    DiffusionConfiguration,
+    TrackDiffusion,
+    noised,
+    sample,
+    turned,
+    window_places,
+)
+from prbench_adapters.three_points.features import TrackWindows, columns_of, matrices_of_columns
 
 GOLDEN = Path(os.environ.get("PRBENCH_SAMPLES", "/nowhere")) / "nymeria-tasks" / "bodiffusion.npz"
 _NAMES = (
@@ -109,3 +119,113 @@ def test_sampling_of_a_longer_sequence_meets_the_golden_states(arrays: dict[str,
     states = torch.stack([seen[int(index)] for index in arrays["state_index"]])
     torch.testing.assert_close(_published(states), arrays["sampling_windows"], rtol=0, atol=3e-5)
     torch.testing.assert_close(_published(result), arrays["sampling_result"], rtol=0, atol=3e-5)
+
+
+SMALL = DiffusionConfiguration(
+    network="frames", width=8, heads=2, layers=1, window=6, slide=3, diffusion_steps=8, sampling_steps=4
+)
+PUBLISHED = msgspec.structs.replace(SMALL, network="published", diffusion_steps=60, sampling_steps=60)
+
+
+def _drawn(*shape: int, seed: int = 0) -> Tensor:
+    return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
+
+
+def _rotations(count: int) -> Tensor:
+    return columns_of(matrices_of_columns(_drawn(count, 22, 6)))
+
+
+def _turns(count: int) -> Tensor:
+    return matrices_of_columns(_drawn(count, 6, seed=1))
+
+
+def _trained(configuration: DiffusionConfiguration) -> TrackDiffusion:
+    """A network that answers something: layers that start at zero are filled."""
+    torch.manual_seed(0)
+    network = TrackDiffusion(configuration).eval()
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter, std=0.2)
+    return network
+
+
+@pytest.mark.parametrize(("frames", "starts"), [(4, [0]), (6, [0]), (7, [0, 1]), (12, [0, 3, 6]), (13, [0, 3, 6, 7])])
+def test_windows_cover_a_track_and_the_last_ends_with_it(frames: int, starts: list[int]) -> None:
+    places = window_places(frames, 6, 3)
+    assert places[:, 0].tolist() == starts
+    assert places.unique().tolist() == list(range(frames))
+    assert (places.diff(dim=1) == 1).all()
+
+
+@pytest.mark.parametrize("configuration", [SMALL, PUBLISHED], ids=["frames", "published"])
+def test_sampling_finds_what_all_windows_agree_on_in_their_own_frames(configuration: DiffusionConfiguration) -> None:
+    truth = _rotations(14)
+    places = window_places(14, 6, 3)
+    turn = _turns(len(places))
+    network = TrackDiffusion(configuration).denoiser
+    tiny = torch.full((len(places), 6, 22, 6), -60.0)  # logarithm of a variance
+    network.estimate = lambda *_: (turned(truth[places], turn.mT), tiny)  # pyright: ignore[reportAttributeAccessIssue]
+    about = {"noise": lambda: _drawn(14, 22, 6), "steps": configuration.sampling_steps, "turn": turn}
+    found = sample(network, torch.zeros(len(places), 6, 54), places, _drawn(14, 22, 6, seed=2), **about)
+    torch.testing.assert_close(found, truth, rtol=0, atol=1e-5)
+
+
+def test_a_track_and_its_windows_turned_together_give_the_same_body_turned() -> None:
+    network = _trained(SMALL).denoiser
+    places = window_places(14, 6, 3)
+    turn = _turns(len(places))
+    world = matrices_of_columns(_drawn(6, seed=3))
+    features, start = _drawn(len(places), 6, 54), _drawn(14, 22, 6)
+    about = {"noise": lambda: start, "steps": 4}
+    here = sample(network, features, places, start, turn=turn, **about)
+    there = sample(network, features, places, turned(start[None], world[None])[0], turn=world @ turn, **about)
+    torch.testing.assert_close(there, turned(here[None], world[None])[0], rtol=0, atol=1e-5)
+    assert not torch.allclose(there, here, atol=0.1)
+
+
+def test_windows_of_the_small_denoiser_fade_in_and_out() -> None:
+    network = TrackDiffusion(SMALL).denoiser
+    places = window_places(9, 6, 3)
+    answers = torch.stack([torch.zeros(6, 22, 6), torch.ones(6, 22, 6)])
+    network.estimate = lambda *_: (answers, None)  # pyright: ignore[reportAttributeAccessIssue]
+    eye = torch.eye(3).expand(2, 3, 3)
+    found = sample(
+        network, torch.zeros(2, 6, 54), places, _drawn(9, 22, 6), noise=lambda: answers[0], steps=1, turn=eye
+    )
+    # Weights 1 2 3 3 2 1 of both, three frames apart.
+    assert found[:, 5, 0].tolist() == pytest.approx([0, 0, 0, 1 / 4, 2 / 4, 3 / 4, 1, 1, 1])
+
+
+@pytest.mark.parametrize("configuration", [SMALL, PUBLISHED], ids=["frames", "published"])
+def test_a_seed_decides_all_that_is_drawn(configuration: DiffusionConfiguration) -> None:
+    network = _trained(configuration)
+    rows = _drawn(11, 54)
+    first, again, other = (network.rotations(rows, seed) for seed in (5, 5, 6))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+    assert network.rotations(rows[:4], 5).shape == (4, 22, 3, 3)  # shorter than a window
+
+
+@pytest.mark.parametrize("configuration", [SMALL, PUBLISHED], ids=["frames", "published"])
+def test_each_parameter_learns(configuration: DiffusionConfiguration) -> None:
+    network = _trained(configuration).train()
+    clean = _rotations(12).unflatten(0, (2, 6))
+    batch = TrackWindows(_drawn(2, 6, 54), clean, _drawn(2, 6, 3), _drawn(2, 22, 3))
+    network.losses(batch, torch.Generator().manual_seed(0))["loss"].backward()
+    still = [name for name, each in network.named_parameters() if each.grad is None or not each.grad.any()]
+    assert not still
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"heads": 3},
+        {"width": 9, "heads": 1},
+        {"slide": 7},
+        {"sampling_steps": 9},
+        {"diffusion_steps": 1},
+        {"layers": 0},
+    ],
+)
+def test_impossible_sizes_are_refused(changes: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match="found"):
+        msgspec.structs.replace(SMALL, **changes)
