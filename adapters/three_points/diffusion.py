@@ -40,7 +40,7 @@ _TIME = 256  # numbers of the embedding of a step
 _NOISE_FREE = 49  # last steps of the published sampling, in which no noise is added
 _HALF_BIN = 1.0 / 255.0  # the published likelihood of clean values takes them for those of 8-bit pictures
 _LAST_BIN = 0.999
-_VELOCITY_WEIGHT = 0.1
+_VELOCITY_WEIGHT = 0.05
 _REST = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # columns of a joint that is not turned
 
 
