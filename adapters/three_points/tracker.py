@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
@@ -13,7 +14,7 @@ from jaxtyping import Bool, Float
 from prbench.geometry.skeleton import Joint
 from prbench.geometry.timelines import interpolate, slerp
 from prbench.randomness import named_generator
-from prbench_adapters.diffusion.generation import require_known
+from prbench_adapters.diffusion.generation import require_known, whole_number
 from prbench_adapters.diffusion.method import resolve
 from prbench_adapters.diffusion.model import torch_device
 from prbench_adapters.three_points.features import joints_under_head, track_values
@@ -111,19 +112,24 @@ def load_tracker(name: str, weights: Path | None, *, options: Mapping[str, str],
     Args:
         name: The method's name.
         weights: File, folder or name of bundled weights; None for those that come with prbench.
-        options: None are known.
+        options: ``steps`` of sampling, of networks that have some.
         device: ``cpu``, ``cuda`` …
 
     Raises:
         AdapterError: if there is no such device, or no such weights.
         InputFileError: if the file holds no weights of this method.
-        ValueError: for options that are unknown.
+        ValueError: for options that are unknown or have impossible values.
     """
-    require_known(options, ())
     where = torch_device(device)
     path = resolve(weights, f"{name}-small", folder=Path(__file__).parent / "weights")
     file = read_weights(path, kind=name)
     sizes, network_of = NETWORKS[name]
-    network = network_of(file.configuration(sizes))
+    shape = file.configuration(sizes)
+    sampled = "sampling_steps" in sizes.__struct_fields__
+    require_known(options, ("steps",) if sampled else ())
+    if sampled:
+        steps = whole_number(options, "steps", most=shape.diffusion_steps) or shape.sampling_steps
+        shape = msgspec.structs.replace(shape, sampling_steps=steps)
+    network = network_of(shape)
     file.load_into(network, "network")
     return LearnedTracker(name, file, network.eval().requires_grad_(False).to(where))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from prbench.errors import TableError, UsageError
 from prbench.geometry.skeleton import rotation_matrices
@@ -154,6 +154,11 @@ class TrackTraining(TrainingModule):
         tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
         header = weights_header(self.kind, self.network.configuration, "three-points-54")
         return tensors, header | {"licence": self.licences}
+
+    def hidden_matrices(self) -> list[nn.Parameter]:
+        """Return the matrices of the network's layers."""
+        named = self.network.named_parameters()
+        return [each for name, each in named if ".layers." in name and name.endswith("weight") and each.ndim == 2]
 
 
 @dataclass(frozen=True)
