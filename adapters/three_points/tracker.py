@@ -112,7 +112,7 @@ def load_tracker(name: str, weights: Path | None, *, options: Mapping[str, str],
     Args:
         name: The method's name.
         weights: File, folder or name of bundled weights; None for those that come with prbench.
-        options: ``steps`` of sampling, of networks that have some.
+        options: ``steps`` of sampling, for bodiffusion.
         device: ``cpu``, ``cuda`` …
 
     Raises:
@@ -120,15 +120,14 @@ def load_tracker(name: str, weights: Path | None, *, options: Mapping[str, str],
         InputFileError: if the file holds no weights of this method.
         ValueError: for options that are unknown or have impossible values.
     """
+    require_known(options, ("steps",) if name == "bodiffusion" else ())
     where = torch_device(device)
     path = resolve(weights, f"{name}-small", folder=Path(__file__).parent / "weights")
     file = read_weights(path, kind=name)
     sizes, network_of = NETWORKS[name]
     shape = file.configuration(sizes)
-    sampled = "sampling_steps" in sizes.__struct_fields__
-    require_known(options, ("steps",) if sampled else ())
-    if sampled:
-        steps = whole_number(options, "steps", most=shape.diffusion_steps) or shape.sampling_steps
+    if "steps" in options:
+        steps = whole_number(options, "steps", most=shape.diffusion_steps)
         shape = msgspec.structs.replace(shape, sampling_steps=steps)
     network = network_of(shape)
     file.load_into(network, "network")

@@ -112,9 +112,8 @@ def test_sampling_of_a_longer_sequence_meets_the_golden_states(arrays: dict[str,
     seen: list[Tensor] = []
     estimate = network.estimate
     network.estimate = lambda noisy, *rest: (seen.append(noisy), estimate(noisy, *rest))[1]
-    result = sample(
-        network, features[places], places, next(drawn), noise=lambda: next(drawn), steps=int(arrays["sampling_steps"])
-    )
+    same = torch.eye(3).expand(len(places), 3, 3)
+    result = sample(network, features[places], places, lambda: next(drawn), int(arrays["sampling_steps"]), same)
     assert next(drawn, None) is None  # as many draws as the file has
     states = torch.stack([seen[int(index)] for index in arrays["state_index"]])
     torch.testing.assert_close(_published(states), arrays["sampling_windows"], rtol=0, atol=3e-5)
@@ -164,8 +163,8 @@ def test_sampling_finds_what_all_windows_agree_on_in_their_own_frames(configurat
     network = TrackDiffusion(configuration).denoiser
     tiny = torch.full((len(places), 6, 22, 6), -60.0)  # logarithm of a variance
     network.estimate = lambda *_: (turned(truth[places], turn.mT), tiny)  # pyright: ignore[reportAttributeAccessIssue]
-    about = {"noise": lambda: _drawn(14, 22, 6), "steps": configuration.sampling_steps, "turn": turn}
-    found = sample(network, torch.zeros(len(places), 6, 54), places, _drawn(14, 22, 6, seed=2), **about)
+    features = torch.zeros(len(places), 6, 54)
+    found = sample(network, features, places, lambda: _drawn(14, 22, 6), configuration.sampling_steps, turn)
     torch.testing.assert_close(found, truth, rtol=0, atol=1e-5)
 
 
@@ -175,9 +174,9 @@ def test_a_track_and_its_windows_turned_together_give_the_same_body_turned() -> 
     turn = _turns(len(places))
     world = matrices_of_columns(_drawn(6, seed=3))
     features, start = _drawn(len(places), 6, 54), _drawn(14, 22, 6)
-    about = {"noise": lambda: start, "steps": 4}
-    here = sample(network, features, places, start, turn=turn, **about)
-    there = sample(network, features, places, turned(start[None], world[None])[0], turn=world @ turn, **about)
+    here = sample(network, features, places, lambda: start, 4, turn)
+    start_there = turned(start[None], world[None])[0]
+    there = sample(network, features, places, lambda: start_there, 4, world @ turn)
     torch.testing.assert_close(there, turned(here[None], world[None])[0], rtol=0, atol=1e-5)
     assert not torch.allclose(there, here, atol=0.1)
 
@@ -187,10 +186,8 @@ def test_windows_of_the_small_denoiser_fade_in_and_out() -> None:
     places = window_places(9, 6, 3)
     answers = torch.stack([torch.zeros(6, 22, 6), torch.ones(6, 22, 6)])
     network.estimate = lambda *_: (answers, None)  # pyright: ignore[reportAttributeAccessIssue]
-    eye = torch.eye(3).expand(2, 3, 3)
-    found = sample(
-        network, torch.zeros(2, 6, 54), places, _drawn(9, 22, 6), noise=lambda: answers[0], steps=1, turn=eye
-    )
+    same = torch.eye(3).expand(2, 3, 3)
+    found = sample(network, torch.zeros(2, 6, 54), places, lambda: _drawn(9, 22, 6), 1, same)
     # Weights 1 2 3 3 2 1 of both, three frames apart.
     assert found[:, 5, 0].tolist() == pytest.approx([0, 0, 0, 1 / 4, 2 / 4, 3 / 4, 1, 1, 1])
 

@@ -170,14 +170,26 @@ def test_a_track_is_a_function_of_its_own_row(regressor):
     assert np.isfinite(both[0]).all()
 
 
-def test_six_steps_of_training_make_a_tracker(tracks, tmp_path):
-    arguments = ["train", "--method", "avatarposer", "--config", "smoke", "--data", str(tracks)]
+@pytest.mark.parametrize(("method", "other"), [("avatarposer", "bodiffusion"), ("bodiffusion", "avatarposer")])
+def test_six_steps_of_training_make_a_tracker(tracks, tmp_path, method, other):
+    arguments = ["train", "--method", method, "--config", "smoke", "--data", str(tracks)]
     assert main([*arguments, "--out", str(tmp_path / "a"), "--set", "validation.every=0"]) == 0
-    tracker = load_tracker("avatarposer", tmp_path / "a", options={}, device="cpu")
+    tracker = load_tracker(method, tmp_path / "a", options={}, device="cpu")
     assert set(tracker.provenance) == {"weights_sha256", "licence"}
     assert tracker.provenance["licence"]
     with pytest.raises(InputFileError, match="header entry 'kind'"):
-        load_tracker("bodiffusion", tmp_path / "a", options={}, device="cpu")
+        load_tracker(other, tmp_path / "a", options={}, device="cpu")
+
+
+def test_bodiffusion_takes_as_many_steps_as_it_is_told(tracks, tmp_path):
+    arguments = ["train", "--method", "bodiffusion", "--config", "smoke", "--data", str(tracks)]
+    assert main([*arguments, "--out", str(tmp_path), "--set", "training.steps=1"]) == 0
+    told = {"options": {"steps": "5"}, "device": "cpu"}
+    assert load_tracker("bodiffusion", tmp_path, **told).network.configuration.sampling_steps == 5
+    with pytest.raises(ValueError, match="from 1 to 8, found '9'"):
+        load_tracker("bodiffusion", tmp_path, options={"steps": "9"}, device="cpu")
+    with pytest.raises(ValueError, match="unknown option 'steps'"):
+        load_tracker("avatarposer", tmp_path, **told)
 
 
 def test_windows_of_training_are_the_recorded_bodies(tracks):
