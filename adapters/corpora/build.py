@@ -15,6 +15,7 @@ from typing import Any
 
 import msgspec
 
+from prbench.curation.job import message_of
 from prbench.engine import IN_PROCESS, Engine, is_out_of_memory
 from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, PrbenchError
@@ -25,7 +26,6 @@ from prbench.sequences import corpus as corpus_tables
 from prbench.sequences import parts
 from prbench.sequences.dataset_info import CORPUS_FILE, CorpusCounts, CorpusInfo, begun_with, quarantined
 from prbench.sequences.parts import BuildPlan, BuildReport, ShardReport, finish_shard, making_shard, shard_parts
-from prbench.shown import quoted
 from prbench_adapters.corpora import sources as corpora
 
 
@@ -110,14 +110,8 @@ class CorpusJob:
             if full is None and is_out_of_memory(error):
                 raise  # the engine tries again when nothing else is done beside it
             # Whatever one recording does, the others go on; its message reaches the user with the build's report.
-            known = isinstance(error, PrbenchError)
-            message = str(error) if known else f"unexpected {type(error).__name__}: {quoted(error)}"
-            if self.stop_on_error:
-                if known:
-                    raise
-                raise PrbenchError(f"{identity.recording_id}: {message}") from error
             status = "failed"
-            message = recording.without_places(message)
+            message = recording.without_places(message_of(error, recording.recording_id, stop=self.stop_on_error))
         whose = (identity.recording_id, identity.participant_id, identity.split, identity.split_group)
         outcomes = dict(Counter(row.outcome for row in read.annotations))
         found = (outcomes, read.clock_method, read.clock_quality, status, message, dict(read.measured))

@@ -121,6 +121,16 @@ class CorpusRecording:
     table_share: ClassVar[float]
 
     @property
+    def recording_id(self) -> str:
+        """Name of the recording."""
+        return self.identity.recording_id
+
+    @property
+    def split(self) -> str:
+        """Its split; that of its person."""
+        return self.identity.split
+
+    @property
     def input_bytes(self) -> int:
         """Bytes of all input files."""
         raise NotImplementedError

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property, partial
@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
-from prbench.engine import Engine, is_out_of_memory
-from prbench.errors import AdapterError, PrbenchError, RunError, UsageError
+from prbench.engine import Engine
+from prbench.errors import RunError, UsageError
 from prbench.files.storage import text_digest
 from prbench.harness.benchmark import Answer, Benchmark, CaseWork
 from prbench.harness.methods.loading import LoadedMethod, MethodSpec
-from prbench.harness.methods.motions import release_memory, told
+from prbench.harness.methods.motions import in_halves
 from prbench.harness.methods.remote import MethodGroup, RemoteMethod
+from prbench.harness.planning import Selection, consecutive, limited
 from prbench.harness.request import RunRequest
-from prbench.harness.run_folder import SCORES, DatasetFolder, MethodRecord, RunFolder
+from prbench.harness.run_folder import DatasetFolder, MethodRecord, RunFolder, long_form
 from prbench.harness.run_folder.predictions import PredictionRows, read_part
 from prbench.metrics import MetricInfo
-from prbench.sequences.table import by_share, find_sequence_id
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, Predictor, ask
 from prbench_benchmarks.motion_prediction.joint_sets import JointSet
 from prbench_benchmarks.motion_prediction.metrics import prediction_metrics
@@ -42,99 +42,19 @@ PUBLISHED = "published"  # Value of ``--split`` that means the test split of the
 
 
 @dataclass(frozen=True)
-class WindowCases:
+class WindowCases(Selection):
     """See :class:`prbench.harness.benchmark.Cases`; a window is a case.
 
     Attributes:
         places: Places of the windows in the table, ascending.
-        pool: Places of all windows of the split, among which similar pasts are looked for, whatever the limit.
     """
 
-    table: WindowsTable
-    split: str
     places: Int[np.ndarray, " n"]
-    pool: Int[np.ndarray, " all"]
-
-    @classmethod
-    def of(cls, table: WindowsTable, *, split: str, limit: int | None) -> WindowCases:
-        """Choose the windows of a split; with ``limit`` every recording's share.
-
-        Args:
-            table: The table.
-            split: A split of the dataset, or ``published``.
-            limit: Number of windows at most; None for all.
-
-        Raises:
-            UsageError: if there is none.
-        """
-        places = table.chosen(published_split="test") if split == PUBLISHED else table.chosen(split=split)
-        everything = cls(table, split, places, places)
-        if limit is None:
-            return everything
-        kept = set(by_share(everything.sequence_ids, everything.recording_ids)[:limit])
-        return everything.chosen(np.array([name in kept for name in everything.sequence_ids]))
-
-    def chosen(self, keep: np.ndarray) -> WindowCases:
-        """See :meth:`prbench.harness.benchmark.Cases.chosen`."""
-        return replace(self, places=self.places[keep])
-
-    @cached_property
-    def sequence_ids(self) -> tuple[str, ...]:
-        """Ids of the windows."""
-        return tuple(self.table.windows["window_id"].take(self.places).to_pylist())
-
-    @cached_property
-    def recording_ids(self) -> tuple[str, ...]:
-        """The recording of each window."""
-        return tuple(self.table.runs["recording_id"].take(self.table.windows["row"].take(self.places)).to_pylist())
-
-    @property
-    def digest(self) -> str:
-        """Digest of the ids."""
-        return text_digest(*self.sequence_ids)
-
-    def __len__(self) -> int:
-        return len(self.places)
 
 
-def single_windows(tables: Sequence[WindowsTable], wanted: Sequence[str], *, split: str) -> list[WindowCases]:
-    """Choose single windows; tables that hold none of them are left out.
-
-    Args:
-        tables: The tables to look in.
-        wanted: Ids, or parts of ids that fit one window of the split only.
-        split: The run's split.
-
-    Raises:
-        UsageError: if none or several fit.
-    """
-    cases = [WindowCases.of(table, split=split, limit=None) for table in tables]
-    known = [name for each in cases for name in each.sequence_ids]
-    among = ", ".join(table.info.dataset for table in tables)
-    ids = [find_sequence_id(name, known, among=f"split '{split}' of {among}") for name in wanted]
-    chosen = [each.chosen(np.isin(each.sequence_ids, ids)) for each in cases]
-    return [each for each in chosen if len(each)]
-
-
-def open_windows(folders: Sequence, *, benchmark: str) -> list[WindowsTable]:
-    """Open tables of windows.
-
-    Args:
-        folders: Their folders.
-        benchmark: Name of the benchmark, for messages.
-
-    Raises:
-        TableError: if one is missing, edited or of an unknown version.
-        UsageError: if two are of one dataset, or there is none.
-    """
-    if not folders:
-        raise UsageError(f"--data DIR: {benchmark} needs a table of windows; `prbench build-windows` makes one.")
-    tables = [WindowsTable.open(folder) for folder in folders]
-    names = [table.info.dataset for table in tables]
-    repeated = sorted({name for name in names if names.count(name) > 1})
-    if repeated:
-        raise UsageError(f"--data: expected different datasets, found {repeated[0]} more than once.")
-    return tables
+def places_of(table: WindowsTable, split: str) -> Int[np.ndarray, " all"]:
+    """Return the places of the windows of a split of the dataset, or of the published test split."""
+    return table.chosen(published_split="test") if split == PUBLISHED else table.chosen(split=split)
 
 
 def run_on(path: Path, table: WindowsTable) -> tuple[RunFolder, DatasetFolder]:
@@ -170,36 +90,18 @@ class FutureQuestion:
     def ask(self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...]) -> Answer:
         """See :meth:`prbench.harness.benchmark.CaseWork.questions`."""
         assert method is not None, "no control of this benchmark"
-        joints = self._futures(self.batch, method, seed, sequence_ids)
+        answers = in_halves(
+            lambda batch, _: ask(method.adapter, batch, n_samples=self.n_samples, seed=seed).joints,
+            self.batch,
+            sequence_ids,
+            method=method.name,
+            case="window",
+            remedy=", or fewer --samples",
+        )
+        joints = np.concatenate(answers).astype(np.float32)
         n_frames = np.full(len(joints), self.batch.n_future)
         samples = [PredictionRows.from_padded(joints[:, sample], n_frames) for sample in range(self.n_samples)]
         return Answer(samples, [self.batch.key] * self.n_samples)
-
-    def _futures(
-        self, batch: ObservedBatch, method: LoadedMethod, seed: int, ids: tuple[str, ...]
-    ) -> Float[np.ndarray, "batch samples future joints 3"]:
-        """Return the answer; a batch that does not fit in memory is cut in two."""
-        try:
-            futures = ask(method.adapter, batch, n_samples=self.n_samples, seed=seed)
-        except PrbenchError:
-            raise
-        except (Exception, SystemExit) as error:
-            if not is_out_of_memory(error):
-                where = f"among windows {ids[0]} to {ids[-1]}"
-                raise AdapterError(f"method '{method.name}' failed: {told(error)}, {where}.") from error
-            if len(batch) == 1:
-                raise AdapterError(
-                    f"method '{method.name}' ran out of memory on the single window {ids[0]}"
-                    f" ({self.n_samples} samples). Use a device with more memory, or fewer --samples."
-                ) from error
-        else:
-            return np.asarray(futures.joints, dtype=np.float32)
-        # Outside of the handler: its traceback would hold the tensors of the failed batch.
-        release_memory()
-        middle = len(batch) // 2
-        first = self._futures(batch.chosen(range(middle)), method, seed, ids[:middle])
-        second = self._futures(batch.chosen(range(middle, len(batch))), method, seed, ids[middle:])
-        return np.concatenate((first, second))
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,8 +122,7 @@ class FutureWork(CaseWork):
     @cached_property
     def plan(self) -> list[Int[np.ndarray, "_"]]:
         """Windows after one another, in the order of the table; all are as long."""
-        size = self.request.batch_size
-        return [np.arange(start, min(start + size, len(self.cases))) for start in range(0, len(self.cases), size)]
+        return consecutive(len(self.cases), self.request.batch_size)
 
     def questions(self, wanted: frozenset[int]) -> Iterator[tuple[int, FutureQuestion]]:
         """See :meth:`CaseWork.questions`."""
@@ -242,7 +143,9 @@ class FutureWork(CaseWork):
     def scores(self, files: DatasetFolder, engine: Engine) -> Iterator[pa.Table]:
         """See :meth:`CaseWork.scores`."""
         table = self.cases.table
-        similar = SimilarPasts.of(table, self.cases.pool, closer_than=self.protocol.evaluation.similar_past)
+        # Among all windows of the split, whatever the limit.
+        pool = places_of(table, self.cases.split)
+        similar = SimilarPasts.of(table, pool, closer_than=self.protocol.evaluation.similar_past)
         asked = (table.info.dataset, self.request.samples, table.joints)
         score = partial(_score_part, *asked, self.protocol.evaluation, self.method.one_design)
         # Joints and truth are the same under every condition.
@@ -281,13 +184,8 @@ def _score_part(
     names = truth.window_ids
     futures = Futures(joints=read_part(path, names, samples=samples, joints=len(joints.names)))
     columns = score_batch(batch, futures, truth, joints, rules, similar=similar, one_design=one_design)
-    metrics = [info.id for info in prediction_metrics() if info.id in columns]
-    values = np.stack([columns[name] for name in metrics], axis=1)
-    # A window without a score in a metric, such as one that ends before a horizon, has no row of it.
-    window, metric = np.nonzero(np.isfinite(values))
-    columns = ([names[row] for row in window], [dataset] * len(window), np.zeros(len(window), dtype=np.int32))
-    columns += ([metrics[column] for column in metric], values[window, metric], [None] * len(window))
-    return pa.Table.from_arrays([pa.array(each, kind) for each, kind in zip(columns, SCORES.types)], schema=SCORES)
+    known = {info.id: columns[info.id] for info in prediction_metrics() if info.id in columns}
+    return long_form(names, dataset, known)
 
 
 _PREDICTORS = MethodGroup(
@@ -315,15 +213,6 @@ class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
         """See :attr:`Benchmark.present_rules`."""
         return load_prediction_protocol()
 
-    def settled(self, request: RunRequest) -> RunRequest:
-        """Refuse options of prime-and-reach."""
-        unknown = {f"--method {request.method}": request.is_control}
-        unknown |= {f"--{name}": getattr(request, name) is not None for name in ("control", "fold", "protocol")}
-        for option, given in unknown.items():
-            if given:
-                raise UsageError(f"{option}: the benchmark {self.name} does not have it yet; leave it out.")
-        return request
-
     @property
     def table_file(self) -> str:
         """See :attr:`Benchmark.table_file`."""
@@ -333,26 +222,14 @@ class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
         """See :meth:`Benchmark.open_table`."""
         return WindowsTable.open(folder)
 
-    def open_tables(self, request: RunRequest) -> list[WindowsTable]:
-        """See :meth:`Benchmark.open_tables`."""
-        return open_windows(request.data, benchmark=self.name)
-
-    def rules(self, request: RunRequest, tables: Sequence[WindowsTable]) -> PredictionProtocol:
-        """Prbench's own protocol; tables of another version are refused."""
-        del request
-        protocol = load_prediction_protocol()
-        for table in tables:
-            if table.info.protocol_version != protocol.version:
-                problem = f"expected windows of version {protocol.version} of the protocol,"
-                found = f"found version {table.info.protocol_version}. Build the windows again."
-                raise UsageError(f"{table.folder}: {problem} {found}")
-        return protocol
-
-    def choose(self, request: RunRequest, tables: Sequence[WindowsTable]) -> list[WindowCases]:
-        """Choose windows of each table; where single ones are asked for, only of the tables that hold one."""
-        if request.sequences:
-            return single_windows(tables, request.sequences, split=request.split)
-        return [WindowCases.of(table, split=request.split, limit=request.limit) for table in tables]
+    def cases(self, table: WindowsTable, *, split: str, limit: int | None) -> WindowCases:
+        """See :meth:`Benchmark.cases`."""
+        places = places_of(table, split)
+        rows = table.windows.take(places)
+        recordings = tuple(table.runs["recording_id"].take(rows["row"]).to_pylist())
+        lengths = rows["n_scored"].to_numpy()
+        ids = tuple(rows["window_id"].to_pylist())
+        return limited(WindowCases(table, split, ids, lengths, recordings, table.info.fps, places), limit)
 
     def fitted(self, spec: MethodSpec, table: WindowsTable, condition: StrEnum) -> MethodSpec:
         """Show the training windows of the table to a predictor that learns and brought no weights of its own."""

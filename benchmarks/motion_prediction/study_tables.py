@@ -17,13 +17,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from prbench.board.collect import run_folders
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import PrbenchError, RunError, UsageError
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.clusters import SIGNIFICANCE
 from prbench.harness.intervals import ClusteredValues, Comparison, Estimate, clustered, compare, metric_interval
 from prbench.harness.methods.loading import load_adapter, require_weights
-from prbench.harness.run_folder import read_scores, run_folder_of
+from prbench.harness.run_folder import read_scores
 from prbench.protocol.manifests import read_toml
 from prbench.sequences.table import by_share
 from prbench.shown import quoted
@@ -219,14 +220,7 @@ def scores_of_runs(paths: Sequence[Path], table: WindowsTable) -> dict[str, Scor
             one that no row of the tables is.
     """
     found: dict[str, Scores] = {}
-    folders: list[Path] = []
-    for path in paths:
-        inside = sorted(each.parent for each in path.glob("*/run.json"))
-        run = run_folder_of(path)
-        folders += [run] if (run / "run.json").is_file() else inside
-    if paths and not folders:
-        raise RunError(f"{', '.join(map(str, paths))}: expected run folders, found none.")
-    for path in folders:
+    for path in run_folders(paths):
         run, files = run_on(path, table)
         # Ablations have the method and condition of their whole method, and are known by the name of their weights.
         asked = (run.record.method.name, run.record.condition)

@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Bool, Float, Int
 
-from prbench.curation.job import NativeSource, PartReceipt, RecordingJob, native_sources, part_receipt
+from prbench.curation.job import NativeSource, PartReceipt, RecordingJob, native_sources, part_receipt, provenance_of
 from prbench.curation.options import BuildOptions
 from prbench.curation.splits import draw_splits
 from prbench.engine import IN_PROCESS, Engine
@@ -30,7 +30,6 @@ from prbench.protocol.manifests import Manifest, digest_of, load_manifest, load_
 from prbench.readers import SYNTHETIC_PREFIX, PublishedForPrediction, Reader, reader_for
 from prbench.recording import BodyStream, PublishedTrack, Recording
 from prbench.sequences import parts
-from prbench.sequences.dataset_info import begun_with, quarantined
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.sequence import row_batch
 from prbench_benchmarks.motion_prediction import table
@@ -453,23 +452,18 @@ def _write_table(
     dataset = settings["dataset"]
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
     protocol = load_prediction_protocol()
-    synthetic = dataset.startswith(SYNTHETIC_PREFIX)
-    terms = manifest.terms(synthetic=synthetic)
-    if not synthetic:
-        terms["citation"] = manifest.citation  # not stripped: earlier tables keep their bytes
     records = [each.record for each in finished]
     read = [each for each in finished if each.record.status == "read"]
+    about = provenance_of(dataset, protocol, finished, read)
+    if not about["synthetic"]:
+        about["citation"] = manifest.citation  # not stripped: earlier tables keep their bytes
     rules = ("fps", "observed_frames", "future_frames", "fewest_gaze_frames")
     info = table.WindowsInfo(
-        **terms,
+        **about,
         **{name: getattr(protocol.windows, name) for name in rules},
-        **{name: settings[name] for name in ("dataset", "options", "joint_set")},
-        **begun_with(protocol),
+        **{name: settings[name] for name in ("options", "joint_set")},
         schema_version=table.SCHEMA_VERSION,
-        manifest_digest=settings["manifest"],
-        input_digest=text_digest(*(text for each in read for text in (each.record.recording_id, each.input_digest))),
         outcomes={},
-        quarantine=quarantined(records),
     )
     # Last of all: until here an earlier table stands as it was.
     splits = draw_splits(records, manifest, load_protocol().splits)

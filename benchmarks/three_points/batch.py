@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from prbench.errors import AdapterError, UsageError
+from prbench.errors import AdapterError
 from prbench.geometry.skeleton import Joint
+from prbench.harness.planning import rows_of
 
 # The joints whose poses the devices measure, in the order of all arrays of devices.
 DEVICES = (Joint.HEAD, Joint.LEFT_WRIST, Joint.RIGHT_WRIST)
@@ -53,30 +53,20 @@ class TrackedBatch:
     key: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        shape = self.position.shape[:2]
-        shapes = {"n_frames": shape[:1], "position": (*shape, 3, 3), "rotation": (*shape, 3, 4)}
-        shapes |= {"valid": (*shape, 3), "rotation_valid": (*shape, 3), "offsets": (shape[0], len(Joint), 3)}
-        for name, expected in shapes.items():
+        for name in ("n_frames", "position", "rotation", "valid", "rotation_valid", "offsets"):
             # A copy: a view would lead back to the body behind it through ``base``.
             alone = np.array(getattr(self, name), order="C")
-            if alone.shape != expected:
-                raise ValueError(f"{name}: expected shape {expected}, found {alone.shape}")
             alone.flags.writeable = False
             object.__setattr__(self, name, alone)
-        if len(self.key) != shape[0]:
-            raise ValueError(f"key: expected {shape[0]}, one a track, found {len(self.key)}")
         if self.condition is Condition.HEAD and (self.valid[:, :, 1:].any() or self.rotation_valid[:, :, 1:].any()):
             raise ValueError("condition head: the wrists must not be given")
 
     def __len__(self) -> int:
         return len(self.n_frames)
 
-    def chosen(self, rows: Sequence[int]) -> TrackedBatch:
-        """Return some rows of the batch, in the order given."""
-        places = np.asarray(rows, dtype=np.int64)
-        arrays = {each.name: getattr(self, each.name) for each in fields(self)}
-        part = {name: array[places] for name, array in arrays.items() if isinstance(array, np.ndarray)}
-        return replace(self, key=tuple(self.key[place] for place in places), **part)
+    def rows(self, start: int, stop: int) -> TrackedBatch:
+        """Return a part of the batch; every row is complete in itself."""
+        return rows_of(self, range(start, stop))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,13 +103,8 @@ def ask(tracker: Tracker, batch: TrackedBatch, *, seed: int) -> Bodies:
     """Ask a tracker, and hold its answer against the question.
 
     Raises:
-        UsageError: for a condition that it does not accept.
         AdapterError: if the answer is no :class:`Bodies`, or of another shape, or not finite in a frame of a track.
     """
-    if batch.condition not in tracker.conditions:
-        known = ", ".join(sorted(condition.value for condition in tracker.conditions))
-        remedy = f"it takes: {known}."
-        raise UsageError(f"{tracker.name} does not accept the condition '{batch.condition.value}'; {remedy}")
     answer = tracker.track(batch, seed=seed)
     if not isinstance(answer, Bodies):
         problem = f"expected prbench_benchmarks.three_points.batch.Bodies, found {type(answer).__name__}."

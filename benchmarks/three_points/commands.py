@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
@@ -16,26 +16,13 @@ from prbench.entry_points import CORPORA, load_built_in
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
-    from prbench_benchmarks.three_points.table import TracksInfo
-
-
-class TracksReport(msgspec.Struct, frozen=True, kw_only=True):
-    """The work of ``build-tracks``.
-
-    Attributes:
-        folder: The table that was written.
-        built: The content of its ``tracks.json``.
-    """
-
-    folder: Path
-    built: TracksInfo
 
 
 @command(
     "build-tracks",
     section="data",
     example="prbench build-tracks nymeria --root /data/Nymeria --devices synthetic --out tracks/nymeria",
-    report=TracksReport,
+    report="prbench_benchmarks.three_points.table:TracksInfo",
 )
 @click.argument("dataset", type=click.Choice(["nymeria"]))
 @opt.root_option()
@@ -51,14 +38,21 @@ class TracksReport(msgspec.Struct, frozen=True, kw_only=True):
 @opt.on_error_option()
 @opt.engine_options()
 def build_tracks(
-    *, dataset: str, root: Path, out: Path, on_error: Literal["skip", "fail"], engine: EngineChoice, **given: Any
+    *,
+    dataset: str,
+    root: Path,
+    out: Path,
+    on_error: str,
+    engine: EngineChoice,
+    max_recordings: int | None,
+    **given: Any,
 ) -> Answer:
     """Cut recordings into tracks of three points: the poses of head and wrists, beside the body that they belong to."""
     where = opt.opened(engine, reads=(root,), writes=(out,))
-    given["limit"] = given.pop("max_recordings")
+    given |= {"limit": max_recordings, "stop_on_error": on_error == "fail"}
     with progress(f"cutting {dataset}") as tell:
         build = load_built_in(CORPORA, "tracks")
-        info = build(root, out, stop_on_error=on_error == "fail", engine=where, progress=tell, **given)
+        info = build(root, out, engine=where, progress=tell, **given)
     for each in info.quarantine:
         note(f"{each.recording_id}: {each.status}: {each.message}")
 
@@ -69,4 +63,4 @@ def build_tracks(
         print(f"tracks: {out}")
 
     failed = any(each.status == "failed" for each in info.quarantine)
-    return Answer(TracksReport(folder=out, built=info), show, builds.NOT_EVERYTHING if failed else 0)
+    return Answer(info, show, builds.NOT_EVERYTHING if failed else 0)

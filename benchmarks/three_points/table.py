@@ -12,18 +12,18 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Bool, Float
 
-from prbench.curation.job import PartReceipt
-from prbench.files.storage import atomic_folder, text_digest
-from prbench.protocol.manifests import Manifest, digest_of
-from prbench.sequences import parts, write
-from prbench.sequences.dataset_info import Count, Provenance, begun_with, quarantined
+from prbench.curation.job import PartReceipt, provenance_of
+from prbench.files.storage import atomic_folder
+from prbench.sequences import parts
+from prbench.sequences.dataset_info import Count, Provenance
 from prbench.sequences.schema import check_schema
-from prbench.sequences.sequence import Hertz, Metres, Seconds, schema_of
+from prbench.sequences.sequence import Hertz, Metres, Seconds, SequenceChunk, schema_of
 from prbench.sequences.table import BuiltTable
+from prbench.sequences.write import write_tables
+from prbench_benchmarks.three_points.batch import Condition, TrackedBatch, track_key
 from prbench_benchmarks.three_points.protocol import load_three_points_protocol
 
 FILE_NAME = "tracks.json"
-DEVICE_KINDS = ("real", "synthetic")
 
 
 def _rows(size: int, number: pa.DataType) -> pa.DataType:
@@ -107,38 +107,57 @@ class TracksTable(BuiltTable[TracksInfo]):
     rows_at_once = 8  # a track of a minute takes 2.5 MB
 
 
-def write_tracks(
-    out: Path, finished: Sequence[PartReceipt], manifest: Manifest, settings: dict[str, Any]
-) -> TracksInfo:
+def padded(chunk: SequenceChunk, column: str, *shape: int) -> np.ndarray:
+    """Return a column of per-frame values as (rows, frames, *shape); zero beyond the last frame of a row."""
+    within = np.arange(chunk.n_frames.max()) < chunk.n_frames[:, None]
+    values = chunk.frames(column)
+    whole = np.zeros((*within.shape, *shape), dtype=values.dtype)
+    whole[within] = values.reshape(-1, *shape)
+    return whole
+
+
+GIVEN = ["fps", "device_position", "device_rotation", "device_valid", "rotation_valid", "offsets"]
+
+
+def tracked_batch(chunk: SequenceChunk, condition: Condition) -> TrackedBatch:
+    """Return rows with the columns :data:`GIVEN` as a tracker may see them under a condition."""
+    valid = padded(chunk, "device_valid", 3)
+    rotation_valid = padded(chunk, "rotation_valid", 3)
+    if condition is Condition.HEAD:
+        valid[:, :, 1:] = False
+        rotation_valid[:, :, 1:] = False
+    position = padded(chunk, "device_position", 3, 3)
+    rotation = padded(chunk, "device_rotation", 3, 4)
+    return TrackedBatch(
+        condition=condition,
+        fps=float(chunk.numbers("fps")[0]),
+        n_frames=chunk.n_frames,
+        position=np.where(valid[..., None], position, np.float32(0.0)),
+        rotation=np.where(rotation_valid[..., None], rotation, np.array([1, 0, 0, 0], dtype=np.float32)),
+        valid=valid,
+        rotation_valid=rotation_valid,
+        offsets=chunk.vectors("offsets").reshape(-1, 22, 3),
+        key=tuple(map(track_key, chunk.sequence_ids)),
+    )
+
+
+def write_tracks(out: Path, finished: Sequence[PartReceipt], dataset: str, **settings: Any) -> TracksInfo:
     """Write the table of all parts of a build, whole or not at all.
 
     Args:
         out: The table's folder.
         finished: The parts, in table order.
-        manifest: The dataset's.
-        settings: The fields ``dataset``, ``synthetic``, ``options``, ``fps`` and ``devices`` of the description.
-
-    Raises:
-        TableError: if no recording yields a track.
+        dataset: Name of the dataset; ``-suit`` stands behind that of tables with synthetic devices.
+        settings: The fields ``options``, ``fps`` and ``devices`` of the description.
     """
     read = [each for each in finished if each.record.status == "read"]
-    outcomes = {"track": sum(each.record.outcomes["tracks"] for each in read)}
+    about = provenance_of(dataset, load_three_points_protocol(), finished, read)
+    about["dataset"] += "-suit" if settings["devices"] == "synthetic" else ""
     counts = {"recordings": len(read), "participants": len({each.record.participant_id for each in read})}
-    counts |= {"tracks": outcomes["track"], "frames": sum(each.record.outcomes["frames"] for each in read)}
-    info = TracksInfo(
-        **begun_with(load_three_points_protocol()),
-        **manifest.terms(synthetic=settings["dataset"].startswith("synthetic-")),
-        **settings,
-        schema_version=1,
-        manifest_digest=digest_of(manifest),
-        input_digest=text_digest(*(text for each in read for text in (each.record.recording_id, each.input_digest))),
-        outcomes=outcomes,
-        quarantine=quarantined([each.record for each in finished]),
-        counts=TrackCounts(**counts),
-    )
+    counts |= {name: sum(each.record.outcomes[name] for each in read) for name in ("tracks", "frames")}
+    about["outcomes"] = {"track": counts["tracks"]}
+    info = TracksInfo(**about, **settings, schema_version=1, counts=TrackCounts(**counts))
     tables = {"tracks": parts.read_batches([each.folder for each in finished], "tracks")}
+    form: Any = (TracksTable.schemas, TracksTable.identity_columns)
     with atomic_folder(out) as temporary:
-        rows = TracksTable.rows_at_once
-        return write.write_tables(
-            temporary, info, tables, TracksTable.schemas, TracksTable.identity_columns, row_group_rows=rows
-        )
+        return write_tables(temporary, info, tables, *form, row_group_rows=TracksTable.rows_at_once)

@@ -195,6 +195,17 @@ def part_receipt(folder: Path, entries: Mapping[str, Any], *, reused: bool) -> P
     return PartReceipt(folder, entries["input_digest"], msgspec.convert(entries["record"], RecordingRow), reused)
 
 
+def message_of(error: Exception, recording_id: str, *, stop: bool) -> str:
+    """Say why a recording could not be read; or raise it, where the build shall stop at the first."""
+    known = isinstance(error, PrbenchError)
+    message = str(error) if known else f"unexpected {type(error).__name__}: {quoted(error)}"
+    if stop and known:
+        raise error
+    if stop:
+        raise PrbenchError(f"{recording_id}: {message}") from error
+    return message
+
+
 @dataclass(frozen=True)
 class RecordingJob(ABC):
     """Reads one recording and writes its part, unless that part is there already.
@@ -260,12 +271,7 @@ class RecordingJob(ABC):
         return receipts
 
     def _failed(self, source: Any, digest: str, error: Exception) -> PartReceipt:
-        known = isinstance(error, PrbenchError)
-        message = str(error) if known else f"unexpected {type(error).__name__}: {quoted(error)}"
-        if self.stop_on_error and known:
-            raise error
-        if self.stop_on_error:
-            raise PrbenchError(f"{source.recording_id}: {message}") from error
+        message = message_of(error, source.recording_id, stop=self.stop_on_error)
         return self._left_out(source, digest, "failed", source.without_places(message))
 
     def _left_out(self, source: Any, digest: str, status: str, message: str) -> PartReceipt:
@@ -334,11 +340,33 @@ _STAGES = {
 }
 
 
+def provenance_of(
+    dataset: str, protocol: Any, receipts: SequenceOf[PartReceipt], used: SequenceOf[PartReceipt]
+) -> dict[str, Any]:
+    """Return the fields of a description that follow from the parts of a build, and the dataset's terms.
+
+    Args:
+        dataset: Name of the dataset.
+        protocol: Rules of the build.
+        receipts: All parts.
+        used: The parts whose files make the digest of the input.
+    """
+    manifest = load_manifest(dataset.removeprefix(readers.SYNTHETIC_PREFIX))
+    inputs = (text for each in used for text in (each.record.recording_id, each.input_digest))
+    return {
+        **manifest.terms(synthetic=dataset.startswith(readers.SYNTHETIC_PREFIX)),
+        **begun_with(protocol),
+        "dataset": dataset,
+        "manifest_digest": digest_of(manifest),
+        "input_digest": text_digest(*inputs),
+        "quarantine": quarantined(each.record for each in receipts),
+    }
+
+
 def describe(
     dataset: str, options: BuildOptions, receipts: SequenceOf[PartReceipt], extra_options: Mapping[str, str]
 ) -> DatasetInfo:
     """Provenance of a build; its two digests are filled in when the tables are written."""
-    synthetic = dataset.startswith(readers.SYNTHETIC_PREFIX)
     manifest = load_manifest(dataset.removeprefix(readers.SYNTHETIC_PREFIX))
     protocol = options.protocol or load_protocol()
     outcomes = sum((Counter(receipt.record.outcomes) for receipt in receipts), Counter[str]())
@@ -354,20 +382,15 @@ def describe(
         chosen[OPTION] = protocol.label
     # BibTeX of the dataset and, where they are not its own, of the body poses.
     body = manifest.body_source(dict(options.reader).get("poses"))
-    terms = manifest.terms(synthetic=synthetic)
-    if not synthetic:
-        terms["citation"] = "\n\n".join(text.strip() for text in (manifest.citation, body.citation) if text)
+    about = provenance_of(dataset, protocol, receipts, receipts)
+    if not about["synthetic"]:
+        about["citation"] = "\n\n".join(text.strip() for text in (manifest.citation, body.citation) if text)
     return DatasetInfo(
+        **about,
         schema_version=SCHEMA_VERSION,
-        **begun_with(protocol),
-        dataset=dataset,
-        manifest_digest=digest_of(manifest),
-        input_digest=text_digest(*(text for r in receipts for text in (r.record.recording_id, r.input_digest))),
         options=(chosen | options.curation.described(manifest, protocol)) | dict(extra_options),
         counts=funnel_counts(statuses, outcomes, sum(bool(receipt.record.shortfalls) for receipt in receipts)),
         outcomes={outcome: outcomes[outcome] for outcome in OUTCOMES},
-        quarantine=quarantined(receipt.record for receipt in receipts),
-        **terms,
     )
 
 

@@ -26,10 +26,12 @@ from prbench.engine import Engine
 from prbench.errors import UsageError, did_you_mean
 from prbench.harness.methods.loading import MethodSpec
 from prbench.harness.methods.remote import MethodGroup
+from prbench.harness.planning import of_distinct_datasets
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder import CodedScores, DatasetFolder, MethodRecord, PredictionRows, RunFolder
 from prbench.metrics import MetricInfo
 from prbench.protocol.manifests import AboutBenchmark, BenchmarkProtocol, find_benchmark
+from prbench.sequences.table import find_sequence_id
 
 # A table that cases are chosen from: ``folder``, ``info`` (what it is and where it came from, a
 # :class:`~prbench.sequences.dataset_info.Provenance`), and two digests, ``identity`` of which cases there are and
@@ -175,11 +177,16 @@ class Benchmark(ABC, Generic[Table, Chosen]):
         return tuple(info for info in self.main_metrics if info.compared)
 
     def settled(self, request: RunRequest) -> RunRequest:
-        """Refuse options that the benchmark does not know.
+        """Refuse options that the benchmark does not know: those of prime-and-reach alone.
 
         Raises:
             UsageError: naming the option.
         """
+        unknown = {f"--method {request.method}": request.is_control}
+        unknown |= {f"--{name}": getattr(request, name) is not None for name in ("control", "fold", "protocol")}
+        for option, given in unknown.items():
+            if given:
+                raise UsageError(f"{option}: the benchmark {self.name} does not have it yet; leave it out.")
         return request
 
     @abstractmethod
@@ -190,31 +197,65 @@ class Benchmark(ABC, Generic[Table, Chosen]):
             TableError: if it is missing, empty or of an unknown version.
         """
 
-    @abstractmethod
     def open_tables(self, request: RunRequest) -> list[Table]:
         """Open the tables that are asked for.
 
         Raises:
             TableError: if one is missing, empty or of an unknown version.
-            UsageError: if two are of one dataset.
+            UsageError: if two are of one dataset, or there is none.
         """
+        if not request.data:
+            raise UsageError(f"--data DIR: {self.name} needs a table; `{self.about.build}` makes one.")
+        return of_distinct_datasets([self.open_table(folder) for folder in request.data])
 
-    @abstractmethod
     def rules(self, request: RunRequest, tables: Sequence[Table]) -> Any:
-        """Return the rules of a run on some tables.
+        """Return the rules of a run on some tables: prbench's own protocol.
 
         Raises:
             UsageError: if a table follows other rules.
         """
+        del request
+        protocol = self.present_rules
+        for table in tables:
+            if table.info.protocol_version != protocol.version:
+                problem = f"expected a {table.info.described} of version {protocol.version} of the protocol,"
+                found = f"found version {table.info.protocol_version}. Build it again."
+                raise UsageError(f"{table.folder}: {problem} {found}")
+        return protocol
 
     @abstractmethod
-    def choose(self, request: RunRequest, tables: Sequence[Table]) -> list[Chosen]:
-        """Choose the cases of each table.
+    def cases(self, table: Table, *, split: str, limit: int | None) -> Chosen:
+        """Choose the cases of a split; with ``limit`` every recording's share.
 
         Raises:
-            UsageError: for an unknown split or case.
+            UsageError: for an unknown split.
             TableError: if there is none.
         """
+
+    def choose(self, request: RunRequest, tables: Sequence[Table]) -> list[Chosen]:
+        """Choose the cases of each table; where single ones are asked for, only of the tables that hold one.
+
+        Raises:
+            UsageError: for an unknown split, or a name that none or several cases fit.
+            TableError: if there is none.
+        """
+        if not request.sequences:
+            return [self.cases(table, split=request.split, limit=request.limit) for table in tables]
+        recordings = [self.recordings_of(table) for table in tables]
+        known = [name for each in recordings for name in each]
+        among = ", ".join(table.info.dataset for table in tables)
+        ids = {find_sequence_id(name, known, among=among) for name in request.sequences}
+        chosen: list[Any] = []
+        for table, own in zip(tables, recordings, strict=True):
+            if ids & own.keys():
+                cases: Any = self.cases(table, split=request.split, limit=None)
+                chosen.append(cases.chosen(np.isin(cases.sequence_ids, sorted(ids))))
+        if missing := ids.difference(*(each.sequence_ids for each in chosen)):
+            remedy = "Name its split with --split."
+            raise UsageError(
+                f"{min(missing)}: expected a case of split '{request.split}', found one of another. {remedy}"
+            )
+        return chosen
 
     def answerable(self, request: RunRequest, cases: Chosen, method: MethodRecord) -> Chosen:
         """Return the cases that a method can answer in full; none is ever cut.
@@ -253,9 +294,10 @@ class Benchmark(ABC, Generic[Table, Chosen]):
     def recording_key(self, sequence_id: str) -> str:
         """Return what cases of one recording have in common, from the id alone."""
 
-    @abstractmethod
-    def recordings_of(self, table: Table) -> dict[str, str]:
+    def recordings_of(self, table: Any) -> dict[str, str]:
         """Map each case of a table to its recording."""
+        rows = table.scalars(columns=["sequence_id", "recording_id"])
+        return dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
 
     def ids_tell_recordings(self, sequence_ids: Sequence[str]) -> bool:
         """Return True where the ids alone tell which cases are of one recording."""

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Self, TypeVar, cast
 
 import numpy as np
 import pyarrow as pa
@@ -18,13 +18,14 @@ from jaxtyping import Int
 from prbench.errors import TableError, UsageError
 from prbench.files.storage import text_digest
 from prbench.harness.methods.motions import native_frames
-from prbench.sequences import SPLITS, SequenceChunk, SequenceTable, by_share, find_sequence_id
+from prbench.sequences import SPLITS, SequenceChunk, SequenceTable, by_share
 
 # Sequences, in table order, among which batches of similar length are formed, and which are scored together: small
 # enough for memory, large enough that little is padded.
 WINDOW = 1024
 
 Table = TypeVar("Table")
+Chosen = TypeVar("Chosen", bound="Selection")
 _ROWS_AT_ONCE = 4096  # of short columns
 _FEWEST_FRAMES = 2  # below which there is no motion
 
@@ -33,7 +34,7 @@ _FEWEST_FRAMES = 2  # below which there is no motion
 class Selection:
     """The chosen sequences of one table, in table order (sorted by id)."""
 
-    table: SequenceTable
+    table: Any
     split: str
     sequence_ids: tuple[str, ...]
     n_frames: Int[np.ndarray, " n"]
@@ -48,7 +49,7 @@ class Selection:
         """Over the chosen ids."""
         return text_digest(*self.sequence_ids)
 
-    def chosen(self, keep: np.ndarray) -> Selection:
+    def chosen(self, keep: np.ndarray) -> Self:
         """Return the rows where ``keep`` is true."""
         return rows_of(self, np.flatnonzero(keep))
 
@@ -100,7 +101,15 @@ def open_tables(folders: Iterable[Path]) -> list[SequenceTable]:
         TableError: if one is missing, empty or of an unknown version.
         UsageError: if two are of one dataset.
     """
-    tables = [SequenceTable.open(folder).with_sequences() for folder in folders]
+    return of_distinct_datasets([SequenceTable.open(folder).with_sequences() for folder in folders])
+
+
+def of_distinct_datasets(tables: list[Any]) -> list[Any]:
+    """Return the tables of one run.
+
+    Raises:
+        UsageError: if two are of one dataset.
+    """
     names = [table.info.dataset for table in tables]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
@@ -151,11 +160,15 @@ def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
         raise TableError(f"{table.folder}, {ids[int(n_frames.argmin())]}: {found}. Build the dataset again.")
     if len(rates) > 1:
         raise TableError(f"{table.folder}: expected one frame rate, found {sorted(rates)}. Build the dataset again.")
-    everything = Selection(table, split, tuple(ids), n_frames, tuple(recordings), rates.pop())
+    return limited(Selection(table, split, tuple(ids), n_frames, tuple(recordings), rates.pop()), limit)
+
+
+def limited(selection: Chosen, limit: int | None) -> Chosen:
+    """Return some of the cases, of every recording its share; all without a limit."""
     if limit is None:
-        return everything
-    kept = set(by_share(everything.sequence_ids, everything.recording_ids)[:limit])
-    return everything.chosen(np.array([name in kept for name in everything.sequence_ids]))
+        return selection
+    kept = set(by_share(selection.sequence_ids, selection.recording_ids)[:limit])
+    return selection.chosen(np.array([name in kept for name in selection.sequence_ids]))
 
 
 def supported(selection: Selection, *, max_frames: int | None, native_fps: float | None) -> Selection:
@@ -174,34 +187,9 @@ def supported(selection: Selection, *, max_frames: int | None, native_fps: float
     return selection.chosen(n_frames <= max_frames)
 
 
-def select_sequences(tables: SequenceOf[SequenceTable], wanted: SequenceOf[str], *, split: str) -> list[Selection]:
-    """Choose single sequences; tables that hold none of them are left out.
-
-    Args:
-        tables: Tables to look in.
-        wanted: Ids, or parts of ids that fit one sequence only.
-        split: Split of the run.
-
-    Raises:
-        UsageError: if none or several fit (naming some), or the sequence is in another split.
-        TableError: see :func:`select`.
-    """
-    split_of: list[dict[str, str]] = []
-    for table in tables:
-        rows = table.scalars(columns=["sequence_id", "split"])
-        split_of.append(dict(zip(rows["sequence_id"].to_pylist(), rows["split"].to_pylist(), strict=True)))
-    splits = {name: where for own in split_of for name, where in own.items()}
-    among = ", ".join(table.info.dataset for table in tables)
-    ids = {find_sequence_id(name, list(splits), among=among) for name in wanted}
-    for name in sorted(ids):
-        if splits[name] != split:
-            raise UsageError(f"{name} is in split '{splits[name]}', the run is of '{split}': --split {splits[name]}")
-    chosen = []
-    for table, own in zip(tables, split_of, strict=True):
-        if ids & set(own):
-            selection = select(table, split=split, limit=None)
-            chosen.append(selection.chosen(np.array([name in ids for name in selection.sequence_ids])))
-    return chosen
+def consecutive(n: int, size: int) -> list[Int[np.ndarray, "_"]]:
+    """Return the places of cases that are batched one after the other, in the order of the table."""
+    return [np.arange(start, min(start + size, n)) for start in range(0, n, size)]
 
 
 def plan_batches(n_frames: Int[np.ndarray, " n"], batch_size: int) -> list[Int[np.ndarray, "_"]]:

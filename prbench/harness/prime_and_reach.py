@@ -25,7 +25,7 @@ from prbench.harness.benchmark import Answer, Benchmark, CaseWork
 from prbench.harness.conditions import ConditionSource, ConditionStream, derangement, run_salt
 from prbench.harness.methods import installed, loading, remote
 from prbench.harness.methods.motions import generate_checked
-from prbench.harness.planning import Selection, open_tables, plan_batches, select, select_sequences, supported
+from prbench.harness.planning import Selection, open_tables, plan_batches, select, supported
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder import CONTROL, DatasetFolder, MethodRecord, PredictionRows, Predictions, RunFolder
 from prbench.harness.run_folder.scores import CodedScores
@@ -202,11 +202,9 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
         """Return the user's own protocol, or prbench's."""
         return protocol_for(request.protocol, (table.described_protocol for table in tables))
 
-    def choose(self, request: RunRequest, tables: Sequence[SequenceTable]) -> list[Selection]:
-        """Select sequences of each table; where single ones are asked for, only of the tables that hold one."""
-        if request.sequences:
-            return select_sequences(tables, request.sequences, split=request.split)
-        return [select(table, split=request.split, limit=request.limit) for table in tables]
+    def cases(self, table: SequenceTable, *, split: str, limit: int | None) -> Selection:
+        """See :meth:`Benchmark.cases`."""
+        return select(table, split=split, limit=limit)
 
     def answerable(self, request: RunRequest, cases: Selection, method: MethodRecord) -> Selection:
         """Return the sequences that are no longer than the method can generate."""
@@ -234,11 +232,6 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
     def recording_key(self, sequence_id: str) -> str:
         """Dataset and recording of a sequence."""
         return recording_key(sequence_id)
-
-    def recordings_of(self, table: SequenceTable) -> dict[str, str]:
-        """See :meth:`Benchmark.recordings_of`."""
-        rows = table.scalars(columns=["sequence_id", "recording_id"])
-        return dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
 
     def ids_tell_recordings(self, sequence_ids: Sequence[str]) -> bool:
         """Return True where ids have all six parts; those of an imported release have three."""

@@ -6,11 +6,12 @@ Source: docs/specification/nymeria.md#the-suits-file.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
@@ -153,20 +154,14 @@ def clean_suit(suit: Suit, manifest: Manifest, *, path: Path | str, pose_source:
     finite = np.asarray(np.isfinite(suit.position).all(axis=(1, 2)))
     # Steps of the clock that are not 1/240 s.
     jumps = np.abs(np.diff(suit.time_us) - 1e6 / SUIT_RATE) > thresholds["clock_tolerance"] * 1e6
-    # Stretches between jumps and missing frames, in file order, that are long enough.
     joined = ~jumps & finite[1:] & finite[:-1]
-    borders = np.flatnonzero(np.concatenate([[True], ~joined, [True]]))
-    shortest = thresholds["shortest_piece"] * SUIT_RATE
-    stretches = [
-        (first, stop)
-        for first, stop in itertools.pairwise(borders.tolist())
-        if finite[first] and stop - first - 1 >= shortest
-    ]
+    # Stretches between jumps and missing frames, in file order, that are long enough.
+    long_enough = list(stretches(joined, thresholds["shortest_piece"] * SUIT_RATE + 1))
     lost = int((~finite).sum())
     expected = f"at least {thresholds['shortest_piece']:g} s of steady 240 Hz with all positions"
     found = f"{int(jumps.sum())} time steps off 240 Hz and {lost} frames without position"
-    require(path, (stretches, "timestamps_us", expected, found, "The recording is damaged; leave it out."))
-    part = np.concatenate([suit.position[first:stop:24, :, 2] for first, stop in stretches])
+    require(path, (long_enough, "timestamps_us", expected, found, "The recording is damaged; leave it out."))
+    part = np.concatenate([suit.position[first:stop:24, :, 2] for first, stop in long_enough])
     top, *feet = (part[:, XSENS_SEGMENTS.index(name)] for name in ("Head", "R_Foot", "L_Foot"))
     height = float(np.median(top - np.mean(feet, axis=0)))
     found = f"the head {height:.2f} m above the feet in z"
@@ -182,7 +177,7 @@ def clean_suit(suit: Suit, manifest: Manifest, *, path: Path | str, pose_source:
     rows = [XSENS_SEGMENTS.index(name) for name in manifest.body.joint_mapping]
     pieces = tuple(
         Piece(float(suit.time_us[first]) / 1e6, y_up(suit.position[first:stop, rows]), first)
-        for first, stop in stretches
+        for first, stop in long_enough
     )
     # Forward, from the hips, must be where the body walks; the pelvis segment's own x axis is asked beside it.
     along = []
@@ -213,6 +208,12 @@ def clean_suit(suit: Suit, manifest: Manifest, *, path: Path | str, pose_source:
     if tilt is None:
         tilt = manifest.body.head_tilt_deg
     return CleanSuit(pieces, pose_source or manifest.body.pose_source, tilt, tuple(messages), head)
+
+
+def stretches(joined: Bool[np.ndarray, " n_but_one"], shortest: float) -> Iterator[tuple[int, int]]:
+    """Yield first frame and end of each stretch of frames that are joined to one another and not too few."""
+    borders = np.flatnonzero(np.concatenate([[True], ~joined, [True]])).tolist()
+    yield from (pair for pair in itertools.pairwise(borders) if pair[1] - pair[0] >= shortest)
 
 
 def segment_rotation(suit: Suit, segment: int, manifest: Manifest) -> Float[np.ndarray, "n 4"]:

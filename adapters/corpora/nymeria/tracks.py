@@ -5,8 +5,9 @@ Source: docs/specification/three-points.md#from-the-suit-to-tracks.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,7 +30,7 @@ from prbench.sequences.sequence import row_batch
 from prbench_adapters.corpora.nymeria.files import SUIT
 from prbench_adapters.corpora.nymeria.format import SUIT_FILE, SUIT_RATE, Suit
 from prbench_adapters.corpora.nymeria.source import CORPUS, NymeriaSource
-from prbench_adapters.corpora.nymeria.suit import clean_suit, read_suit, segment_rotation
+from prbench_adapters.corpora.nymeria.suit import clean_suit, read_suit, segment_rotation, stretches
 from prbench_adapters.corpora.nymeria.synthetic import calibration_rotations
 from prbench_adapters.corpora.sources import CorpusOptions, chosen_recordings
 from prbench_benchmarks.three_points import table
@@ -38,24 +39,9 @@ from prbench_benchmarks.three_points.protocol import load_three_points_protocol
 
 _Y_UP = Y_UP_FROM_Z_UP[:3, :3]
 _OFFSETS_FROM = 2000  # frames at most, evenly over a recording, behind the median of the offsets
+_PARENTS = list(PARENTS[1:])
 DeviceKind = Literal["real", "synthetic"]
 Frames = Int[np.ndarray, " n"]
-
-
-@dataclass(frozen=True)
-class Posed:
-    """A stretch of the suit at the tracks' rate. World, Y up, metres.
-
-    Attributes:
-        times: Seconds on the suit's clock.
-        first: Number of the first frame in the suit's file.
-        rotations: Joint frame to world; the identity in the T-pose that faces +Z.
-    """
-
-    times: Float[np.ndarray, " n"]
-    first: int
-    joints: Float[np.ndarray, "n 22 3"]
-    rotations: Float[np.ndarray, "n 22 3 3"]
 
 
 def segment_from_joint(suit: Suit, *, synthetic: bool) -> Float[np.ndarray, "23 3 3"]:
@@ -94,143 +80,98 @@ def joint_rotations(
 def offsets_of(joints: Float[np.ndarray, "n 22 3"], rotations: Float[np.ndarray, "n 22 3 3"]) -> np.ndarray:
     """Return each joint's offset (22, 3) from its parent in the parent's frame, metres: the median over the frames."""
     offsets = np.zeros((len(PARENTS), 3))
-    parents = np.array(PARENTS[1:])
-    bones = joints[:, 1:] - joints[:, parents]
-    offsets[1:] = np.median(np.einsum("njki,njk->nji", rotations[:, parents], bones), axis=0)
+    bones = joints[:, 1:] - joints[:, _PARENTS]
+    offsets[1:] = np.median(np.einsum("njki,njk->nji", rotations[:, _PARENTS], bones), axis=0)
     return offsets
 
 
-@dataclass(frozen=True)
-class TrackSource:
-    """One sequence of which tracks can be made; picklable, so that other processes can do it.
-
-    Attributes:
-        skip_reason: Sequences that are known for bad texts have sound bodies: nothing is left out.
-    """
-
-    source: NymeriaSource
-    devices: DeviceKind
-    fps: float
-    skip_reason: None = None
-    split: None = None
-
-    @property
-    def recording_id(self) -> str:
-        """Return its name, which is unique within a build."""
-        return self.source.identity.recording_id
-
-    @foreign_input()
-    def input_digest(self) -> str:
-        """Digest of its files."""
-        return self.source.input_digest()
-
-    def without_places(self, message: str) -> str:
-        """Return a message without the folders of this machine."""
-        return self.source.without_places(message)
-
-    @foreign_input()
-    def read(self) -> tuple[RecordingRow, tuple[table.Track, ...]]:
-        """Read suit and devices, and cut them into tracks.
-
-        Raises:
-            InputFileError: if a file does not hold what its format promises.
-        """
-        manifest = load_manifest("nymeria")
-        path = self.source.found.require(SUIT, f"body/{SUIT_FILE}")
-        suit = read_suit(path)
-        clean = clean_suit(suit, manifest, path=path)
-        identity = self.source.identity
-        from_joint = segment_from_joint(suit, synthetic=identity.dataset.startswith(SYNTHETIC_PREFIX))
-        stride = round(SUIT_RATE / self.fps)
-        stretches = []
-        for piece in clean.pieces:
-            frames = np.arange(piece.first, piece.stop, stride)
-            times = piece.start + np.arange(len(frames)) / self.fps
-            turned = joint_rotations(suit, frames, from_joint, manifest)
-            stretches.append(Posed(times, piece.first, piece.joints[::stride].astype(np.float64), turned))
-        del suit
-        joints, turned = (
-            np.concatenate([getattr(each, name) for each in stretches]) for name in ("joints", "rotations")
+def cut(joined: Bool[np.ndarray, " n_but_one"], shortest: float, longest: float) -> Iterator[tuple[int, int]]:
+    """Yield first frame and end of each track; a stretch that is too long gives equal ones."""
+    for first, stop in stretches(joined, shortest):
+        yield from itertools.pairwise(
+            np.linspace(first, stop, int(-(-(stop - first) // longest)) + 1).astype(int).tolist()
         )
-        some = slice(None, None, max(1, len(joints) // _OFFSETS_FROM))
-        offsets = offsets_of(joints[some], turned[some])
-        tracks = tuple(track for each in stretches for track in self._tracks(each, offsets))
-        counts = {"tracks": len(tracks), "frames": sum(track.n_frames for track in tracks)}
-        whose = (identity.recording_id, identity.participant_id, identity.split, identity.split_group)
-        duration = sum(float(each.times[-1] - each.times[0]) for each in stretches)
-        return RecordingRow(*whose, duration, counts, "read", "; ".join(clean.messages)), tracks
-
-    def _tracks(self, posed: Posed, offsets: Float[np.ndarray, "22 3"]) -> Iterator[table.Track]:
-        """Cut a stretch into tracks."""
-        rules = load_three_points_protocol().tracks
-        for first in range(0, len(posed.times), round(rules.longest * self.fps)):
-            part = slice(first, first + round(rules.longest * self.fps))
-            n = len(posed.times[part])
-            if n >= rules.shortest * self.fps:
-                everywhere = np.ones((n, len(DEVICES)), dtype=bool)
-                yield self._track(posed, part, offsets, everywhere, everywhere)
-
-    def _track(
-        self,
-        posed: Posed,
-        part: slice,
-        offsets: Float[np.ndarray, "22 3"],
-        valid: Bool[np.ndarray, "n 3"],
-        rotation_valid: Bool[np.ndarray, "n 3"],
-    ) -> table.Track:
-        joints = posed.joints[part]
-        turned = posed.rotations[part]
-        local = turned.copy()
-        parents = np.array(PARENTS[1:])
-        local[:, 1:] = turned[:, parents].transpose(0, 1, 3, 2) @ turned[:, 1:]
-        kinematic, _ = forward_kinematics(offsets, joints[:, 0], local, PARENTS)
-        deviation = float(np.percentile(np.linalg.norm(kinematic - joints, axis=-1), 95))
-        identity = self.source.identity
-        start = posed.first + part.start * round(SUIT_RATE / self.fps)
-        devices = list(DEVICES)
-        n = len(joints)
-        return table.Track(
-            sequence_id=f"{identity.dataset}/{identity.recording_id}/{self.devices}/{start:08d}",
-            recording_id=identity.recording_id,
-            participant_id=identity.participant_id,
-            split=identity.split,
-            devices=self.devices,
-            fps=self.fps,
-            start_time=float(posed.times[part.start]),
-            n_frames=n,
-            device_position=joints[:, devices].reshape(n, -1),
-            device_rotation=_quaternions(turned[:, devices]).reshape(n, -1),
-            device_valid=valid,
-            rotation_valid=rotation_valid,
-            joints=joints.reshape(n, -1),
-            rotations=_quaternions(local).reshape(n, -1),
-            offsets=offsets.ravel(),
-            kinematic_deviation=round(deviation, 6),
-        )
-
-
-def _quaternions(matrices: Float[np.ndarray, "n joints 3 3"]) -> Float[np.ndarray, "n joints 4"]:
-    flat = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
-    return flat.reshape(*matrices.shape[:2], 4)
 
 
 @dataclass(frozen=True)
 class TracksJob(RecordingJob):
     """Reads and cuts one recording."""
 
-    def settings(self, source: TrackSource) -> str:
+    devices: DeviceKind
+    fps: float
+
+    def settings(self, source: NymeriaSource) -> str:
         """See :class:`RecordingJob`."""
         digests = (load_three_points_protocol().digest, digest_of(load_manifest("nymeria")))
-        return text_digest(*digests, source.devices, str(source.fps), *map(str, vars(source.source.identity).values()))
-
-    def make(self, source: TrackSource) -> tuple[RecordingRow, dict[str, pa.RecordBatch]]:
-        """See :class:`RecordingJob`."""
-        record, tracks = source.read()
-        return record, {"tracks": row_batch(tracks, table.TRACKS)}
+        return text_digest(*digests, self.devices, str(self.fps), *map(str, vars(source.identity).values()))
 
     def nothing(self, source: Any, record: RecordingRow) -> dict[str, pa.RecordBatch]:  # noqa: ARG002
         """See :class:`RecordingJob`."""
         return {"tracks": row_batch((), table.TRACKS)}
+
+    @foreign_input()
+    def make(self, source: NymeriaSource) -> tuple[RecordingRow, dict[str, pa.RecordBatch]]:
+        """See :class:`RecordingJob`."""
+        manifest = load_manifest("nymeria")
+        path = source.found.require(SUIT, f"body/{SUIT_FILE}")
+        suit = read_suit(path)
+        clean = clean_suit(suit, manifest, path=path)
+        identity = source.identity
+        stride = round(SUIT_RATE / self.fps)
+        frames = np.concatenate([np.arange(piece.first, piece.stop, stride) for piece in clean.pieces])
+        times = np.concatenate(
+            [piece.start + np.arange(0, piece.stop - piece.first, stride) / SUIT_RATE for piece in clean.pieces]
+        )
+        joints = np.concatenate([piece.joints[::stride] for piece in clean.pieces]).astype(np.float64)
+        from_joint = segment_from_joint(suit, synthetic=identity.dataset.startswith(SYNTHETIC_PREFIX))
+        turned = joint_rotations(suit, frames, from_joint, manifest)
+        del suit
+        some = slice(None, None, max(1, len(joints) // _OFFSETS_FROM))
+        offsets = offsets_of(joints[some], turned[some])
+        devices = list(DEVICES)
+        valid = np.ones((len(times), len(devices)), dtype=bool)
+        given = (joints[:, devices], turned[:, devices], valid)
+        joined = np.diff(frames) == stride
+        local = turned.copy()
+        local[:, 1:] = turned[:, _PARENTS].transpose(0, 1, 3, 2) @ turned[:, 1:]
+        rules = load_three_points_protocol().tracks
+        tracks = []
+        for first, stop in cut(joined, rules.shortest * self.fps, rules.longest * self.fps):
+            part = slice(first, stop)
+            kinematic, _ = forward_kinematics(offsets, joints[part, 0], local[part], PARENTS)
+            apart = np.linalg.norm(kinematic - joints[part], axis=-1)
+            n = stop - first
+            position, rotation, known = (each[part] for each in given)
+            tracks.append(
+                table.Track(
+                    sequence_id=f"{identity.dataset}/{identity.recording_id}/{self.devices}/{frames[first]:08d}",
+                    recording_id=identity.recording_id,
+                    participant_id=identity.participant_id,
+                    split=identity.split,
+                    devices=self.devices,
+                    fps=self.fps,
+                    start_time=float(times[first]),
+                    n_frames=n,
+                    device_position=position.reshape(n, -1),
+                    device_rotation=_quaternions(rotation).reshape(n, -1),
+                    device_valid=known,
+                    rotation_valid=known,
+                    joints=joints[part].reshape(n, -1),
+                    rotations=_quaternions(local[part]).reshape(n, -1),
+                    offsets=offsets.ravel(),
+                    kinematic_deviation=round(float(np.percentile(apart, 95)), 6),
+                )
+            )
+        counts = {"tracks": len(tracks), "frames": sum(track.n_frames for track in tracks)}
+        whose = (identity.recording_id, identity.participant_id, identity.split, identity.split_group)
+        messages = "; ".join(clean.messages)
+        record = RecordingRow(*whose, len(times) / self.fps, counts, "read", messages)
+        return record, {"tracks": row_batch(tracks, table.TRACKS)}
+
+
+def _quaternions(matrices: Float[np.ndarray, "n joints 3 3"]) -> Float[np.ndarray, "n joints 4"]:
+    flat = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
+    return flat.reshape(*matrices.shape[:2], 4)
 
 
 def build_tracks(
@@ -269,13 +210,14 @@ def build_tracks(
     out = out.expanduser().absolute()
     require_replaceable(out, table.FILE_NAME, kind="table of tracks")
     wanted = CorpusOptions(recordings=recordings, limit=limit)
-    found: Any = chosen_recordings(CORPUS.find(root, wanted), wanted, where=root)
-    sources = [
-        TrackSource(each, devices, fps) for each in sorted(found, key=lambda each: f"{each.identity.recording_id}/")
-    ]
+    # Sequences that are known for bad texts have sound bodies: nothing is left out.
+    found = (
+        replace(each, skip_reason=None) for each in chosen_recordings(CORPUS.find(root, wanted), wanted, where=root)
+    )
+    sources = sorted(found, key=lambda each: f"{each.recording_id}/")
     with sole_writer(out), parts.working_in_parts(out):
-        finished = TracksJob(stop_on_error, parts.work_folder(out)).make_all(sources, engine, progress)
-        suffix = "-suit" if devices == "synthetic" else ""
+        job = TracksJob(stop_on_error, parts.work_folder(out), devices, fps)
+        finished = job.make_all(sources, engine, progress)
         options = {"recordings": recordings, "limit": str(limit or "all")}
-        settings = {"dataset": sources[0].source.identity.dataset + suffix, "options": options, "fps": fps}
-        return table.write_tracks(out, finished, load_manifest("nymeria"), settings | {"devices": devices})
+        dataset = sources[0].identity.dataset
+        return table.write_tracks(out, finished, dataset, options=options, fps=fps, devices=devices)

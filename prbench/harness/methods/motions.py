@@ -7,11 +7,11 @@ import gc
 import re
 import sys
 import traceback
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -28,6 +28,7 @@ Poses = Float[np.ndarray, "*frames 22 3"]
 Vectors = Float[np.ndarray, "frames 3"]
 
 Motion = Float[np.ndarray, "frames 22 3"]
+_Answer = TypeVar("_Answer")
 
 
 @dataclass(frozen=True)
@@ -214,7 +215,19 @@ def generate_checked(
     declared = Declared.by(adapter, origin=f"method '{method}'")
     native_fps = declared.native_fps
     asked = batch if native_fps is None else at_native_rate(batch, native_fps)
-    motions, halvings = _generate(adapter, asked, seed, method, sequence_ids, farthest)
+
+    def generated(part: ConditionBatch, ids: Ids) -> Motions:
+        try:
+            motions = adapter.generate(own_copy(part), seed=seed)
+        except AdapterError as error:
+            raise AdapterError(_with_names(str(error), part, ids)) from error
+        except InputFileError as error:  # of a converter, as a rule, which knows neither method nor sequences
+            told_of = _with_names(str(error), part, ids)
+            raise AdapterError(f"method '{method}' failed: {told_of}{asked_for(ids)}") from error
+        return well_formed(motions, part, method=method, sequence_ids=ids, farthest=farthest)
+
+    parts = in_halves(generated, asked, sequence_ids, method=method)
+    motions = parts[0] if len(parts) == 1 else _joined(*parts)
     # A run is marked before it begins, so gaze must be announced.
     if declared.gaze is not (motions.gaze is not None):
         expected, found = ("gaze with its motions", "none") if declared.gaze else ("motions without gaze", "some")
@@ -223,7 +236,7 @@ def generate_checked(
     if native_fps is not None:
         # The last native frame lies at or after the end, so nothing is extrapolated.
         motions = resampled(motions, batch.n_frames, step=native_fps / batch.fps)
-    return motions, halvings
+    return motions, len(parts) - 1
 
 
 def native_frames(n_frames: Int[np.ndarray, " n"], *, fps: float, native_fps: float) -> Int[np.ndarray, " n"]:
@@ -273,34 +286,6 @@ def resampled(motions: Motions, n_frames: Int[np.ndarray, " n"], *, step: float)
         direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True).clip(_OPPOSITE)
         gaze = Gaze(between(motions.gaze.origin).astype(np.float32), direction.astype(np.float32))
     return Motions(joints, n_frames, motions.cost, gaze)
-
-
-def _generate(
-    adapter: Adapter, batch: ConditionBatch, seed: int, method: str, ids: Sequence[str], farthest: float
-) -> tuple[Motions, int]:
-    try:
-        motions = adapter.generate(own_copy(batch), seed=seed)
-    except AdapterError as error:
-        raise AdapterError(_with_names(str(error), batch, ids)) from error
-    except InputFileError as error:  # of a converter, as a rule, which knows neither method nor sequences
-        told_of = _with_names(str(error), batch, ids)
-        raise AdapterError(f"method '{method}' failed: {told_of}{asked_for(ids)}") from error
-    except PrbenchError:
-        raise
-    except (Exception, SystemExit) as error:
-        if not is_out_of_memory(error):
-            raise AdapterError(f"method '{method}' failed: {told(error)}.{asked_for(ids)}") from error
-        if len(batch) == 1:
-            single = f"the single sequence {ids[0]} ({batch.n_frames[0]} frames). Use a device with more memory."
-            raise AdapterError(f"method '{method}' ran out of memory on {single}") from error
-    else:
-        return well_formed(motions, batch, method=method, sequence_ids=ids, farthest=farthest), 0
-    # Outside of the handler: its traceback would hold the tensors of the failed batch.
-    release_memory()
-    middle = len(batch) // 2
-    first, halved_first = _generate(adapter, batch.rows(0, middle), seed, method, ids[:middle], farthest)
-    second, halved_second = _generate(adapter, batch.rows(middle, len(batch)), seed, method, ids[middle:], farthest)
-    return _joined(first, second), 1 + halved_first + halved_second
 
 
 def well_formed(
@@ -413,6 +398,40 @@ def _joined(*parts: Motions) -> Motions:
     return Motions(stacked([part.joints for part in parts]), n_frames, Cost(sum(passes)) if passes else None, gaze)
 
 
+def in_halves(
+    ask: Callable[[Any, Ids], _Answer], batch: Any, ids: Ids, *, method: str, case: str = "sequence", remedy: str = ""
+) -> list[_Answer]:
+    """Ask about a batch; one that does not fit in memory is cut in two, and has an answer for each part.
+
+    Args:
+        ask: Returns the answer to a batch, given the names of its cases.
+        batch: What can be cut by its method ``rows``.
+        ids: Names of the cases, for messages.
+        method: Name of the method, for messages.
+        case: What a case is called.
+        remedy: What else makes a single case smaller, in words.
+
+    Raises:
+        AdapterError: if the method raises anything but prbench's own errors, or a single case does not fit in memory.
+    """
+    try:
+        return [ask(batch, ids)]
+    except PrbenchError:
+        raise
+    except (Exception, SystemExit) as error:
+        if not is_out_of_memory(error):
+            raise AdapterError(f"method '{method}' failed: {told(error)}.{asked_for(ids, case)}") from error
+        if len(batch) == 1:
+            problem = f"method '{method}' ran out of memory on the single {case} {ids[0]}."
+            raise AdapterError(f"{problem} Use a device with more memory{remedy}.") from error
+    # Outside of the handler: its traceback would hold the tensors of the failed batch.
+    release_memory()
+    middle = len(batch) // 2
+    told_of: Any = {"method": method, "case": case, "remedy": remedy}
+    first = in_halves(ask, batch.rows(0, middle), ids[:middle], **told_of)
+    return first + in_halves(ask, batch.rows(middle, len(batch)), ids[middle:], **told_of)
+
+
 def release_memory() -> None:
     """Give back what a failed batch holds, before it is tried in halves."""
     gc.collect()
@@ -421,7 +440,7 @@ def release_memory() -> None:
         torch.cuda.empty_cache()
 
 
-def asked_for(ids: Sequence[str]) -> str:
+def asked_for(ids: Sequence[str], case: str = "sequence") -> str:
     """Say what was asked for; names are long, so it comes behind the reason."""
-    batch = f"sequence {ids[0]}" if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"
+    batch = f"{case} {ids[0]}" if len(ids) == 1 else f"the batch of {len(ids)} {case}s from {ids[0]} to {ids[-1]}"
     return f" It was asked for {batch}."

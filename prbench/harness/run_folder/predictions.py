@@ -287,15 +287,21 @@ def write_part(
 
 
 def read_part(
-    path: Path, sequence_ids: Sequence[str], *, samples: int, joints: int
+    path: Path,
+    sequence_ids: Sequence[str],
+    *,
+    samples: int,
+    joints: int,
+    n_frames: Int[np.ndarray, " batch"] | None = None,
 ) -> Float[np.ndarray, "batch samples frames joints 3"]:
-    """Read the motions of one batch, which all have the same length.
+    """Read the motions of one batch; what stands beyond the last frame of one is NaN.
 
     Args:
         path: A file of :func:`write_part`.
         sequence_ids: Ids of the batch's rows.
         samples: Number of samples.
         joints: Number of joints.
+        n_frames: Length of each row's motions; None where all have one length.
 
     Raises:
         PredictionsError: if the file is missing or damaged, or holds other motions.
@@ -313,9 +319,13 @@ def read_part(
     found = rows["joints"].combine_chunks()
     lengths = found.value_lengths().to_numpy()
     values = found.flatten().flatten().to_numpy()
-    if (lengths != lengths[0]).any() or not np.isfinite(values).all():
-        raise PredictionsError(f"{path}: expected finite motions of one length, found others. {remedy}")
-    return np.swapaxes(values.reshape((samples, len(sequence_ids), int(lengths[0]), joints, 3)), 0, 1)
+    due = lengths[:1] if n_frames is None else np.tile(n_frames, samples)
+    if (lengths != due).any() or not np.isfinite(values).all():
+        raise PredictionsError(f"{path}: expected finite motions of the asked length, found others. {remedy}")
+    within = np.arange(lengths.max()) < lengths[:, None]
+    motions = np.full((*within.shape, joints, 3), np.nan, dtype=values.dtype)
+    motions[within] = values.reshape(-1, joints, 3)
+    return np.swapaxes(motions.reshape(samples, len(sequence_ids), *motions.shape[1:]), 0, 1)
 
 
 _CACHED_BYTES = 64 * 1024**2

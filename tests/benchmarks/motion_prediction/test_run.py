@@ -194,7 +194,7 @@ def test_an_answer_with_nan_is_refused_and_leaves_nothing_behind(windows, tmp_pa
 
 def test_a_failure_names_method_and_windows(windows, tmp_path, predictor):
     predictor("noise", body="raise RuntimeError('no luck')")
-    with pytest.raises(AdapterError, match=r"method 'noise' failed: RuntimeError: no luck .* among windows a/0"):
+    with pytest.raises(AdapterError, match=r"method 'noise' failed: RuntimeError: no luck .* windows from a/0"):
         run(windows, tmp_path / "out", "noise")
 
 
