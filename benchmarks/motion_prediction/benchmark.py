@@ -188,15 +188,14 @@ def _score_part(
     return long_form(names, dataset, known)
 
 
-_PREDICTORS = MethodGroup(
-    "prbench.predictors", Predictor, "name, conditions and predict()", Condition, RemotePredictor, serve_futures
-)
-
-
 class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
     """See :class:`prbench.harness.benchmark.Benchmark`."""
 
     name = "motion-prediction"
+    methods = MethodGroup(
+        "prbench.predictors", Predictor, "name, conditions and predict()", Condition, RemotePredictor, serve_futures
+    )
+    table_file = FILE_NAME
 
     @property
     def metrics(self) -> tuple[MetricInfo, ...]:
@@ -204,19 +203,9 @@ class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
         return prediction_metrics()
 
     @property
-    def methods(self) -> MethodGroup:
-        """Methods that predict futures."""
-        return _PREDICTORS
-
-    @property
     def present_rules(self) -> PredictionProtocol:
         """See :attr:`Benchmark.present_rules`."""
         return load_prediction_protocol()
-
-    @property
-    def table_file(self) -> str:
-        """See :attr:`Benchmark.table_file`."""
-        return FILE_NAME
 
     def open_table(self, folder: Path) -> WindowsTable:
         """See :meth:`Benchmark.open_table`."""

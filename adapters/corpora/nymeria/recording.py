@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import ClassVar, cast
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -122,42 +122,27 @@ def gaze_in_suit_world(
 
 
 @dataclass(frozen=True)
-class NymeriaWindows:
-    """One sequence without its texts (see :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`).
+class NymeriaWindows(NymeriaSource):
+    """One sequence without its texts (see :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`)."""
 
-    Attributes:
-        skip_reason: Sequences that are known for bad texts have sound bodies: nothing is left out.
-    """
-
-    source: NymeriaSource
-    skip_reason: None = None
-    joint_set: str = SMPL22.name
-
-    @property
-    def recording_id(self) -> str:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
-        return self.source.identity.recording_id
+    joint_set: ClassVar[str] = SMPL22.name
 
     @property
     def settings(self) -> str:
         """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
-        options = described_options(self.source.options)
-        return text_digest(digest_of(load_manifest("nymeria")), self.source.identity.split, *map(str, options.items()))
+        options = described_options(self.options)
+        return text_digest(digest_of(load_manifest("nymeria")), self.identity.split, *map(str, options.items()))
 
     @foreign_input()
     def input_digest(self) -> str:
         """Digest of all files of the sequence, and of the gaze beside its trajectory."""
         gaze = self._gaze_file()
-        return text_digest(self.source.input_digest(), "" if gaze is None else file_digest(gaze))
-
-    def without_places(self, message: str) -> str:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
-        return self.source.without_places(message)
+        return text_digest(NymeriaSource.input_digest(self), "" if gaze is None else file_digest(gaze))
 
     def cut(self, protocol: PredictionProtocol) -> tuple[RecordingRow, Iterator[Run]]:
         """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
         recording = self._read()
-        row = row_of(recording, self.source.identity.split, self.source.identity.split_group)
+        row = row_of(recording, self.identity.split, self.identity.split_group)
         return row, runs_of_recording(recording, protocol.windows, split=row.split)
 
     @foreign_input()
@@ -167,7 +152,7 @@ class NymeriaWindows:
         Raises:
             InputFileError: if a file does not hold what its format promises.
         """
-        motion = self.source.suit()
+        motion = self.suit()
         # All pieces on one time line; what lies between them is a gap.
         pieces = sorted(motion.pieces, key=lambda piece: piece.start)
         times = np.concatenate([piece.start + np.arange(len(piece.joints)) / SUIT_RATE for piece in pieces])
@@ -178,7 +163,7 @@ class NymeriaWindows:
         body = BodyStream(times, joints, np.ones(len(times), dtype=bool))
         gaze, message = self._gaze(motion)
         nowhere = PoseStream(body.times[:1], body.joints[:1, Joint.HEAD], np.array([[1.0, 0, 0, 0]]), np.zeros(1, bool))
-        identity = self.source.identity
+        identity = self.identity
         whose = (identity.dataset, identity.recording_id, identity.participant_id)
         whole = (float(body.times[0]), float(body.times[-1]))
         streams = (gaze, nowhere, nowhere, body)  # neither camera nor head
@@ -187,13 +172,13 @@ class NymeriaWindows:
         return Recording(*whose, motion.pose_source, motion.head_tilt_deg, whole, *streams, **about)
 
     def _gaze_file(self) -> Path | None:
-        trajectory = self.source.found.path(TRAJECTORY)
+        trajectory = self.found.path(TRAJECTORY)
         return None if trajectory is None else find_gaze_file(trajectory.parent.parent / mps.GAZE_FOLDER)
 
     def _gaze(self, clean: CleanSuit) -> tuple[GazeStream, str]:
         """Gaze in the suit's world; without any, why."""
         nothing = GazeStream(np.zeros(1), np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.zeros(1, dtype=bool))
-        found = self.source.found
+        found = self.found
         path = self._gaze_file()
         if path is None:
             return nothing, "no gaze file beside a trajectory of the glasses"
@@ -240,4 +225,6 @@ def plan_windows(
     chosen = sorted(chosen, key=lambda each: f"{each.identity.recording_id}/")[:limit]
     options = {"joints": SMPL22.name, "recordings": recordings, "limit": str(limit or "all")}
     options |= {f"reader.{name}": text for name, text in described_options(chosen[0].options).items()}
-    return WindowsPlan(chosen[0].identity.dataset, tuple(map(NymeriaWindows, chosen)), options)
+    # Sequences that are known for bad texts have sound bodies: nothing is left out.
+    windows = tuple(NymeriaWindows(**{**vars(each), "skip_reason": None}) for each in chosen)
+    return WindowsPlan(chosen[0].identity.dataset, windows, options)

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
 from prbench.files.bounded import require
-from prbench.geometry.skeleton import XSENS_SEGMENTS, Joint, y_up
+from prbench.geometry.skeleton import XSENS_SEGMENTS, Joint, rotation_matrices, y_up
 from prbench.protocol.manifests import Manifest
 from prbench_adapters.corpora.nymeria.format import N_SEGMENTS, SUIT_RATE, Suit
 
@@ -191,9 +191,7 @@ def clean_suit(suit: Suit, manifest: Manifest, *, path: Path | str, pose_source:
         speed = np.linalg.norm(velocity, axis=-1)
         fast = speed > thresholds["walking_speed"]
         along.append(((velocity * forward[:-1]).sum(axis=-1) / np.maximum(speed, 1e-9))[fast])
-        # The first column of the rotation matrix is the segment's own x axis in the world.
-        w, x, y, z = pelvis[piece.first : piece.stop : _SPEED_STEP].T
-        axis = y_up(np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1))
+        axis = y_up(rotation_matrices(pelvis[piece.first : piece.stop : _SPEED_STEP])[..., 0])
         agrees.append((axis[:, [0, 2]] * forward).sum(axis=-1))
     walked = np.concatenate(along)
     by_segment = float(np.concatenate(agrees).mean())

@@ -6,6 +6,7 @@ import csv
 import io
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -94,25 +95,25 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
     for row in motion.narrations:
         span = (round(device_start + row.start, 6), round(device_start + row.end, 6))
         texts.append(Narration(row.kind, *span, tuple(zip(answers[row.kind], row.texts, strict=True)), "annotator_1"))
+
+    def device(carrier: np.ndarray, place: np.ndarray, slips: tuple[float, ...], rng: np.random.Generator) -> Any:
+        """Poses of what slips on a carrier with these turns (n, 3, 3), at these places."""
+        slip = [wobble(motion.times, noise * slips[0], *slips[1:], rng) for _ in range(2)]
+        worn = skeleton.rotation_matrices(rotation_quaternion(slip[0], slip[1]))
+        rotation = np.round(quaternion(_Z_UP_FROM_Y_UP @ carrier @ worn), 8)
+        position = np.rint(skeleton.z_up(place) * _ROUNDED) / _ROUNDED
+        return mps.AriaTrajectory(device_start_us + ticks, position, rotation, np.ones(len(ticks)))
+
     # The eyes and head of the wearer; the frame of the glasses on the head is of no consequence here.
-    rng = generator("slip")
-    slip = [wobble(motion.times, noise * _SLIP[0], *_SLIP[1:], rng) for _ in range(2)]
-    on_head = skeleton.rotation_matrices(rotation_quaternion(slip[0], slip[1]))
-    rotation = quaternion(_Z_UP_FROM_Y_UP @ skeleton.rotation_matrices(motion.head_rotation) @ on_head)
-    position = np.rint(skeleton.z_up(motion.eye) * _ROUNDED) / _ROUNDED
-    glasses = mps.AriaTrajectory(device_start_us + ticks, position, np.round(rotation, 8), np.ones(len(ticks)))
+    glasses = device(skeleton.rotation_matrices(motion.head_rotation), motion.eye, _SLIP, generator("slip"))
     rng = generator("wristbands")
     wristbands = []
     for wrist in skeleton.WRISTS:
-        # A band sits on the wrist at a place and a turn of its own, and slips around them.
-        place = rng.normal(0.0, _WRIST_PLACE, 3)
-        worn = Rotation.from_rotvec(rng.uniform(-1.0, 1.0, 3)).as_matrix()
-        slip = [wobble(motion.times, noise * _WRIST_SLIP[0], *_WRIST_SLIP[1:], rng) for _ in range(2)]
+        # A band sits on the wrist at a place and a turn of its own.
         hand = skeleton.rotation_matrices(motion.rotations[:, wrist])
-        on_wrist = worn @ skeleton.rotation_matrices(rotation_quaternion(slip[0], slip[1]))
-        position = np.rint(skeleton.z_up(motion.joints[:, wrist] + hand @ place) * _ROUNDED) / _ROUNDED
-        rotation = np.round(quaternion(_Z_UP_FROM_Y_UP @ hand @ on_wrist), 8)
-        wristbands.append(mps.AriaTrajectory(device_start_us + ticks, position, rotation, np.ones(len(ticks))))
+        place = motion.joints[:, wrist] + hand @ rng.normal(0.0, _WRIST_PLACE, 3)
+        worn = Rotation.from_rotvec(rng.uniform(-1.0, 1.0, 3)).as_matrix()
+        wristbands.append(device(hand @ worn, place, _WRIST_SLIP, rng))
     return NymeriaReadings(motion.recording_id, suit, tuple(texts), glasses, offset_us / 1e6, tuple(wristbands))
 
 
